@@ -1,8 +1,8 @@
-# The goals of the project; `make` alone says what there is, README.md tells the rest.
+# The goals of the project; `make` lists them, README.md explains them.
 #
-# What is made of a case, and what has to be made again, is decided by the program `isoparticles-case` (pipelines/case): it
-# compares what every result depends on with OUT/NAME/NAME.status.json. This file builds the programs, reads the case
-# files, and passes on what is set, by whom.
+# The program `isoparticles-case` (pipelines/case) decides what must be made again: it compares what
+# every result depends on with OUT/NAME/NAME.status.json. This file builds the programs, reads the
+# case files, and passes on each setting with its origin.
 
 SHELL := /bin/sh
 .DELETE_ON_ERROR:
@@ -11,34 +11,35 @@ MAKEFLAGS += --no-builtin-rules
 
 CARGO ?= cargo
 CARGO_TARGET_DIR ?= target
-# Where the programs are, and whether to build them first (tests of this file bring their own).
+# Folder of the programs. With NO_BUILD=yes they are not built first, as in tests of this file.
 BIN ?= $(CARGO_TARGET_DIR)/release
-# Where tetmesh-check finds distfield, which reads every volume.
+# Where tetmesh-check finds distfield, with which it reads volumes.
 export ISOPARTICLES_BIN := $(abspath $(BIN))
 NO_BUILD ?=
 # The Python environment of tetmesh-check.
 VENV ?= .venv
 TETMESH_CHECK ?= $(VENV)/bin/tetmesh-check
-# HXT=no leaves Gmsh (GPL-2.0-or-later) out of it, and fTetWild fills large surfaces, too.
+# HXT=no leaves out Gmsh (GPL-2.0-or-later); fTetWild then fills large surfaces, too.
 HXT ?= yes
 without_hxt = $(if $(filter no,$(HXT)),--without-hxt)
-# Real volumes for the cases in pipelines/.
+# Folder of the real volumes for the cases in pipelines/.
 DATA ?= ../shared/data
 # Results go to OUT/NAME/.
 OUT ?= out
-# Extra options for every stage, such as VERBOSITY=-v or -q; they change no result.
+# Extra options of every stage, such as VERBOSITY=-v or -q; they change no result.
 VERBOSITY ?=
 THREADS ?=
 
-# What a case may set (pipelines/case/src/keys.rs says what each is). The command line comes before the case's file; the
-# environment has no say, because names as plain as NAME or SIZE may mean something else there.
+# Keys that a case may set (pipelines/case/src/keys.rs explains them). The command line takes
+# precedence over the case file. The environment is ignored, because short names such as NAME or
+# SIZE may mean something else there.
 KEYS := NAME INPUT PHANTOM SERIES ISO LABELS MATERIALS INSIDE BORDER SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
         BACKEND TET_ORDER ACCEPT_FORCED MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
-# What this file knows besides.
+# Other variables of this file.
 OTHERS := CASE CASES LIST TIME_LIMIT PROFILE CLUSTER_OPTIONS SNAKEMAKE SNAKEMAKE_VENV BIN NO_BUILD CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
           BENCH_OPTIONS FUZZ_SECONDS FUZZ_JOBS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES REMESHER_CASES REMESHER_VERTICES MATERIALS_CASES PEER_CASES N KILL_SEED
-# Goals over one case.
+# Goals for one case.
 CASE_GOALS := distfield sizefield seed particles reconstruct surface mesh page verdict info clean
 
 define newline
@@ -55,13 +56,14 @@ ifneq ($(CASE),)
   endif
   before := before $(.VARIABLES)
   include pipelines/$(CASE).mk
-  # A slip in the case's file is passed on as well, to be met with the nearest key.
+  # A misspelled key in the case file is passed on, too; the program suggests the nearest key.
   KEYS += $(filter-out $(before) $(KEYS),$(.VARIABLES))
 endif
 
 .DEFAULT_GOAL := $(if $(CASE),mesh,help)
 
-# Variables of the command line that nothing here knows: the program says what may be meant, where it is to run anyway.
+# Unknown variables on the command line: isoparticles-case suggests the nearest key; goals that do
+# not run it stop here.
 by_user = $(filter command,$(firstword $(origin $(1))))
 unknown := $(strip $(foreach name,$(.VARIABLES),$(if $(call by_user,$(name)),$(filter-out $(KEYS) $(OTHERS),$(name)))))
 ifneq ($(unknown),)
@@ -70,13 +72,14 @@ ifneq ($(unknown),)
   endif
 endif
 
-# --- A case -----------------------------------------------------------------------------------------------------------
+# --- A case ---------------------------------------------------------------------------------------
 
-# $(call quote,TEXT): as one word of the shell, whatever is in it.
+# $(call quote,TEXT): TEXT as one word of the shell.
 quote = '$(subst ','\'',$(1))'
-# $(call set,KEY): as the user's, or as the case's, which gives way.
+# $(call set,KEY): the user's setting, or the case file's as a --preset that the user can replace.
 set = $(if $(call by_user,$(1)),$(call quote,$(1)=$($(1))),$(if $($(1)),--preset $(call quote,$(1)=$($(1)))))
-# A change of these files makes the tetrahedra, or the page, anew. Some programs beside tetmesh-check make no tetrahedra.
+# If these files change, the tetrahedra, or the page, are made again. convergence.py makes no
+# tetrahedra.
 TETMESH_FILES = $(wildcard stages/tetmesh-check/requirements*.lock) \
                 $(filter-out %/convergence.py,$(sort $(wildcard stages/tetmesh-check/src/tetmesh_check/*.py)))
 PAGE_FILES = $(sort $(wildcard stages/tetmesh-check/src/tetmesh_check/page/*.*))
@@ -86,7 +89,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
   $(if $(CASE),--case-file $(call quote,$(CASE))) --known $(OTHERS) --bin $(call quote,$(BIN)) \
   --tetmesh-check $(call quote,$(TETMESH_CHECK)) --tetmesh-files $(TETMESH_FILES) --page-files $(PAGE_FILES)
 
-# --- Goals ------------------------------------------------------------------------------------------------------------
+# --- Goals ----------------------------------------------------------------------------------------
 
 .PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel completions doctor test format lint documentation test-rust test-python fuzz deny bench-stages \
         bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers bench-paper bench-growth results-page notebook
@@ -94,65 +97,80 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 define HELP
 Volumes in, simulation-ready meshes out.
 
-  make demo                                    build everything, mesh a phantom, fill it with tetrahedra
-  make doctor                                  what is missing on this machine, and how to get it
-  make info INPUT=v.nrrd                       what the volume is, and what to ask for
+  make demo                                    build everything and mesh a phantom, up to the tetrahedra
+  make doctor                                  list what this machine lacks, and how to get it
+  make info INPUT=v.nrrd                       describe a volume and suggest options
   make mesh INPUT=v.nrrd ISO=300               mesh where the scalar is above 300 (INSIDE=below: below)
   make mesh INPUT=v.nrrd LABELS=1,2            mesh the union of labels 1 and 2
-  make mesh INPUT=v.nrrd MATERIALS=all         mesh all labels together, with shared interfaces (MATERIALS=lungs:2,rest:1+3)
+  make mesh INPUT=v.nrrd MATERIALS=all         mesh all labels together, with shared interfaces
+                                               (MATERIALS=lungs:2,rest:1+3 selects and names them)
   make CASE=heart                              mesh the case of pipelines/heart.mk
-  make -j2 CASES="heart mickey" cases          several cases at once
-  make batch LIST=cases.csv                    every row of a list: a column a parameter, a row a case; goes on past failures, and
-                                               where it was stopped (TIME_LIMIT=2h a case; GOAL=surface)
-  make cluster LIST=cases.csv PROFILE=slurm    the same list, each stage a job of Slurm's; PROFILE=local: several at once on this machine
+  make -j2 CASES="heart mickey" cases          mesh several cases in parallel
+  make batch LIST=cases.csv                    mesh every row of a list: one column per parameter, one row per case;
+                                               continues after failures and resumes where it was stopped
+                                               (TIME_LIMIT=2h per case; GOAL=surface)
+  make cluster LIST=cases.csv PROFILE=slurm    the same list, each stage as a Slurm job;
+                                               PROFILE=local: several cases in parallel on this machine
   make surface ...                             stop at the triangles; distfield, sizefield, seed, particles stop earlier
-  make verdict CASE=heart                      how it went: verdict, warnings, the page
-  make page CASE=heart                         its page once more
-  make index                                   a page over all cases in OUT (make cases does it at its end)
+  make verdict CASE=heart                      print the outcome: verdict, warnings, the page
+  make page CASE=heart                         make its page again
+  make index                                   make a page about all cases in OUT (also part of make cases)
   make clean CASE=heart                        remove its folder of results (or NAME=...)
   make wheel                                   target/wheel/isoparticles-*.whl: pip install it, then `isoparticles help`
   make completions                             target/share: completions for bash, zsh and fish, and man pages
   make test                                    format, lints, documentation, tests
-  make fuzz                                    every reader of files, FUZZ_SECONDS=60 each, FUZZ_JOBS=1 side by side (nightly Rust, cargo-fuzz)
-  make deny                                    licences and advisories of what is linked (cargo-deny, cargo-audit)
+  make fuzz                                    fuzz every file reader for FUZZ_SECONDS=60 each, FUZZ_JOBS=1 in parallel
+                                               (nightly Rust, cargo-fuzz)
+  make deny                                    licences and advisories of the linked crates (cargo-deny, cargo-audit)
   make bench-stages                            time and memory of every stage on the torso phantom
-  make bench-particles                         the particles stage on the CPU, by contrast of h and threads (BENCH_OPTIONS=...)
+  make bench-particles                         the particles stage on the CPU, by contrast of h and threads
+                                               (BENCH_OPTIONS=...)
   make bench-gpu                               the particles stage on the GPU against one CPU thread (BENCH_OPTIONS=...)
-  make bench-delaunay                          the Delaunay triangulation against CGAL's (BENCH_OPTIONS=...; needs libcgal-dev)
+  make bench-delaunay                          the Delaunay triangulation against CGAL's
+                                               (BENCH_OPTIONS=...; needs libcgal-dev)
   make bench-convergence                       error of a known solution on the ball, from coarse to fine tetrahedra
-  make bench-marching-cubes                    tetrahedra in our surfaces against marching cubes and a remesher (COMPARED=...)
-  make bench-kills N=100                       kills at random moments of a small chain, and the same files after another run
-  make bench-batch                             a batch of 50 phantoms, real volumes and broken rows, interrupted and called again
-  make bench-solvers                           a known problem solved by every finite-element program that is here, on the file that it reads
-  make bench-paper                             the paper's Tables 1 to 4 as rows of docs/results/paper.json (BENCH_OPTIONS=--quick and the like)
-  make bench-growth                            time and memory of every stage by voxels, particles, cores and materials, docs/results/growth.json
-  make results-page                            docs/results.md and its pictures of those rows
-  make notebook                                docs/notebooks/volume-to-solve.ipynb, run from first to last into OUT/notebook
-  make bench-remeshers                         every packaged remesher beside ours at several numbers of vertices (REMESHER_CASES=... REMESHER_VERTICES=...)
-  make bench-materials-peers                   many materials beside CGAL's Mesh_3, Cleaver and surface nets (MATERIALS_CASES=...; g++, libcgal-dev)
-  make bench-scale                             coarse meshes of real volumes against two remeshers (SCALE_CASES=... SCALE_VERTICES=...)
+  make bench-marching-cubes                    tetrahedra in our surfaces against marching cubes and a remesher
+                                               (COMPARED=...)
+  make bench-kills N=100                       kills at random moments of a small chain; the next run must give the
+                                               same files
+  make bench-batch                             a batch of 50 phantoms, real volumes and broken rows, interrupted and
+                                               run again
+  make bench-solvers                           a known problem, solved by every installed finite-element program
+                                               on its own file format
+  make bench-paper                             the paper's Tables 1 to 4 as rows of docs/results/paper.json
+                                               (BENCH_OPTIONS=--quick, for example)
+  make bench-growth                            time and memory of every stage by voxels, particles, cores and
+                                               materials, as rows of docs/results/growth.json
+  make results-page                            docs/results.md and its pictures, from these rows
+  make notebook                                run docs/notebooks/volume-to-solve.ipynb into OUT/notebook
+  make bench-remeshers                         every packaged remesher against ours at several numbers of vertices
+                                               (REMESHER_CASES=... REMESHER_VERTICES=...)
+  make bench-materials-peers                   many materials against CGAL's Mesh_3, Cleaver and surface nets
+                                               (MATERIALS_CASES=...; g++, libcgal-dev)
+  make bench-scale                             coarse meshes of real volumes against two remeshers
+                                               (SCALE_CASES=... SCALE_VERTICES=...)
 
-Parameters of a case, with the stages' defaults where left out; they come before what a case's file says:
+Parameters of a case; they take precedence over the case file, and unset ones keep the default of the stage:
   NAME=...      name of the results [the volume's]       OUT=...       folder of the results [out]
-  EPSILON=...   h = epsilon x local feature size         DELTA=...     largest gradient of h
+  EPSILON=...   h = epsilon x local feature size         DELTA=...     maximum gradient of h
   SIZE=...      one edge length everywhere, mm           MIN_SIZE=...  MAX_SIZE=...  bounds of h, mm
-  VERTICES=...  that many vertices, in place of a size   QUALITY=...   coarse, medium or fine
-  SCALE=...     leave out features below it, mm          BORDER=...    cap or open
-  SEED=...      of the random numbers                    BACKEND=...   auto, gpu or cpu
-  SERIES=...    of a folder of DICOM files, where it holds several
-  THREADS=...   CPU threads [all]                        MAX_MEMORY=.. the most a stage may ask for
-  TET_ORDER=2   quadratic tetrahedra beside the linear ones, their mid-edge nodes on the surface
-  ACCEPT_FORCED=yes  pass elements that the surface of many materials forces below a limit; the verdict counts them
+  VERTICES=...  number of vertices, instead of a size    QUALITY=...   coarse, medium or fine
+  SCALE=...     smooth away smaller features, mm         BORDER=...    cap or open
+  SEED=...      seed of the random numbers               BACKEND=...   auto, gpu or cpu
+  SERIES=...    the series to mesh, if a folder of DICOM files holds several
+  THREADS=...   CPU threads [all]                        MAX_MEMORY=.. maximum memory of a stage
+  TET_ORDER=2   also quadratic tetrahedra, with their mid-edge nodes on the surface
+  ACCEPT_FORCED=yes  accept elements that the surface of many materials forces below a limit; the verdict counts them
   HXT=no        without Gmsh: large surfaces take hours
-Results: OUT/NAME/NAME.{distfield.vti,sizefield.vti,seeds.bin,particles.bin,surface.vtp,volume.vtu,report.json,report.html},
-the truth about them in NAME.status.json and, for several cases, OUT/index.html and OUT/index.csv
+Results: OUT/NAME/NAME.{distfield.vti,sizefield.vti,seeds.bin,particles.bin,surface.vtp,volume.vtu,report.json},
+the page in NAME.report.html, the state in NAME.status.json; for several cases OUT/index.html and OUT/index.csv
 endef
 export HELP
 
 help:
 	@printf '%s\n' "$$HELP"
 
-# The Python environment is waited for only where it is needed; a page is made wherever it is there.
+# These goals need the Python environment. The other ones make a page only if it is installed.
 mesh page: build env
 distfield sizefield seed particles reconstruct surface verdict info clean: build
 $(CASE_GOALS):
@@ -161,27 +179,28 @@ $(CASE_GOALS):
 demo:
 	@$(MAKE) --no-print-directory CASE=demo mesh
 
-# Every case, whether or not another one fails, then the index over all, and how each went.
+# Makes every case even if another one fails, then the index, and prints the verdicts.
 cases: build env
 	@status=0; $(MAKE) --no-print-directory -k NO_BUILD=yes $(addprefix case-,$(CASES)) || status=$$?; \
 	  $(call case,index) || { code=$$?; if [ $$status = 0 ]; then status=$$code; fi; }; \
 	  for name in $(CASES); do $(MAKE) --no-print-directory CASE=$$name CASES= NO_BUILD=yes verdict || true; done; exit $$status
 
-# Every row of a list, then a summary and the index.
+# Makes every row of a list, then a summary and the index.
 LIST ?=
 TIME_LIMIT ?=
 batch: build env
 	@$(call case,batch) $(if $(LIST),--list $(call quote,$(LIST))) $(if $(TIME_LIMIT),--time-limit $(call quote,$(TIME_LIMIT))) --as-far-as $(GOAL)
 
-# The same list by Snakemake: PROFILE is local, slurm or a folder with a config.yaml; CLUSTER_OPTIONS are Snakemake's. The list is read, and refused,
-# before anything is begun; the summary and the index are made however the jobs ended.
+# The same list with Snakemake. PROFILE is local, slurm or a folder with a config.yaml;
+# CLUSTER_OPTIONS go to Snakemake. An invalid list is refused before any job; the summary and the
+# index are made however the jobs end.
 PROFILE ?= local
 CLUSTER_OPTIONS ?=
 SNAKEMAKE_VENV ?= .venv-snakemake
 SNAKEMAKE ?= $(SNAKEMAKE_VENV)/bin/snakemake
 CLUSTER_DIR = $(OUT)/.cluster
 over_list = $(call case,$(1)) $(if $(LIST),--list $(call quote,$(LIST))) --as-far-as $(GOAL)
-# Nine tenths of the memory of this machine, MiB.
+# 90 % of the memory of this machine, MiB.
 all_memory = $(shell awk '/MemTotal/ { print int($$2 / 1024 * 0.9) }' /proc/meminfo)
 cluster: build env $(if $(NO_BUILD),,snakemake-env)
 	@mkdir -p $(call quote,$(CLUSTER_DIR)) && $(call over_list,rows) > $(call quote,$(CLUSTER_DIR)/rows.new) \
@@ -194,14 +213,14 @@ cluster: build env $(if $(NO_BUILD),,snakemake-env)
 
 snakemake-env: $(SNAKEMAKE_VENV)/.made
 
-# One of its packages is to be had as source alone.
+# The package connection-pool is only available as source.
 $(SNAKEMAKE_VENV)/.made: pipelines/snakemake.lock | env
 	@$(VENV)/bin/python -m venv --clear $(SNAKEMAKE_VENV)
 	@$(SNAKEMAKE_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --no-binary connection-pool \
 	  --require-hashes -r pipelines/snakemake.lock
 	@touch $@
 
-# Over all cases in OUT, also those that failed.
+# Index over all cases in OUT, also those that failed.
 index: build env
 	@$(call case,index)
 
@@ -217,7 +236,7 @@ ifneq ($(filter cases,$(MAKECMDGOALS)),)
   endif
 endif
 
-# --- Programs ---------------------------------------------------------------------------------------------------------
+# --- Programs -------------------------------------------------------------------------------------
 
 build:
 ifeq ($(NO_BUILD),)
@@ -229,8 +248,9 @@ ifeq ($(NO_BUILD),)
 	@stages/tetmesh-check/setup-env.sh --venv $(VENV) $(without_hxt)
 endif
 
-# One wheel with all of it, for `pip install`: target/wheel/isoparticles-*.whl. ISOPARTICLES_BIN of hatch_build.py are the programs without
-# their symbols; auditwheel names the oldest Linux that they run on.
+# One wheel with the whole chain, for `pip install`: target/wheel/isoparticles-*.whl.
+# ISOPARTICLES_BIN of hatch_build.py is a folder of the programs without symbols. auditwheel names
+# the oldest Linux on which they run.
 WHEEL = $(CARGO_TARGET_DIR)/wheel
 WHEEL_PROGRAMS = distfield sizefield seed particles reconstruct phantom isoparticles-case
 wheel: build env $(WHEEL)/venv/.made completions
@@ -245,7 +265,8 @@ $(WHEEL)/venv/.made: pipelines/wheel/requirements.lock | env
 	@$(WHEEL)/venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --require-hashes -r pipelines/wheel/requirements.lock
 	@touch $@
 
-# What shells and man read of the programs, made of their own command lines, in folders as below /usr/share; the wheel has that of its command.
+# Shell completions and man pages, generated from the programs' command lines, in folders as under
+# /usr/share. The wheel contains those of its command.
 SHARE = $(CARGO_TARGET_DIR)/share
 SHARE_STAGES = distfield sizefield seed particles reconstruct
 SHARE_GOALS = info mesh surface verdict page clean demo index batch tetmesh-check
@@ -264,7 +285,7 @@ completions: build env
 	  for goal in $(SHARE_GOALS); do "$$front" --man-page $$goal "$$@" > $(SHARE)/man/man1/isoparticles-$$goal.1 || exit $$?; done
 	@echo $(SHARE)
 
-# --- Checks of the project itself -------------------------------------------------------------------------------------
+# --- Checks of the project itself -----------------------------------------------------------------
 
 test:
 	@tests/run_all.sh '$(MAKE)' format lint documentation test-rust test-python
@@ -282,7 +303,7 @@ test-rust: build env
 	@tests/lavapipe.sh $(BIN)/particles
 	$(CARGO) test --locked --workspace --no-fail-fast
 
-# From the stage's own folder: its pyproject.toml holds the settings of all four.
+# Runs in the folder of tetmesh-check: its pyproject.toml holds the settings of all four tools.
 test-python: build env wheel
 	cd stages/tetmesh-check && $(abspath $(VENV))/bin/ruff check . && $(abspath $(VENV))/bin/ruff format --check . \
 	  && $(abspath $(VENV))/bin/mypy && $(abspath $(VENV))/bin/pytest -q
@@ -296,18 +317,21 @@ test-python: build env wheel
 doctor:
 	@sh tests/doctor.sh
 
-# Every reader, or FUZZ_TARGETS, for FUZZ_SECONDS each, FUZZ_JOBS side by side; nightly Rust and cargo-fuzz.
+# Fuzzes every reader, or FUZZ_TARGETS, for FUZZ_SECONDS each, FUZZ_JOBS in parallel. Needs nightly
+# Rust and cargo-fuzz.
 FUZZ_SECONDS ?= 60
 FUZZ_JOBS ?= 1
 fuzz:
 	@tests/fuzz/run.sh --seconds $(FUZZ_SECONDS) --jobs $(FUZZ_JOBS) $(FUZZ_TARGETS)
 
-# Licences, advisories and sources of what is linked (deny.toml), and RustSec's own program; cargo-deny, cargo-audit and the network.
+# Licences, advisories and sources of the linked crates (deny.toml), and RustSec's own check. Needs
+# cargo-deny, cargo-audit and the network.
 deny:
 	$(CARGO) deny --locked check
 	$(CARGO) audit
 
-# Every stage on the torso phantom of the paper's size, from nothing; GOAL=surface leaves out the tetrahedra.
+# Every stage on the torso phantom of the paper's size, from scratch; GOAL=surface omits the
+# tetrahedra.
 PARTS ?= heart lungs ribs
 GOAL ?= mesh
 bench-stages: build env
@@ -317,16 +341,19 @@ bench-stages: build env
 	done; \
 	python3 tests/stage_table.py $(addprefix $(OUT)/bench/torso-,$(PARTS)) && exit $$status
 
-# The particles stage on the GPU against one CPU thread; BENCH_OPTIONS="--adapter NAME --sizes '2 1'" and the like.
+# The particles stage on the GPU against one CPU thread, for example with BENCH_OPTIONS="--adapter
+# NAME --sizes '2 1'".
 BENCH_OPTIONS ?=
 bench-gpu: build
 	@stages/particles/benches/bench_gpu.sh --bin $(BIN) --work $(OUT)/bench-gpu $(BENCH_OPTIONS)
 
-# The particles stage on the CPU; BENCH_OPTIONS="--beside OLDER/particles" runs another build in turn with it.
+# The particles stage on the CPU; BENCH_OPTIONS="--beside OLDER/particles" alternates with another
+# build.
 bench-particles: build
 	@stages/particles/benches/bench_cpu.sh --bin $(BIN) --work $(OUT)/bench-gpu $(BENCH_OPTIONS)
 
-# The Delaunay triangulation against CGAL's, on the same particles; needs g++, libcgal-dev and libtbb-dev.
+# The Delaunay triangulation against CGAL's, on the same particles. Needs g++, libcgal-dev and
+# libtbb-dev.
 bench-delaunay: build
 	@$(CARGO) build --release --locked -p isoparticles-delaunay --example bench_delaunay
 	@common/delaunay/benches/compare.sh --bin $(BIN) --work $(OUT)/bench-delaunay $(BENCH_OPTIONS)
@@ -339,11 +366,12 @@ bench-convergence: build env
 	done
 	$(TETMESH_CHECK)-convergence $(foreach size,$(SIZES),$(OUT)/bench/ball-$(size)/ball-$(size).volume.vtu)
 
-# Our surfaces against marching cubes and a remesher on the same distance field, through the same tetrahedralizer.
-# COMPARE_OPTIONS="--surfaces particles remesh_botsch --fill-seconds 600" and the like.
+# Our surfaces against marching cubes and a remesher on the same distance field, with the same
+# tetrahedralizer; for example COMPARE_OPTIONS="--surfaces particles remesh_botsch --fill-seconds
+# 600".
 COMPARED ?= ball mickey
 COMPARE_OPTIONS ?=
-# The remesher has an environment of its own, for this alone; REMESHER=no does without.
+# The remesher has a separate environment; REMESHER=no leaves it out.
 REMESHER ?= yes
 BENCH_VENV ?= .venv-bench
 BENCH_LOCK = stages/tetmesh-check/benches/requirements.lock
@@ -360,18 +388,21 @@ $(BENCH_VENV)/.made: $(BENCH_LOCK) | env
 	$(BENCH_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes -r $(BENCH_LOCK)
 	@touch $@
 
-# N kills at random moments of a small chain; what another run makes of it is compared with an undisturbed one. KILL_SEED=2 for other moments.
+# N kills at random moments of a small chain; the results of the next run are compared with those of
+# an undisturbed run. KILL_SEED=2 gives other moments.
 N ?= 100
 KILL_SEED ?= 1
 bench-kills: build env
 	@$(VENV)/bin/python tests/kills.py --count $(N) --seed $(KILL_SEED) --bin $(abspath $(BIN)) --tetmesh-check $(abspath $(TETMESH_CHECK))
 
-# Fifty phantoms, the small volumes of DATA and five broken rows as one batch, interrupted, called again and judged; GOAL=mesh takes them to tetrahedra.
+# Fifty phantoms, the small volumes of DATA and five broken rows as one batch: interrupted, run
+# again and checked. GOAL=mesh continues up to the tetrahedra.
 bench-batch: build env
 	@$(VENV)/bin/python tests/batch.py --bin $(abspath $(BIN)) --tetmesh-check $(abspath $(TETMESH_CHECK)) --goal $(if $(call by_user,GOAL),$(GOAL),surface) \
 	  $(if $(wildcard $(DATA)/mickey_labels.nrrd),--data $(DATA))
 
-# CalculiX, GetDP, FreeFEM and dolfinx where they are installed (Debian: calculix-ccx getdp freefem++ libfreefem++ python3-dolfinx).
+# CalculiX, GetDP, FreeFEM and dolfinx, if installed (Debian: calculix-ccx getdp freefem++
+# libfreefem++ python3-dolfinx).
 bench-solvers: build env
 	@for order in 1 2; do \
 	  $(MAKE) --no-print-directory mesh PHANTOM="ball --size 32" NAME=order-$$order ISO=100 SIZE=2 BACKEND=cpu TET_ORDER=$$order OUT=$(OUT)/bench/solvers NO_BUILD=yes VERBOSITY=-q \
@@ -379,7 +410,7 @@ bench-solvers: build env
 	done
 	@$(VENV)/bin/python tests/solvers.py $(OUT)/bench/solvers/order-1 $(OUT)/bench/solvers/order-2
 
-# The notebook by nbclient, which has a folder of its own beside the environment that it runs in.
+# Runs the notebook with nbclient, which is installed in a folder beside the environment.
 NOTEBOOK = docs/notebooks/volume-to-solve.ipynb
 NOTEBOOK_ENV = $(CARGO_TARGET_DIR)/notebook
 notebook: build env $(NOTEBOOK_ENV)/.made
@@ -393,8 +424,9 @@ $(NOTEBOOK_ENV)/.made: docs/notebooks/requirements.lock | env
 	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes --target $(NOTEBOOK_ENV) -r docs/notebooks/requirements.lock
 	@touch $@
 
-# Coarse meshes of the real volumes in DATA, and what gpytoolbox and CGAL make of the same smoothed fields (REMESHER=no: ours alone; then, with
-# BENCH_OPTIONS=--no-distances, any Python does). BENCH_OPTIONS="--tetrahedra .venv/bin/tetmesh-check --backend gpu" and the like.
+# Coarse meshes of the real volumes in DATA against those of gpytoolbox and CGAL from the same
+# smoothed fields. REMESHER=no makes only ours; with BENCH_OPTIONS=--no-distances any Python then
+# suffices. Another example: BENCH_OPTIONS="--tetrahedra .venv/bin/tetmesh-check --backend gpu".
 SCALE_BENCH = stages/distfield/benches
 SCALE_CASES ?= @$(SCALE_BENCH)/solid.txt @$(SCALE_BENCH)/thin.txt
 SCALE_VERTICES ?= 1000 5000 20000 75000
@@ -404,14 +436,15 @@ bench-scale: build $(SCALE_PEERS)
 	DATA=$(DATA) $(SCALE_PYTHON) $(SCALE_BENCH)/scale.py $(SCALE_CASES) --vertices $(SCALE_VERTICES) --bin $(BIN) --work $(OUT)/bench-scale \
 	  $(if $(SCALE_PEERS),--peers $(BENCH_VENV)-scale/bin/python) $(BENCH_OPTIONS)
 
-# Blurred label maps remeshed by every remesher that is packaged, at several numbers of vertices, and marching cubes and surface nets as they are.
+# Blurred label maps, remeshed by every packaged remesher at several numbers of vertices, and the
+# plain meshes of marching cubes and surface nets.
 REMESHER_CASES ?= @$(SCALE_BENCH)/remeshers.txt
 REMESHER_VERTICES ?= 5000 20000 75000 400000
 bench-remeshers: build env $(BENCH_VENV)-scale/.made
 	DATA=$(DATA) $(VENV)/bin/python $(SCALE_BENCH)/scale.py $(REMESHER_CASES) --vertices $(REMESHER_VERTICES) --bin $(BIN) --work $(OUT)/bench-remeshers \
 	  --peers $(BENCH_VENV)-scale/bin/python --programs marching-cubes surface-nets botsch cgal mmg pymeshlab instant-meshes acvd $(BENCH_OPTIONS)
 
-# Many materials beside CGAL's Mesh_3 (g++, libcgal-dev), Cleaver and surface nets.
+# Many materials against CGAL's Mesh_3 (g++, libcgal-dev), Cleaver and surface nets.
 MATERIALS_CASES ?= 'mickey=$$DATA/mickey_labels.nrrd;--material all' 'torso=torso --kind label --size 134,65,89 --spacing 2.6;--material all --scale-for-size 3;--uniform 3'
 MATERIALS_BENCH = stages/reconstruct/benches
 bench-materials-peers: build env $(BENCH_VENV)-cleaver/.made
@@ -425,25 +458,28 @@ $(BENCH_VENV)-cleaver/.made: $(MATERIALS_BENCH)/cleaver.lock | env
 	$(BENCH_VENV)-cleaver/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes -r $(MATERIALS_BENCH)/cleaver.lock
 	@touch $@
 
-# From label maps to triangles of one edge length, ours beside gpytoolbox's and CGAL's remeshing of the same blurred labels.
+# From label maps to triangles of one edge length, against the remeshing of gpytoolbox and CGAL on
+# the same blurred labels.
 PEER_CASES ?= @$(SCALE_BENCH)/peers.txt
 bench-peers: build env $(SCALE_PEERS)
 	DATA=$(DATA) $(VENV)/bin/python $(SCALE_BENCH)/scale.py $(PEER_CASES) --as-given --no-distances --bin $(BIN) --work $(OUT)/bench-peers \
 	  $(if $(SCALE_PEERS),--peers $(BENCH_VENV)-scale/bin/python) $(BENCH_OPTIONS)
 
-# The same volumes through all stages on 1, 2, 4 ... threads, step by step; BENCH_OPTIONS="--threads 2 4 8 16 --rounds 3".
+# The same volumes through all stages on 1, 2, 4 ... threads, step by step; for example
+# BENCH_OPTIONS="--threads 2 4 8 16 --rounds 3".
 bench-scaling: build
 	DATA=$(DATA) python3 tests/scaling.py $(PEER_CASES) --bin $(BIN) --work $(OUT)/bench-scaling $(BENCH_OPTIONS)
 
-# The paper's tables and figures again, and how every stage grows; both need a GPU for all their rows, and go on where they were stopped.
-# BENCH_OPTIONS="--tables 2 1", "--series cores", "--time-limit 540", "--quick --no-gpu --json FILE".
+# The tables and figures of the paper, and the growth of every stage. Both need a GPU for all their
+# rows and resume where they were stopped. Examples: BENCH_OPTIONS="--tables 2 1", "--series cores",
+# "--time-limit 540", "--quick --no-gpu --json FILE".
 bench-paper: build
 	@python3 tests/results/paper.py --data $(DATA) --bin $(BIN) --work $(OUT)/paper --keep $(OUT)/paper-surfaces $(BENCH_OPTIONS)
 
 bench-growth: build
 	@python3 tests/results/growth.py --bin $(BIN) --work $(OUT)/growth $(BENCH_OPTIONS)
 
-# The page and pictures of what those two left.
+# The page and the pictures of these two benchmarks.
 results-page: env
 	@$(VENV)/bin/python tests/results/page.py && $(VENV)/bin/python tests/results/plots.py \
 	  && { [ ! -d $(OUT)/paper-surfaces ] || $(VENV)/bin/python tests/results/plots.py --closeups $(OUT)/paper-surfaces; }

@@ -1,16 +1,19 @@
 #!/bin/sh
-# Puts the wheel into a bare Debian 12 (or Ubuntu 22.04 with Python 3.11, or later), as root: what both recipes here do.
+# Installs the wheel on a bare Debian 12 (or Ubuntu 22.04 with Python 3.11, or later), as root. Both
+# recipes here use it.
 #
 #   containers/install.sh FOLDER [vulkan]
 #
-# FOLDER holds isoparticles-*.whl (make wheel) and the lock files requirements.lock and requirements-hxt.lock of stages/tetmesh-check. The Python packages
-# are those of the locks, checked by their hashes; the wheel itself is installed without looking for others. `vulkan` adds the loader and Mesa's drivers.
+# FOLDER holds isoparticles-*.whl (make wheel), and requirements.lock and requirements-hxt.lock of
+# stages/tetmesh-check. The Python packages are those of the lock files, with verified hashes; the
+# wheel itself is installed without its dependencies. `vulkan` adds the Vulkan loader and Mesa's
+# drivers.
 set -eu
 
 folder=$1
 drivers=${2:-}
 
-# Python; what Gmsh's library links to; an off-screen renderer for the pictures.
+# Python, the libraries that Gmsh links to, and an off-screen renderer for the pictures.
 set -- python3 python3-venv ca-certificates \
     libgl1 libglu1-mesa libxrender1 libxcursor1 libxft2 libxinerama1 libxfixes3 libfontconfig1 libgomp1 libosmesa6
 if [ "$drivers" = vulkan ]; then
@@ -26,5 +29,5 @@ pip() { /opt/isoparticles/bin/python -m pip "$@" --quiet --disable-pip-version-c
 pip install --only-binary :all: --require-hashes -r "$folder/requirements.lock" -r "$folder/requirements-hxt.lock"
 pip install --no-deps --no-index "$folder"/isoparticles-*.whl
 ln -s /opt/isoparticles/bin/isoparticles /opt/isoparticles/bin/tetmesh-check /usr/local/bin/
-# Fails here, and not at the first case, where anything is missing.
+# If anything is missing, this fails now and not at the first case.
 isoparticles --version

@@ -1,8 +1,8 @@
-# A small ball: the quickest case, for trying things out. Keys: see demo.mk.
+# A small ball: the fastest case, for trying things out. Keys: see demo.mk.
 PHANTOM := ball --size 32
-# Half-way between inside and outside.
+# Halfway between the values inside and outside.
 ISO := 100
 # One edge length everywhere, mm.
 SIZE := 2.5
-# It is the measure of others: nothing is smoothed away.
+# A reference shape: no smoothing.
 SCALE := 0

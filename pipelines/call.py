@@ -1,6 +1,8 @@
-"""Calls what a row of a list says of a stage, of `info` or of `page`, for the Snakefile: call.py ROWS.jsonl NAME WHAT [KEY=VALUE | --OPTION]...
+"""Run the command of a row for a stage, `info` or `page`. The Snakefile calls this program.
 
-The command becomes this process, so that its exit code and the signals to it are its own.
+    call.py ROWS.jsonl NAME WHAT [KEY=VALUE | --OPTION]...
+
+The command replaces this process, so exit codes and signals are those of the command.
 """
 
 import json
@@ -10,7 +12,7 @@ from pathlib import Path
 
 
 def main() -> None:
-    """Becomes the command."""
+    """Replace this process with the command."""
     rows, name, what, *more = sys.argv[1:]
     told = (json.loads(line) for line in Path(rows).read_text().splitlines())
     row = next((row for row in told if row["name"] == name), None)
@@ -22,8 +24,8 @@ def main() -> None:
     stages = {it["stage"]: it["command"] for it in row["stages"]}
     program, goal, *words = stages[what] if what in stages else row[what]
     os.chdir(row["folder"])
-    # Assignments come before the options of the command, some of which take any number of words; of two to one key the last counts, and
-    # that is what the job was given.
+    # Assignments go before the options, because some options take any number of words. Of two
+    # assignments to one key the last counts, so the job's own settings apply.
     at = next((n for n, word in enumerate(words) if word.startswith("-")), len(words))
     set_here = [word for word in more if not word.startswith("-")]
     options = [word for word in more if word.startswith("-")]

@@ -1,54 +1,60 @@
-# The demo: a heart-like phantom at half the resolution of the paper's volume (`make demo`). Also the list of every key
-# that a case may set; whatever is left out keeps the stage's default, and the command line comes before the file: SIZE=3 there leaves
-# MIN_SIZE here out.
+# The demo: a heart-like phantom at half the resolution of the paper's volume (`make demo`). This
+# file also explains the keys of a case; pipelines/case/src/keys.rs lists all of them. Keys that are
+# not set keep the stage's default. The command line takes precedence over this file: SIZE=3 there
+# drops MIN_SIZE here.
 
-# The volume. Either INPUT (a file: .nrrd .nhdr .nii .nii.gz .vti; $(DATA) is the folder of the real volumes, set by DATA=...)
+# The volume. Either INPUT: a file (.nrrd .nhdr .nii .nii.gz .mha .mhd .vti) or a folder of DICOM
+# slices. $(DATA) is the folder of the real volumes, set by DATA=...
 #   INPUT := $(DATA)/heart_label.nrrd
-# or PHANTOM: shape and options of the `phantom` program (`target/release/phantom --help`), which makes the volume.
+# Or PHANTOM: shape and options of the `phantom` program (`target/release/phantom --help`), which
+# makes the volume.
 PHANTOM := torso --part heart --size 134,65,89 --spacing 2.6
 
-# Name of the results in OUT/NAME/ (the file's own name by default).
+# Name of the results in OUT/NAME/ (default: the name of this file).
 NAME := demo
 
 # What to mesh. Either ISO, an iso value of the volume's scalars, with INSIDE = above or below ...
 ISO := 170
 INSIDE := above
-# ... or LABELS, whole numbers with commas; their union is meshed.
+# ... or LABELS, whole numbers separated by commas; their union is meshed.
 #   LABELS := 1,2
-# ... or MATERIALS: all labels, or some by names, each a region of one mesh with shared interfaces.
+# ... or MATERIALS: all labels, or some by name; each is a region of one mesh with shared
+# interfaces.
 #   MATERIALS := lungs:2,heart:1,rest:3+4
 
-# BORDER = cap closes the object where the volume cuts it, open leaves it open.
+# BORDER = cap closes the object where the volume's box cuts it; open leaves it open.
 #   BORDER := cap
 
-# Edge length h: EPSILON times the local feature size, its gradient at most DELTA, between MIN_SIZE and MAX_SIZE (mm) ...
+# Edge length h (mm): EPSILON times the local feature size, with a gradient of at most DELTA,
+# between MIN_SIZE and MAX_SIZE ...
 #   EPSILON := 0.5
 #   DELTA := 0.4
 MIN_SIZE := 2
 #   MAX_SIZE := 10
-# ... or one length everywhere (mm) ...
+# ... or one edge length everywhere (mm) ...
 #   SIZE := 2
 # ... or a number of vertices ...
 #   VERTICES := 20000
 # ... or coarse, medium or fine.
 #   QUALITY := medium
 
-# SCALE = features smaller than this (mm) are left out; 0 keeps all.
+# SCALE: features smaller than this (mm) are smoothed away; 0 keeps all.
 #   SCALE := 0
 
-# COUNT = number of particles to seed (by default what h asks for). SEED = seed of the random numbers.
+# COUNT: number of particles to seed (default: predicted from h). SEED: seed of the random numbers.
 #   COUNT := 20000
 #   SEED := 1
 
-# BACKEND = auto, gpu or cpu. MAX_MEMORY = the most memory that a stage may ask for.
+# BACKEND = auto, gpu or cpu. MAX_MEMORY: maximum memory that a stage may use.
 #   BACKEND := auto
 #   MAX_MEMORY := 8G
 
-# ACCEPT_FORCED = yes passes elements that the surface of many materials forces below a limit;
-# the verdict counts them.
+# ACCEPT_FORCED = yes accepts elements that the surface of many materials forces below a limit; the
+# verdict counts them.
 #   ACCEPT_FORCED := no
 
-# Anything else that a stage's --help offers; RECONSTRUCT_OPTIONS := --method tight-cocone joins the particles the paper's way.
+# Further options of a stage, from its --help. RECONSTRUCT_OPTIONS := --method tight-cocone connects
+# the particles with the paper's method.
 #   DISTFIELD_OPTIONS :=
 #   SIZEFIELD_OPTIONS :=
 #   PARTICLES_OPTIONS :=

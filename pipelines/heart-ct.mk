@@ -1,6 +1,7 @@
-# Blood pools and vessels round a heart, contrast CT by an iso value (TotalSegmentator's test data, Apache-2.0).
-# Keys: see demo.mk. The volume's box cuts many vessels.
-# The volume, Hounsfield units.
+# Blood pools and vessels around a heart: contrast CT with an iso value (TotalSegmentator's test
+# data, Apache-2.0). The volume's box cuts many vessels. Keys: see demo.mk.
+#
+# The volume, in Hounsfield units.
 INPUT := $(DATA)/heart_ct.nrrd
 # Blood with contrast medium is above 250 HU.
 ISO := 250

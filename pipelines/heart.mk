@@ -1,5 +1,4 @@
 # Human heart, label map (TotalSegmentator's test data, Apache-2.0). Keys: see demo.mk.
-# The volume.
 INPUT := $(DATA)/heart_label.nrrd
 # Label 1 is the heart with a stub of the pulmonary trunk.
 LABELS := 1

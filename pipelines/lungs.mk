@@ -1,7 +1,6 @@
 # Human lungs and airways of a chest CT, label map (LIDC-IDRI-0314, CC BY 3.0). Keys: see demo.mk.
-# The volume.
 INPUT := $(DATA)/thorax_labels.nrrd
 # Label 2: lungs and airways, several pieces.
 LABELS := 2
-# Two cases share this volume, so the results need a name of their own.
+# Two cases share this volume, so the results need a distinct name.
 NAME := lungs

@@ -1,8 +1,9 @@
-# Five materials, each with all its voxels: a hollow ball that two others touch, in a box (the label map of Cleaver's tutorials). Keys: see demo.mk.
+# Five materials with all their voxels: a hollow ball that touches two others, in a box (the label
+# map of Cleaver's tutorials). Keys: see demo.mk.
 INPUT := $(DATA)/mickey_labels.nrrd
 MATERIALS := box:1,head:2,left ear:3,right ear:4,nose:5
 NAME := mickey-materials
 SIZE := 1
-# Every voxel centre keeps its material.
+# No smoothing: every voxel centre keeps its material.
 SCALE := 0
 TETMESH_OPTIONS := --tet-size-factor 2

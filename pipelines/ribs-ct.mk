@@ -1,6 +1,7 @@
-# Bone of a chest CT by an iso value, with every speck of noise that lies above it (LIDC-IDRI-0314, CC BY 3.0).
-# Keys: see demo.mk.
-# The volume, Hounsfield units.
+# Bone of a chest CT with an iso value, including every noise speck above it (LIDC-IDRI-0314, CC BY
+# 3.0). Keys: see demo.mk.
+#
+# The volume, in Hounsfield units.
 INPUT := $(DATA)/thorax_ct.nrrd
 # Bone is above 200 HU.
 ISO := 200

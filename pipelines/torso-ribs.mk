@@ -1,6 +1,7 @@
-# The ribs of the torso phantom at the paper's size, 268 x 129 x 177 (used by `make bench-stages`). Keys: see demo.mk.
+# The ribs of the torso phantom at the paper's size, 268 x 129 x 177 (used by `make bench-stages`).
+# Keys: see demo.mk.
 PHANTOM := torso --part ribs
-# Half-way between the tissue's value and that of the body round it.
+# Halfway between the values of the tissue and of the body around it.
 ISO := 370
 INSIDE := above
 NAME := torso-ribs

@@ -1,11 +1,13 @@
-"""A batch of fifty phantoms, a few real volumes and five broken rows, interrupted and called again: five clear reports, the rest done.
+"""Make a batch of phantoms, real volumes and broken rows, interrupt it, and make it again.
 
     tests/batch.py --data ../shared/data        # or: make bench-batch
-    tests/batch.py --slurm                      # through `make cluster PROFILE=slurm`, on a Slurm of its own (tests/slurm.sh)
+    tests/batch.py --slurm                      # with `make cluster PROFILE=slurm` (tests/slurm.sh)
 
-Makes the volumes and the list, runs `isoparticles-case batch` over it as `make batch` does, sends SIGINT when a third of the rows is done, and
-calls it again. Checked are the exit codes, the summary, that just the broken rows are not fit, each with what is wrong and what to do, and that
-no row of before the interrupt was made again. On Slurm all jobs that there are get `scancel` instead; the call goes on with the other rows.
+Writes the volumes and the list, and runs `isoparticles-case batch` as `make batch` does. Sends
+SIGINT when a third of the rows is done, and runs the batch again. Checks the exit codes and the
+summary: only the broken rows may fail, each with what is wrong and what to do. No row that was done
+before the interrupt may be made again. On Slurm, `scancel` for all jobs replaces SIGINT, and the
+same call continues with the other rows.
 """
 
 from __future__ import annotations
@@ -45,16 +47,16 @@ BROKEN = {
     "no-such-label": "no voxel has the label 9",
     "no-volume": "does not start with the letters NRRD",
 }
-"""Names of the broken rows, and what has to be said of each."""
+"""Names of the broken rows, with words that the headline of each must contain."""
 SLURM_OPTIONS = (
     "--slurm-status-command squeue --slurm-no-account --max-threads 1 --retries 0 "
     "--slurm-init-seconds-before-status-checks 3 --seconds-between-status-checks 3 "
     "--groups distfield=row sizefield=row seed=row particles=row reconstruct=row tetmesh_check=row"
 )
-"""What Snakemake is told for a Slurm without accounting; small cases, a job each (docs/user/cluster.md)."""
+"""Snakemake options for a Slurm without accounting; one job per row (docs/user/batch.md)."""
 COLUMNS = ("NAME", "INPUT", "ISO", "LABELS", "SIZE", "VERTICES")
 SHARE_BEFORE = 1.0 / 3.0
-"""Part of the rows that is done when the interrupt comes."""
+"""Share of the rows that are done when the interrupt comes."""
 
 
 def phantoms(folder: Path, program: Path, count: int) -> list[dict[str, str]]:
@@ -64,14 +66,14 @@ def phantoms(folder: Path, program: Path, count: int) -> list[dict[str, str]]:
         path = folder / f"{shape}-{number:02}.nrrd"
         subprocess.run([program, shape, "-o", path, *variant, "--seed", str(number)], check=True)
         labels = "label" in variant
-        # most at one edge length, the others by their local feature size
+        # Two of three rows have one edge length; the others follow the local feature size.
         row = {"NAME": path.stem, "INPUT": path.name, "LABELS" if labels else "ISO": "1" if labels else "100"}
         rows.append({**row, "SIZE": "2"} if number % 3 else row)
     return rows
 
 
 def broken(folder: Path) -> list[dict[str, str]]:
-    """Volumes that cannot be meshed, or are not there, and a row for each."""
+    """Write broken volumes and return rows that must fail, one of them with a missing file."""
     whole = (folder / "ball-00.nrrd").read_bytes()
     (folder / "truncated.nrrd").write_bytes(whole[: len(whole) // 2])
     (folder / "no-volume.nrrd").write_bytes(b"NAME,INPUT\nthis is a list and no volume\n")
@@ -85,7 +87,7 @@ def broken(folder: Path) -> list[dict[str, str]]:
 
 
 def write_list(path: Path, rows: list[dict[str, str]]) -> None:
-    """The rows as a list of cases."""
+    """Write the rows as a list of cases."""
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
@@ -93,7 +95,7 @@ def write_list(path: Path, rows: list[dict[str, str]]) -> None:
 
 
 def summary(out: Path) -> list[dict[str, str]]:
-    """The lines of batch.csv; none before the first row is done."""
+    """The lines of batch.csv; empty before the first row is done."""
     try:
         with (out / "batch.csv").open(newline="") as file:
             return list(csv.DictReader(file))
@@ -102,12 +104,12 @@ def summary(out: Path) -> list[dict[str, str]]:
 
 
 def times(out: Path) -> dict[str, int]:
-    """When the surface of each case was written, ns."""
+    """Modification time of each case's surface, ns."""
     return {path.parent.name: path.stat().st_mtime_ns for path in out.glob("*/*.surface.vtp")}
 
 
 def faults(rows: list[dict[str, str]], found: list[dict[str, str]]) -> list[str]:
-    """What of the summary is not as it should be."""
+    """Differences between the summary and what is expected."""
     wrong = []
     if sorted(row["name"] for row in found) != sorted(row["NAME"] for row in rows):
         wrong.append(f"{len(found)} rows in batch.csv for {len(rows)} of the list")
@@ -121,7 +123,7 @@ def faults(rows: list[dict[str, str]], found: list[dict[str, str]]) -> list[str]
 
 
 def main() -> int:
-    """Run the batch; 0 when all is as it should be."""
+    """Run the batch; 0 if every check passes."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--bin", metavar="DIR", type=Path, default=Path("target/release"), help="folder of the programs"
@@ -154,7 +156,7 @@ def main() -> int:
 
 
 def interrupt(first: subprocess.Popen[bytes], on_slurm: bool) -> None:
-    """Stop what is under way; on Slurm its jobs alone."""
+    """Interrupt the batch; on Slurm, cancel only its jobs."""
     if on_slurm:
         subprocess.run(["scancel", "--user", getpass.getuser()], check=True)
     else:
@@ -163,9 +165,9 @@ def interrupt(first: subprocess.Popen[bytes], on_slurm: bool) -> None:
 
 
 def judge(command: list[object], rows: list[dict[str, str]], out: Path, on_slurm: bool) -> int:
-    """Run the batch twice, and say how it went."""
+    """Run the batch twice and report the outcome."""
     wrong = []
-    # make has an exit code of its own for all that is not 0
+    # make ends with 2 whenever a command fails.
     stopped, not_fit = (2, 2) if on_slurm else (130, 1)
     begun = time.monotonic()
     with (out.parent / "log").open("wb") as log:

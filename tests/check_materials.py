@@ -1,12 +1,13 @@
-"""What a surface of many materials keeps of the labels that it was made from: a look from outside, by other ways than the stages' own.
+"""Check what a surface of many materials preserves of its labels, independently of the stages.
 
-    python tests/check_materials.py CASE.surface.vtp LABELS.vti [--volume CASE.volume.vtu] [--json FILE]
+    python tests/check_materials.py CASE.surface.vtp LABELS.vti [--volume FILE] [--json FILE]
 
-LABELS.vti is what `distfield VOLUME --write-volume LABELS.vti` writes; or, where `--smallest-island` has given voxels to others, its file of
-the indicators, which says the material of each node (whether that is the labels', `distfield` alone has checked then). Every voxel centre's
-material is found by following lines of voxel centres through the triangles, from outside in; junctions are compared by place; triangles and
-tetrahedra are measured. Nothing else here is shared with the programs that made the files. The last line is `PASSED` or names what differs;
-exit code 1 then.
+LABELS.vti is the output of `distfield VOLUME --write-volume LABELS.vti`. If `--smallest-island` has
+reassigned voxels, it is the indicator file of distfield instead, which holds the material of each
+node; only distfield itself has then compared these with the labels. The material of every voxel
+centre is found by tracing lines of voxel centres through the triangles, from outside in. Junctions
+are compared by position; triangles and tetrahedra are measured. No code is shared with the programs
+that made the files. The last line is `PASSED`, or names the differences; the exit code is then 1.
 """
 
 from __future__ import annotations
@@ -28,18 +29,21 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 OFF_LATTICE = (3.1e-9, 7.3e-9)
-"""Where lines pass voxel centres by, as shares of the spacing: none goes through an edge of a capped face. Positions are in double
-precision, some 1e-13 of it; a facet may come as near to a centre as 3e-5, and is to be seen on the right side of it."""
+"""Offsets of the traced lines from the voxel centres in y and z, as shares of the spacing.
+
+They keep lines off the edges of capped faces. Positions have errors of about 1e-13 of the spacing.
+A facet may be as near to a centre as 3e-5 and must stay on the right side of it.
+"""
 NEAR = 1.5
-"""Junctions of the voxels and of the mesh are the same if they are nearer than this, in voxels."""
+"""Junctions of the voxels and of the mesh match if they are nearer than this, in voxels."""
 SMALL_COMPONENT = 8
-"""Components of up to so many voxels may be missing."""
+"""Components of at most this many voxels may be missing in the mesh."""
 SMALL_JUNCTION = 2
-"""Materials that meet along up to so many voxels may not meet in the mesh."""
+"""Materials that meet along at most this many voxel edges need not meet in the mesh."""
 
 
 def note(data: pv.DataSet, name: str) -> Any:
-    """A JSON text in the field data."""
+    """Parse a JSON text in the field data."""
     return json.loads(bytes(np.asarray(data.field_data[name]).astype(np.uint8)).decode())
 
 
@@ -60,7 +64,7 @@ def materials_of(labels: pv.ImageData, table: list[dict[str, Any]]) -> Integers:
 
 
 def into_voxels(points: Floats, labels: pv.ImageData) -> Floats:
-    """World positions as indices of voxel centres."""
+    """World positions as fractional voxel indices."""
     matrix = np.asarray(labels.direction_matrix).reshape(3, 3) * np.asarray(labels.spacing)
     return np.linalg.solve(matrix, (points - np.asarray(labels.origin)).T).T
 
@@ -68,12 +72,16 @@ def into_voxels(points: Floats, labels: pv.ImageData) -> Floats:
 def crossings(
     corners: Floats, inside: Integers, outside: Integers, size: tuple[int, ...]
 ) -> tuple[Integers, Floats, Integers, Integers]:
-    """Where lines along x through voxel centres cross triangles: line number, x, the material before and that behind."""
+    """Crossings of triangles with lines along x through voxel centres, sorted by line and x.
+
+    Returns the line numbers, the x positions, and the materials before and behind each crossing.
+    """
     lines, places, before, behind = [], [], [], []
     yz = corners[:, :, 1:] - np.asarray(OFF_LATTICE)
     low = np.maximum(np.ceil(yz.min(axis=1)).astype(np.int64), 0)
     high = np.minimum(np.floor(yz.max(axis=1)).astype(np.int64), np.asarray(size[1:]) - 1)
-    # doubled area in the plane of y and z: positive where x grows from inside to outside, with counter-clockwise triangles
+    # Twice the area projected onto y and z: positive if +x leads from inside to outside, for
+    # counter-clockwise triangles.
     a, b, c = yz[:, 0], yz[:, 1], yz[:, 2]
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     span = np.maximum(high - low + 1, 0)
@@ -102,9 +110,11 @@ def crossings(
 def follow_lines(
     corners: Floats, inside: Integers, outside: Integers, size: tuple[int, ...]
 ) -> tuple[Integers, int, tuple[int, int]]:
-    """The material at each voxel centre, and how many crossings do not begin with the material that is there.
+    """Material at each voxel centre, number of wrong crossings, and contacts along x.
 
-    And between how many neighbours of different materials along x others lie, of how many.
+    A crossing is wrong if its first material is not the one that the line is in. The contacts are
+    the neighbours of different materials along x: those with another material between them, and
+    all.
     """
     line, place, before, behind = crossings(corners, inside, outside, size)
     found = np.zeros(size, dtype=np.int64)
@@ -124,10 +134,11 @@ def follow_lines(
 
 
 def grid_junctions(materials: Integers, open_ones: bool) -> dict[tuple[int, ...], Floats]:
-    """Edges of voxels that three and more materials meet on, by these: their middles, in voxels. All is outside beyond the volume.
+    """Middles of voxel edges where three or more materials meet, by these materials, in voxels.
 
-    Where each of the four voxels differs from both that it shares a face with, the labels leave open which of the others touch: one
-    pair of opposite ones, or the other. These edges or the rest.
+    Everything beyond the volume is outside (material 0). If each of the four voxels at an edge
+    differs from both face neighbours, the labels leave open which opposite pair touches.
+    `open_ones` selects these edges or the others.
     """
     padded = np.pad(materials, 1)
     found: dict[tuple[int, ...], list[Floats]] = {}
@@ -149,7 +160,7 @@ def grid_junctions(materials: Integers, open_ones: bool) -> dict[tuple[int, ...]
 def mesh_junctions(
     points: Floats, triangles: Integers, inside: Integers, outside: Integers
 ) -> dict[tuple[int, ...], Floats]:
-    """Edges of other than two triangles, by the materials round them: their middles."""
+    """Middles of mesh edges that do not have two triangles, by the materials around them."""
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     owner = np.repeat(np.arange(len(triangles)), 3)
     unique, inverse, counts = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
@@ -166,7 +177,7 @@ def mesh_junctions(
 def share_near(
     places: dict[tuple[int, ...], Floats], others: dict[tuple[int, ...], Floats], has: Any
 ) -> tuple[int, int]:
-    """Of places those with another near by whose materials `has` the same, and all."""
+    """Number of places with a match within NEAR by materials that satisfy `has`, and of all."""
     near = total = 0
     for names, own in places.items():
         total += len(own)
@@ -178,7 +189,7 @@ def share_near(
 
 
 def triangle_figures(points: Floats, triangles: Integers, pair: Integers) -> dict[str, float]:
-    """Radius ratio 2 r / R, angles in degrees, and the turn of normals between neighbours of one sheet."""
+    """Radius ratio 2 r / R; angles, and turns of normals within an interface, in degrees."""
     corners = points[triangles]
     sides = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
     length = np.linalg.norm(sides, axis=2)
@@ -209,7 +220,7 @@ def triangle_figures(points: Floats, triangles: Integers, pair: Integers) -> dic
 
 
 def unbalanced_edges(triangles: Integers, inside: Integers, outside: Integers, count: int) -> int:
-    """Edges along which the border of some material, turned outward, does not close."""
+    """Number of edges along which the outward boundary of some material is not closed."""
     wrong = 0
     for number in range(count):
         turned = np.concatenate((triangles[inside == number], triangles[outside == number][:, ::-1]))
@@ -221,7 +232,7 @@ def unbalanced_edges(triangles: Integers, inside: Integers, outside: Integers, c
 
 
 def smallest_dihedrals(volume: pv.UnstructuredGrid) -> Floats:
-    """The smallest dihedral angle of each tetrahedron, degrees."""
+    """Minimum dihedral angle of each tetrahedron, degrees."""
     corners = np.asarray(volume.points)[volume.cells_dict[pv.CellType.TETRA]]
     faces = [(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)]
     normals = np.stack(
@@ -238,7 +249,7 @@ def smallest_dihedrals(volume: pv.UnstructuredGrid) -> Floats:
 
 
 def lost_components(materials: Integers, found: Integers) -> list[str]:
-    """Components of more than a few voxels none of which has its material any more."""
+    """Components above SMALL_COMPONENT voxels that lost their material in every voxel."""
     lost = []
     for number in np.unique(materials[materials > 0]).tolist():
         parts, count = ndimage.label(materials == number)
@@ -253,7 +264,7 @@ def lost_components(materials: Integers, found: Integers) -> list[str]:
 
 
 def look(surface: pv.PolyData, labels: pv.ImageData, volume: pv.UnstructuredGrid | None) -> dict[str, Any]:
-    """All figures."""
+    """Compute all figures."""
     table = note(surface, "meta")["materials"]
     materials = materials_of(labels, table)
     points = np.asarray(surface.points, dtype=np.float64)
@@ -262,7 +273,7 @@ def look(surface: pv.PolyData, labels: pv.ImageData, volume: pv.UnstructuredGrid
         np.asarray(surface.cell_data[f"material_{side}"]).astype(np.int64) for side in ("inside", "outside")
     )
     in_voxels = into_voxels(points, labels)
-    # a left-handed grid turns triangles over
+    # A left-handed grid mirrors triangles, so their vertex order is reversed.
     corners = in_voxels[triangles]
     if np.linalg.det(np.asarray(labels.direction_matrix).reshape(3, 3)) < 0:
         corners = corners[:, ::-1]

@@ -1,6 +1,6 @@
 #!/bin/sh
-# Says what this machine lacks to build and run the pipeline, and how to get it (`make doctor`).
-# Exit code: 0 when everything needed is there, 1 when something is missing. Changes nothing.
+# Reports what this machine lacks to build and run the pipeline, and how to get it (`make doctor`).
+# Exit code: 0 if everything needed is there, 1 if something is missing. Changes nothing.
 set -u
 cd "$(dirname "$0")/.." || exit 2
 missing=0

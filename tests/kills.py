@@ -1,12 +1,15 @@
-"""Kills the chain at random moments, runs it again, and compares what comes of it with an undisturbed run, byte by byte.
+"""Kill the chain at random moments, run it again, and compare with an undisturbed run.
 
     tests/kills.py --count 100 --seed 1        # or: make bench-kills N=100
 
-Each of the kills starts from nothing: a tiny phantom is meshed by `isoparticles-case`, as make does it. At a random moment of a random stage
-(by the time that it took undisturbed) SIGKILL, SIGTERM or SIGINT goes to the program, to the stage that it runs, or to all of its processes
-(as Ctrl-C and the end of a batch job do). Then the same command is called again, and has to end with 0. Every file is compared byte by byte,
-but for those that tell of times: reports, status, page, the list of passes and the tetrahedralizer's log, which are compared without these.
-No file may be left over. HXT makes the tetrahedra, because fTetWild's are not the same from run to run.
+Each kill starts from nothing: `isoparticles-case` meshes a tiny phantom, as make does. SIGKILL,
+SIGTERM or SIGINT is sent at a random moment of a random stage, within the time that the stage takes
+undisturbed. The signal goes to the program, to the stage that it runs, or to all of its processes
+(like Ctrl-C or the end of a batch job). Then the same command runs again and must end with 0.
+
+All files are compared byte by byte. Files that contain times (reports, status, page, list of
+passes, the tetrahedralizer's log) are compared without them. No file may be left over. HXT makes
+the tetrahedra, because fTetWild's differ from run to run.
 """
 
 from __future__ import annotations
@@ -37,13 +40,16 @@ CASE = [
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 TARGETS = ("program", "stage", "all")
 WITH_TIMES = (".json", ".html", ".log", ".csv")
-"""Endings of files that tell of times."""
+"""Endings of files that contain times."""
 PATIENCE = 120.0
-"""How long processes may take to end after a signal, s: a stage has a minute for its last checkpoint, and is asked twice."""
+"""Seconds that processes may take to end after a signal.
+
+A stage is interrupted twice, and has a minute each time for its last checkpoint.
+"""
 
 
 def children_of(parent: int) -> list[int]:
-    """Processes that this one has started."""
+    """Child processes of a process."""
     try:
         return [int(word) for word in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
     except (FileNotFoundError, ProcessLookupError):
@@ -51,7 +57,7 @@ def children_of(parent: int) -> list[int]:
 
 
 def group_lives(group: int) -> bool:
-    """Whether any process of a group runs still."""
+    """Whether any process of a group is still running."""
     for path in Path("/proc").glob("[0-9]*/stat"):
         try:
             fields = path.read_text().rpartition(")")[2].split()
@@ -63,7 +69,7 @@ def group_lives(group: int) -> bool:
 
 
 def send(process: subprocess.Popen[bytes], target: str, which: signal.Signals) -> None:
-    """Give the signal to the program, to what it runs (to itself where it runs nothing), or to all."""
+    """Send the signal to the program, to the stage that it runs (if any), or to all processes."""
     try:
         if target == "all":
             os.killpg(process.pid, which)
@@ -75,7 +81,7 @@ def send(process: subprocess.Popen[bytes], target: str, which: signal.Signals) -
 
 
 def stages_in(folder: Path) -> list[dict[str, object]]:
-    """What the status says of the stages; none before there is one."""
+    """The stages in the status file; empty before there is one."""
     try:
         stages: list[dict[str, object]] = json.loads((folder / f"{NAME}.status.json").read_text())["stages"]
     except FileNotFoundError:
@@ -84,14 +90,14 @@ def stages_in(folder: Path) -> list[dict[str, object]]:
 
 
 def stage_now(folder: Path) -> str:
-    """The stage that runs, by the status."""
+    """The running stage according to the status file."""
     stages = stages_in(folder)
     running = [str(entry["stage"]) for entry in stages if entry["state"] == "running"]
     return running[0] if running else "between two" if stages else "before the first"
 
 
 def wait_for_stage(process: subprocess.Popen[bytes], folder: Path, stage: str) -> None:
-    """Wait until a stage runs, or is behind; the start is no stage, and not waited for."""
+    """Wait until a stage runs or is done; `start` is not a stage and needs no wait."""
     while stage != "start" and process.poll() is None:
         if any(entry["stage"] == stage and entry["state"] in ("running", "done") for entry in stages_in(folder)):
             return
@@ -99,7 +105,7 @@ def wait_for_stage(process: subprocess.Popen[bytes], folder: Path, stage: str) -
 
 
 def contents(folder: Path) -> dict[str, object]:
-    """What is in a folder: bytes, or, of files that tell of times, what does not change with them."""
+    """Files of a folder with their bytes, or with what does not depend on time."""
     found: dict[str, object] = {}
     for path in sorted(folder.rglob("*")):
         if path.is_file():
@@ -110,7 +116,7 @@ def contents(folder: Path) -> dict[str, object]:
 
 def told_by(path: Path) -> object:
     if path.suffix == ".csv":
-        # a pass a line; the time of each stands in the column `seconds`
+        # One line per pass, without the column `seconds`.
         head, *rows = (line.split(",") for line in path.read_text().splitlines())
         return [[word for name, word in zip(head, row, strict=True) if name != "seconds"] for row in rows]
     if path.suffix != ".json":
@@ -146,7 +152,7 @@ class Chain:
 
 
 def wait_for(process: subprocess.Popen[bytes]) -> None:
-    """Wait for a program and all that it started."""
+    """Wait for a program and all processes that it started."""
     process.wait(PATIENCE)
     end = time.monotonic() + PATIENCE
     while group_lives(process.pid):
@@ -156,14 +162,14 @@ def wait_for(process: subprocess.Popen[bytes]) -> None:
 
 
 def differences(one: dict[str, object], other: dict[str, object]) -> list[str]:
-    """Names of files that are not in both, or not the same."""
+    """Files that are missing, left over or different."""
     missing = [f"{name} is missing" for name in one if name not in other]
     added = [f"{name} is left over" for name in other if name not in one]
     return missing + added + [f"{name} differs" for name in one if name in other and one[name] != other[name]]
 
 
 def undisturbed(chain: Chain) -> tuple[dict[str, object], dict[str, float]]:
-    """What comes of it, and the time that each stage takes, s."""
+    """Files of an undisturbed run, and the seconds of each stage."""
     process = chain.start()
     wait_for(process)
     if process.returncode != 0:
@@ -175,7 +181,10 @@ def undisturbed(chain: Chain) -> tuple[dict[str, object], dict[str, float]]:
 def kill_once(
     chain: Chain, moment: tuple[str, float], target: str, which: signal.Signals, wanted: dict[str, object]
 ) -> tuple[str, list[str]]:
-    """One kill, so long after the start of a stage, and the run after it; the stage that it met, and what was wrong."""
+    """Kill a run at a delay after the start of a stage, and run it again.
+
+    Returns the stage that the signal met, and what was wrong.
+    """
     shutil.rmtree(chain.folder, ignore_errors=True)
     process = chain.start()
     stage, delay = moment
@@ -187,7 +196,7 @@ def kill_once(
         met = stage_now(chain.folder)
         send(process, target, which)
     process.wait(PATIENCE)
-    # what a killed program leaves running may still be there when the command is called again, as in life
+    # Processes that a killed program leaves may still run when the command is run again.
     again = chain.start()
     wait_for(again)
     wrong = [] if again.returncode == 0 else [f"the run after it ended with {again.returncode}: {chain.log()[-2000:]}"]
@@ -196,7 +205,7 @@ def kill_once(
 
 
 def main() -> int:
-    """Run the kills; 0 when every result was the same."""
+    """Run the kills; 0 if every result is the same."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", metavar="N", type=int, default=100, help="kills (default 100)")
     parser.add_argument("--seed", metavar="N", type=int, default=1, help="of moments, signals and targets (default 1)")

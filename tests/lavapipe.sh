@@ -1,6 +1,7 @@
 #!/bin/sh
-# Installs Mesa's software Vulkan driver, lavapipe, for the tests of the GPU backend, where no adapter is there and the user may
-# install packages (root, or a sudo that asks no password). It never fails: without an adapter those tests say that they skip.
+# Installs Mesa's software Vulkan driver, lavapipe, for the tests of the GPU backend. It does so
+# only if there is no adapter and the user may install packages (root, or sudo without a password).
+# It never fails: without an adapter those tests report that they skip.
 #
 #   lavapipe.sh PARTICLES      the stage program that lists the adapters
 set -u

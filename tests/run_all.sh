@@ -1,6 +1,7 @@
 #!/bin/sh
-# Runs the goals of `make test` one after the other, to the first that fails, and closes with one line: how many tests passed, failed
-# and were skipped. What was skipped, and why, stands above it.
+# Runs the goals of `make test` in order, up to the first one that fails. The last lines say how
+# many tests passed, failed and were skipped; the lines above them list the skips with their
+# reasons.
 #
 #   run_all.sh MAKE GOAL...      called by `make test`
 set -u
@@ -9,14 +10,14 @@ shift
 
 folder=$(mktemp -d) || exit 2
 trap 'rm -rf "$folder"' EXIT
-# Tests in Rust note here what they skip (tests/src/skip.rs).
+# Rust tests record their skips in this file (tests/src/skip.rs).
 export ISOPARTICLES_SKIPS="$folder/skips"
 : >"$ISOPARTICLES_SKIPS"
 : >"$folder/log"
 
 code=0
 for goal in "$@"; do
-    # a pipe hides how its first command ended
+    # A pipe hides the exit code of its first command.
     { "$make" --no-print-directory "$goal" 2>&1; echo $? >"$folder/code"; } | tee -a "$folder/log"
     code=$(cat "$folder/code")
     [ "$code" = 0 ] || break
@@ -25,16 +26,16 @@ done
 echo
 # One test may skip in several places.
 sort -u "$ISOPARTICLES_SKIPS" | awk -F '\t' '{ print "skipped: " $1 ": " $2 }'
-# pytest tells its own, with their number in brackets.
+# pytest prints its skips with their number in brackets.
 sed -n 's/^SKIPPED \[\([0-9]*\)\] /skipped: \1 x /p' "$folder/log"
 skips=$(cut -f 1 "$ISOPARTICLES_SKIPS" | sort -u | wc -l)
 awk -v skips="$skips" '
-    # how many of a kind a summary counts, such as "12 passed"
+    # Number before a word in a summary, such as "12 passed".
     function count(kind) { return match($0, "[0-9]+ " kind) ? substr($0, RSTART, RLENGTH) + 0 : 0 }
     /test result:/ || /^[0-9]+ .*(passed|failed|skipped|error).* in [0-9.]+s/ || /^=+ .* in [0-9.]+s.* =+$/ {
         passed += count("passed"); failed += count("failed") + count("error"); skipped += count("ignored") + count("skipped")
     }
-    # a test in Rust that skips counts as passed with its harness
+    # The Rust harness counts a skipped test as passed.
     END { printf "%d passed, %d failed, %d skipped\n", passed - skips, failed, skipped + skips }' "$folder/log"
 if [ "$code" = 0 ]; then echo "make test: everything that ran passed"; else echo "make test: make $goal failed"; fi
 exit "$code"

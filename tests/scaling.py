@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
-"""How every stage gains by threads: one volume through all stages with 1, 2, 4 ... threads, as one table.
+"""Measure how every stage scales with threads: one volume through all stages, as one table.
 
-    scaling.py @stages/distfield/benches/peers.txt [--threads 1 2 4 8 16] [--rounds 1] [--bin target/release] [--work out/scaling]
+    scaling.py @stages/distfield/benches/peers.txt [--threads 1 2 4 8 16] [--rounds 1]
 
-CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]; @FILE stands for the lines of a file but for those that start with #; $NAME for a
-variable of the environment. Seconds are those of the stages' reports, the least of all rounds, by step where a step takes a
-fiftieth of the whole chain on the fewest threads. "Serial" is the share of the work on one thread that did not get quicker, by
-Amdahl's law from the fewest and the most threads: t(n) = t(1) (s + (1 - s) / n). Files made with different numbers of threads are
-compared; if they differ the exit code is 1. `particles` runs on the CPU.
+CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]. @FILE stands for the lines of a file
+except those that start with #. $NAME stands for an environment variable. Seconds are those of the
+stages' reports, the minimum over all rounds. A step has a row if it takes at least a fiftieth of
+the whole chain on the fewest threads. "Serial" is the share of the work that does not scale, by
+Amdahl's law from the fewest and the most threads: t(n) = t(1) (s + (1 - s) / n). Files made with
+different numbers of threads are compared; if they differ, the exit code is 1. `particles` runs on
+the CPU.
 """
 
 from __future__ import annotations
@@ -22,11 +24,11 @@ import sys
 from pathlib import Path
 
 STAGES = ("distfield", "sizefield", "seed", "particles", "reconstruct")
-LEAST_SHARE = 0.02  # of the whole, for a step to have a row
+LEAST_SHARE = 0.02  # minimum share of the total time for a step to have a row
 
 
 def commands(volume: str, distfield: list[str], sizefield: list[str], folder: Path) -> list[tuple[list[str], Path]]:
-    """The stages' arguments, and what each writes."""
+    """Arguments of each stage, and the file that it writes."""
     names = ("distfield.vti", "sizefield.vti", "seeds.bin", "particles.bin", "surface.vtp")
     f, s, seeds, particles, surface = (folder / name for name in names)
     fields = ["--distfield", str(f), "--sizefield", str(s)]
@@ -42,7 +44,7 @@ def commands(volume: str, distfield: list[str], sizefield: list[str], folder: Pa
 def run(
     arguments: argparse.Namespace, text: str, threads: int, folder: Path
 ) -> tuple[dict[tuple[str, str], float], str]:
-    """Seconds of every step ("" for the whole stage), and the digest of all files that were made."""
+    """Seconds of every step ("" for the whole stage), and a digest of all output files."""
     _, _, rest = text.partition("=")
     volume, distfield, sizefield = [*os.path.expandvars(rest).split(";"), ""][:3]
     seconds: dict[tuple[str, str], float] = {}
@@ -65,15 +67,15 @@ def run(
 
 
 def serial(first: float, last: float, few: int, many: int) -> str:
-    """The share of the work on one thread that no thread took off the first, percent."""
-    # t(few) = w (s + (1 - s) / few), t(many) likewise: the ratio gives s
+    """Serial share of the work on one thread, percent, by Amdahl's law."""
+    # With t(few) = w (s + (1 - s) / few), and t(many) likewise, the ratio of both gives s.
     ratio = last / first if first > 0.0 else 1.0
     share = (ratio / few - 1.0 / many) / ((1.0 - 1.0 / many) - ratio * (1.0 - 1.0 / few))
     return f"{100.0 * min(max(share, 0.0), 1.0):.0f}"
 
 
 def main() -> None:
-    """Reads the command line and prints the tables."""
+    """Run the program and print the tables."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, fromfile_prefix_chars="@"
     )
@@ -86,7 +88,7 @@ def main() -> None:
     threads = sorted(set(arguments.threads))
     differ = False
     print(f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start")
-    # files of cases have comments
+    # Files of cases may contain comments.
     for text in (text for text in arguments.cases if not text.startswith("#")):
         name = text.partition("=")[0]
         folder = arguments.work / name

@@ -1,11 +1,13 @@
-"""Solves one problem with every finite-element program that is here, each on the file that it reads, and compares with the known figure.
+"""Solve a problem with every installed finite-element program and compare with the exact result.
 
     tests/solvers.py out/solvers/ball out/solvers/ball-2        # or: make bench-solvers
 
-Takes folders of two cases of one ball, filled with linear and with quadratic tetrahedra and exported as inp, msh, msh2, med and xdmf. On each
--lap u = 1 with u = 0 on the part `surface` of the boundary, whose integral over a ball of radius R is 4 pi R^5 / 45. The part is named to
-each program as the file names it, so that a wrong set or tag shows in the figure; so does a node out of order. A program that is not here has a
-row that says so. Exit code 1 where a figure is off by more than the elements are.
+Takes the folders of two cases of one ball, with linear and with quadratic tetrahedra, exported as
+inp, msh, msh2, med and xdmf. Each program solves -lap u = 1 with u = 0 on the boundary part
+`surface`, on the file format that it reads. The integral of u over a ball of radius R is 4 pi R^5 /
+45. Each program selects the part by its name in the file, so a wrong set or tag changes the result;
+so does a wrong order of nodes. A program that is not installed has a row that says so. Exit code 1
+if a result is off by more than the discretization error.
 """
 
 from __future__ import annotations
@@ -27,7 +29,10 @@ from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet
 
 OFF = {1: 0.04, 2: 0.001}
-"""Most by which the integral may be off, by the order: edges of 2 mm in a ball of 10.85 mm leave 3.4 % and 0.02 %."""
+"""Maximum relative error of the integral, by order.
+
+Edges of 2 mm in a ball of 10.85 mm give 3.4 % and 0.02 %.
+"""
 NOT_HERE = "not here"
 
 GETDP = """
@@ -99,7 +104,7 @@ NT
 
 
 def called(words: list[str], folder: Path, environment: dict[str, str] | None = None) -> str:
-    """What a program says; it has to end well."""
+    """Output of a program; a failure of the program ends this one."""
     done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False, env=environment)
     if done.returncode != 0:
         sys.exit(f"{' '.join(words)}: exit code {done.returncode}\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
@@ -107,18 +112,18 @@ def called(words: list[str], folder: Path, environment: dict[str, str] | None = 
 
 
 def total_in(text: str) -> float:
-    """The last figure behind `total`."""
+    """The last number after `total`."""
     return float(re.findall(r"total\s+(\S+)", text)[-1])
 
 
 def tetrahedra_of(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Points and elements of an exported file."""
+    """Points and tetrahedra of an exported file."""
     mesh = meshio.read(path, "gmsh" if path.suffix.startswith(".msh") else None)
     return mesh.points, mesh.cells_dict.get("tetra10", mesh.cells_dict.get("tetra"))
 
 
 def by_scikit_fem(case: Path, name: str, order: int, _: Path) -> float | str:
-    """Linear elements on the corners of what meshio finds in the file of Gmsh 4.1."""
+    """scikit-fem with linear elements on the Gmsh 4.1 file, read by meshio."""
     if order == 2:
         return "tests/test_quadratic.py"
     points, cells = tetrahedra_of(case / f"{name}.volume.msh")
@@ -128,7 +133,7 @@ def by_scikit_fem(case: Path, name: str, order: int, _: Path) -> float | str:
 
 
 def by_getdp(case: Path, name: str, _: int, work: Path) -> float | str:
-    """GetDP, which where it is built without Gmsh reads version 2.2."""
+    """GetDP on the Gmsh 2.2 file: a GetDP built without Gmsh reads no other version."""
     if shutil.which("getdp") is None:
         return NOT_HERE
     shutil.copy(case / f"{name}.volume.msh2", work / "ball.msh")
@@ -138,20 +143,20 @@ def by_getdp(case: Path, name: str, _: int, work: Path) -> float | str:
 
 
 def by_freefem(case: Path, name: str, order: int, work: Path) -> float | str:
-    """FreeFEM."""
+    """FreeFEM on the Gmsh 2.2 file."""
     if shutil.which("FreeFem++-nw") is None:
         return NOT_HERE
     if order == 2:
         return "reads no quadratic elements"
     shutil.copy(case / f"{name}.volume.msh2", work / "ball.msh")
     (work / "ball.edp").write_text(FREEFEM)
-    # Debian keeps its plugins where it does not look for them
+    # Debian installs the plugins outside the search path of FreeFEM.
     plugins = {"FF_LOADPATH": "/usr/lib/freefem++", "PATH": "/usr/bin:/bin"}
     return total_in(called(["FreeFem++-nw", "-v", "0", "ball.edp"], work, plugins))
 
 
 def by_dolfinx(case: Path, name: str, order: int, work: Path) -> float | str:
-    """FEniCSx, of the system's Python, on the pair of XDMF files."""
+    """FEniCSx (dolfinx) of the system's Python on the pair of XDMF files."""
     python = "/usr/bin/python3"
     if subprocess.run([python, "-c", "import dolfinx"], capture_output=True, check=False).returncode != 0:
         return NOT_HERE
@@ -160,7 +165,7 @@ def by_dolfinx(case: Path, name: str, order: int, work: Path) -> float | str:
 
 
 def by_calculix(case: Path, name: str, _: int, work: Path) -> float | str:
-    """Steady conduction in CalculiX; the integral of its nodal temperatures."""
+    """CalculiX with steady heat conduction; the integral of its nodal temperatures."""
     if shutil.which("ccx") is None:
         return NOT_HERE
     inp = case / f"{name}.volume.inp"
@@ -176,7 +181,7 @@ def by_calculix(case: Path, name: str, _: int, work: Path) -> float | str:
 
 
 def integral(points: np.ndarray, cells: np.ndarray, u: np.ndarray) -> float:
-    """Integral of what has the values `u` at the nodes of linear or of bent quadratic tetrahedra."""
+    """Integral of nodal values `u` over linear or curved quadratic tetrahedra."""
     places, weights = get_quadrature(RefTet, 5)
     corner = np.vstack([1.0 - places.sum(axis=0), places])
     slope = np.vstack([-np.ones(3), np.eye(3)])
@@ -202,7 +207,7 @@ PROGRAMS = {
 
 
 def main() -> int:
-    """Solves, and prints the table."""
+    """Solve and print the table; 1 if a result is off."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("linear", type=Path)
     parser.add_argument("quadratic", type=Path)

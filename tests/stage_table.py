@@ -1,7 +1,9 @@
 #!/usr/bin/env python3
-"""Prints wall time and peak memory of every stage from the reports of one or more cases (``make bench-stages``).
+"""Print wall time and peak memory of every stage from the reports of cases.
 
-Usage: stage_table.py CASE_FOLDER...   (each with reports/STAGE.json, as the Makefile leaves them)
+Usage: stage_table.py CASE_FOLDER...
+
+Each folder has reports/STAGE.json, as the Makefile leaves them; see ``make bench-stages``.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ def machine() -> str:
 
 
 def row(stage: str, report: dict) -> str:
-    """One line of the table."""
+    """One row of the table."""
     memory = report.get("peak_memory_bytes")
     return (
         f"| {stage} | {report['seconds']:.1f} | {'-' if memory is None else f'{memory / 1024**2:.0f}'} "
@@ -40,7 +42,7 @@ def row(stage: str, report: dict) -> str:
 
 
 def main(folders: list[str]) -> int:
-    """Print one table a case."""
+    """Print one table per case."""
     if not folders:
         print(__doc__, file=sys.stderr)
         return 2

@@ -1,5 +1,6 @@
 #!/bin/sh
-# The table of docs/user/size.md: `make surface CASE=demo` with one variable changed at a time; needs `make build` before.
+# Prints the table of docs/user/size.md: `make surface CASE=demo` with one variable changed at a
+# time. Needs `make build` first.
 set -eu
 work=${1:-out/tuning}
 row() {

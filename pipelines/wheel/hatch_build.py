@@ -1,4 +1,4 @@
-"""What the wheel holds besides its own files: the programs, tetmesh-check, the demo's case."""
+"""Adds the programs, tetmesh-check and the case file of the demo to the wheel."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PROGRAMS = ("distfield", "sizefield", "seed", "particles", "reconstruct", "phant
 
 
 class Metadata(MetadataHookInterface):
-    """What the wheel needs is what tetmesh-check needs; so is its version."""
+    """The wheel has the version and the dependencies of tetmesh-check."""
 
     def update(self, metadata: dict[str, Any]) -> None:
         """Fill in the dynamic fields."""
@@ -31,11 +31,15 @@ class Metadata(MetadataHookInterface):
 
 
 class Programs(BuildHookInterface[Any]):
-    """Puts programs and tetmesh-check into the wheel, and gives it the tag of this machine."""
+    """Puts the programs and tetmesh-check into the wheel and sets its platform tag."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Name the files; ISOPARTICLES_BIN is the folder of the programs, ISOPARTICLES_SHARE that of completions and man pages."""
-        del version  # "standard" or "editable", which makes no difference
+        """List the files of the wheel.
+
+        ISOPARTICLES_BIN is the folder of the programs; ISOPARTICLES_SHARE holds completions and man
+        pages.
+        """
+        del version  # "standard" or "editable": the files are the same
         folder = Path(os.environ.get("ISOPARTICLES_BIN", ROOT / "target" / "release"))
         ending = sysconfig.get_config_var("EXE") or ""
         included: dict[str, str] = build_data["force_include"]
@@ -52,7 +56,7 @@ class Programs(BuildHookInterface[Any]):
         for licence in ("LICENSE-MIT", "LICENSE-APACHE"):
             included[str(ROOT / licence)] = f"isoparticles/{licence}"
         share = Path(os.environ.get("ISOPARTICLES_SHARE", ROOT / "target" / "share"))
-        # the stages are in no PATH where the wheel is installed: their pages are those of `isoparticles STAGE`
+        # The wheel puts no stage on PATH, so the man page of a stage becomes `isoparticles-STAGE`.
         own = [file for file in sorted(share.rglob("*")) if file.is_file()]
         if not own:
             raise FileNotFoundError(f"{share}: no completions and man pages there (make completions)")

@@ -1,4 +1,4 @@
-//! Feeds what libFuzzer thinks of to the reader that the environment variable `READER` names.
+//! Fuzzes the file reader that the environment variable `READER` names.
 
 #![no_main]
 

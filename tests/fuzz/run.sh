@@ -1,10 +1,13 @@
 #!/bin/sh
-# Fuzzes every reader of files, or those that are named, for SECONDS each (60), JOBS side by side (1). What they are fed starts from the fixtures of
-# the tests and from seeds/; it is kept in target/fuzz/corpus, finds in target/fuzz/finds. Needs nightly Rust and cargo-fuzz (cargo install cargo-fuzz).
+# Fuzzes every file reader, or the named ones, for a number of seconds each (default 60), with a
+# number of jobs in parallel (default 1). The corpus starts from the test fixtures and from seeds/.
+# It is kept in target/fuzz/corpus, and the finds in target/fuzz/finds. Needs nightly Rust and
+# cargo-fuzz (cargo install cargo-fuzz).
 #
 #   tests/fuzz/run.sh [--seconds N] [--jobs N] [--pack FOLDER] [READER...]
 #
-# --pack only builds, and puts what another machine needs into FOLDER: FOLDER/run.sh --seconds 300 --jobs 16 runs there without Rust.
+# --pack only builds, and copies everything that another machine needs into FOLDER. There,
+# FOLDER/run.sh --seconds 300 --jobs 16 runs without Rust.
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
 
@@ -21,7 +24,7 @@ while [ $# -gt 0 ]; do
     shift 2
 done
 
-# Files that a reader starts from, by the endings that it knows.
+# Initial files for the corpus of a reader.
 fixtures() {
     volume=common/volume/tests/data
     stage=common/stage/tests/data
@@ -41,7 +44,7 @@ fixtures() {
     ls tests/fuzz/seeds/"$1"/* 2>/dev/null || true
 }
 
-# The program that is fuzzed, and what each reader starts from, into a folder.
+# Puts the fuzz program and the initial files of each reader into a folder.
 pack() {
     cargo +nightly fuzz --version >/dev/null 2>&1 || {
         echo "error: cargo-fuzz or nightly Rust is not there" >&2
@@ -49,14 +52,15 @@ pack() {
         echo "  what to do: rustup toolchain install nightly && cargo install cargo-fuzz" >&2
         exit 2
     }
-    # There is no unsafe code of ours for a sanitizer to watch, and it would take half of the speed; overflows and debug assertions are on.
+    # The project has no unsafe code for a sanitizer to check, and a sanitizer would halve the
+    # speed. Overflow checks and debug assertions are on.
     cargo +nightly fuzz build --fuzz-dir tests/fuzz --target-dir target/fuzz -s none readers
     mkdir -p "$1"
     strip -o "$1/readers" target/fuzz/*/release/readers
     cp tests/fuzz/run.sh tests/fuzz/words.dict "$1/"
     for reader in $(sed -n 's/^    reader("\([a-z_]*\)".*/\1/p' tests/src/readers.rs); do
         mkdir -p "$1/seeds/$reader"
-        # slices make a series: one behind the other
+        # The slices of a series are concatenated into one file.
         if [ "$reader" = dicom ]; then
             for series in common/volume/tests/data/dicom/*; do cat "$series"/*.dcm >"$1/seeds/dicom/${series##*/}.dcm"; done
         fi
@@ -64,21 +68,21 @@ pack() {
     done
 }
 
-# One reader for as long as was asked, begun again after every find.
+# Fuzzes one reader for the given time, and restarts after every find.
 fuzz() {
     mkdir -p "$work/corpus/$1" "$work/finds" "$work/logs" "$scratch/$1"
     most=8192
-    # the smallest file of many materials has 41 kB
+    # The smallest file of many materials has 41 kB.
     if [ "$1" = materials ]; then most=65536; fi
     end=$(($(date +%s) + seconds))
     : >"$work/logs/$1"
     while left=$((end - $(date +%s))) && [ "$left" -gt 0 ]; do
-        # files to read lie in memory, and one thread is what a fuzzed reader gets
+        # Input files are in memory, and each reader has one thread.
         status=0
         READER=$1 TMPDIR=$scratch/$1 RAYON_NUM_THREADS=1 "$program/readers" "$work/corpus/$1" "$program/seeds/$1" -dict="$program/words.dict" \
             -max_total_time="$left" -max_len=$most -timeout=10 -rss_limit_mb=2048 -print_final_stats=1 \
             -artifact_prefix="$work/finds/$1-" >>"$work/logs/$1" 2>&1 || status=$?
-        # 70, 71 and 77: too slow, too much memory, a crash
+        # Exit codes of libFuzzer: 70 too slow, 71 too much memory, 77 a crash.
         case $status in 70 | 71 | 77) ;; *) break ;; esac
     done
     runs=$(awk '/stat::number_of_executed_units/ { sum += $2 } END { print sum + 0 }' "$work/logs/$1")
@@ -86,7 +90,7 @@ fuzz() {
     printf '%-20s %10d executions %7d a second %6d files kept %4d finds\n' "$1" "$runs" $((runs / seconds)) "$(find "$work/corpus/$1" -type f | wc -l)" "$finds"
 }
 
-# Packed, this lies beside the program; in the project it is built first.
+# In a packed folder, the program is beside this script; in the project, it is built first.
 if [ -x "$here/readers" ]; then
     program=$here
     work=${OUT:-$here/work}

@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
-"""How time and memory of every stage grow: with voxels, particles, cores and materials.
+"""Measure how time and memory of every stage grow with voxels, particles, cores and materials.
 
-    tests/results/growth.py [--bin target/release] [--json docs/results/growth.json]      # or: make bench-growth
-    tests/results/growth.py --series cores materials --time-limit 540                     # a part of it; call again for the rest
+    tests/results/growth.py [--bin target/release]                       # or: make bench-growth
+    tests/results/growth.py --series cores materials --time-limit 540    # a part of it
 
-Needs the stage programs and Python, nothing else. A row of the JSON file is a stage at one size of one series, with
-the seconds and the peak memory of its own report. The sizes of a series are run from small to large, and a stage that would take longer than
-`--longest`, by what it took last, is left out from there on, with a row that says so. `page.py` fits the exponents.
+Needs only the stage programs and Python. A row of the JSON file is one stage at one size of a
+series, with the seconds and the peak memory of its report. The sizes of a series run in ascending
+order. A stage that would take longer than `--longest`, extrapolated from its last time, is left out
+from there on, with a row that says so. Another call continues after the existing rows. `page.py`
+fits the exponents.
 """
 
 from __future__ import annotations
@@ -22,16 +24,16 @@ from pathlib import Path
 from measured import SHRINK, Bench, Row, Rows, begin, end, options, settled, stage_row
 
 VOLUMES = [64, 96, 128, 192, 256, 384, 512]
-"""Voxels along an edge; the same bumpy torus in all of them, with about PARTICLES particles."""
+"""Voxels along an edge; each volume holds the same torus with about PARTICLES particles."""
 EDGE = 128.0
-"""Edge of those volumes, mm."""
+"""Edge length of those volumes, mm."""
 PARTICLES = 50_000
 COUNTS = [10_000, 30_000, 100_000, 300_000, 1_000_000, 2_000_000, 5_000_000]
 """Particles on the bumpy torus of 128 x 128 x 128 voxels."""
 MATERIALS = [1, 3, 10, 30, 100]
-"""Cells that a ball is cut into."""
+"""Numbers of cells that the ball is cut into."""
 CELLS_EDGE = 96
-"""Voxels along an edge of the volume of materials, 1 mm each."""
+"""Voxels of 1 mm along an edge of the volume of materials."""
 CELLS_H = 1.5
 """Edge length on their interfaces, mm."""
 TORUS = "bumpy-torus"
@@ -40,14 +42,16 @@ STAGES = ("distfield", "sizefield", "seed", "particles", "reconstruct")
 
 
 def value(line: tuple[float, float, int], x: float) -> float:
-    """Of a line, at x."""
+    """Value of a line (slope, offset, label) at x."""
     return line[0] * x + line[1]
 
 
 def cells(materials: int, edge: int) -> bytes:
-    """A ball cut into the Voronoi cells of so many random points: a NRRD file of labels 1 to `materials`, 0 outside.
+    """NRRD file of a ball that is cut into the Voronoi cells of random points.
 
-    Along a row of voxels the squared distance to a point is x^2 + a x + b with its own a and b: the nearest is the lower envelope of lines.
+    The labels are 1 to `materials`, and 0 outside. Along a row of voxels, the squared distance to a
+    point is x^2 + a x + b, with a and b depending on the point. So the nearest points are the lower
+    envelope of lines.
     """
     numbers = random.Random(materials)
     centre, radius = (edge - 1) / 2, 0.42 * edge
@@ -59,7 +63,7 @@ def cells(materials: int, edge: int) -> bytes:
                 return tuple(c + centre for c in point)
 
     points: list[tuple[float, ...]] = []
-    for _ in range(materials):  # of twenty candidates that which is farthest from the others
+    for _ in range(materials):  # of twenty candidates, the one farthest from the other points
         candidates = [inside() for _ in range(20)]
         points.append(max(candidates, key=lambda c: min((math.dist(c, p) for p in points), default=0.0)))
     order = sorted(range(materials), key=lambda i: points[i][0])
@@ -69,7 +73,7 @@ def cells(materials: int, edge: int) -> bytes:
             half = radius**2 - (y - centre) ** 2 - (z - centre) ** 2
             if half <= 0.0:
                 continue
-            envelope: list[tuple[float, float, int]] = []  # slope, offset, label; slopes fall
+            envelope: list[tuple[float, float, int]] = []  # slope, offset, label; descending slopes
             for i in order:
                 px, py, pz = points[i]
                 slope, offset = -2.0 * px, px * px + (y - py) ** 2 + (z - pz) ** 2
@@ -91,7 +95,7 @@ def cells(materials: int, edge: int) -> bytes:
 
 @dataclass
 class Growth:
-    """One call of this program."""
+    """One run of this program."""
 
     bench: Bench
     rows: Rows
@@ -103,7 +107,7 @@ class Growth:
     def step(
         self, series: str, size: float, stage: str, words: str, output: Path, threads: int = 0, engine: str = ""
     ) -> bool:
-        """Run a stage at a size of a series; whether its output is there."""
+        """Run a stage at a size of a series; whether its output exists."""
         name = f"{series} {size:09.0f} {stage}{engine and ' ' + engine}"
         if name in self.rows and output.exists():
             self.last[series, stage + engine] = (size, self.rows.rows[name].get("seconds", 0.0))
@@ -129,7 +133,10 @@ class Growth:
         return True
 
     def complete(self, series: str, size: float) -> bool:
-        """Whether the rows of a size are there, to the last stage or to that which was left out; what they took is kept."""
+        """Whether all rows of a size exist, up to the last stage or one that was left out.
+
+        Also notes their seconds for later predictions.
+        """
         own = [row for row in self.rows.rows.values() if (row["series"], row["size"]) == (series, size)]
         for row in own:
             if "seconds" in row:
@@ -137,7 +144,7 @@ class Growth:
         return any(row["stage"] == "reconstruct" or ("left_out" in row and row["engine"] != "gpu") for row in own)
 
     def after_sizes(self, series: str, size: float, stem: Path, fields: tuple[Path, Path], threads: int = 0) -> None:
-        """Seed, particles and reconstruct."""
+        """Run seed, particles and reconstruct."""
         distance, sizes = fields
         seeds, settled_to, surface = (stem.with_suffix(f".{end}") for end in ("seeds.bin", "particles.bin", "vtp"))
         both = f"--distfield '{distance}' --sizefield '{sizes}'"
@@ -155,7 +162,7 @@ class Growth:
             self.step(series, size, "reconstruct", f"'{found}' {both}", surface, threads)
 
     def chain(self, series: str, size: float, volume: Path, words: tuple[str, str], threads: int = 0) -> None:
-        """All stages from a volume, unless their rows are there."""
+        """Run all stages from a volume, unless their rows exist."""
         if self.complete(series, size):
             return
         stem = self.bench.work / f"{series}-{size:.0f}"
@@ -168,7 +175,7 @@ class Growth:
             path.unlink()
 
     def torus(self, edge: int) -> tuple[Path, float]:
-        """The volume of a bumpy torus and its area, mm^2."""
+        """Make the volume of a bumpy torus; its path, and the area of the surface in mm^2."""
         path = self.bench.work / f"torus-{edge}.nrrd"
         truth = path.with_suffix(".json")
         self.bench.phantom(f"{TORUS} --size {edge} --spacing {EDGE / edge} --raw --truth '{truth}'", path)
@@ -176,41 +183,41 @@ class Growth:
         return path, area
 
     def volume(self, edge: int) -> None:
-        """The same object in a finer grid."""
+        """Measure the same object on another grid."""
         path, area = self.torus(edge)
         self.chain("volume", edge**3, path, ("--iso 100", f"--uniform {of_count(area, PARTICLES // self.shrink):.4g}"))
         path.unlink()
 
     def particles(self, count: int) -> None:
-        """More particles on the same object."""
+        """Measure another number of particles on the same object."""
         path, area = self.torus(64 if self.shrink > 1 else 128)
         self.chain("particles", count, path, ("--iso 100", f"--uniform {of_count(area, count // self.shrink):.4g}"))
 
     def cores(self, threads: int) -> None:
-        """The torso phantom's ribcage on more cores."""
+        """Measure the torso phantom's ribcage on another number of cores."""
         path = self.bench.phantom("torso --part ribs", self.bench.work / "ribs.nrrd")
         sizes = f"--scale {self.shrink**0.5:.4g}"
         self.chain("cores", threads, path, ("--iso 370", sizes), threads)
 
     def materials(self, count: int) -> None:
-        """More materials in the same ball."""
+        """Measure another number of materials in the same ball."""
         path = self.bench.work / f"cells-{count}.nrrd"
         path.write_bytes(cells(count, CELLS_EDGE // 2 if self.shrink > 1 else CELLS_EDGE))
         self.chain("materials", count, path, ("--material all", f"--uniform {CELLS_H * self.shrink**0.25:.4g}"))
 
 
 def of_count(area: float, count: int) -> float:
-    """The spacing of a hexagonal lattice of so many particles on an area."""
+    """Spacing of a hexagonal lattice with this many particles on an area."""
     return math.sqrt(2.0 * area / (math.sqrt(3.0) * count))
 
 
 def shorten(words: str) -> str:
-    """The options without the folders of the files."""
+    """The options with the names of files in place of their paths."""
     return " ".join(f"'{Path(word.strip(chr(39))).name}'" if "/" in word else word for word in words.split(" "))
 
 
 def main() -> int:
-    """Reads the command line; 1 where something was left out."""
+    """Run the program; 1 if something was left out."""
     parser = options(__doc__, "growth")
     parser.add_argument("--series", nargs="+", choices=SERIES, default=SERIES)
     parser.add_argument(

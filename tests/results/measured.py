@@ -1,6 +1,6 @@
-"""What the benches of docs/results.md share: runs of the stage programs, and the JSON file that keeps a row for each.
+"""Shared code of the benchmarks of docs/results.md: stage runs, and a JSON file with their rows.
 
-Standard library alone, so that it runs on a machine that has nothing but Python and the programs.
+Uses only the standard library, so a machine needs only Python and the programs.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from typing import Any
 Row = dict[str, Any]
 
 SHRINK = 20
-"""By how much `--quick` has fewer particles."""
+"""Divisor of the number of particles with `--quick`."""
 
 BINS = 25
 """Bins of a stored histogram of radius ratios; the reports have 50."""
 
 
 class StageError(Exception):
-    """A program that did not do what was asked of it; the text says which, and why."""
+    """A program has failed; the text says which one and why."""
 
 
 @dataclass
 class Rows:
-    """The rows of a JSON file, by their name; written anew after each."""
+    """The rows of a JSON file by name; the file is written again after each row."""
 
     path: Path
     head: Row
@@ -45,7 +45,7 @@ class Rows:
 
     @classmethod
     def open(cls, path: Path, head: Row) -> Rows:
-        """What the file has already; rows of another build or machine are not mixed with today's."""
+        """Read the rows of the file; rows of another build or machine are refused."""
         if not path.exists():
             return cls(path, head)
         told = json.loads(path.read_text(encoding="utf-8"))
@@ -59,11 +59,11 @@ class Rows:
         return cls(path, told["head"], told["rows"])
 
     def __contains__(self, name: str) -> bool:
-        """Whether the row is there."""
+        """Whether the row exists."""
         return name in self.rows
 
     def add(self, name: str, row: Row) -> None:
-        """Keep a row, and write the file."""
+        """Store a row, and write the file."""
         with self.lock:
             self.rows[name] = row
             lines = ",\n".join(f"{json.dumps(key)}: {json.dumps(self.rows[key])}" for key in sorted(self.rows))
@@ -75,7 +75,7 @@ class Rows:
 
 @dataclass
 class Bench:
-    """Where the programs are, where files go, and until when runs may begin."""
+    """Folders of programs and files, number of cores, and the time after which no run starts."""
 
     programs: Path
     work: Path
@@ -98,7 +98,7 @@ class Bench:
 
     @staticmethod
     def report(path: Path) -> Row:
-        """A report that is there already."""
+        """Read an existing report."""
         try:
             told: Row = json.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError as why:
@@ -106,7 +106,7 @@ class Bench:
         return told
 
     def phantom(self, words: str, path: Path) -> Path:
-        """The volume that `phantom` makes of these words."""
+        """Make a volume with `phantom` from these words, unless it exists."""
         if not path.exists():
             command = [str(self.programs / "phantom"), *shlex.split(words), "-o", str(path), "--force"]
             done = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
@@ -115,7 +115,10 @@ class Bench:
         return path
 
     def each(self, tasks: Iterable[tuple[str, Callable[[], None]]], at_once: int) -> None:
-        """Do the tasks, so many side by side; what fails is told and left out, and nothing begins after the time limit."""
+        """Run tasks, `at_once` in parallel.
+
+        A task that fails is reported and left out. No task starts after the time limit.
+        """
 
         def one(name: str, task: Callable[[], None]) -> None:
             if time.monotonic() > self.stop_at:
@@ -136,14 +139,14 @@ class Bench:
 
 
 def histogram(quality: Row) -> list[int]:
-    """The report's histogram of radius ratios from 0 to 1, in BINS bins."""
+    """Merge the report's histogram of radius ratios from 0 to 1 into BINS bins."""
     counts: list[int] = quality["radius_ratio_histogram"]
     width = len(counts) // BINS
     return [sum(counts[i * width : (i + 1) * width]) for i in range(BINS)]
 
 
 def settled(report: Row) -> Row:
-    """What a row keeps of a report of `particles`."""
+    """Figures that a row keeps of a report of `particles`."""
     results = report["results"]
     passes = results["passes"]
     device = results.get("device") or {}
@@ -164,7 +167,7 @@ def settled(report: Row) -> Row:
 
 
 def ratios(quality: Row) -> Row:
-    """What a row keeps of the quality of triangles."""
+    """Figures that a row keeps of the quality of triangles."""
     return {
         "mean": round(quality["radius_ratio_mean"], 5),
         "smallest": round(quality["radius_ratio_min"], 5),
@@ -183,7 +186,7 @@ def stage_row(report: Row) -> Row:
 
 
 def options(description: str | None, json_name: str) -> argparse.ArgumentParser:
-    """The options of both benches."""
+    """Options that both benchmarks share."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bin", type=Path, default=Path("target/release"), help="folder of the stage programs")
     parser.add_argument("--work", type=Path, default=Path("out") / json_name, help="folder for the files")
@@ -211,7 +214,7 @@ def options(description: str | None, json_name: str) -> argparse.ArgumentParser:
 
 
 def processor() -> str:
-    """The processor's name."""
+    """Name of the processor."""
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
         for line in cpuinfo.read_text(encoding="utf-8").splitlines():
@@ -221,7 +224,7 @@ def processor() -> str:
 
 
 def adapter(arguments: argparse.Namespace) -> str | None:
-    """The GPU that the runs are to use; None for none."""
+    """The GPU for the runs; None without a GPU."""
     if arguments.no_gpu:
         return None
     done = subprocess.run(
@@ -236,13 +239,13 @@ def adapter(arguments: argparse.Namespace) -> str | None:
 
 
 def commit() -> str:
-    """What git says of this folder."""
+    """The current commit, according to git."""
     done = subprocess.run(["git", "rev-parse", "--short=10", "HEAD"], check=False, capture_output=True, text=True)
     return done.stdout.strip() if done.returncode == 0 else "unknown"
 
 
 def begin(arguments: argparse.Namespace, further: Row) -> tuple[Bench, Rows]:
-    """The bench, and the file with what is known of the machine."""
+    """Make the bench, and open the file of rows with a description of the machine."""
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     cores = arguments.jobs or os.cpu_count() or 1
     gpu = adapter(arguments)
@@ -257,7 +260,7 @@ def begin(arguments: argparse.Namespace, further: Row) -> tuple[Bench, Rows]:
     }
     if gpu is None:
         print("no GPU: its rows are left out", file=sys.stderr)
-    # files that are there are used again: those of another build, or of a quick run, must not be
+    # Existing files are used again, so every build and every quick run has a separate folder.
     work = arguments.work / (f"{head['commit']}-quick" if arguments.quick else str(head["commit"]))
     work.mkdir(parents=True, exist_ok=True)
     bench = Bench(arguments.bin, work, cores, time.monotonic() + arguments.time_limit)
@@ -265,6 +268,6 @@ def begin(arguments: argparse.Namespace, further: Row) -> tuple[Bench, Rows]:
 
 
 def end(bench: Bench, rows: Rows) -> int:
-    """Say what is there and what is not; 1 where something was left out."""
+    """Report the numbers of rows and of left-out tasks; 1 if something was left out."""
     print(f"{rows.path}: {len(rows.rows)} rows, {bench.left} left out", file=sys.stderr)
     return int(bench.left > 0)

@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""docs/results.md of its template and of the rows that paper.py and growth.py have left.
+"""Make docs/results.md from its template and the rows of paper.py and growth.py.
 
     tests/results/page.py            # writes docs/results.md; or: make results-page
-    tests/results/page.py --check    # whether it is what the template and the rows give
+    tests/results/page.py --check    # whether the page matches the template and the rows
 
-`{{name}}` in docs/results/template.md stands for a table or a number of `Page.pieces`; `{{if gpu}}`, `{{else}}` and `{{end}}` part what is
-said where a GPU was there from what is said where none was. A row that is not there ends it with its name. The printed figures of the paper
-stand in `printed.py` beside this file.
+`{{name}}` in docs/results/template.md stands for a table or a number of `Page.pieces`. The text
+from `{{if gpu}}` to `{{else}}` applies to rows with a GPU, the text from there to `{{end}}` to rows
+without one. A missing row ends the program with the name of the row. The figures of the paper are
+in `printed.py`.
 """
 
 from __future__ import annotations
@@ -30,32 +31,32 @@ Row = dict[str, Any]
 
 
 class MissingRowError(Exception):
-    """A row that the page asks for and the JSON has not."""
+    """A row that the page needs is not in the JSON file."""
 
 
 def load(path: Path) -> tuple[Row, dict[str, Row]]:
-    """Head and rows of a file of rows."""
+    """Head and rows of a JSON file."""
     told = json.loads(path.read_text(encoding="utf-8"))
     return told["head"], told["rows"]
 
 
 def table(columns: list[str], lines: list[list[str]]) -> str:
-    """A table of Markdown."""
+    """Format a Markdown table."""
     return "\n".join(["| " + " | ".join(line) + " |" for line in [columns, ["---"] * len(columns), *lines]])
 
 
 def both(quality: Row) -> str:
-    """Mean and smallest radius ratio."""
+    """Mean and minimum radius ratio."""
     return f"{quality['mean']:.3f} / {quality['smallest']:.2f}"
 
 
 def span(values: list[float], digits: int) -> str:
-    """The least and the greatest."""
+    """Minimum and maximum."""
     return f"{min(values):,.{digits}f} to {max(values):,.{digits}f}"
 
 
 def exponent(points: list[tuple[float, float]]) -> float | None:
-    """The slope of the line through the logarithms, by least squares; None of fewer than three points."""
+    """Least-squares slope of log y over log x; None for fewer than three points."""
     if len(points) < 3:
         return None
     logs = [(math.log(x), math.log(y)) for x, y in points]
@@ -64,7 +65,7 @@ def exponent(points: list[tuple[float, float]]) -> float | None:
 
 
 Runs = dict[str, Row]
-"""The rows of a case by engine: cpu-1, cpu-all and, where there was one, gpu."""
+"""The rows of a case by engine: cpu-1, cpu-all and, with a GPU, gpu."""
 
 
 @dataclass
@@ -73,25 +74,25 @@ class Column:
 
     heading: str
     cell: Callable[[str, Runs], str]
-    """Of the case's name and its rows."""
+    """Text of the cell, from the name and the rows of the case."""
     of_gpu: bool = False
-    """Left out where no GPU was there."""
+    """Whether the column is left out without a GPU."""
 
 
 def pair(runs: Runs, key: str, form: str) -> str:
-    """A figure of the CPU and, where there is one, of the GPU."""
+    """A figure of the CPU and, if there is one, of the GPU."""
     return ", ".join(format(runs[engine][key], form) for engine in ("cpu-1", "gpu") if engine in runs)
 
 
 def speed_up(runs: Runs) -> float:
-    """Seconds of one thread over those of the device."""
+    """Seconds of one CPU thread over seconds of the GPU."""
     seconds: float = runs["cpu-1"]["settle"]
     device: float = runs["gpu"]["device"]
     return seconds / device
 
 
 def lost(row: Row) -> float:
-    """Percent of the seeds of Table 3 that were deleted."""
+    """Percentage of the seeds of Table 3 that were deleted."""
     left: int = row["particles"]
     return 100 * (1 - left / int(row["seeds"]))
 
@@ -108,11 +109,11 @@ TIMES = [
     Column("passes", lambda _, runs: pair(runs, "passes", "d")),
     Column("energy over ideal", lambda _, runs: pair(runs, "energy_ratio", ".3f")),
 ]
-"""Of Tables 2, 3 and 4."""
+"""Columns of Tables 2, 3 and 4."""
 
 
 def organ_columns(figures: Callable[[str], list[str]], *headings: str) -> list[Column]:
-    """The organ, and the printed figures of it."""
+    """The column of the organ, and the columns of its printed figures."""
     told = [Column(heading, lambda name, _, i=i: figures(name)[i]) for i, heading in enumerate(headings)]  # type: ignore[misc]
     return [Column("organ", lambda name, _: f"{name} ({printed.organ(name)})"), *told]
 
@@ -158,7 +159,7 @@ CASES = {"1": list(OBJECTS), "2": list(OBJECTS), "3": [str(count) for count in S
 
 
 class Page:
-    """All that the template may name."""
+    """Everything that the template may name."""
 
     def __init__(self, paper: tuple[Row, dict[str, Row]], growth: tuple[Row, dict[str, Row]]) -> None:
         self.head, self.rows = paper
@@ -175,12 +176,12 @@ class Page:
         return self.rows[key]
 
     def runs(self, place: str, name: str, mode: str = "as printed") -> Runs:
-        """The rows of a case."""
+        """The rows of a case by engine."""
         engines = [*([] if place == "1" else ["cpu-1"]), "cpu-all", *(["gpu"] if self.gpu else [])]
         return {engine: self.row(place, name, mode, engine) for engine in engines}
 
     def table(self, place: str, columns: list[Column], mode: str = "as printed") -> str:
-        """One of Tables 1 to 4."""
+        """Format one of Tables 1 to 4."""
         shown = [column for column in columns if self.gpu or not column.of_gpu]
         of_case = {name: self.runs(place, name, mode) for name in CASES[place]}
         lines = [[column.cell(name, runs) for column in shown] for name, runs in of_case.items()]
@@ -193,7 +194,7 @@ class Page:
         return {"volume": [edge**3 for edge in VOLUMES], "particles": COUNTS, "materials": MATERIALS}[series]
 
     def grown(self, series: str, size: int, stage: str, engine: str) -> Row | None:
-        """A row of a series; None where it, or a stage before it, was left out as too long."""
+        """A row of a series; None if it or an earlier stage was left out as too slow."""
         key = f"{series} {size:09.0f} {stage}{engine and ' ' + engine}"
         if key in self.growth:
             row = self.growth[key]
@@ -204,7 +205,7 @@ class Page:
         raise MissingRowError(f"no row '{key}' in the rows of growth.py")
 
     def columns(self, series: str) -> list[tuple[str, str, str]]:
-        """Stage, engine and heading."""
+        """Stage, engine and heading of each column."""
         engines = ["cpu"] if series == "cores" or self.growth_head["adapter"] is None else ["cpu", "gpu"]
         found = []
         for stage in STAGES:
@@ -215,7 +216,7 @@ class Page:
         return found
 
     def table_growth(self, series: str) -> str:
-        """Seconds and MiB of every stage by size, and the exponents."""
+        """Format the seconds and MiB of every stage by size, with the fitted exponents."""
         columns, lines = self.columns(series), []
         points: dict[str, list[tuple[float, float]]] = {}
         memory: dict[str, list[tuple[float, float]]] = {}
@@ -240,13 +241,13 @@ class Page:
         return table([first, *(f"{heading}: s, MiB" for *_, heading in columns)], lines)
 
     def machine(self) -> str:
-        """Where and of what the figures are."""
+        """Machine, date and commit of the figures."""
         head = self.head
         gpu = str(head["adapter"]).split(" (")[0] if self.gpu else "no GPU"
         return f"{head['processor']}, {head['cores']} cores, {gpu}; {head['date']}, commit {head['commit']}"
 
     def pieces(self) -> dict[str, Callable[[], str]]:
-        """What stands for each name of the template."""
+        """The text for each name of the template."""
 
         def difference(key: str, mode: str) -> str:
             every = [self.runs("1", name, mode) for name in OBJECTS]
@@ -305,7 +306,7 @@ class Page:
         }
 
     def text(self, template: str) -> str:
-        """The page."""
+        """Fill in the template."""
         pieces = self.pieces()
 
         def piece(match: re.Match[str]) -> str:
@@ -321,7 +322,7 @@ class Page:
 
 
 def main() -> int:
-    """Reads the command line; 1 where the page cannot be made, or is not what it should be."""
+    """Run the program; 1 if the page cannot be made or, with --check, differs."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--folder", type=Path, default=Path("docs/results"), help="of template.md, paper.json and growth.json"

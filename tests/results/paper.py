@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
-"""Section 6 of the paper again: Tables 1 to 4, with one CPU thread, all cores and the GPU, as printed and with today's defaults.
+"""Reproduce Tables 1 to 4 of the paper (section 6) with one CPU thread, all cores and the GPU.
 
-    tests/results/paper.py --data ../shared/data [--bin target/release] [--json docs/results/paper.json]     # or: make bench-paper
-    tests/results/paper.py --tables 2 1 --time-limit 540        # a part of it; call again for the rest
-    tests/results/paper.py --quick --no-gpu --json /somewhere   # a twentieth of everything: to see that it runs
+    tests/results/paper.py --data ../shared/data [--bin target/release]    # or: make bench-paper
+    tests/results/paper.py --tables 2 1 --time-limit 540    # a part of it; call again for the rest
+    tests/results/paper.py --quick --no-gpu --json FILE     # fewer particles, only to try it out
 
-Needs the stage programs and Python, nothing else. Each run is a row of the JSON file, written as soon as it is there, and is not made again.
-`page.py` makes the tables, plots and page of it. What is run how, and which figures of the paper stand beside it, is at the top of this file.
+All tables run with the printed parameters, Tables 1 and 2 also with the defaults. Needs only the
+stage programs and Python. Each run is a row of the JSON file, which is written at once; existing
+rows are not made again. `page.py` and `plots.py` make the page and its pictures. The constants at
+the top of this file define the runs.
 """
 
 from __future__ import annotations
@@ -23,8 +25,11 @@ from pathlib import Path
 from measured import SHRINK, Bench, Row, Rows, begin, end, options, ratios, settled
 
 PACKING = 2.1
-"""Particles where the printed stop test ends over the vertices asked of sizefield: 84,716 over 40,000 on the torso phantom's heart. The
-lattice whose energy is the printed 3.462 has 2.3 times those of edge h, but the test ends before it is reached."""
+"""Particles at the printed stop test over the vertices requested from sizefield.
+
+Measured on the torso phantom's heart: 84,716 over 40,000. The lattice with the printed energy 3.462
+has 2.3 times the particles of a lattice with edge h, but the test ends before it is reached.
+"""
 
 TORSO = "torso --part"
 OBJECTS = {
@@ -35,38 +40,47 @@ OBJECTS = {
     "thorax_labels 2": ("thorax_labels.nrrd", "--labels 2", 74_000),
     "thorax_labels 1": ("thorax_labels.nrrd", "--labels 1", 469_000),
 }
-"""The organs of Table 2: volume, options of distfield, about the printed number of particles. In `thorax_labels` 2 is lungs, 1 is bones."""
+"""The organs of Table 2: volume, options of distfield, and about the printed number of particles.
+
+In `thorax_labels`, label 2 is the lungs and label 1 is bone.
+"""
 
 QUICK_OBJECTS = ["torso heart"]
 QUICK_GRID = "--size 134,65,89 --spacing 2.6"
-"""For `--quick`, which takes phantoms alone."""
+"""Grid for `--quick`, which runs phantoms only."""
 
 RIBCAGE = "torso ribcage"
 FINE = f"{TORSO} ribs --size 402,194,266 --spacing 0.8667"
-"""The ribcage at 1.5 times the resolution: of the 268 x 129 x 177 volume marching cubes has fewer than 300,000 vertices."""
+"""The ribcage at 1.5 times the resolution of the paper's volume.
+
+Marching cubes has fewer than 300,000 vertices on the volume of 268 x 129 x 177 voxels.
+"""
 
 SEEDS = range(60_000, 300_001, 30_000)
-"""Table 3."""
+"""Numbers of seeds in Table 3."""
 H_OF_TABLE_3 = 1.55
-"""Edge length of Table 3, mm: 24.2 % of 300,000 seeds are deleted, in the paper 25.0 (at 1.4 mm 14 %, at 1.7 mm 37 %)."""
+"""Edge length of Table 3, mm.
+
+It deletes 24.2 % of 300,000 seeds; the paper has 25.0 %. At 1.4 mm it is 14 %, at 1.7 mm 37 %.
+"""
 
 SWEEP = [(8, 2, 4), (2, 1, 4), (0.5, 0.5, 4), (0.25, 0.25, 4), (0.125, 0.125, 4), (0.01, 0.01, 4), (0.01, 0.01, 7)]
 """Table 4: epsilon, delta, refinement level."""
 LARGEST_H = 1.2
-"""Bound of h in Table 4, mm: fitted to the printed count of its first row."""
+"""Maximum of h in Table 4, mm: fitted to the printed count of its first row."""
 SMALLEST_H = {4: 0.965, 7: 0.93}
-"""Bound of h by refinement level, mm: fitted to the printed counts of the last two rows."""
+"""Minimum of h by refinement level, mm: fitted to the printed counts of the last two rows."""
 
 MODES = {
     "as printed": ("--from marching-cubes", "--as-printed", "--method tight-cocone"),
     "defaults": ("", "", ""),
 }
-"""Options of seed, particles and reconstruct."""
+"""Options of seed, particles and reconstruct in each mode."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """What is settled: a row for each engine."""
+    """A case to settle; each engine gives a row."""
 
     table: str
     name: str
@@ -79,17 +93,17 @@ class Case:
 
     @property
     def stem(self) -> str:
-        """Name of its files."""
+        """Stem of its file names."""
         return f"{self.table} {self.name} {self.mode}".replace(" ", "-").replace("/", "-")
 
     @property
     def field(self) -> str:
-        """Name of the files of its distance field, which several cases share."""
+        """Stem of the files of its distance field, which several cases share."""
         return f"{self.volume} {self.distfield}".replace(" ", "-").replace("/", "-").replace(",", "-")
 
     @property
     def options(self) -> Row:
-        """Of each stage, for the row."""
+        """Options of each stage, for the row."""
         seed, particles, _ = MODES[self.mode]
         return {
             "volume": self.volume,
@@ -101,7 +115,7 @@ class Case:
 
 
 def cases(tables: list[str], quick: bool) -> list[Case]:
-    """All that is settled for these tables; of a quick run few, and small ones."""
+    """All cases of these tables; a quick run has fewer and smaller ones."""
     shrink = SHRINK if quick else 1
     coarser = math.sqrt(shrink)
     found = []
@@ -132,13 +146,13 @@ def cases(tables: list[str], quick: bool) -> list[Case]:
 
 
 def small(volume: str) -> str:
-    """A phantom on the coarse grid; a file as it is."""
+    """A phantom on the coarse grid; a file stays as it is."""
     return f"{volume} {QUICK_GRID}" if volume.startswith(TORSO) else volume
 
 
 @dataclass
 class Paper:
-    """One call of this program."""
+    """One run of this program."""
 
     bench: Bench
     rows: Rows
@@ -148,11 +162,11 @@ class Paper:
     keep: Path | None
 
     def path(self, name: str, ending: str) -> Path:
-        """A file in the work folder."""
+        """Path of a file in the work folder."""
         return self.bench.work / f"{name}.{ending}"
 
     def field(self, case: Case, threads: int) -> None:
-        """The distance field of a case, unless it is there."""
+        """Make the distance field of a case, unless it exists."""
         output = self.path(case.field, "distfield.vti")
         if output.exists():
             return
@@ -164,7 +178,7 @@ class Paper:
         )
 
     def seeds(self, case: Case, threads: int) -> None:
-        """Sizes and seeds of a case, unless they are there."""
+        """Make sizes and seeds of a case, unless they exist."""
         seeds, sizes = self.path(case.stem, "seeds.bin"), self.path(case.stem, "sizefield.vti")
         if seeds.exists():
             return
@@ -175,12 +189,12 @@ class Paper:
         self.bench.stage("seed", f"'{field}' '{sizes}' {case.options['seed']} -o '{seeds}'", report, threads)
 
     def of(self, case: Case, name: str) -> str:
-        """The options that name the case's files."""
+        """Arguments with the files of a case."""
         fields = f"--distfield '{self.path(case.field, 'distfield.vti')}' --sizefield '{self.path(case.stem, 'sizefield.vti')}'"
         return f"'{name}' {fields}"
 
     def settle(self, case: Case, engine: str) -> Row:
-        """Settle the seeds; the report."""
+        """Settle the seeds; the report of `particles`."""
         backend = "--backend cpu"
         if engine == "gpu":
             backend = "--backend gpu" + (f" --adapter '{self.adapter}'" if self.adapter else "")
@@ -190,7 +204,7 @@ class Paper:
         return self.bench.stage("particles", words, self.path(f"{case.stem}.{engine}", "json"), threads)
 
     def particles(self, case: Case, engine: str) -> None:
-        """The row of a case on an engine."""
+        """Make the row of a case on an engine."""
         self.seeds(case, self.bench.cores)
         seeded = self.bench.report(self.path(case.stem, "seed.json"))
         predicted = self.bench.report(self.path(case.stem, "sizefield.json"))["results"]["fields"]
@@ -207,7 +221,7 @@ class Paper:
         self.rows.add(f"{case.stem} {engine}", {**row, **settled(self.settle(case, engine))})
 
     def surface(self, case: Case, engine: str, threads: int) -> None:
-        """The row of the triangles of a case: those of the particles as they are, and those that reconstruct makes of them."""
+        """Make the row of a case's triangles, before and after reconstruct improves them."""
         name = f"{case.stem}.{engine}"
         if not self.path(name, "bin").exists():
             self.settle(case, engine)
@@ -231,7 +245,10 @@ class Paper:
             shutil.copy(self.path(name, "vtp"), self.keep / f"heart-{case.mode.replace(' ', '-')}-{engine}.vtp")
 
     def run(self, found: list[Case], tables: list[str], beside: int) -> None:
-        """All rows that are not there: what is timed runs alone, or with others of one thread."""
+        """Make all missing rows.
+
+        Timed runs on all cores or on the GPU run alone; runs on one thread run beside each other.
+        """
         engines = ["cpu-all", "cpu-1", *(["gpu"] if self.gpu else [])]
         missing = [(case, engine) for case in found for engine in engines if f"{case.stem} {engine}" not in self.rows]
         if "2" not in tables:
@@ -261,7 +278,7 @@ def named(pairs: list[tuple[Case, str]], task: Callable[[Case, str], None]) -> l
 
 
 def main() -> int:
-    """Reads the command line; 1 where rows were left out."""
+    """Run the program; 1 if rows were left out."""
     parser = options(__doc__, "paper")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of the real volumes")
     parser.add_argument("--tables", nargs="+", choices=["1", "2", "3", "4"], default=["2", "1", "3", "4"])

@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
-"""The pictures of docs/results.md, of the rows that paper.py and growth.py have left (matplotlib; close-ups: pyvista).
+"""Draw the pictures of docs/results.md from the rows of paper.py and growth.py.
 
-tests/results/plots.py                                  # docs/images/results-*.png; or: make results-page
-tests/results/plots.py --closeups out/paper-surfaces    # the meshes that `paper.py --keep` copied there
+    tests/results/plots.py                                  # docs/images/results-*.png
+    tests/results/plots.py --closeups out/paper-surfaces    # meshes copied by `paper.py --keep`
+
+`make results-page` runs both. Needs matplotlib, and pyvista for the close-ups.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ import matplotlib.pyplot as plt
 
 DPI = 110
 COLOURS = {"CPU": "tab:red", "GPU": "tab:blue"}
-"""As in the paper."""
+"""Colours of the paper's figures."""
 
 
 def save(figure: Any, folder: Path, name: str) -> None:
@@ -36,7 +38,7 @@ def save(figure: Any, folder: Path, name: str) -> None:
 def times(
     page: Page, folder: Path, name: str, rows: list[tuple[str, str, str]], paper: list[tuple[float, ...]]
 ) -> None:
-    """Figures 7 and 8: seconds over particles, the printed ones beside ours."""
+    """Figures 7 and 8: seconds over particles, the paper's beside ours."""
     figure, axes = plt.subplots(1, 2, figsize=(9.5, 3.6), layout="constrained")
     for axis, title in zip(axes, ("the paper, 2012", "ours"), strict=True):
         axis.set(title=title, xlabel="particles", ylabel="seconds", yscale="log")
@@ -62,7 +64,7 @@ def times(
 
 
 def histograms(page: Page, folder: Path) -> None:
-    """Figure 9: how radius ratios are distributed, CPU and GPU."""
+    """Figure 9: distributions of radius ratios, CPU and GPU."""
     figure, axes = plt.subplots(
         len(MODES), len(OBJECTS), figsize=(13, 4.6), sharex=True, layout="constrained", squeeze=False
     )
@@ -89,7 +91,7 @@ def histograms(page: Page, folder: Path) -> None:
 
 
 def growth(page: Page, folder: Path) -> None:
-    """Seconds of every stage, over each series."""
+    """Seconds of every stage over each series."""
     figure, axes = plt.subplots(1, len(SERIES), figsize=(14, 3.9), layout="constrained")
     headings = [heading for *_, heading in page.columns("volume")]
     titles = {"volume": "voxels", "particles": "particles", "cores": "threads", "materials": "materials"}
@@ -107,7 +109,7 @@ def growth(page: Page, folder: Path) -> None:
 
 
 def closeups(surfaces: Path, folder: Path) -> None:
-    """Figure 9's close-ups: the same part of the heart's mesh, CPU and GPU."""
+    """Close-ups of Figure 9: the same part of the heart's mesh, CPU and GPU."""
     import pyvista as pv
 
     files = []
@@ -133,7 +135,7 @@ def closeups(surfaces: Path, folder: Path) -> None:
 
 
 def main() -> None:
-    """Reads the command line."""
+    """Run the program."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, default=Path("docs/results"), help="of paper.json and growth.json")
     parser.add_argument("--images", type=Path, default=Path("docs/images"))

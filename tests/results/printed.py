@@ -1,4 +1,7 @@
-"""The figures that Kim, Chen and Hansen print in section 6 (2012): Intel Xeon X5650, one thread, and NVIDIA Tesla C2070."""
+"""Figures printed in section 6 of Kim, Chen and Hansen (2012).
+
+Their machine: Intel Xeon X5650 (one thread) and NVIDIA Tesla C2070.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,14 @@ TABLE_1 = {
     "lungs": ((0.912578, 0.217819), (0.913214, 0.324375)),
     "ribcage": ((0.914975, 0.186664), (0.914975, 0.186664)),
 }
-"""Mean and smallest radius ratio, CPU and GPU; of the ribcage the same four numbers are printed twice."""
+"""Mean and minimum radius ratio, CPU and GPU. The paper prints one pair twice for the ribcage."""
 
 TABLE_2 = {
     "lungs": (835.26, 74153, 107.64, 74129),
     "heart": (3150.38, 80125, 245.77, 80594),
     "ribcage": (9460.29, 468877, 269.12, 468623),
 }
-"""Seconds and particles, CPU and GPU."""
+"""Seconds and particles on the CPU, then on the GPU."""
 
 TABLE_3 = {
     60000: (213.22, 57456, 34.75, 56844),
@@ -27,7 +30,7 @@ TABLE_3 = {
     270000: (3455.14, 200925, 172.31, 208866),
     300000: (4042.60, 225054, 183.98, 237921),
 }
-"""By the number of seeds: seconds and particles left, CPU and GPU."""
+"""By number of seeds: seconds and remaining particles on the CPU, then on the GPU."""
 
 TABLE_4 = [
     (3798.74, 317809, 160.17, 323762),
@@ -38,11 +41,14 @@ TABLE_4 = [
     (11356.3, 493697, 285.51, 494477),
     (19750.2, 530565, 445.49, 530717),
 ]
-"""Seconds and particles, CPU and GPU, from epsilon 8 to 0.01, the last at refinement level 7."""
+"""Seconds and particles on the CPU, then on the GPU.
+
+The rows go from epsilon 8 to 0.01; the last one has refinement level 7.
+"""
 
 
 def organ(name: str) -> str:
-    """The printed organ that an object of ours stands beside."""
+    """The printed organ to compare an object with."""
     for word, found in (
         ("heart", "heart"),
         ("lungs", "lungs"),
@@ -56,17 +62,17 @@ def organ(name: str) -> str:
 
 
 def quality(name: str) -> list[str]:
-    """Two columns of Table 1."""
+    """The two printed columns of Table 1."""
     return [f"{mean:.3f} / {smallest:.2f}" for mean, smallest in TABLE_1[organ(name)]]
 
 
 def times(name: str) -> list[str]:
-    """Three columns of Table 2."""
+    """The three printed columns of Table 2."""
     cpu, _, gpu, _ = TABLE_2[organ(name)]
     return [f"{cpu:,.0f}", f"{gpu:.0f}", f"{cpu / gpu:.1f}"]
 
 
 def lost(seeds: int) -> list[float]:
-    """Percent of the seeds of Table 3 that were deleted, CPU and GPU."""
+    """Percentage of the seeds of Table 3 that were deleted, CPU and GPU."""
     _, cpu, _, gpu = TABLE_3[seeds]
     return [100 * (1 - left / seeds) for left in (cpu, gpu)]

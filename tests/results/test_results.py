@@ -1,4 +1,4 @@
-"""The benches of docs/results.md: they run on a tiny case, and the page is what its rows give, or is not made."""
+"""Tests of the benchmarks of docs/results.md: a tiny run, and the page made from rows."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def call(program: str, *words: object) -> subprocess.CompletedProcess[str]:
 
 
 def rows_of_paper() -> dict[str, Any]:
-    """A row for each run, with what the page reads of it."""
+    """A row for each run, with the figures that the page reads."""
     rows: dict[str, Any] = {}
     triangles = {"mean": 0.96, "smallest": 0.3, "angles": [20, 110], "histogram": [1] * measured.BINS}
     for case in paper.cases(["1", "2", "3", "4"], False):
@@ -43,7 +43,7 @@ def rows_of_paper() -> dict[str, Any]:
 
 
 def rows_of_growth() -> dict[str, Any]:
-    """Rows whose seconds grow with the square of the size; the last size of reconstruct is left out."""
+    """Rows with seconds that grow with the square of the size; the last reconstruct is left out."""
     sizes = {
         "volume": [n**3 for n in growth.VOLUMES],
         "particles": growth.COUNTS,
@@ -69,7 +69,7 @@ def rows_of_growth() -> dict[str, Any]:
 
 
 def write(folder: Path, paper_rows: dict[str, Any], growth_rows: dict[str, Any], adapter: str | None = "a (b)") -> None:
-    """Template and rows, as in docs/results."""
+    """Write the template and the rows, as in docs/results."""
     head = {"date": "2012-03-03", "commit": "c", "processor": "p", "cores": 4, "adapter": adapter, "beside": 1}
     folder.mkdir(exist_ok=True)
     (folder / "template.md").write_bytes((ROOT / "docs/results/template.md").read_bytes())
@@ -191,7 +191,7 @@ def test_a_tiny_case_runs_and_is_not_run_again(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     rows = json.loads((tmp_path / "rows.json").read_text())["rows"]
     assert len(rows) == 6
-    # a run in full, or of another build, finds none of these files
+    # Full runs and other builds use other folders.
     assert [folder.name.endswith("-quick") for folder in (tmp_path / "work").iterdir()] == [True]
     one, every = (rows[f"2-torso-heart-as-printed {engine}"] for engine in ("cpu-1", "cpu-all"))
     assert one["particles"] == every["particles"] == pytest.approx(4000, rel=0.25)

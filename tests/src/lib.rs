@@ -1,9 +1,9 @@
-//! Analytic phantoms: volumes whose area, volume, genus and local feature size are known beforehand, so that
-//! every stage can be compared with the truth rather than with itself.
+//! Analytic phantoms: volumes with known area, volume, genus and local feature size, so that tests
+//! compare each stage with exact figures.
 //!
-//! A [`scene::Scene`] is an implicit function in the grid frame (mm), negative inside; [`volume`] samples one
-//! into a scalar volume (a smooth edge, as a scanner gives it) or a label map, and [`nrrd`] writes that with
-//! any geometry, by code of its own, so that the reader under test is checked against an independent writer.
+//! A [`scene::Scene`] is an implicit function in the grid frame (mm), negative inside. [`volume`]
+//! samples it as a scalar volume with a scanner's smooth edge, or as a label map. [`nrrd`] writes
+//! volumes with any geometry; it is independent of the reader under test.
 
 pub mod nrrd;
 pub mod readers;

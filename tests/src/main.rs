@@ -1,4 +1,4 @@
-//! `phantom`: writes an analytic volume and the truth about it, for tests, demos and benchmarks.
+//! `phantom`: writes an analytic volume and its exact figures, for tests, demos and benchmarks.
 
 use clap::Parser;
 use glam::{DMat3, DVec3};
@@ -11,7 +11,7 @@ use isoparticles_volume::{Geometry, Space};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Write an analytic volume (NRRD) and, on request, the truth about its surface (JSON).
+/// Write an analytic volume (NRRD) and, on request, the exact figures of its surface (JSON).
 ///
 /// Example: phantom torus -o torus.nrrd --size 64 --spacing 1,1,1.5 --truth torus.json
 #[derive(Debug, Parser)]
@@ -23,13 +23,15 @@ struct Arguments {
     /// File to write (NRRD, gzip).
     #[arg(short, long)]
     output: PathBuf,
-    /// Write the truth (area, volume, genus, components, local feature size, iso value) to this JSON file.
+    /// Write the exact figures (area, volume, genus, components, local feature size, iso value) to
+    /// this JSON file.
     #[arg(long, value_name = "FILE.json")]
     truth: Option<PathBuf>,
-    /// Voxels: one number for a cube or three with commas [default: 64; torso 268,129,177].
+    /// Number of voxels: one number for a cube, or three separated by commas [default: 64; torso
+    /// 268,129,177].
     #[arg(long, value_parser = parse_size)]
     size: Option<[usize; 3]>,
-    /// Distance of voxel centres, mm: one number or three with commas [default: 1; torso 1.3].
+    /// Voxel spacing, mm: one number, or three separated by commas [default: 1; torso 1.3].
     #[arg(long, value_parser = parse_spacing)]
     spacing: Option<[f64; 3]>,
     /// Scalar volume (smooth edge, Hounsfield-like) or label map.
@@ -38,10 +40,10 @@ struct Arguments {
     /// Voxel type of scalar volumes.
     #[arg(long = "type", value_enum, default_value_t = Type::Int16)]
     voxel_type: Type,
-    /// Standard deviation of Gaussian noise, in scalar units (inside and outside are 400 apart).
+    /// Standard deviation of Gaussian noise, in scalar units (inside and outside differ by 400).
     #[arg(long, default_value_t = 0.0, value_name = "SIGMA")]
     noise: f64,
-    /// Wall of `thin-shell`, mm [default: 2.5 voxels].
+    /// Wall thickness of `thin-shell`, mm [default: 2.5 voxels].
     #[arg(long, value_name = "MM")]
     thickness: Option<f64>,
     /// Gap of `two-balls`, mm [default: 3 voxels].
@@ -50,16 +52,17 @@ struct Arguments {
     /// Part of `torso`.
     #[arg(long, value_enum, default_value_t = torso::Part::All)]
     part: torso::Part,
-    /// Turn the grid about the world's x, then y, then z axis: three angles in degrees, with commas.
+    /// Rotate the grid about the world's x, then y, then z axis: three angles in degrees, separated
+    /// by commas.
     #[arg(long, value_parser = parse_three, value_name = "X,Y,Z", allow_hyphen_values = true)]
     rotate: Option<[f64; 3]>,
     /// Mirror the first grid axis in the world, so that the three axes are left-handed.
     #[arg(long)]
     left_handed: bool,
-    /// World position of the first voxel's centre, mm (LPS for --space RAS too).
+    /// World position of the first voxel's centre, mm (LPS, also with --space RAS).
     #[arg(long, value_parser = parse_three, value_name = "X,Y,Z", allow_hyphen_values = true)]
     origin: Option<[f64; 3]>,
-    /// World frame the file names; the numbers in the file follow it.
+    /// World frame named in the file; the numbers in the file follow it.
     #[arg(long, value_enum, default_value_t = FileSpace::Lps)]
     space: FileSpace,
     /// Seed of the noise.
@@ -75,15 +78,15 @@ struct Arguments {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Kind {
-    /// Smooth edge round iso 100 (or as the truth file says).
+    /// Smooth edge around iso value 100 (or the one in the truth file).
     Scalar,
-    /// Whole numbers: 0 outside, 1 inside; the torso has four tissues.
+    /// Integers: 0 outside, 1 inside; the torso has four tissues.
     Label,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Type {
-    /// 16-bit whole numbers, as a scanner gives them.
+    /// 16-bit integers, as from a scanner.
     Int16,
     /// 32-bit floating point.
     Float,
@@ -154,12 +157,12 @@ fn voxels(arguments: &Arguments, scene: &dyn Scene, geometry: &Geometry) -> Voxe
     let image = volume::scalar(scene, geometry, arguments.noise, arguments.seed);
     match arguments.voxel_type {
         Type::Float => Voxels::F32(image.data),
-        // The values lie far inside the range of 16 bits; `as` saturates a wild noise.
+        // The values are well within 16 bits; `as` saturates extreme noise.
         Type::Int16 => Voxels::I16(image.data.iter().map(|v| v.round() as i16).collect()),
     }
 }
 
-/// The scene's truth with what depends on the kind of volume filled in.
+/// The scene's exact figures, with those that depend on the kind of volume.
 fn truth(arguments: &Arguments, scene: &dyn Scene, geometry: &Geometry) -> Truth {
     let mut truth = scene.truth();
     truth.centre_world = geometry.grid_to_world(DVec3::from_array(truth.centre_grid)).to_array();

@@ -1,5 +1,5 @@
-//! A small NRRD writer of the phantoms' own (format: teem.sourceforge.net/nrrd/format.html), independent of the
-//! reader under test; it can write spaces that the pipeline's own writer has no need for.
+//! A minimal NRRD writer (format: teem.sourceforge.net/nrrd/format.html), independent of the reader
+//! under test. It also writes spaces that the pipeline's own writer does not need.
 
 use flate2::{Compression, write::GzEncoder};
 use glam::DVec3;
@@ -19,21 +19,22 @@ pub enum Voxels {
     F32(Vec<f32>),
 }
 
-/// World frame that the file names.
+/// World frame named in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum FileSpace {
     /// `left-posterior-superior`.
     #[value(name = "LPS")]
     Lps,
-    /// `right-anterior-superior`: x and y change sign on the way to the file.
+    /// `right-anterior-superior`: x and y change sign in the file.
     #[value(name = "RAS")]
     Ras,
-    /// `space dimension: 3`, no anatomical name.
+    /// `space dimension: 3`, without an anatomical name.
     #[value(name = "none")]
     Unnamed,
 }
 
-/// Writes an attached-header NRRD, gzip or raw, through a temporary name beside the target.
+/// Writes an NRRD file with an attached header, gzip or raw. The file gets its name when it is
+/// complete.
 ///
 /// # Errors
 /// When the folder cannot be written.
@@ -58,7 +59,7 @@ pub fn write(path: &Path, geometry: &Geometry, space: FileSpace, voxels: &Voxels
         std::fs::rename(&partial, path)
     };
     attempt().map_err(|source| {
-        // The partial file may not exist; the error that matters is the first one.
+        // The partial file may not exist; the first error is the one to report.
         std::fs::remove_file(&partial).ok();
         Error::file(path, "write the phantom", &source, "choose a folder that exists and can be written")
     })
@@ -69,7 +70,7 @@ fn header(geometry: &Geometry, space: FileSpace, type_name: &str, gzip: bool) ->
         FileSpace::Ras => DVec3::new(-v.x, -v.y, v.z),
         FileSpace::Lps | FileSpace::Unnamed => v,
     };
-    // `+ 0.0` turns a negative zero into a plain one.
+    // `+ 0.0` turns a negative zero into a positive one.
     let vector = |v: DVec3| format!("({},{},{})", v.x + 0.0, v.y + 0.0, v.z + 0.0);
     let space_field = match space {
         FileSpace::Lps => "space: left-posterior-superior",

@@ -1,5 +1,5 @@
-//! Every reader of files, under one name each, for tests that feed them anything: whatever the bytes, a reader gives a value or an
-//! error in three parts; it never panics and never takes memory that the file does not fill.
+//! Every file reader under one name, for tests with arbitrary bytes. A reader must return a value
+//! or a three-part error. It must never panic, or allocate memory that the file does not fill.
 
 use isoparticles_mesh::point_cloud::read_point_cloud;
 use isoparticles_mesh::surface::read_surface;
@@ -11,23 +11,23 @@ use isoparticles_volume::{data_files, read_volume};
 use std::path::Path;
 use tempfile::TempDir;
 
-/// A reader and the endings of the files that it is given.
+/// A reader and the ending of its files.
 #[derive(Clone, Copy, Debug)]
 pub struct Reader {
-    /// Name, that of its fuzz target.
+    /// Name, also of its fuzz target.
     pub name: &'static str,
-    /// Ending of the file's name.
+    /// Ending of the file name.
     pub ending: &'static str,
     read: fn(&Path) -> Option<Error>,
 }
 
 fn volume(path: &Path) -> Option<Error> {
-    // what `make` asks before the volume is read
+    // isoparticles-case calls this before a stage reads the volume.
     drop(data_files(path));
     read_volume(path).err().map(Error::from)
 }
 
-/// The folder of slices that the file lies in.
+/// Reads the folder of the file as a series of slices.
 fn series(path: &Path) -> Option<Error> {
     read_volume(path.parent()?).err().map(Error::from)
 }
@@ -56,7 +56,7 @@ const fn reader(name: &'static str, ending: &'static str, read: fn(&Path) -> Opt
     Reader { name, ending, read }
 }
 
-/// All of them.
+/// All readers.
 pub const READERS: [Reader; 15] = [
     reader("nrrd", "nrrd", volume),
     reader("nifti", "nii", volume),
@@ -76,24 +76,24 @@ pub const READERS: [Reader; 15] = [
 ];
 
 impl Reader {
-    /// The reader of a name.
+    /// The reader with a name.
     ///
     /// # Panics
-    /// When there is none: a slip in a test.
+    /// When there is none.
     pub fn named(name: &str) -> Self {
         *READERS.iter().find(|reader| reader.name == name).unwrap_or_else(|| panic!("no reader is called {name}"))
     }
 
-    /// Feeds it a file with these bytes.
+    /// Reads a file with these bytes.
     ///
     /// # Panics
-    /// When it does, or its error has not all three parts.
+    /// When the reader panics, or its error lacks one of the three parts.
     pub fn feed(self, bytes: &[u8]) {
         Feeder::new(self).feed(bytes);
     }
 }
 
-/// A reader and a folder for what it is fed, which one file after the other is written into.
+/// A reader and a temporary folder for its input files.
 #[derive(Debug)]
 pub struct Feeder {
     reader: Reader,
@@ -101,18 +101,19 @@ pub struct Feeder {
 }
 
 impl Feeder {
-    /// A folder for a reader, among the temporary files.
+    /// Creates a temporary folder for a reader.
     ///
     /// # Panics
-    /// When it cannot be made.
+    /// When it cannot be created.
     pub fn new(reader: Reader) -> Self {
         Self { reader, folder: tempfile::tempdir().expect("a folder for files") }
     }
 
-    /// Feeds a file with these bytes: to the reader of series a folder of slices, to that of particles the file that is sealed, too.
+    /// Reads a file with these bytes. The reader of series gets a folder of slices. A particle file
+    /// is also read with a corrected length and checksum.
     ///
     /// # Panics
-    /// When the reader does, or its error has not all three parts.
+    /// When the reader panics, or its error lacks one of the three parts.
     pub fn feed(&self, bytes: &[u8]) {
         let name = format!("file.{}", self.reader.ending);
         if self.reader.ending != "dcm" {
@@ -129,14 +130,14 @@ impl Feeder {
         for (path, slice) in &others {
             std::fs::write(path, slice).expect("a slice to read");
         }
-        // the reader wants the folder of a file, whether that is there or not
+        // The reader uses only the folder of this path; the file need not exist.
         self.read(&self.folder.path().join(name));
         for (path, _) in &others {
             std::fs::remove_file(path).expect("a slice that is there");
         }
     }
 
-    /// Feeds a file of this name.
+    /// Reads a file with this name and these bytes.
     ///
     /// # Panics
     /// As [`Feeder::feed`].
@@ -157,18 +158,19 @@ impl Feeder {
     }
 }
 
-/// A file of particles with the length and the checksum of what it holds (`particle_file.rs`), which no chance hits on; `None` of others.
+/// A particle file with the correct length and checksum of its payload (`particle_file.rs`), which
+/// random bytes never have; `None` for other files.
 fn sealed(bytes: &[u8]) -> Option<Vec<u8>> {
     let (head, _) = bytes.split_at_checked(16).filter(|(head, _)| head.starts_with(b"ISOPART\n"))?;
     let payload = bytes.get(56..)?;
     Some([head, &(payload.len() as u64).to_le_bytes(), blake3::hash(payload).as_bytes(), payload].concat())
 }
 
-/// Where a slice says what it is, from its start.
+/// Offset in bytes of the letters DICM in a slice.
 const SLICE_MAGIC: usize = 128;
 
-/// Slices that stand one behind the other: each begins 128 bytes before its letters DICM. A volume is made of two slices and more, so that
-/// one by itself is refused before its pixels are looked at.
+/// Splits concatenated slices: each starts 128 bytes before its letters DICM. A volume needs at
+/// least two slices, so a single one is refused before its pixels are read.
 fn slices(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     let mut rest = Some(bytes);
     std::iter::from_fn(move || {

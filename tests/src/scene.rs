@@ -1,4 +1,4 @@
-//! What a phantom is: an implicit function in the grid frame with the truth about its surface.
+//! Phantom scenes: an implicit function in the grid frame, with the exact figures of its surface.
 
 use crate::{shapes, torso};
 use glam::DVec3;
@@ -6,17 +6,19 @@ use isoparticles_volume::Geometry;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// An implicit function, negative inside; a signed distance wherever [`Truth::exact_distance`] says so.
+/// An implicit function, negative inside; a signed distance if [`Truth::exact_distance`] is set.
 pub trait Scene: Sync {
     /// Value at a grid-frame position (mm).
     fn value(&self, position: DVec3) -> f64;
 
-    /// Label of a voxel whose centre lies at `position`: 0 outside, 1 inside, unless the scene has several parts.
+    /// Label of a voxel with its centre at `position`: 0 outside, 1 inside, unless there are
+    /// several parts.
     fn label(&self, position: DVec3) -> u8 {
         u8::from(self.value(position) < 0.0)
     }
 
-    /// Scalar at a position, for an edge of the given width (mm); 0.5 (between 0 outside and 1 inside) on the surface.
+    /// Profile at a position for an edge of the given width (mm): 0 outside, 1 inside, 0.5 on the
+    /// surface.
     fn profile(&self, position: DVec3, edge_width: f64) -> f64 {
         edge_profile(self.value(position), edge_width)
     }
@@ -26,27 +28,27 @@ pub trait Scene: Sync {
         (-100.0, 300.0)
     }
 
-    /// What is known about the surface.
+    /// Exact figures of the surface.
     fn truth(&self) -> Truth;
 }
 
-/// The smooth edge a scanner leaves: 1 deep inside, 0.5 on the surface, 0 far outside.
+/// The smooth edge of a scanner image: 1 deep inside, 0.5 on the surface, 0 far outside.
 pub fn edge_profile(signed_distance: f64, edge_width: f64) -> f64 {
     0.5 * (1.0 - (signed_distance / edge_width).tanh())
 }
 
-/// What is known about a scene's surface; absent where no closed form or quadrature gives it.
+/// Exact figures of a scene's surface; absent without a closed form or quadrature.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Truth {
     /// Name of the shape.
     pub shape: String,
-    /// How the figures were obtained, in one sentence.
+    /// How the figures are obtained, in one sentence.
     pub method: String,
     /// Iso value of the scalar volume that gives the surface.
     pub iso: Option<f64>,
     /// Side of the iso value on which the object lies: `above` or `below`.
     pub inside: Option<String>,
-    /// Labels that together are the object (label maps).
+    /// Labels that together form the object (label maps).
     pub labels: Vec<u8>,
     /// Whether the implicit function is the exact signed distance.
     pub exact_distance: bool,
@@ -54,13 +56,13 @@ pub struct Truth {
     pub area: Option<f64>,
     /// Enclosed volume, mm^3.
     pub volume: Option<f64>,
-    /// Closed components of the surface.
+    /// Number of closed components of the surface.
     pub components: Option<usize>,
     /// Sum of the genera of all components.
     pub genus: Option<usize>,
-    /// Smallest local feature size on the surface, mm.
+    /// Minimum local feature size on the surface, mm.
     pub local_feature_size_min: Option<f64>,
-    /// Largest local feature size on the surface, mm.
+    /// Maximum local feature size on the surface, mm.
     pub local_feature_size_max: Option<f64>,
     /// Centre of the object in the grid frame, mm.
     pub centre_grid: [f64; 3],
@@ -70,7 +72,7 @@ pub struct Truth {
     pub dimensions: BTreeMap<String, f64>,
 }
 
-/// The shapes the `phantom` program knows.
+/// Shapes of the `phantom` program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Shape {
     /// A ball.
@@ -99,7 +101,7 @@ pub enum Shape {
     Torso,
 }
 
-/// What a shape may be asked to vary.
+/// Adjustable properties of shapes.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
     /// Wall of the thin shell, mm.
@@ -111,7 +113,7 @@ pub struct Options {
 }
 
 impl Options {
-    /// Wall of 2.5 and gap of 3 mean voxels; the whole torso.
+    /// Wall of 2.5 and gap of 3 mean voxel spacings; the whole torso.
     pub fn for_grid(grid: &Geometry) -> Self {
         Self { thickness: 2.5 * grid.mean_spacing(), gap: 3.0 * grid.mean_spacing(), part: torso::Part::All }
     }
@@ -135,12 +137,12 @@ pub fn build(shape: Shape, grid: &Geometry, options: &Options) -> Box<dyn Scene>
     }
 }
 
-/// Shortest side of the box spanned by the voxel centres, mm: what the shapes scale with.
+/// Shortest side of the box spanned by the voxel centres, mm. Shapes scale with it.
 pub fn shortest_extent(grid: &Geometry) -> f64 {
     grid.upper_corner().min_element()
 }
 
-/// Centre of the grid, moved off every symmetry of the lattice by a fraction of a voxel, grid frame (mm).
+/// Centre of the grid (grid frame, mm), a fraction of a voxel off every symmetry of the lattice.
 pub fn off_lattice_centre(grid: &Geometry) -> DVec3 {
     0.5 * grid.upper_corner() + grid.index_to_grid(DVec3::new(0.137, 0.291, -0.173))
 }

@@ -1,17 +1,17 @@
-//! Digital topology of a set of voxels: components, cavities and Euler characteristic, counted on the cubical
-//! complex. It shares no code with any mesh, so it can judge one.
+//! Digital topology of a set of voxels: components, cavities and Euler characteristic of the
+//! cubical complex. It shares no code with any mesh, so tests can compare meshes with it.
 //!
-//! For a solid with `b0` components, `b2` cavities and `b1` handles, `euler = b0 - b1 + b2`; the genera of all
-//! its surfaces (in number `b0 + b2`) sum to `b1`.
+//! For a solid with `b0` components, `b2` cavities and `b1` handles, `euler = b0 - b1 + b2`. The
+//! genera of all its `b0 + b2` surfaces sum to `b1`.
 
 use isoparticles_volume::Image;
 
-/// Topology of the union of the closed voxels (neighbours across faces, edges and corners belong together).
+/// Topology of the union of the closed voxels (connected across faces, edges and corners).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Topology {
-    /// Connected pieces of the object.
+    /// Connected components of the object.
     pub components: usize,
-    /// Pieces of the background, joined across faces only, that do not reach the border.
+    /// Components of the background, connected across faces only, that do not reach the border.
     pub cavities: usize,
     /// Euler characteristic of the solid.
     pub euler: i64,
@@ -29,7 +29,7 @@ impl Topology {
     }
 }
 
-/// Counts the topology of the voxels that are `true`; beyond the border is background.
+/// Topology of the voxels that are `true`; everything beyond the border is background.
 pub fn of_voxels(mask: &Image<bool>) -> Topology {
     let [nx, ny, nz] = mask.geometry.size;
     let padded = mask.geometry.padded(1);
@@ -49,8 +49,8 @@ pub fn of_voxels(mask: &Image<bool>) -> Topology {
     Topology { components, cavities, euler: euler(&inside, padded.size) }
 }
 
-/// Vertices - edges + faces - voxels of the cubical complex. A cell of the complex at the lower corner of voxel
-/// `(i, j, k)` is present when any of the voxels that contain it is.
+/// Vertices - edges + faces - voxels of the cubical complex. A cell of the complex at the lower
+/// corner of voxel `(i, j, k)` is present if any voxel that contains it is.
 fn euler(inside: &[bool], size: [usize; 3]) -> i64 {
     let stride = [1, size[0], size[0] * size[1]];
     let mut sum = 0;
@@ -58,7 +58,8 @@ fn euler(inside: &[bool], size: [usize; 3]) -> i64 {
         for j in 1..size[1] {
             for i in 1..size[0] {
                 let here = i + j * stride[1] + k * stride[2];
-                // Bit a of `cell` set: the cell extends along axis a, so only this voxel's side counts there.
+                // Bit a of `cell` is set if the cell extends along axis a. Then only voxels at this
+                // index along a contain it.
                 for cell in 0..8_u32 {
                     let present = (0..8_u32).filter(|corner| corner & cell == 0).any(|corner| {
                         inside[here - (0..3).map(|a| ((corner >> a & 1) as usize) * stride[a]).sum::<usize>()]

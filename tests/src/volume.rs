@@ -1,4 +1,5 @@
-//! From a scene to voxels: scalar volumes with a scanner's smooth edge and noise, label maps, masks.
+//! Samples a scene as voxels: scalar volumes with a scanner's smooth edge and noise, label maps,
+//! masks.
 
 use crate::scene::Scene;
 use glam::DVec3;
@@ -6,10 +7,10 @@ use isoparticles_field::random;
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
-/// Width of the edge profile in mean voxels: the 10 to 90 % rise takes 2.2 of these.
+/// Width of the edge profile in mean voxel spacings; the rise from 10 to 90 % takes 2.2 widths.
 pub const EDGE_WIDTH_VOXELS: f64 = 1.25;
 
-/// Stream of the counter-based random numbers that the noise draws from.
+/// Stream of the counter-based random numbers for the noise.
 const NOISE_STREAM: u64 = 0x6e6f_6973_6521;
 
 fn sampled<T: Copy + Send>(grid: &Geometry, f: impl Fn(DVec3, u64) -> T + Sync) -> Image<T> {
@@ -24,8 +25,8 @@ fn sampled<T: Copy + Send>(grid: &Geometry, f: impl Fn(DVec3, u64) -> T + Sync) 
     Image { geometry: grid.clone(), data }
 }
 
-/// Scalar volume: outside and inside intensity joined by the edge profile, plus Gaussian noise of standard
-/// deviation `noise` (in the units of the intensities).
+/// Scalar volume: the edge profile between outside and inside intensity, plus Gaussian noise of
+/// standard deviation `noise` (in units of the intensities).
 pub fn scalar(scene: &dyn Scene, grid: &Geometry, noise: f64, seed: u64) -> Image<f32> {
     let width = EDGE_WIDTH_VOXELS * grid.mean_spacing();
     let (outside, inside) = scene.intensities();
@@ -40,7 +41,7 @@ pub fn labels(scene: &dyn Scene, grid: &Geometry) -> Image<u8> {
     sampled(grid, |position, _| scene.label(position))
 }
 
-/// Voxels whose centre lies inside.
+/// Voxels with their centre inside.
 pub fn mask(scene: &dyn Scene, grid: &Geometry) -> Image<bool> {
     sampled(grid, |position, _| scene.value(position) < 0.0)
 }

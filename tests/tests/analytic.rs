@@ -1,4 +1,5 @@
-//! The chain against analytic truth: area, volume, genus, components, distance to the true surface, local feature size.
+//! Compares the chain with exact figures of phantoms: area, volume, genus, components, distance to
+//! the true surface, local feature size.
 
 mod support;
 
@@ -35,7 +36,8 @@ fn mesh(shape: Shape, geometry: &Geometry, kind: Kind, size: Option<f64>) -> Mes
     Meshed { truth, examined, vertices: surface.vertices }
 }
 
-/// Closed, outward, right topology, good triangles; area and volume within 1 % of the truth.
+/// Asserts a closed outward mesh, the right topology, good triangles, and area and volume within 1
+/// % of the exact figures.
 #[track_caller]
 fn assert_as_stated(shape: Shape, meshed: &Meshed) {
     let (examined, truth) = (&meshed.examined, &meshed.truth);
@@ -48,12 +50,12 @@ fn assert_as_stated(shape: Shape, meshed: &Meshed) {
         let relative = found / stated - 1.0;
         assert!(relative.abs() < 0.01, "{shape:?}: {name} {found} is off {stated} by {:.2} %", 100.0 * relative);
     }
-    // The floor for organs; the phantoms are no harder.
+    // The limits required of organs; the phantoms are no harder.
     assert!(examined.mean_radius_ratio >= 0.95, "{shape:?}: {examined:?}");
     assert!(examined.smallest_radius_ratio >= 0.30, "{shape:?}: {examined:?}");
 }
 
-/// Every vertex lies on the true surface, to a part of a voxel.
+/// Asserts that every vertex is within `tolerance` (mm) of the true surface.
 #[track_caller]
 fn assert_on_surface(shape: Shape, geometry: &Geometry, meshed: &Meshed, tolerance: f64) {
     let scene = scene::build(shape, geometry, &Options::for_grid(geometry));
@@ -115,13 +117,13 @@ fn two_balls_scalar() {
 
 #[test]
 fn thin_shell_scalar() {
-    // Two surfaces 2.5 voxels apart, at an edge length as large as the wall: particles of the two must not mix.
+    // Two surfaces 2.5 voxels apart, at an edge length of 1.6 voxels: their particles must not mix.
     let geometry = cube(40);
     let folder = tempfile::tempdir().expect("folder");
     let volume = folder.path().join("phantom.nrrd");
     let truth = write_phantom(&volume, Shape::ThinShell, &geometry, Kind::Scalar);
-    // The edge profile of two walls this close moves the half-way surface: take the sampled field's own truth, the
-    // topology, and leave area and volume to thicker walls.
+    // The smooth edges of walls this close overlap and move the halfway surface. So only the
+    // topology is compared with the exact figures, not area and volume.
     let files = chain::surface(&volume, folder.path(), &Wishes::scalar(Some(1.6)));
     let surface = read_surface(&files.surface).expect("surface").surface.mesh;
     let examined = examine(&surface.vertices, &surface.triangles);
@@ -133,7 +135,8 @@ fn thin_shell_scalar() {
 
 #[test]
 fn cylinder_is_closed_where_the_volume_cuts_it() {
-    // F rounds the rims off, by 0.73 % of the area (a mesh of it at h = 0.3), and triangles at h = 1.3 take another 0.21 to 0.26 % (eight seeds of particles).
+    // F rounds the rims, which takes 0.73 % of the area (from a mesh at h = 0.3). Triangles at h =
+    // 1.3 take another 0.21 to 0.26 % (eight particle seeds).
     let meshed = mesh(Shape::Cylinder, &cube(48), Kind::Scalar, Some(1.3));
     assert_as_stated(Shape::Cylinder, &meshed);
 }
@@ -143,7 +146,7 @@ fn gyroid_is_closed_on_all_six_faces() {
     let meshed = mesh(Shape::Gyroid, &cube(48), Kind::Scalar, Some(1.3));
     assert_eq!(meshed.examined.bad_edges, 0, "{:?}", meshed.examined);
     assert!(meshed.examined.genus > 3, "a gyroid has many handles: {:?}", meshed.examined);
-    // Half of the box between the capped faces, which lie half a voxel outside the voxel centres.
+    // Half of the box between the capped faces, which are half a voxel outside the voxel centres.
     let half_box = 0.5 * 48.0_f64.powi(3);
     assert!((meshed.examined.volume / half_box - 1.0).abs() < 0.03, "{:?}", meshed.examined);
 }
@@ -159,9 +162,9 @@ fn one_voxel_thin_labels_keep_their_topology() {
     }
 }
 
-/// Local feature size in an image with an edge like a scanner's, whose spline has ripples of a few thousandths of a voxel.
-/// Measured (smallest and median over the stated value): ball 0.988 and 0.995, torus 0.966 and 0.987, two balls 1.005 and
-/// 0.999; ellipsoid, at its tips, 1.016.
+/// Local feature size in an image with a scanner's edge, whose spline has ripples of a few
+/// thousandths of a voxel. Measured ratios to the exact value (minimum and median): ball 0.988 and
+/// 0.995, torus 0.966 and 0.987, two balls 1.005 and 0.999; ellipsoid, at its tips, 1.016.
 #[test]
 fn local_feature_size_stands_the_ripple_of_an_edge() {
     for (shape, n) in [(Shape::Ball, 56), (Shape::Torus, 64), (Shape::TwoBalls, 56), (Shape::Ellipsoid, 64)] {
@@ -176,7 +179,7 @@ fn local_feature_size_stands_the_ripple_of_an_edge() {
             (truth.local_feature_size_min.expect("stated"), truth.local_feature_size_max.expect("stated"));
         let mut pairs = vec![("min", low), ("max", high)];
         if shape != Shape::Ellipsoid {
-            // all over the ball and the torus, and at most places of the two balls
+            // The value everywhere on the ball and the torus, and at most places of the two balls.
             pairs.push(("median", high));
         }
         for (figure, stated) in pairs {
@@ -189,8 +192,8 @@ fn local_feature_size_stands_the_ripple_of_an_edge() {
     }
 }
 
-/// h on the surface is epsilon times the local feature size, which these shapes have in closed form. The volume holds
-/// the distance itself, and the bound by curvature is off.
+/// h on the surface is epsilon times the local feature size, which these shapes have in closed
+/// form. The volume holds the exact distance, and the bound by curvature is off.
 #[test]
 fn size_is_epsilon_times_local_feature_size() {
     let geometry = cube(64);
@@ -198,7 +201,7 @@ fn size_is_epsilon_times_local_feature_size() {
         let folder = tempfile::tempdir().expect("folder");
         let volume = folder.path().join("phantom.nrrd");
         let mut options = Options::for_grid(&geometry);
-        // Wide enough that the medial plane of the gap lies several voxels from either ball.
+        // Wide enough that the medial plane of the gap is several voxels from either ball.
         options.gap = 10.0;
         let scene = scene::build(shape, &geometry, &options);
         let truth = scene.truth();
@@ -221,17 +224,19 @@ fn size_is_epsilon_times_local_feature_size() {
         errors.sort_by(f64::total_cmp);
         let mean = errors.iter().sum::<f64>() / errors.len() as f64;
         let at = |percent: usize| errors[(errors.len() - 1) * percent / 100];
-        // h at the surface, which is smoothed and graded. Measured: means of 0.7, 0.4 and 2.9 %.
+        // h at the surface is smoothed and graded. Measured mean errors (ball, torus, two balls):
+        // 0.7, 0.4 and 2.9 %.
         assert!(mean < 0.05, "{shape:?}: h is off by {mean:.4} on average, {:.4} at worst", at(100));
     }
 }
 
-/// Points of the true surface, spread evenly over directions from the centre of each part.
+/// Points of the true surface on rays towards the centre, spread evenly over directions.
 fn surface_points(scene: &dyn scene::Scene, truth: &Truth) -> Vec<DVec3> {
     let centre = DVec3::from_array(truth.centre_grid);
     let mut points = Vec::new();
     for i in 0..4000 {
-        // A Fibonacci spiral; start well outside and walk in along the ray by sphere tracing (the distance is exact).
+        // A Fibonacci spiral of directions. Each ray starts well outside and walks in by sphere
+        // tracing (the distance is exact).
         let z = 1.0 - (2.0 * f64::from(i) + 1.0) / 4000.0;
         let azimuth = f64::from(i) * std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
         let across = (1.0 - z * z).sqrt();
@@ -255,8 +260,8 @@ fn true_feature_size(shape: Shape, truth: &Truth, point: DVec3) -> f64 {
     }
 }
 
-/// Figures of the local feature size and of h at the surface of a phantom with noise of this standard deviation (the edge is 400
-/// high): smallest and median each.
+/// Minimum and median of the local feature size, then of h, at the surface of a phantom with noise
+/// of this standard deviation (the edge has a height of 400).
 fn noisy_sizes(shape: Shape, n: usize, noise: f64) -> [f64; 4] {
     let folder = tempfile::tempdir().expect("folder");
     let volume = folder.path().join("phantom.nrrd");
@@ -272,8 +277,10 @@ fn noisy_sizes(shape: Shape, n: usize, noise: f64) -> [f64; 4] {
     [figure(feature, "min"), figure(feature, "median"), figure(size, "min"), figure(size, "median")]
 }
 
-/// With noise of 5 % of the edge's height, which makes bumps of 0.1 voxel (root mean square) all over the surface, the medians change by at
-/// most 10 %. Measured: local feature size -5, -4 and -7 %, h -4, 0 and -3 %; measured on F itself the feature size of each falls to 1.3 voxels.
+/// Noise of 5 % of the edge height makes bumps of 0.1 voxel (root mean square) on the surface and
+/// changes the medians by at most 10 %. Measured (ball, torus, two balls): local feature size -5,
+/// -4 and -7 %, h -4, 0 and -3 %. Measured on F itself, the local feature size of each shape falls
+/// to 1.3 voxels.
 #[test]
 fn local_feature_size_and_h_stand_noise() {
     for (shape, n) in [(Shape::Ball, 56), (Shape::Torus, 64), (Shape::TwoBalls, 56)] {
@@ -286,13 +293,14 @@ fn local_feature_size_and_h_stand_noise() {
             assert!(change.abs() <= 0.1, "{shape:?}: median {what} changes by {:.1} %", 100.0 * change);
         }
         if shape == Shape::TwoBalls {
-            // the gap is shape, however thin, and is still seen
+            // The gap belongs to the shape, not to the noise, and must still be found.
             assert!((noisy[0] / clean[0] - 1.0).abs() <= 0.1, "the gap: {clean:?}, with noise {noisy:?}");
         }
     }
 }
 
-/// On a ball with a scanner's edge h is the same everywhere. Measured: 2.7 % from smallest to largest.
+/// On a ball with a scanner's edge, h is the same everywhere. Measured: 2.7 % from minimum to
+/// maximum.
 #[test]
 fn h_is_even_on_a_ball_with_a_scanners_edge() {
     let folder = tempfile::tempdir().expect("folder");

@@ -1,5 +1,5 @@
-//! The contract of bad input between the stages: wrong kinds, damaged files, fields of another volume, impossible
-//! parameters; and how a stage behaves when it is interrupted.
+//! Bad input between the stages: wrong kinds, damaged files, fields of another volume and
+//! impossible parameters are refused. Also the behaviour of an interrupted stage.
 
 mod support;
 
@@ -14,7 +14,7 @@ use std::sync::OnceLock;
 use support::chain::{self, Files, Wishes};
 use support::{Kind, binaries, listing, stage, write_phantom};
 
-/// A small case that went well, made once for the whole test program.
+/// A small valid case, made once per test program.
 fn good() -> &'static Files {
     static GOOD: OnceLock<(tempfile::TempDir, Files)> = OnceLock::new();
     &GOOD
@@ -28,7 +28,7 @@ fn good() -> &'static Files {
         .1
 }
 
-/// The command line of each stage with the good inputs; the output's name comes last.
+/// The command line of each stage with valid inputs, and the name of its output.
 fn commands(files: &Files) -> [(&'static str, Vec<OsString>, &'static str); 4] {
     let fields = arguments!["--distfield", &files.distfield, "--sizefield", &files.sizefield];
     let with_fields = |first: &Path| {
@@ -44,7 +44,7 @@ fn commands(files: &Files) -> [(&'static str, Vec<OsString>, &'static str); 4] {
     ]
 }
 
-/// Runs a stage in an empty folder and checks that it refuses and leaves nothing.
+/// Runs a stage and asserts that it refuses the input and leaves no file.
 #[track_caller]
 fn refused(name: &str, mut arguments: Vec<OsString>, output: &str, words: &[&str]) {
     let folder = tempfile::tempdir().expect("folder");
@@ -56,7 +56,7 @@ fn refused(name: &str, mut arguments: Vec<OsString>, output: &str, words: &[&str
     assert_eq!(listing(folder.path()), [] as [&str; 0], "{name} left something behind");
 }
 
-/// Every input of every stage, replaced by something else.
+/// Replaces every input of every stage by something else.
 #[test]
 fn every_input_of_every_stage_is_checked() {
     let folder = tempfile::tempdir().expect("folder");
@@ -78,7 +78,8 @@ fn every_input_of_every_stage_is_checked() {
                 ("truncated", Some(bytes[..bytes.len() / 2].to_vec())),
             ];
             if ending == "bin" {
-                // The container holds length and checksum; a VTK file may lose its last line break and be whole.
+                // The container stores length and checksum; a VTK file without its last line break
+                // is valid.
                 let shorter = bytes[..bytes.len() - 1].to_vec();
                 replacements.extend([("flipped", Some(flipped)), ("longer", Some(longer)), ("shorter", Some(shorter))]);
             }
@@ -209,7 +210,7 @@ fn every_stage_has_help_version_and_the_shared_options() {
 }
 
 #[test]
-fn the_same_input_gives_the_same_bytes_whatever_the_thread_count() {
+fn output_bytes_do_not_depend_on_the_thread_count() {
     let (one, two) = (tempfile::tempdir().expect("folder"), tempfile::tempdir().expect("folder"));
     for (name, arguments, output) in commands(good()) {
         let outputs = [(&one, "1"), (&two, "3")].map(|(folder, threads)| {
@@ -223,8 +224,7 @@ fn the_same_input_gives_the_same_bytes_whatever_the_thread_count() {
     }
 }
 
-/// An interrupt ends a stage with 130, and nothing half written is left; the checkpoint stays and the resumed run gives
-/// the bytes of an unbroken one.
+/// An interrupted stage ends with exit code 130 and leaves nothing but its checkpoint.
 #[test]
 #[cfg(unix)]
 fn an_interrupted_run_leaves_nothing_but_its_checkpoint() {
@@ -254,7 +254,7 @@ fn an_interrupted_run_leaves_nothing_but_its_checkpoint() {
         .stderr(Stdio::piped())
         .spawn()
         .expect("particles can be started");
-    // The checkpoint shows that the settling has begun.
+    // The checkpoint shows that settling has begun.
     let mut waited = 0;
     while !checkpoint.exists() {
         assert!(child.try_wait().unwrap().is_none() && waited < 6000, "no checkpoint after {waited} x 10 ms");
@@ -270,8 +270,8 @@ fn an_interrupted_run_leaves_nothing_but_its_checkpoint() {
     assert_eq!(listing(folder.path()), ["checkpoint.bin"]);
 }
 
-/// A run of 20 passes, and one whose checkpoint of pass 10 is picked up, give the same particles bit for bit. (The files
-/// differ in the command line that their histories keep.)
+/// A run of 20 passes, and a run resumed from the checkpoint of pass 10, give the same particles
+/// bit for bit. (The files differ in the command line in their histories.)
 #[test]
 fn a_resumed_run_gives_the_particles_of_an_unbroken_one() {
     let folder = tempfile::tempdir().expect("folder");
@@ -300,8 +300,8 @@ fn a_resumed_run_gives_the_particles_of_an_unbroken_one() {
     let (ended, unbroken) = run("unbroken.bin", "20", &[]);
     ended.expect_success("the unbroken run");
     let checkpoint = folder.path().join("checkpoint.bin").to_string_lossy().into_owned();
-    // The checkpoint of pass 10 is the only one a run of 19 passes writes; its parameters must be those of the run that
-    // resumes, so the run of 20 passes is the one that is cut short.
+    // A checkpoint can only be resumed with the parameters of its own run. So a run of 20 passes is
+    // killed after it has written the checkpoint of pass 10.
     let mut child = Command::new(binaries().join("particles"))
         .args(arguments![
             &files.seeds,
@@ -326,7 +326,7 @@ fn a_resumed_run_gives_the_particles_of_an_unbroken_one() {
     while !Path::new(&checkpoint).exists() && child.try_wait().unwrap().is_none() {
         std::thread::sleep(std::time::Duration::from_millis(1));
     }
-    // It may have come to its end already: the checkpoint is all that is needed.
+    // It may have ended already; only the checkpoint is needed.
     child.kill().ok();
     child.wait().unwrap();
     assert!(Path::new(&checkpoint).exists(), "a checkpoint is written at pass 10");
@@ -334,7 +334,7 @@ fn a_resumed_run_gives_the_particles_of_an_unbroken_one() {
     ended.expect_success("the resumed run");
     let particles = |path: &Path| read_particles(path, &[ParticleKind::Particles]).expect("particles").particles;
     assert!(particles(&unbroken) == particles(&resumed), "the resumed run differs");
-    // The same from the checkpoint of the last pass, with nothing left to do but the end.
+    // The same from the checkpoint of the last pass, after which only the final steps remain.
     let last = folder.path().join("last.bin").to_string_lossy().into_owned();
     let (ended, _) = run("whole.bin", "20", &["--checkpoint", &last]);
     ended.expect_success("the run with checkpoints");

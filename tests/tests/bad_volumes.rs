@@ -1,5 +1,5 @@
-//! The contract of bad input for `distfield`, the stage that meets the user's files: exit code 2, a message of three
-//! parts that names what is wrong, and nothing left behind.
+//! Bad input of `distfield`, which reads the user's files: exit code 2, a three-part message that
+//! names the problem, and no file left behind.
 
 mod support;
 
@@ -58,7 +58,7 @@ impl Case {
         case
     }
 
-    /// Runs distfield on it and checks the contract.
+    /// Runs distfield and asserts that it refuses the file and leaves nothing behind.
     #[track_caller]
     fn refused(&self, options: &[&str], words: &[&str]) {
         let before = listing(self.folder.path());
@@ -183,7 +183,7 @@ fn trailing_data_is_refused() {
 }
 
 #[test]
-fn a_header_that_promises_more_than_memory_is_refused_before_allocating() {
+fn a_header_that_promises_too_much_memory_is_refused() {
     Case::nrrd(&["sizes: 100000 100000 100000"], &blob()).refused(&["--iso", "100"], &["promises", "MiB"]);
     let overflow = format!("sizes: {0} {0} {0}", u64::MAX / 2);
     Case::nrrd(&[overflow.as_str()], &blob()).refused(&["--iso", "100"], &[]);
@@ -249,7 +249,7 @@ fn a_folder_that_is_not_there_is_refused() {
 #[cfg(target_os = "linux")]
 fn an_unwritable_folder_and_a_full_disk_are_told() {
     let case = Case::phantom(Kind::Scalar);
-    // Nobody may make files in /proc, not even root; /dev/full is a disk with no room.
+    // Nobody can create files in /proc, not even root; /dev/full acts as a full disk.
     for output in ["/proc/out.vti", "/dev/full"] {
         stage("distfield", command(&case.input, Path::new(output), &["--iso", "100"])).expect_error(2, &[output]);
         assert_eq!(listing(case.folder.path()), ["volume.nrrd"]);

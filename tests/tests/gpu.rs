@@ -1,5 +1,6 @@
-//! The GPU backend of `particles` as a program: on the first adapter there is, Mesa's lavapipe as well. Its mesh is as good as the
-//! CPU's, its runs repeat and resume to the same particles, and its failures have exit code 3.
+//! The GPU backend of `particles` on the first adapter, which may be Mesa's lavapipe. Its mesh is
+//! as good as the CPU's, its runs repeat and resume to the same particles, and its failures have
+//! exit code 3.
 
 mod support;
 
@@ -14,7 +15,7 @@ use std::path::Path;
 use support::chain::{self, Files, Wishes};
 use support::{Kind, examine, listing, skip, stage, write_phantom};
 
-/// The name of the first adapter, or `None` with a line that says what is skipped.
+/// Name of the first adapter; `None`, with a recorded skip, if there is none.
 fn adapter(test: &str) -> Option<String> {
     let ended = stage("particles", ["--list-adapters"]).expect_success("--list-adapters");
     let name = ended.stdout.lines().find_map(|line| line.split_once(" (").map(|(name, _)| name.to_owned()));
@@ -24,7 +25,7 @@ fn adapter(test: &str) -> Option<String> {
     name
 }
 
-/// A small case of target edge length h, mm, settled on the CPU.
+/// A small case with a target edge length of h (mm), settled on the CPU.
 fn torus(folder: &Path, h: f64) -> Files {
     let volume = folder.join("torus.nrrd");
     write_phantom(&volume, Shape::BumpyTorus, &Geometry::axis_aligned([36; 3], DVec3::ONE), Kind::Scalar);
@@ -46,11 +47,11 @@ fn settle(files: &Files, adapter: &str, output: &Path, more: &[&str]) -> Particl
 fn the_mesh_is_as_good_as_that_of_the_cpu() {
     let Some(adapter) = adapter("the mesh from the GPU's particles") else { return };
     let folder = tempfile::tempdir().expect("folder");
-    // 2,400 particles: of 600, one per cent is no more than chance
+    // 2,400 particles: with 600, a difference of one per cent is chance.
     let files = torus(folder.path(), 0.9);
     let report = folder.path().join("particles.json");
     let output = folder.path().join("gpu.bin");
-    // on the levels of the CPU's default: one level alone ends with 2 % more particles on a surface as small as this
+    // With the CPU's default levels: one level ends with 2 % more particles on so small a surface.
     let found = settle(&files, &adapter, &output, &["--levels", "3", "--report", &report.to_string_lossy()]);
     let on_cpu = read_particles(&files.particles, &[ParticleKind::Particles]).expect("particles").particles;
     let ratio = found.positions.len() as f64 / on_cpu.positions.len() as f64;
@@ -77,7 +78,7 @@ fn runs_repeat_and_resume_to_the_same_particles() {
     let passes = ["--energy-tolerance", "0", "--levels", "2", "--coarse-passes", "15", "--max-passes", "17"];
     let whole = settle(&files, &adapter, &folder.path().join("whole.bin"), &passes);
     assert!(whole == settle(&files, &adapter, &folder.path().join("again.bin"), &passes), "two runs differ");
-    // a run that has come to its end leaves the checkpoint of pass 30, on the second level, from which the next goes on
+    // A finished run leaves the checkpoint of pass 30 (second level); the next run resumes there.
     let checkpoint = folder.path().join("checkpoint.bin");
     let mut more = passes.to_vec();
     let name = checkpoint.to_string_lossy().into_owned();
@@ -99,7 +100,7 @@ fn an_adapter_that_is_not_there_ends_with_three() {
     assert_eq!(listing(folder.path()), before);
 }
 
-/// Mesa's layer that asks a display for an order of the adapters complains where there is none, which is no user's concern.
+/// Without a display, Mesa's device-selection layer complains; that must not reach the user.
 #[test]
 #[cfg(target_os = "linux")]
 fn nothing_is_said_of_a_display_that_nobody_needs() {

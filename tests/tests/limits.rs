@@ -1,4 +1,5 @@
-//! What the stages refuse before they work: a size above the object, and more memory than is allowed; with the figure, and nothing left behind.
+//! Limits that stages check before any work: a size above the object, and memory above the maximum.
+//! The message gives the figure, and no file is left behind.
 
 mod support;
 
@@ -12,7 +13,7 @@ use std::path::Path;
 use support::chain::{Files, Wishes, surface};
 use support::{Kind, listing, stage, write_phantom};
 
-/// A ball in a folder of its own, up to its triangles.
+/// A ball in a temporary folder, meshed up to its triangles.
 fn ball() -> (tempfile::TempDir, Files) {
     let folder = tempfile::tempdir().expect("folder");
     let volume = folder.path().join("ball.nrrd");
@@ -21,7 +22,7 @@ fn ball() -> (tempfile::TempDir, Files) {
     (folder, files)
 }
 
-/// Runs a stage to a new output, and checks that it is refused with these words and leaves nothing behind.
+/// Runs a stage and asserts that it refuses with these words and leaves no file.
 #[track_caller]
 fn refused(folder: &Path, name: &str, arguments: Vec<OsString>, output: &str, words: &[&str]) {
     let before = listing(folder);
@@ -32,12 +33,12 @@ fn refused(folder: &Path, name: &str, arguments: Vec<OsString>, output: &str, wo
 }
 
 #[test]
-fn a_size_above_the_object_is_refused_and_one_that_would_do_is_named() {
+fn a_size_above_the_object_is_refused_with_a_better_one() {
     let (folder, files) = ball();
     let too_large = arguments![&files.distfield, "--uniform", "500"];
     refused(folder.path(), "sizefield", too_large, "new.vti", &["h = 500 mm is too large", "gives about 100 vertices"]);
 
-    // an edited field of sizes reaches seed
+    // An edited size field reaches seed, which must refuse it.
     let field = read_field(&files.sizefield, FieldKind::Sizing).expect("a size field");
     let large = folder.path().join("large.vti");
     let image = Image::filled(field.image.geometry.clone(), 500.0);
@@ -54,7 +55,7 @@ fn a_size_above_the_object_is_refused_and_one_that_would_do_is_named() {
 }
 
 #[test]
-fn what_takes_more_memory_than_allowed_is_refused_by_every_stage() {
+fn every_stage_refuses_work_above_the_memory_limit() {
     let (folder, files) = ball();
     let fields = arguments!["--distfield", &files.distfield, "--sizefield", &files.sizefield];
     let too_fine = arguments![&files.distfield, "--uniform", "0.01", "--max-memory", "1G"];

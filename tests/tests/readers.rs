@@ -1,4 +1,5 @@
-//! A short run over every reader with changed and invented files; `make fuzz` looks longer, led by what the code does with them.
+//! Short run of every reader on changed and random files; `make fuzz` runs longer, guided by
+//! coverage.
 
 use isoparticles_stage::error::Error;
 use isoparticles_tests::readers::{Feeder, READERS, Reader};
@@ -25,12 +26,12 @@ thread_local! {
     static FEEDERS: [Feeder; READERS.len()] = READERS.map(Feeder::new);
 }
 
-/// Feeds bytes under a name to every reader.
+/// Feeds bytes under a file name to every reader.
 fn read_all(name: &str, bytes: &[u8]) {
     FEEDERS.with(|feeders| feeders.iter().for_each(|feeder| feeder.feed_file(name, bytes)));
 }
 
-/// Bytes cut short, grown and overwritten in some places.
+/// The bytes with truncations, insertions and replacements.
 fn changed(bytes: &[u8], changes: Vec<(prop::sample::Index, u8, u8)>) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     for (at, byte, how) in changes {
@@ -48,7 +49,7 @@ fn changed(bytes: &[u8], changes: Vec<(prop::sample::Index, u8, u8)>) -> Vec<u8>
     bytes
 }
 
-/// A line that may stand in an NRRD header, right or wrong.
+/// A valid or invalid line of an NRRD header.
 fn header_line() -> impl Strategy<Value = String> {
     let fields = [
         "type",
@@ -139,7 +140,7 @@ proptest! {
     }
 }
 
-// each case writes and reads two files
+// Each case writes and reads two files.
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
 
@@ -159,7 +160,7 @@ proptest! {
     }
 }
 
-/// Files that a fuzz target found a fault with, one a fault, as `tests/data/found/NUMBER.READER`.
+/// Files with which a fuzz target found a fault, one per fault: `tests/data/found/NUMBER.READER`.
 #[test]
 fn what_was_found_stays_found() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/found");

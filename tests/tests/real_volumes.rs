@@ -1,5 +1,5 @@
-//! Real volumes, where they are found (`../shared/data` from the repository's root, or `ISOPARTICLES_DATA`): the surface
-//! is closed, outward, complete and made of good triangles.
+//! Real volumes, if they exist (`../shared/data` from the repository's root, or
+//! `ISOPARTICLES_DATA`): the surface is closed, outward, complete and made of good triangles.
 
 mod support;
 
@@ -41,8 +41,8 @@ fn mickey() {
 
 #[test]
 fn heart() {
-    // The object, and two cavities of eight voxels each: they touch the background along edges
-    // alone, where the object is joined.
+    // The object, and two cavities of eight voxels each. The cavities touch the background only
+    // along edges, where the object is connected.
     mesh("heart", "heart", Some(3));
 }
 

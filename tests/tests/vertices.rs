@@ -1,4 +1,5 @@
-//! A mesh of a number of vertices: `distfield --scale-for-vertices` and `sizefield --vertices` through the whole chain.
+//! Meshes with a given number of vertices: `distfield --scale-for-vertices` and `sizefield
+//! --vertices` through the whole chain.
 
 mod support;
 
@@ -10,7 +11,8 @@ use support::chain::{self, Wishes};
 use support::examine::{Examination, examine};
 use support::{Kind, write_phantom};
 
-/// A phantom by its number of vertices, with more options of `sizefield`; its volume over the truth as well.
+/// Meshes a phantom with a given number of vertices and more options of `sizefield`. Returns also
+/// the ratio of its volume to the exact volume.
 fn mesh(shape: Shape, spacing: DVec3, kind: Kind, vertices: u32, graded: &[&str]) -> (Examination, f64) {
     let folder = tempfile::tempdir().expect("folder");
     let volume = folder.path().join("phantom.nrrd");

@@ -1,4 +1,5 @@
-//! Where meshes land in the world: oblique, anisotropic, left-handed volumes, and the spaces a file may name.
+//! Positions of meshes in the world: oblique, anisotropic and left-handed volumes, and the spaces
+//! that a file may name.
 
 mod support;
 
@@ -11,8 +12,8 @@ use support::chain::{self, Wishes};
 use support::examine::examine;
 use support::{Kind, write_phantom_with};
 
-/// Meshes an ellipsoid (no symmetry to hide a swapped axis) and compares every vertex with where the header's own
-/// numbers, applied here by hand, put the true surface.
+/// Meshes an ellipsoid, whose three different axes reveal a swapped axis. Compares every vertex
+/// with the true surface, placed by hand with the numbers of the header.
 fn lands_where_the_header_says(left_handed: bool, space: FileSpace) {
     let mut directions = DMat3::from_rotation_z(0.5) * DMat3::from_rotation_y(-0.3) * DMat3::from_rotation_x(0.8);
     if left_handed {
@@ -36,7 +37,7 @@ fn lands_where_the_header_says(left_handed: bool, space: FileSpace) {
     let to_grid = directions.transpose();
     let farthest = surface.vertices.iter().map(|world| scene.value(to_grid * (*world - geometry.origin)).abs());
     let farthest = farthest.fold(0.0, f64::max);
-    // Measured 0.02 mm or less where the spacing is 1.5 mm: what the cubic spline makes of the sampled edge.
+    // Measured: at most 0.02 mm at a spacing of 1.5 mm, from the spline of the sampled edge.
     assert!(farthest < 0.06, "a vertex is {farthest} mm from where it should be");
 
     let examined = examine(&surface.vertices, &surface.triangles);

@@ -1,8 +1,9 @@
-//! Many cases from a list: a CSV file with a column a key and a row a case.
+//! Runs many cases from a list: a CSV file with one column per key and one row per case.
 //!
-//! Each row is made by a run of this program of its own, so that none can harm another, with a log of its own. A row that
-//! cannot be made is told and the next one begun. What a row made before holds, as for any case: a batch that was stopped goes
-//! on where it was. The end is `OUT/batch.csv` with a line a row, and the index over all of them.
+//! Each row runs in a separate process of this program with its own log, so a crash affects no
+//! other row. A row that fails is reported, and the next one starts. Valid results of earlier runs
+//! are kept, so a batch that was stopped resumes where it ended. Outputs are `OUT/batch.csv` with
+//! one line per row, and an index over all cases.
 
 use crate::check::Answers;
 use crate::folder::CaseFolder;
@@ -20,34 +21,34 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Folder within OUT for the logs of the rows; no case can have its name ([`crate::name::check`]).
+/// Folder in OUT for the logs of the rows. No case can have this name ([`crate::name::check`]).
 pub(crate) const LOGS: &str = ".batch";
 
-/// What a line begins with that is no row.
+/// Lines that start with this character are comments.
 const COMMENT: char = '#';
 
-/// Keys that hold for the whole batch, and so cannot be columns.
+/// Keys that apply to the whole batch and cannot be columns.
 const FOR_ALL: [&str; 3] = ["CASE", "OUT", "VERBOSITY"];
 
-/// What to make of a list.
+/// A list of cases, and how to run it.
 #[derive(Debug)]
 pub struct Batch<'a> {
-    /// The list.
+    /// Path of the CSV file.
     pub list: &'a Path,
-    /// `KEY=VALUE` for all rows; a row's own cells come before it.
+    /// `KEY=VALUE` for all rows; a row's own cells take precedence.
     pub common: &'a [String],
-    /// Names that the caller knows besides the keys.
+    /// Variable names of the caller besides the keys; a misspelled key may be near one of them.
     pub known: &'a [String],
-    /// How far each case goes: a goal of this program.
+    /// Goal of this program up to which each case is made.
     pub goal: &'a str,
-    /// How long a case may take; after it the case is stopped as by an interrupt, and goes on from there the next time.
+    /// Time limit of each case. After it the case is interrupted, and the next batch resumes it.
     pub limit: Option<Duration>,
 }
 
-/// Reads how long a case may take.
+/// Parses a time limit.
 ///
 /// # Errors
-/// When it is no time with a unit.
+/// When the text is not a duration with a unit.
 pub fn time_limit(text: &str) -> Result<Duration> {
     humantime::parse_duration(text).map_err(|error| {
         Error::input(
@@ -61,18 +62,18 @@ pub fn time_limit(text: &str) -> Result<Duration> {
 /// A row of the list.
 #[derive(Debug)]
 pub(crate) struct Row {
-    /// Its line in the file, from 1.
+    /// Line number in the file, from 1.
     pub line: u64,
-    /// `KEY=VALUE` of the cells that are not empty.
+    /// `KEY=VALUE` of each non-empty cell.
     pub cells: Vec<String>,
-    /// The name of its results; the line where it has none.
+    /// Name of the results, or `line N` if the name is unknown.
     pub name: String,
-    /// The case, or why it cannot be made, where that is known before any work.
+    /// The case, or the error that prevents it, if it is known before any work.
     pub case: Result<Case>,
 }
 
 impl Row {
-    /// The volume, as far as it is known.
+    /// Path of the volume, if the row is valid and not a phantom.
     pub(crate) fn input(&self) -> Option<&Path> {
         match &self.case {
             Ok(Case { volume: Volume::At(path), .. }) => Some(path),
@@ -81,7 +82,7 @@ impl Row {
     }
 }
 
-/// How a row ended.
+/// Outcome of a row.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct Ending {
     /// Name of the case.
@@ -90,22 +91,22 @@ pub struct Ending {
     pub line: u64,
     /// `passed`, `warning`, `failed`, `error`, `interrupted`, or `out of time`.
     pub verdict: String,
-    /// Exit code of its run; none where there was no run, or a signal ended it.
+    /// Exit code of its run; `None` if nothing ran or a signal ended the run.
     pub exit_code: Option<i32>,
-    /// How long it took, in seconds.
+    /// Duration in seconds.
     pub seconds: f64,
-    /// What came out, in a sentence.
+    /// The outcome in one sentence.
     pub headline: String,
-    /// What to do, where something is to be done.
+    /// What the user should do, if anything.
     pub next: String,
-    /// The volume.
+    /// Path of the volume.
     pub input: String,
-    /// File with what its programs said; empty where none was run.
+    /// File with the output of its programs; empty if nothing ran.
     pub log: String,
 }
 
 impl Ending {
-    /// That of a row of which nothing has been made.
+    /// Outcome of a row for which nothing has run.
     pub(crate) fn of_nothing(row: &Row) -> Self {
         Self {
             name: row.name.clone(),
@@ -128,18 +129,19 @@ impl Ending {
 }
 
 impl Batch<'_> {
-    /// Makes every row of the list, then the summary and the index. A row that fails stops nothing.
+    /// Runs every row of the list and updates `OUT/batch.csv` after each. A row that fails does not
+    /// stop the others.
     ///
     /// # Errors
-    /// When the list as a whole cannot be meant: it cannot be read, a column is no key, two rows have one name. Nothing has been
-    /// begun then. When the summary cannot be written.
+    /// When the list is invalid: it is unreadable, a column is not a key, or two rows have one
+    /// name. Nothing has run then. Also when the summary or a log cannot be written.
     pub fn make(&self, programs: &Programs) -> Result<Vec<Ending>> {
         let settings = Settings::read(&[], self.common, None, self.known)?;
         let out = out(&settings);
         let rows = self.checked(programs)?;
         tell_refused(&rows);
         let logs = out.join(LOGS);
-        // What an earlier batch left of rows that are perhaps no more.
+        // Logs of an earlier batch may belong to rows that are no longer in the list.
         let _ = std::fs::remove_dir_all(&logs);
         std::fs::create_dir_all(&logs)
             .map_err(|error| Error::file(&logs, "make", &error, "choose another folder for the results (OUT=...)"))?;
@@ -157,10 +159,10 @@ impl Batch<'_> {
         Ok(endings)
     }
 
-    /// Writes the index over all cases in OUT and the rows that could not be begun.
+    /// Writes the index over all cases in OUT and the rows that could not start.
     ///
     /// # Errors
-    /// When there are none, or the program that writes it fails.
+    /// When there are no cases, or the index program fails.
     pub fn index(&self, programs: &Programs) -> Result<PathBuf> {
         let out = out(&Settings::read(&[], self.common, None, self.known)?);
         let refused = std::fs::read_dir(out.join(LOGS)).into_iter().flatten().flatten().map(|entry| entry.path());
@@ -170,7 +172,7 @@ impl Batch<'_> {
         index::write(&out, refused, programs)
     }
 
-    /// The rows of the list, each asked whether the stages take its options.
+    /// The rows of the list, after the stages have checked the options of each.
     pub(crate) fn checked(&self, programs: &Programs) -> Result<Vec<Row>> {
         let mut rows = self.read()?;
         let goal = stage_of_goal(self.goal).unwrap_or_default();
@@ -185,7 +187,7 @@ impl Batch<'_> {
         Ok(rows)
     }
 
-    /// The rows of the list.
+    /// Parses the list.
     pub(crate) fn read(&self) -> Result<Vec<Row>> {
         let bad = |what: String, next: &str| {
             Error::input(format!("{}: {what}", self.list.display()), "it says which cases to make", next)
@@ -195,7 +197,7 @@ impl Batch<'_> {
         let text = with_plain_lines(&text);
         let header =
             text.lines().find(|line| !line.trim().is_empty() && !line.starts_with(COMMENT)).unwrap_or_default();
-        // Spreadsheets of many countries part columns by semicolons.
+        // Spreadsheets in many countries separate columns by semicolons.
         let delimiter = [',', ';', '\t'].into_iter().find(|mark| header.contains(*mark)).unwrap_or(',');
         let mut reader = csv::ReaderBuilder::new()
             .delimiter(delimiter as u8)
@@ -245,13 +247,13 @@ impl Batch<'_> {
 
     fn row<'a>(&self, line: u64, cells: impl Iterator<Item = (&'a str, &'a str)>) -> Row {
         let cell = |(column, value): (&str, &str)| match column {
-            // From the list's own folder, so that a list and its volumes can be moved together.
+            // Relative to the list's folder, so that a list and its volumes can be moved together.
             "INPUT" => format!("INPUT={}", self.list.parent().unwrap_or(Path::new("")).join(value).display()),
             _ => format!("{column}={value}"),
         };
         let cells: Vec<String> = cells.filter(|(_, value)| !value.is_empty()).map(cell).collect();
         let settings = Settings::read_row(&cells, line, self.common, self.known);
-        // Known also where another cell is wrong.
+        // A valid name is used even if another cell is wrong.
         let named = cells.iter().find_map(|cell| cell.strip_prefix("NAME=")).map(str::to_owned);
         let unnamed = || named.unwrap_or_else(|| format!("line {line}"));
         match settings.and_then(Case::new) {
@@ -284,7 +286,7 @@ impl Batch<'_> {
                     Ended::Signal(_) => None,
                 };
                 ending.exit_code = code;
-                // A run that was killed could not say so itself.
+                // A run that was killed could not record that itself.
                 folder.settle()?;
                 let after = std::fs::read(folder.status_path()).ok();
                 let status = Status::read(&folder.status_path());
@@ -313,7 +315,7 @@ impl Batch<'_> {
         Ok(ending)
     }
 
-    /// What this program is told for a goal over a row.
+    /// Command line of this program for a goal over a row.
     pub(crate) fn arguments(&self, goal: &str, row: &Row, programs: &Programs) -> Vec<OsString> {
         let mut arguments: Vec<OsString> = vec![goal.into()];
         arguments.extend(row.cells.iter().map(OsString::from));
@@ -333,12 +335,12 @@ impl Batch<'_> {
     }
 }
 
-/// The text with LF at the end of each line and no byte order mark.
+/// The text with LF at the end of each line and without a byte order mark.
 fn with_plain_lines(text: &str) -> String {
     text.trim_start_matches('\u{feff}').replace("\r\n", "\n").replace('\r', "\n")
 }
 
-/// The line, from 1, of the record that the reader finds from `byte` on; the reader skips empty
+/// Line number, from 1, of the record that the CSV reader places at `byte`. The reader skips empty
 /// lines and comments.
 fn line_of(text: &str, byte: usize) -> u64 {
     let lines = text[byte..].split('\n');
@@ -346,12 +348,12 @@ fn line_of(text: &str, byte: usize) -> u64 {
     (1 + text[..byte].matches('\n').count() + skipped) as u64
 }
 
-/// Columns that a list may have.
+/// Keys that may be columns of a list.
 pub fn columns() -> impl Iterator<Item = &'static str> {
     KEYS.iter().map(|key| key.name).filter(|name| !FOR_ALL.contains(name))
 }
 
-/// Exit code of a batch over so many rows.
+/// Exit code of a batch: 0 if every row is fit, 1 if one is not, 130 after an interrupt.
 #[must_use]
 pub fn exit_code(endings: &[Ending]) -> u8 {
     if program::stop_requested() {
@@ -360,7 +362,7 @@ pub fn exit_code(endings: &[Ending]) -> u8 {
     u8::from(!endings.iter().all(Ending::is_fit))
 }
 
-/// The last lines on the terminal.
+/// Summary for the end of the terminal output.
 #[must_use]
 pub fn closing(endings: &[Ending]) -> String {
     let fit = endings.iter().filter(|ending| ending.is_fit()).count();
@@ -377,7 +379,7 @@ pub fn closing(endings: &[Ending]) -> String {
     text
 }
 
-/// Tells which rows cannot be made, before any is begun.
+/// Reports the rows that cannot be made, before any row runs.
 pub(crate) fn tell_refused(rows: &[Row]) {
     for row in rows {
         if let Err(error) = &row.case {
@@ -390,13 +392,13 @@ fn tell(ending: &Ending, position: usize, total: usize) {
     println!("[{position}/{total}] {:<24} {:<12} {:>7.1} s", ending.name, ending.verdict, ending.seconds);
 }
 
-/// A verdict as the status file says it.
+/// A verdict in the spelling of the status file.
 pub(crate) fn word(verdict: Verdict) -> String {
     let value = serde_json::to_value(verdict).unwrap_or_default();
     value.as_str().unwrap_or_default().to_owned()
 }
 
-/// The status of a row that could not be begun, for the index.
+/// Status, for the index, of a row that could not start.
 pub(crate) fn refused_status(row: &Row, error: &Problem) -> Status {
     let stage = Stage { error: Some(error.clone()), ..Stage::nothing("distfield", State::Error) };
     Status {
@@ -419,7 +421,7 @@ pub(crate) fn refused_status(row: &Row, error: &Problem) -> Status {
     }
 }
 
-/// The last error in three parts that a log holds.
+/// The last three-part error in a log.
 pub(crate) fn last_error_in(log: &Path) -> Problem {
     last_error(&std::fs::read_to_string(log).unwrap_or_default()).unwrap_or_else(|| Problem {
         what: "ended without a word of why".to_owned(),
@@ -428,7 +430,7 @@ pub(crate) fn last_error_in(log: &Path) -> Problem {
     })
 }
 
-/// The last error in three parts of what a program said.
+/// The last three-part error in the output of a program.
 pub(crate) fn last_error(text: &str) -> Option<Problem> {
     let lines: Vec<&str> = text.lines().collect();
     let at = lines.iter().rposition(|line| line.starts_with("error: "))?;
@@ -438,7 +440,7 @@ pub(crate) fn last_error(text: &str) -> Option<Problem> {
     Some(Problem { what: part("error: "), why: part("why it matters: "), next: part("what to do: ") })
 }
 
-/// Writes a line a row.
+/// Writes the summary: one CSV line per row.
 pub(crate) fn write_summary(path: &Path, endings: &[Ending]) -> Result<()> {
     write_atomically(path, |file| {
         let mut writer = csv::Writer::from_writer(file);

@@ -1,5 +1,5 @@
-//! Asks the programs of the stages whether they take their command lines, before anything is
-//! removed or started (`--check-options` of each stage).
+//! Checks the command lines of the stages with `--check-options` before anything is removed or
+//! started.
 
 use crate::batch::last_error;
 use crate::folder::{CaseFolder, STAGES, report_name};
@@ -13,14 +13,14 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Asks the stages that are about to run. Where no earlier result would be lost, a volume without
-/// the object that is asked for is left to the run, which makes a page about it.
+/// Checks the stages that are about to run. If no earlier result could be lost, an error about the
+/// volume's content is ignored here: the run then reports it on the page of the case.
 ///
 /// # Errors
-/// What the first stage says that refuses its command line.
+/// The error of the first stage that rejects its command line.
 pub fn planned(stages: &[Planned], case: &Case, before: Option<&Status>) -> Result<()> {
     let made = |stage: &str| !stages.iter().any(|planned| planned.name() == stage);
-    // a phantom from an earlier run may be another one
+    // This run makes the phantom again, perhaps with other options.
     let volume = matches!(case.volume, Volume::At(_)) || made("phantom");
     let materials = if made("distfield") { materials_made(&case.folder) } else { None };
     let mut known = Known { materials, volume };
@@ -35,7 +35,7 @@ pub fn planned(stages: &[Planned], case: &Case, before: Option<&Status>) -> Resu
     Ok(())
 }
 
-/// The names of the materials that `distfield` made, by its report.
+/// Names of the materials in the report of `distfield`.
 fn materials_made(folder: &CaseFolder) -> Option<Vec<String>> {
     let text = std::fs::read(folder.path.join(report_name("distfield"))).ok()?;
     let report: serde_json::Value = serde_json::from_slice(&text).ok()?;
@@ -43,18 +43,17 @@ fn materials_made(folder: &CaseFolder) -> Option<Vec<String>> {
     table.iter().map(|material| material["name"].as_str().map(str::to_owned)).collect()
 }
 
-/// Answers of stages by their command lines: cases of a list differ in few options.
+/// Cached answers of the stages by command line; the cases of a list differ in few options.
 #[derive(Default)]
 pub struct Answers(BTreeMap<(PathBuf, Vec<OsString>, String), Result<Known>>);
 
 impl Answers {
-    /// Asks the stages of a case as far as `goal` about its options alone, without its volume and
-    /// its folder.
+    /// Checks the options of a case for the stages up to `goal`, without its volume and its folder.
     ///
     /// # Errors
-    /// What the first stage says that refuses its options.
+    /// The error of the first stage that rejects its options.
     pub fn check(&mut self, case: &Case, goal: &str, programs: &Programs) -> Result<()> {
-        // in place of the case's own folder, so that equal options are equal command lines
+        // A fixed folder instead of the case's own, so that equal options give equal command lines.
         let folder = CaseFolder::new(Path::new("OUT"), "NAME");
         let mut known = Known::default();
         for stage in STAGES.iter().map(|stage| stage.stage) {
@@ -62,7 +61,7 @@ impl Answers {
                 continue;
             }
             let (program, arguments) = command_of(stage, &folder, &case.settings, programs);
-            // a program that is not there is told by the run
+            // The run reports a missing program.
             if program.exists() {
                 let told = serde_json::json!(known).to_string();
                 let answer = self.0.entry((program.clone(), arguments.clone(), told));
@@ -76,7 +75,7 @@ impl Answers {
     }
 }
 
-/// Asks one stage.
+/// Runs `--check-options` of one stage; returns what the next stage may know about the case.
 fn ask(stage: &str, program: &Path, arguments: &[OsString], known: &Known) -> Result<Known> {
     let mut words = vec![CHECK_OPTIONS.into(), serde_json::json!(known).to_string().into()];
     words.extend_from_slice(arguments);

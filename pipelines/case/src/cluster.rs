@@ -1,7 +1,9 @@
-//! A list of cases for a scheduler of jobs: what there is to be called, row by row and stage by stage, and how it went.
+//! Prepares a list of cases for a job scheduler: the command of every row and stage, and how each
+//! row ended.
 //!
-//! The list means what it means to [`crate::batch`]: it is read there alone. A scheduler (`pipelines/Snakefile`) decides when and where each
-//! stage of a row is called; the status of the case stays the truth about what came of it.
+//! [`crate::batch`] parses the list, so it has the same meaning here. A scheduler
+//! (`pipelines/Snakefile`) decides when and where each stage of a row runs. The status of the case
+//! records the outcome.
 
 use crate::batch::{self, Batch, Ending, LOGS, Row};
 use crate::folder::{CaseFolder, PAGE, STAGES};
@@ -18,42 +20,45 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Folder within OUT for what the scheduler keeps, with the logs of the stages; no case can have its name.
+/// Folder in OUT for the scheduler's files and the logs of the stages. No case can have this name.
 pub const FOLDER: &str = ".cluster";
 
-/// A row of the list, as a scheduler is told.
+/// A row of the list in the form that the scheduler reads.
 #[derive(Debug, Serialize)]
 struct Told {
     name: String,
     line: u64,
-    /// What is set, with what is set beside the list.
+    /// The settings of the row, including those given beside the list.
     settings: BTreeMap<String, String>,
-    /// What tells the cost of a mesh of the volume; none of a phantom, or where the volume is not there.
+    /// Command that predicts the cost of a mesh; `None` for a phantom or a missing volume.
     info: Option<Vec<String>>,
-    /// Why the row cannot be made.
+    /// Why the row cannot be made, if it cannot.
     error: Option<Problem>,
     stages: Vec<ToldStage>,
-    /// What makes the page about the case.
+    /// Command that makes the page about the case.
     page: Option<Vec<String>>,
-    /// The folder that every command is to be called in.
+    /// Working directory of all commands.
     folder: PathBuf,
 }
 
 #[derive(Debug, Serialize)]
 struct ToldStage {
     stage: &'static str,
-    /// Files that it reads besides the results of the stages before.
+    /// Files that the stage reads besides the results of earlier stages.
     inputs: Vec<PathBuf>,
-    /// What else its result depends on: options, and the hash of its program.
+    /// What else its result depends on: its options and the hash of its program.
     depends: Vec<String>,
     command: Vec<String>,
 }
 
-/// The rows of a list, each in a line of JSON. The marks of the scheduler (`OUT/.cluster/made/NAME/STAGE`) are taken away from results that are no longer there,
-/// or that another call has made with other settings; it looks at marks, because it would put another time on any file that it took for its own.
+/// Describes each row of a list in one line of JSON.
+///
+/// Also removes the scheduler's marks (`OUT/.cluster/made/NAME/STAGE`) of results that are missing
+/// or were made with other settings. The scheduler tracks marks because it would change the
+/// modification time of any result that it tracked.
 ///
 /// # Errors
-/// When the list as a whole cannot be meant, as for [`Batch::make`].
+/// When the list is invalid, as for [`Batch::make`].
 pub fn rows(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<String>> {
     let this = std::env::current_exe().map_err(|error| {
         Error::input(format!("{error}"), "each stage is a call of this program", "call it by its path")
@@ -108,7 +113,7 @@ pub fn rows(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<String>> {
     rows.iter().map(told).collect()
 }
 
-/// Takes away the marks of the stages that do not hold.
+/// Removes the marks of stages whose results are not valid.
 fn forget_marks(case: &Case, out: &Path, stages: &[&str]) -> Result<()> {
     let status = case.folder.settle()?;
     for mark in stages.iter().chain(&["page"]) {
@@ -126,7 +131,7 @@ fn forget_marks(case: &Case, out: &Path, stages: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// Whether what a status says of a stage is there, and was made with what the row says now.
+/// Whether the result of a stage is intact and was made with the current settings of the row.
 fn holds(status: &Status, case: &Case, stage: &str) -> bool {
     let made = status.stage(stage).is_some_and(|it| it.state == State::Done && case.folder.is_intact(it));
     let then: Vec<String> = status.parameters.iter().map(|(key, value)| format!("{key}={value}")).collect();
@@ -134,7 +139,7 @@ fn holds(status: &Status, case: &Case, stage: &str) -> bool {
     made && Settings::read(&then, &[], None, &[]).is_ok_and(|then| same(&then))
 }
 
-/// The stages that the cases of a list go through; a phantom is made with the first.
+/// Stages that the cases of a list run; a phantom is made together with `distfield`.
 fn wanted(batch: &Batch<'_>) -> Vec<&'static str> {
     let last = stage_of_goal(batch.goal).unwrap_or("tetmesh-check");
     let stages: Vec<&str> = STAGES.iter().map(|it| it.stage).filter(|stage| *stage != "phantom").collect();
@@ -142,7 +147,7 @@ fn wanted(batch: &Batch<'_>) -> Vec<&'static str> {
     stages[..end].to_vec()
 }
 
-/// What tells the cost of a mesh of a volume.
+/// Command that predicts the cost of a mesh of a volume.
 fn info(row: &Row, volume: &Path, out: &Path, programs: &Programs) -> Vec<String> {
     let output = out.join(FOLDER).join("info").join(format!("{}.json", row.name));
     let mut command = vec![programs.bin.join("distfield").into_os_string(), volume.as_os_str().to_owned()];
@@ -172,10 +177,10 @@ fn text(word: OsString) -> String {
     word.to_string_lossy().into_owned()
 }
 
-/// How the rows of a list stand, by their status files and logs; writes `OUT/batch.csv`.
+/// Collects the outcome of each row from its status file and logs; writes `OUT/batch.csv`.
 ///
 /// # Errors
-/// When the list cannot be meant, or the summary cannot be written.
+/// When the list is invalid, or the summary cannot be written.
 pub fn summary(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<Ending>> {
     let out = out(&Settings::read(&[], batch.common, None, batch.known)?);
     let rows = batch.checked(programs)?;
@@ -188,7 +193,7 @@ pub fn summary(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<Ending>> {
     Ok(endings)
 }
 
-/// How a row stands.
+/// Outcome of a row.
 fn ending(batch: &Batch<'_>, row: &Row, out: &Path) -> Result<Ending> {
     let mut ending = Ending::of_nothing(row);
     let folder = CaseFolder::new(out, &row.name);
@@ -232,20 +237,20 @@ fn ending(batch: &Batch<'_>, row: &Row, out: &Path) -> Result<Ending> {
     Ok(ending)
 }
 
-/// Whether a status is that of a row as it stands in the list, not of what the list said before.
+/// Whether a status belongs to the row in its current form, not to an earlier version of the row.
 fn is_of(status: &Status, case: &Case) -> bool {
     let same_volume = match &case.volume {
         Volume::Phantom => true,
         Volume::At(path) => match (status.volume(), path.canonicalize()) {
             (Some(volume), Ok(path)) => volume.path == path,
-            // None is noted of a run that was stopped at once.
+            // A run that was stopped at once records no volume.
             (volume, _) => volume.is_none(),
         },
     };
     status.parameters == case.settings.parameters() && same_volume
 }
 
-/// What a status says, where the stage `stopped` is the first that is not made.
+/// Copies the outcome from a status; `stopped` is the first stage without a valid result.
 fn tell(ending: &mut Ending, status: &Status, stopped: Option<&str>) {
     ending.seconds = status.stages.iter().filter_map(|stage| stage.seconds).sum();
     ending.verdict = batch::word(status.verdict);
@@ -254,7 +259,7 @@ fn tell(ending: &mut Ending, status: &Status, stopped: Option<&str>) {
     ending.next = errors.map(|error| error.next.clone()).next().unwrap_or_default();
     match stopped {
         None => ending.exit_code = Some(verdict::exit_code(status).into()),
-        // Its run ended well, and went less far than the list.
+        // The last run succeeded but had a nearer goal than the list.
         Some(stage) if ending.is_fit() => {
             ending.verdict = batch::word(Verdict::Interrupted);
             ending.headline = format!("{stage} is not made yet, or its result is no longer there.");
@@ -269,7 +274,8 @@ fn tell(ending: &mut Ending, status: &Status, stopped: Option<&str>) {
     }
 }
 
-/// The status of a case whose `stage` ended with failed checks: called again with the same, it would end so again.
+/// The status of a case if `stage` ended with failed checks, else `None`. Such a stage would fail
+/// again with the same settings.
 ///
 /// # Errors
 /// When the status cannot be corrected.
@@ -290,7 +296,7 @@ pub fn failed_before(case: &Case, stage: &str) -> Result<Option<Status>> {
 mod tests {
     use super::*;
 
-    /// A batch over a list in a folder of its own.
+    /// Runs `test` on a batch whose list is in a temporary folder.
     fn with_list<T>(list: &str, test: impl FnOnce(&Batch<'_>, &Path) -> T) -> T {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("cases.csv");
@@ -331,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn a_summary_tells_what_was_not_begun_and_what_is_only_half_made() {
+    fn a_summary_reports_rows_not_begun_and_half_made() {
         with_list("NAME,INPUT,ISO\none,v.nrrd,3\ntwo,gone.nrrd,3\nhalf,v.nrrd,3\n", |batch, folder| {
             let half = CaseFolder::new(&folder.join("out"), "half");
             drop(half.lock().expect("locked"));

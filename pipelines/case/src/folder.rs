@@ -1,5 +1,5 @@
-//! The folder of a case: which files belong to which stage, taking them away, keeping them aside, and the lock that
-//! lets one run at a time work in it.
+//! The folder of a case: which files belong to which stage, how they are removed or kept after a
+//! failure, and the lock that admits one run at a time.
 
 use crate::status::{Identity, Stage, State, Status, Verdict};
 use isoparticles_stage::error::{Error, Result};
@@ -15,24 +15,24 @@ pub struct CaseFolder {
     pub name: String,
 }
 
-/// What belongs to a stage in the folder of a case, and what is kept of it when it fails.
+/// The files of a stage in the folder of a case, and which of them are kept when it fails.
 #[derive(Clone, Copy, Debug)]
 pub struct Belongings {
     /// Name of the stage.
     pub stage: &'static str,
-    /// Its output is NAME with this ending.
+    /// The output is the file NAME with this ending.
     pub output: &'static str,
     /// Files named NAME.STEM and NAME.STEM.* belong to it.
     pub stems: &'static [&'static str],
-    /// Folders within the case's that belong to it.
+    /// Subfolders of the case's folder that belong to it.
     pub folders: &'static [&'static str],
-    /// Results that are kept under a name with `.failed` when a check fails, by their endings.
+    /// Endings of results that are renamed with `.failed` when a check fails.
     pub set_aside: &'static [&'static str],
-    /// Files that tell what went wrong, which keep their names, by their endings.
+    /// Endings of files that explain a failure and keep their names.
     pub explains: &'static [&'static str],
 }
 
-/// All stages in order. The page has a name of its own and belongs to none.
+/// All stages in order. The page belongs to none of them.
 pub const STAGES: [Belongings; 7] = [
     Belongings {
         stage: "phantom",
@@ -92,21 +92,22 @@ pub const STAGES: [Belongings; 7] = [
     },
 ];
 
-/// Ending of the checkpoint of `particles`, from which a stopped run goes on.
+/// Ending of the checkpoint from which a stopped run of `particles` resumes.
 pub const CHECKPOINT: &str = "checkpoint.bin";
-/// Ending of the report of `tetmesh-check`, which is a result.
+/// Ending of the report of `tetmesh-check`, which is also a result.
 pub const REPORT: &str = "report.json";
 /// Ending of the page about the case.
 pub const PAGE: &str = "report.html";
 /// Folder of the stages' reports.
 pub const REPORTS: &str = "reports";
-/// Folder of the pictures, within that of the case.
+/// Folder of the pictures, within the folder of the case.
 pub const PICTURES: &str = "pictures";
 const LOCK: &str = ".lock";
-/// What names of files begin with and hold that are being written (`common/file/src/output.rs`, `files.py` of tetmesh-check).
+/// Names of unfinished files start with the first text and contain the second
+/// (`common/file/src/output.rs`, `files.py` of tetmesh-check).
 const PARTIAL: (&str, &str) = (".isoparticles-", ".partial");
 
-/// What belongs to a stage.
+/// The files of a stage.
 ///
 /// # Panics
 /// When there is no such stage.
@@ -115,16 +116,16 @@ pub fn belongings(stage: &str) -> &'static Belongings {
     STAGES.iter().find(|known| known.stage == stage).expect("a stage of the table")
 }
 
-/// Held as long as a run works in a folder; the system lets go of it when the process ends, however it ends.
+/// Held while a run works in a folder. The system releases it when the process ends, in any way.
 #[derive(Debug)]
 pub struct Lock {
     _file: File,
-    /// Whether the file system knows locks, and so nobody else has it.
+    /// Whether the file system supports locks, so that no other run can hold this one.
     certain: bool,
 }
 
 impl CaseFolder {
-    /// The folder of a case; nothing is made yet.
+    /// The folder of a case; creates nothing.
     #[must_use]
     pub fn new(out: &Path, name: &str) -> Self {
         Self { path: out.join(name), name: name.to_owned() }
@@ -142,16 +143,17 @@ impl CaseFolder {
         self.path.join(self.file_name(ending))
     }
 
-    /// Where the status is.
+    /// Path of the status file.
     #[must_use]
     pub fn status_path(&self) -> PathBuf {
         self.file("status.json")
     }
 
-    /// Makes the folder and takes the lock. What killed programs had begun to write is taken away then: who has the lock is alone here.
+    /// Creates the folder and takes the lock. The holder is the only writer, so unfinished files of
+    /// killed programs are then removed.
     ///
     /// # Errors
-    /// When the folder cannot be made, or another run works in it.
+    /// When the folder cannot be created, or another run works in it.
     pub fn lock(&self) -> Result<Lock> {
         std::fs::create_dir_all(self.path.join(REPORTS)).map_err(|error| {
             Error::file(&self.path, "make the folder", &error, "check OUT, its permissions and the space on the disk")
@@ -169,7 +171,7 @@ impl CaseFolder {
         Ok(lock)
     }
 
-    /// Removes files that were never finished; one that cannot be removed does no harm.
+    /// Removes unfinished files. One that cannot be removed does no harm.
     fn remove_partial(&self) {
         let folders = [self.path.clone(), self.path.join(REPORTS), self.path.join(PICTURES)];
         for entry in folders.iter().filter_map(|folder| std::fs::read_dir(folder).ok()).flatten().flatten() {
@@ -181,7 +183,7 @@ impl CaseFolder {
         }
     }
 
-    /// Takes the lock of a folder that is there; `None` when another run has it.
+    /// Takes the lock of an existing folder; `None` when another run holds it.
     fn try_lock(&self) -> Result<Option<Lock>> {
         let path = self.path.join(LOCK);
         let file = File::options().create(true).truncate(false).write(true).open(&path);
@@ -189,13 +191,13 @@ impl CaseFolder {
         match file.try_lock() {
             Ok(()) => Ok(Some(Lock { _file: file, certain: true })),
             Err(std::fs::TryLockError::WouldBlock) => Ok(None),
-            // A file system without locks cannot tell; most runs are alone.
+            // Without file locks a second run cannot be detected; most runs are alone.
             Err(std::fs::TryLockError::Error(_)) => Ok(Some(Lock { _file: file, certain: false })),
         }
     }
 
-    /// The status, with a run that was killed told as such; `None` when there is none that can be read. A status of a run that is
-    /// under way is left as it is.
+    /// Reads the status, and marks it interrupted if its run was killed. `None` if there is no
+    /// readable status. The status of a run in progress stays unchanged.
     ///
     /// # Errors
     /// When the corrected status cannot be written.
@@ -211,7 +213,7 @@ impl CaseFolder {
         Ok(Some(status))
     }
 
-    /// The files in the folder that belong to a stage, by name, sorted: also those of its own folders, and its report.
+    /// Sorted names of the files that belong to a stage, including those in its subfolders.
     #[must_use]
     pub fn files_of(&self, stage: &Belongings) -> Vec<String> {
         let mut files: Vec<String> = self.listing("").into_iter().filter(|name| self.owns(stage, name)).collect();
@@ -222,14 +224,14 @@ impl CaseFolder {
         files
     }
 
-    /// Whether a file by that name is a stage's.
+    /// Whether a file with this name belongs to a stage.
     fn owns(&self, stage: &Belongings, name: &str) -> bool {
         let Some(rest) = name.strip_prefix(&self.name).and_then(|rest| rest.strip_prefix('.')) else { return false };
         let starts = |stem: &str| rest.strip_prefix(stem).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
         rest != PAGE && stage.stems.iter().any(|stem| starts(stem))
     }
 
-    /// Names of the files in a folder of the case's, relative to the latter.
+    /// Names of the files in a subfolder, relative to the folder of the case.
     fn listing(&self, folder: &str) -> Vec<String> {
         let Ok(entries) = std::fs::read_dir(self.path.join(folder)) else { return Vec::new() };
         let prefix = if folder.is_empty() { String::new() } else { format!("{folder}/") };
@@ -237,15 +239,16 @@ impl CaseFolder {
         files.map(|entry| format!("{prefix}{}", entry.file_name().to_string_lossy())).collect()
     }
 
-    /// Whether a stage writes a file of this name whatever it is told.
+    /// Whether a name is one of a stage's fixed file names, with or without `.failed`.
     #[must_use]
     pub fn is_usual(&self, stage: &Belongings, name: &str) -> bool {
         let usual = std::iter::once(&stage.output).chain(stage.set_aside).chain(stage.explains);
         usual.into_iter().any(|ending| name == self.file_name(ending) || name == self.file_name(&failed(ending)))
     }
 
-    /// Removes what a stage made before, but for the files whose endings are in `keep`: what its usual files are called, what the
-    /// status lists, and everything of its stems if it was killed at work. What else lies there is the user's.
+    /// Removes what a stage made, except files with the endings in `keep`. Removed are files with
+    /// fixed names, files in the status, and all files of its stems if it was killed. Other files
+    /// belong to the user and stay.
     ///
     /// # Errors
     /// When a file cannot be removed.
@@ -256,13 +259,13 @@ impl CaseFolder {
             }
         }
         for folder in stage.folders {
-            // Fails where something else lies in it, which then stays.
+            // Fails if the folder holds other files; these stay.
             let _ = std::fs::remove_dir(self.path.join(folder));
         }
         self.remove(&report_name(stage.stage))
     }
 
-    /// The files that a stage made before, by name.
+    /// Names of the files that a stage made in an earlier run.
     #[must_use]
     pub fn made_before(&self, stage: &Belongings, earlier: Option<&Stage>) -> Vec<String> {
         let killed = earlier.is_some_and(|stage| matches!(stage.state, State::Running | State::Interrupted));
@@ -272,10 +275,10 @@ impl CaseFolder {
         files
     }
 
-    /// Removes a file, if it is there.
+    /// Removes a file if it exists.
     ///
     /// # Errors
-    /// When it is there and cannot be removed.
+    /// When it exists and cannot be removed.
     pub fn remove(&self, name: &str) -> Result<()> {
         let path = self.path.join(name);
         match std::fs::remove_file(&path) {
@@ -289,8 +292,9 @@ impl CaseFolder {
         }
     }
 
-    /// Puts what a failed stage left under names that say so; what could be taken for its result goes away, but not the `others`,
-    /// which were there before. Returns the names of what is kept.
+    /// Renames the results of a failed stage with `.failed`, keeps pictures and explaining files,
+    /// and removes the rest. Files in `others` existed before the run and stay. Returns the names
+    /// of the kept files.
     ///
     /// # Errors
     /// When a file cannot be renamed or removed.
@@ -314,23 +318,23 @@ impl CaseFolder {
         Ok(kept)
     }
 
-    /// What tells whether these files are still the same, by name.
+    /// Sizes and modification times of files, by name, to detect later changes.
     #[must_use]
     pub fn identities(&self, names: &[String]) -> std::collections::BTreeMap<String, Identity> {
         names.iter().filter_map(|name| Some((name.clone(), Identity::of(&self.path.join(name))?))).collect()
     }
 
-    /// Whether everything that a stage made is there as it was made.
+    /// Whether every output of a stage is unchanged since the stage wrote it.
     #[must_use]
     pub fn is_intact(&self, stage: &Stage) -> bool {
         let same = |(name, identity): (&String, &Identity)| Identity::of(&self.path.join(name)) == Some(*identity);
         stage.identities.len() == stage.outputs.len() && stage.identities.iter().all(same)
     }
 
-    /// Removes the whole folder.
+    /// Removes the whole folder; `false` if it does not exist.
     ///
     /// # Errors
-    /// When it is no case's folder, another run works in it, or it cannot be removed.
+    /// When it is not the folder of a case, another run works in it, or it cannot be removed.
     pub fn clean(&self) -> Result<bool> {
         if !self.path.exists() {
             return Ok(false);
@@ -350,18 +354,18 @@ impl CaseFolder {
     }
 }
 
-/// The ending of a file that is kept although a check failed.
+/// Ending of a result that is kept after a failed check: `volume.vtu` becomes `volume.failed.vtu`.
 fn failed(ending: &str) -> String {
     ending.rsplit_once('.').map_or_else(|| format!("{ending}.failed"), |(stem, kind)| format!("{stem}.failed.{kind}"))
 }
 
-/// Name of a stage's report within the folder of the case.
+/// Path of a stage's report relative to the folder of the case.
 #[must_use]
 pub fn report_name(stage: &str) -> String {
     format!("{REPORTS}/{stage}.json")
 }
 
-/// A status whose run was killed, as it should have been left.
+/// Corrects the status of a killed run: running stages become interrupted.
 fn interrupted(mut status: Status) -> Status {
     let mut at = String::from("before its first stage");
     for stage in status.stages.iter_mut().filter(|stage| stage.state == State::Running) {
@@ -378,7 +382,7 @@ fn interrupted(mut status: Status) -> Status {
 mod tests {
     use super::CaseFolder;
 
-    /// Find of `tests/kills.py`: SIGKILL while a file was written left it behind for good.
+    /// `tests/kills.py` found that SIGKILL during a write leaves the unfinished file behind.
     #[test]
     fn what_a_killed_program_had_begun_to_write_is_taken_away() {
         let out = tempfile::tempdir().expect("folder");
@@ -392,7 +396,7 @@ mod tests {
         let lock = folder.lock().expect("free");
         assert!(begun.clone().all(|name| !folder.path.join(name).exists()));
         assert!(folder.path.join("case.volume.vtu").exists() && folder.path.join(".isoparticles-mine").exists());
-        // Who does not get the lock touches nothing.
+        // A run without the lock removes nothing.
         std::fs::write(folder.path.join(".isoparticles-a1b2c3.partial"), b"half").expect("written");
         folder.lock().expect_err("held");
         assert!(folder.path.join(".isoparticles-a1b2c3.partial").exists());

@@ -1,4 +1,5 @@
-//! The command `isoparticles` of the wheel, as shells and `man` see it. What it does is in pipelines/wheel; a test there holds the two together.
+//! The command `isoparticles` of the wheel as a clap command, for shell completions and man pages.
+//! The command itself is in pipelines/wheel; a test there compares the two.
 
 use crate::keys::{Form, KEYS, Key};
 use clap::builder::PossibleValuesParser;
@@ -7,7 +8,7 @@ use isoparticles_stage::cli::shell::CommandLine;
 use isoparticles_stage::error::{Error, Result};
 use std::path::Path;
 
-/// The stages, and what becomes of what in each.
+/// The stages with their inputs and results.
 const STAGES: [(&str, &str); 6] = [
     ("distfield", "A volume to the signed distance field F"),
     ("sizefield", "F to the target edge length h"),
@@ -17,10 +18,10 @@ const STAGES: [(&str, &str); 6] = [
     ("tetmesh-check", "Triangles and h to tetrahedra, checked and solved on"),
 ];
 
-/// Reads what a stage has told of its command line.
+/// Reads the command line that a stage described with `--command-line`.
 ///
 /// # Errors
-/// When the file cannot be read or is something else.
+/// When the file cannot be read or does not hold a command line.
 pub fn stage(path: &Path) -> Result<CommandLine> {
     let text =
         std::fs::read(path).map_err(|error| Error::file(path, "read", &error, "write it by STAGE --command-line"))?;
@@ -34,8 +35,8 @@ pub fn stage(path: &Path) -> Result<CommandLine> {
     })
 }
 
-/// The command line of `isoparticles`, for completions and the manual, with those of the stages that are `known`; behind the others' names
-/// anything may stand.
+/// The command line of `isoparticles`, for completions and man pages. The stages in `known` are
+/// complete; the others accept any arguments.
 #[must_use]
 pub fn command(known: &[CommandLine]) -> Command {
     let options = || KEYS.iter().filter(|key| !["CASE", "INPUT"].contains(&key.name)).map(option);
@@ -86,7 +87,7 @@ fn long(key: &Key) -> String {
 
 /// A key as an option: `MIN_SIZE` is `--min-size`.
 fn option(key: &Key) -> Arg {
-    // clap keeps names for as long as the program runs, which here is to print them.
+    // clap needs names with a static lifetime; the program ends after it has printed them.
     let arg = Arg::new(key.name).long(&*long(key).leak()).value_name(key.name).allow_hyphen_values(true).help(key.what);
     let arg = if key.name == "OUT" { arg.short('o').value_hint(ValueHint::DirPath) } else { arg };
     match key.form {

@@ -1,4 +1,4 @@
-//! The index over all cases of a folder, from their status files.
+//! The index over all cases in a folder, made from their status files.
 
 use crate::folder::CaseFolder;
 use crate::program::{self, Ended};
@@ -7,10 +7,11 @@ use isoparticles_stage::error::{Error, Result};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// The status files of the cases in a folder, by name; runs that were killed are told as such.
+/// Status files of the cases in a folder, sorted by name. Killed runs are marked as interrupted
+/// first.
 ///
 /// # Errors
-/// When there is none, or one cannot be corrected.
+/// When there is none, or a status cannot be corrected.
 pub fn status_files(out: &Path) -> Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(out).into_iter().flatten().flatten();
     let mut names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
@@ -32,10 +33,11 @@ pub fn status_files(out: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Writes `index.html` (and `index.csv` beside it) over the cases in a folder and those of `more` status files.
+/// Writes `index.html`, with `index.csv` beside it, over the cases in a folder and the status files
+/// in `more`.
 ///
 /// # Errors
-/// When there are no cases, or the program fails.
+/// When there are no cases, or the index program fails.
 pub fn write(out: &Path, more: Vec<PathBuf>, programs: &Programs) -> Result<PathBuf> {
     let index = out.join("index.html");
     let cases = match status_files(out) {

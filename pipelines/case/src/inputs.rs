@@ -1,4 +1,5 @@
-//! The files that a case depends on: its volume, the data files of that, and every file that an option names.
+//! The files that a case depends on: its volume, the data files of the volume, and every file that
+//! an option names.
 
 use crate::settings::Settings;
 use crate::status::{Identity, Input, Status};
@@ -12,18 +13,19 @@ pub const VOLUME: &str = "volume";
 /// Role of the files that a detached header names.
 const VOLUME_DATA: &str = "data of the volume";
 
-/// Options of a stage whose value is a file that it writes.
+/// Options of a stage whose value is an output file.
 const WRITTEN: [&str; 9] =
     ["-o", "--output", "--report", "--log", "--checkpoint", "--pictures", "--json", "--write-volume", "--truth"];
 
-/// The volume with its data files, as they are now. What an earlier status knows of an unchanged file is not computed anew.
+/// The volume and its data files in their current state. The hash of a file that is unchanged since
+/// `before` is reused.
 ///
 /// # Errors
 /// When a file cannot be read.
 pub fn of_volume(volume: &Path, before: Option<&Status>) -> Result<Vec<Input>> {
     let mut inputs = vec![input(VOLUME, volume, before)?];
     if volume.is_file() {
-        // A header that cannot be read is the stage's to explain.
+        // The stage reports an unreadable header.
         for path in data_files(volume).unwrap_or_default().iter().filter(|path| path.is_file()) {
             inputs.push(input(VOLUME_DATA, path, before)?);
         }
@@ -31,7 +33,7 @@ pub fn of_volume(volume: &Path, before: Option<&Status>) -> Result<Vec<Input>> {
     Ok(inputs)
 }
 
-/// The files that the options under a key name, such as `DISTFIELD_OPTIONS`, with their data files.
+/// The files named in the options of a key such as `DISTFIELD_OPTIONS`, with their data files.
 ///
 /// # Errors
 /// When a file cannot be read.
@@ -47,7 +49,7 @@ pub fn named_in(settings: &Settings, key: &str, before: Option<&Status>) -> Resu
     Ok(inputs)
 }
 
-/// The volume and its data files, without a look into them; nothing of a volume that is not there.
+/// Paths of the volume and its data files, without hashes; empty if the volume is missing.
 #[must_use]
 pub fn paths_of_volume(volume: &Path) -> Vec<PathBuf> {
     if !volume.exists() {
@@ -57,13 +59,14 @@ pub fn paths_of_volume(volume: &Path) -> Vec<PathBuf> {
     std::iter::once(volume.to_path_buf()).chain(data.into_iter().filter(|path| path.is_file())).collect()
 }
 
-/// The files that the options under a key name, with their data files, without a look into them.
+/// Paths of the files named in the options of a key, with their data files, without hashes.
 #[must_use]
 pub fn paths_named_in(settings: &Settings, key: &str) -> Vec<PathBuf> {
     files_in_words(&settings.words(key)).iter().flat_map(|path| paths_of_volume(path)).collect()
 }
 
-/// Every existing file or folder that a word names, as a whole or between `=`, `:` and `,`.
+/// Every existing file or folder that a word names, as a whole or in a part between `=`, `:` and
+/// `,`.
 fn files_in_words(words: &[String]) -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> = Vec::new();
     let mut option = "";
@@ -78,7 +81,7 @@ fn files_in_words(words: &[String]) -> Vec<PathBuf> {
             continue;
         }
         for path in parts(value).map(PathBuf::from) {
-            // A folder counts where an option takes a volume, which may be a folder of slices.
+            // Folders count only for options that take a volume, which may be a folder of slices.
             let counts = path.is_file() || (name.ends_with("-volume") && path.is_dir());
             if counts && !found.contains(&path) {
                 found.push(path);
@@ -88,7 +91,7 @@ fn files_in_words(words: &[String]) -> Vec<PathBuf> {
     found
 }
 
-/// A word and all its parts from one separator to another.
+/// The word and each of its parts that starts and ends at a separator or an end of the word.
 fn parts(word: &str) -> impl Iterator<Item = &str> {
     let cut = |c: char| matches!(c, '=' | ':' | ',');
     let starts = std::iter::once(0).chain(word.match_indices(cut).map(|(at, separator)| at + separator.len()));
@@ -100,7 +103,7 @@ fn parts(word: &str) -> impl Iterator<Item = &str> {
     pairs.map(|(start, end)| &word[start..end])
 }
 
-/// What is known of a file or folder now.
+/// Current size, time and hash of a file or folder; the hash of an unchanged file is reused.
 fn input(role: &str, path: &Path, before: Option<&Status>) -> Result<Input> {
     let unreadable = |error: &std::io::Error| Error::file(path, "read", error, "check its name and permissions");
     let path = path.canonicalize().map_err(|error| unreadable(&error))?;
@@ -134,7 +137,7 @@ pub(crate) fn hash_file(path: &Path) -> std::io::Result<String> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// Bytes in all files under a folder, and the hash of their names and contents.
+/// Total bytes of the files under a folder, and the hash of their names and contents.
 fn hash_folder(folder: &Path) -> std::io::Result<(u64, String)> {
     let (mut hasher, mut bytes) = (blake3::Hasher::new(), 0);
     let mut folders = vec![folder.to_path_buf()];
@@ -142,7 +145,7 @@ fn hash_folder(folder: &Path) -> std::io::Result<(u64, String)> {
     while let Some(next) = folders.pop() {
         for entry in std::fs::read_dir(next)? {
             let path = entry?.path();
-            // a link to a folder may lead round in a circle
+            // A link to a folder may form a cycle.
             if path.is_dir() && !path.is_symlink() {
                 folders.push(path);
             } else if path.is_file() {
@@ -160,12 +163,12 @@ fn hash_folder(folder: &Path) -> std::io::Result<(u64, String)> {
     Ok((bytes, hasher.finalize().to_hex().to_string()))
 }
 
-/// Hash of the files that are a program, in hexadecimal; a program that is not there counts as nothing.
+/// Hash of the files of a program, in hexadecimal; a missing file counts as empty.
 pub(crate) fn hash_program(files: &[PathBuf]) -> String {
     let mut hasher = blake3::Hasher::new();
     for file in files {
         let mut content = Vec::new();
-        // What cannot be read cannot be run either, which is told when it is started.
+        // An unreadable program cannot be run either; starting it reports the error.
         let _ = std::fs::File::open(file).and_then(|mut file| file.read_to_end(&mut content));
         hasher.update(&content.len().to_le_bytes()).update(&content);
     }

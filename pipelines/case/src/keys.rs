@@ -1,21 +1,22 @@
-//! What a user or a case file may set: every key with what it is and how its value is checked before any work.
+//! The keys that a user or a case file may set: what each means, and how its value is checked
+//! before any work.
 
 use isoparticles_stage::error::{Error, Result};
 
 /// How a value is checked.
 #[derive(Clone, Copy, Debug)]
 pub enum Form {
-    /// Any text; the stage that takes it knows its grammar.
+    /// Any text; the stage that takes it checks it.
     Text,
-    /// Words as a shell would split them: options of a program.
+    /// Options of a program, split into words as in a shell.
     Words,
     /// A finite number.
     Number,
     /// A finite number above 0.
     Positive,
-    /// A finite number, 0 or above.
+    /// A finite number, at least 0.
     NotNegative,
-    /// A whole number from this one on.
+    /// A whole number, at least this one.
     Whole(u64),
     /// One of these words.
     OneOf(&'static [&'static str]),
@@ -28,7 +29,7 @@ pub struct Key {
     pub name: &'static str,
     /// How its value is checked.
     pub form: Form,
-    /// What it is, in a few words, with its unit.
+    /// Short description with the unit.
     pub what: &'static str,
 }
 
@@ -36,7 +37,7 @@ const fn key(name: &'static str, form: Form, what: &'static str) -> Key {
     Key { name, form, what }
 }
 
-/// All keys, in the order in which they are told.
+/// All keys, in the order of the help text.
 pub const KEYS: [Key; 33] = [
     key("CASE", Form::Text, "a file of pipelines/"),
     key("NAME", Form::Text, "the name of the results"),
@@ -81,10 +82,11 @@ pub const KEYS: [Key; 33] = [
     key("HXT", Form::OneOf(&["yes", "no"]), "whether Gmsh may fill large surfaces"),
 ];
 
-/// Keys that change no result, and so neither rerun a stage nor stand among the parameters.
+/// Keys that change no result: they rerun no stage and are not parameters of the status.
 pub const WITHOUT_EFFECT: [&str; 5] = ["CASE", "OUT", "THREADS", "VERBOSITY", "MAX_MEMORY"];
 
-/// The key of a name, or an error with the nearest among the keys and the `other` names that the caller knows.
+/// The key with a name. An unknown name gives an error with the nearest of the keys and the `other`
+/// names of the caller.
 ///
 /// # Errors
 /// When there is no such key.
@@ -101,19 +103,19 @@ pub fn find(name: &str, other: &[String], set_by: &str) -> Result<&'static Key> 
     ))
 }
 
-/// The candidate with the fewest edits from `name`, if it is near enough to be a slip of the keys.
+/// The candidate with the fewest edits from `name`, if it is near enough to be a typing error.
 pub fn nearest<'a>(name: &str, candidates: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     let name = name.to_uppercase();
     let distance = |candidate: &str| strsim::damerau_levenshtein(&name, candidate);
-    // Every third letter may be wrong, one in short names.
+    // A third of the letters may be wrong, and at least one.
     let most = (name.chars().count() / 3).max(1);
     candidates.map(|candidate| (distance(candidate), candidate)).min().filter(|(d, _)| *d <= most).map(|(_, c)| c)
 }
 
-/// Checks a value.
+/// Checks the value of a key.
 ///
 /// # Errors
-/// When it does not have the key's form.
+/// When the value does not have the form of the key.
 pub fn check(key: &Key, value: &str, set_by: &str) -> Result<()> {
     let must = match key.form {
         Form::Text => None,

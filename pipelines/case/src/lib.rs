@@ -1,9 +1,11 @@
-//! The truth about a case: which volume, what was asked for, which stage made what, and what has to be made again.
+//! Keeps track of a case: its volume, its settings, which stage made which file, and what must be
+//! made again.
 //!
-//! A case is a chain of stages over one volume; its results lie in the folder OUT/NAME. [`run::make`] compares what each
-//! stage's result depends on (options, program, files, the stages before) with what the status of the last run says of it,
-//! takes away what no longer holds, runs the stages from there on, and keeps [`status::Status`] in step with the folder: a file
-//! of the case that the last run neither made nor confirmed is not there. The Makefile calls the program of this crate.
+//! A case is a chain of stages over one volume; its results are in the folder OUT/NAME.
+//! [`run::make`] compares what each result depends on (options, program, files, earlier stages)
+//! with the status of the last run. It removes results that are out of date, runs the stages from
+//! there on, and updates [`status::Status`] at each step. So every result in the folder was made or
+//! confirmed by the last run. The Makefile calls the program of this crate.
 
 pub mod batch;
 pub mod check;

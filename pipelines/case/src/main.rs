@@ -1,4 +1,4 @@
-//! The `isoparticles-case` program: what the Makefile does with one case.
+//! The `isoparticles-case` program, which the Makefile calls for every goal of a case.
 
 use clap::Parser;
 use isoparticles_case::batch::{Batch, Ending};
@@ -13,67 +13,72 @@ use isoparticles_stage::error::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Make a case: run the stages whose results are missing or no longer true, and keep the truth in OUT/NAME/NAME.status.json.
+/// Make a case: run the stages whose results are missing or out of date, and record the state in
+/// OUT/NAME/NAME.status.json.
 ///
-/// Goals: distfield, sizefield, seed, particles, surface, mesh (as far as that), page, verdict, info, clean, index, keys (what may be set,
-/// a line each), and batch: every row of a list. For a scheduler that makes a list in its own order: rows (what there is to be called, a line of JSON
-/// each) and summary (how it went, and the index). Exit codes: 0 made and every check passed; 1 made, but a check failed; 2 bad usage or input; 3 no usable GPU;
-/// 130 interrupted. Of a batch: 1 where any row did not end with 0.
+/// Goals: distfield, sizefield, seed, particles, surface and mesh run the stages up to that one.
+/// Others are page, verdict, info, clean, index, and keys, which lists what may be set, one key per
+/// line. batch makes every row of a list. For a scheduler, rows prints the commands of a list, one
+/// line of JSON per row, and summary collects the outcomes and writes the index. Exit codes: 0 made
+/// and every check passed; 1 made, but a check failed; 2 bad usage or input; 3 no usable GPU; 130
+/// interrupted. A batch ends with 1 if any row did not end with 0.
 ///
 /// Example: isoparticles-case mesh INPUT=heart.nrrd LABELS=1 SIZE=2.5
 #[derive(Debug, Parser)]
 #[command(name = "isoparticles-case", version)]
 struct Arguments {
-    /// What to make.
+    /// Goal, such as mesh, page or batch.
     goal: String,
-    /// What the user sets.
+    /// Settings of the user.
     #[arg(value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Name of the case file that `--preset` comes from.
+    /// Name of the case file that the --preset values come from.
     #[arg(long, value_name = "NAME")]
     case_file: Option<String>,
-    /// What the case file sets, which gives way to the user.
+    /// Settings of the case file; those of the user take precedence.
     #[arg(long, value_name = "KEY=VALUE", allow_hyphen_values = true)]
     preset: Vec<String>,
-    /// Names that the caller knows besides the keys, for "did you mean".
+    /// Variable names of the caller besides the keys, for "did you mean".
     #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ' ')]
     known: Vec<String>,
-    /// The list of a batch: a CSV file with a column a key, INPUT from the list's own folder. What is set beside it holds for the rows
-    /// that say nothing else.
+    /// List of a batch: a CSV file with one column per key. INPUT is relative to the list's folder.
+    /// Settings given beside the list apply to rows that do not set them.
     #[arg(long, value_name = "FILE.csv")]
     list: Option<PathBuf>,
-    /// How far a batch makes each case.
+    /// Goal up to which a batch makes each case.
     #[arg(long, value_name = "GOAL", default_value = "mesh")]
     as_far_as: String,
-    /// How long a case of a batch may take, such as 90s, 30m or 2h; then it is stopped, and goes on from there the next time.
+    /// Time limit of each case of a batch, such as 90s, 30m or 2h. After it the case is stopped;
+    /// the next batch resumes it.
     #[arg(long, value_name = "TIME")]
     time_limit: Option<String>,
     /// Folder of the stage programs.
     #[arg(long, value_name = "DIR", default_value = "target/release")]
     bin: PathBuf,
-    /// This is another attempt: a stage whose checks failed would fail again, and is not run.
+    /// This is a retry: a stage whose checks failed would fail again, so it does not run.
     #[arg(long)]
     retry: bool,
-    /// The program tetmesh-check; those of its pages lie beside it.
+    /// The program tetmesh-check; its page and index programs are in the same folder.
     #[arg(long, value_name = "PROGRAM", default_value = ".venv/bin/tetmesh-check")]
     tetmesh_check: PathBuf,
-    /// The files that tetmesh-check is made of, where the program itself does not hold it all; another content makes the tetrahedra anew.
+    /// Files that make up tetmesh-check, if the program file does not contain all of it. If their
+    /// content changes, the tetrahedra are made again.
     #[arg(long, value_name = "FILE", num_args = 0..)]
     tetmesh_files: Vec<PathBuf>,
-    /// The files that its page is made of.
+    /// Files that make up the page. If their content changes, the page is made again.
     #[arg(long, value_name = "FILE", num_args = 0..)]
     page_files: Vec<PathBuf>,
 }
 
 fn main() -> ExitCode {
-    // Nobody types the name of this program: what it tells is about the command that calls it.
+    // Users call `isoparticles`, not this program: completions and man pages describe that command.
     if let Some(code) = told() {
         return code;
     }
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) => {
-            // clap sends help to stdout and usage errors to stderr; a closed pipe is no failure of ours.
+            // clap prints help to stdout and usage errors to stderr. A closed pipe is not an error.
             let _ = error.print();
             return ExitCode::from(if error.use_stderr() { 2 } else { 0 });
         }
@@ -87,7 +92,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// What shells and `man` ask for; behind `--command-lines` come the files that the stages' `--command-line` was written to.
+/// Prints completions or a man page if requested. The words after `--command-lines` are files with
+/// the output of `STAGE --command-line`.
 fn told() -> Option<ExitCode> {
     let words: Vec<String> = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
     let mut parts = words.splitn(2, |word| word == "--command-lines");
@@ -155,7 +161,7 @@ fn go(arguments: Arguments) -> Result<u8> {
         "clean" => clean(&settings),
         "verdict" => {
             let folder = named(&settings)?;
-            // A question answered, whatever the answer.
+            // The exit code is 0 whatever the verdict is.
             print!("{}", verdict::closing(&folder, &run::status_of(&folder)?));
             Ok(0)
         }
@@ -178,7 +184,7 @@ fn go(arguments: Arguments) -> Result<u8> {
     }
 }
 
-/// The stage that a goal goes as far as.
+/// The last stage of a goal.
 fn stage_named(goal: &str) -> Result<&'static str> {
     stage_of_goal(goal).ok_or_else(|| {
         Error::input(
@@ -189,7 +195,7 @@ fn stage_named(goal: &str) -> Result<&'static str> {
     })
 }
 
-/// Tells how the cases of a list went, and makes the index over them.
+/// Prints how the cases of a list ended and writes the index over them. Returns the exit code.
 fn close_batch(batch: &Batch<'_>, endings: &[Ending], programs: &Programs) -> Result<u8> {
     let code = batch::exit_code(endings);
     program::note_stop();
@@ -202,7 +208,7 @@ fn close_batch(batch: &Batch<'_>, endings: &[Ending], programs: &Programs) -> Re
     Ok(code)
 }
 
-/// The folder of a case that is told by name, or as for making it.
+/// The folder of a case by NAME or case file, or else the one that making the case would use.
 fn named(settings: &Settings) -> Result<CaseFolder> {
     match settings.get("NAME").or(settings.case_file()) {
         Some(name) => {
@@ -213,7 +219,7 @@ fn named(settings: &Settings) -> Result<CaseFolder> {
     }
 }
 
-/// The last lines on the terminal, and the exit code.
+/// Prints the closing lines and returns the exit code.
 fn closing(folder: &CaseFolder, status: &Status) -> u8 {
     let code = verdict::exit_code(status);
     let text = verdict::closing(folder, status);
@@ -239,7 +245,7 @@ fn clean(settings: &Settings) -> Result<u8> {
     Ok(0)
 }
 
-/// What the volume is, by `distfield --info`.
+/// Prints the description of the volume by `distfield --info`.
 fn info(settings: Settings, programs: &Programs) -> Result<u8> {
     let case = Case::new(settings)?;
     let volume = match &case.volume {

@@ -1,17 +1,17 @@
-//! The name of a case, from that of its volume.
+//! The name of a case, derived from its volume.
 
 use isoparticles_stage::error::{Error, Result};
 use std::path::Path;
 
-/// Endings that say what a file is and so are no part of its name, longer ones first.
+/// Endings that describe the file type and are removed from the name, longer ones first.
 const ENDINGS: [&str; 9] = [".seg.nrrd", ".nii.gz", ".nrrd", ".nhdr", ".nii", ".mha", ".mhd", ".vti", ".dcm"];
 
-/// The name of the results of a volume: that of its file or folder without an ending that is known.
+/// Name of the results of a volume: its file or folder name without a known ending.
 ///
 /// # Errors
-/// When nothing is left that could name a folder.
+/// When the rest cannot name a folder.
 pub fn of_volume(path: &Path) -> Result<String> {
-    // `..` and `.` have a name only once they are resolved
+    // `..` and `.` have no file name until they are resolved.
     let path = if path.file_name().is_some() { path.to_path_buf() } else { path.canonicalize().unwrap_or_default() };
     let file = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let lower = file.to_ascii_lowercase();
@@ -21,10 +21,10 @@ pub fn of_volume(path: &Path) -> Result<String> {
     Ok(name.to_owned())
 }
 
-/// Checks that a name can be that of a folder within the results' folder.
+/// Checks that a name can be that of a folder in OUT.
 ///
 /// # Errors
-/// When it is empty, hidden, or leads elsewhere.
+/// When it is empty, hidden, starts with `-`, or contains a path separator or a line break.
 pub fn check(name: &str) -> Result<()> {
     if name.is_empty() || name.starts_with(['.', '-']) || name.contains(['/', '\\', '\n']) {
         return Err(Error::input(

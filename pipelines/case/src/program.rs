@@ -1,4 +1,4 @@
-//! Running one program to its end, and passing on the signals that end a run.
+//! Runs programs to their end and forwards the signals that stop a run.
 
 use isoparticles_stage::error::{Error, Result};
 use std::ffi::OsString;
@@ -9,26 +9,28 @@ use std::sync::Once;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-/// The command that takes a goal: `make`, or what the front command that called this program says of itself in ISOPARTICLES_FRONT.
+/// The command that takes a goal, for messages: the value of ISOPARTICLES_FRONT, or `make`.
 #[must_use]
 pub fn front() -> String {
     std::env::var("ISOPARTICLES_FRONT").unwrap_or_else(|_| "make".to_owned())
 }
 
-/// How long a program that was asked to stop has for its last checkpoint: that of a million particles takes seconds.
+/// Time for a program to write its last checkpoint after an interrupt. A checkpoint of a million
+/// particles takes seconds.
 const GRACE: Duration = Duration::from_secs(60);
-/// How often a program with a time limit is looked at.
+/// Interval between checks on a program with a time limit.
 const POLL: Duration = Duration::from_millis(50);
 
-/// Process id of the program that runs now, 0 when none does.
+/// Process id of the running program, 0 if there is none.
 static RUNNING: AtomicU32 = AtomicU32::new(0);
 static REQUESTED: AtomicBool = AtomicBool::new(false);
 static INSTALL: Once = Once::new();
 
-/// Starts to listen for SIGINT, SIGTERM and SIGHUP, which from now on end the program that runs, and then this one.
+/// Installs a handler for SIGINT, SIGTERM and SIGHUP. It interrupts the running program; this
+/// program ends after it.
 pub fn listen() {
     INSTALL.call_once(|| {
-        // Without a handler this program ends at once, and the next run says that it was killed.
+        // Without a handler this program ends at once, and the next run reports that it was killed.
         let _ = ctrlc::set_handler(|| {
             REQUESTED.store(true, Ordering::SeqCst);
             interrupt(RUNNING.load(Ordering::SeqCst));
@@ -36,13 +38,13 @@ pub fn listen() {
     });
 }
 
-/// Whether the user has asked to stop.
+/// Whether the user has requested a stop.
 #[must_use]
 pub fn stop_requested() -> bool {
     REQUESTED.load(Ordering::SeqCst)
 }
 
-/// Takes note of the wish to stop, so that what is left to do is done; a second wish ends that, too.
+/// Clears the stop request so that the remaining work runs; another request stops that, too.
 pub fn note_stop() {
     REQUESTED.store(false, Ordering::SeqCst);
 }
@@ -50,13 +52,13 @@ pub fn note_stop() {
 /// How a program ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ended {
-    /// With an exit code.
+    /// With this exit code.
     Code(i32),
-    /// By a signal (its number; 0 where the system does not tell).
+    /// By this signal; 0 if the system does not report its number.
     Signal(i32),
 }
 
-/// Runs a program to its end; it writes to this one's terminal.
+/// Runs a program to its end, with its output on this terminal.
 ///
 /// # Errors
 /// When it cannot be started.
@@ -66,8 +68,9 @@ pub fn run(program: &Path, arguments: &[OsString]) -> Result<Ended> {
     Ok(run_command(command, None)?.0)
 }
 
-/// Runs a program to its end, with what it says going to a file, and tells whether it was stopped because the time was over.
-/// It is stopped as by the user, then once more, then it is killed.
+/// Runs a program to its end, with its output in a file; returns also whether the time limit was
+/// exceeded. After the limit the program is interrupted, a minute later again, and another minute
+/// later killed.
 ///
 /// # Errors
 /// When it cannot be started.
@@ -80,7 +83,7 @@ pub fn run_logged(program: &Path, arguments: &[OsString], log: File, limit: Opti
     run_command(command, limit)
 }
 
-/// Runs a program to its end and gives what it said.
+/// Runs a program to its end and returns its output.
 ///
 /// # Errors
 /// When it cannot be started.
@@ -102,7 +105,8 @@ fn run_command(mut command: Command, limit: Option<Duration>) -> Result<(Ended, 
     command.stdin(std::process::Stdio::null());
     #[cfg(unix)]
     {
-        // A group of its own: Ctrl-C reaches it through us, once. A second signal would end it without its last checkpoint.
+        // A separate process group: Ctrl-C reaches the program only through this one, and only
+        // once. A second signal would end it without its last checkpoint.
         use std::os::unix::process::CommandExt;
         command.process_group(0);
     }
@@ -123,7 +127,8 @@ fn run_command(mut command: Command, limit: Option<Duration>) -> Result<(Ended, 
     Ok((ended(status), out_of_time))
 }
 
-/// Waits for the end, and brings it about when the time is over; whether it was over comes with it.
+/// Waits for the end; interrupts and finally kills the program after `limit`. The flag says whether
+/// that happened.
 fn wait(child: &mut Child, limit: Option<Duration>) -> std::io::Result<(ExitStatus, bool)> {
     let Some(limit) = limit else { return Ok((child.wait()?, false)) };
     let started = Instant::now();
@@ -158,7 +163,7 @@ fn ended(status: ExitStatus) -> Ended {
 fn interrupt(process: u32) {
     use nix::sys::signal::{Signal, kill};
     if let Some(process) = i32::try_from(process).ok().filter(|process| *process > 0) {
-        // Whatever has ended already needs no signal.
+        // A process that has already ended needs no signal.
         let _ = kill(nix::unistd::Pid::from_raw(process), Signal::SIGINT);
     }
 }

@@ -1,4 +1,5 @@
-//! Making a case: which stages have to run, taking away what is no longer true, running them, and keeping the status.
+//! Makes a case: finds the stages that have to run, removes results that are out of date, runs the
+//! stages and updates the status.
 
 use crate::folder::{Belongings, CHECKPOINT, CaseFolder, PAGE, STAGES, belongings, report_name};
 use crate::inputs::{self, VOLUME, hash_program};
@@ -13,14 +14,14 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// One case, as far as it is known before any file is looked at.
+/// One case, as its settings describe it; no file has been read.
 #[derive(Debug)]
 pub struct Case {
-    /// Where the results go.
+    /// Folder of the results.
     pub folder: CaseFolder,
-    /// What is meshed.
+    /// The volume to mesh.
     pub volume: Volume,
-    /// What is set.
+    /// The settings.
     pub settings: Settings,
 }
 
@@ -54,7 +55,8 @@ impl Case {
     /// Checks what can be checked before any work.
     ///
     /// # Errors
-    /// When the volume is not there, or what in it is to be meshed is not said, or said twice.
+    /// When the volume is missing, when none of ISO, LABELS and MATERIALS is set, or when INSIDE is
+    /// combined with labels.
     pub fn check(&self) -> Result<()> {
         if let Volume::At(path) = &self.volume
             && !path.exists()
@@ -93,10 +95,12 @@ pub fn out(settings: &Settings) -> PathBuf {
     PathBuf::from(settings.get("OUT").unwrap_or("out"))
 }
 
-/// Makes a case as far as `goal`, the name of a stage. The status tells how it went, also when a stage failed.
+/// Makes a case up to the stage `goal`. The returned status records the outcome, also of a failed
+/// stage.
 ///
 /// # Errors
-/// When nothing could be begun: nothing of an earlier run has been touched then.
+/// When the run cannot start; results of an earlier run are untouched then. Also when a file of the
+/// case cannot be written or removed.
 pub fn make(case: &Case, goal: &str, programs: &Programs) -> Result<Status> {
     case.check()?;
     let folder = &case.folder;
@@ -119,7 +123,7 @@ pub fn make(case: &Case, goal: &str, programs: &Programs) -> Result<Status> {
     Ok(run.status)
 }
 
-/// The stages that have to run, by position: from the first whose result does not hold up to the
+/// Positions of the stages that have to run: from the first one without a valid result up to the
 /// goal.
 fn to_run(folder: &CaseFolder, goal: &str, plan: &Plan, before: Option<&Status>) -> Range<usize> {
     let holds = |planned: &Planned| {
@@ -131,7 +135,7 @@ fn to_run(folder: &CaseFolder, goal: &str, plan: &Plan, before: Option<&Status>)
     first..goal.map_or(plan.stages.len(), |position| position + 1)
 }
 
-/// Refuses to put the results of one volume in place of those of another.
+/// Refuses to replace the results of one volume with those of another.
 fn refuse_another_volume(case: &Case, before: &Status, plan: &Plan) -> Result<()> {
     let described = |input: Option<&Input>| input.map_or("a phantom".to_owned(), |it| it.path.display().to_string());
     let then = before.volume().filter(|_| before.stage("phantom").is_none());
@@ -159,17 +163,17 @@ fn refuse_another_volume(case: &Case, before: &Status, plan: &Plan) -> Result<()
     ))
 }
 
-/// A run under way.
+/// A run in progress.
 struct Run<'a> {
     case: &'a Case,
     plan: Plan,
     status: Status,
-    /// The stages to run, by position; empty where all is made.
+    /// Positions of the stages to run; empty if all results are valid.
     to_run: Range<usize>,
 }
 
 impl<'a> Run<'a> {
-    /// Finds out what still holds, marks the rest stale and takes it away.
+    /// Finds the valid results, marks the others stale and removes them.
     fn begin(case: &'a Case, goal: &str, to_run: Range<usize>, plan: Plan, before: Option<Status>) -> Result<Self> {
         let folder = &case.folder;
         let earlier = |planned: &Planned| before.as_ref().and_then(|status| status.stage(planned.name()));
@@ -209,13 +213,14 @@ impl<'a> Run<'a> {
         Ok(run)
     }
 
-    /// Takes away what the stages from the next one on made before; the checkpoint of this very run of `particles` may stay.
+    /// Removes the results of the stages from the next one on. The checkpoint of `particles` stays
+    /// if the stage has the same key.
     fn remove_stale(&mut self, before: Option<&Status>, checkpoint: bool) -> Result<()> {
         let folder = &self.case.folder;
         let earlier = |stage: &Belongings| before.and_then(|status| status.stage(stage.stage));
         let holds = |stage: &Belongings| {
             self.status.stage(stage.stage).is_some_and(|stage| stage.state == State::Done)
-                // a volume beside the results may be the user's own
+                // A volume beside the results may be the user's own.
                 || (stage.stage == "phantom" && self.case.volume != Volume::Phantom)
         };
         let stale: Vec<&Belongings> = STAGES.iter().filter(|stage| !holds(stage)).collect();
@@ -236,7 +241,7 @@ impl<'a> Run<'a> {
         self.status.write(&self.case.folder.status_path())
     }
 
-    /// Runs the stages that have to run, until one fails.
+    /// Runs the stages that have to run, until one does not succeed.
     fn go(&mut self) -> Result<()> {
         let confirmed: Vec<&str> = self.plan.stages[..self.to_run.start].iter().map(Planned::name).collect();
         if !confirmed.is_empty() {
@@ -256,7 +261,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// Runs one stage and notes how it went.
+    /// Runs one stage and records the outcome.
     fn run_stage(&mut self, position: usize) -> Result<()> {
         let (folder, planned) = (&self.case.folder, &self.plan.stages[position]);
         let command = planned.command_line();
@@ -266,8 +271,9 @@ impl<'a> Run<'a> {
         self.status.stages[position] = stage.clone();
         self.write()?;
         say(&command);
-        // What is there and stays is the user's, but for the checkpoint and its log, with which a stopped run goes on, and for what the stage of
-        // a program that was killed has gone on to write since.
+        // Files that exist now belong to the user and stay. Exceptions are the stage's fixed names:
+        // a checkpoint and its log, from which a stopped run resumes, and late output of a killed
+        // run.
         let mut others = folder.files_of(planned.belongings);
         others.retain(|name| !folder.is_usual(planned.belongings, name));
         let started = Instant::now();
@@ -308,7 +314,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// Comes to the verdict, and has the page made.
+    /// Sets the verdict and makes the page.
     fn finish(&mut self, programs: &Programs) -> Result<()> {
         program::note_stop();
         (self.status.verdict, self.status.headline) = verdict::of(&self.status);
@@ -316,7 +322,7 @@ impl<'a> Run<'a> {
         let page = folder.file(PAGE);
         let told = (&self.status.verdict, &self.status.stages, &self.status.parameters, &self.status.inputs);
         let told = serde_json::to_string(&told).unwrap_or_default() + &hash_program(&programs.page_files);
-        // Which run made a result and which confirmed it makes no other page.
+        // The page does not depend on which run made a result.
         let told = told.replace("\"made\":true", "\"made\":false");
         let key = blake3::hash(told.as_bytes()).to_hex().to_string();
         if key == self.status.page_key && self.status.page.is_some() && page.exists() {
@@ -327,7 +333,7 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Has the page of a status made, where its program is there, and writes the status with it.
+/// Makes the page of a status if its program is installed, and writes the status that names it.
 ///
 /// # Errors
 /// When the status cannot be written, or an old page cannot be removed.
@@ -352,7 +358,8 @@ pub fn make_page(folder: &CaseFolder, status: &mut Status, programs: &Programs) 
     Ok(())
 }
 
-/// Name of the report that a stage left; that of `tetmesh-check` is a result, with a copy beside the other reports.
+/// Path of the report that a stage left. That of `tetmesh-check` is a result; a copy goes to the
+/// folder of reports.
 fn report_left(folder: &CaseFolder, planned: &Planned, stage: &Stage) -> Option<String> {
     let name = planned.report.clone()?;
     let common = report_name(planned.name());
@@ -360,12 +367,13 @@ fn report_left(folder: &CaseFolder, planned: &Planned, stage: &Stage) -> Option<
         return folder.path.join(&name).is_file().then_some(name);
     }
     let left = stage.outputs.iter().chain(&stage.kept).find(|file| file.ends_with(".json"))?;
-    // The reports of all stages stand side by side for programs that compare them; the result is there without.
+    // The copy lets programs compare the reports of all stages in one folder. The result does not
+    // need it.
     let _ = std::fs::copy(folder.path.join(left), folder.path.join(common));
     Some(left.clone())
 }
 
-/// What a stage's report says of how it went.
+/// A stage's report in JSON.
 struct Report(serde_json::Value);
 
 impl Report {
@@ -383,7 +391,7 @@ impl Report {
     }
 }
 
-/// Notes how a stage ended.
+/// Records in `stage` how its program ended.
 fn judge(stage: &mut Stage, ended: Ended, report: Option<&Report>, output: &Path) {
     if let Some(report) = report {
         stage.warnings = report.texts("warnings");
@@ -437,7 +445,7 @@ fn complain(text: &str) {
     let _ = writeln!(std::io::stderr(), "{text}");
 }
 
-/// The stage that a goal ends with.
+/// The last stage of a goal.
 #[must_use]
 pub fn stage_of_goal(goal: &str) -> Option<&'static str> {
     match goal {
@@ -447,7 +455,7 @@ pub fn stage_of_goal(goal: &str) -> Option<&'static str> {
     }
 }
 
-/// The goal that ends with a stage, by the name that is told.
+/// The goal that ends with a stage, in the user's terms.
 pub(crate) fn goal_of_stage(stage: &str) -> &str {
     match stage {
         "tetmesh-check" => "mesh",
@@ -456,10 +464,10 @@ pub(crate) fn goal_of_stage(stage: &str) -> &str {
     }
 }
 
-/// The page of a case from its status as it stands.
+/// Makes the page of a case from its current status.
 ///
 /// # Errors
-/// When there is no status, or a run is under way.
+/// When there is no status, or a run is in progress.
 pub fn page(folder: &CaseFolder, programs: &Programs) -> Result<Status> {
     let mut status = status_of(folder)?;
     let _lock = folder.lock()?;
@@ -467,7 +475,7 @@ pub fn page(folder: &CaseFolder, programs: &Programs) -> Result<Status> {
     Ok(status)
 }
 
-/// The status of a case that was made before.
+/// The status of a case from an earlier run.
 ///
 /// # Errors
 /// When there is none.
@@ -481,7 +489,7 @@ pub fn status_of(folder: &CaseFolder) -> Result<Status> {
     })
 }
 
-/// Where the output of a stage is in the folder of a case.
+/// Path of a stage's output in the folder of the case.
 #[must_use]
 pub fn output_of(folder: &CaseFolder, stage: &str) -> PathBuf {
     folder.file(belongings(stage).output)

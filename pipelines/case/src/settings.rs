@@ -1,4 +1,4 @@
-//! What is set for a case, by whom, and what gives way to what.
+//! The settings of a case: who set each key, and which settings take precedence.
 
 use crate::keys::{self, KEYS};
 use isoparticles_stage::error::{Error, Result};
@@ -13,16 +13,16 @@ pub enum By {
     Case,
 }
 
-/// The keys that are set and what they are set to.
+/// The keys that are set, with their values.
 #[derive(Clone, Debug, Default)]
 pub struct Settings {
     values: BTreeMap<&'static str, (String, By)>,
     case_file: Option<String>,
-    /// Where the user set what the user set, in words.
+    /// Where the user's settings come from, for messages.
     by_user: String,
 }
 
-/// Two keys that say the same thing in two ways, and why they cannot both hold.
+/// Pairs of keys that exclude each other, and why.
 const EXCLUSIVE: [(&str, &str, &str); 11] = [
     ("INPUT", "PHANTOM", "a case has one volume: a file, or a phantom that is made"),
     ("ISO", "LABELS", "a volume is meshed as a scalar or as labels"),
@@ -38,7 +38,7 @@ const EXCLUSIVE: [(&str, &str, &str); 11] = [
 ];
 const LEAVES_NOTHING: &str = "SIZE is one edge length everywhere and leaves nothing to grade or bound";
 
-/// What a case file says goes with another of its values that the user has replaced: (the user's key, the case's).
+/// Pairs (user's key, case file's key): if the user sets the first, the second is dropped.
 const GOES_WITH: [(&str, &str); 6] = [
     ("LABELS", "INSIDE"),
     ("MATERIALS", "INSIDE"),
@@ -49,18 +49,20 @@ const GOES_WITH: [(&str, &str); 6] = [
 ];
 
 impl Settings {
-    /// Reads `KEY=VALUE` assignments of the user and of the case file. What the user sets comes first: what the case file
-    /// says on the same matter is dropped. An empty value unsets a key.
+    /// Reads the `KEY=VALUE` assignments of the user and of the case file. The user's settings take
+    /// precedence; settings of the case file that contradict them are dropped. An empty value
+    /// unsets a key.
     ///
     /// # Errors
-    /// An unknown key (with the nearest of the keys and `known`), a value of the wrong form, two keys of one hand that
-    /// exclude each other.
+    /// An unknown key (the message names the nearest of the keys and `known`), a value of the wrong
+    /// form, or two keys from one source that exclude each other.
     pub fn read(user: &[String], case: &[String], case_file: Option<&str>, known: &[String]) -> Result<Self> {
         let by_user = "on the command line".to_owned();
         Self { case_file: case_file.map(str::to_owned), by_user, ..Self::default() }.filled(user, case, known)
     }
 
-    /// The same where the user's assignments stand in a row of a list, and what holds for all rows gives way to them.
+    /// Like [`Settings::read`], but the user's assignments come from a row of a list. `common`
+    /// applies to all rows; the row takes precedence.
     ///
     /// # Errors
     /// As [`Settings::read`].
@@ -92,23 +94,23 @@ impl Settings {
         Ok(self)
     }
 
-    /// The value of a key, if it is set and has not given way.
+    /// The value of a key, if it is set and was not dropped.
     pub fn get(&self, key: &str) -> Option<&str> {
         self.values.get(key).map(|(value, _)| value.as_str())
     }
 
     /// The words of a value that is a list of options.
     pub fn words(&self, key: &str) -> Vec<String> {
-        // the form was checked on reading
+        // `keys::check` has verified the quotes.
         self.get(key).and_then(shlex::split).unwrap_or_default()
     }
 
-    /// The case file, as the user knows it.
+    /// Name of the case file, without its ending.
     pub fn case_file(&self) -> Option<&str> {
         self.case_file.as_deref()
     }
 
-    /// What is set and may change a result, for the status.
+    /// The settings that may change a result, for the status.
     pub fn parameters(&self) -> BTreeMap<String, String> {
         let told = KEYS.iter().filter(|key| !keys::WITHOUT_EFFECT.contains(&key.name));
         told.filter_map(|key| Some((key.name.to_owned(), self.get(key.name)?.to_owned()))).collect()
@@ -118,7 +120,7 @@ impl Settings {
         self.values.get(key).map(|(_, by)| *by)
     }
 
-    /// Who set something, in words.
+    /// Where a setting comes from, for messages.
     fn hand(&self, by: By) -> String {
         match (by, &self.case_file) {
             (By::User, _) => self.by_user.clone(),

@@ -1,4 +1,4 @@
-//! The commands of a case's stages, and the hash that tells when one has to run again.
+//! The command lines of a case's stages, and the hashes that decide which stages have to run again.
 
 use crate::folder::{Belongings, CHECKPOINT, CaseFolder, PICTURES, REPORT, STAGES, report_name};
 use crate::inputs::{self, hash_program};
@@ -8,16 +8,16 @@ use isoparticles_stage::error::{Error, Result};
 use std::ffi::OsString;
 use std::path::PathBuf;
 
-/// Where the programs of the stages are.
+/// Paths of the stage programs.
 #[derive(Clone, Debug)]
 pub struct Programs {
     /// Folder of the Rust stages and of `phantom`.
     pub bin: PathBuf,
-    /// `tetmesh-check`; its page and index programs lie beside it.
+    /// `tetmesh-check`; its page and index programs are in the same folder.
     pub tetmesh_check: PathBuf,
-    /// The files that are `tetmesh-check`: another content makes other tetrahedra.
+    /// Files that make up `tetmesh-check`: if their content changes, the tetrahedra are made again.
     pub tetmesh_files: Vec<PathBuf>,
-    /// The files that are its page.
+    /// Files that make up the page.
     pub page_files: Vec<PathBuf>,
 }
 
@@ -53,15 +53,15 @@ pub enum Volume {
 /// One stage, ready to run.
 #[derive(Debug)]
 pub struct Planned {
-    /// What belongs to it.
+    /// The files of the stage.
     pub belongings: &'static Belongings,
     /// The program.
     pub program: PathBuf,
     /// Its arguments.
     pub arguments: Vec<OsString>,
-    /// Name of its report within the folder; none of the phantom.
+    /// Path of its report within the folder; `None` for the phantom.
     pub report: Option<String>,
-    /// Hash of everything that its result depends on, earlier stages included.
+    /// Hash of everything that its result depends on, including earlier stages.
     pub key: String,
 }
 
@@ -72,7 +72,7 @@ impl Planned {
         self.belongings.stage
     }
 
-    /// The command as it could be typed.
+    /// The command line, quoted for a shell.
     #[must_use]
     pub fn command_line(&self) -> String {
         let words = std::iter::once(self.program.as_os_str()).chain(self.arguments.iter().map(OsString::as_os_str));
@@ -87,13 +87,13 @@ impl Planned {
 /// All stages of a case in order, and the files that they depend on.
 #[derive(Debug)]
 pub struct Plan {
-    /// The stages; `phantom` first where the volume is made.
+    /// The stages; `phantom` comes first if the case makes its volume.
     pub stages: Vec<Planned>,
     /// The volume and every file that an option names.
     pub inputs: Vec<Input>,
 }
 
-/// Plans a case.
+/// Plans the stages of a case.
 ///
 /// # Errors
 /// When a file that it depends on cannot be read, or is one of its own results.
@@ -119,7 +119,7 @@ pub fn plan(
         let options = options(name, settings);
         let hxt = hxt(name, settings);
         let (program, files) = program_of(name, programs);
-        // A file counts by what it holds and how it is read, not by where it lies.
+        // A file counts by its content and its extension, not by its path.
         let contents: Vec<_> = inputs.iter().map(|input| (&input.hash, input.path.extension())).collect();
         let text = format!("{name}\n{options:?}\n{hxt:?}\n{contents:?}\n{}\n{earlier}", hash_program(&files));
         let key = blake3::hash(text.as_bytes()).to_hex().to_string();
@@ -132,7 +132,8 @@ pub fn plan(
     Ok(plan)
 }
 
-/// What is set that may change the result of a stage itself, besides its files and the stages before; a phantom is part of `distfield`.
+/// Settings that may change the result of a stage, apart from input files and earlier stages. The
+/// options of a phantom count for `distfield`.
 #[must_use]
 pub fn depends_on(stage: &str, settings: &Settings) -> Vec<String> {
     let mut words = if stage == "distfield" { settings.words("PHANTOM") } else { Vec::new() };
@@ -141,12 +142,12 @@ pub fn depends_on(stage: &str, settings: &Settings) -> Vec<String> {
     words
 }
 
-/// Without Gmsh other tetrahedra come out of the same options.
+/// The HXT setting of `tetmesh-check`: without Gmsh, the same options give other tetrahedra.
 fn hxt<'a>(stage: &str, settings: &'a Settings) -> Option<&'a str> {
     settings.get("HXT").filter(|_| stage == "tetmesh-check")
 }
 
-/// The program of a stage, and the files that it is made of.
+/// The program of a stage, and the files that make it up.
 #[must_use]
 pub fn program_of(stage: &str, programs: &Programs) -> (PathBuf, Vec<PathBuf>) {
     match stage {
@@ -155,7 +156,7 @@ pub fn program_of(stage: &str, programs: &Programs) -> (PathBuf, Vec<PathBuf>) {
     }
 }
 
-/// The program of a stage and its command line, over a volume in the folder.
+/// The program of a stage and its command line, for a volume in the folder of the case.
 #[must_use]
 pub fn command_of(
     stage: &str,
@@ -167,7 +168,7 @@ pub fn command_of(
     (program_of(stage, programs).0, words)
 }
 
-/// The key of a stage's further options.
+/// The key that holds further options of a stage.
 pub(crate) fn options_key(stage: &str) -> &'static str {
     match stage {
         "phantom" => "PHANTOM",
@@ -180,7 +181,7 @@ pub(crate) fn options_key(stage: &str) -> &'static str {
     }
 }
 
-/// Options of a stage by the key that sets each; what is not set keeps the stage's own default.
+/// The options of a stage, each with the key that sets it. Unset keys keep the stage's default.
 fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
     match stage {
         "distfield" => &[
@@ -206,7 +207,8 @@ fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
     }
 }
 
-/// What sets how much of the data a mesh shall keep, the first one that is set: options of `distfield` by their keys.
+/// Options of `distfield` that set the amount of detail, with their keys. The first key that is set
+/// applies.
 const SCALE_BY_KEY: [(&str, &str); 4] = [
     ("--scale", "SCALE"),
     ("--scale-for-size", "SIZE"),
@@ -214,13 +216,14 @@ const SCALE_BY_KEY: [(&str, &str); 4] = [
     ("--quality", "QUALITY"),
 ];
 
-/// `lungs:2,heart:1+4` as options of `distfield`; a name alone is one of the file's, or `all`.
+/// `lungs:2,heart:1+4` as options of `distfield`. A name without labels is one that the file
+/// defines, or `all`.
 fn materials(choice: &str) -> impl Iterator<Item = String> {
     let named = choice.split(',').map(str::trim).filter(|one| !one.is_empty());
     named.flat_map(|one| ["--material".to_owned(), one.replacen(':', "=", 1)])
 }
 
-/// What a stage is told that may change its result.
+/// Arguments of a stage that may change its result.
 fn options(stage: &str, settings: &Settings) -> Vec<String> {
     let mut words = Vec::new();
     let mut add = |(option, key): &(&str, &str)| {
@@ -232,7 +235,7 @@ fn options(stage: &str, settings: &Settings) -> Vec<String> {
         add(pair);
     }
     let more = settings.words(options_key(stage));
-    // Who asks for a scale among the further options has made the choice.
+    // A scale among the further options takes precedence.
     let chosen = more.iter().any(|word| word.starts_with("--scale") || word.starts_with("--quality"));
     if stage == "distfield" && !chosen {
         SCALE_BY_KEY.iter().any(add);
@@ -247,7 +250,7 @@ fn options(stage: &str, settings: &Settings) -> Vec<String> {
     words
 }
 
-/// The whole command line of a stage, and the name of its report.
+/// The whole command line of a stage, and the path of its report.
 fn arguments(
     stage: &str,
     folder: &CaseFolder,
@@ -269,13 +272,13 @@ fn arguments(
         "seed" => vec![distfield, sizefield],
         "particles" => [file("seeds.bin")].into_iter().chain(fields).collect(),
         "reconstruct" => [file("particles.bin")].into_iter().chain(fields).collect(),
-        // Nodes amid the edges of the surface are brought onto F = 0.
+        // Mid-edge nodes on the surface are projected onto F = 0.
         _ if settings.get("TET_ORDER") == Some("2") => [file("surface.vtp")].into_iter().chain(fields).collect(),
         _ => vec![file("surface.vtp"), word("--sizefield"), sizefield],
     };
     words.extend([word("-o"), file(crate::folder::belongings(stage).output)]);
     if stage == "particles" {
-        // A run that was stopped goes on from its checkpoint.
+        // A run that was stopped resumes from its checkpoint.
         let checkpoint = file(CHECKPOINT);
         words.extend([word("--log"), file("passes.csv"), word("--checkpoint"), checkpoint, word("--resume")]);
     }
@@ -301,7 +304,7 @@ fn arguments(
     (words, Some(report))
 }
 
-/// Refuses inputs that this very case makes, and so would remove before it reads them.
+/// Refuses inputs that are results of the same case: they would be removed before they are read.
 fn refuse_own_results(folder: &CaseFolder, inputs: &[Input]) -> Result<()> {
     let Ok(path) = folder.path.canonicalize() else { return Ok(()) };
     let own = |input: &&Input| {

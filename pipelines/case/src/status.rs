@@ -1,4 +1,5 @@
-//! `NAME.status.json`: the truth about a case, from which its page and the index are made (docs/developer/formats.md).
+//! `NAME.status.json`: the state of a case, from which its page and the index are made
+//! (docs/developer/formats.md).
 
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::output::write_atomically;
@@ -6,18 +7,18 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// What the file calls itself.
+/// Value of the `format` field.
 pub const FORMAT: &str = "isoparticles-status";
-/// Version of its layout.
+/// Version of the layout.
 pub const VERSION: u32 = 1;
 
-/// How a case stands.
+/// State of a case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
-    /// Everything asked for is made, and every check passed.
+    /// Everything requested is made, and every check passed.
     Passed,
-    /// The same, with warnings.
+    /// As `Passed`, with warnings.
     Warning,
     /// A check failed.
     Failed,
@@ -25,15 +26,15 @@ pub enum Verdict {
     Error,
     /// Stopped before the end.
     Interrupted,
-    /// A run is under way (or was killed: see [`crate::folder::CaseFolder::settle`]).
+    /// A run is in progress (or was killed: see [`crate::folder::CaseFolder::settle`]).
     Running,
 }
 
-/// How a stage of a case stands.
+/// State of a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum State {
-    /// Its output is there and its checks passed.
+    /// Its output exists and its checks passed.
     Done,
     /// Its output was made, but a check failed.
     Failed,
@@ -41,26 +42,26 @@ pub enum State {
     Error,
     /// It was stopped.
     Interrupted,
-    /// It is at work.
+    /// It is running.
     Running,
-    /// An earlier result was no longer true and was removed.
+    /// An earlier result was out of date and was removed.
     Stale,
     /// It has not been run.
     #[serde(rename = "not reached")]
     NotReached,
 }
 
-/// What tells whether a file is still the one that was seen.
+/// Size and modification time of a file, which show whether it has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
-    /// Length.
+    /// Length in bytes.
     pub bytes: u64,
-    /// Last change, nanoseconds since 1970.
+    /// Last modification, nanoseconds since 1970.
     pub modified: u64,
 }
 
 impl Identity {
-    /// That of a file, if it is there.
+    /// The identity of a file; `None` if there is no such file.
     pub fn of(path: &Path) -> Option<Self> {
         let metadata = std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file)?;
         let modified = metadata.modified().ok()?.duration_since(std::time::UNIX_EPOCH).ok()?;
@@ -71,15 +72,15 @@ impl Identity {
 /// A file that the case depends on.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Input {
-    /// What it is for: `volume`, `data of the volume`, `named in SIZEFIELD_OPTIONS`.
+    /// Role, such as `volume`, `data of the volume` or `named in SIZEFIELD_OPTIONS`.
     pub role: String,
     /// Absolute path.
     pub path: PathBuf,
-    /// Length; of a folder, that of its files together.
+    /// Length in bytes; for a folder, the sum over its files.
     pub bytes: u64,
-    /// BLAKE3 hash of the content; of a folder, of the names and hashes of its files.
+    /// BLAKE3 hash of the content; for a folder, of the names and hashes of its files.
     pub hash: String,
-    /// Last change, nanoseconds since 1970; 0 of a folder.
+    /// Last modification, nanoseconds since 1970; 0 for a folder.
     pub modified: u64,
 }
 
@@ -99,21 +100,21 @@ pub struct Problem {
 pub struct Stage {
     /// Name of the stage.
     pub stage: String,
-    /// How it stands.
+    /// Its state.
     pub state: State,
-    /// Whether the last run made it, or only confirmed what an earlier one had made.
+    /// Whether the last run made it; `false` if that run only confirmed an earlier result.
     pub made: bool,
-    /// Exit code; none where it was ended by a signal or never ran.
+    /// Exit code; `None` if a signal ended it or it never ran.
     pub exit_code: Option<i32>,
-    /// How long it took.
+    /// Duration in seconds.
     pub seconds: Option<f64>,
-    /// The command, as it could be typed.
+    /// The command line, quoted for a shell.
     pub command: Option<String>,
-    /// Its report, if there is one. Names of files are relative to the folder of the case.
+    /// Its report, if there is one. File names are relative to the folder of the case.
     pub report: Option<String>,
     /// The files that it made.
     pub outputs: Vec<String>,
-    /// What a failed stage left, to be looked at; nothing goes on with it.
+    /// Files that a failed stage left for inspection; no later stage reads them.
     pub kept: Vec<String>,
     /// Its warnings.
     pub warnings: Vec<String>,
@@ -121,14 +122,14 @@ pub struct Stage {
     pub failed_checks: Vec<String>,
     /// The error that ended it.
     pub error: Option<Problem>,
-    /// Hash of everything that the result depends on: it runs again when this changes.
+    /// Hash of everything that the result depends on; the stage runs again when it changes.
     pub key: String,
-    /// What tells whether the files are still those that it made, by name.
+    /// Sizes and times of the outputs by name, to detect changes.
     pub identities: BTreeMap<String, Identity>,
 }
 
 impl Stage {
-    /// A stage that has made nothing.
+    /// A stage without results.
     pub fn nothing(stage: &str, state: State) -> Self {
         Self {
             stage: stage.to_owned(),
@@ -158,17 +159,17 @@ pub struct Status {
     pub version: u32,
     /// Name of the case.
     pub name: String,
-    /// How far the last run was to go.
+    /// Goal of the last run.
     pub goal: String,
-    /// How the case stands.
+    /// State of the case.
     pub verdict: Verdict,
     /// The same in one sentence.
     pub headline: String,
     /// The files that the case depends on.
     pub inputs: Vec<Input>,
-    /// What the user and the case file set.
+    /// Settings of the user and the case file.
     pub parameters: BTreeMap<String, String>,
-    /// The stages in order; `phantom` first where the volume is made.
+    /// The stages in order; `phantom` comes first if the case makes its volume.
     pub stages: Vec<Stage>,
     /// The page about the case, if it was made.
     pub page: Option<String>,
@@ -177,13 +178,13 @@ pub struct Status {
 }
 
 impl Status {
-    /// Reads a status; `None` when there is none, or none that this version understands.
+    /// Reads a status; `None` if there is none or its format or version is unknown.
     pub fn read(path: &Path) -> Option<Self> {
         let status: Self = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
         (status.format == FORMAT && status.version == VERSION).then_some(status)
     }
 
-    /// Writes it, whole or not at all.
+    /// Writes the file atomically.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -198,12 +199,12 @@ impl Status {
         write_atomically(path, |file| writeln!(file, "{text}"))
     }
 
-    /// A stage by its name.
+    /// A stage by name.
     pub fn stage(&self, name: &str) -> Option<&Stage> {
         self.stages.iter().find(|stage| stage.stage == name)
     }
 
-    /// The volume's own entry; none of a phantom that was not made.
+    /// The entry of the volume itself; `None` for a phantom that is not made yet.
     pub fn volume(&self) -> Option<&Input> {
         self.inputs.iter().find(|input| input.role == crate::inputs::VOLUME)
     }

@@ -1,11 +1,11 @@
-//! What a status comes to: the verdict, its sentence, and the last lines on the terminal.
+//! Derives the verdict, its sentence and the closing terminal lines from a status.
 
 use crate::folder::CaseFolder;
 use crate::status::{Stage, State, Status, Verdict};
 use isoparticles_stage::cli::FIT_BUT_FOR;
 use std::fmt::Write;
 
-/// The verdict over the stages of a status, and the same in one sentence.
+/// The verdict over the stages of a status, with a sentence about it.
 #[must_use]
 pub fn of(status: &Status) -> (Verdict, String) {
     let stages = &status.stages;
@@ -54,7 +54,7 @@ fn failed(stage: &Stage) -> String {
     }
 }
 
-/// The last lines on the terminal: what came out, the warnings, the page.
+/// The closing lines on the terminal: results, failures, warnings, status and page.
 #[must_use]
 pub fn closing(folder: &CaseFolder, status: &Status) -> String {
     let word = match status.verdict {
@@ -67,7 +67,7 @@ pub fn closing(folder: &CaseFolder, status: &Status) -> String {
     };
     let mut text = format!("\n{}: {word}\n  {}\n", status.name, status.headline);
     let mut line = |label: &str, value: &dyn std::fmt::Display| {
-        // writing to a string cannot fail
+        // Writing to a string cannot fail.
         let _ = writeln!(text, "  {label:<11} {value}");
     };
     let path = |name: &str| folder.path.join(name);
@@ -100,7 +100,7 @@ pub fn closing(folder: &CaseFolder, status: &Status) -> String {
     text
 }
 
-/// Exit code of a run that came to this verdict.
+/// Exit code: 0 passed, 1 a check failed, 2 an error, 3 no usable GPU, 130 interrupted or running.
 #[must_use]
 pub fn exit_code(status: &Status) -> u8 {
     match status.verdict {

@@ -1,4 +1,7 @@
-"""The command ``isoparticles`` as the wheel holds it: installed without what it needs, which the environment of the tests has."""
+"""The command ``isoparticles`` of the wheel.
+
+The wheel is installed without its dependencies; the test environment provides them.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +60,7 @@ def test_the_wheel_names_its_platform_and_holds_everything(wheel: Path) -> None:
 
 
 def test_shells_and_man_know_every_goal(site: Path, run: Run) -> None:
-    # what the command takes is said in Python, what shells complete in Rust: the two are one list
+    # Python defines the goals, and Rust the completions: the two lists must agree.
     told = run("no-such-goal").stderr
     goals = told.partition("choose one of ")[2].strip().split(", ")
     assert len(goals) > 12
@@ -83,7 +86,7 @@ def test_shells_and_man_know_every_goal(site: Path, run: Run) -> None:
 
 
 def sorted_as(words: list[str], text: str) -> list[str]:
-    """Words in the order in which a text has them first, each by itself."""
+    """Words in the order in which a text first contains each as a separate word."""
     return sorted(words, key=lambda word: text.index(f" {word} "))
 
 

@@ -1,11 +1,12 @@
-//! Boxes of whole voxels: plate and rod one voxel thick, and two boxes that touch along an edge.
+//! Boxes of whole voxels: a plate and a rod one voxel thick, and two boxes that touch along an
+//! edge.
 
 use crate::scene::{Scene, Truth};
 use glam::DVec3;
 use isoparticles_volume::Geometry;
 use std::collections::BTreeMap;
 
-/// A union of boxes whose faces lie half-way between voxel centres.
+/// A union of boxes with faces halfway between voxel centres.
 #[derive(Clone, Debug)]
 pub struct Boxes {
     name: &'static str,

@@ -1,4 +1,4 @@
-//! Shapes that meet the border of the volume: cylinder (two faces) and gyroid (all six).
+//! Shapes that the border of the volume cuts: cylinder (two faces) and gyroid (all six).
 
 use crate::scene::{Scene, Truth, off_lattice_centre, shortest_extent};
 use glam::DVec3;
@@ -6,14 +6,15 @@ use isoparticles_volume::Geometry;
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
-/// An endless cylinder along z, so that the volume cuts it.
+/// An infinite cylinder along z, cut by the volume.
 #[derive(Clone, Copy, Debug)]
 pub struct Cylinder {
     /// A point of the axis, grid frame (mm).
     pub centre: DVec3,
     /// Radius, mm.
     pub radius: f64,
-    /// From half a voxel before the first voxel centre along z to half a voxel past the last, mm.
+    /// Length, mm: from half a voxel before the first voxel centre along z to half a voxel past the
+    /// last.
     pub length: f64,
 }
 
@@ -71,7 +72,7 @@ impl Scene for Gyroid {
         let scale = 2.0 * PI / self.period;
         let p = scale * (position - self.centre);
         let (x, y, z) = (p.x, p.y, p.z);
-        // The gradient has a length near 1.5 on the surface, in phase units.
+        // In phase units, the gradient has a length near 1.5 on the surface.
         (x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos()) / (1.5 * scale)
     }
 

@@ -51,7 +51,7 @@ impl Scene for Ball {
 pub struct Ellipsoid {
     /// Centre, grid frame (mm).
     pub centre: DVec3,
-    /// Semi-axes, mm, in falling order.
+    /// Semi-axes, mm, in descending order.
     pub semi_axes: DVec3,
 }
 
@@ -78,8 +78,9 @@ impl Ellipsoid {
 }
 
 impl Scene for Ellipsoid {
-    /// Signed distance through the foot point `q_i = a_i^2 p_i / (t + a_i^2)`, where `t` is the largest root of
-    /// `sum (a_i p_i / (t + a_i^2))^2 = 1`; the function is monotonic there, so bisection cannot miss.
+    /// Signed distance through the foot point `q_i = a_i^2 p_i / (t + a_i^2)`, where `t` is the
+    /// largest root of `sum (a_i p_i / (t + a_i^2))^2 = 1`. The function is monotonic there, so
+    /// bisection always finds the root.
     fn value(&self, position: DVec3) -> f64 {
         let p = (position - self.centre).abs();
         let axes = self.semi_axes;
@@ -89,8 +90,9 @@ impl Scene for Ellipsoid {
         let mut low = -squared.min_element();
         let mut high = axes.max_element() * p.length().max(1e-12);
         if excess(low + 1e-12 * squared.min_element()) <= 0.0 {
-            // Only on the inner medial axis (no component along the shortest axis): the foot point is found from
-            // the other two coordinates, the third follows from the ellipsoid's equation.
+            // Only on the inner medial axis (no component along the shortest axis): the other two
+            // coordinates give those of the foot point, and the ellipsoid's equation gives the
+            // third.
             let t = low;
             let mut foot = DVec3::new(squared.x * p.x / (t + squared.x), squared.y * p.y / (t + squared.y), 0.0);
             let rest = 1.0 - (foot / axes).length_squared();
@@ -120,8 +122,9 @@ impl Scene for Ellipsoid {
             volume: Some(4.0 / 3.0 * PI * a * b * c),
             components: Some(1),
             genus: Some(0),
-            // The medial axis is a flat piece of the x-y plane that ends at the centre of curvature of the tips of the
-            // long axis, c^2 / a from them, and is c away from the poles of the short one.
+            // The medial axis is a flat region of the x-y plane. It ends at the centres of
+            // curvature of the tips of the long axis, c^2 / a from them, and is c from the poles of
+            // the short axis.
             local_feature_size_min: Some(c * c / a),
             local_feature_size_max: Some(c),
             centre_grid: self.centre.to_array(),
@@ -193,7 +196,7 @@ pub struct TwoBalls {
 }
 
 impl TwoBalls {
-    /// Together 0.84 of the shortest side.
+    /// Both balls together span 0.84 of the shortest side.
     pub fn filling(grid: &Geometry, gap: f64) -> Self {
         let radius = 0.25 * (0.84 * shortest_extent(grid) - gap);
         Self { centre: off_lattice_centre(grid), radius, gap }

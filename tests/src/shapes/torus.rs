@@ -1,4 +1,4 @@
-//! Torus (exact distance) and bumpy torus (implicit function, truth by quadrature).
+//! Torus (exact distance) and bumpy torus (implicit function, figures by quadrature).
 
 use crate::scene::{Scene, Truth, off_lattice_centre, shortest_extent};
 use crate::shapes::integrate;
@@ -7,14 +7,15 @@ use isoparticles_volume::Geometry;
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
-/// A torus round the z axis.
+/// A torus around the z axis.
 #[derive(Clone, Copy, Debug)]
 pub struct Torus {
     /// Centre, grid frame (mm).
     pub centre: DVec3,
     /// Radius of the centre circle, mm.
     pub ring_radius: f64,
-    /// Radius of the tube, mm; at most half the ring radius, so that the local feature size is the tube radius.
+    /// Radius of the tube, mm; at most half the ring radius, so that it equals the local feature
+    /// size.
     pub tube_radius: f64,
 }
 
@@ -51,8 +52,8 @@ impl Scene for Torus {
     }
 }
 
-/// A torus whose tube radius is `tube_radius (1 + amplitude cos(5 u) cos(3 v))`, with `u` round the axis and `v`
-/// round the tube.
+/// A torus with the tube radius `tube_radius (1 + amplitude cos(5 u) cos(3 v))`, where `u` runs
+/// around the axis and `v` around the tube.
 #[derive(Clone, Copy, Debug)]
 pub struct BumpyTorus {
     /// The torus without bumps.
@@ -71,14 +72,14 @@ impl BumpyTorus {
         self.torus.tube_radius * (1.0 + self.amplitude * (5.0 * u).cos() * (3.0 * v).cos())
     }
 
-    /// Length of the cross product of the two parameter derivatives: the area element.
+    /// Area element: length of the cross product of the two parameter derivatives.
     fn area_element(&self, u: f64, v: f64) -> f64 {
         let tube = self.tube_radius(u, v);
         let bump = self.torus.tube_radius * self.amplitude;
         let tube_u = -5.0 * bump * (5.0 * u).sin() * (3.0 * v).cos();
         let tube_v = -3.0 * bump * (5.0 * u).cos() * (3.0 * v).sin();
         let (sin_v, cos_v) = v.sin_cos();
-        // In the frame (radial, round the axis, z), with the derivative along v and along u.
+        // In the frame (radial, around the axis, z): the derivatives along v and along u.
         let along_v = DVec3::new(tube_v * cos_v - tube * sin_v, 0.0, tube_v * sin_v + tube * cos_v);
         let along_u = DVec3::new(tube_u * cos_v, self.torus.ring_radius + tube * cos_v, tube_u * sin_v);
         along_u.cross(along_v).length()

@@ -1,4 +1,4 @@
-//! Heart-like part: chambers as ellipsoids, the great vessels as tubes, all blended into one solid.
+//! Heart-like part: ellipsoids as chambers and tubes as great vessels, blended into one solid.
 
 use super::pieces::{Ellipsoid, FAR, Tube, smooth_union};
 use glam::DVec3;

@@ -1,12 +1,12 @@
-//! Lung-like part: two big lobed solids, hollowed by the heart, the diaphragm and the ribs, split by fissures
-//! that leave each lung in one piece.
+//! Lung-like part: two large lobed solids, hollowed by the heart, the diaphragm and the ribs.
+//! Fissures separate the lobes but leave each lung in one piece.
 
 use super::heart::Heart;
 use super::pieces::{Ellipsoid, smooth_intersection};
 use super::ribs::{self, Ribs};
 use glam::DVec3;
 
-/// Room between a lung and the heart or a rib, reference mm.
+/// Gap between a lung and the heart or a rib, reference mm.
 const PLEURA: f64 = 4.0;
 
 pub(super) struct Lungs {
@@ -21,12 +21,13 @@ struct Side {
     fissures: Vec<Fissure>,
 }
 
-/// A flat cut from the outer side inwards.
+/// A planar cut from the outer side inwards.
 struct Fissure {
     normal: DVec3,
     through: DVec3,
     half_width: f64,
-    /// Distance from the middle plane of the body at which the cut ends, so that the lobes stay joined.
+    /// Distance from the median plane of the body at which the cut ends, so that the lobes stay
+    /// joined.
     ends_at: f64,
 }
 

@@ -1,8 +1,9 @@
-//! The `torso` phantom: a chest of 268 x 129 x 177 voxels (the size of the paper's volume) with heart-like,
-//! lung-like and ribcage-like parts.
+//! The `torso` phantom: a chest of 268 x 129 x 177 voxels (the size of the paper's volume) with
+//! heart-like, lung-like and ribcage-like parts.
 //!
-//! Axes as in LPS: x to the left, y to the back, z to the head. The anatomy is laid out in a reference frame in
-//! mm, centred in a box of 347.1 x 166.4 x 228.8 mm, and scaled to whatever grid is asked for.
+//! Axes as in LPS: x to the left, y to the back, z to the head. The anatomy is defined in a
+//! reference frame in mm, centred in a box of 347.1 x 166.4 x 228.8 mm, and scaled to the given
+//! grid.
 
 mod heart;
 mod lungs;
@@ -16,13 +17,14 @@ use std::collections::BTreeMap;
 
 /// Voxels of the paper's volume.
 pub const PAPER_SIZE: [usize; 3] = [268, 129, 177];
-/// Spacing that makes it a chest, mm.
+/// Spacing that gives it the size of a chest, mm.
 pub const PAPER_SPACING: f64 = 1.3;
 
 /// Part of the torso.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Part {
-    /// Everything: a CT-like scalar volume, or labels 1 heart, 2 lungs, 3 ribcage, 4 the rest of the body.
+    /// Everything: a CT-like scalar volume, or labels 1 heart, 2 lungs, 3 ribcage, 4 the rest of
+    /// the body.
     All,
     /// The heart alone: one component, genus 0.
     Heart,
@@ -50,7 +52,7 @@ const BLOOD: f64 = 300.0;
 const BONE: f64 = 700.0;
 
 impl Torso {
-    /// The torso scaled to the grid, its centre a fraction of a voxel off the lattice.
+    /// The torso scaled to the grid, with its centre a fraction of a voxel off the lattice.
     pub fn filling(grid: &Geometry, part: Part) -> Self {
         let reference = PAPER_SPACING * DVec3::from_array(PAPER_SIZE.map(|n| n as f64 - 1.0));
         let scale = (grid.upper_corner() / reference).min_element();
@@ -81,7 +83,8 @@ impl Torso {
     }
 
     fn body_value(&self, q: DVec3) -> f64 {
-        // A superellipse of 168 by 80.5 mm, cut by the lower and upper border as a chest scan is.
+        // A superellipse with semi-axes of 168 and 80.5 mm, cut by the lower and upper border as in
+        // a chest scan.
         let p = (q / DVec3::new(168.0, 80.5, 1.0)).abs();
         let level = (p.x.powi(3) + p.y.powi(3)).cbrt();
         self.scale * 80.5 * (level - 1.0)
@@ -109,8 +112,9 @@ impl Scene for Torso {
         parts.iter().find(|(_, value)| *value < 0.0).map_or(0, |(label, _)| *label)
     }
 
-    /// For one part, the plain edge; for the whole torso a CT: the body's level mixed with that of each part in
-    /// turn. Outside the body the level is the body's own, as in a scan whose background was masked.
+    /// For one part, the plain edge profile. For the whole torso, a CT in Hounsfield units: the
+    /// body's value, blended with the value of each part in turn. Outside the body the value is 0,
+    /// as in a scan with a masked background.
     fn profile(&self, position: DVec3, edge_width: f64) -> f64 {
         if self.part != Part::All {
             return edge_profile(self.value(position), edge_width);

@@ -1,24 +1,24 @@
-//! The pieces the torso is made of: tubes along curves, ellipsoids, and smooth set operations.
+//! Building blocks of the torso: tubes along curves, ellipsoids, and smooth set operations.
 
 use glam::{DMat3, DVec3};
 
-/// Where a value stops growing with the distance, reference mm: far past any edge profile or blend, and it lets
-/// whatever is farther be skipped.
+/// Maximum of distance-like values, reference mm. It exceeds every edge profile and blend width, so
+/// pieces that are farther away can be skipped.
 pub(super) const FAR: f64 = 25.0;
 
-/// Smooth minimum: the union of two values, rounded over a width of `blend` (polynomial, so that it equals the
-/// plain minimum where the two differ by more than `blend`).
+/// Smooth minimum: the union of two values, rounded over a width of `blend`. It is polynomial and
+/// equals the plain minimum where the two differ by more than `blend`.
 pub(super) fn smooth_union(a: f64, b: f64, blend: f64) -> f64 {
     let overlap = (blend - (a - b).abs()).max(0.0) / blend;
     a.min(b) - 0.25 * overlap * overlap * blend
 }
 
-/// Smooth maximum: the intersection, rounded likewise.
+/// Smooth maximum: the intersection, rounded in the same way.
 pub(super) fn smooth_intersection(a: f64, b: f64, blend: f64) -> f64 {
     -smooth_union(-a, -b, blend)
 }
 
-/// Distance-like value of an ellipsoid: exact on the surface, with a gradient near one around it.
+/// Distance-like value of an ellipsoid: zero on the surface, with a gradient near one around it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ellipsoid {
     pub(super) centre: DVec3,
@@ -44,19 +44,19 @@ impl Ellipsoid {
     }
 }
 
-/// Straight pieces of a tube that share a bounding box.
+/// Number of straight pieces of a tube that share a bounding box.
 const RUN: usize = 8;
 
-/// A tube along a polyline, its radius varying from point to point.
+/// A tube along a polyline, with a radius at each point.
 #[derive(Clone, Debug)]
 pub(super) struct Tube {
     points: Vec<(DVec3, f64)>,
-    /// Lower and upper corner round each run of pieces, so that far runs cost one comparison.
+    /// Lower and upper corner of the box around each run, so that distant runs cost one comparison.
     boxes: Vec<(DVec3, DVec3)>,
 }
 
 impl Tube {
-    /// Through the points, with a radius at each.
+    /// The tube through points with radii.
     pub(super) fn new(points: Vec<(DVec3, f64)>) -> Self {
         let boxes = (0..points.len() - 1)
             .step_by(RUN)
@@ -70,7 +70,7 @@ impl Tube {
         Self { points, boxes }
     }
 
-    /// A Catmull-Rom curve through a few control points, cut into `pieces` straight pieces a span.
+    /// A Catmull-Rom curve through control points, cut into `pieces` straight pieces per span.
     pub(super) fn smooth(control: &[([f64; 3], f64)], pieces: usize) -> Self {
         let at = |i: isize| {
             let (point, radius) = control[i.clamp(0, control.len() as isize - 1) as usize];
@@ -93,7 +93,7 @@ impl Tube {
         Self::new(points)
     }
 
-    /// Signed distance-like value, or `give_up` where the tube is at least that far.
+    /// Signed distance-like value, or `give_up` where the tube is at least that far away.
     pub(super) fn value(&self, q: DVec3, give_up: f64) -> f64 {
         let mut best = give_up;
         for (run, (low, high)) in self.boxes.iter().enumerate() {

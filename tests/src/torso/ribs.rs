@@ -1,20 +1,20 @@
-//! Ribcage-like part. Ribs 1 to 7 join the spine and the sternum, 8 to 10 the spine only; the floating pairs 11
-//! and 12, the collar bones and the shoulder blades are pieces of their own.
+//! Ribcage-like part. Ribs 1 to 7 join the spine and the sternum, ribs 8 to 10 only the spine. The
+//! floating pairs 11 and 12, the collar bones and the shoulder blades are separate components.
 
 use super::pieces::{FAR, Tube, smooth_union};
 use glam::{DMat3, DVec3};
 use std::f64::consts::PI;
 
-/// Ribcage, two pairs of floating ribs, two collar bones, two shoulder blades.
+/// Ribcage, four floating ribs, two collar bones, two shoulder blades.
 pub(super) const COMPONENTS: usize = 9;
 /// Fourteen ribs join spine and sternum: 14 edges, 2 nodes, 13 independent loops.
 pub(super) const GENUS: usize = 13;
 
-/// Rounding where a rib meets the spine or the sternum, reference mm.
+/// Width of the blend between a rib and the spine or the sternum, reference mm.
 const BLEND: f64 = 3.0;
-/// Where the ribs leave the spine, along y.
+/// Position along y where the ribs leave the spine, reference mm.
 const BACK: f64 = 52.0;
-/// From the middle of a rib to the inside of the cage.
+/// Distance from the centre line of a rib to the interior of the cage, reference mm.
 const CLEARANCE: f64 = 9.0;
 
 pub(super) struct Ribs {
@@ -22,7 +22,7 @@ pub(super) struct Ribs {
     blades: Vec<Blade>,
 }
 
-/// A shoulder blade: an elliptic disc of no thickness, dilated.
+/// A shoulder blade: a flat elliptic disc, dilated by a radius.
 struct Blade {
     centre: DVec3,
     axes: DMat3,
@@ -43,15 +43,17 @@ impl Blade {
     }
 }
 
-/// Semi-axes of the elliptic hoop of a rib (counted from 0, in between too): narrow at the top, wide below.
+/// Semi-axes of the elliptic hoop of a rib (counted from 0; fractions lie between two ribs): narrow
+/// at the top, wide below.
 fn hoop(rib: f64) -> (f64, f64) {
     let down = 1.0 - rib / 11.0;
     (142.0 * (1.0 - 0.58 * down.powi(3)), 64.0 * (1.0 - 0.45 * down.powi(3)))
 }
 
-/// Negative within the cage that the ribs enclose, well clear of them; distance-like near it.
+/// Negative inside the cage, away from the ribs; distance-like near zero.
 pub(super) fn cage_interior(q: DVec3) -> f64 {
-    // The rib whose slanted hoop passes at this height: the depth of the hoop is taken from a first guess.
+    // Iterates to the rib whose slanted hoop passes at this height: the hoop's size depends on the
+    // rib.
     let mut rib = (98.0 - q.z) / 15.5;
     for _ in 0..3 {
         let (half_width, half_depth) = hoop(rib.clamp(0.0, 11.0));
@@ -83,7 +85,8 @@ fn rib_point(rib: usize, side: f64, t: f64) -> DVec3 {
 impl Ribs {
     pub(super) fn new() -> Self {
         let mut tubes = Vec::new();
-        // The spine's radius waves once a vertebra; it comes first, the sternum second: the ribs blend into them.
+        // The spine's radius varies with each vertebra. The spine comes first and the sternum
+        // second, so that the ribs blend into them.
         let spine = (0..=140).map(|i| {
             let z = -106.0 + 1.5 * f64::from(i);
             (DVec3::new(0.0, 56.0, z), 13.0 + 1.6 * (2.0 * PI * z / 15.5).cos())
@@ -102,7 +105,7 @@ impl Ribs {
                 7 => (0.0, 0.86),
                 8 => (0.0, 0.80),
                 9 => (0.0, 0.72),
-                // Floating: the tip starts clear of the spine.
+                // Floating: the rib starts clear of the spine.
                 10 => (0.065, 0.52),
                 _ => (0.07, 0.38),
             };

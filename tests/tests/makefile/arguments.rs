@@ -1,4 +1,5 @@
-//! Arguments: what is missing, contradicts, is misspelt or out of range; what gives way; blanks in names; the goals.
+//! Arguments: missing, contradictory, misspelled or out-of-range values; precedence; blanks in
+//! names; the goals.
 
 use super::support::run;
 use super::{Case, PARAMETERS, STAGES, ball, make};
@@ -32,7 +33,8 @@ fn missing_and_contradicting_parameters_are_explained() {
     }
 }
 
-/// Issue 17: `make surface CASE=mickey SZIE=8` was ignored, `SIZE=-1` got a parser's message.
+/// A misspelled key such as `SZIE=8` must not be ignored, and `SIZE=-1` needs a clear message
+/// (issue 17).
 #[test]
 fn slips_and_values_out_of_range_are_refused_before_any_work() {
     let case = Case::new();
@@ -59,7 +61,7 @@ fn slips_and_values_out_of_range_are_refused_before_any_work() {
     assert!(ended.stderr.contains("SZIE: no such variable"), "{}", ended.stderr);
 }
 
-/// Issue 17: `make demo SIZE=3` was refused, because the case's file sets MIN_SIZE.
+/// The user's SIZE replaces the MIN_SIZE of the case file (issue 17).
 #[test]
 fn a_case_file_gives_way_to_the_user() {
     let case = Case::new();
@@ -79,11 +81,11 @@ fn blanks_and_quotes_in_names_are_taken_as_they_are() {
     let volume = folder.join("left lung (2).nrrd");
     let mut command = case.bare("surface", &["ISO=100", "MIN_SIZE=2", "VERBOSITY=-q"]);
     command.arg(format!("INPUT={}", volume.display())).arg(format!("OUT={}", folder.join("my results").display()));
-    // options are split as a shell would, so a name with blanks is quoted there
+    // Options are split as in a shell, so names with blanks need quotes.
     command.arg(format!("SIZEFIELD_OPTIONS=--refine \"mask:{}=1.5\"", volume.display()));
     run(&mut command).expect_success("make surface");
     assert!(folder.join("my results/left lung (2)/left lung (2).surface.vtp").exists());
-    // Names of labels reach distfield as one word.
+    // Label names reach distfield as one word.
     let ended = case.surface(&["LABELS=left lung,right lung", "VERBOSITY=-q"]);
     assert_eq!(ended.code, Some(2));
     assert!(ended.stdout.contains("--labels 'left lung,right lung'"), "{}", ended.stdout);

@@ -1,4 +1,4 @@
-//! A list of cases: what fails is told and stops nothing, and a second run does what is left.
+//! Lists of cases: failing rows are reported and stop nothing; another run makes the rest.
 
 use super::support::{Ended, run};
 use super::{Case, executable, make};
@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
-/// `make batch` over a list in the folder of the case, as far as the surface.
+/// `make batch` up to the surface, with a list in the folder of the case.
 fn batch(case: &Case, list: &str, variables: &[&str]) -> Command {
     let path = case.folder.path().join("cases.csv");
     std::fs::write(&path, list).unwrap();
@@ -16,7 +16,7 @@ fn batch(case: &Case, list: &str, variables: &[&str]) -> Command {
     command
 }
 
-/// Verdict and headline of each case by the summary.
+/// Verdict and headline of each case in the summary.
 fn summary(case: &Case) -> BTreeMap<String, (String, String)> {
     let mut reader = csv::Reader::from_path(case.out().join("batch.csv")).expect("batch.csv");
     let columns = reader.headers().expect("a header").clone();
@@ -49,7 +49,7 @@ fn what_fails_is_told_and_the_rest_is_made() {
     let case = Case::new();
     std::fs::write(case.folder.path().join("text.nrrd"), "no volume").unwrap();
     let ended = run(&mut batch(&case, LIST, &["SIZE=2.5"]));
-    // make turns a 1 into a 2
+    // make turns exit code 1 into 2.
     assert_eq!(ended.code, Some(2), "{}{}", ended.stdout, ended.stderr);
     let error = "error";
     let all = [
@@ -80,7 +80,7 @@ fn what_fails_is_told_and_the_rest_is_made() {
     for name in all.map(|(name, _)| name) {
         assert!(index.contains(&format!("\"name\": \"{name}\"")), "{name} is not in the index: {index}");
     }
-    // SIZE beside the list holds for the row that says nothing else.
+    // SIZE beside the list applies to the row that does not set it.
     assert!(case.text("status.json").contains("\"SIZE\": \"2.5\""), "{}", case.text("status.json"));
 
     let before = case.times();
@@ -101,7 +101,7 @@ fn what_fails_is_told_and_the_rest_is_made() {
     assert_eq!(case.times(), before, "what was made holds");
 }
 
-/// What a later stage refuses is told before the first row begins, and takes nothing away.
+/// Options that a later stage refuses are reported before the first row runs; results stay.
 #[test]
 fn refused_options_are_told_before_the_first_row() {
     let case = Case::new();
@@ -139,7 +139,7 @@ fn a_list_that_cannot_be_meant_is_refused_before_any_work() {
     nothing(&["LIST=nowhere.csv", "TIME_LIMIT=soon"], &["TIME_LIMIT=soon", "2h"]);
 }
 
-/// A case that takes too long is stopped, and the others are made.
+/// A case above the time limit is stopped, and the others are made.
 #[cfg(unix)]
 #[test]
 fn a_case_that_takes_too_long_is_stopped() {

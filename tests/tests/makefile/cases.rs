@@ -5,7 +5,7 @@ use super::{StandIn, make};
 use std::path::Path;
 use std::process::Stdio;
 
-/// A case that fails stops neither the others nor the index, and make says that something failed.
+/// A failing case stops neither the others nor the index, and make reports the failure.
 #[test]
 fn the_index_is_written_although_a_case_fails() {
     let (folder, stand_in) = (tempfile::tempdir().expect("folder"), StandIn::new());
@@ -28,7 +28,7 @@ fn the_index_is_written_although_a_case_fails() {
     run(&mut command("index")).expect_success("make index");
 }
 
-/// Two cases at once give what each gives alone.
+/// Two cases made at once are the same as made alone.
 #[test]
 fn two_cases_at_once() {
     let folder = tempfile::tempdir().expect("folder");
@@ -58,7 +58,7 @@ fn two_cases_at_once() {
     assert_eq!(surface(&together), surface(&alone));
 }
 
-/// `make -j` over files of pipelines/, down to the tetrahedra, where the Python environment is there.
+/// `make -j` over files of pipelines/, down to the tetrahedra, if the Python environment exists.
 #[test]
 fn make_j_over_two_cases_down_to_the_tetrahedra() {
     let test = "make_j_over_two_cases_down_to_the_tetrahedra";

@@ -1,4 +1,5 @@
-//! A list of cases by Snakemake on this machine: what fails is told and stops nothing, and a second run makes what is no longer true.
+//! A list of cases with Snakemake on this machine: failing rows are reported and stop nothing;
+//! another run makes what is out of date.
 
 use super::batch::{expected, verdicts};
 use super::support::{root, run, skip};
@@ -6,7 +7,7 @@ use super::{Case, STAGES, make};
 use std::process::Command;
 use std::time::SystemTime;
 
-/// `make cluster` over a list in the folder of the case, as far as the surface; none where Snakemake is not there.
+/// `make cluster` up to the surface; `None`, with a recorded skip, without Snakemake.
 fn cluster(case: &Case, list: &str) -> Option<Command> {
     let snakemake = root().join(".venv-snakemake/bin/snakemake");
     if !snakemake.exists() {
@@ -22,7 +23,7 @@ fn cluster(case: &Case, list: &str) -> Option<Command> {
     Some(command)
 }
 
-/// When each stage's output of a row was written.
+/// Modification time of each stage's output of a row.
 fn times(case: &Case, name: &str) -> Vec<SystemTime> {
     let time = |ending: &str| std::fs::metadata(case.out().join(name).join(format!("{name}.{ending}")));
     STAGES.iter().map(|(_, ending)| time(ending).and_then(|it| it.modified()).expect(ending)).collect()
@@ -51,7 +52,7 @@ fn a_list_is_made_by_snakemake() {
     }
     assert!(case.out().join("broken/broken.report.html").exists(), "what failed has a page");
 
-    // Another size of one, and the others gone: F of that one holds.
+    // One row gets another size, and the others are dropped. Its distance field stays valid.
     let before = times(&case, "a ball");
     let mended = "NAME,INPUT,ISO,SIZE,SCALE\na ball,ball.nrrd,100,3,0\n";
     let run_mended = |list: &str| {

@@ -1,5 +1,5 @@
-//! What is left after a failure: the status tells it, the page and the index are made from that, and no file of an earlier run
-//! could be taken for a result of this one.
+//! After a failure, the status describes it, and the page and the index are made from the status.
+//! No file of an earlier run can be mistaken for a result.
 
 use super::support::{listing, run};
 use super::{Case, PARAMETERS, TAKES_ALL, executable};
@@ -21,7 +21,7 @@ fn a_failing_first_stage_has_a_page_and_stands_in_the_index() {
     assert!(index.contains("\"verdict\": \"error\""), "{index}");
 }
 
-/// Issue 17, the first thing seen: a good mesh, then the same name with a size that fails.
+/// A good mesh, then the same name with a size that fails (issue 17).
 #[test]
 fn a_failed_run_leaves_no_result_of_an_earlier_one() {
     let case = Case::new();
@@ -41,7 +41,7 @@ fn a_failed_run_leaves_no_result_of_an_earlier_one() {
     assert_eq!(status["verdict"], "error", "{status}");
     assert_eq!(case.states()["tetmesh-check"], "stale");
     assert!(case.text("report.html").contains("\"verdict\": \"error\""));
-    // Every file that is there is one that the status lists.
+    // The status lists every file that exists.
     let listed = status.to_string();
     for name in left
         .iter()
@@ -49,18 +49,18 @@ fn a_failed_run_leaves_no_result_of_an_earlier_one() {
     {
         assert!(listed.contains(&format!("\"{name}\"")), "{name} is not in the status: {listed}");
     }
-    // The next run goes on as if nothing had been.
+    // The next run succeeds as if nothing had happened.
     case.mesh(0, &[]);
     assert_eq!(case.status()["verdict"], "passed");
     assert!(case.has("surface.vtp") && case.has("volume.vtu") && pictures.exists());
 }
 
-/// Issue 17: another surface under the same name left the tetrahedra and the page of the first.
+/// Another surface under the same name removes the tetrahedra and the page of the first (issue 17).
 #[test]
 fn a_surface_of_something_else_takes_away_the_tetrahedra() {
     let case = Case::new();
     case.mesh(0, &[]);
-    // Over the same surface they stay.
+    // With the same surface they stay.
     case.surface(&PARAMETERS).expect_success("make surface");
     assert!(case.has("volume.vtu") && case.has("report.html"));
     assert_eq!(case.status()["goal"], "surface");
@@ -70,13 +70,13 @@ fn a_surface_of_something_else_takes_away_the_tetrahedra() {
     assert!(case.text("report.html").contains("\"ISO\": \"120\""), "the page is that of the new surface");
 }
 
-/// A stage that made its output but failed a check: make fails, the output is kept under another name.
+/// A stage makes its output but fails a check: make fails, and the output gets another name.
 #[test]
 #[cfg(unix)]
 fn the_output_of_a_failed_check_is_kept_aside() {
     let case = Case::new();
     let programs = case.linked_programs();
-    // A stand-in for sizefield that writes its output and says that a check failed.
+    // A stand-in for sizefield that writes its output and reports a failed check.
     executable(&programs.join("sizefield"), &format!("{TAKES_ALL}echo made > \"$3\"\nexit 1\n"));
     let bin = format!("BIN={}", programs.display());
     let ended = case.surface(&["ISO=100", "VERBOSITY=-q", &bin]);
@@ -86,12 +86,12 @@ fn the_output_of_a_failed_check_is_kept_aside() {
     assert_eq!(case.text("sizefield.failed.vti"), "made\n");
     assert_eq!(case.status()["verdict"], "failed");
     assert_eq!(case.status()["stages"][1]["kept"][0], "ball.sizefield.failed.vti");
-    // With the real program the case goes on from there, and the failed output goes away.
+    // With the real program the case continues, and the failed output is removed.
     case.surface(&PARAMETERS).expect_success("make surface");
     assert!(!case.has("sizefield.failed.vti"));
 }
 
-/// A program that ends without a word, by a signal, or is not there.
+/// A program ends without a report or by a signal, or does not exist.
 #[test]
 #[cfg(unix)]
 fn a_program_that_crashes_is_told_in_three_parts() {
@@ -110,7 +110,7 @@ fn a_program_that_crashes_is_told_in_three_parts() {
     assert_eq!(case.states()["seed"], "error", "nothing was begun");
 }
 
-/// However the last stage ends, nothing of an earlier run is left that could be taken for its result.
+/// However the last stage ends, no file of an earlier run can be mistaken for its result.
 #[test]
 fn no_stale_mesh_or_page_is_left() {
     let case = Case::new();
@@ -126,13 +126,13 @@ fn no_stale_mesh_or_page_is_left() {
     case.mesh(2, &["TETMESH_OPTIONS=-d"]);
     assert!(!case.has("volume.vtu") && !case.has("volume.failed.vtu"));
     assert!(case.text("report.html").contains("\"verdict\": \"error\""), "the page says that there is no mesh");
-    // A failed run is tried again, and is not taken for done because nothing changed.
+    // A failed run is repeated even if nothing has changed.
     case.mesh(2, &["TETMESH_OPTIONS=-d"]);
     case.mesh(0, &["TETMESH_OPTIONS=-d"]);
     assert_eq!(case.status()["verdict"], "passed");
 }
 
-/// The verdict, the warnings and the page are the last that is said, and a later question gets the same answer.
+/// The output ends with the verdict, the warnings and the page; `make verdict` repeats them later.
 #[test]
 fn the_last_lines_are_the_verdict() {
     let case = Case::new();
@@ -151,7 +151,7 @@ fn the_last_lines_are_the_verdict() {
     );
 }
 
-/// A run that was killed left "running" behind; whoever asks next learns that it was interrupted.
+/// A killed run leaves "running" in the status; the next command reports it as interrupted.
 #[test]
 fn a_killed_run_is_told() {
     let case = Case::new();
@@ -171,11 +171,12 @@ fn a_killed_run_is_told() {
     assert_eq!(case.status()["verdict"], "passed");
 }
 
-/// What the stage of a killed program goes on to write, after the next run has cleared up and before it comes to that stage, is no file of
-/// the user's: the stage's result is told as such.
+/// The stage of a killed program may write its output late: after the next run has removed old
+/// files, and before that run starts the stage. Such a file does not belong to the user; the status
+/// lists it as the stage's result.
 #[test]
 #[cfg(unix)]
-fn a_result_that_a_killed_run_still_wrote_is_made_and_told_again() {
+fn late_output_of_a_killed_run_is_made_again() {
     let case = Case::new();
     let programs = case.linked_programs();
     let orphan = "echo orphan > \"${3%sizefield.vti}seeds.bin\"";
@@ -185,13 +186,13 @@ fn a_result_that_a_killed_run_still_wrote_is_made_and_told_again() {
     run(&mut case.command("seed", &["ISO=100", "SIZE=2.5", "VERBOSITY=-q", &bin])).expect_success("make seed");
     assert_eq!(case.text("seeds.bin"), "made\n");
     assert_eq!(case.status()["stages"][2]["outputs"][0], "ball.seeds.bin");
-    // a failure leaves none of it
+    // A failure leaves none of it.
     executable(&programs.join("seed"), &format!("{TAKES_ALL}exit 2\n"));
     run(&mut case.command("seed", &["ISO=100", "SIZE=2", "VERBOSITY=-q", &bin])).expect_error(2, &["seed"]);
     assert!(!case.has("seeds.bin"));
 }
 
-/// Two runs over one case: the second is refused, and does not disturb the first.
+/// Two runs over one case: the second is refused and does not disturb the first.
 #[test]
 fn two_runs_on_one_name_do_not_meet() {
     let case = Case::new();

@@ -1,4 +1,5 @@
-//! The Makefile from end to end: what reruns when something changes, what is left after a failure, arguments, several cases.
+//! End-to-end tests of the Makefile: what reruns after a change, what is left after a failure,
+//! arguments, several cases.
 
 #[path = "../support/mod.rs"]
 mod support;
@@ -31,10 +32,10 @@ const STAGES: [(&str, &str); 5] = [
     ("reconstruct", "surface.vtp"),
 ];
 
-/// What makes the quickest surface of the ball.
+/// Parameters of the fastest surface of the ball.
 const PARAMETERS: [&str; 3] = ["ISO=100", "SIZE=2.5", "VERBOSITY=-q"];
 
-/// A ball in a folder of its own, and stand-ins for the programs of the Python stage.
+/// A ball in a temporary folder, and stand-ins for the Python programs.
 struct Case {
     folder: tempfile::TempDir,
     volume: PathBuf,
@@ -60,7 +61,7 @@ impl Case {
         command
     }
 
-    /// A goal over whatever the variables say.
+    /// A goal with these variables and no volume.
     fn bare(&self, goal: &str, variables: &[&str]) -> Command {
         let mut command = make();
         command.arg(goal).arg(format!("OUT={}", self.out().display())).arg(self.stand_in.variable()).args(variables);
@@ -96,7 +97,7 @@ impl Case {
         serde_json::from_str(&self.text("status.json")).expect("the status is JSON")
     }
 
-    /// State of each stage by the status.
+    /// State of each stage in the status.
     fn states(&self) -> BTreeMap<String, String> {
         let status = self.status();
         let text = |value: &serde_json::Value| value.as_str().unwrap_or_default().to_owned();
@@ -104,13 +105,13 @@ impl Case {
         stages.iter().map(|stage| (text(&stage["stage"]), text(&stage["state"]))).collect()
     }
 
-    /// When each stage's output was written.
+    /// Modification time of each stage's output.
     fn times(&self) -> BTreeMap<&'static str, SystemTime> {
         let time = |ending| std::fs::metadata(self.file(ending)).and_then(|m| m.modified());
         STAGES.iter().map(|(name, ending)| (*name, time(ending).expect(name))).collect()
     }
 
-    /// Makes the surface with other variables and tells which stages ran.
+    /// Makes the surface with these variables and returns the stages that ran.
     #[track_caller]
     fn reran(&self, variables: &[&str]) -> Vec<&'static str> {
         let before = self.times();
@@ -119,7 +120,7 @@ impl Case {
         STAGES.iter().map(|(name, _)| *name).filter(|name| before[name] != after[name]).collect()
     }
 
-    /// A folder with links to the programs, of which some can be replaced.
+    /// A folder with links to the programs; a test can replace some of them.
     #[cfg(unix)]
     fn linked_programs(&self) -> PathBuf {
         let programs = self.folder.path().join("bin");
@@ -131,24 +132,24 @@ impl Case {
     }
 }
 
-/// A ball of radius 9 mm in 24 voxels of 1 mm a side, iso value 100.
+/// A ball of radius 8.05 mm in 24^3 voxels of 1 mm, iso value 100.
 fn ball(path: &Path) {
     write_phantom(path, Shape::Ball, &Geometry::axis_aligned([24; 3], DVec3::ONE), Kind::Scalar);
 }
 
-/// GNU make on the Makefile, with the programs that are built already.
+/// GNU make on the Makefile, with programs that are already built.
 fn make() -> Command {
     let mut command = Command::new("make");
     command.current_dir(root()).arg("NO_BUILD=yes").arg(format!("BIN={}", binaries().display()));
-    // What the make that runs these tests was told is none of this one's business.
+    // The make that runs these tests must not pass its settings on.
     for variable in ["MAKEFLAGS", "MFLAGS", "MAKELEVEL", "MAKEOVERRIDES"] {
         command.env_remove(variable);
     }
     command
 }
 
-/// Stand-ins for tetmesh-check, which ends with the exit code that `end_with` sets, and for its pages, which hold the status files
-/// that they are made from.
+/// Stand-ins for tetmesh-check and its page and index programs. The first ends with the exit code
+/// from `end_with`; the pages contain the status files that they are made from.
 struct StandIn {
     folder: tempfile::TempDir,
 }
@@ -186,12 +187,12 @@ impl StandIn {
     }
 }
 
-/// What a stand-in for a stage does first: it takes any options.
+/// First line of a stage's stand-in: accepts any options.
 const TAKES_ALL: &str = "[ \"$1\" = --check-options ] && { echo \"$2\"; exit 0; }\n";
 
-/// Writes a shell script that can be run.
+/// Writes an executable shell script.
 fn executable(path: &Path, script: &str) {
-    // a link must not be written through
+    // A link must be replaced, not written through.
     let _ = std::fs::remove_file(path);
     std::fs::write(path, format!("#!/bin/sh\n{script}")).unwrap();
     #[cfg(unix)]

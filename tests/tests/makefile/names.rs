@@ -1,9 +1,9 @@
-//! Names: what a volume's results are called, and two volumes that would share a name.
+//! Names of results, and two volumes with the same name.
 
 use super::support::run;
 use super::{Case, ball};
 
-/// Issue 17: `patient.001.nrrd` and `patient.002.nrrd` both went to `out/patient/`.
+/// `patient.001.nrrd` and `patient.002.nrrd` go to different folders (issue 17).
 #[test]
 fn only_known_endings_are_taken_off() {
     let case = Case::new();
@@ -18,7 +18,7 @@ fn only_known_endings_are_taken_off() {
     }
 }
 
-/// Issue 17: `A/heart.nrrd` and `B/heart.nrrd` both went to `out/heart/`.
+/// `A/heart.nrrd` and `B/heart.nrrd` must not share `out/heart/` (issue 17).
 #[test]
 fn two_volumes_of_one_name_do_not_replace_each_other() {
     let case = Case::new();
@@ -41,7 +41,7 @@ fn two_volumes_of_one_name_do_not_replace_each_other() {
     distfield(&second, &[]).expect_error(2, &words);
     assert!(case.out().join("heart/heart.distfield.vti").exists(), "the first one's result stays");
     distfield(&second, &["NAME=heart B"]).expect_success("under a name of its own");
-    // The same file by another way is the same.
+    // The same file through a link is the same volume.
     #[cfg(unix)]
     {
         let link = case.folder.path().join("heart.nrrd");
@@ -55,7 +55,7 @@ fn two_volumes_of_one_name_do_not_replace_each_other() {
     distfield(&second, &[]).expect_success("after make clean");
 }
 
-/// A result of a case as its own volume would be removed before it is read.
+/// A case must not use its own result as its volume: that would be removed before it is read.
 #[test]
 fn a_case_is_not_made_of_its_own_result() {
     let mut case = Case::new();

@@ -1,5 +1,5 @@
-//! Options that a stage refuses end a run before anything is removed or started; the results of the
-//! run before stay.
+//! Options that a stage refuses end a run before anything is removed or started; earlier results
+//! stay.
 
 use super::support::{Kind, listing, run, write_phantom};
 use super::{Case, make};
@@ -9,7 +9,7 @@ use isoparticles_volume::Geometry;
 use std::path::Path;
 use std::time::SystemTime;
 
-/// Every file below a folder with the time of its last change.
+/// The files in a folder with their modification times.
 fn snapshot(folder: &Path) -> Vec<(String, SystemTime)> {
     let time = |name: &String| std::fs::metadata(folder.join(name)).and_then(|it| it.modified()).expect("a time");
     let files = listing(folder).into_iter().filter(|name| folder.join(name).is_file() && name != ".lock");
@@ -34,13 +34,13 @@ fn refused_options_leave_the_results_of_the_run_before() {
         (&["ISO=100000"], &["distfield", "100000"]),
     ];
     for (variables, words) in attempts {
-        // another iso value, so that every stage is about to run
+        // Another iso value, so that every stage is about to run.
         let mut command = case.command("mesh", &["ISO=120", "SIZE=2.5", "VERBOSITY=-q"]);
         run(command.args(variables)).expect_error(2, words);
         assert_eq!(snapshot(&case.out().join("ball")), before, "{variables:?}");
     }
     assert_eq!(case.status()["verdict"], "passed");
-    // what is not run is not asked
+    // Only stages that run are checked.
     case.surface(&["ISO=120", "SIZE=2.5", "TETMESH_OPTIONS=--export stl"]).expect_success("make surface");
 }
 
@@ -51,7 +51,7 @@ fn the_options_of_a_phantom_are_checked_first() {
     phantom("bal --size 24").expect_error(2, &["phantom", "bal"]);
     assert!(!case.out().exists());
     phantom("ball --size 24").expect_success("make distfield");
-    // the volume from the run before is no longer that of the case
+    // The volume of the earlier run no longer belongs to the case.
     let labels = ["PHANTOM=ball --size 24 --kind label", "LABELS=1"];
     run(&mut case.bare("distfield", &labels)).expect_success("labels in place of a scan");
 }
@@ -72,9 +72,9 @@ fn names_of_materials_are_checked_before_any_stage() {
     let before = snapshot(&case.out().join("labels"));
     let wrong = "SIZEFIELD_OPTIONS=--size bdoy=3";
     let told = ["sizefield", "--size bdoy=3: there is no such material", "outside, body"];
-    // the field holds
+    // The distance field is valid.
     surface(&["MATERIALS=body:1", "SCALE=0", wrong]).expect_error(2, &told);
-    // another field, whose names the options tell, and the volume
+    // The distance field is out of date: its names come from the options, or from the volume.
     surface(&["MATERIALS=body:1", "SCALE=2", wrong]).expect_error(2, &told);
     surface(&["MATERIALS=all", "SCALE=0", wrong]).expect_error(2, &["sizefield", "bdoy", "outside, "]);
     surface(&["MATERIALS=body:7", "SCALE=0"]).expect_error(2, &["distfield", "7"]);

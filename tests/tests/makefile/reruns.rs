@@ -1,4 +1,4 @@
-//! What runs again, and what does not.
+//! Which stages run again after a change, and which do not.
 
 use super::support::{binaries, listing, run};
 use super::{Case, PARAMETERS, STAGES};
@@ -22,7 +22,7 @@ fn one_parameter_reruns_exactly_the_stages_that_depend_on_it() {
     let reseeded = ["ISO=100", "SIZE=2.5", "BACKEND=cpu", "SEED=3"];
     assert_eq!(case.reran(&reseeded), ["seed", "particles", "reconstruct"]);
     let resized = ["ISO=100", "SIZE=2.4", "BACKEND=cpu", "SEED=3"];
-    // the scale follows an edge length coarser than the voxels
+    // The scale follows an edge length that is coarser than the voxels.
     assert_eq!(case.reran(&resized), ["distfield", "sizefield", "seed", "particles", "reconstruct"]);
     let graded = ["ISO=100", "SCALE=0", "EPSILON=0.4", "MAX_SIZE=3", "BACKEND=cpu", "SEED=3"];
     assert_eq!(case.reran(&graded).first(), Some(&"distfield"));
@@ -30,7 +30,7 @@ fn one_parameter_reruns_exactly_the_stages_that_depend_on_it() {
     assert_eq!(case.reran(&finer), ["sizefield", "seed", "particles", "reconstruct"]);
     let another = ["ISO=120", "EPSILON=0.4", "MAX_SIZE=3", "BACKEND=cpu", "SEED=3"];
     assert_eq!(case.reran(&another), ALL);
-    // A lost output is made again, with what comes after it.
+    // A missing output is made again, with the stages after it.
     std::fs::remove_file(case.file("particles.bin")).unwrap();
     case.surface(&another).expect_success("make surface");
     assert_eq!(case.status()["stages"][3]["made"], true);
@@ -38,7 +38,7 @@ fn one_parameter_reruns_exactly_the_stages_that_depend_on_it() {
     assert_eq!(case.status()["stages"][4]["made"], true);
 }
 
-/// The content decides, not the clock: a copy or a checkout that touches a file changes no result.
+/// The content decides, not the time: touching a file changes no result.
 #[test]
 fn a_touched_input_reruns_nothing_and_a_changed_one_everything() {
     let case = Case::new();
@@ -125,13 +125,13 @@ fn a_program_built_anew_to_the_same_bytes_reruns_nothing() {
     case.surface(&variables).expect_success("make surface");
     copy();
     assert_eq!(case.reran(&variables), [] as [&str; 0]);
-    // One more byte at the end changes the program, not what it does.
+    // One more byte at the end changes the program's hash, not its behaviour.
     use std::io::Write;
     std::fs::File::options().append(true).open(programs.join("particles")).unwrap().write_all(&[0]).unwrap();
     assert_eq!(case.reran(&variables), ["particles", "reconstruct"]);
 }
 
-/// The program of the order of convergence lies beside tetmesh-check; a change to it must not make tetrahedra anew.
+/// convergence.py is beside tetmesh-check but makes no tetrahedra: a change must not rerun them.
 #[test]
 fn the_files_of_the_tetrahedra_leave_out_other_programs() {
     let planned =
@@ -145,8 +145,8 @@ fn the_files_of_the_tetrahedra_leave_out_other_programs() {
     assert!(!files.contains("convergence.py") && !files.contains("page/"), "{files}");
 }
 
-/// Stopping make in the middle of `particles` leaves no particle file, and the next run finishes the case with the same
-/// bytes as one that was never stopped.
+/// Stopping make during `particles` leaves no particle file. The next run finishes the case with
+/// the same particles as a run that is never stopped.
 #[test]
 #[cfg(unix)]
 fn a_stopped_run_is_finished_by_the_next() {
@@ -155,7 +155,7 @@ fn a_stopped_run_is_finished_by_the_next() {
     let options = "PARTICLES_OPTIONS=--max-passes 300 --energy-tolerance 0";
     let variables = ["ISO=100", "SIZE=1.2", "VERBOSITY=-q", options];
     let mut command = stopped.command("surface", &variables);
-    // a process group of its own: the signal must reach make and what it runs alike, as Ctrl-C does in a terminal
+    // A separate process group: the signal reaches make and its programs alike, as Ctrl-C does.
     command.process_group(0);
     let mut child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("make");
     let checkpoint = stopped.file("checkpoint.bin");
@@ -168,7 +168,7 @@ fn a_stopped_run_is_finished_by_the_next() {
     let killed = Command::new("sh").args(["-c", &format!("kill -s INT -- -{}", child.id())]).status().expect("sh");
     assert!(killed.success());
     assert!(!child.wait().expect("make ends").success(), "make must not call a stopped run a success");
-    // make does not wait for a child that it has passed the signal on to
+    // make does not wait for a child after it has passed the signal on.
     while !stopped.has("report.html") {
         assert!(waited < 12000, "a stopped case has its page, too: {}", stopped.status());
         std::thread::sleep(std::time::Duration::from_millis(10));
@@ -182,7 +182,7 @@ fn a_stopped_run_is_finished_by_the_next() {
     stopped.surface(&variables).expect_success("the second run");
     unbroken.surface(&variables).expect_success("the unbroken run");
     assert!(!checkpoint.exists(), "a finished run needs no checkpoint");
-    // Histories hold the paths of the inputs, which differ between the two folders: compare the particles themselves.
+    // Histories contain the paths of the inputs, which differ, so the particles are compared.
     let particles = |file: &Path| {
         use isoparticles_stage::particle_file::{ParticleKind, read_particles};
         read_particles(file, &[ParticleKind::Particles]).expect("particles").particles

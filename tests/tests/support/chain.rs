@@ -1,4 +1,4 @@
-//! The chain from a volume to triangles, by the stage programs themselves.
+//! Runs the chain from a volume to triangles with the stage programs.
 
 use super::stage;
 use crate::arguments;
@@ -12,7 +12,7 @@ pub struct Files {
     pub distfield: PathBuf,
     /// Target edge length.
     pub sizefield: PathBuf,
-    /// What `sizefield` measured.
+    /// Report of `sizefield`.
     pub sizefield_report: PathBuf,
     /// First particles.
     pub seeds: PathBuf,
@@ -23,7 +23,7 @@ pub struct Files {
 }
 
 impl Files {
-    /// Names in a folder.
+    /// The names of all files in a folder.
     pub fn in_folder(folder: &Path) -> Self {
         let file = |name: &str| folder.join(name);
         Self {
@@ -37,10 +37,10 @@ impl Files {
     }
 }
 
-/// What to ask of the stages beyond their defaults.
+/// Options of the stages beyond their defaults.
 #[derive(Clone, Debug, Default)]
 pub struct Wishes {
-    /// Options of `distfield`: the iso value or the labels at least.
+    /// Options of `distfield`: at least the iso value or the labels.
     pub distfield: Vec<OsString>,
     /// Options of `sizefield`.
     pub sizefield: Vec<OsString>,
@@ -51,12 +51,12 @@ pub struct Wishes {
 }
 
 impl Wishes {
-    /// A phantom's scalar volume, with one edge length everywhere when `size` is given.
+    /// A phantom's scalar volume; `size` (mm) sets one edge length everywhere.
     pub fn scalar(size: Option<f64>) -> Self {
         Self::of(arguments!["--iso", "100"], size)
     }
 
-    /// A phantom's label map, likewise.
+    /// A phantom's label map; `size` as above.
     pub fn label(size: Option<f64>) -> Self {
         Self::of(arguments!["--labels", "1"], size)
     }
@@ -81,7 +81,7 @@ pub fn fields(volume: &Path, folder: &Path, wishes: &Wishes) -> Files {
     files
 }
 
-/// Runs everything up to the triangles.
+/// Runs all stages up to the triangles.
 #[track_caller]
 pub fn surface(volume: &Path, folder: &Path, wishes: &Wishes) -> Files {
     let files = fields(volume, folder, wishes);

@@ -1,12 +1,12 @@
-//! Examination of a triangle mesh: counted and summed here anew, so that the project's own checks are checked too.
+//! Independent examination of a triangle mesh; tests also check the project's own checks with it.
 
 use glam::DVec3;
 use std::collections::HashMap;
 
-/// What a mesh is like.
+/// Properties of a mesh.
 #[derive(Clone, Debug)]
 pub struct Examination {
-    /// Edges that are not in exactly two triangles, once each way.
+    /// Directed edges without exactly one opposite edge; 0 for a closed, oriented mesh.
     pub bad_edges: usize,
     /// Connected components.
     pub components: usize,
@@ -18,9 +18,10 @@ pub struct Examination {
     pub volume: f64,
     /// Centre of mass of the enclosed solid.
     pub centroid: DVec3,
-    /// Mean of twice the inscribed over the circumscribed circle's radius.
+    /// Mean radius ratio: twice the radius of the inscribed circle over that of the circumscribed
+    /// one.
     pub mean_radius_ratio: f64,
-    /// Smallest of these.
+    /// Minimum radius ratio.
     pub smallest_radius_ratio: f64,
 }
 

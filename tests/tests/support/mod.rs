@@ -1,5 +1,5 @@
-//! What the integration tests share: the built programs, phantoms on disk, and an examination of meshes that uses
-//! nothing of the code under test.
+//! Helpers of the integration tests: the built programs, phantoms on disk, and an examination of
+//! meshes that shares nothing with the code under test.
 #![allow(dead_code, unreachable_pub, reason = "each test binary uses its own part of these helpers")]
 
 pub mod chain;
@@ -20,8 +20,8 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("tests/ lies in the repository").to_path_buf()
 }
 
-/// Folder of the release programs. They are brought up to date once a test binary (a fraction of a second when they
-/// are), unless `ISOPARTICLES_BIN` names a folder that holds them.
+/// Folder of the release programs. Each test binary builds them once (a fraction of a second if
+/// they are up to date), unless `ISOPARTICLES_BIN` names a folder with them.
 pub fn binaries() -> &'static Path {
     static BINARIES: OnceLock<PathBuf> = OnceLock::new();
     BINARIES.get_or_init(|| {
@@ -44,21 +44,21 @@ pub fn binaries() -> &'static Path {
 pub struct Ended {
     /// Exit code.
     pub code: Option<i32>,
-    /// Diagnostics.
+    /// Text on stderr.
     pub stderr: String,
-    /// Data.
+    /// Text on stdout.
     pub stdout: String,
 }
 
 impl Ended {
-    /// Fails with the program's own words unless the exit code is 0.
+    /// Panics with the program's stderr unless the exit code is 0.
     #[track_caller]
     pub fn expect_success(self, what: &str) -> Self {
         assert_eq!(self.code, Some(0), "{what} failed:\n{}", self.stderr);
         self
     }
 
-    /// Asserts the contract of an error: exit code, three parts, no panic, and every word of `words` named.
+    /// Asserts an error: the exit code, the three parts, no panic, and every word of `words`.
     #[track_caller]
     pub fn expect_error(&self, code: i32, words: &[&str]) {
         assert_eq!(self.code, Some(code), "exit code; stderr:\n{}", self.stderr);
@@ -83,14 +83,14 @@ pub fn run(command: &mut Command) -> Ended {
     }
 }
 
-/// A stage program, quiet unless something is wrong.
+/// Runs a stage program without progress output.
 pub fn stage<A: AsRef<OsStr>>(name: &str, arguments: impl IntoIterator<Item = A>) -> Ended {
     let mut command = Command::new(binaries().join(name));
     command.args(arguments).args(["--progress", "none"]);
     run(&mut command)
 }
 
-/// Arguments from anything that looks like a path or a string.
+/// Arguments from values that convert into an `OsString`.
 #[macro_export]
 macro_rules! arguments {
     ($($argument:expr),* $(,)?) => { vec![$(std::ffi::OsString::from($argument)),*] };
@@ -105,12 +105,12 @@ pub enum Kind {
     Label,
 }
 
-/// Writes a phantom; returns its truth (iso value 100, object above, or label 1).
+/// Writes a phantom; returns its exact figures (iso value 100, object above, or label 1).
 pub fn write_phantom(path: &Path, shape: Shape, geometry: &Geometry, kind: Kind) -> Truth {
     write_phantom_with(path, shape, geometry, kind, FileSpace::Lps, &Options::for_grid(geometry))
 }
 
-/// Writes a phantom with every choice open.
+/// Writes a phantom with all options.
 pub fn write_phantom_with(
     path: &Path,
     shape: Shape,
@@ -138,7 +138,7 @@ pub fn listing(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Folder of the real volumes, or nothing (with a visible word) when it is not there.
+/// Folder of the real volumes; `None`, with a recorded skip, if it is missing.
 pub fn real_volumes(test: &str) -> Option<PathBuf> {
     let folder = isoparticles_tests::skip::real_volumes_folder();
     if folder.is_dir() {

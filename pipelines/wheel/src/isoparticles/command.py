@@ -1,7 +1,8 @@
-"""``isoparticles GOAL ...`` makes a case as the project's Makefile does, ``isoparticles STAGE ...`` runs one stage.
+"""``isoparticles GOAL ...`` makes a case, ``isoparticles STAGE ...`` runs one stage.
 
-Nothing is decided here: goals go to the program ``isoparticles-case``, ``--min-size 2`` becomes its ``MIN_SIZE=2``, and stages get their
-arguments as they are.
+The goals are those of the Makefile. This module only translates command lines: goals go to the
+program ``isoparticles-case``, ``--min-size 2`` becomes ``MIN_SIZE=2``, and stages get their
+arguments unchanged.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ VOLUME_GOALS = {
     "mesh": "from the volume to tetrahedra and the page about them",
     "surface": "as far as the triangles",
 }
-"""Goals whose first argument is the volume; the stages' names with a volume go through the stages."""
+"""Goals whose first argument is the volume. A stage name is not a goal here: it runs the stage."""
 NAME_GOALS = {
     "verdict": "how it went",
     "page": "the page once more",
@@ -34,11 +35,11 @@ NAME_GOALS = {
 SHORT = {"-o": "OUT", "--output": "OUT"}
 VERBOSITY = frozenset({"-q", "-v", "-vv"})
 BATCH = {"--time-limit": "--time-limit", "--goal": "--as-far-as"}
-"""Options of a batch that are none of a case."""
+"""Options of ``batch`` alone, with their names in ``isoparticles-case``."""
 
 
 class UsageError(Exception):
-    """A command line that cannot be meant: what, why it matters, what to do."""
+    """An invalid command line: what is wrong, why it matters, what to do."""
 
     def __init__(self, what: str, why: str, what_next: str) -> None:
         super().__init__(f"error: {what}\n  why it matters: {why}\n  what to do: {what_next}")
@@ -51,7 +52,7 @@ def program(name: str) -> str:
 
 
 def scripts() -> Path:
-    """The folder of the commands that came with this one."""
+    """Folder of the commands that were installed with this one."""
     name = f"tetmesh-check{'.exe' if os.name == 'nt' else ''}"
     for folder in (Path(sys.argv[0]).resolve().parent, Path(sys.executable).parent):
         if (folder / name).is_file():
@@ -93,16 +94,17 @@ def settings_of(words: Sequence[str], first: str, known: dict[str, str]) -> tupl
     Parameters
     ----------
     words
-        What follows the goal: ``--min-size 2``, ``--min-size=2`` and ``MIN_SIZE=2`` are the same.
+        The words after the goal. ``--min-size 2``, ``--min-size=2`` and ``MIN_SIZE=2`` are
+        equivalent.
     first
         The key that a bare word sets.
     known
-        Options that are passed on, under the names they have there.
+        Options to pass on, and the names under which to pass them.
 
     Returns
     -------
     tuple
-        Settings ``KEY=VALUE``, and the options that are passed on.
+        Settings ``KEY=VALUE``, and the options to pass on.
     """
     settings: list[str] = []
     options: list[str] = []
@@ -145,7 +147,7 @@ def preset_of(case_file: Path) -> list[str]:
 
 
 def help_text() -> str:
-    """What there is."""
+    """The help text with all goals and options."""
     keys = subprocess.run([program("isoparticles-case"), "keys"], capture_output=True, text=True, check=True)
     lines = [line.split("\t", 1) for line in keys.stdout.splitlines()]
     options = "\n".join(
@@ -172,7 +174,7 @@ Options of mesh and surface (also as KEY=VALUE):
 
 
 def command_of(arguments: Sequence[str]) -> list[str]:
-    """Program and arguments for what was asked; raises :class:`UsageError`."""
+    """Program and arguments for a command line; raises :class:`UsageError`."""
     goal, rest = arguments[0], arguments[1:]
     if goal == "tetmesh-check":
         return [sys.executable, "-m", "tetmesh_check", *rest]
@@ -198,7 +200,10 @@ def command_of(arguments: Sequence[str]) -> list[str]:
 
 
 def main() -> NoReturn:
-    """Run what the command line says; this process becomes that program, so signals and exit codes are its own."""
+    """Run the command line.
+
+    The program replaces this process, so signals and exit codes are those of the program.
+    """
     arguments = sys.argv[1:]
     if not arguments or arguments[0] in ("help", "-h", "--help") or (len(arguments) > 1 and is_help(arguments)):
         print(help_text(), end="")
@@ -218,5 +223,5 @@ def main() -> NoReturn:
 
 
 def is_help(arguments: Sequence[str]) -> bool:
-    """Whether a goal, which has no help of its own, is asked for help."""
+    """Whether a goal is asked for help; only stages have help of their own."""
     return arguments[0] not in STAGES and any(word in ("-h", "--help") for word in arguments[1:])
