@@ -25,6 +25,14 @@ fn cell_at(position: vec3<f32>) -> Cell {
     return Cell(min(base, top), fraction);
 }
 
+// Whether a position lies between the first and the last samples, or on them to a thousandth of the
+// spacing. Twin: `Geometry::holds`.
+fn is_in_grid(position: vec3<f32>) -> bool {
+    let index = position * parameters.inverse_spacing + vec3<f32>(parameters.centre);
+    let last = vec3<f32>(parameters.grid_size) - 1.0;
+    return all(index >= vec3(-1e-3)) && all(index <= last + 1e-3);
+}
+
 fn linear_index(at: vec3<i32>) -> u32 {
     let n = parameters.grid_size;
     return (u32(at.z) * n.y + u32(at.y)) * n.x + u32(at.x);

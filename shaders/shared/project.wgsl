@@ -63,7 +63,7 @@ fn project(start: vec3<f32>, limit: f32, lane: u32) -> Projected {
         }
     }
     if is_there {
-        there.found = checks == CHECKS_PASS;
+        there.found = checks == CHECKS_PASS && is_in_grid(there.position);
         there.size = sizing_at(there.position).w;
         end_checks();
     }

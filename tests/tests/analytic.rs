@@ -26,11 +26,15 @@ struct Meshed {
 }
 
 fn mesh(shape: Shape, geometry: &Geometry, kind: Kind, size: Option<f64>) -> Meshed {
+    let wishes = if kind == Kind::Scalar { Wishes::scalar(size) } else { Wishes::label(size) };
+    mesh_with(shape, geometry, kind, &wishes)
+}
+
+fn mesh_with(shape: Shape, geometry: &Geometry, kind: Kind, wishes: &Wishes) -> Meshed {
     let folder = tempfile::tempdir().expect("folder");
     let volume = folder.path().join("phantom.nrrd");
     let truth = write_phantom(&volume, shape, geometry, kind);
-    let wishes = if kind == Kind::Scalar { Wishes::scalar(size) } else { Wishes::label(size) };
-    let files = chain::surface(&volume, folder.path(), &wishes);
+    let files = chain::surface(&volume, folder.path(), wishes);
     let surface = read_surface(&files.surface).expect("surface").surface.mesh;
     let examined = examine(&surface.vertices, &surface.triangles);
     Meshed { truth, examined, vertices: surface.vertices }
@@ -139,6 +143,24 @@ fn cylinder_is_closed_where_the_volume_cuts_it() {
     // 1.3 take another 0.21 to 0.26 % (eight particle seeds).
     let meshed = mesh(Shape::Cylinder, &cube(48), Kind::Scalar, Some(1.3));
     assert_as_stated(Shape::Cylinder, &meshed);
+}
+
+#[test]
+fn cylinder_ends_at_an_open_border() {
+    for kind in [Kind::Scalar, Kind::Label] {
+        let mut wishes = if kind == Kind::Scalar { Wishes::scalar(Some(2.0)) } else { Wishes::label(Some(2.0)) };
+        wishes.distfield.extend(arguments!["--border", "open"]);
+        let meshed = mesh_with(Shape::Cylinder, &cube(32), kind, &wishes);
+        let heights = meshed.vertices.iter().map(|v| v.z);
+        let [low, high] = [heights.clone().fold(f64::MAX, f64::min), heights.fold(f64::MIN, f64::max)];
+        let radius =
+            meshed.vertices.iter().map(|v| (v.truncate() - 15.5).length()).sum::<f64>() / meshed.vertices.len() as f64;
+        // F continues five voxels beyond the volume; the rims are uneven by less than an edge
+        assert!(low < -4.0 && high > 35.0 - 2.0, "{kind:?}: from {low} to {high}");
+        let wall = 2.0 * std::f64::consts::PI * radius * (high - low);
+        assert!((0.9..1.01).contains(&(meshed.examined.area / wall)), "{kind:?}: {} of {wall}", meshed.examined.area);
+        assert_eq!(meshed.examined.components, 1, "{kind:?}");
+    }
 }
 
 #[test]

@@ -64,6 +64,14 @@ impl Geometry {
         grid / self.spacing
     }
 
+    /// Whether a grid position lies between the first and the last samples, or on them to a
+    /// thousandth of the spacing.
+    #[inline(always)]
+    pub fn holds(&self, grid: DVec3) -> bool {
+        let index = self.grid_to_index(grid);
+        (0..3).all(|axis| (-1e-3..=self.size[axis] as f64 - 0.999).contains(&index[axis]))
+    }
+
     /// World position of a grid position.
     pub fn grid_to_world(&self, grid: DVec3) -> DVec3 {
         self.origin + self.directions * grid

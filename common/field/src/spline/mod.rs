@@ -27,6 +27,13 @@ pub const PROJECTION_STEPS: usize = 25;
 /// nearly everywhere.
 pub const LEAST_SQUARED_GRADIENT: f64 = 1e-8;
 
+/// Voxels between a surface and the face of a grid that make the spline near the surface the same
+/// as on a larger grid. The mirror boundary replaces the values beyond the face; where they differ
+/// by d, the spline n nodes from the face differs by less than d sqrt(3) z^(n + 1) / (1 - z), with
+/// z = 2 - sqrt(3) (impulse response of the prefilter, Unser 1999). With n = 7 that is 6e-5 d. A d
+/// of ten times the change from voxel to voxel at the surface moves it by 0.0006 voxel.
+pub const ROOM: usize = 8;
+
 /// Interpolating cubic B-spline over a grid; positions in the grid frame, derivatives per mm.
 #[derive(Clone, Debug)]
 pub struct CubicSpline {
@@ -129,7 +136,7 @@ impl CubicSpline {
                 return None;
             }
             if f.abs() <= tolerance * g2.sqrt().min(1.0) {
-                return Some((p, g));
+                return self.geometry.holds(p).then_some((p, g));
             }
             p += (-g * (f / g2)).clamp_length_max(longest);
             if p.distance_squared(start) > limit * limit {
