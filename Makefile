@@ -38,7 +38,7 @@ KEYS := NAME INPUT PHANTOM SERIES ISO LABELS MATERIALS INSIDE BORDER SCALE EPSIL
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # Other variables of this file.
 OTHERS := CASE CASES LIST TIME_LIMIT PROFILE CLUSTER_OPTIONS SNAKEMAKE SNAKEMAKE_VENV BIN NO_BUILD CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
-          BENCH_OPTIONS FUZZ_SECONDS FUZZ_JOBS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES REMESHER_CASES REMESHER_VERTICES MATERIALS_CASES PEER_CASES N KILL_SEED
+          BENCH_OPTIONS FUZZ_SECONDS FUZZ_JOBS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES REMESHER_CASES REMESHER_VERTICES MATERIALS_CASES PEER_CASES N KILL_SEED DOCS_VENV
 # Goals for one case.
 CASE_GOALS := distfield sizefield seed particles reconstruct surface mesh page verdict info clean
 
@@ -91,7 +91,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 
 # --- Goals ----------------------------------------------------------------------------------------
 
-.PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel completions doctor test format lint documentation test-rust test-python fuzz deny bench-stages \
+.PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel completions doctor test format lint documentation docs test-rust test-python fuzz deny bench-stages \
         bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers bench-paper bench-growth results-page notebook
 
 define HELP
@@ -119,6 +119,7 @@ Volumes in, simulation-ready meshes out.
   make wheel                                   target/wheel/isoparticles-*.whl: pip install it, then `isoparticles help`
   make completions                             target/share: completions for bash, zsh and fish, and man pages
   make test                                    format, lints, documentation, tests
+  make docs                                    the documentation site, target/docs/index.html (Sphinx)
   make fuzz                                    fuzz every file reader for FUZZ_SECONDS=60 each, FUZZ_JOBS=1 in parallel
                                                (nightly Rust, cargo-fuzz)
   make deny                                    licences and advisories of the linked crates (cargo-deny, cargo-audit)
@@ -287,8 +288,11 @@ completions: build env
 
 # --- Checks of the project itself -----------------------------------------------------------------
 
+# Where Sphinx is installed.
+DOCS_VENV ?= .venv-docs
+
 test:
-	@tests/run_all.sh '$(MAKE)' format lint documentation test-rust test-python
+	@tests/run_all.sh '$(MAKE)' format lint documentation docs test-rust test-python
 
 format:
 	$(CARGO) fmt --check
@@ -307,12 +311,23 @@ test-rust: build env
 test-python: build env wheel
 	cd stages/tetmesh-check && $(abspath $(VENV))/bin/ruff check . && $(abspath $(VENV))/bin/ruff format --check . \
 	  && $(abspath $(VENV))/bin/mypy && $(abspath $(VENV))/bin/pytest -q
-	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py tests stages/reconstruct/benches stages/distfield/benches/scale.py stages/distfield/benches/remesh_peers.py || exit $$?; done
+	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py docs/conf.py tests stages/reconstruct/benches stages/distfield/benches/scale.py stages/distfield/benches/remesh_peers.py || exit $$?; done
 	$(VENV)/bin/pytest -q -p no:cacheprovider tests/test_docs.py tests/results
 	cd pipelines/wheel && settings=../../stages/tetmesh-check/pyproject.toml && $(abspath $(VENV))/bin/ruff check --config $$settings . \
 	  && $(abspath $(VENV))/bin/ruff format --config $$settings --check . \
 	  && $(abspath $(VENV))/bin/mypy --strict --python-version 3.11 src/isoparticles \
 	  && WHEEL=$(abspath $(WHEEL)) $(abspath $(VENV))/bin/pytest -q -c pytest.ini
+
+# The documentation site, target/docs/index.html; every warning is an error.
+docs: $(DOCS_VENV)/.made
+	$(DOCS_VENV)/bin/sphinx-build -W --keep-going --quiet docs $(CARGO_TARGET_DIR)/docs
+	@echo $(CARGO_TARGET_DIR)/docs/index.html
+
+$(DOCS_VENV)/.made: docs/requirements.lock | env
+	@$(VENV)/bin/python -m venv --clear $(DOCS_VENV)
+	@$(DOCS_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: \
+	  --require-hashes -r docs/requirements.lock
+	@touch $@
 
 doctor:
 	@sh tests/doctor.sh

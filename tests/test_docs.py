@@ -5,9 +5,12 @@ Beside: in the paragraph before or after, in the first one of the section, or in
 
 from __future__ import annotations
 
+import os
 import re
+import sys
 from pathlib import Path
 
+import commands_page
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -111,3 +114,13 @@ def test_a_table_without_a_command_is_found() -> None:
     assert without_command(f"# Times\n\n`make bench-stages`:\n\n{table}") == []
     assert without_command(f"# How\n\n    make bench-stages\n\n# Times\n\n[How](#how)\n\n{table}") == []
     assert without_command("# Words\n\n| word | meaning |\n|---|---|\n| F | the field of 3 axes |\n") == []
+
+
+def test_the_command_reference_is_current() -> None:
+    programs = Path(os.environ.get("ISOPARTICLES_BIN", ROOT / "target" / "release"))
+    tetmesh_check = Path(sys.executable).parent / "tetmesh-check"
+    if not (programs / "distfield").exists() or not tetmesh_check.exists():
+        pytest.skip("the programs are not built (make build env)")
+    assert commands_page.page(programs, tetmesh_check) == commands_page.PAGE.read_text(encoding="utf-8"), (
+        "stale: run tests/commands_page.py"
+    )

@@ -1,0 +1,14 @@
+"""Settings of the documentation site; ``make docs`` builds it."""
+
+project = "isoparticles"
+copyright = "the isoparticles developers"
+extensions = ["myst_parser"]
+# the template is a part of results.md, and the notebook has a reader of its own
+exclude_patterns = ["results", "notebooks"]
+html_theme = "furo"
+html_title = "isoparticles"
+html_show_sphinx = False
+myst_enable_extensions = ["dollarmath"]
+# links to headings, as in [a](page.md#heading)
+myst_heading_anchors = 4
+nitpicky = True
