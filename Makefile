@@ -253,7 +253,7 @@ endif
 # ISOPARTICLES_BIN of hatch_build.py is a folder of the programs without symbols. auditwheel names
 # the oldest Linux on which they run.
 WHEEL = $(CARGO_TARGET_DIR)/wheel
-WHEEL_PROGRAMS = distfield sizefield seed particles reconstruct phantom isoparticles-case
+WHEEL_PROGRAMS = distfield sizefield seed particles reconstruct phantom isoparticles-case isoparticles-volume
 wheel: build env $(WHEEL)/venv/.made completions
 	@rm -rf $(WHEEL)/bin $(WHEEL)/raw $(WHEEL)/*.whl && mkdir -p $(WHEEL)/bin
 	@for name in $(WHEEL_PROGRAMS); do strip -o $(WHEEL)/bin/$$name $(BIN)/$$name || exit $$?; done
@@ -270,7 +270,7 @@ $(WHEEL)/venv/.made: pipelines/wheel/requirements.lock | env
 # /usr/share. The wheel contains those of its command.
 SHARE = $(CARGO_TARGET_DIR)/share
 SHARE_STAGES = distfield sizefield seed particles reconstruct
-SHARE_GOALS = info mesh surface verdict page clean demo index batch tetmesh-check
+SHARE_GOALS = info convert mesh surface verdict page clean demo index batch tetmesh-check
 completions: build env
 	@rm -rf $(SHARE) && mkdir -p $(addprefix $(SHARE)/,bash-completion/completions zsh/site-functions fish/vendor_completions.d man/man1)
 	@lines=$$(mktemp -d) && trap 'rm -rf "$$lines"' EXIT && bin=$(call quote,$(BIN)) && shells() { command=$$1 name=$$2 && shift 2 \

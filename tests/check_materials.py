@@ -2,7 +2,7 @@
 
     python tests/check_materials.py CASE.surface.vtp LABELS.vti [--volume FILE] [--json FILE]
 
-LABELS.vti is the output of `distfield VOLUME --write-volume LABELS.vti`. If `--smallest-island` has
+LABELS.vti is the output of `isoparticles-volume convert VOLUME -o LABELS.vti`. If `--smallest-island` has
 reassigned voxels, it is the indicator file of distfield instead, which holds the material of each
 node; only distfield itself has then compared these with the labels. The material of every voxel
 centre is found by tracing lines of voxel centres through the triangles, from outside in. Junctions

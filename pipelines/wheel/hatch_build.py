@@ -13,7 +13,7 @@ from hatchling.metadata.plugin.interface import MetadataHookInterface
 
 ROOT = Path(__file__).resolve().parents[2]
 TETMESH_CHECK = ROOT / "stages" / "tetmesh-check"
-PROGRAMS = ("distfield", "sizefield", "seed", "particles", "reconstruct", "phantom", "isoparticles-case")
+PROGRAMS = ("distfield", "sizefield", "seed", "particles", "reconstruct", "phantom", "isoparticles-case", "isoparticles-volume")
 
 
 class Metadata(MetadataHookInterface):

@@ -150,10 +150,11 @@ fn wanted(batch: &Batch<'_>) -> Vec<&'static str> {
 /// Command that predicts the cost of a mesh of a volume.
 fn info(row: &Row, volume: &Path, out: &Path, programs: &Programs) -> Vec<String> {
     let output = out.join(FOLDER).join("info").join(format!("{}.json", row.name));
-    let mut command = vec![programs.bin.join("distfield").into_os_string(), volume.as_os_str().to_owned()];
+    let program = programs.bin.join("isoparticles-volume").into_os_string();
+    let mut command = vec![program, "info".into(), volume.as_os_str().to_owned()];
     let series = row.case.as_ref().ok().and_then(|case| case.settings.get("SERIES"));
     command.extend(series.into_iter().flat_map(|series| ["--series".into(), series.into()]));
-    command.extend(["--info".into(), "--json".into(), output.into_os_string(), "--force".into()]);
+    command.extend(["--json".into(), output.into_os_string(), "--force".into()]);
     command.into_iter().map(text).collect()
 }
 

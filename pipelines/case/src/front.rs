@@ -63,12 +63,17 @@ pub fn command(known: &[CommandLine]) -> Command {
         let more = Arg::new("ARGUMENTS").num_args(0..).allow_hyphen_values(true).value_hint(ValueHint::AnyPath);
         Command::new(name).about(about).arg(more.help("As `isoparticles STAGE --help` tells them"))
     });
+    let convert = Command::new("convert").about("Write a volume as a VTK image (.vti)").args([
+        Arg::new("VOLUME").value_hint(ValueHint::AnyPath).help("The volume, or a folder of DICOM slices"),
+        Arg::new("output").short('o').long("output").value_name("V.vti").value_hint(ValueHint::FilePath),
+    ]);
     Command::new("isoparticles")
         .version(env!("CARGO_PKG_VERSION"))
         .about("Volumes in, simulation-ready meshes out")
         .after_help("Example: isoparticles mesh ct.nii.gz --labels 1 -o out")
         .disable_help_subcommand(true)
         .subcommand(of_volume("info", "What the volume is, and what to ask for"))
+        .subcommand(convert)
         .subcommand(of_volume("mesh", "From the volume to tetrahedra and the page about them"))
         .subcommand(of_volume("surface", "As far as the triangles"))
         .subcommand(of_name("verdict", "How it went"))

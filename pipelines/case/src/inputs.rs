@@ -14,8 +14,7 @@ pub const VOLUME: &str = "volume";
 const VOLUME_DATA: &str = "data of the volume";
 
 /// Options of a stage whose value is an output file.
-const WRITTEN: [&str; 9] =
-    ["-o", "--output", "--report", "--log", "--checkpoint", "--pictures", "--json", "--write-volume", "--truth"];
+const WRITTEN: [&str; 8] = ["-o", "--output", "--report", "--log", "--checkpoint", "--pictures", "--json", "--truth"];
 
 /// The volume and its data files in their current state. The hash of a file that is unchanged since
 /// `before` is reused.

@@ -245,7 +245,7 @@ fn clean(settings: &Settings) -> Result<u8> {
     Ok(0)
 }
 
-/// Prints the description of the volume by `distfield --info`.
+/// Prints the description of the volume and the cost of the case's object.
 fn info(settings: Settings, programs: &Programs) -> Result<u8> {
     let case = Case::new(settings)?;
     let volume = match &case.volume {
@@ -259,7 +259,11 @@ fn info(settings: Settings, programs: &Programs) -> Result<u8> {
             "make distfield CASE=... first",
         ));
     }
-    match program::run(&programs.bin.join("distfield"), &[volume.into_os_string(), "--info".into()])? {
+    let mut words = vec!["info".into(), volume.into_os_string()];
+    for (key, option) in [("SERIES", "--series"), ("LABELS", "--labels"), ("ISO", "--iso"), ("INSIDE", "--inside")] {
+        words.extend(case.settings.get(key).into_iter().flat_map(|value| [option.into(), value.into()]));
+    }
+    match program::run(&programs.bin.join("isoparticles-volume"), &words)? {
         program::Ended::Code(code) => Ok(u8::try_from(code).unwrap_or(2)),
         program::Ended::Signal(_) => Ok(130),
     }

@@ -47,7 +47,7 @@ def test_the_wheel_names_its_platform_and_holds_everything(wheel: Path) -> None:
     assert "-py3-none-" in wheel.name
     with zipfile.ZipFile(wheel) as file:
         names = set(file.namelist())
-    for program in ("distfield", "sizefield", "seed", "particles", "reconstruct", "phantom", "isoparticles-case"):
+    for program in ("distfield", "sizefield", "seed", "particles", "reconstruct", "phantom", "isoparticles-case", "isoparticles-volume"):
         assert f"isoparticles/bin/{program}" in names
     assert {
         "tetmesh_check/cli.py",

@@ -2,7 +2,7 @@
 
     python stages/distfield/benches/costs.py [--bin target/release] [--volumes VOLUME;OPTION ...]
 
-With --volumes it prints one table row per volume: the predictions of `distfield --info` and, in
+With --volumes it prints one table row per volume: the predictions of `isoparticles-volume info` and, in
 brackets, the measured values.
 
 Without --volumes it prints one line per phantom and group of stages: nodes of the padded grid,
@@ -48,9 +48,9 @@ def measured(command: list[str]) -> tuple[float, int]:
 
 
 def predicted(binaries: Path, volume: Path, option: str) -> dict:
-    """The JSON of `distfield --info` for a volume and one object in it."""
+    """The JSON of `isoparticles-volume info` for a volume and one object in it."""
     told = subprocess.run(
-        [binaries / "distfield", volume, "--info", "--json", "-", "-q", option], check=True, capture_output=True
+        [binaries / "isoparticles-volume", "info", volume, "--json", "-", "-q", option], check=True, capture_output=True
     )
     return json.loads(told.stdout)
 

@@ -1,4 +1,4 @@
-"""Compares vertex counts predicted by `distfield --info` with those of meshes of shared volumes.
+"""Compares vertex counts predicted by `isoparticles-volume info` with those of meshes of shared volumes.
 
     python stages/distfield/benches/predicted.py [--bin target/release] [--data ../shared/data]
 
@@ -43,7 +43,7 @@ def main() -> None:
     for name, option, made in CASES:
         volume = arguments.data / f"{name}.nrrd"
         started = time.monotonic()
-        command = [arguments.bin / "distfield", volume, "--info", "--json", "-", "-q", option]
+        command = [arguments.bin / "isoparticles-volume", "info", volume, "--json", "-", "-q", option]
         info = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
         seconds = time.monotonic() - started
         cost = info["objects"][0]["cost"]

@@ -23,16 +23,6 @@ pub enum Grid {
 /// rather than a border of it.
 pub type CutFaces = [[bool; 2]; 3];
 
-/// Room for a spline, in voxels.
-///
-/// The spline mirrors the voxels at the faces of the box. If the mirrored values differ from the
-/// true ones by d, the spline n nodes from the face differs by less than d sqrt(3) z^(n + 1) / (1 -
-/// z), with z = 2 - sqrt(3) (impulse response of the prefilter, Unser 1999). Between the surface
-/// and the face there are n = 7 nodes, which gives 6e-5 d. If d is ten times the change of the
-/// values over one voxel at the surface, the surface moves by 0.0006 voxel. That is less than the
-/// tolerance to which the zero set is pinned (0.001 voxel).
-const SPLINE_ROOM: usize = 8;
-
 /// A box of voxels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct VoxelBox {
@@ -103,7 +93,7 @@ impl VoxelBox {
 
 /// Room around the voxels inside an iso value.
 pub fn room_of_spline() -> [usize; 3] {
-    [SPLINE_ROOM; 3]
+    [isoparticles_field::spline::ROOM; 3]
 }
 
 /// The faces cut by either of two successive crops, the second box lying in the first.

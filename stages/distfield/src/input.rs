@@ -1,39 +1,13 @@
 //! Checks of the input before any work: labels of a scan, an iso value of a label map, a field that
-//! exceeds the available memory. Also runs `--info`, which prints a survey and computes no field.
+//! exceeds the available memory.
 
-use crate::info::cost::distfield_bytes;
-use crate::info::kind::{Kind, judge};
-use crate::info::survey::Survey;
-use crate::info::{Wishes, examine};
 use crate::run::Args;
-use isoparticles_stage::cli::{Context, Outcome};
+use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_stage::output::write_atomically;
-use isoparticles_volume::{LayerLabel, Volume};
-use std::io::Write;
-use std::path::Path;
-
-/// Values of `--kind`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum KindChoice {
-    /// Judge by the values.
-    Auto,
-    /// A scan: measured values.
-    Scan,
-    /// A label map: numbers of materials.
-    Labels,
-}
-
-impl KindChoice {
-    /// The kind, or `None` if it is to be judged.
-    pub fn given(self) -> Option<Kind> {
-        match self {
-            Self::Auto => None,
-            Self::Scan => Some(Kind::Scan),
-            Self::Labels => Some(Kind::Labels),
-        }
-    }
-}
+use isoparticles_survey::cost::distfield_bytes;
+use isoparticles_survey::kind::{Kind, KindChoice, judge};
+use isoparticles_survey::survey::Survey;
+use isoparticles_volume::Volume;
 
 /// Refuses labels of a scan and an iso value of a label map, unless `--kind` is given. Warns where
 /// the kind is uncertain, and for an iso value of a mask, where voxel centres next to the surface
@@ -60,7 +34,7 @@ pub fn check_kind(args: &Args, volume: &Volume, context: &Context) -> Result<()>
             format!("{labels}: the volume is a scan, not a label map: {reason}"),
             "a label is a number that stands for a material; in a scan the voxels of one value are specks here and there",
             format!(
-                "give --iso VALUE (distfield {input} --info proposes some), or --kind labels if these are labels all the same"
+                "give --iso VALUE (isoparticles-volume info {input} proposes some), or --kind labels if these are labels all the same"
             ),
         )),
         (Some(_), _, Kind::Scan) => {
@@ -77,7 +51,7 @@ pub fn check_kind(args: &Args, volume: &Volume, context: &Context) -> Result<()>
             format!("--iso {iso}: the volume is a label map, not a scan: {reason}"),
             "labels are numbers of materials, with nothing in between: from 0 to 3 the surface would cross 1 and 2 as well",
             format!(
-                "give --labels (all, 2..5 and names are understood; distfield {input} --info lists them), or --kind scan if these are \
+                "give --labels (all, 2..5 and names are understood; isoparticles-volume info {input} lists them), or --kind scan if these are \
                  measured values all the same"
             ),
         )),
@@ -102,39 +76,4 @@ pub fn check_room(args: &Args, voxels: [usize; 3], context: &Context) -> Result<
         &format!("a field of {nx} x {ny} x {nz} nodes"),
         "crop the volume to the object, or resample it",
     )
-}
-
-/// Prints the survey of the volume, as text or as JSON.
-///
-/// # Errors
-/// When the JSON file or stdout cannot be written, and when the run is interrupted.
-pub fn tell(args: &Args, volume: &Volume, labels: Option<Vec<LayerLabel>>, context: &Context) -> Result<Outcome> {
-    let wishes = Wishes { labels, iso: args.iso.map(|iso| (iso, args.inside)), kind: args.kind.given() };
-    let info = examine(volume, &wishes, context)?;
-    let json = || {
-        serde_json::to_string_pretty(&info).map_err(|error| {
-            Error::input(
-                format!("what was found cannot be put into JSON: {error}"),
-                "--json asks for it",
-                "report this bug",
-            )
-        })
-    };
-    let print = |text: &str| {
-        std::io::stdout()
-            .write_all(text.as_bytes())
-            .or_else(|error| if error.kind() == std::io::ErrorKind::BrokenPipe { Ok(()) } else { Err(error) })
-            .map_err(|error| Error::file(Path::new("stdout"), "write", &error, "check where stdout goes"))
-    };
-    match args.json.as_deref() {
-        Some(path) if path == Path::new("-") => print(&format!("{}\n", json()?))?,
-        path => {
-            if let Some(path) = path {
-                let text = json()?;
-                write_atomically(path, |file| writeln!(file, "{text}"))?;
-            }
-            print(&info.text(&args.input.display().to_string()))?;
-        }
-    }
-    Ok(Outcome::Passed)
 }

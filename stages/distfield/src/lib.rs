@@ -8,8 +8,7 @@
 //! ([`samples`], [`nearest`], [`closest`]), pins the zero set of the spline on it ([`fit`]), joins
 //! what touches as the source does ([`junctions`]) and closes it at the border ([`cap`]). [`keep`]
 //! drops parts, [`topology`] counts what came out and [`run`] is the program. [`materials`] makes a
-//! field for each of many materials. [`info`] says what a volume is, by which [`input`] refuses
-//! what cannot be meant; [`selection`] reads the user's choice of labels.
+//! field for each of many materials. [`input`] refuses labels of a scan and iso values of labels.
 
 pub mod bits;
 pub mod cap;
@@ -22,7 +21,6 @@ mod envelope;
 pub mod field;
 pub mod fit;
 pub mod gaussian;
-pub mod info;
 pub mod input;
 pub mod junctions;
 pub mod keep;
@@ -37,23 +35,15 @@ pub mod runs;
 pub mod samples;
 pub mod scalar;
 pub mod scale;
-pub mod selection;
 pub mod topology;
 pub mod unshear;
+
+pub use isoparticles_survey::Inside;
 
 pub use field::{Redistanced, Shift};
 pub use keep::Keep;
 pub use labels::{LabelOptions, from_labels, from_mask};
 pub use scalar::{ScalarOptions, from_scalar};
-
-/// Which side of the iso value the object is on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum Inside {
-    /// Values above the iso value.
-    Above,
-    /// Values below the iso value.
-    Below,
-}
 
 /// What happens to the surface where the object meets the border of the volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]

@@ -2,13 +2,12 @@
 
 use crate::choose::{Choice as ScaleChoice, Object, ScaleArgs, choose_scale, extract_scaled};
 use crate::crop::{CutFaces, Grid, VoxelBox, crop, room_of_spline};
-use crate::input::{KindChoice, check_kind, check_room, tell};
+use crate::input::{check_kind, check_room};
 use crate::labels::{LabelOptions, from_mask, room_of_labels};
 use crate::mask::Mask;
 use crate::materials::{self, Choice};
 use crate::scalar::{ScalarOptions, from_voxels};
 use crate::scale::room_round;
-use crate::selection::{Selection, noted};
 use crate::unshear::{Wanted, unshear};
 use crate::{Border, Inside, Keep, Redistanced};
 use isoparticles_stage::cli::check::Known;
@@ -16,9 +15,11 @@ use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, Stage
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{FieldKind, write_field};
 use isoparticles_stage::meta::{self, CapPlane, DistanceMeta, Side, Source};
-use isoparticles_volume::{Geometry, Image, LayerLabel, ReadOptions, Volume, read_volume_with, write_volume};
+use isoparticles_survey::kind::KindChoice;
+use isoparticles_survey::selection::{Selection, noted};
+use isoparticles_volume::{Geometry, Image, LayerLabel, ReadOptions, Volume, read_volume_with};
 use serde_json::{Map, Value, json};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// A volume and an iso value, or labels, become the signed distance field F
 ///
@@ -32,7 +33,7 @@ use std::path::{Path, PathBuf};
 #[command(
     name = "distfield",
     version,
-    after_help = "Example: the tooth of a CT, integer iso values being fine\n  distfield tooth_ct.nrrd -o tooth.distfield.vti --iso 600\nExample: both lungs of a label map as one object\n  distfield lungs_label.nrrd -o lungs.distfield.vti --labels 2,3\nExample: every label of a volume as a material of its own\n  distfield brain_parcellation.nrrd -o brain.materials.vti --material all\nExample: what the volume is, and what a mesh of it would cost\n  distfield lungs_label.nrrd --info"
+    after_help = "Example: the tooth of a CT, integer iso values being fine\n  distfield tooth_ct.nrrd -o tooth.distfield.vti --iso 600\nExample: both lungs of a label map as one object\n  distfield lungs_label.nrrd -o lungs.distfield.vti --labels 2,3\nExample: every label of a volume as a material of its own\n  distfield brain_parcellation.nrrd -o brain.materials.vti --material all"
 )]
 pub struct Args {
     /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha, .mhd), VTK image (.vti), or a folder of
@@ -43,25 +44,14 @@ pub struct Args {
     #[arg(long, value_name = "NAME", help_heading = FILES)]
     pub series: Option<String>,
     /// Distance field to write, a VTK image file; lengths in mm
-    #[arg(short, long, value_name = "F.vti", required_unless_present_any = ["info", "write_volume"], help_heading = FILES)]
-    pub output: Option<PathBuf>,
-    /// Write the volume as it was read in place of making a field: a VTK image file in its own type, placed in the world of the meshes,
-    /// with the names of its labels
-    #[arg(long, value_name = "V.vti", conflicts_with_all = ["output", "info", "iso", "labels"], help_heading = FILES)]
-    pub write_volume: Option<PathBuf>,
-    /// Say what the volume is in place of making a field: size, orientation, scan or labels, values, labels with their volumes, iso values
-    /// worth trying, and what a mesh would cost; of the object of --iso or --labels, where they are given
-    #[arg(long, conflicts_with = "output", help_heading = FILES)]
-    pub info: bool,
-    /// Write what --info says to this file; `-` for stdout, in place of the text
-    #[arg(long, value_name = "FILE.json|-", requires = "info", help_heading = FILES)]
-    pub json: Option<PathBuf>,
+    #[arg(short, long, value_name = "F.vti", help_heading = FILES)]
+    pub output: PathBuf,
     /// Iso value of a scalar volume, in its own unit; between its smallest and largest value
     #[arg(
         long,
         value_name = "V",
         allow_negative_numbers = true,
-        required_unless_present_any = ["labels", "material", "info", "write_volume"],
+        required_unless_present_any = ["labels", "material"],
         conflicts_with = "labels",
         help_heading = METHOD
     )]
@@ -79,7 +69,7 @@ pub struct Args {
         long,
         value_name = "NAME=A+B",
         allow_hyphen_values = true,
-        conflicts_with_all = ["labels", "iso", "info", "write_volume"],
+        conflicts_with_all = ["labels", "iso"],
         help_heading = METHOD
     )]
     pub material: Vec<Choice>,
@@ -149,14 +139,12 @@ impl StageArgs for Args {
     }
 
     fn outputs(&self) -> Vec<PathBuf> {
-        let json = self.json.iter().filter(|path| *path != Path::new("-"));
-        self.output.iter().chain(&self.write_volume).chain(json).cloned().collect()
+        vec![self.output.clone()]
     }
 
     fn parameters(&self) -> Value {
         let (border, keep) = (border_name(self.border), self.keep.to_string());
         let mut parameters = match (&self.labels, self.iso) {
-            _ if self.write_volume.is_some() => json!({}),
             _ if !self.material.is_empty() => json!({
                 "material": self.material.iter().map(Choice::to_string).collect::<Vec<_>>(), "border": border,
                 "margin": self.margin, "clearance": self.clearance, "smallest_island": self.smallest_island,
@@ -174,9 +162,7 @@ impl StageArgs for Args {
         if let Some(kind) = self.kind.given() {
             parameters["kind"] = json!(kind);
         }
-        if self.write_volume.is_none() {
-            parameters["grid"] = json!(grid_name(self.grid));
-        }
+        parameters["grid"] = json!(grid_name(self.grid));
         self.scale.add_to(&mut parameters);
         if let Some(series) = &self.series {
             parameters["series"] = json!(series);
@@ -201,22 +187,12 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     for remark in &volume.remarks {
         context.warn(remark);
     }
-    if let Some(path) = &args.write_volume {
-        let _step = context.step("write");
-        write_volume(path, &volume, &context.history())?;
-        return Ok(Outcome::Passed);
-    }
     let about_file = |error: Error| Error { what: format!("{}: {}", args.input.display(), error.what), ..error };
-    if !args.info {
-        check_kind(args, &volume, context).map_err(about_file)?;
-    }
+    check_kind(args, &volume, context).map_err(about_file)?;
     let labels = args.labels.as_ref().map(|labels| labels.resolve(&volume)).transpose().map_err(about_file)?;
-    let Some(output) = &args.output else {
-        return tell(args, &volume, labels, context);
-    };
     if !args.material.is_empty() {
         let volume = unshear(volume, Wanted::Materials(&args.material), args.border, context).map_err(about_file)?;
-        return materials::program::run(args, volume, output, context).map_err(about_file);
+        return materials::program::run(args, volume, &args.output, context).map_err(about_file);
     }
     let object = match (labels, args.iso) {
         (Some(labels), _) => Object::Labels(labels),
@@ -265,7 +241,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     describe(&result, &meta, context);
 
     let step = context.step("write");
-    write_field(output, FieldKind::Distance, &result.field, &meta, &context.history())?;
+    write_field(&args.output, FieldKind::Distance, &result.field, &meta, &context.history())?;
     drop(step);
     let mut failed = failed_checks(&result, context);
     if let Some(change) = volume_change(&result, &meta) {

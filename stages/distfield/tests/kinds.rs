@@ -5,9 +5,10 @@ use dicom_dictionary_std::tags;
 use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
 use glam::{DMat3, DVec3};
 use isoparticles_field::marching_cubes::marching_cubes;
+use isoparticles_stage::cli::Context;
 use isoparticles_stage::field_file::{FieldKind, read_field};
 use isoparticles_volume::nrrd::{Encoding, write_nrrd};
-use isoparticles_volume::{Geometry, Space, Voxels, read_volume};
+use isoparticles_volume::{Geometry, Space, Voxels, read_volume, write_volume};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -170,7 +171,8 @@ fn every_kind_of_file_gives_the_same_surface_in_the_world() {
     nifti(&path("v.nii"));
     meta_image(&path("v.mha"));
     dicom(&path("series"));
-    distfield(&[&path("v.nrrd"), Path::new("--write-volume"), &path("v.vti")]);
+    let volume = read_volume(&path("v.nrrd")).expect("a volume");
+    write_volume(&path("v.vti"), &volume, &Context::silent("test").history()).expect("written");
     let expected = surface(&path("v.nrrd"), folder.path());
     assert!(expected.len() > 300, "{} vertices", expected.len());
     for name in ["ras.nrrd", "v.nii", "v.mha", "series", "v.vti"] {
@@ -182,27 +184,4 @@ fn every_kind_of_file_gives_the_same_surface_in_the_world() {
         let largest = found.iter().zip(&expected).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
         assert!(largest < 1e-4, "{name}: {largest} mm away");
     }
-}
-
-#[test]
-fn a_volume_is_written_alone_or_a_field_is() {
-    let folder = tempfile::tempdir().expect("folder");
-    let path = |name: &str| -> PathBuf { folder.path().join(name) };
-    meta_image(&path("v.mha"));
-    let run = |words: &[&str]| {
-        let run = Command::new(env!("CARGO_BIN_EXE_distfield")).current_dir(folder.path()).args(words).output();
-        run.expect("the program runs")
-    };
-    for words in [
-        &["v.mha", "--write-volume", "w.vti", "--iso", "3"][..],
-        &["v.mha", "--write-volume", "w.vti", "-o", "f.vti"],
-        &["v.mha", "--write-volume", "w.vti", "--series", "lung"],
-    ] {
-        assert_eq!(run(words).status.code(), Some(2), "{words:?}");
-        assert!(!path("w.vti").exists());
-    }
-    assert_eq!(run(&["v.mha", "--write-volume", "w.vti"]).status.code(), Some(0));
-    assert_eq!(run(&["v.mha", "--write-volume", "w.vti"]).status.code(), Some(2), "kept without --force");
-    let (written, read) = (read_volume(&path("w.vti")).expect("read"), read_volume(&path("v.mha")).expect("read"));
-    assert_eq!((written.geometry, written.voxels), (read.geometry, read.voxels));
 }

@@ -153,10 +153,10 @@ class Case:
         return pv.read(self.file("m.vtp")), pv.read(self.file("m.vtu")), seconds, memory
 
     def labels(self) -> pv.ImageData:
-        """The labels as distfield reads them."""
+        """The labels as the stages read them."""
         path = self.file("labels.vti")
-        program = Path(self.arguments.bin) / "distfield"
-        subprocess.run([program, self.volume, "--write-volume", path, "--force", "-q"], check=True)
+        program = Path(self.arguments.bin) / "isoparticles-volume"
+        subprocess.run([program, "convert", self.volume, "-o", path, "--force", "-q"], check=True)
         return pv.read(path)
 
 

@@ -33,8 +33,8 @@ _BUILT = Path(__file__).parents[3] / "target" / "release"
 # volumes are read by distfield; `make test-python` builds it first
 os.environ.setdefault("ISOPARTICLES_BIN", str(_BUILT))
 NEEDS_DISTFIELD = pytest.mark.skipif(
-    shutil.which("distfield", path=os.environ["ISOPARTICLES_BIN"]) is None,
-    reason="distfield is not built: cargo build --release, or name its folder in ISOPARTICLES_BIN",
+    shutil.which("isoparticles-volume", path=os.environ["ISOPARTICLES_BIN"]) is None,
+    reason="isoparticles-volume is not built: cargo build --release, or name its folder in ISOPARTICLES_BIN",
 )
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

@@ -68,12 +68,12 @@ def test_names_layers_and_errors(tmp_path: Path) -> None:
 def test_a_program_that_is_not_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setenv("ISOPARTICLES_BIN", str(tmp_path))
-    with pytest.raises(StageError, match="program distfield is not there") as refused:
-        find_program("distfield")
+    with pytest.raises(StageError, match="program isoparticles-volume is not there") as refused:
+        find_program("isoparticles-volume")
     assert "cargo build" in refused.value.next_step
-    (tmp_path / "distfield").write_text("#!/bin/sh\necho old >&2; exit 2\n")
-    (tmp_path / "distfield").chmod(0o755)
-    assert find_program("distfield") == tmp_path / "distfield"
+    (tmp_path / "isoparticles-volume").write_text("#!/bin/sh\necho old >&2; exit 2\n")
+    (tmp_path / "isoparticles-volume").chmod(0o755)
+    assert find_program("isoparticles-volume") == tmp_path / "isoparticles-volume"
     with pytest.raises(StageError, match="ended with code 2: old"):
         read_volume(tmp_path / "l.nrrd")
 

@@ -49,8 +49,8 @@ fn materials_become_one_mesh_that_keeps_every_voxel() {
     assert_eq!(report["outcome"], "passed", "{report}");
 
     let labels = folder.path().join("labels.vti");
-    let mut command = Command::new(super::binaries().join("distfield"));
-    command.arg(&volume).arg("--write-volume").arg(&labels).arg("-q");
+    let mut command = Command::new(super::binaries().join("isoparticles-volume"));
+    command.arg("convert").arg(&volume).arg("-o").arg(&labels).arg("-q");
     run(&mut command).expect_success("the labels");
     let json = folder.path().join("kept.json");
     let look = |surface: &Path| {
@@ -73,8 +73,8 @@ fn materials_become_one_mesh_that_keeps_every_voxel() {
     nrrd::write(&other, &geometry, FileSpace::Lps, &Voxels::U8(vec![3; geometry.voxel_count()]), true)
         .expect("written");
     std::fs::remove_file(&labels).expect("removed");
-    let mut command = Command::new(super::binaries().join("distfield"));
-    command.arg(&other).arg("--write-volume").arg(&labels).arg("-q");
+    let mut command = Command::new(super::binaries().join("isoparticles-volume"));
+    command.arg("convert").arg(&other).arg("-o").arg(&labels).arg("-q");
     run(&mut command).expect_success("other labels");
     let ended = look(&file("surface.vtp"));
     assert_eq!(ended.code, Some(1), "{}", ended.stdout);

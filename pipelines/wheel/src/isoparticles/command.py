@@ -153,7 +153,7 @@ def help_text() -> str:
     options = "\n".join(
         f"  --{key.lower().replace('_', '-'):<22}{what}" for key, what in lines if key not in ("CASE", "INPUT")
     )
-    goals = "\n".join(f"  {goal + ' VOLUME ...':<24}{what}" for goal, what in VOLUME_GOALS.items())
+    goals = "\n".join(f"  {goal + ' VOLUME ...':<24}{what}" for goal, what in (VOLUME_GOALS | TOOLS).items())
     named = "\n".join(f"  {goal + ' NAME':<24}{what}" for goal, what in NAME_GOALS.items())
     return f"""\
 Volumes in, simulation-ready meshes out.
@@ -180,6 +180,8 @@ def command_of(arguments: Sequence[str]) -> list[str]:
         return [sys.executable, "-m", "tetmesh_check", *rest]
     if goal in STAGES:
         return [program(goal), *rest]
+    if goal in TOOLS:
+        return [program("isoparticles-volume"), goal, *rest]
     if goal == "demo":
         settings, _ = settings_of(rest, "NAME", {})
         return case_arguments("mesh", settings, preset_of(HERE / "cases" / "demo.mk"))
@@ -195,7 +197,7 @@ def command_of(arguments: Sequence[str]) -> list[str]:
     raise UsageError(
         f"{goal}: no such goal or stage",
         "the first word says what to do",
-        f"choose one of {', '.join((*VOLUME_GOALS, *NAME_GOALS, 'batch', 'index', 'demo', *STAGES))}",
+        f"choose one of {', '.join((*VOLUME_GOALS, *TOOLS, *NAME_GOALS, 'batch', 'index', 'demo', *STAGES))}",
     )
 
 

@@ -1,9 +1,9 @@
 //! Parses and resolves materials given by the user: `lung=2+3`, `heart` if the file has that name,
 //! or `all`.
 
-use crate::selection::{Selection, listed, no_voxel};
 use isoparticles_field::materials::{MOST_MATERIALS, Material, MaterialId};
 use isoparticles_stage::error::{Error, Result};
+use isoparticles_survey::selection::{Selection, listed, no_voxel};
 use isoparticles_volume::{LayerLabel, Volume};
 use std::collections::BTreeMap;
 use std::str::FromStr;

@@ -21,7 +21,7 @@ from tetmesh_check.files import temporary_folder
 from tetmesh_check.quality import Points
 from tetmesh_check.surface import read_dataset
 
-_PROGRAM = "distfield"
+_PROGRAM = "isoparticles-volume"
 _FOLDER_VARIABLE = "ISOPARTICLES_BIN"
 """Environment variable with the folder that holds the programs of the stages."""
 
@@ -70,9 +70,9 @@ def find_program(name: str) -> Path:
 
 
 def _convert(path: Path, target: Path, series: str | None) -> None:
-    """Let ``distfield`` write a volume as a VTK image; its error becomes ours."""
+    """Convert a volume to a VTK image by ``isoparticles-volume``, and raise its error as ours."""
     report = target.with_suffix(".json")
-    words = [str(find_program(_PROGRAM)), str(path), "--write-volume", str(target), "--report", str(report), "-q"]
+    words = [str(find_program(_PROGRAM)), "convert", str(path), "-o", str(target), "--report", str(report), "-q"]
     words += [] if series is None else ["--series", series]
     done = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     if done.returncode == 0:
@@ -84,7 +84,7 @@ def _convert(path: Path, target: Path, series: str | None) -> None:
         error = StageError(
             f"{path}: {_PROGRAM} ended with code {done.returncode}: {done.stderr.strip()[-400:]}",
             "it reads the volume, as it does for the other stages",
-            f"run {_PROGRAM} {path} --info; if it is of an older version, build it again",
+            f"run {_PROGRAM} info {path}; if it is of an older version, build it again",
         )
     raise error
 

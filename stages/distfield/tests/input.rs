@@ -1,9 +1,7 @@
-//! `--info`, and the checks based on the same judgement: labels of a scan, an iso value of labels,
-//! and more memory than allowed are refused.
+//! Input that `distfield` refuses or warns of: labels of a scan, iso values of labels, absent labels,
+//! NaN, and too little memory.
 
 use isoparticles_stage::field_file::{Field, FieldKind, read_field};
-use isoparticles_tests::skip::real_volume;
-use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -81,61 +79,6 @@ impl Case {
         }
         assert!(!self.folder.path().join("f.vti").exists(), "{options:?} left an output behind");
     }
-
-    fn info(&self, options: &[&str]) -> Value {
-        let arguments = [&[self.input.to_str().expect("text"), "--info", "--json", "-", "-q"][..], options].concat();
-        let run = distfield(&arguments);
-        assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
-        serde_json::from_slice(&run.stdout).expect("JSON on stdout")
-    }
-}
-
-#[test]
-fn info_tells_what_a_label_map_is() {
-    let case = Case::new(labels);
-    let info = case.info(&[]);
-    assert_eq!(info["kind"], "labels");
-    assert_eq!(info["certain"], true);
-    assert_eq!(info["orientation"]["letters"], "LPS");
-    assert_eq!(info["spacing"], serde_json::json!([1.0, 1.0, 2.0]));
-    let table = info["labels"].as_array().expect("labels");
-    assert_eq!(table.iter().map(|label| label["label"].as_i64()).collect::<Vec<_>>(), [Some(2), Some(3), Some(9)]);
-    let volume = table[1]["volume"].as_f64().expect("a volume");
-    assert!((volume / (4.0 / 3.0 * std::f64::consts::PI * 512.0) - 1.0).abs() < 0.05, "{volume}");
-    assert_eq!(table[2]["parts"], serde_json::json!({ "count": 1, "largest": 1 }));
-
-    // the area of an object chosen by label, and a choice by range
-    let ball = &case.info(&["--labels", "3"])["objects"][0];
-    let area = ball["cost"]["area"].as_f64().expect("an area");
-    assert!((area / (4.0 * std::f64::consts::PI * 64.0) - 1.0).abs() < 0.1, "{area}");
-    assert_eq!(case.info(&["--labels", "2..5"])["objects"][0]["options"], "LABELS=2,3");
-
-    // the text on stdout, and the JSON in a file
-    let json = case.folder.path().join("info.json");
-    let input = case.input.to_str().expect("text");
-    let run = distfield(&[input, "--info", "--json", json.to_str().expect("text")]);
-    let text = String::from_utf8_lossy(&run.stdout);
-    for part in ["36 x 34 x 18", "x right to left", "kind         labels", "LABELS=all", "right-handed", "vertices"] {
-        assert!(text.contains(part), "'{part}' is missing: {text}");
-    }
-    let file: Value = serde_json::from_slice(&std::fs::read(&json).expect("a file")).expect("JSON");
-    assert_eq!(file, info);
-}
-
-#[test]
-fn info_tells_what_a_scan_is_and_which_iso_values_to_try() {
-    let info = Case::new(scan).info(&[]);
-    assert_eq!(info["kind"], "scan");
-    let isos: Vec<f64> = info["objects"]
-        .as_array()
-        .expect("objects")
-        .iter()
-        .map(|object| object["options"].as_str().expect("text").trim_start_matches("ISO=").parse().expect("a number"))
-        .collect();
-    assert!(isos.iter().any(|iso| (60.0..140.0).contains(iso)), "{isos:?}");
-    assert!(info["labels"].as_array().is_some_and(Vec::is_empty));
-    let cost = &info["objects"][0]["cost"];
-    assert!(cost["vertices"].as_u64() > Some(500) && cost["stages"].as_array().is_some_and(|s| s.len() == 4), "{cost}");
 }
 
 #[test]
@@ -194,9 +137,6 @@ fn nan_among_labels_is_background_and_told() {
     assert_eq!(run.status.code(), Some(0), "{told}");
     assert!(told.contains(&format!("{count} voxels are NaN and taken as background")), "{told}");
     assert_eq!(read(), expected);
-    let info = case.info(&[]);
-    assert_eq!((&info["kind"], &info["certain"]), (&"labels".into(), &true.into()));
-    assert!(info["remarks"].to_string().contains("NaN"), "{info}");
 }
 
 #[test]
@@ -214,27 +154,4 @@ fn a_field_that_takes_more_memory_than_allowed_is_refused_with_the_figure() {
     let case = Case::new(scan);
     case.refused(&["--iso", "100", "--max-memory", "10K"], &["46 x 44 x 28 nodes", "MiB of memory", "--max-memory"]);
     case.field(&["--iso", "100", "--max-memory", "1G"]);
-}
-
-#[test]
-fn every_shared_volume_is_taken_for_what_it_is() {
-    // lungs_label_big is left out because it has 165 million voxels
-    for (name, kind) in [
-        ("brain_parcellation", "labels"),
-        ("frog_tissue_labels", "labels"),
-        ("heart_ct", "scan"),
-        ("heart_label", "labels"),
-        ("mickey_labels", "labels"),
-        ("thorax_ct", "scan"),
-        ("thorax_ct_native_u8", "scan"),
-        ("thorax_labels", "labels"),
-        ("tooth_ct", "scan"),
-        ("trabecular_bone", "scan"),
-    ] {
-        let Some(path) = real_volume(&format!("{name}.nrrd")) else { continue };
-        let volume = isoparticles_volume::read_volume(&path).expect("a volume");
-        let survey = isoparticles_distfield::info::survey::Survey::of(&volume.voxels, &volume.geometry);
-        let judged = isoparticles_distfield::info::kind::judge(&survey, volume.segments.len());
-        assert!(judged.certain && judged.kind.to_string() == kind, "{name}: {judged:?}");
-    }
 }

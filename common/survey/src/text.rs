@@ -1,9 +1,9 @@
-//! The lines that `--info` prints.
+//! The lines that `isoparticles-volume info` prints.
 
-use super::boundary::BALL;
-use super::cost::{Cost, UNCERTAINTY};
-use super::kind::Kind;
-use super::{LabelInfo, Object, VolumeInfo};
+use crate::boundary::BALL;
+use crate::cost::{Cost, UNCERTAINTY};
+use crate::kind::Kind;
+use crate::{LabelInfo, Object, VolumeInfo};
 use isoparticles_volume::Space;
 use std::fmt::Write;
 
@@ -175,7 +175,7 @@ fn write_object(object: &Object, out: &mut String) -> std::fmt::Result {
 }
 
 fn two(value: f64) -> f64 {
-    super::cost::two_digits(value)
+    crate::cost::two_digits(value)
 }
 
 /// A number with up to six significant digits and no zeros at its end.

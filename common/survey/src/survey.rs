@@ -17,7 +17,7 @@ const CHUNK: usize = 1 << 20;
 /// Shares of changes of value that follow on another change at which these alone do not tell: below
 /// it are label maps, above it scans. The label maps of the shared volumes have at most 0.28
 /// (`brain_parcellation`), the scans at least 0.91 (`thorax_ct_native_u8`); scans in 8 to 64 levels
-/// have 0.30 to 0.83. `double_jumps` over `jumps` of `distfield VOLUME --info --json -`.
+/// have 0.30 to 0.83. `double_jumps` over `jumps` of `isoparticles-volume info VOLUME --json -`.
 pub const UNCLEAR: std::ops::Range<f64> = 0.29..0.75;
 
 /// What the voxels hold.

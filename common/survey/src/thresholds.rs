@@ -1,7 +1,7 @@
 //! Iso values worth trying: those that part the histogram best, and what Hounsfield units are known for.
 
-use super::survey::{Histogram, Survey};
 use crate::Inside;
+use crate::survey::{Histogram, Survey};
 use serde::Serialize;
 
 /// An iso value, and why it may be the one that is wanted.

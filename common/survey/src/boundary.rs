@@ -7,7 +7,7 @@
 //! At sampled faces the share of a ball that lies inside tells the mean curvature (the integral invariant of Pottmann et al. 2007, share =
 //! 1/2 - 3/16 r H), the centre of mass of that part the normal, and a walk along the normal the thickness of the object or the gap.
 
-use super::classes::{Classes, OUTSIDE};
+use crate::classes::{Classes, OUTSIDE};
 use glam::DVec3;
 use isoparticles_field::random::uniform;
 use isoparticles_volume::Geometry;
@@ -244,8 +244,8 @@ impl Shapes {
 
 #[cfg(test)]
 mod tests {
-    use super::super::classes::Rule;
     use super::*;
+    use crate::classes::Rule;
     use isoparticles_volume::{Image, Voxels};
     use std::f64::consts::PI;
 

@@ -155,7 +155,7 @@ fn missing_error(missing: &[Item], volume: &Volume, present: &[LayerLabel]) -> E
 }
 
 /// The error for labels, given as text, that no voxel has.
-pub(crate) fn no_voxel(labels: &str, volume: &Volume, present: &[LayerLabel]) -> Error {
+pub fn no_voxel(labels: &str, volume: &Volume, present: &[LayerLabel]) -> Error {
     Error::input(
         format!("no voxel has the label {labels}"),
         "there would be nothing to extract for it",
@@ -164,7 +164,7 @@ pub(crate) fn no_voxel(labels: &str, volume: &Volume, present: &[LayerLabel]) ->
 }
 
 /// Labels with their names, as text.
-pub(crate) fn listed(volume: &Volume, present: &[LayerLabel]) -> String {
+pub fn listed(volume: &Volume, present: &[LayerLabel]) -> String {
     let of = |at: &LayerLabel| {
         let layer = if volume.layer_count() > 1 { format!(" of layer {}", at.layer) } else { String::new() };
         match volume.name_of(*at) {

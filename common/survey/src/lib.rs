@@ -1,8 +1,11 @@
-//! What a volume is: size, orientation, kind, values, labels, and what a mesh of it would cost. `distfield --info` prints it.
+//! What a volume is: size, orientation, scan or labels, values, labels, and what a mesh of it would
+//! cost. The program `isoparticles-volume info` prints it; `distfield` refuses labels of a scan and
+//! iso values of labels by the same judgement.
 //!
-//! [`survey`] looks at the values once, [`kind`] judges by it, [`classes`] gives the voxels of objects, of which [`boundary`] measures the
-//! surface, [`mod@parts`] counts the parts and [`mod@cost`] says what a mesh takes; [`thresholds`] proposes iso values, [`orientation`] finds words
-//! for the axes, [`text`] puts it all into lines.
+//! [`survey`] reads the values once and [`kind`] judges by them. [`selection`] resolves the labels
+//! that a user names. [`classes`] marks the voxels of objects, [`boundary`] measures their surface,
+//! [`mod@parts`] counts their parts, and [`mod@cost`] predicts vertices, time and memory.
+//! [`thresholds`] proposes iso values, [`orientation`] names the axes, and [`text`] prints it all.
 
 pub mod boundary;
 pub mod classes;
@@ -10,11 +13,11 @@ pub mod cost;
 pub mod kind;
 pub mod orientation;
 pub mod parts;
+pub mod selection;
 pub mod survey;
 pub mod text;
 pub mod thresholds;
 
-use crate::Inside;
 use boundary::{Boundary, boundaries};
 use classes::{Classes, MOST_CLASSES, OUTSIDE, Rule};
 use cost::{Cost, cost, default_vertices};
@@ -28,6 +31,15 @@ use rayon::prelude::*;
 use serde::Serialize;
 use survey::Survey;
 use thresholds::{IsoValue, is_hounsfield, iso_values};
+
+/// Which side of the iso value the object is on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Inside {
+    /// Values above the iso value.
+    Above,
+    /// Values below the iso value.
+    Below,
+}
 
 /// Sampled faces of an object whose cost is told; their scatter leaves 2 % of the count.
 const SAMPLE: usize = 6000;

@@ -1,12 +1,12 @@
 //! What a mesh of an object would cost: vertices, time and memory, from the voxels alone.
 //!
 //! The size field asks for edges by local feature size and curvature, graded (`sizefield --help`). From a sampled face the mean curvature and
-//! the thickness are known roughly ([`super::boundary`]), so that h there is as well; what gradation and the other features of
+//! the thickness are known roughly ([`crate::boundary`]), so that h there is as well; what gradation and the other features of
 //! the surface add is a factor that was fitted to the shared volumes. Every constant here is a measurement, its command beside it.
 
-use super::boundary::{BALL, Boundary, Place};
-use super::kind::Kind;
-use crate::crop::room_of_spline;
+use crate::boundary::{BALL, Boundary, Place};
+use crate::kind::Kind;
+use isoparticles_field::spline::ROOM;
 use isoparticles_volume::Geometry;
 use serde::Serialize;
 
@@ -136,9 +136,8 @@ pub fn cost(boundary: &Boundary, parts: Option<usize>, geometry: &Geometry, kind
 
 /// Nodes of the grid of the object's box, with its room and five more on each face, and no more than those of the volume.
 fn nodes(boundary: &Boundary, geometry: &Geometry) -> f64 {
-    let room = room_of_spline();
     let along = |axis: usize| {
-        let voxels = boundary.extent()[axis] / geometry.spacing[axis] + 1.0 + 2.0 * room[axis] as f64;
+        let voxels = boundary.extent()[axis] / geometry.spacing[axis] + 1.0 + 2.0 * ROOM as f64;
         voxels.min(geometry.size[axis] as f64) + 10.0
     };
     (0..3).map(along).product()

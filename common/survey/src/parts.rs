@@ -1,6 +1,6 @@
 //! Connected parts of every class, told apart through faces of voxels.
 
-use super::classes::{Classes, OUTSIDE};
+use crate::classes::{Classes, OUTSIDE};
 use isoparticles_mesh::components::DisjointSets;
 use serde::Serialize;
 
@@ -94,8 +94,8 @@ fn join_touching(a: &[Run], b: &[Run], sets: &mut DisjointSets) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::classes::Rule;
     use super::*;
+    use crate::classes::Rule;
     use glam::DVec3;
     use isoparticles_field::random::uniform;
     use isoparticles_volume::{Geometry, Image, Voxels};

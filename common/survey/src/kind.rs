@@ -6,7 +6,7 @@
 //! scan of 8 bits has 256, a parcellation may have more. In a scan of few levels values come in
 //! pieces as well, but a piece borders on pieces of the next level.
 
-use super::survey::{Survey, UNCLEAR};
+use crate::survey::{Survey, UNCLEAR};
 use serde::Serialize;
 
 /// What the values of a volume mean.
@@ -15,7 +15,7 @@ use serde::Serialize;
 pub enum Kind {
     /// Measured values, between which it makes sense to interpolate.
     Scan,
-    /// Numbers of materials.
+    /// A label map: numbers of materials.
     Labels,
 }
 
@@ -25,6 +25,29 @@ impl std::fmt::Display for Kind {
             Self::Scan => "scan",
             Self::Labels => "labels",
         })
+    }
+}
+
+/// What the option `--kind` says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum KindChoice {
+    /// Judge by the values.
+    Auto,
+    /// A scan: measured values.
+    Scan,
+    /// Numbers of materials.
+    Labels,
+}
+
+impl KindChoice {
+    /// The given kind; `None` if it is to be judged.
+    #[must_use]
+    pub fn given(self) -> Option<Kind> {
+        match self {
+            Self::Auto => None,
+            Self::Scan => Some(Kind::Scan),
+            Self::Labels => Some(Kind::Labels),
+        }
     }
 }
 
@@ -41,7 +64,7 @@ pub struct Judgement {
 
 /// In a scan of few levels, levels that are next to each other in value touch in space: 0.54 and
 /// more of the changes of scans in 8 to 128 levels go to the next value, at most 0.3 of those of
-/// label maps with more than 8 labels. `steps` over `jumps` of `--info --json -`.
+/// label maps with more than 8 labels. `steps` over `jumps` of `isoparticles-volume info --json -`.
 const STEPS_ABOVE: f64 = 0.5;
 
 /// Levels below which steps tell nothing: of three labels two of three pairs are next to each

@@ -1,0 +1,85 @@
+//! Describes a volume: size, orientation, scan or labels, values, labels with their volumes, iso
+//! values worth trying, and what a mesh of each object costs.
+
+use crate::Input;
+use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD};
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::output::write_atomically;
+use isoparticles_survey::kind::KindChoice;
+use isoparticles_survey::selection::Selection;
+use isoparticles_survey::{Inside, Wishes, examine};
+use serde_json::{Value, json};
+use std::io::{ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+/// Describe a volume, and predict what a mesh of it costs
+///
+/// Prints size, orientation, scan or labels, values, labels with their volumes, and iso values
+/// worth trying. For the object of --iso or --labels, or else for the objects worth trying, it
+/// predicts vertices, time and memory.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(flatten)]
+    input: Input,
+    /// Write the description as JSON to this file; `-` for stdout, in place of the text
+    #[arg(long, value_name = "FILE.json|-", help_heading = FILES)]
+    json: Option<PathBuf>,
+    /// Object above this iso value (below it with --inside below), in the unit of the volume
+    #[arg(long, value_name = "V", allow_negative_numbers = true, conflicts_with = "labels", help_heading = METHOD)]
+    iso: Option<f64>,
+    /// Side of the iso value that the object is on
+    #[arg(long, value_enum, value_name = "SIDE", default_value_t = Inside::Above, help_heading = METHOD)]
+    inside: Inside,
+    /// Object made of these labels, separated by commas or blanks: whole numbers, ranges such as
+    /// 2..5, all (but 0), or the names that the file gives
+    #[arg(long, value_name = "A,B", allow_hyphen_values = true, help_heading = METHOD)]
+    labels: Option<Selection>,
+    /// What the values are: auto judges by the values
+    #[arg(long, value_enum, value_name = "KIND", default_value_t = KindChoice::Auto, help_heading = METHOD)]
+    kind: KindChoice,
+    #[command(flatten)]
+    pub(crate) common: CommonArgs,
+}
+
+impl Args {
+    /// The JSON file, unless it is stdout.
+    pub(crate) fn json_file(&self) -> Option<&Path> {
+        self.json.as_deref().filter(|path| *path != Path::new("-"))
+    }
+
+    pub(crate) fn parameters(&self) -> Value {
+        json!({
+            "iso": self.iso, "labels": self.labels.as_ref().map(Selection::to_string), "kind": self.kind.given(),
+            "series": self.input.series,
+        })
+    }
+}
+
+/// Examines the volume and prints the description.
+pub(crate) fn run(args: &Args, context: &Context) -> Result<()> {
+    let volume = args.input.read(context)?;
+    let about_file = |error: Error| Error { what: format!("{}: {}", args.input.path.display(), error.what), ..error };
+    let labels = args.labels.as_ref().map(|labels| labels.resolve(&volume)).transpose().map_err(about_file)?;
+    let wishes = Wishes { labels, iso: args.iso.map(|iso| (iso, args.inside)), kind: args.kind.given() };
+    let info = examine(&volume, &wishes, context)?;
+    if args.json.is_some() {
+        let text = serde_json::to_string_pretty(&info).map_err(|error| {
+            Error::input(format!("the description is not valid JSON: {error}"), "--json writes it", "report this bug")
+        })?;
+        match args.json_file() {
+            Some(path) => write_atomically(path, |file| writeln!(file, "{text}"))?,
+            None => return print(&format!("{text}\n")),
+        }
+    }
+    print(&info.text(&args.input.path.display().to_string()))
+}
+
+/// Writes to stdout; a closed pipe is no error.
+fn print(text: &str) -> Result<()> {
+    match std::io::stdout().write_all(text.as_bytes()) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(Error::file(Path::new("stdout"), "write", &error, "check where stdout goes"))
+        }
+        _ => Ok(()),
+    }
+}
