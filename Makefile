@@ -312,7 +312,7 @@ test-python: build env wheel
 	cd stages/tetmesh-check && $(abspath $(VENV))/bin/ruff check . && $(abspath $(VENV))/bin/ruff format --check . \
 	  && $(abspath $(VENV))/bin/mypy && $(abspath $(VENV))/bin/pytest -q
 	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py docs/conf.py tests stages/reconstruct/benches stages/distfield/benches/scale.py stages/distfield/benches/remesh_peers.py || exit $$?; done
-	$(VENV)/bin/pytest -q -p no:cacheprovider tests/test_docs.py tests/results
+	$(VENV)/bin/pytest -q -p no:cacheprovider tests/test_docs.py tests/test_style.py tests/results
 	cd pipelines/wheel && settings=../../stages/tetmesh-check/pyproject.toml && $(abspath $(VENV))/bin/ruff check --config $$settings . \
 	  && $(abspath $(VENV))/bin/ruff format --config $$settings --check . \
 	  && $(abspath $(VENV))/bin/mypy --strict --python-version 3.11 src/isoparticles \

@@ -1,7 +1,7 @@
 """Settings of the documentation site; ``make docs`` builds it."""
 
 project = "isoparticles"
-copyright = "the isoparticles developers"
+project_copyright = "the isoparticles developers"
 extensions = ["myst_parser"]
 # the template is a part of results.md, and the notebook has a reader of its own
 exclude_patterns = ["results", "notebooks"]

@@ -2,12 +2,13 @@
 
     python tests/check_materials.py CASE.surface.vtp LABELS.vti [--volume FILE] [--json FILE]
 
-LABELS.vti is the output of `isoparticles-volume convert VOLUME -o LABELS.vti`. If `--smallest-island` has
-reassigned voxels, it is the indicator file of distfield instead, which holds the material of each
-node; only distfield itself has then compared these with the labels. The material of every voxel
-centre is found by tracing lines of voxel centres through the triangles, from outside in. Junctions
-are compared by position; triangles and tetrahedra are measured. No code is shared with the programs
-that made the files. The last line is `PASSED`, or names the differences; the exit code is then 1.
+LABELS.vti is the output of `isoparticles-volume convert VOLUME -o LABELS.vti`. If
+`--smallest-island` has reassigned voxels, it is the indicator file of distfield instead, which
+holds the material of each node; only distfield itself has then compared these with the labels. The
+material of every voxel centre is found by tracing lines of voxel centres through the triangles,
+from outside in. Junctions are compared by position; triangles and tetrahedra are measured. No code
+is shared with the programs that made the files. The last line is `PASSED`, or names the
+differences; the exit code is then 1.
 """
 
 from __future__ import annotations

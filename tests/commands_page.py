@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Write docs/user/commands.md, the command reference, from the ``--help`` of the programs.
+"""Write docs/commands.md, the command reference, from the ``--help`` of the programs.
 
     tests/commands_page.py --bin target/release --tetmesh-check .venv/bin/tetmesh-check
 
@@ -14,13 +14,13 @@ import subprocess
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "user" / "commands.md"
+PAGE = ROOT / "docs" / "commands.md"
 STAGES = ("distfield", "sizefield", "seed", "particles", "reconstruct")
 TOOLS = (("isoparticles-volume", "info"), ("isoparticles-volume", "convert"), ("phantom",))
 HEAD = """\
 # Command reference
 
-`make` sets most of these options by its variables ([choose a size](size.md)). This page shows the
+`make` sets most of these options by its variables ([choose a size](user/size.md)). This page shows the
 `--help` of every program. `tests/commands_page.py` writes it.
 """
 

@@ -1,6 +1,7 @@
-"""Tables of figures in README.md and docs have the command that gives them beside them.
+"""Tables of figures in README.md and docs have the command that measures them beside them.
 
-Beside: in the paragraph before or after, in the first one of the section, or in a section of the page that one of these links to.
+Beside means the paragraph before or after, the first one of the section, or a section of the same
+page that one of these links to.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ def has_command(lines: list[str]) -> bool:
 
 
 def blocks(lines: list[str]) -> list[list[str]]:
-    """Paragraphs and tables: what stands between empty lines; a list belongs to the paragraph before it."""
+    """Paragraphs and tables between empty lines; a list belongs to the paragraph before it."""
     found: list[list[str]] = [[]]
     for line in lines:
         if line.strip():

@@ -1,23 +1,24 @@
 #!/bin/sh
-# Delaunay triangulation beside CGAL's, on the same files of points in one run (`make bench-delaunay`); prints a table.
-# Needs g++, CGAL and TBB (Debian, Ubuntu: apt-get install g++ libcgal-dev libtbb-dev); nothing else of the project does.
+# Compares the Delaunay triangulation with CGAL's on the same points in one run, and prints a table
+# (`make bench-delaunay`). Needs g++, CGAL and TBB (Debian: apt-get install g++ libcgal-dev
+# libtbb-dev), which nothing else in the project needs.
 #
-#   compare.sh [--bin FOLDER] [--work FOLDER] [--sizes "H ..."] [--particles "FILE ..."] [--passes N] [--repeat N]
-#              [--threads N] [--no-degenerate] [--no-parallel]
+#   compare.sh [--bin FOLDER] [--work FOLDER] [--sizes "H ..."] [--particles "FILE ..."]
+#              [--passes N] [--repeat N] [--threads N] [--no-degenerate] [--no-parallel]
 #
-# --bin            where the stage programs and examples/bench_delaunay are                        [target/release]
-# --work           where points and programs go; points that are there already are used again      [out/bench-delaunay]
+# --bin            folder of the stage programs and of bench_delaunay   [target/release]
+# --work           folder for points and programs; reuses points        [out/bench-delaunay]
 # --sizes          uniform target edge lengths, mm: particles settled on the torso phantom's ribcage
 #                  [1.482 0.663 0.332: about 100, 500 and 2,000 thousand]
-# --particles      settled particles of other surfaces: files that `particles` made                [none]
-# --passes         passes in which the particles settle, at most                                   [12]
-# --repeat         runs of each program, taken in turn; the fastest counts                         [3]
-# --threads        threads of the parallel runs                                                    [all]
+# --particles      settled particles of other surfaces                  [none]
+# --passes         maximum number of passes                             [12]
+# --repeat         runs of each program, in turn; minimum counts        [3]
+# --threads        threads of the parallel runs                         [all]
 # --no-degenerate  leave out cospherical points and the grid
 # --no-parallel    leave out the runs on several threads
 #
-# us a point is the time from the points in memory to the triangulation; CPU, the time of all threads together; bytes a
-# point, the growth of the peak memory of the process meanwhile. The ratio is ours to CGAL's on as many threads.
+# Columns: microseconds per point from the points in memory to the triangulation; CPU time of all
+# threads; growth of the peak memory in bytes per point; ratio of ours to CGAL's on as many threads.
 set -eu
 
 bin=${BIN:-target/release}

@@ -1,9 +1,9 @@
-"""Measures time and memory of the stages on phantoms, and fits the rates of src/info/cost.rs.
+"""Measures time and memory of the stages on phantoms, and fits the rates of `cost.rs`.
 
     python stages/distfield/benches/costs.py [--bin target/release] [--volumes VOLUME;OPTION ...]
 
-With --volumes it prints one table row per volume: the predictions of `isoparticles-volume info` and, in
-brackets, the measured values.
+With --volumes it prints one table row per volume: the predictions of `isoparticles-volume info`
+and, in brackets, the measured values.
 
 Without --volumes it prints one line per phantom and group of stages: nodes of the padded grid,
 faces between voxels, vertices, processor seconds (user and system) and peak memory. The rates

@@ -1,10 +1,10 @@
-"""Compares vertex counts predicted by `isoparticles-volume info` with those of meshes of shared volumes.
+"""Compares the vertex counts of `isoparticles-volume info` with those of meshes of shared volumes.
 
     python stages/distfield/benches/predicted.py [--bin target/release] [--data ../shared/data]
 
 The vertex counts of the meshes come from docs/developer/performance.md (real volumes, method
 restricted). The last lines give, for label maps and for scans, the factor for the constants
-GRADATION_LABELS and GRADATION_SCAN of src/info/cost.rs that makes the mean log ratio zero.
+GRADATION_LABELS and GRADATION_SCAN of common/survey/src/cost.rs that makes the mean log ratio zero.
 """
 
 import argparse

@@ -1,5 +1,5 @@
-//! Input that `distfield` refuses or warns of: labels of a scan, iso values of labels, absent labels,
-//! NaN, and too little memory.
+//! Input that `distfield` refuses or warns of: labels of a scan, iso values of labels, absent
+//! labels, NaN, and too little memory.
 
 use isoparticles_stage::field_file::{Field, FieldKind, read_field};
 use std::path::{Path, PathBuf};

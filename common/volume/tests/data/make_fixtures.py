@@ -1,14 +1,14 @@
-"""Makes the fixtures of the format tests with other programs, and asks those programs where the voxels are.
+"""Write the fixtures of the format tests with other programs, and where these place the voxels.
 
     pip install numpy pydicom pynrrd SimpleITK nibabel pyvista
-    UNU=/usr/bin/teem-unu python make_fixtures.py [nrrd] [nifti] [vti] [meta] [segmentation] [dicom] [edited]
+    UNU=/usr/bin/teem-unu python make_fixtures.py [NAME ...]
 
-Without names all are made; with names, those, and the others stay.
+NAME is nrrd, nifti, vti, meta, segmentation, dicom or edited; the default is all of them.
 
-Every file holds 3 x 4 x 2 voxels whose values tell their place. `expected.json` says for each file what another reader
-(SimpleITK, nibabel, VTK or Teem's unu) makes of it: the type, the values, and the world positions (LPS where the file
-names an anatomical space) of the first voxel and of the last one along each axis. Files that must be refused are listed
-with a word that the error has to contain.
+Every file holds 3 x 4 x 2 voxels whose values encode their index. `expected.json` holds what
+another reader (SimpleITK, nibabel, VTK or Teem's unu) reads from each file: the type, the values,
+and the world positions of the first voxel and of the last one along each axis (LPS if the file
+names an anatomical space). Files that must be refused are listed with a word of the error.
 """
 
 import gzip
@@ -398,7 +398,7 @@ def make_dicom():
 
 
 def make_edited():
-    """The golden size field, opened, checked, doubled and saved by pyvista; the golden surfaces, opened by VTK."""
+    """The golden size field, doubled and saved by pyvista; the golden surfaces, opened by VTK."""
     folder = STAGE / "edited"
     folder.mkdir(exist_ok=True)
     steps = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [-0.48, -0.64, -0.6]]) * np.array([[0.5], [1.25], [3.0]])
