@@ -126,13 +126,15 @@ def refused(made: Made, folder: Path, words: str, **arrays: np.ndarray) -> None:
 def test_what_bounds_no_volumes_is_refused(tmp_path: Path) -> None:
     good = sectors_of_a_ball(10.0, 2)
     gap = Made(good.points, good.triangles[1:], good.inside[1:], good.outside[1:], good.names)
-    refused(gap, tmp_path, r"do not close.*outside 3, one 3")
+    refused(gap, tmp_path, r"are open or inconsistently oriented.*outside 3, one 3")
     turned = good.triangles.copy()
     turned[0] = turned[0, ::-1]
-    refused(Made(good.points, turned, good.inside, good.outside, good.names), tmp_path, "do not close")
+    refused(
+        Made(good.points, turned, good.inside, good.outside, good.names), tmp_path, "open or inconsistently oriented"
+    )
     other = good.inside.copy()
     other[0] = 2 if other[0] != 2 else 3
-    refused(good, tmp_path, "do not close", material_inside=other)
+    refused(good, tmp_path, "open or inconsistently oriented", material_inside=other)
     inside_out = Made(good.points, good.triangles[:, ::-1], good.inside, good.outside, good.names)
     refused(inside_out, tmp_path, "inside out")
     twice = Made(
@@ -146,7 +148,7 @@ def test_what_bounds_no_volumes_is_refused(tmp_path: Path) -> None:
     balls = nested_balls((10.0, 5.0), (2, 2), ("body", "heart"))
     apart = balls.points.copy()
     apart[162:] += [8.0, 0.0, 0.0]
-    refused(Made(apart, balls.triangles, balls.inside, balls.outside, balls.names), tmp_path, "cuts through itself")
+    refused(Made(apart, balls.triangles, balls.inside, balls.outside, balls.names), tmp_path, "intersects itself")
     flat = balls.points.copy()
     a, b, c = balls.triangles[0]
     flat[c] = 0.5 * (flat[a] + flat[b])

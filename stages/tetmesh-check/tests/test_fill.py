@@ -135,7 +135,7 @@ def test_what_hxt_made_is_kept_where_ftetwild_does_no_better(tmp_path: Path, mon
     monkeypatch.setattr(fill, "MAX_FTETWILD_VERTICES", 5)
     told, asked, points = program(tmp_path, monkeypatch, [filled(1.0, FLAT)], [filled(1.2, 0.0)] * len(fill.ENVELOPES))
     assert told["method"] == "hxt"
-    assert told["reason"].endswith("and fTetWild did no better")
+    assert told["reason"].endswith("and the result of fTetWild is not better")
     assert asked.envelopes == list(fill.ENVELOPES)
     assert points[-1, 2] > 1.0
 

@@ -131,7 +131,7 @@ def test_forced_tetrahedra_fail_unless_accepted() -> None:
     assert "SCALE" in strict.words
     assert "--accept-forced" in strict.words
     assert accepting.as_dict()["verdict"] == "warning"
-    assert accepting.words.startswith("fit but for 1 accepted tetrahedra: ")
+    assert accepting.words.startswith("fit but for 1 accepted tetrahedron: the minimum dihedral angle is ")
     # what no triangle forces is not accepted
     for forced in (None, Forced(~only, ~only)):
         assert judged(forced, True)["min_dihedral"].as_dict()["verdict"] == "fail"
@@ -165,11 +165,11 @@ def test_what_the_surface_forces_is_listed_and_fails_unless_accepted(tmp_path: P
     limits = ("--min-dihedral", 6.5, "--min-scaled-jacobian", 0.02)
     done = run(*words, *limits)
     assert done.returncode == 1, done.stderr
-    assert "on 2 triangles no tetrahedron can have dihedral angles of 6.5 degrees" in done.stderr
+    assert "on 2 triangles, no tetrahedron can reach the minimum dihedral angle of 6.5 degrees" in done.stderr
     assert "1 of them forced by triangles of the surface" in done.stderr
     done = run(*words, *limits, "--accept-forced")
     assert done.returncode == 0, done.stderr
-    assert "warning: fit but for 1 accepted tetrahedra: the smallest dihedral angle is 6 degrees" in done.stderr
+    assert "warning: fit but for 1 accepted tetrahedron: the minimum dihedral angle is 6 degrees" in done.stderr
     results = json.loads((tmp_path / "r.json").read_text())["results"]
     volume, listed = results["volume"], results["volume"]["forced_by_surface"]
     assert [entry["material"] for entry in listed] == ["wedge", "wedge"]
@@ -208,7 +208,7 @@ def test_what_a_triangle_forces_by_its_own_angle_is_listed_and_judged_by_what_it
     assert run("c.vtp", "-o", "d.vtu", "--solve", "no").returncode == 1
     done = run("c.vtp", "-o", "c.vtu", "--report", "r.json", "--solve", "no", "--accept-forced")
     assert done.returncode == 0, done.stderr
-    assert "an angle so small that no tetrahedron on them has both" in done.stderr
+    assert "with a small angle, no tetrahedron can reach both a dihedral angle of 5 degrees" in done.stderr
     volume = json.loads((tmp_path / "r.json").read_text())["results"]["volume"]
     listed = volume["forced_by_triangle"]
     assert {entry["material"] for entry in listed} == {"body", "wedge"}

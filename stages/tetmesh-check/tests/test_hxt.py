@@ -106,7 +106,7 @@ def test_large_surfaces_go_to_hxt(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     code, report = program(tmp_path)
     assert code == 0
     assert report["results"]["tetrahedralizer"]["method"] == report["parameters"]["method"] == "hxt"
-    assert "162 vertices, more than the 161" in report["results"]["tetrahedralizer"]["reason"]
+    assert "162 vertices, more than the limit of 161" in report["results"]["tetrahedralizer"]["reason"]
 
 
 @pytest.mark.parametrize(

@@ -280,8 +280,8 @@ def test_what_takes_one_object_only_is_refused(tmp_path: Path, run: Run) -> None
     sectors_of_a_ball(10.0, 1).save(tmp_path / "c.vtp")
     ball().save(tmp_path / "ball.vtp")
     for words, said in (
-        (("--method", "ftetwild"), "--method ftetwild takes one object"),
-        (("--method", "tetgen"), "--method tetgen takes one object"),
+        (("--method", "ftetwild"), "--method ftetwild supports one object only"),
+        (("--method", "tetgen"), "--method tetgen supports one object only"),
         (("--source", "lung"), "'lung' is none of the materials of the surface: one, two, three"),
         (("--conductivity", "two=0.2"), "--conductivity was given without --source"),
         (("--conductivity", "two"), "'two' is not NAME=VALUE"),

@@ -14,12 +14,13 @@ import pytest
 from conftest import NEEDS_DISTFIELD, volume_with_ball, write_nrrd, write_status
 from PIL import Image
 
-from tetmesh_check import cli, convergence
+from tetmesh_check import cli, convergence, pictures
 from tetmesh_check.errors import StageError
 from tetmesh_check.page import index, measured, program
 from tetmesh_check.page.advice import ADVICE, advice_for
 from tetmesh_check.page.case import Case, read_case
 from tetmesh_check.page.charts import Axis, Limit, curve, histogram, number, ticks
+from tetmesh_check.page.html import _MESH_SHARE, filled
 from tetmesh_check.quality import summarize
 
 ERROR = {"what": "v.nrrd: is <empty>", "why": "there is nothing to mesh", "next": "give another volume"}
@@ -135,6 +136,60 @@ def test_files_are_linked_with_their_sizes(case: Path, page: Path) -> None:
     assert f"particles{size} bytes" in elements.words
 
 
+def test_exports_are_listed_although_the_status_lacks_them(case: Path, tmp_path: Path) -> None:
+    folder = copied(case, tmp_path)
+    report = json.loads((folder / "a&b.report.json").read_text())
+    report["results"]["exports"] = ["a&b.boundary.vtp", "a&b.volume.msh"]
+    (folder / "a&b.report.json").write_text(json.dumps(report))
+    (folder / "a&b.boundary.vtp").write_text("twelve bytes")
+    elements = made(write_status(folder, "a&b"), folder / "x.html")
+    links = [a["href"] for a in elements.of("a")]
+    assert "a%26b.boundary.vtp" in links
+    assert "a%26b.volume.msh" not in links  # not there
+    assert "export: boundary of the tetrahedratetmesh-check12 bytes" in elements.words
+
+
+def test_places_of_the_reports_are_listed(case: Path, tmp_path: Path) -> None:
+    folder = copied(case, tmp_path)
+    report = json.loads((folder / "a&b.report.json").read_text())
+    poor = {"place_mm": [1.25, -2.5, 3.75], "min_dihedral": 1.83, "min_scaled_jacobian": 0.0123}
+    report["results"]["volume"]["poor_tetrahedra"] = [poor] * 300
+    (folder / "a&b.report.json").write_text(json.dumps(report))
+    other = {**report, "tool": "reconstruct", "warnings": [], "failed_checks": []}
+    curves = [{"place": [-7.0, 8.0, -9.0], "radius_ratio": 0.0456}]
+    (folder / "reports" / "reconstruct.json").write_text(
+        json.dumps({**other, "results": {"check": {"poor_between_curves": curves}}})
+    )
+    event = {"kind": "gone", "place": [1.0, 2.0, 3.0], "volume": 546.75, "pieces": 1}
+    changes = {"materials": [{"name": "a <rib>", "scale_changes": {"events": [event]}}, {"name": "b"}]}
+    parameters = {"labels": [1]}
+    (folder / "reports" / "distfield.json").write_text(
+        json.dumps({**other, "tool": "distfield", "results": changes, "parameters": parameters})
+    )
+    elements = made(write_status(folder, "a&b"), folder / "x.html")
+    words = elements.words.replace("\u00a0", " ")
+    for said in (
+        "Tetrahedra below a limit of shape: 300", "L 1.25, A 2.50, S 3.751.830.0123", "190 more", "lists all 300",
+        "Triangles limited by junction curves: 1", "R 7.00, P 8.00, I 9.000.0456",
+        "Changes made by the scale: 1", "L 1.00, P 2.00, S 3.00a <rib>part removed547",
+    ):  # fmt: skip
+        assert said in words
+    assert [a["href"] for a in elements.of("a")].count("#places") == 2  # from the contents, and from the checks
+
+
+def test_a_closeup_is_enlarged_where_the_mesh_is() -> None:
+    pixels = np.zeros((1200, 1600, 4), dtype=np.uint8)
+    pixels[:1030, :800] = (200, 100, 50, 255)
+    pixels[1030:] = (1, 2, 3, 255)
+    before, after = pixels.copy(), np.asarray(filled(Image.fromarray(pixels)))
+    assert after.shape == before.shape
+    assert (after[:1030, :, 3] > 0).mean() > 0.9
+    np.testing.assert_array_equal(after[1030:], before[1030:])
+    pixels[:1030] = (200, 100, 50, 255)
+    np.testing.assert_array_equal(np.asarray(filled(Image.fromarray(pixels))), pixels)
+    assert round(_MESH_SHARE * pictures._WINDOW[1]) == pictures._WINDOW[1] - pictures._BAR
+
+
 def test_a_case_that_failed_at_the_first_stage_has_a_page(tmp_path: Path) -> None:
     stages = dict.fromkeys(("sizefield", "seed", "particles", "reconstruct", "tetmesh-check"), NOTHING)
     first = {"state": "error", "exit_code": 2, "error": ERROR, "outputs": [], "command": "distfield v.nrrd --iso 5"}
@@ -181,8 +236,8 @@ def verdict(folder: Path, **changes: object) -> tuple[str, str]:
 
 
 def test_headlines(tmp_path: Path) -> None:
-    assert verdict(tmp_path) == ("pass", "Fit for simulation: nothing to warn of")
-    assert verdict(tmp_path, goal="surface") == ("pass", "Made as far as surface: nothing to warn of")
+    assert verdict(tmp_path) == ("pass", "Fit for simulation: no warnings")
+    assert verdict(tmp_path, goal="surface") == ("pass", "Complete up to surface: no warnings")
     two = {"seed": {"warnings": ["a"]}, "distfield": {"warnings": ["b"]}}
     assert verdict(tmp_path, stages=two) == ("warning", "Fit for simulation, 2 warnings")
     failed = {**two, "reconstruct": {"state": "failed", "failed_checks": ["one", "two"]}}
@@ -214,9 +269,9 @@ def test_what_to_do_stands_beside_a_failed_check(case: Path, tmp_path: Path) -> 
     assert ADVICE["bodies"] not in elements.words
     assert "reconstruct: 3 pairs of triangles that cross" + advice_for("", "triangles that cross") in elements.words
     assert "Not fit for simulation: 2 checks failed, 1 warning" in elements.words
-    assert "kept although a check failed" in elements.words
+    assert "kept, although a check failed" in elements.words
     assert "In three dimensions" in elements.words  # what failed is there to be looked at
-    assert elements.words.index("3 pairs") < elements.words.index("smallest dihedral angle is")
+    assert elements.words.index("3 pairs") < elements.words.index("minimum dihedral angle is")
 
 
 def test_a_volume_that_cannot_be_read_does_not_stop_the_page(
@@ -368,7 +423,7 @@ def test_reports_that_lack_keys_are_read(case: Path, tmp_path: Path) -> None:
         return words
 
     del whole["results"]["volume"]["quality"]["radius_ratio"], whole["results"]["surface"]["topology"], whole["outcome"]
-    assert "Left out: the reports lack what it is made from (KeyError 'radius_ratio')" in said()
+    assert "Left out: the reports lack the data for this section (KeyError 'radius_ratio')" in said()
     for name in list(whole["results"]):
         del whole["results"][name]
         said()
@@ -405,26 +460,26 @@ def test_charts() -> None:
         "0.123", "12\u202f345", "1\u202f234\u202f568", "2", "1\u202f000", "-1\u202f000", "999", "-",
     ]  # fmt: skip
     axis = Axis("Things", "size, mm", "things")
-    drawn = histogram([0.0, 0.5, 1.0], [1, 100], axis, {"mean": 0.7, "smallest": 0.1}, Limit(0.25))
+    drawn = histogram([0.0, 0.5, 1.0], [1, 100], axis, {"mean": 0.7, "minimum": 0.1}, Limit(0.25))
     bars = re.search(r'<g class="bars">(.*?)</g>', drawn)
     assert bars is not None
     heights = [float(h) for h in re.findall(r'height="([0-9.]+)"', bars.group(1))]
     # powers of ten from a half up: a single thing is seen beside a hundred
     assert heights[0] / heights[1] == pytest.approx(np.log10(2.0) / np.log10(200.0), rel=1e-3)
-    assert "mean 0.7, smallest 0.1, limit 0.25: below it the check fails; 101 counted" in drawn
-    for words in ("mean 0.7", "smallest 0.1", "limit 0.25: below it the check fails", "size, mm", "things, in powers"):
+    assert "mean 0.7, minimum 0.1, limit 0.25: below it the check fails; 101 counted" in drawn
+    for words in ("mean 0.7", "minimum 0.1", "limit 0.25: below it the check fails", "size, mm", "things, in powers"):
         assert f">{words}" in drawn
     fails = re.search(r'<rect class="fails" x="([0-9.]+)" y="[0-9.]+" width="([0-9.]+)"', drawn)
     line = re.search(r'<line class="limit" x1="([0-9.]+)"', drawn)
     assert fails is not None
     assert line is not None
     assert float(fails.group(1)) + float(fails.group(2)) == pytest.approx(float(line.group(1)), abs=0.2)
-    above = histogram([0.0, 0.5, 1.0], [1, 3], axis, {"largest": 3.0}, Limit(0.75, above=True), beyond=4)
+    above = histogram([0.0, 0.5, 1.0], [1, 3], axis, {"maximum": 3.0}, Limit(0.75, above=True), beyond=4)
     assert "above it the check fails; 4 beyond; 8 counted" in above
     summary = summarize(np.array([0.5, 1.5, 2.5, 9.0, np.inf]), np.linspace(0.0, 3.0, 4))
-    assert "1 beyond; 4 counted" in measured._histogram(summary, axis, "largest")
+    assert "1 beyond; 4 counted" in measured._histogram(summary, axis, "maximum")
     jacobian = summarize(np.array([0.5, 0.7]), np.linspace(-1.0, 1.0, 21))
-    assert ">-0.5<" not in measured._histogram(jacobian, axis, "smallest")
+    assert ">-0.5<" not in measured._histogram(jacobian, axis, "minimum")
     flat = curve([1.0, 2.0], [5.0, 5.0], "Flat", "x", "y")
     assert "nan" not in flat
     assert "from 5 to 5 after 2" in flat

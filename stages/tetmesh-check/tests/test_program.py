@@ -93,7 +93,7 @@ def test_existing_output_is_kept_and_failed_checks_are_told(tmp_path: Path, run:
         "ball.vtp", "-o", "out.vtu", "--force", "--min-dihedral", 69, "--report", "r.json", "--max-passes", 5, "-q"
     )
     assert forced.returncode == 1, forced.stderr
-    assert "check failed: the smallest dihedral angle" in forced.stderr
+    assert "check failed: the minimum dihedral angle" in forced.stderr
     assert "warning: no --sizefield" in forced.stderr
     report = json.loads((tmp_path / "r.json").read_text())
     assert (report["outcome"], report["exit_code"]) == ("checks_failed", 1)
@@ -347,7 +347,7 @@ UNKNOWN = {"materials": None, "volume": False}
         (ONE, "--labels-volume nowhere.nrrd", "nowhere.nrrd: cannot read"),
         (ONE, "--source heart", "that of one object"),
         (MANY, "--source haert", "'haert' is none of the materials of the surface: heart, lungs"),
-        (MANY, "--method tetgen", "takes one object"),
+        (MANY, "--method tetgen", "supports one object only"),
         (UNKNOWN, "--conductivity heart=2 --no-such-option", "--no-such-option"),
         (UNKNOWN, "--source haert", None),
         pytest.param(MANY, "--source heart --conductivity lungs=0.2", None, marks=NEEDS_HXT),

@@ -9,6 +9,7 @@ import pytest
 import pyvista as pv
 
 from tetmesh_check import quality as quality_module
+from tetmesh_check.checks import counted, percent
 from tetmesh_check.quality import centres_of, summarize, tetrahedron_quality, triangle_quality
 
 REGULAR = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
@@ -34,6 +35,14 @@ def test_regular_tetrahedron() -> None:
         assert quality.max_dihedral[0] == pytest.approx(np.degrees(np.arccos(1 / 3)))
         assert quality.aspect_ratio[0] == pytest.approx(1.0)
         assert quality.edge_ratio[0] == pytest.approx(1.0)
+
+
+def test_rounding_errors_print_as_no_change() -> None:
+    assert [percent(v) for v in (3.55e-13, -2e-9, 0.0, 0.00123, -1.5, 12.345)] == [
+        "0 %", "0 %", "0 %", "+0.00123 %", "-1.5 %", "+12.3 %",
+    ]  # fmt: skip
+    assert counted(1, "triangle") == "1 triangle"
+    assert counted(2, "body", "bodies") == "2 bodies"
 
 
 def test_vtk_order_is_positive() -> None:

@@ -42,7 +42,7 @@ BAD = {
     "nested_but_not_a_cavity": (merged(ball(), ball(5.0)), "1 of 2 components"),
     "turned_triangle": (with_one_turned_triangle(ball()), "3 edges whose triangles disagree"),
     "nan": (with_nan(ball()), "1 of 162 vertices"),
-    "crossing": (merged(ball(), SHIFTED), "cuts through itself"),
+    "crossing": (merged(ball(), SHIFTED), "intersects itself"),
     "doubled": (merged(ball(), ball()), "edges with more than two triangles"),
     "quads": (pv.Cube(), "not triangles"),
     "empty": (pv.PolyData(), "is empty"),

@@ -59,7 +59,7 @@ def test_names_layers_and_errors(tmp_path: Path) -> None:
         read_label_volume(path)
     with pytest.raises(StageError, match="is a folder without DICOM files") as refused:
         read_volume(tmp_path)
-    assert "slices lie in" in refused.value.next_step
+    assert "contains the slices" in refused.value.next_step
     ball().save(tmp_path / "ball.vtp")
     with pytest.raises(StageError, match="is a surface"):
         read_volume(tmp_path / "ball.vtp")

@@ -15,12 +15,19 @@ from tetmesh_check.topology import Topology
 FIT_BUT_FOR = "fit but for "
 """Beginning of the warning that names accepted elements; the verdict and the page repeat it."""
 REMEDY = (
-    "a scale (SCALE, or SIZE or VERTICES without SCALE=0) or smaller edges (SIZE, MIN_SIZE, more VERTICES) remove them, "
-    "--accept-forced (ACCEPT_FORCED=yes) accepts them"
+    "to remove them, set a scale (SCALE, or SIZE or VERTICES without SCALE=0) or use smaller edges (SIZE, MIN_SIZE, "
+    "more VERTICES); "
+    "to accept them, use --accept-forced (ACCEPT_FORCED=yes)"
 )
 """What removes elements that the triangles of the surface force below a limit."""
-FORCED_LISTS = "forced_by_surface, forced_by_triangle"
+FORCED_LISTS = "forced_by_surface and forced_by_triangle"
 """Lists of the report that give the places of forced tetrahedra."""
+
+
+_NO_PERCENT = 5e-4
+"""Changes below this, percent, are rounding errors and print as 0 %."""
+_NO_DISTANCE = 1e-6
+"""Distances below this share of their limit are rounding errors and print as 0 mm."""
 
 
 @dataclass(frozen=True)
@@ -170,6 +177,37 @@ def poor_tetrahedra(
     ]
 
 
+def counted(count: int, thing: str, things: str = "") -> str:
+    """Write a number of things.
+
+    Parameters
+    ----------
+    count
+        How many.
+    thing
+        What one of them is called.
+    things
+        What several are called; without it ``thing`` with an ``s``.
+    """
+    return f"{count} {thing if count == 1 else things or f'{thing}s'}"
+
+
+def percent(change: float) -> str:
+    """Write a change with its sign; rounding errors as 0 %.
+
+    Parameters
+    ----------
+    change
+        In percent.
+    """
+    return "0 %" if abs(change) < _NO_PERCENT else f"{change:+.3g} %"
+
+
+def _distance(value: float, limit: float) -> str:
+    """A distance beside its limit, mm."""
+    return f"{0.0 if value < _NO_DISTANCE * limit else value:.3g} mm (limit {limit:.3g} mm)"
+
+
 def verdict(name: str, passed: bool, value: float, limit: float, words: str, required: bool = True) -> Check:
     """Make a check; the arguments are its fields."""
     return Check(name, bool(passed), required, float(value), float(limit), words)
@@ -193,16 +231,17 @@ def shape_checks(quality: TetrahedronQuality, limits: Limits, forced: Forced | N
     def judged(name: str, what: str, values: Values, kept: NDArray[np.bool_], limit: float, unit: str) -> Check:
         below = values < limit
         count, on_surface = int(below.sum()), int((below & kept).sum())
-        words = f"the smallest {what} is {values.min():.3g}{unit}; {count} tetrahedra are below the limit of {limit:g}"
+        poor = counted(count, "tetrahedron is", "tetrahedra are")
+        words = f"the minimum {what} is {values.min():.3g}{unit}; {poor} below the limit of {limit:g}"
         if on_surface:
-            words += f", {on_surface} of them forced by triangles of the surface ({FORCED_LISTS} in the report)"
+            words += f", {on_surface} of them forced by triangles of the surface (places: {FORCED_LISTS} in the report)"
         accepted = on_surface if limits.accept_forced else 0
         if accepted:
-            words = f"{FIT_BUT_FOR}{accepted} accepted tetrahedra: {words}"
+            words = f"{FIT_BUT_FOR}{counted(accepted, 'accepted tetrahedron', 'accepted tetrahedra')}: {words}"
         elif on_surface:
-            words += f": {REMEDY}"
+            words += f"; {REMEDY}"
         elif count:
-            words += " (poor_tetrahedra in the report lists their places)"
+            words += " (places: poor_tetrahedra in the report)"
         return Check(name, count == accepted, True, float(values.min()), limit, words, accepted)
 
     return [
@@ -242,6 +281,7 @@ def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
     change = 100.0 * (volume / measured.surface_volume - 1.0)
     max_distance = limits.distance(measured.envelope)
     boundary = measured.boundary_topology
+    same_euler = boundary.euler_characteristic == measured.surface_topology.euler_characteristic
     loose = (
         boundary.open_edges + boundary.nonmanifold_edges + boundary.badly_oriented_edges + boundary.nonmanifold_vertices
     )
@@ -253,45 +293,51 @@ def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
             np.abs(change) <= limits.max_volume_change,
             change,
             limits.max_volume_change,
-            f"the tetrahedra fill {volume:.6g} mm^3, the surface bounds {measured.surface_volume:.6g} mm^3: {change:+.3g} % "
-            f"(limit {limits.max_volume_change:g} %)",
+            f"the volume of the tetrahedra is {volume:.6g} mm^3, the volume inside the surface "
+            f"{measured.surface_volume:.6g} mm^3; "
+            f"the change is {percent(change)} (limit {limits.max_volume_change:g} %)",
         ),
         verdict(
             "bodies",
             measured.bodies == measured.surface_bodies,
             measured.bodies,
             measured.surface_bodies,
-            f"separate bodies: {measured.bodies} of tetrahedra, {measured.surface_bodies} within the surface",
+            f"the tetrahedra form {counted(measured.bodies, 'separate body', 'separate bodies')}, the surface bounds "
+            f"{measured.surface_bodies}",
         ),
         verdict(
             "boundary_distance",
             measured.boundary_distance <= max_distance,
             measured.boundary_distance,
             max_distance,
-            f"the boundary strays up to {measured.boundary_distance:.3g} mm from the surface (limit {max_distance:.3g} mm)",
+            "the maximum distance from the boundary of the tetrahedra to the surface is "
+            f"{_distance(measured.boundary_distance, max_distance)}",
         ),
         verdict(
             "surface_distance",
             measured.surface_distance <= max_distance,
             measured.surface_distance,
             max_distance,
-            f"the surface lies up to {measured.surface_distance:.3g} mm from the boundary (limit {max_distance:.3g} mm)",
+            "the maximum distance from the surface to the boundary of the tetrahedra is "
+            f"{_distance(measured.surface_distance, max_distance)}",
         ),
         verdict(
             "boundary_manifold",
             loose == 0,
             loose,
             0,
-            f"{loose} edges or vertices of the boundary are not manifold (sheets that touch there); most solvers accept that",
+            f"{loose} edges and vertices of the boundary are not manifold"
+            + ("; parts of the boundary touch there, which most solvers accept" if loose else ""),
             required=False,
         ),
         verdict(
             "euler_characteristic",
-            boundary.euler_characteristic == measured.surface_topology.euler_characteristic,
+            same_euler,
             boundary.euler_characteristic,
             measured.surface_topology.euler_characteristic,
-            f"the boundary has Euler characteristic {boundary.euler_characteristic}, the surface "
-            f"{measured.surface_topology.euler_characteristic}: where they differ, a handle or a gap was opened or closed",
+            f"the Euler characteristic of the boundary is {boundary.euler_characteristic}, that of the surface "
+            f"{measured.surface_topology.euler_characteristic}"
+            + ("" if same_euler else "; the tetrahedralizer opened or closed handles or gaps"),
             required=False,
         ),
     ]
@@ -317,7 +363,7 @@ def conclude(checks: list[Check], quality: TetrahedronQuality, context: Context)
     context.results["checks"] = [check.as_dict() for check in checks]
     context.closing += [
         ("tetrahedra", f"{len(quality.volume):,}"),
-        ("radius ratio", f"mean {quality.radius_ratio.mean():.3f}, smallest {quality.radius_ratio.min():.3f}"),
+        ("radius ratio", f"mean {quality.radius_ratio.mean():.3f}, minimum {quality.radius_ratio.min():.3f}"),
         ("dihedral angle", f"{quality.min_dihedral.min():.1f} to {quality.max_dihedral.max():.1f} degrees"),
     ]
     for check in checks:

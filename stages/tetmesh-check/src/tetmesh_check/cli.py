@@ -358,8 +358,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         except MemoryError:
             error = StageError(
                 "there is not enough memory",
-                "the meshes do not fit into it",
-                "use a larger --tet-size-factor, or a machine with more memory",
+                "the meshes do not fit into memory",
+                "use a larger --tet-size-factor or a machine with more memory",
             )
         except Exception as problem:
             error = unexpected(problem)
@@ -440,7 +440,7 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
     if arguments.output.suffix != ".vtu":
         raise StageError(
             f"{arguments.output}: does not end in .vtu",
-            "the volume mesh is written in VTK's format for unstructured grids",
+            "the volume mesh is written in the VTK format for unstructured grids",
             "name the output NAME.volume.vtu",
         )
     arguments.refuse_order()
@@ -459,7 +459,7 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
             raise StageError(
                 f"{source}: is both an input and an output",
                 "the input would be replaced",
-                "give the output another name",
+                "choose another name for the output",
             )
     refuse_existing(outputs, context.common.force)
     if (job := arguments.picture_job) is not None and job.folder.is_dir():

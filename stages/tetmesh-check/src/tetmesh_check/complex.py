@@ -18,7 +18,7 @@ from tetmesh_check.topology import connected_components, measure_topology, membe
 
 FLAT = 1e-12
 """Area of a triangle over the mean, up to which it has none."""
-_ADVICE = "reconstruct writes surfaces that pass; another program's needs repairing first"
+_ADVICE = "use a surface from reconstruct, or repair this surface first"
 
 
 @dataclass(frozen=True)
@@ -59,16 +59,16 @@ def _refuse_bad_triangles(path: Path, surface: Surface, quality: TriangleQuality
     if len(flat):
         raise StageError(
             f"{path}: {len(flat)} triangles have no area, the first near {_place(points, triangles[flat[0]])}",
-            "no tetrahedron with a volume can stand on such a triangle, and it has no side",
+            "no tetrahedron with a positive volume can have such a face",
             _ADVICE,
         )
     _, first, uses = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True, return_counts=True)
     if (uses > 1).any():
         twice = int(first[uses > 1][0])
         raise StageError(
-            f"{path}: {int((uses > 1).sum())} triangles are there more than once, "
+            f"{path}: {int((uses > 1).sum())} triangles occur more than once, "
             f"the first near {_place(points, triangles[twice])}",
-            "there is nothing between the two that a material could fill",
+            "the space between two equal triangles is empty",
             _ADVICE,
         )
 
@@ -99,26 +99,27 @@ def check_complex(path: Path, surface: Surface) -> Complex:
     if wrong:
         words = ", ".join(f"{sides.names[number]} {count}" for number, count in wrong.items())
         raise StageError(
-            f"{path}: the facets of {len(wrong)} materials do not close or disagree on their outside; edges at which they "
-            f"do not cancel: {words}",
+            f"{path}: the surfaces of {len(wrong)} materials are open or inconsistently oriented; number of such "
+            "edges: "
+            f"{words}",
             "such a material has no inside, so there is no volume to fill",
             _ADVICE,
         )
     crossing = self_intersections(points, triangles)
     if len(crossing):
         raise StageError(
-            f"{path}: cuts through itself: {len(np.unique(crossing))} triangles in {len(crossing)} pairs, the first near "
+            f"{path}: intersects itself: {len(np.unique(crossing))} triangles in {len(crossing)} pairs, the first near "
             f"{_place(points, triangles[crossing[0, 0]])}",
-            "a place there would belong to two materials",
+            "points there would belong to two materials",
             _ADVICE,
         )
     shells = measure_shells(points, triangles, sides, edges)
     if shells.mixed or shells.inside_out or (shells.of_inside < 0).any():
         raise StageError(
-            f"{path}: is turned inside out: {shells.mixed} wedges between neighbouring triangles lie in two materials, "
-            f"{shells.inside_out} shells enclose nothing",
-            "each triangle must be counter-clockwise seen from the material of the lower number",
-            "turn the winding of these triangles round; " + _ADVICE,
+            f"{path}: is inside out: {shells.mixed} wedges between neighbouring triangles lie in two materials, "
+            f"{shells.inside_out} closed surfaces enclose nothing",
+            "each triangle must be counter-clockwise as seen from the material of the lower number",
+            "reverse the winding of these triangles; " + _ADVICE,
         )
     return Complex(surface, sides, edges, shells, quality)
 

@@ -111,13 +111,16 @@ def _choose(method: Method, vertices: int, keep_vertices: bool) -> tuple[Method,
     if method is not Method.AUTO:
         return method, f"--method {method} was given"
     if keep_vertices:
-        return Method.HXT, "--order 2 wants the vertices where the surface has them, on F = 0"
+        return Method.HXT, "--order 2 needs the vertices of the surface, which lie on F = 0"
     if vertices > MAX_FTETWILD_VERTICES:
         return (
             Method.HXT,
-            f"the surface has {vertices} vertices, more than the {MAX_FTETWILD_VERTICES} left to fTetWild",
+            f"the surface has {vertices} vertices, more than the limit of {MAX_FTETWILD_VERTICES} for fTetWild",
         )
-    return Method.FTETWILD, f"the surface has {vertices} vertices, not more than {MAX_FTETWILD_VERTICES}"
+    return (
+        Method.FTETWILD,
+        f"the surface has {vertices} vertices, within the limit of {MAX_FTETWILD_VERTICES} for fTetWild",
+    )
 
 
 @dataclass(frozen=True, order=True)
@@ -168,7 +171,7 @@ class _Attempts:
         if self._best is None or verdict >= self._best[0]:
             self._best = verdict, Filled(raw.points, tetrahedra), method
         smallest = float(quality.min_dihedral.min())
-        return verdict, f"smallest dihedral angle {smallest:.3g} degrees, {distance:.3g} mm from the surface"
+        return verdict, f"minimum dihedral angle {smallest:.3g} degrees, {distance:.3g} mm from the surface"
 
     @property
     def is_any(self) -> bool:
@@ -219,7 +222,7 @@ def _by_tetgen(task: Task, attempts: _Attempts, limit: TimeLimit, context: Conte
     with context.step("background sizing"):
         largest = task.tet_size_factor * float(background_mesh(task.field, task.surface).values.max())
     context.warn(
-        "TetGen grades the tetrahedra by the edges of the surface alone: of the size field it is told the largest volume only"
+        "TetGen grades the tetrahedra by the edges of the surface; from the size field it uses only the maximum volume"
     )
     with context.step("tetrahedralize"):
         settings = TetgenSettings(max_volume=regular_volume(largest))
@@ -252,7 +255,7 @@ def _by_tetwild(task: Task, attempts: _Attempts, limit: TimeLimit, context: Cont
         except StageError as error:
             if not attempts.is_any or error.code == ExitCode.INTERRUPTED:
                 raise
-            context.warn(f"another attempt at better tetrahedra came to nothing: {error.what}")
+            context.warn(f"another attempt at better tetrahedra failed: {error.what}")
             break
         verdict, told = attempts.add(raw, Method.FTETWILD)
         context.verbose(f"stop energy {energies[0]:g}, envelope {envelopes[0]:.3g} mm: {told}")
@@ -289,10 +292,9 @@ def fill(task: Task, context: Context) -> Filled:
             verdict = _by_hxt(task, attempts, limit, context)
             small_enough = len(task.surface.points) <= MAX_SECOND_TRY_VERTICES and not task.keep_vertices
             if task.method is Method.AUTO and small_enough and not verdict.well:
-                second = (
-                    f"HXT's tetrahedra miss a limit of shape (smallest scaled Jacobian {verdict.scaled_jacobian:.3g})"
-                )
-                context.info(f"{second}: fTetWild fills the surface, too, which may take minutes")
+                smallest = f"minimum scaled Jacobian {verdict.scaled_jacobian:.3g}"
+                second = f"the tetrahedra of HXT miss a limit of shape ({smallest})"
+                context.info(f"{second}; fTetWild fills the surface as well, which may take minutes")
         except StageError as error:
             if task.method is Method.HXT or error.code == ExitCode.INTERRUPTED or isinstance(error, TimeLimitError):
                 raise
@@ -307,6 +309,6 @@ def fill(task: Task, context: Context) -> Filled:
         _by_tetwild(task, attempts, limit, context)
     filled, results["method"] = attempts.best
     if chosen is not results["method"]:
-        results["reason"] += ", and fTetWild did no better"
+        results["reason"] += ", and the result of fTetWild is not better"
     context.parameters["method"] = results["method"]
     return filled

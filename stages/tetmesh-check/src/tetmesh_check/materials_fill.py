@@ -89,9 +89,9 @@ def refuse_method(method: Method) -> None:
     """
     if method not in (Method.AUTO, Method.HXT):
         raise StageError(
-            f"--method {method} takes one object, and the surface is of many materials",
-            "the triangles between two materials must stay as they are, and be shared by both",
-            "leave --method out, or give --method hxt",
+            f"--method {method} supports one object only, and the surface has several materials",
+            "two materials must share the triangles between them, unchanged",
+            "omit --method, or use --method hxt",
         )
 
 
@@ -192,7 +192,7 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
     attempts: list[dict[str, Any]] = []
     results: dict[str, Any] = {
         "method": Method.HXT,
-        "reason": "the surface is of many materials, whose triangles Gmsh keeps",
+        "reason": "the surface has several materials, and Gmsh keeps the triangles between them",
         "log": task.log.name,
         "attempts": attempts,
     }
@@ -249,10 +249,10 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
         raise failure
     if best.conformity.undecided:
         raise StageError(
-            f"the material of {best.conformity.undecided} tetrahedra cannot be told: the tetrahedralizer lost "
+            f"the material of {best.conformity.undecided} tetrahedra is unknown: the tetrahedralizer lost "
             f"{best.conformity.missing} triangles of the interfaces",
-            "without them the regions run into each other; nothing was written",
-            f"its log is {task.log}; try another --tet-size-factor",
+            "without these triangles the materials are not separated; nothing was written",
+            f"see its log, {task.log}, or try another --tet-size-factor",
         )
     if best.conformity.faults == 0:
         with context.step("mend tetrahedra"):

@@ -14,6 +14,8 @@ from tetmesh_check.checks import (
     Forced,
     Limits,
     conclude,
+    counted,
+    percent,
     poor_tetrahedra,
     shape_checks,
     smallest_elsewhere,
@@ -91,9 +93,13 @@ def _sides(checked: Complex, limits: Limits, goal: Goal, context: Context) -> tu
         material, sharpest = material[below], int(found.bound.argmin())
         x, y, z = surface.points[surface.triangles[found.facet[sharpest]]].mean(axis=0)
         context.warn(
-            f"on {len(found.facet)} triangles no tetrahedron can have dihedral angles of {limits.min_dihedral:g} degrees (--min-dihedral), "
-            f"since others meet them at less or lie close before them; the sharpest place, {found.bound[sharpest]:.3g} degrees, is in "
-            f"{sides.names[material[sharpest]]} at ({x:.6g}, {y:.6g}, {z:.6g}) mm. The report lists the places (forced_by_surface); {REMEDY}"
+            f"on {counted(len(found.facet), 'triangle')}, no tetrahedron can reach the minimum dihedral angle of "
+            f"{limits.min_dihedral:g} "
+            "degrees (--min-dihedral), because other triangles meet them at a smaller angle or lie close in front "
+            "of them. The worst place "
+            f"allows {found.bound[sharpest]:.3g} degrees, in {sides.names[material[sharpest]]} at ({x:.6g}, {y:.6g}, "
+            f"{z:.6g}) mm (all places: "
+            f"forced_by_surface in the report); {REMEDY}"
         )
     return found, every
 
@@ -107,10 +113,12 @@ def _needles(checked: Complex, limits: Limits, context: Context) -> tuple[Labels
         sharpest = found[int(possible[found].argmin())]
         x, y, z = surface.points[surface.triangles[sharpest]].mean(axis=0)
         context.warn(
-            f"{len(found)} triangles have an angle so small that no tetrahedron on them has both dihedral angles of {limits.min_dihedral:g} "
-            f"degrees and a scaled Jacobian of {limits.min_scaled_jacobian:g} (--min-dihedral, --min-scaled-jacobian), "
-            f"but {possible[sharpest]:.3g} at most, at ({x:.6g}, {y:.6g}, {z:.6g}) mm. The report lists the places (forced_by_triangle); "
-            f"{REMEDY}"
+            f"on {counted(len(found), 'triangle')} with a small angle, no tetrahedron can reach both a dihedral "
+            "angle of "
+            f"{limits.min_dihedral:g} degrees and a scaled Jacobian of {limits.min_scaled_jacobian:g} (--min-dihedral, "
+            f"--min-scaled-jacobian). The worst place allows a scaled Jacobian of {possible[sharpest]:.3g}, at "
+            f"({x:.6g}, {y:.6g}, {z:.6g}) mm "
+            f"(all places: forced_by_triangle in the report); {REMEDY}"
         )
     return found, possible[found]
 
@@ -273,25 +281,26 @@ def complex_checks(
             results["interfaces_kept"],
             triangles["missing"] + triangles["added"],
             0,
-            f"of the triangles between materials {triangles['missing']} are no face between tetrahedra of these two, and "
-            f"{triangles['added']} faces at the border are no such triangle",
+            f"the interfaces between materials lost {counted(triangles['missing'], 'triangle')} of the surface and "
+            "gained "
+            f"{counted(triangles['added'], 'other face')}",
         ),
         verdict(
             "conforming",
             results["crowded_faces"] == results["undecided_tetrahedra"] == 0,
             results["crowded_faces"] + results["undecided_tetrahedra"],
             0,
-            f"{results['crowded_faces']} faces have more than two tetrahedra, {results['undecided_tetrahedra']} tetrahedra belong "
-            "to no material",
+            f"{counted(results['crowded_faces'], 'face belongs', 'faces belong')} to more than two tetrahedra, "
+            f"{counted(results['undecided_tetrahedra'], 'tetrahedron has', 'tetrahedra have')} no material",
         ),
         verdict(
             "region_parts",
             not apart,
             len(apart),
             0,
-            f"{len(apart)} of {len(regions)} regions have not as many separate parts as their surface"
+            f"{len(apart)} of {len(regions)} materials have more or fewer separate parts than in the surface"
             + "".join(
-                f"; {entry['name']} {entry['parts']} in place of {entry['surface_parts']}" for entry in apart[:3]
+                f"; {entry['name']} has {entry['parts']} instead of {entry['surface_parts']}" for entry in apart[:3]
             ),
         ),
         verdict(
@@ -299,8 +308,8 @@ def complex_checks(
             abs(changes[worst]) <= limits.max_volume_change,
             changes[worst],
             limits.max_volume_change,
-            f"the tetrahedra of {worst} fill {changes[worst]:+.3g} % of what its surface bounds, more or less than any other region "
-            f"(limit {limits.max_volume_change:g} %)",
+            f"the largest change of the volume of a material is {percent(changes[worst])}, in {worst} (limit "
+            f"{limits.max_volume_change:g} %)",
         ),
     ]
 
@@ -316,15 +325,15 @@ def refuse_arguments(arguments: Arguments) -> None:
     refuse_method(arguments.method)
     if arguments.order != 1:
         raise StageError(
-            f"--order {arguments.order} is for the surface of one object, and this one is of many materials",
-            "nodes amid the edges of its interfaces would lie on the zeros of several fields",
-            "leave it out",
+            f"--order {arguments.order} supports the surface of one object only, and this one has several materials",
+            "the midpoints of junction edges would have to lie on the zero sets of several fields",
+            "omit --order",
         )
     if arguments.labels_volume is not None:
         raise StageError(
-            "--labels-volume is for the surface of one object, and this one is of many materials",
-            "the triangles themselves say which region is which",
-            "leave it out",
+            "--labels-volume supports the surface of one object only, and this one has several materials",
+            "the triangles already define the region of each tetrahedron",
+            "omit --labels-volume",
         )
 
 

@@ -41,10 +41,14 @@ _EDGE_COLOUR = "#2b2b2b"
 _CLOSEUP_EDGES = 22.0
 """Height of the close-up in local edge lengths."""
 _COLOURS = "viridis"
-_LEGEND = 11
+_LEGEND = 8
 """Materials that the legend names at most."""
-_LETTERS = 22
+_LETTERS = 18
 """Letters of a name there."""
+_LETTERING = 30.0
+"""Font size below a picture, points: 14 pixels on a page that shows the picture 550 pixels wide."""
+_MARK, _LETTER, _LINE = 5.0, 0.62, 1.45
+"""Sizes in the legend over the font size: a column without its name, a letter, and a row."""
 
 
 @dataclass(frozen=True)
@@ -217,8 +221,8 @@ def _save_with_bar(plotter: Any, path: Path, title: str, limits: tuple[float, fl
         labels=[f"{v:.3g}" for v in (limits[0], 0.5 * sum(limits), limits[1])],
     )
     bar.outline.set_visible(False)
-    axis.tick_params(labelsize=25, colors=_INK, length=0, pad=4)
-    axis.set_xlabel(title, fontsize=25, color=_INK, labelpad=2)
+    axis.tick_params(labelsize=_LETTERING, colors=_INK, length=0, pad=2)
+    axis.set_xlabel(title, fontsize=_LETTERING, color=_INK, labelpad=0)
     _save_above(plotter, path, figure)
 
 
@@ -367,6 +371,18 @@ def _draw_regions(_surface: Any, volume: Any, path: Path) -> None:
     _save_with_legend(plotter, path, [(names[k], colours[k]) for k in shown])
 
 
+def _legend_layout(names: list[str]) -> tuple[int, float]:
+    """Find the number of columns with the largest letters that fit, and the font size in points."""
+    longest = _MARK + _LETTER * max(map(len, names))
+
+    def fitting(columns: int) -> float:
+        rows = -(-len(names) // columns)
+        return min(_LETTERING, 0.72 * min(_WINDOW[0] / (columns * longest), _BAR / ((rows + 0.6) * _LINE)))
+
+    columns = max(range(1, len(names) + 1), key=fitting)
+    return columns, fitting(columns)
+
+
 def _save_with_legend(plotter: Any, path: Path, entries: list[tuple[str, Any]]) -> None:
     """Write what a plotter shows, with names and their colours below it."""
     import matplotlib as mpl
@@ -380,7 +396,8 @@ def _save_with_legend(plotter: Any, path: Path, entries: list[tuple[str, Any]]) 
     patches = [Patch(color=np.asarray(colour) / 255.0, label=name[:_LETTERS]) for name, colour in shown]
     if len(entries) > len(shown):
         patches.append(Patch(color="none", label=f"and {len(entries) - len(shown)} more"))
-    figure.legend(handles=patches, loc="center", ncols=4, fontsize=20, labelcolor=_INK, frameon=False)
+    columns, size = _legend_layout([str(patch.get_label()) for patch in patches])
+    figure.legend(handles=patches, loc="center", ncols=columns, fontsize=size, labelcolor=_INK, frameon=False)
     _save_above(plotter, path, figure)
 
 

@@ -109,14 +109,15 @@ class Arguments:
         if self.distfield is None:
             raise StageError(
                 "--order 2 without --distfield",
-                "nodes amid the edges of the surface are brought onto the zero of the distance field",
+                "the midpoints of surface edges are moved onto the zero set of the distance field",
                 "add --distfield CASE.distfield.vti",
             )
         if linear := [kind for kind in self.exports if kind in LINEAR_FORMATS]:
             raise StageError(
                 f"--export {','.join(linear)} with --order 2",
-                "that format has no elements with nodes amid their edges",
-                f"leave it out, or run once more with --order 1; {', '.join(k for k in FORMATS if k not in LINEAR_FORMATS)} have them",
+                f"{', '.join(linear)} cannot store quadratic elements",
+                f"omit {', '.join(linear)}, or use --order 1; quadratic elements are supported by "
+                f"{', '.join(k for k in FORMATS if k not in LINEAR_FORMATS)}",
             )
 
     @property
@@ -238,8 +239,9 @@ def _mark(surface: Surface, mesh: VolumeMesh, labels: LabelVolume | None, contex
             regions = regions_of(centres, labels, wanted)
         if outside_labels > MAX_SHARE_OUTSIDE:
             context.warn(
-                f"{100.0 * outside_labels:.3g} % of the tetrahedra lie outside the label volume and have the region of its nearest "
-                "voxel: is it that of this case?"
+                f"{100.0 * outside_labels:.3g} % of the tetrahedra lie outside the label volume and get the region "
+                "of the nearest voxel; "
+                "check that the label volume belongs to this case (--labels-volume)"
             )
         context.results["regions"] = {
             str(label): {
@@ -271,8 +273,10 @@ def _curve(marked: MarkedMesh, field: DistanceField, arguments: Arguments, conte
     context.closing.append(
         (
             "quadratic",
-            f"{curved.results['nodes']:,} nodes, Jacobian at least {float(curved.jacobian.min()):.2f}; on the surface at most "
-            f"{left['mid_edge_nodes'].get('max', 0.0):.2g} mm from F = 0, before {left['middles_of_edges'].get('max', 0.0):.2g}",
+            f"{curved.results['nodes']:,} nodes, minimum Jacobian {float(curved.jacobian.min()):.2f}; surface nodes "
+            "are at most "
+            f"{left['mid_edge_nodes'].get('max', 0.0):.2g} mm from F = 0 (edge midpoints: "
+            f"{left['middles_of_edges'].get('max', 0.0):.2g} mm)",
         )
     )
     return curved
@@ -332,8 +336,8 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     if envelope >= 0.1 * surface.bounding_box_diagonal:
         raise StageError(
             f"--envelope {envelope:g} mm is more than a tenth of the object ({surface.bounding_box_diagonal:.4g} mm across)",
-            "the tetrahedra would not resemble it",
-            "give a smaller one, or leave it out",
+            "the tetrahedra could differ from the object by that much",
+            "choose a smaller envelope, or omit --envelope",
         )
     context.parameters["envelope"] = envelope
     context.parameters["max_distance"] = arguments.limits.distance(envelope)

@@ -141,25 +141,29 @@ def read_sizing_field(path: Path) -> SizingField:
     image = read_dataset(path)
     advice = "give the file that sizefield wrote"
     if not isinstance(image, pv.ImageData):
-        raise StageError(f"{path}: holds a {type(image).__name__}, not an image", "h lives on a grid", advice)
+        raise StageError(
+            f"{path}: holds a {type(image).__name__}, not an image", "the size field is a regular grid", advice
+        )
     if ARRAY_NAME not in image.point_data:
         found = ", ".join(image.point_data.keys()) or "none"
         raise StageError(
             f"{path}: has no point array named '{ARRAY_NAME}' (those present: {found})",
-            "it says how long the edges of the tetrahedra are to be",
+            "it holds the target edge lengths of the tetrahedra",
             advice,
         )
     dimensions = image.dimensions
     values = np.asarray(image.point_data[ARRAY_NAME])
     if min(dimensions) < 2 or values.ndim != 1:
         raise StageError(
-            f"{path}: is a flat or many-valued image {dimensions}", "h is one number a voxel in 3-D", advice
+            f"{path}: is a two-dimensional image or has several values per voxel {dimensions}",
+            "the size field has one number per voxel of a 3-D grid",
+            advice,
         )
     bad = ~(np.isfinite(values) & (values > 0))
     if bad.any():
         raise StageError(
             f"{path}: {int(bad.sum())} of {values.size} values are not positive and finite",
-            "they are edge lengths in mm",
+            "the values are edge lengths in mm",
             "run sizefield again",
         )
     step = np.asarray(image.direction_matrix, dtype=np.float64) * np.asarray(image.spacing)

@@ -71,8 +71,8 @@ def _why_not(mesh: VolumeMesh, settings: SolveSettings) -> str | None:
         return "some tetrahedra are inverted or flat"
     if settings.mode is SolveMode.AUTO and len(mesh.tetrahedra) > AUTO_MAX_TETRAHEDRA:
         return (
-            f"{len(mesh.tetrahedra):,} tetrahedra are more than the {AUTO_MAX_TETRAHEDRA:,} that are solved on by default "
-            "(--solve yes does it)"
+            f"{len(mesh.tetrahedra):,} tetrahedra are more than the default limit of {AUTO_MAX_TETRAHEDRA:,} "
+            "(--solve yes ignores it)"
         )
     return None
 
@@ -82,19 +82,21 @@ def _checks(done: dict[str, dict[str, Any]], stuck: list[str]) -> list[Check]:
     if not solved:
         return []
     words = (
-        f"conjugate gradients solved {len(solved) - len(stuck)} of {len(solved)} problems, with multigrid and, where there was time, "
-        "with Jacobi's preconditioner"
+        f"conjugate gradients solved {len(solved) - len(stuck)} of {len(solved)} problems with multigrid and, within "
+        "the time limit, with "
+        "Jacobi's preconditioner"
     )
     stood_in = [name for name in solved if done[name]["solved_with"] == "jacobi" and name not in stuck]
     if stood_in:
-        words += f" ({', '.join(stood_in)} with the latter only)"
+        words += f"; {', '.join(stood_in)} with Jacobi's preconditioner only"
     singular = [name for name in stuck if done[name]["jacobi"] is not None]
     if singular:
-        words += f", not {', '.join(singular)}: the matrix is close to singular"
+        words += f"; not solved: {', '.join(singular)}, because the matrix is close to singular"
     unknown = [name for name in stuck if done[name]["jacobi"] is None]
     if unknown:
         words += (
-            f", not {', '.join(unknown)}: multigrid did not converge, and for Jacobi's preconditioner there was no time"
+            f"; not solved: {', '.join(unknown)}, because multigrid did not converge and no time was left "
+            "for Jacobi's preconditioner"
         )
     return [Check("solve_converged", not stuck, True, float(len(stuck)), 0.0, words)]
 
@@ -103,7 +105,10 @@ def _conserved(done: dict[str, dict[str, Any]]) -> list[Check]:
     if "forward" not in done:
         return []
     imbalance = done["forward"]["imbalance"]
-    words = f"of the current through the surface of a material a share of up to {imbalance:.2g} is lost or gained (limit {MAX_IMBALANCE:g})"
+    words = (
+        "the currents into and out of a material differ by a share of at most "
+        f"{imbalance:.2g} (limit {MAX_IMBALANCE:g})"
+    )
     return [verdict("current_conserved", imbalance <= MAX_IMBALANCE, imbalance, MAX_IMBALANCE, words)]
 
 
@@ -131,7 +136,7 @@ def solve_on(
     results: dict[str, Any] = {"done": False, "reason": _why_not(mesh, settings)}
     context.results["solve"] = results
     if results["reason"] is not None:
-        context.verbose(f"nothing is solved: {results['reason']}")
+        context.verbose(f"no problem is solved: {results['reason']}")
         return []
     solver = Solver(MAX_ITERATIONS, time.monotonic() + settings.max_seconds, settings.compare_seconds)
     boundary = np.zeros(len(mesh.points), dtype=bool)
@@ -162,13 +167,17 @@ def solve_on(
             if not converged:
                 stuck.append(name)
             elif figures.get("solved_with") == "jacobi":
-                context.warn(f"{name}: multigrid did not converge, the solution is that with Jacobi's preconditioner")
+                context.warn(
+                    f"{name}: multigrid did not converge; the solution was computed with Jacobi's preconditioner"
+                )
     results.update(done=not unfinished, **done)
     if unfinished:
         reason = "; ".join(f"{name}: {why}" for name, why in unfinished.items())
         results["reason"] = reason
         context.warn(
-            f"{'not everything' if done else 'nothing'} was solved, {'' if done else 'and not checked: '}{reason}"
+            f"not every problem was solved: {reason}"
+            if done
+            else f"no problem was solved, and none was checked: {reason}"
         )
     iterations = [
         f"{name} {figures['multigrid']['iterations']}" for name, figures in done.items() if "multigrid" in figures

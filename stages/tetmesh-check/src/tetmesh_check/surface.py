@@ -22,7 +22,7 @@ from tetmesh_check.quality import Cells, Points
 from tetmesh_check.topology import Topology, measure_topology
 from tetmesh_check.volume_table import told_volumes
 
-_TOOLS = "reconstruct writes surfaces that pass; another program's needs repairing first"
+_TOOLS = "use a surface from reconstruct, or repair this surface first"
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def read_dataset(path: Path) -> pv.DataSet:
     """
     if not path.is_file():
         raise StageError(
-            f"{path}: no such file", "the stage needs this file", "check the name, or run the stage before"
+            f"{path}: no such file", "the stage needs this file", "check the name, or run the previous stage"
         )
     shown = vtkObject.GetGlobalWarningDisplay()
     vtkObject.SetGlobalWarningDisplay(0)
@@ -73,7 +73,9 @@ def read_dataset(path: Path) -> pv.DataSet:
     except StageError:
         raise
     except Exception as error:
-        raise StageError.file(path, "read", error, "check that it is complete and of the kind its name says") from error
+        raise StageError.file(
+            path, "read", error, "check that the file is complete and matches its extension"
+        ) from error
     finally:
         vtkObject.SetGlobalWarningDisplay(shown)
 
@@ -110,19 +112,19 @@ def read_surface(path: Path) -> Surface:
     if not isinstance(dataset, pv.PolyData):
         raise StageError(
             f"{path}: holds a {type(dataset).__name__}, not a surface",
-            "tetrahedra are made inside a triangle surface",
-            "give the surface that reconstruct wrote",
+            "the tetrahedra fill a triangle surface",
+            "use the surface that reconstruct wrote",
         )
     if dataset.n_faces == 0:
         raise StageError(
             f"{path}: is empty ({dataset.n_points} points, no triangles)",
             "there is nothing to fill",
-            "check the file; if it was damaged or cut short, run the stage before again",
+            "check the file; if it is damaged or incomplete, run the previous stage again",
         )
     if not dataset.is_all_triangles:
         raise StageError(
             f"{path}: has faces that are not triangles",
-            "only triangle surfaces are checked and filled",
+            "only triangle surfaces can be checked and filled",
             "triangulate it first",
         )
     points, triangles = from_polydata(dataset)
@@ -131,8 +133,8 @@ def read_surface(path: Path) -> Surface:
         raise StageError(
             f"{path}: {int(bad.sum())} of {len(points)} vertices have coordinates that are not finite, "
             f"the first is number {int(np.flatnonzero(bad)[0])}",
-            "such a vertex lies nowhere",
-            "find out which stage wrote it; the volume may hold NaN voxels",
+            "these vertices have no position",
+            "check the volume for NaN voxels, and run the previous stages again",
         )
     cap = np.asarray(dataset.cell_data["cap"]).ravel() != 0 if "cap" in dataset.cell_data else None
     sides = read_sides(path, dataset)
@@ -171,9 +173,10 @@ def check_surface(path: Path, surface: Surface) -> tuple[Topology, Components]:
     topology = measure_topology(surface.points, surface.triangles)
     if not topology.is_closed_manifold:
         raise StageError(
-            f"{path}: is no closed manifold: {topology.open_edges} open edges, {topology.nonmanifold_edges} edges with "
+            f"{path}: is not a closed manifold: {topology.open_edges} open edges, {topology.nonmanifold_edges} edges "
+            "with "
             f"more than two triangles, {topology.badly_oriented_edges} edges whose triangles disagree on the outside, "
-            f"{topology.nonmanifold_vertices} vertices where sheets only touch",
+            f"{topology.nonmanifold_vertices} vertices where parts of the surface only touch",
             "inside and outside are not defined, so there is no volume to fill",
             _TOOLS,
         )
@@ -183,16 +186,17 @@ def check_surface(path: Path, surface: Surface) -> tuple[Topology, Components]:
         raise StageError(
             f"{path}: {len(wrong)} of {topology.components} components are inside out "
             f"(signed volume of the whole: {surface.volume():.6g} mm^3)",
-            "the triangles must be counter-clockwise seen from outside, and a cavity's from within it",
-            "turn the winding of these components round; " + _TOOLS,
+            "the triangles must be counter-clockwise as seen from outside, and those of a cavity as seen from inside "
+            "the cavity",
+            "reverse the winding of these components; " + _TOOLS,
         )
     crossing = self_intersections(surface.points, surface.triangles)
     if len(crossing):
         where = surface.points[surface.triangles[crossing[0, 0]]].mean(axis=0)
         raise StageError(
-            f"{path}: cuts through itself: {len(np.unique(crossing))} triangles in {len(crossing)} pairs, the first "
+            f"{path}: intersects itself: {len(np.unique(crossing))} triangles in {len(crossing)} pairs, the first "
             f"near ({where[0]:.6g}, {where[1]:.6g}, {where[2]:.6g}) mm",
-            "the volume inside such a surface is ambiguous, and tetrahedra would hide the fault",
+            "the volume inside such a surface is ambiguous",
             _TOOLS,
         )
     return topology, components

@@ -1,43 +1,72 @@
-"""What to do about a check that failed, or one that warns."""
+"""Advice for checks that fail or warn."""
 
 from __future__ import annotations
 
 from tetmesh_check.checks import REMEDY
 
-_SHAPE = "raise the smallest edge length (MIN_SIZE), or try the other tetrahedralizer (TETMESH_OPTIONS='--method hxt' or 'ftetwild')"
-_DISTANCE = "narrow the envelope (TETMESH_OPTIONS='--envelope MM'), or keep the surface as it is with '--method hxt'"
+_SHAPE = (
+    "increase the minimum edge length (MIN_SIZE), or use the other tetrahedralizer (TETMESH_OPTIONS='--method hxt' or "
+    "'--method ftetwild')"
+)
+_WORST = "the 3-D view shows the worst tetrahedra ('worst 1 %')"
+_DISTANCE = (
+    "use a smaller envelope (TETMESH_OPTIONS='--envelope MM'), or keep the surface unchanged with "
+    "TETMESH_OPTIONS='--method hxt'"
+)
 ADVICE: dict[str, str] = {
-    "positive_volumes": "no solver takes these: " + _SHAPE,
-    "min_dihedral": _SHAPE + "; see where they are with 'worst 1 %' in the 3-D view",
-    "min_scaled_jacobian": _SHAPE + "; see where they are with 'worst 1 %' in the 3-D view",
+    "positive_volumes": f"solvers reject these tetrahedra; {_SHAPE}",
+    "min_dihedral": f"{_SHAPE}; {_WORST}",
+    "min_scaled_jacobian": f"{_SHAPE}; {_WORST}",
     "volume_change": _DISTANCE,
-    "bodies": "sheets that touch were joined or a body was lost: smaller edges (SIZE or MAX_SIZE), or '--method hxt'",
+    "bodies": ("bodies were joined or lost; use smaller edges (SIZE or MAX_SIZE), or TETMESH_OPTIONS='--method hxt'"),
     "boundary_distance": _DISTANCE,
     "surface_distance": _DISTANCE,
-    "boundary_manifold": "most solvers accept it; where yours does not, smaller edges part the sheets (MIN_SIZE)",
-    "euler_characteristic": "compare surface and boundary there; '--method hxt' keeps the surface's triangles and with them its handles",
-    "interfaces_kept": "the tetrahedralizer's log says which triangles it lost; smaller edges there (MIN_SIZE), or another --tet-size-factor",
-    "conforming": "the tetrahedralizer's log says more; smaller edges (SIZE, MIN_SIZE), or another --tet-size-factor",
-    "region_parts": "parts of a material were joined or lost: smaller edges where they are thin (MIN_SIZE)",
-    "current_conserved": "the solver ended too early: look at the smallest dihedral angles above",
-    "solve_converged": "look at the smallest dihedral angles above: flat tetrahedra are what solvers stumble over",
+    "boundary_manifold": (
+        "most solvers accept this; if yours does not, smaller edges separate the parts that touch (MIN_SIZE)"
+    ),
+    "euler_characteristic": (
+        "compare the surface with the boundary; TETMESH_OPTIONS='--method hxt' keeps the triangles of the surface, and "
+        "so its handles"
+    ),
+    "interfaces_kept": (
+        "the log of the tetrahedralizer names the lost triangles; use smaller edges there (MIN_SIZE), or another "
+        "--tet-size-factor"
+    ),
+    "conforming": (
+        "see the log of the tetrahedralizer; use smaller edges (SIZE, MIN_SIZE), or another --tet-size-factor"
+    ),
+    "region_parts": "parts of a material were joined or lost; use smaller edges where they are thin (MIN_SIZE)",
+    "current_conserved": "the solver stopped too early; check the minimum dihedral angles above",
+    "solve_converged": "check the minimum dihedral angles above; flat tetrahedra slow down solvers",
 }
 """By the name of the check in the report of ``tetmesh-check``."""
-_THIN = "smaller edges where walls are thin (MIN_SIZE), or RECONSTRUCT_OPTIONS='--method tight-cocone'"
+_THIN = "use smaller edges where walls are thin (MIN_SIZE), or RECONSTRUCT_OPTIONS='--method tight-cocone'"
+_REPORT = "this is an error of the program; please report it with the volume"
 _WORDS: tuple[tuple[str, str], ...] = (
-    ("components and cavities", "parts vanished or joined: please report the volume as a bug"),
-    ("voxel centres changed side", "please report the volume as a bug"),
-    ("components where the isosurface has", "smaller edges (SIZE, MIN_SIZE), or drop small parts first (DISTFIELD_OPTIONS='--keep largest')"),
-    ("radius ratio below", "see 'worst 1 %' in the 3-D view; a gentler grading (DELTA=0.3) or smaller edges there (MIN_SIZE) help"),
-    ("farther than", "smaller edges (MIN_SIZE); RECONSTRUCT_OPTIONS='--max-vertex-distance' says what is allowed"),
-    ("wrong side of the mesh", "smaller edges (SIZE, MIN_SIZE): features below two edges cannot be kept"),
+    ("components and cavities", f"parts were lost or joined; {_REPORT}"),
+    ("voxel centres changed side", _REPORT),
+    (
+        "components where the isosurface has",
+        "use smaller edges (SIZE, MIN_SIZE), or remove small parts first (DISTFIELD_OPTIONS='--keep largest')",
+    ),
+    (
+        "radius ratio below",
+        "use a smaller gradient of the edge length (DELTA=0.3) or smaller edges there (MIN_SIZE); the 3-D view shows "
+        "the "
+        "worst triangles ('worst 1 %')",
+    ),
+    ("farther than", "use smaller edges (MIN_SIZE); RECONSTRUCT_OPTIONS='--max-vertex-distance' sets the limit"),
+    (
+        "wrong side of the mesh",
+        "use smaller edges (SIZE, MIN_SIZE); a mesh cannot represent features smaller than two edges",
+    ),
     ("that cross", _THIN),
     ("manifold", _THIN),
     ("open edges", _THIN),
     ("without area", _THIN),
     ("different components", _THIN),
-)  # fmt: skip
-"""By a word in what the other stages say of a failed check, the first that fits."""
+)
+"""By words in the failed checks of the other stages; the first match applies."""
 
 
 def advice_for(name: str, words: str) -> str:
@@ -55,4 +84,6 @@ def advice_for(name: str, words: str) -> str:
         return REMEDY
     if name in ADVICE:
         return ADVICE[name]
-    return next((advice for word, advice in _WORDS if word in lowered), "see the stage's report, and docs/user/size.md")
+    return next(
+        (advice for word, advice in _WORDS if word in lowered), "see the report of the stage and docs/user/size.md"
+    )

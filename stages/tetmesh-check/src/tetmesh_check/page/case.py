@@ -161,7 +161,7 @@ class Case:
             return f"Still running{f': {at}' if at else ''}"
         if self.verdict == "interrupted":
             at = next((stage.name for stage in self.stages if stage.state == "interrupted"), "")
-            return f"Interrupted{f' during {at}' if at else ''}: run the same command again to go on"
+            return f"Interrupted{f' during {at}' if at else ''}: run the same command again to continue"
         if self.verdict == "error":
             broken = self.broken
             return f"No mesh: {broken.name}: {dig(broken.error, 'what')}" if broken else f"No mesh: {self.said}"
@@ -170,13 +170,13 @@ class Case:
             failed = self.failures
             words = f"{count_of(len(failed), 'check')} failed" if failed else self.said
             tail = f", {warned}" if self.warnings else ""
-            return f"{'Not fit for simulation' if whole else 'Not as it should be'}: {words}{tail}"
-        fit = "Fit for simulation" if whole else f"Made as far as {self.goal}"
+            return f"{'Not fit for simulation' if whole else 'Not valid'}: {words}{tail}"
+        fit = "Fit for simulation" if whole else f"Complete up to {self.goal}"
         if self.accepted:
             return f"{fit}, but for {' and '.join(self.accepted)}; {warned}"
         if self.warnings:
             return f"{fit}, {warned}"
-        return f"{fit}: all {len(self.checks)} checks passed" if self.checks else f"{fit}: nothing to warn of"
+        return f"{fit}: all {len(self.checks)} checks passed" if self.checks else f"{fit}: no warnings"
 
     def outputs(self, stage: str, ending: str) -> Iterator[Path]:
         """Find files of a stage that the status lists and that are there, by the ending of their names.

@@ -143,7 +143,7 @@ def histogram(
     axis
         What is measured, and of what.
     marks
-        ``mean``, and ``smallest`` or ``largest``; drawn at the rim where it lies beyond the bins.
+        ``mean``, and ``minimum`` or ``maximum``; drawn at the rim where it lies beyond the bins.
     limit
         That of the check, if there is one.
     second

@@ -5,10 +5,12 @@ from __future__ import annotations
 import base64
 import io
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from tetmesh_check.errors import StageError
 
@@ -16,6 +18,12 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 _PICTURE_WIDTH = 1400
+_MESH_SHARE = 1030 / 1200
+"""Share of the height of a picture above its colour bar, as in :mod:`tetmesh_check.pictures`."""
+_ZOOMS = (1.0, 0.85, 0.7, 0.6, 0.5)
+"""Sizes of the part that :func:`filled` tries, over that of the picture."""
+_FULL = 0.9
+"""Share of a part that the mesh must cover for :func:`filled` to stop there."""
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], text: Sequence[int] = (), kind: str = "") -> str:
@@ -159,7 +167,43 @@ def image_data(image: Image, lossless: bool = False) -> str:
     return f"data:image/webp;base64,{base64.b64encode(stream.getvalue()).decode('ascii')}"
 
 
-def picture_data(path: Path, width: int = _PICTURE_WIDTH) -> tuple[str, int, int]:
+def filled(image: Image) -> Image:
+    """Enlarge the part of a picture that the mesh covers best, above the colour bar, which stays.
+
+    Parameters
+    ----------
+    image
+        A picture in RGBA; the background is transparent.
+    """
+    from PIL import Image as Images
+
+    width, height = image.width, round(_MESH_SHARE * image.height)
+    cover = np.zeros((height + 1, width + 1))
+    cover[1:, 1:] = (np.asarray(image)[:height, :, 3] > 0).cumsum(axis=0).cumsum(axis=1)
+    best, box = -1.0, (0, 0, width, height)
+    for zoom in _ZOOMS:
+        wide, high = round(zoom * width), round(zoom * height)
+        lefts, tops = (np.unique(np.linspace(0, room, 25).astype(int)) for room in (width - wide, height - high))
+        top, left = np.meshgrid(tops, lefts, indexing="ij")
+        sums = cover[top + high, left + wide] - cover[top, left + wide] - cover[top + high, left] + cover[top, left]
+        # of equal parts the one nearest to the middle, at which the picture looks
+        aside = np.hypot(left + 0.5 * wide - 0.5 * width, top + 0.5 * high - 0.5 * height) / width
+        shares = sums / (wide * high) - 0.01 * aside
+        k = int(shares.argmax())
+        if shares.flat[k] > best:
+            x, y = int(left.flat[k]), int(top.flat[k])
+            best, box = float(shares.flat[k]), (x, y, x + wide, y + high)
+        if best >= _FULL:
+            break
+    part = image.crop(box).resize((width, height), Images.Resampling.LANCZOS)
+    whole = image.copy()
+    whole.paste(part, (0, 0))
+    return whole
+
+
+def picture_data(
+    path: Path, width: int = _PICTURE_WIDTH, change: Callable[[Image], Image] | None = None
+) -> tuple[str, int, int]:
     """Turn a picture into a data address for the page; with its width and height, pixels.
 
     Parameters
@@ -168,6 +212,8 @@ def picture_data(path: Path, width: int = _PICTURE_WIDTH) -> tuple[str, int, int
         A picture; what is transparent in it stays so.
     width
         Wider ones are made smaller.
+    change
+        Applied to the picture first.
     """
     from PIL import Image
 
@@ -176,6 +222,8 @@ def picture_data(path: Path, width: int = _PICTURE_WIDTH) -> tuple[str, int, int
             image = opened.convert("RGBA")
     except OSError as error:
         raise StageError.file(path, "read", error, "draw the pictures again (tetmesh-check --pictures)") from error
+    if change is not None:
+        image = change(image)
     if image.width > width:
         image = image.resize((width, round(image.height * width / image.width)), Image.Resampling.LANCZOS)
     return image_data(image), image.width, image.height

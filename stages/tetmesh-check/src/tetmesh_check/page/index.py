@@ -94,7 +94,7 @@ def _tag(case: Case) -> str:
     """The verdict in a word or two."""
     words = _TAGS.get(case.verdict, "no mesh")
     if case.goal not in ("mesh", STAGES[-1]):
-        words = {"fit": "made", "not fit": "not as it should be", "no mesh": "not made"}.get(words, words)
+        words = {"fit": "made", "not fit": "not valid", "no mesh": "not made"}.get(words, words)
     if case.accepted:
         words += " but for accepted elements"
     if case.verdict in ("passed", "warning") and case.warnings:
@@ -161,14 +161,14 @@ def index(cases: Sequence[Case], output: Path) -> str:
     """
     kind, verdict = _verdict(cases)
     head = (
-        "", "case", "triangles", "mean radius ratio", "tetrahedra", "radius ratio, smallest / mean",
-        "smallest dihedral", "CG: Poisson / conduction / elasticity", "all stages", "largest process",
+        "", "case", "triangles", "mean radius ratio", "tetrahedra", "radius ratio, minimum / mean",
+        "minimum dihedral angle", "CG: Poisson / conduction / elasticity", "all stages", "peak memory",
     )  # fmt: skip
     rows = [_row(case, output) for case in cases]
     body = (
         '<header><p class="kicker">isoparticles: surface and tetrahedra</p><h1>Cases</h1>'
         f'<p class="verdict {kind}">{escape(verdict)}</p></header>'
-        f"<section>{table(head, rows, (0, 1), 'cases')}<p class=soft>The same in numbers: "
+        f"<section>{table(head, rows, (0, 1), 'cases')}<p class=soft>The same data as CSV: "
         f'<a href="{quote(output.with_suffix(".csv").name)}">{escape(output.with_suffix(".csv").name)}</a>. CG: iterations of conjugate '
         "gradients with Jacobi's preconditioner, where problems were solved.</p></section>"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import Any
 
+from tetmesh_check.checks import percent
 from tetmesh_check.page.case import Case, dig
 from tetmesh_check.page.charts import Axis, Limit, curve, histogram, number
 from tetmesh_check.page.html import duration, figure, section, table
@@ -12,17 +13,17 @@ from tetmesh_check.page.html import duration, figure, section, table
 _MEASURES = (
     ("radius_ratio", "radius ratio", "1 is regular"),
     ("scaled_jacobian", "scaled Jacobian", "1 is regular"),
-    ("min_dihedral", "smallest dihedral angle, degrees", "70.5 is regular"),
-    ("max_dihedral", "largest dihedral angle, degrees", "70.5 is regular"),
+    ("min_dihedral", "minimum dihedral angle, degrees", "70.5 is regular"),
+    ("max_dihedral", "maximum dihedral angle, degrees", "70.5 is regular"),
     ("aspect_ratio", "aspect ratio", "1 is regular"),
     ("edge_ratio", "longest over shortest edge", "1 is regular"),
     ("edge_length", "edge length, mm", ""),
 )
 _PROBLEMS = {
     "poisson": "Poisson's equation, known solution",
-    "conduction": "Wave front of excitation in tissue with fibres",
+    "conduction": "Excitation wave in tissue with fibres",
     "elasticity": "Soft organ under its own weight",
-    "forward": "Current in one of many materials",
+    "forward": "Current source in one of several materials",
 }
 
 
@@ -39,7 +40,7 @@ def _histogram(
     below = sum(edge < 0 for edge in edges[:-1])
     if not any(counts[:below]):  # half of the range of a scaled Jacobian is for inverted tetrahedra
         edges, counts = edges[below:], counts[below:]
-    marks = {"mean": summary["mean"], worst: summary["max" if worst == "largest" else "min"]}
+    marks = {"mean": summary["mean"], worst: summary["max" if worst == "maximum" else "min"]}
     return histogram(edges[: len(counts) + 1], counts, axis, marks, limit, second, beyond)
 
 
@@ -56,16 +57,16 @@ def _surface_charts(case: Case, triangles: dict[str, Any]) -> list[str]:
             _histogram(
                 triangles["radius_ratio"],
                 Axis("Surface triangles", "radius ratio", "triangles"),
-                "smallest",
+                "minimum",
                 None if allowed is None else Limit(float(allowed)),
             ),
             "Twice the inradius over the circumradius, the measure of the paper's Fig. 9: 1 is equilateral.",
         ),
         figure(
             _histogram(
-                triangles["min_angle"], Axis("Surface triangles", "smallest angle, degrees", "triangles"), "smallest"
+                triangles["min_angle"], Axis("Surface triangles", "minimum angle, degrees", "triangles"), "minimum"
             ),
-            "The smallest angle of each triangle: 60 degrees is equilateral. No check has a limit for it.",
+            "The minimum angle of each triangle: 60 degrees is equilateral. No check limits it.",
         ),
     ]
 
@@ -73,16 +74,16 @@ def _surface_charts(case: Case, triangles: dict[str, Any]) -> list[str]:
 def _tetrahedra_charts(case: Case, tetrahedra: dict[str, Any]) -> list[str]:
     def chart(name: str, measure: str, check: str = "", end: int | None = None) -> str:
         axis = Axis("Tetrahedra", measure, "tetrahedra")
-        return _histogram(tetrahedra[name], axis, "smallest", _limit(case, check), True, end)
+        return _histogram(tetrahedra[name], axis, "minimum", _limit(case, check), True, end)
 
     return [
         figure(
             chart("radius_ratio", "radius ratio"),
-            "Three times the inradius over the circumradius: 1 is regular. No check has a limit for it.",
+            "Three times the inradius over the circumradius: 1 is regular. No check limits it.",
         ),
         figure(
-            chart("min_dihedral", "smallest dihedral angle, degrees", "min_dihedral", 24),
-            "The smallest angle between two faces of each tetrahedron: 70.5 degrees is regular.",
+            chart("min_dihedral", "minimum dihedral angle, degrees", "min_dihedral", 24),
+            "The minimum angle between two faces of each tetrahedron: 70.5 degrees is regular.",
         ),
         figure(
             chart("scaled_jacobian", "scaled Jacobian", "min_scaled_jacobian"),
@@ -97,15 +98,15 @@ def _size_charts(case: Case, volume: dict[str, Any]) -> list[str]:
         axis = Axis("h on the surface", "target edge length, mm", "vertices")
         charts.append(
             figure(
-                _histogram(sizes, axis, "largest"),
-                "The edge length that the size field asks for, at the vertices of the surface.",
+                _histogram(sizes, axis, "maximum"),
+                "The target edge length of the size field, at the vertices of the surface.",
             )
         )
     if (over := volume.get("edge_length_over_target")) is not None:
         charts.append(
             figure(
-                _histogram(over, Axis("Tetrahedra", "edge length over target", "tetrahedra"), "largest", None, True),
-                "Mean edge of each tetrahedron over what the size field asks for there.",
+                _histogram(over, Axis("Tetrahedra", "edge length over target", "tetrahedra"), "maximum", None, True),
+                "The mean edge length of each tetrahedron over the target edge length there.",
             )
         )
     return charts
@@ -140,7 +141,7 @@ def quality(case: Case) -> str:
         for s in (tetrahedra[key_name],)
     ]
     numbers = "<h3>Tetrahedra in numbers</h3>" + table(
-        ("tetrahedra", "smallest", "1 %", "5 %", "median", "95 %", "99 %", "largest", "mean"), rows
+        ("tetrahedra", "minimum", "1 %", "5 %", "median", "95 %", "99 %", "maximum", "mean"), rows
     )
     shown = f'<div class="grid">{"".join(charts)}</div>'
     return section("Quality", shown + numbers + (_distances(case) if many is None else _kept(volume)))
@@ -154,7 +155,7 @@ def _surface_alone(case: Case) -> str:
     shape = check["quality"]
     counts = shape["radius_ratio_histogram"]
     edges = [k / len(counts) for k in range(len(counts) + 1)]
-    marks = {"mean": shape["radius_ratio_mean"], "smallest": shape["radius_ratio_min"]}
+    marks = {"mean": shape["radius_ratio_mean"], "minimum": shape["radius_ratio_min"]}
     allowed = check.get("min_radius_ratio_allowed")
     limit = None if allowed is None else Limit(float(allowed))
     chart = figure(
@@ -167,7 +168,7 @@ def _surface_alone(case: Case) -> str:
         ("radius ratio", number(shape["radius_ratio_min"]), number(shape["radius_ratio_mean"]), "-"),
     ]
     return section(
-        "Quality", f'<div class="grid">{chart}</div>' + table(("triangles", "smallest", "mean", "largest"), rows)
+        "Quality", f'<div class="grid">{chart}</div>' + table(("triangles", "minimum", "mean", "maximum"), rows)
     )
 
 
@@ -175,9 +176,11 @@ def _kept(volume: dict[str, Any]) -> str:
     """What became of the triangles between materials."""
     triangles = volume["interface_triangles"]
     words = (
-        "Every triangle between two materials is a face of a tetrahedron of each, bit for bit, and no other face lies between two."
+        "Every triangle between two materials is a face of one tetrahedron of each, with unchanged coordinates. No "
+        "other faces lie between two "
+        "materials."
         if volume["interfaces_kept"]
-        else f"{number(triangles['missing'])} triangles between materials are no face between tetrahedra of these two."
+        else f"{number(triangles['missing'])} triangles between materials are not faces of the tetrahedra."
     )
     return f"<h3>Tetrahedra against the surface</h3><p>{words}</p>"
 
@@ -193,16 +196,20 @@ def _distances(case: Case) -> str:
             ("from the surface to the boundary of the tetrahedra", distance["surface_to_boundary"]),
         )
     ]
-    kept = "the same triangles, bit for bit" if volume["boundary_kept"] else "other triangles within the envelope"
+    kept = (
+        "has the triangles of the surface, unchanged"
+        if volume["boundary_kept"]
+        else "has new triangles within the envelope"
+    )
     return (
         "<h3>Tetrahedra against the surface</h3>"
-        + table(("distance, mm", "mean", "99 %", "largest"), rows)
-        + f"<p>The boundary of the tetrahedra consists of {kept}; their volume differs by {change:+.2g} % from that inside the surface.</p>"
+        + table(("distance, mm", "mean", "99 %", "maximum"), rows)
+        + f"<p>The boundary of the tetrahedra {kept}. The change of the volume is {percent(change)}.</p>"
     )
 
 
 def _iterations(run: dict[str, Any] | None) -> str:
-    return "out of time" if run is None else number(run["iterations"])
+    return "time limit" if run is None else number(run["iterations"])
 
 
 def solve(case: Case) -> str:
@@ -224,7 +231,7 @@ def solve(case: Case) -> str:
         said = {
             "poisson": lambda f: (
                 f"error {100 * f['relative_l2_error']:.2g} % of the known solution (gradient {100 * f['relative_h1_error']:.2g} %, "
-                f"{f['best_approximation']:.2f} times the interpolation's)"
+                f"{f['best_approximation']:.2f} times that of the interpolation)"
             ),
             "conduction": lambda f: (
                 f"potential {f['potential_range_mv'][0]:.1f} to {f['potential_range_mv'][1]:.1f} mV"
@@ -247,15 +254,17 @@ def solve(case: Case) -> str:
                 said,
             )
         )
-    reason = "" if results["reason"] is None else f"<p>Not all was solved: {escape(results['reason'])}.</p>"
+    reason = "" if results["reason"] is None else f"<p>Not every problem was solved: {escape(results['reason'])}.</p>"
     if not rows:
         return section("Solve", reason)
     columns = ("problem", "unknowns", "CG, multigrid", "CG, Jacobi", "CG, plain", "condition", "time", "result")
     return section(
         "Solve",
-        "<p>Linear elements and conjugate gradients (CG) to an error of 1e-8 in the energy norm: fewer iterations mean an easier time for any "
-        "solver. Linear theory holds for small displacements alone, so the organ bears as much of its weight as moves it by 1 % of its size at "
-        f"most.</p>{table(columns, rows, (0, 7))}{reason}",
+        "<p>Linear elements, solved by conjugate gradients (CG) to an error of 1e-8 in the energy norm. Fewer "
+        "iterations mean that the mesh "
+        "is easier for any solver. Linear elasticity holds for small displacements only, so the load is the share of "
+        "the weight that moves the "
+        f"organ by at most 1 % of its size.</p>{table(columns, rows, (0, 7))}{reason}",
     )
 
 
@@ -276,10 +285,10 @@ def particles(case: Case) -> str:
     return section(
         "Particles",
         '<div class="grid">'
-        + figure(energy, "The sum of all energies, pass by pass, until it no longer falls.")
+        + figure(energy, "The total energy in each pass. The passes end when it no longer falls.")
         + figure(
             count,
-            f"Particles are added where there is room and taken away where it is crowded; {number(last['count'])} at the end.",
+            f"Particles are added in sparse regions and removed in crowded ones; {number(last['count'])} remain.",
         )
         + "</div>",
     )

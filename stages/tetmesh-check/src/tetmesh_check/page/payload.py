@@ -74,6 +74,17 @@ def _in_order_of_use(triangles: Cells) -> tuple[Cells, Any]:
     return rank[local.reshape(-1, 3)], used[order]
 
 
+def world_letters(anatomical: bool) -> list[list[str]]:
+    """Name the directions of the axes of the world, the positive one first.
+
+    Parameters
+    ----------
+    anatomical
+        Whether the world is that of the body (LPS).
+    """
+    return [["L", "R"], ["P", "A"], ["S", "I"]] if anatomical else [[f"+{a}", f"\u2212{a}"] for a in "xyz"]
+
+
 def pack(meshes: list[ViewMesh], yaw: float, pitch: float, anatomical: bool = True) -> tuple[dict[str, Any], str]:
     """Pack meshes for the page.
 
@@ -130,7 +141,7 @@ def pack(meshes: list[ViewMesh], yaw: float, pitch: float, anatomical: bool = Tr
         "reach": [float(v) for v in 1.08 * reach],
         "yaw": yaw,
         "pitch": pitch,
-        "letters": [["L", "R"], ["P", "A"], ["S", "I"]] if anatomical else [[f"+{a}", f"\u2212{a}"] for a in "xyz"],
+        "letters": world_letters(anatomical),
         "anatomical": anatomical,
     }
     return about, base64.b64encode(zlib.compress(b"".join(parts), 9)).decode("ascii")

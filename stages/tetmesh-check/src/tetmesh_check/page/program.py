@@ -15,10 +15,10 @@ from tetmesh_check import __version__
 from tetmesh_check.context import guarded
 from tetmesh_check.errors import ExitCode, InterruptedRunError, StageError
 from tetmesh_check.files import refuse_existing, write_text
-from tetmesh_check.page import measured, provenance, regions, sections
+from tetmesh_check.page import measured, places, provenance, regions, sections
 from tetmesh_check.page.case import Case, dig, read_case
 from tetmesh_check.page.html import contents, section
-from tetmesh_check.page.scan import read_scan
+from tetmesh_check.page.scan import Scan, read_scan
 from tetmesh_check.page.slices import facts, slices
 from tetmesh_check.page.view3d import is_anatomical, view, view_meshes
 from tetmesh_check.parsing import program_parser
@@ -74,24 +74,44 @@ def _is_labels(case: Case) -> bool:
     return bool(source == "labels") if source else not {"LABELS", "MATERIALS"}.isdisjoint(case.parameters)
 
 
-def anatomy(case: Case, surface: pv.PolyData | None) -> str:
+def scan_of(case: Case) -> Scan | StageError | None:
+    """Read the input volume of a case; the error where it cannot be read.
+
+    Parameters
+    ----------
+    case
+        The case.
+    """
+    if case.input is None:
+        return None
+    try:
+        return read_scan(case.input, _is_labels(case), dig(case.reports, "distfield", "parameters", "series"))
+    except InterruptedRunError:
+        raise
+    except StageError as error:
+        return error
+    except (KeyError, IndexError, TypeError, ValueError) as error:  # a report of another version
+        return StageError(
+            f"{type(error).__name__} {error}", "the page shows its slices", "run make for this case again"
+        )
+
+
+def anatomy(case: Case, scan: Scan | StageError | None, surface: pv.PolyData | None) -> str:
     """Write what the input is, and its slices with the outline of the mesh; or why it cannot be shown.
 
     Parameters
     ----------
     case
         The case.
+    scan
+        The volume, as :func:`scan_of` gives it.
     surface
         The triangles as read.
     """
-    if case.input is None:
+    if scan is None or case.input is None:
         return ""
-    try:
-        scan = read_scan(case.input, _is_labels(case), dig(case.reports, "distfield", "parameters", "series"))
-    except InterruptedRunError:
-        raise
-    except StageError as error:
-        return section("Input", f"<p>The volume is not shown: {escape(error.what)}. {escape(error.next_step)}.</p>")
+    if isinstance(scan, StageError):
+        return section("Input", f"<p>The volume is not shown: {escape(scan.what)}. {escape(scan.next_step)}.</p>")
     meshed = _meshed_labels(case)
     mesh = None if surface is None else from_polydata(surface)
     return facts(scan, case.input.name, meshed) + "\n" + slices(scan, mesh, meshed)
@@ -118,12 +138,15 @@ def page(case: Case, folder: Path) -> str:
         Where the page goes: links lead from there.
     """
     surface = _only_if_it_can_be_read(case.surface)
-    anatomical = surface is not None and is_anatomical(surface)
+    scan = scan_of(case)
+    by_scan = isinstance(scan, Scan) and scan.anatomical
+    anatomical = by_scan if surface is None else is_anatomical(surface)
     writers: list[tuple[str, Callable[[], str]]] = [
         ("what went wrong", lambda: sections.trouble(case)),
         ("checks", lambda: sections.checks(case)),
+        ("places", lambda: places.places(case, anatomical)),
         ("volumes", lambda: regions.volumes(case)),
-        ("the mesh in the volume", lambda: anatomy(case, surface)),
+        ("the mesh in the volume", lambda: anatomy(case, scan, surface)),
         ("in three dimensions", lambda: view(view_meshes(surface, case.volume), anatomical)),
         ("pictures", lambda: sections.pictures(case)),
         ("materials", lambda: regions.materials(case)),

@@ -36,7 +36,7 @@ def provenance(case: Case) -> str:
     body += "<h3>Parameters</h3>" + (
         table(("set", "to"), [(escape(k), f"<code>{escape(v)}</code>") for k, v in case.parameters.items()], (0, 1))
         if case.parameters
-        else "<p>None was set: every stage had its defaults.</p>"
+        else "<p>None was set; all stages used their defaults.</p>"
     )
     commands = [stage.command for stage in case.stages if stage.command]
     if commands:
@@ -51,7 +51,7 @@ def provenance(case: Case) -> str:
         ]
         version = escape(str(report.get("version", "")))
         body += (
-            f"<details><summary>{escape(stage)} {version}: all parameters as they applied</summary><div>"
+            f"<details><summary>{escape(stage)} {version}: all parameters used</summary><div>"
             f"<pre>{escape(report['command_line'])}</pre>"
             + table(("parameter", "value"), parameters, (1,))
             + table(("input", "BLAKE3"), inputs, (1,))

@@ -6,7 +6,7 @@ from html import escape
 from typing import Any
 
 from tetmesh_check.colours import region_colours
-from tetmesh_check.page.case import STAGES, Case, dig
+from tetmesh_check.page.case import Case, dig
 from tetmesh_check.page.charts import number
 from tetmesh_check.page.html import section, table
 from tetmesh_check.volume_table import COLUMNS, with_changes
@@ -19,6 +19,11 @@ def _swatch(colour: Any, name: str) -> str:
     red, green, blue = (int(part) for part in colour)
     style = f"display:inline-block;width:.8em;height:.8em;margin-right:.4em;background:rgb({red},{green},{blue})"
     return f'<i style="{style}"></i>{escape(name)}'
+
+
+def _change(change: float) -> str:
+    """A change in percent with two decimals, without a sign where it rounds to zero."""
+    return "0 %" if abs(change) < 0.005 else f"{change:+.2f} %"
 
 
 def _long_table(head: tuple[str, ...], rows: list[tuple[str, ...]], words: str) -> str:
@@ -94,58 +99,27 @@ def _currents(case: Case) -> str:
         )
         for entry in figures["regions"]
     ]
-    head = ("material", "conductivity, S/m", "lowest, mV", "mean", "highest", "current in and out, \u00b5A", "net")
+    head = ("material", "conductivity, S/m", "minimum, mV", "mean", "maximum", "current in and out, \u00b5A", "net")
     return (
         f"<h3>Potential of a current in {escape(figures['source'])}</h3>{table(head, rows, (0,))}"
-        f"<p>What leaves a material enters its neighbours: a share of {figures['imbalance']:.1e} of the current is lost or gained.</p>"
+        f"<p>The currents into and out of a material differ by a share of at most {figures['imbalance']:.1e}.</p>"
     )
 
 
-def _forced_rows(case: Case, by: str, possible: str) -> list[tuple[str, ...]]:
-    return [
-        (
-            escape(entry["material"]),
-            ", ".join(f"{x:.2f}" for x in entry["place_mm"]),
-            *(number(entry[key]) for key in (possible, "min_dihedral", "min_scaled_jacobian")),
-        )
-        for entry in dig(case.results, "volume", by) or []
-    ]
-
-
-def _flat(case: Case) -> str:
-    """What the surface forces to be flat, and what was mended."""
-    parts = []
+def _mended(case: Case) -> str:
     mended = dig(case.results, "tetrahedralizer", "mended")
-    if mended is not None:
-        before, after, smallest, now = (
-            number(mended[key]) for key in ("below_before", "below_after", "min_dihedral_before", "min_dihedral_after")
-        )
-        parts.append(
-            f"<p>{before} tetrahedra were below {number(mended['goal_degrees'])} degrees, the limit of the scaled Jacobian, or what the "
-            f"surface allows of them; mended where they lay, {after} are left. The smallest angle that it does not force below the limit "
-            f"was {smallest} degrees and is {now} now.</p>"
-        )
-    rows = _forced_rows(case, "forced_by_surface", "possible_degrees")
-    if rows:
-        limit = dig(case.reports, STAGES[-1], "parameters", "min_dihedral")
-        words = "" if limit is None else f" of {number(limit)} degrees"
-        smallest = min(entry["min_dihedral"] for entry in case.results["volume"]["forced_by_surface"])
-        head = ("material", "place, mm", "possible, degrees", "smallest dihedral angle", "scaled Jacobian")
-        parts.append(
-            f"<p>On {number(len(rows))} sides of triangles no tetrahedron can reach the limit{words}, whoever makes it, since other "
-            f"triangles meet them at less or lie close before them, as where a thin layer ends. The smallest angle that came out "
-            f"is of {number(smallest)} degrees.</p>"
-            f"{_long_table(head, rows, 'places')}"
-        )
-    rows = _forced_rows(case, "forced_by_triangle", "possible_scaled_jacobian")
-    if rows:
-        head = ("material", "place, mm", "possible scaled Jacobian", "smallest dihedral angle", "scaled Jacobian")
-        parts.append(
-            f"<p>{number(len(rows))} tetrahedra stand on triangles of so small an angle that none can have both the dihedral angles and the "
-            f"scaled Jacobian that are asked for, whoever makes it.</p>"
-            f"{_long_table(head, rows, 'needles')}"
-        )
-    return f"<h3>Flat tetrahedra</h3>{''.join(parts)}" if parts else ""
+    if not isinstance(mended, dict) or "min_dihedral_before" not in mended:
+        return ""
+    before, after, smallest, now = (
+        number(mended[key]) for key in ("below_before", "below_after", "min_dihedral_before", "min_dihedral_after")
+    )
+    return (
+        f"<h3>Improved tetrahedra</h3><p>{before} tetrahedra were below {number(mended['goal_degrees'])} degrees, "
+        "below the limit of the "
+        f"scaled Jacobian, or below what the surface allows. Local improvement leaves {after} of them. The minimum "
+        "dihedral angle, "
+        f"without the tetrahedra that the surface limits, changed from {smallest} to {now} degrees.</p>"
+    )
 
 
 def volumes(case: Case) -> str:
@@ -161,13 +135,15 @@ def volumes(case: Case) -> str:
     for row in map(with_changes, told):
         changes = row["change_percent"]
         cells = [
-            "-" if row.get(key) is None else number(row[key]) + (f" ({changes[key]:+.2f} %)" if key in changes else "")
+            "-"
+            if row.get(key) is None
+            else number(row[key]) + (f" ({_change(changes[key])})" if key in changes else "")
             for key in COLUMNS
         ]
         rows.append((escape(str(row["name"])), *cells))
     if not rows:
         return ""
-    words = "<p>In percent: the difference from the voxels, or from F where the volume holds no labels.</p>"
+    words = "<p>Percentages are relative to the voxels, or to the distance field F if the volume has no labels.</p>"
     head = ("material", *(f"{name}, mm\u00b3" for name in COLUMNS.values()))
     return section("Volumes", _long_table(head, rows, "materials") + words)
 
@@ -184,19 +160,28 @@ def materials(case: Case) -> str:
     if counted is None:
         return ""
     regions = _long_table(
-        ("material", "volume, mm\u00b3", "parts", "tetrahedra", "smallest dihedral angle", "largest", "radius ratio, smallest", "mean"),
+        (
+            "material", "volume, mm\u00b3", "parts", "tetrahedra", "minimum dihedral angle", "maximum",
+            "minimum radius ratio", "mean",
+        ),
         _region_rows(case),
         "materials",
     )  # fmt: skip
     interfaces = _long_table(
-        ("interface", "area, mm\u00b2", "pieces", "triangles", "radius ratio, smallest", "mean", "smallest angle", "largest", "turn"),
+        (
+            "interface", "area, mm\u00b2", "pieces", "triangles", "minimum radius ratio", "mean", "minimum angle",
+            "maximum", "turn",
+        ),
         _interface_rows(case),
         "interfaces",
     )  # fmt: skip
     turn = counted["rms_turn_degrees"]
     words = (
-        f"<p>{number(counted['junction_edges'])} edges are junctions of three and more sheets, which end or meet in "
-        f"{number(counted['junction_vertices'])} points. The turn is that of the normal from a triangle to its neighbour on the same sheet, "
-        f"root mean square, degrees{'' if turn is None else f'; {number(turn)} over all'}.</p>"
+        f"<p>The junction curves, where three or more materials meet, have {number(counted['junction_edges'])} edges "
+        "and "
+        f"{number(counted['junction_vertices'])} end points or junction points. The turn is the root mean square "
+        "angle between the normals of "
+        "neighbouring triangles of an interface, "
+        f"degrees{'' if turn is None else f' ({number(turn)} over all interfaces)'}.</p>"
     )
-    return section("Materials", f"{regions}<h3>Interfaces</h3>{interfaces}{words}{_flat(case)}{_currents(case)}")
+    return section("Materials", f"{regions}<h3>Interfaces</h3>{interfaces}{words}{_mended(case)}{_currents(case)}")

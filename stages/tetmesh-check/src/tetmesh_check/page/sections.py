@@ -12,23 +12,40 @@ from urllib.parse import quote
 from tetmesh_check.page.advice import advice_for
 from tetmesh_check.page.case import ENDED, STAGES, Case, dig
 from tetmesh_check.page.charts import number
-from tetmesh_check.page.html import amount, duration, figure, memory, picture_data, section, table
+from tetmesh_check.page.html import amount, duration, figure, filled, memory, picture_data, section, table
+from tetmesh_check.page.places import pointer
 
 _VERDICTS = {"pass": "passed", "warning": "warning", "fail": "failed"}
 _STATES = {"done": "pass", "failed": "fail", "error": "fail", "interrupted": "warning"}
 _KINDS_OF_FILES = (
     (".nrrd", "the volume"),
-    (".truth.json", "what is known of the phantom"),
+    (".truth.json", "exact properties of the phantom"),
     (".distfield.vti", "signed distance field"),
     (".sizefield.vti", "target edge length"),
-    (".seeds.bin", "first particles"),
-    (".particles.bin", "settled particles"),
+    (".seeds.bin", "initial particles"),
+    (".particles.bin", "final particles"),
     (".passes.csv", "energy and number of particles by pass"),
     (".surface.vtp", "surface: triangles in world coordinates"),
+    (".volume.quadratic.vtu", "quadratic tetrahedra in world coordinates"),
+    (".volume.mesh-complete.mesh.vtu", "export for SimVascular: tetrahedra"),
+    (".volume.mesh-complete.exterior.vtp", "export for SimVascular: boundary"),
     (".volume.vtu", "tetrahedra in world coordinates"),
-    (".report.json", "everything that was measured"),
+    (".volume.inp", "export for Abaqus and CalculiX"),
+    (".volume.msh", "export for Gmsh, format 4.1"),
+    (".volume.msh2", "export for Gmsh, format 2.2 (GetDP, FreeFEM)"),
+    (".volume.med", "export for Salome and Code_Aster"),
+    (".volume.vtk", "export in the legacy VTK format"),
+    (".volume.feb", "export for FEBio"),
+    (".volume.pts", "export for openCARP: vertices"),
+    (".volume.elem", "export for openCARP: elements"),
+    (".volume.lon", "export for openCARP: fibre directions"),
+    (".volume.regions.csv", "regions of the exports"),
+    (".boundary.vtp", "export: boundary of the tetrahedra"),
+    (".xdmf", "export for FEniCS"),
+    (".h5", "export for FEniCS: data"),
+    (".report.json", "report: all measurements"),
     (".json", "report of the stage"),
-    (".log", "what the tetrahedralizer said"),
+    (".log", "log of the tetrahedralizer"),
     (".png", "picture"),
 )
 
@@ -44,7 +61,7 @@ def left_out(name: str, error: Exception) -> str:
         What is missing.
     """
     why = escape(f"{type(error).__name__} {error}")
-    return section(name.capitalize(), f"<p>Left out: the reports lack what it is made from ({why}).</p>")
+    return section(name.capitalize(), f"<p>Left out: the reports lack the data for this section ({why}).</p>")
 
 
 def head(case: Case) -> str:
@@ -61,14 +78,14 @@ def head(case: Case) -> str:
         (dig(check, "vertices"), number, "surface vertices"),
         (dig(check, "triangles"), number, "surface triangles"),
         (dig(results, "volume", "tetrahedra"), number, "tetrahedra"),
-        (dig(results, "volume", "quality", "min_dihedral", "min"), "{:.1f}\u00b0".format, "smallest dihedral angle"),
+        (dig(results, "volume", "quality", "min_dihedral", "min"), "{:.1f}\u00b0".format, "minimum dihedral angle"),
         (dig(results, "volume", "quality", "radius_ratio", "mean"), "{:.3f}".format, "mean radius ratio"),
         (dig(results, "volume", "volume_mm3"), number, "volume, mm\u00b3"),
     )
     facts += [(write(value), name) for value, write, name in known if value is not None]
     facts.append((duration(case.seconds), "all stages"))
     if case.peak_memory:
-        facts.append((memory(case.peak_memory), "largest process"))
+        facts.append((memory(case.peak_memory), "peak memory"))
     items = "".join(f"<li><b>{escape(value)}</b><span>{escape(name)}</span></li>" for value, name in facts)
     return (
         f'<header><p class="kicker">isoparticles: surface and tetrahedra</p><h1>{escape(case.name)}</h1>'
@@ -124,8 +141,9 @@ def checks(case: Case) -> str:
     if not rows:
         return ""
     if not any(row[2] for row in rows):
-        return section("Checks", table(("verdict", "in words"), [row[:2] for row in rows], (0, 1), "checks"))
-    return section("Checks", table(("verdict", "in words", "what to do"), rows, (0, 1, 2), "checks"))
+        shown = table(("verdict", "in words"), [row[:2] for row in rows], (0, 1), "checks")
+        return section("Checks", shown + pointer(case))
+    return section("Checks", table(("verdict", "in words", "what to do"), rows, (0, 1, 2), "checks") + pointer(case))
 
 
 def stage_states(case: Case) -> str:
@@ -157,7 +175,7 @@ def stage_states(case: Case) -> str:
         for stage, report in case.reports.items()
         for step in report.get("steps", [])
     ]
-    names = ("stage", "state", "time", "", "largest process", "threads")
+    names = ("stage", "state", "time", "", "peak memory", "threads")
     detail = table(("stage", "step", "time"), steps, (1,))
     more = f"<details><summary>The steps of every stage</summary><div>{detail}</div></details>" if steps else ""
     return section("Stages", table(names, rows, (1, 3)) + more)
@@ -177,7 +195,8 @@ def files(case: Case, page_folder: Path) -> str:
     for stage in case.stages:
         if stage.state not in ENDED:
             continue
-        names = [*stage.outputs, *stage.kept, *([stage.report_file] if stage.report_file else [])]
+        exports = dig(stage.report, "results", "exports") or []
+        names = [*stage.outputs, *stage.kept, *exports, *([stage.report_file] if stage.report_file else [])]
         for name in dict.fromkeys(names):
             path = case.folder / name
             if not path.is_file():
@@ -186,7 +205,7 @@ def files(case: Case, page_folder: Path) -> str:
             plain = name.replace(".failed.", ".")
             kind = next((words for ending, words in _KINDS_OF_FILES if plain.endswith(ending)), "")
             if name in stage.kept:
-                kind = f"{kind or 'output'}, kept although a check failed"
+                kind = f"{kind or 'output'}; kept, although a check failed"
             rows.append((f'<a href="{link}">{escape(name)}</a>', escape(kind), stage.name, amount(path.stat().st_size)))
     return section("Files", table(("file", "what it is", "stage", "size"), rows, (0, 1, 2))) if rows else ""
 
@@ -202,15 +221,15 @@ def pictures(case: Case) -> str:
     count = dig(case.results, "complex", "triangles") or dig(case.results, "surface", "topology", "triangles")
     triangles = number(count or 0)
     words = {
-        "surface": f"The surface with its {triangles} triangles.",
-        "closeup": "Close-up of the surface, coloured by the radius ratio of its triangles (1 is equilateral).",
+        "surface": f"The surface, {triangles} triangles.",
+        "closeup": "Detail of the surface, coloured by the radius ratio of its triangles (1 is equilateral).",
         "cut": "Cut through the tetrahedra, coloured by their radius ratio (1 is regular).",
-        "regions": "Cut through the tetrahedra, coloured by their materials.",
+        "regions": "Cut through the tetrahedra, coloured by their materials. The section Materials names all colours.",
     }
     parts = []
     for kind, path in case.pictures.items():
-        address, width, height = picture_data(path)
+        address, width, height = picture_data(path, change=filled if kind == "closeup" else None)
         alt = escape(f"{case.name}: {words[kind]}", quote=True)
         image = f'<img src="{address}" width="{width}" height="{height}" alt="{alt}" loading="lazy">'
         parts.append(figure(image, words[kind]))
-    return section("Pictures", f'<div class="grid three">{"".join(parts)}</div>') if parts else ""
+    return section("Pictures", f'<div class="grid pictures">{"".join(parts)}</div>') if parts else ""

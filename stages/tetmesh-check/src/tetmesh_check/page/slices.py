@@ -218,6 +218,13 @@ def _shown(scan: Scan, index: Points | None) -> tuple[NDArray[np.int64], NDArray
     return first, np.clip(np.ceil(high + margin), first, last).astype(np.int64)
 
 
+def _first(paths: list[str]) -> int:
+    """Choose the first slice to show: the longest outline in the middle half of a stack."""
+    middle = range(len(paths) // 4, len(paths) - len(paths) // 4)
+    longest = max(middle, key=lambda n: len(paths[n]))
+    return longest if paths[longest] else len(paths) // 2
+
+
 def _stack(scan: Scan, plane: Plane, window: Window, mesh: tuple[Points, Cells] | None) -> dict[str, Any]:
     """One plane: a sheet with its slices, and their outlines."""
     first, last = _shown(scan, None if mesh is None else mesh[0])
@@ -267,7 +274,7 @@ def _stack(scan: Scan, plane: Plane, window: Window, mesh: tuple[Points, Cells] 
         "paths": paths,
         "towards": list(scan.letters(axis)),
         "spacing": float(scan.spacing[axis]),
-        "first": max(range(len(chosen)), key=lambda n: len(paths[n])) if any(paths) else len(chosen) // 2,
+        "first": _first(paths),
         "millimetres": pixel,
     }
 
@@ -322,17 +329,17 @@ def slices(scan: Scan, mesh: tuple[Points, Cells] | None, meshed: set[int]) -> s
     text = json.dumps([{key: plane[key] for key in kept} for plane in stacks], separators=(",", ":"))
     data = base64.b64encode(zlib.compress(text.encode("utf-8"), 9)).decode("ascii")
     shades = (
-        "Colours are labels; those that were meshed are bright."
+        "Colours are labels; meshed labels are bright."
         if window.colours
         else f"Shades go from {window.low:.4g} (black) to {window.high:.4g} (white)."
     )
     drawn = (
-        "The line is where the surface of the mesh cuts the slice, computed triangle by triangle."
+        "The line is the intersection of the slice with the triangles of the surface."
         if mesh is not None
         else "No surface was made, so there is no outline."
     )
     tilt = (
-        f" The grid of the volume is tilted by {scan.tilt:.1f} degrees; letters name the nearest direction."
+        f" The grid of the volume is tilted by {scan.tilt:.1f} degrees; the letters name the nearest direction."
         if scan.tilt > 0.5
         else ""
     )
@@ -362,7 +369,7 @@ def facts(scan: Scan, name: str, meshed: set[int]) -> str:
     """
     shape, spacing = scan.values.shape, scan.spacing
     tilt = f", tilted by {scan.tilt:.1f} degrees" if scan.tilt > 0.5 else ""
-    world = "towards " if scan.anatomical else "no anatomical space is named; towards "
+    world = "towards " if scan.anatomical else "the file names no anatomical space; towards "
     rows = [
         ("file", escape(name)),
         ("voxels", " \u00d7 ".join(map(str, shape))),
@@ -372,7 +379,7 @@ def facts(scan: Scan, name: str, meshed: set[int]) -> str:
         ("stored as", escape(str(scan.values.dtype))),
     ]
     if scan.layers > 1:
-        rows.append(("layers", f"{scan.layers}, of which the first one is shown"))
+        rows.append(("layers", f"{scan.layers}; the first one is shown"))
     body = ""
     if scan.labels:
         found, counts = np.unique(scan.values, return_counts=True)

@@ -146,7 +146,8 @@
     const sign = judge.worst === "high" ? "from" : "up to";
     [words[0].textContent, words[1].textContent, words[2].textContent] = worst
       ? ["", "", `red: the worst 1 % by ${judge.name}, ${sign} ${say(judge.threshold, judge)}`]
-      : c ? [say(c.low, c), say(c.high, c), `${c.name}; the bar goes from the 1st to the 99th percentile, all lies in ${say(c.least, c)} to ${say(c.largest, c)}`] : ["", "", ""];
+      : c ? [say(c.low, c), say(c.high, c), `${c.name}; the bar spans the 1st to the 99th percentile; `
+        + `all values lie between ${say(c.least, c)} and ${say(c.largest, c)}`] : ["", "", ""];
     redraw();
   };
   const choose = () => {

@@ -22,9 +22,9 @@ from tetmesh_check.topology import tetrahedron_boundary
 _YAW, _PITCH = 0.63, 0.38
 """Where the eye is at first, radians: that of the pictures."""
 _HOW = (
-    "Drag to turn, shift and drag to move. The wheel scrolls the page: click into the view first (Esc leaves it), or hold ctrl, and "
-    "it comes nearer. One finger scrolls, two turn and zoom. Keys: arrows turn, shift and arrows move, + and \u2212 zoom, 0 starts "
-    "again. The cut shows whole tetrahedra."
+    "Drag to rotate, Shift-drag to pan. The wheel zooms after a click into the view (Esc releases it) or with Ctrl; "
+    "otherwise it scrolls the page. One finger scrolls, two fingers rotate and zoom. Keys: arrows rotate, Shift-arrows "
+    "pan, + and \u2212 zoom, 0 resets. The cut shows whole tetrahedra."
 )
 _MAX_WORST = 5000
 """Largest number of tetrahedra among the worst: more only hide each other."""
@@ -95,7 +95,7 @@ def views_of_volume(grid: pv.UnstructuredGrid) -> list[ViewMesh]:
     def colours(owners: Cells) -> list[Colour]:
         return [
             Colour("radius ratio", "", ratio[owners], True, "low"),
-            Colour("smallest dihedral angle", "\u00b0", dihedral[owners], True, "low"),
+            Colour("minimum dihedral angle", "\u00b0", dihedral[owners], True, "low"),
         ]
 
     cut = cut_of(grid)
