@@ -41,7 +41,7 @@ REAL = (
     {"NAME": "tooth", "INPUT": "tooth_ct.nrrd", "ISO": "600", "VERTICES": "2000"},
 )
 BROKEN = {
-    "truncated": "the data is cut short",
+    "truncated": "the data is truncated",
     "absent": "not found",
     "empty": "no voxel crosses iso value",
     "no-such-label": "no voxel has the label 9",

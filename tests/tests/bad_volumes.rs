@@ -184,7 +184,7 @@ fn trailing_data_is_refused() {
 
 #[test]
 fn a_header_that_promises_too_much_memory_is_refused() {
-    Case::nrrd(&["sizes: 100000 100000 100000"], &blob()).refused(&["--iso", "100"], &["promises", "MiB"]);
+    Case::nrrd(&["sizes: 100000 100000 100000"], &blob()).refused(&["--iso", "100"], &["declares", "MiB"]);
     let overflow = format!("sizes: {0} {0} {0}", u64::MAX / 2);
     Case::nrrd(&[overflow.as_str()], &blob()).refused(&["--iso", "100"], &[]);
 }

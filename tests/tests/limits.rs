@@ -51,7 +51,7 @@ fn a_size_above_the_object_is_refused_with_a_better_one() {
     )
     .expect("written");
     let seeding = arguments![&files.distfield, &large];
-    refused(folder.path(), "seed", seeding, "new.bin", &["particles on the whole surface", "run sizefield again"]);
+    refused(folder.path(), "seed", seeding, "new.bin", &["particles on the whole surface", "sizefield --uniform"]);
 }
 
 #[test]
@@ -64,7 +64,7 @@ fn every_stage_refuses_work_above_the_memory_limit() {
         "sizefield",
         too_fine,
         "new.vti",
-        &["the sizes ask for", "GiB of memory", "larger triangles"],
+        &["reconstructing", "GiB of memory", "raise SIZE (--uniform)"],
     );
     for (name, mut arguments, output) in [
         ("seed", arguments![&files.distfield, &files.sizefield], "new.bin"),
@@ -72,6 +72,6 @@ fn every_stage_refuses_work_above_the_memory_limit() {
         ("reconstruct", [arguments![&files.particles], fields].concat(), "new.vtp"),
     ] {
         arguments.extend(arguments!["--max-memory", "10K"]);
-        refused(folder.path(), name, arguments, output, &["of memory", "--max-memory allows 0 MiB", "particles"]);
+        refused(folder.path(), name, arguments, output, &["of memory", "(--max-memory) allows 0 MiB", "particles"]);
     }
 }

@@ -316,7 +316,7 @@ fn circumcentre_of_a_thin_cell_is_at_its_distance() {
 }
 
 #[test]
-fn circumcentre_of_a_cell_flat_up_to_rounding_is_far_away_in_any_unit() {
+fn circumcentre_of_a_flat_cell_is_far_away_in_any_unit() {
     // Quads in a tilted plane. Their volume is only the rounding of the coordinates, below the
     // bound of the filter.
     let (u, v) = (DVec3::new(0.9, 0.2, -0.3).normalize(), DVec3::new(0.1, 0.7, 0.6));

@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn lanes_equal_the_exact_functions_by_the_best_and_the_least_instructions() {
+    fn simd_lanes_match_the_exact_functions_at_every_level() {
         let levels = [Level::new(), Level::baseline()];
         let mut worst = [0.0f64; 3];
         for n in 0..20_000 {

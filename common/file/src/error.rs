@@ -35,7 +35,7 @@ pub enum Error {
         path: PathBuf,
     },
     /// The output file already exists and may not be replaced.
-    #[error("{}: exists already", path.display())]
+    #[error("{}: already exists", path.display())]
     Exists {
         /// The file.
         path: PathBuf,
@@ -47,7 +47,7 @@ pub enum Error {
         path: PathBuf,
     },
     /// A header promises more data than there is free memory.
-    #[error("{}: its header promises {} MiB of voxels", path.display(), promised >> 20)]
+    #[error("{}: its header declares {} MiB of voxels", path.display(), promised >> 20)]
     TooLarge {
         /// The file.
         path: PathBuf,
@@ -97,11 +97,11 @@ impl Error {
     /// Why the error matters.
     pub fn reason(&self) -> String {
         match self {
-            Self::System { .. } => "the file is needed".to_owned(),
-            Self::Write { .. } => "without it the result of the run is lost; nothing half written is left".to_owned(),
-            Self::Folder { .. } => "the output is a file".to_owned(),
-            Self::Exists { .. } => "an existing output is kept".to_owned(),
-            Self::Interrupted { .. } => "the work was stopped before its output was complete".to_owned(),
+            Self::System { .. } => "this file is needed".to_owned(),
+            Self::Write { .. } => "the result of the run is lost; no partial file is left".to_owned(),
+            Self::Folder { .. } => "the output must be a file".to_owned(),
+            Self::Exists { .. } => "existing files are not replaced".to_owned(),
+            Self::Interrupted { .. } => "the run was stopped before its output was complete".to_owned(),
             Self::TooLarge { available, .. } => format!("only {} MiB of memory are free", available >> 20),
             Self::Contents { reason, .. } => reason.clone(),
         }
@@ -113,16 +113,17 @@ impl Error {
             Self::System { remedy, .. } | Self::Contents { remedy, .. } => remedy,
             Self::Write { source, .. } => match source.kind() {
                 io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-                    "make room on the disk, or write to another one"
+                    "free some disk space, or write to another disk"
                 }
-                io::ErrorKind::NotFound => "make the folder first, or correct the name",
-                _ => "check the folder's permissions, or write somewhere else",
+                io::ErrorKind::NotFound => "create the folder, or correct the name",
+                _ => "check the folder's permissions, or write to another folder",
             },
-            Self::Folder { .. } => "give the name of a file",
-            Self::Exists { .. } => "give another name",
-            Self::Interrupted { .. } => "start again",
+            Self::Folder { .. } => "use the name of a file",
+            Self::Exists { .. } => "use another name",
+            Self::Interrupted { .. } => "run it again",
             Self::TooLarge { .. } => {
-                "crop or resample the volume, or use a larger machine; if the volume is small, its header is damaged"
+                "crop or resample the volume, or use a machine with more memory; if the volume is small, its header \
+                 is damaged"
             }
         };
         remedy.to_owned()

@@ -146,7 +146,7 @@ mod tests {
             Err(io::Error::from(io::ErrorKind::StorageFull))
         })
         .expect_err("full");
-        assert!(error.remedy().contains("make room"), "{error}");
+        assert!(error.remedy().contains("free some disk space"), "{error}");
         assert_eq!(std::fs::read(&path).expect("kept"), b"first");
         assert_eq!(names(folder.path()), ["out.bin"]);
     }
@@ -158,11 +158,11 @@ mod tests {
         check_output(&path, false).expect("free");
         assert!(names(folder.path()).is_empty());
         std::fs::write(&path, b"x").expect("written");
-        assert!(check_output(&path, false).expect_err("exists").to_string().contains("exists already"));
+        assert!(check_output(&path, false).expect_err("exists").to_string().contains("already exists"));
         check_output(&path, true).expect("forced");
         assert!(check_output(folder.path(), true).is_err());
         let absent = folder.path().join("absent/out.bin");
-        assert!(check_output(&absent, false).expect_err("no folder").remedy().contains("make the folder"));
+        assert!(check_output(&absent, false).expect_err("no folder").remedy().contains("create the folder"));
     }
 
     #[test]
@@ -171,6 +171,6 @@ mod tests {
         let path = Path::new("/dev/full");
         check_output(path, false).expect("a device is never replaced");
         let error = write_atomically(path, |file| file.write_all(&[1; 4096])).expect_err("full");
-        assert!(error.to_string().contains("/dev/full") && error.remedy().contains("make room"), "{error}");
+        assert!(error.to_string().contains("/dev/full") && error.remedy().contains("free some disk space"), "{error}");
     }
 }

@@ -52,7 +52,7 @@ pub fn read_point_cloud(path: &Path) -> Result<PointCloud> {
         Some(Format::Xyz) => read_xyz(path, &bytes()?),
         Some(Format::Vtp) => read_vtp(path),
         Some(Format::Vtk) => read_vtk(path, &bytes()?),
-        None => Err(unusable(path, "has no ending of a point cloud")),
+        None => Err(unusable(path, "does not have the file extension of a point cloud")),
     }?;
     if cloud.positions.is_empty() {
         return Err(unusable(path, "has no points"));
@@ -85,8 +85,8 @@ fn unusable(path: &Path, what: &str) -> Error {
     bad(
         path,
         what,
-        "a cloud of points with finite coordinates is needed",
-        "give a .ply file, a .xyz file with lines 'x y z' or 'x y z nx ny nz', or a .vtp or .vtk file",
+        "a point cloud with finite coordinates is needed",
+        "use a .ply file, a .xyz file with lines 'x y z' or 'x y z nx ny nz', or a .vtp or .vtk file",
     )
 }
 
@@ -100,7 +100,7 @@ fn finite_or_zero(normal: DVec3) -> DVec3 {
 }
 
 fn read_xyz(path: &Path, bytes: &[u8]) -> Result<PointCloud> {
-    let text = std::str::from_utf8(bytes).map_err(|_| unusable(path, "is no text"))?;
+    let text = std::str::from_utf8(bytes).map_err(|_| unusable(path, "is not text"))?;
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let (mut positions, mut normals, mut columns) = (Vec::new(), Vec::new(), None);
     for (number, line) in text.lines().enumerate() {
@@ -111,14 +111,17 @@ fn read_xyz(path: &Path, bytes: &[u8]) -> Result<PointCloud> {
         let (mut values, mut count) = ([0.0f64; 6], 0);
         for word in line.split([' ', '\t', ',', ';']).filter(|word| !word.is_empty()) {
             let value =
-                word.parse().map_err(|_| unusable(path, &format!("line {}: '{word}' is no number", number + 1)))?;
+                word.parse().map_err(|_| unusable(path, &format!("line {}: '{word}' is not a number", number + 1)))?;
             if let Some(place) = values.get_mut(count) {
                 *place = value;
             }
             count += 1;
         }
         if !matches!(count, 3 | 6) || *columns.get_or_insert(count) != count {
-            return Err(unusable(path, &format!("line {} has {count} numbers, not 3 or 6 as all others", number + 1)));
+            return Err(unusable(
+                path,
+                &format!("line {} has {count} numbers; all lines must have 3, or all 6", number + 1),
+            ));
         }
         positions.push(DVec3::from_slice(&values[..3]));
         if count == 6 {
@@ -228,7 +231,7 @@ impl PlyHeader {
             Ok::<_, String>((String::from_utf8_lossy(&rest[..end]).trim().to_owned(), at))
         };
         if next_line().map_or(true, |(line, _)| line != "ply") {
-            return Err("is no PLY file".into());
+            return Err("is not a PLY file".into());
         }
         let (mut encoding, mut elements) = (None, Vec::<PlyElement>::new());
         loop {
@@ -257,7 +260,11 @@ impl PlyHeader {
                     elements.last_mut().ok_or_else(damaged)?.properties.push((name.to_owned(), scalar));
                 }
                 ["end_header"] => {
-                    return Ok(Self { encoding: encoding.ok_or("its header names no format")?, elements, length });
+                    return Ok(Self {
+                        encoding: encoding.ok_or("its header does not name a format")?,
+                        elements,
+                        length,
+                    });
                 }
                 _ => return Err(damaged()),
             }
@@ -309,11 +316,11 @@ impl<'a> Rows<'a> {
         let needed = header.elements[..=at].iter().map(size).try_fold(0usize, |sum, size| sum.checked_add(size?));
         let room = data.len() + usize::from(is_text);
         if needed.is_none_or(|needed| needed > room) {
-            return Err("is cut short".into());
+            return Err("is truncated".into());
         }
         let before = &header.elements[..at];
         if is_text {
-            let text = std::str::from_utf8(data).map_err(|_| "is no text after its header")?;
+            let text = std::str::from_utf8(data).map_err(|_| "is not text after its header")?;
             let mut words = text.split_ascii_whitespace();
             let skipped: usize = before.iter().map(|e| e.count * e.properties.len()).sum();
             if skipped > 0 {
@@ -330,7 +337,7 @@ impl<'a> Rows<'a> {
             *value = match self {
                 Self::Words(words) => {
                     let word = words.next().ok_or("is missing")?;
-                    word.parse().map_err(|_| format!("'{word}' is no number"))?
+                    word.parse().map_err(|_| format!("'{word}' is not a number"))?
                 }
                 Self::Bytes(data, encoding) => {
                     let (own, rest) = data.split_at_checked(scalar.bytes()).ok_or("is missing")?;
@@ -442,19 +449,19 @@ mod tests {
             ("a.xyz", b"1 2 3\n1 2 3 4\n".to_vec(), "line 2 has 4 numbers"),
             ("a.xyz", b"1 2 3\n1 2 3 4 5 6\n".to_vec(), "line 2 has 6 numbers"),
             ("a.xyz", b"1 2 3\n1 nan 3\n".to_vec(), "point 2 is"),
-            ("a.xyz", b"\xff\xfe1".to_vec(), "no text"),
-            ("a.txt", b"1 2 3\n".to_vec(), "ending"),
-            ("a.ply", b"solid stl\n".to_vec(), "no PLY"),
+            ("a.xyz", b"\xff\xfe1".to_vec(), "is not text"),
+            ("a.txt", b"1 2 3\n".to_vec(), "file extension"),
+            ("a.ply", b"solid stl\n".to_vec(), "not a PLY file"),
             ("a.ply", ply("element vertex 1\n"), "no end"),
             ("a.ply", ply("element vertex many\nend_header\n"), "'element vertex many'"),
             ("a.ply", ply("element vertex 1\nproperty float x\nend_header\n1\n"), "no properties x, y and z"),
             ("a.ply", ply("element face 0\nend_header\n"), "no element 'vertex'"),
-            ("a.ply", ply(&format!("element vertex 2\n{xyz}end_header\n1 2 3\n")), "cut short"),
+            ("a.ply", ply(&format!("element vertex 2\n{xyz}end_header\n1 2 3\n")), "truncated"),
             ("a.ply", ply(&format!("element vertex 1\n{xyz}end_header\n1.25 2.5\n")), "point 1: is missing"),
-            ("a.ply", ply(&format!("element vertex 18446744073709551615\n{xyz}end_header\n1 2 3\n")), "cut short"),
+            ("a.ply", ply(&format!("element vertex 18446744073709551615\n{xyz}end_header\n1 2 3\n")), "truncated"),
             ("a.ply", ply(&format!("element vertex 1\n{xyz}end_header\n1 2 inf\n")), "point 1 is"),
             ("a.ply", ply(&format!("element vertex 1\nproperty list uchar int i\n{xyz}end_header\n1\n")), "lists"),
-            ("a.ply", little[..little.len() - 40].to_vec(), "cut short"),
+            ("a.ply", little[..little.len() - 40].to_vec(), "truncated"),
             ("a.vtk", b"solid stl\n".to_vec(), "legacy VTK"),
             ("a.vtk", b"# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 2 float\n1 2 3 nan 1 2\n".to_vec(), "legacy VTK"),
             ("a.vtk", b"# vtk DataFile Version 3.0\nx\nASCII\nDATASET STRUCTURED_POINTS\nDIMENSIONS 1 1 1\nORIGIN 0 0 0\nSPACING 1 1 1\n".to_vec(), "neither"),

@@ -21,21 +21,19 @@ pub fn read_sized_points(path: &Path, name: &str) -> Result<Vec<(DVec3, f64)>> {
         bad(
             path,
             what,
-            format!("points with an array '{name}' of one positive number each are needed"),
-            format!("write a .vtp or .vtu file with '{name}' among its point data"),
+            format!("points with an array '{name}' of positive numbers are needed"),
+            format!("use a .vtp or .vtu file with '{name}' in its point data"),
         )
     };
     let positions = positions(&file, piece, unusable)?;
     let array = piece.child("PointData").and_then(|arrays| arrays.array(name));
     let array = array.filter(|array| VtkFile::components(array) == 1);
-    let array = array.ok_or_else(|| unusable(&format!("has no point array '{name}' of one number each")))?;
+    let array = array.ok_or_else(|| unusable(&format!("has no point array '{name}' with one component")))?;
     let sizes = file.numbers(array, positions.len())?.to_f64();
     let points: Vec<(DVec3, f64)> = positions.into_iter().zip(sizes).collect();
     let is_usable = |&(p, size): &(DVec3, f64)| p.is_finite() && size.is_finite() && size > 0.0;
     match points.iter().position(|point| !is_usable(point)) {
-        Some(n) => {
-            Err(unusable(&format!("has a point that is not usable: {} with '{name}' {}", points[n].0, points[n].1)))
-        }
+        Some(n) => Err(unusable(&format!("has an invalid point: {} with '{name}' {}", points[n].0, points[n].1))),
         None => Ok(points),
     }
 }
@@ -44,7 +42,7 @@ pub fn read_sized_points(path: &Path, name: &str) -> Result<Vec<(DVec3, f64)>> {
 pub(crate) fn positions(file: &VtkFile, piece: &Element, unusable: impl Fn(&str) -> Error) -> Result<Vec<DVec3>> {
     let count = piece.attribute("NumberOfPoints").and_then(|text| text.parse::<usize>().ok());
     let count = count.filter(|&count| count > 0).ok_or_else(|| unusable("has no points"))?;
-    let values = count.checked_mul(3).ok_or_else(|| unusable("promises too many points"))?;
+    let values = count.checked_mul(3).ok_or_else(|| unusable("declares too many points"))?;
     let section = piece.child("Points").and_then(|section| section.children.first());
     let numbers = file.numbers(section.ok_or_else(|| unusable("has no Points"))?, values)?.to_f64();
     Ok(numbers.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p)).collect())
@@ -81,8 +79,8 @@ mod tests {
         for (body, says) in [
             (String::new(), "no point array 'h'"),
             (array("size", "0.5 0.25"), "no point array 'h'"),
-            (array("h", "0.5 0"), "not usable"),
-            (array("h", "0.5 nan"), "not usable"),
+            (array("h", "0.5 0"), "invalid point"),
+            (array("h", "0.5 nan"), "invalid point"),
         ] {
             let (_folder, path) = file(&body);
             let error = read_sized_points(&path, "h").expect_err(says);

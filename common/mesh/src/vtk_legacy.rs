@@ -23,22 +23,22 @@ pub(crate) type Points = (Vec<DVec3>, Option<Vec<DVec3>>);
 /// # Errors
 /// A description of the problem.
 pub(crate) fn read_points(bytes: &[u8]) -> Result<Points, String> {
-    let file = Vtk::parse_legacy_be(bytes).map_err(|error| format!("is no legacy VTK file: {error}"))?;
+    let file = Vtk::parse_legacy_be(bytes).map_err(|error| format!("is not a legacy VTK file: {error}"))?;
     let (points, data) = match file.data {
         DataSet::PolyData { pieces, .. } => match pieces.into_iter().next() {
             Some(Piece::Inline(piece)) => (piece.points, piece.data),
-            _ => return Err("holds no polygons".to_owned()),
+            _ => return Err("contains no polygons".to_owned()),
         },
         DataSet::UnstructuredGrid { pieces, .. } => match pieces.into_iter().next() {
             Some(Piece::Inline(piece)) => {
                 let UnstructuredGridPiece { points, data, .. } = *piece;
                 (points, data)
             }
-            _ => return Err("holds no cells".to_owned()),
+            _ => return Err("contains no cells".to_owned()),
         },
         _ => return Err("is neither POLYDATA nor UNSTRUCTURED_GRID".to_owned()),
     };
-    let positions = vectors(&points).ok_or("has coordinates that are no numbers")?;
+    let positions = vectors(&points).ok_or("has coordinates that are not numbers")?;
     let normals = data.point.iter().find_map(|attribute| normals(attribute, positions.len()));
     Ok((positions, normals))
 }

@@ -53,7 +53,7 @@ impl Error {
             kind: Kind::Interrupted,
             what: what.into(),
             why: "the run was stopped before its output was complete".into(),
-            next: "run the same command again; a checkpoint, if one was asked for, can be resumed".into(),
+            next: "run the same command again; make and 'particles --resume' continue from the checkpoint".into(),
         }
     }
 
@@ -80,7 +80,7 @@ impl From<isoparticles_file::error::Error> for Error {
         match &error {
             File::Interrupted { .. } => Self::interrupted(error.to_string()),
             File::Exists { .. } => {
-                Self::input(error.to_string(), error.reason(), "give another name, or --force to replace it")
+                Self::input(error.to_string(), error.reason(), "use another name, or --force to replace the file")
             }
             File::System { remedy, .. } => Self::input(error.to_string(), "the stage needs this file", remedy),
             _ => Self::input(error.to_string(), error.reason(), error.remedy()),
@@ -95,8 +95,9 @@ impl From<isoparticles_volume::Error> for Error {
             Volume::File(error) => return error.into(),
             Volume::NotAVolume { content, .. } => taken_by(content).map_or_else(|| error.remedy(), str::to_owned),
             Volume::Series { ref present, .. } => {
-                format!("choose one with --series (its description, number or UID): {}", present.join("; "))
+                format!("choose one in SERIES (--series) by its description, number or UID: {}", present.join("; "))
             }
+            Volume::NotALabel { .. } => "use a label map, or set ISO (--iso) instead of LABELS or MATERIALS".to_owned(),
             _ => error.remedy(),
         };
         Self::input(error.to_string(), error.reason(), next)
@@ -115,14 +116,17 @@ impl From<isoparticles_mesh::Error> for Error {
 
 /// The stage that accepts a file that is not a volume, and the file to use instead.
 fn taken_by(content: Content) -> Option<&'static str> {
-    const SURFACE: &str = "tetmesh-check fills a closed .vtp surface with tetrahedra, and 'reconstruct --method tight-cocone' takes the \
-                           points of .vtp and .ply files; for distfield, give the volume that the surface was made from";
-    const OTHER_SURFACE: &str = "save it as .vtp: tetmesh-check fills a closed surface with tetrahedra; for distfield, give the \
-                                 volume that the surface was made from";
+    const SURFACE: &str = "distfield needs the volume that the surface was made from; tetmesh-check fills a closed \
+                           .vtp surface with tetrahedra, and 'reconstruct --method tight-cocone' reads the points of \
+                           .vtp and .ply files";
+    const OTHER_SURFACE: &str = "distfield needs the volume that the surface was made from; tetmesh-check fills a \
+                                 closed surface with tetrahedra if it is saved as .vtp";
     match content {
-        Content::Seeds => Some("particles takes it; for distfield, give the volume that it was made from"),
-        Content::Particles => Some("reconstruct takes it; for distfield, give the volume that it was made from"),
-        Content::Checkpoint => Some("'particles --resume' takes it"),
+        Content::Seeds => Some("distfield needs the volume that the seeds were made from; the seeds are for particles"),
+        Content::Particles => {
+            Some("distfield needs the volume that the particles were made from; the particles are for reconstruct")
+        }
+        Content::Checkpoint => Some("the checkpoint is for 'particles --resume'; distfield needs a volume"),
         Content::SurfaceVtk | Content::SurfacePly => Some(SURFACE),
         Content::SurfaceStl | Content::SurfaceObj => Some(OTHER_SURFACE),
         Content::TetrahedraVtk | Content::LegacyVtk | Content::DicomSlice => None,

@@ -100,8 +100,8 @@ pub fn read_field(path: &Path, expected: FieldKind) -> Result<Field> {
             return Err(Error::of_file(
                 path,
                 format!("has format version {version:?}; this program reads versions {READ_VERSIONS:?}"),
-                "its contents may mean something else",
-                format!("run {} again to make it anew", expected.name()),
+                "other versions store the data differently",
+                format!("run {} again", expected.name()),
             ));
         }
     }
@@ -110,7 +110,7 @@ pub fn read_field(path: &Path, expected: FieldKind) -> Result<Field> {
     let array = array
         .ok_or_else(|| wrong_kind(path, expected, &format!("has no point array named '{}'", expected.array_name())))?;
     if VtkFile::components(array) != 1 {
-        return Err(wrong_kind(path, expected, "has more than one number a voxel"));
+        return Err(wrong_kind(path, expected, "has more than one value per voxel"));
     }
     let data = match file.numbers(array, geometry.voxel_count())? {
         isoparticles_volume::Voxels::F32(data) => data,
@@ -130,7 +130,7 @@ pub fn check_same_grid(first: (&Path, &Geometry), second: (&Path, &Geometry)) ->
     }
     Err(Error::input(
         format!(
-            "{} and {} do not lie on the same grid (sizes {:?} and {:?}, spacings {} and {}, origins {} and {})",
+            "{} and {} are not on the same grid (sizes {:?} and {:?}, spacings {} and {}, origins {} and {})",
             first.0.display(),
             second.0.display(),
             first.1.size,
@@ -141,7 +141,7 @@ pub fn check_same_grid(first: (&Path, &Geometry), second: (&Path, &Geometry)) ->
             second.1.origin,
         ),
         "their voxels cannot be matched",
-        "give files made from one and the same distance field",
+        "use files made from the same distance field",
     ))
 }
 
@@ -150,7 +150,7 @@ fn wrong_kind(path: &Path, expected: FieldKind, what: &str) -> Error {
         path,
         what,
         format!("this stage needs the {} field that {} writes", expected.array_name(), expected.name()),
-        format!("give that file, or run {} to make it", expected.name()),
+        format!("use that file, or run {} to make it", expected.name()),
     )
 }
 
@@ -163,12 +163,12 @@ fn check_values(path: &Path, kind: FieldKind, data: &[f32]) -> Result<()> {
     }
     let first = data.iter().find(is_bad).unwrap_or(&f32::NAN);
     let why = match kind {
-        FieldKind::Distance => "distances are finite numbers",
-        FieldKind::Sizing => "target edge lengths are finite and greater than zero",
+        FieldKind::Distance => "distances must be finite",
+        FieldKind::Sizing => "target edge lengths must be finite and greater than zero",
     };
     Err(Error::of_file(
         path,
-        format!("{count} values of '{}' are not usable, such as {first}", kind.array_name()),
+        format!("{count} values of '{}' are invalid, such as {first}", kind.array_name()),
         why,
         format!("correct them, or run {} again", kind.name()),
     ))

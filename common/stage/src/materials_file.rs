@@ -125,12 +125,12 @@ pub fn read_materials(path: &Path) -> Result<MaterialsFile> {
     let image = file.data_set("ImageData")?;
     let found = file.text(image, "isoparticles_kind")?;
     if found.as_deref() != Some(KIND) {
-        let what = found.map_or("is no file of this program".to_owned(), |found| format!("is a {found} file"));
+        let what = found.map_or("is not a file of this program".to_owned(), |found| format!("is a {found} file"));
         return Err(Error::of_file(
             path,
             what,
-            "the indicators of many materials are needed",
-            "give the file that distfield --material writes",
+            "this stage needs the indicators of many materials",
+            "use the file that distfield writes with MATERIALS (--material)",
         ));
     }
     let array = |name: &str| -> Result<&Element> {
@@ -142,15 +142,15 @@ pub fn read_materials(path: &Path) -> Result<MaterialsFile> {
         return Err(Error::of_file(
             path,
             format!("has format version {version:?}; this program reads version {VERSION}"),
-            "its contents may mean something else",
-            "run distfield again to make it anew",
+            "other versions store the data differently",
+            "run distfield again",
         ));
     }
     let geometry = vti::geometry(path, &file)?;
     let table = file.text(image, "materials")?.unwrap_or_default();
     let rows: Vec<Row> = serde_json::from_str(&table)
-        .map_err(|error| damaged(path, &format!("has a table of materials that cannot be read: {error}")))?;
-    let wrong_type = |name: &str| damaged(path, &format!("has the array '{name}' in another type"));
+        .map_err(|error| damaged(path, &format!("its table of materials cannot be read: {error}")))?;
+    let wrong_type = |name: &str| damaged(path, &format!("the array '{name}' has the wrong type"));
     let Voxels::U16(fill) = file.all_numbers(array("brick_fill")?)? else { return Err(wrong_type("brick_fill")) };
     let Voxels::U32(bricks) = file.all_numbers(array("indicator_bricks")?)? else {
         return Err(wrong_type("indicator_bricks"));
@@ -173,34 +173,29 @@ pub fn read_materials(path: &Path) -> Result<MaterialsFile> {
             coefficients: own.to_vec(),
         };
         let indicator = Indicator::from_parts(parts, geometry.size)
-            .map_err(|error| damaged(path, &format!("has a damaged indicator of '{}': {error}", row.material.name)))?;
+            .map_err(|error| damaged(path, &format!("the indicator of '{}' is damaged: {error}", row.material.name)))?;
         materials.push((row.material, indicator));
     }
     if !bricks.is_empty() || !coefficients.is_empty() {
         return Err(damaged(path, "has more bricks or coefficients than its materials"));
     }
     let materials = Materials::from_parts(geometry, materials, fill)
-        .map_err(|error| damaged(path, &format!("has indicators that do not fit together: {error}")))?;
+        .map_err(|error| damaged(path, &format!("its indicators are inconsistent: {error}")))?;
     let meta = file.text(image, "meta")?.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or(Value::Null);
     let history = file.text(image, "history")?.and_then(|text| serde_json::from_str(&text).ok());
     Ok(MaterialsFile { materials, meta, history })
 }
 
 fn damaged(path: &Path, what: &str) -> Error {
-    Error::of_file(
-        path,
-        what,
-        "the file is damaged or was written by another program",
-        "run distfield again to make it anew",
-    )
+    Error::of_file(path, what, "the file is damaged or was written by another program", "run distfield again")
 }
 
 /// The error for a file with several materials where a single object is needed.
 pub(crate) fn not_one_object(path: &Path, expected: FieldKind) -> Error {
     Error::of_file(
         path,
-        "holds the indicators of many materials",
-        format!("the field '{}' of one object is needed here", expected.array_name()),
-        "give the field of one object: distfield --labels A,B makes one of the union of some labels",
+        "contains the indicators of many materials",
+        format!("this stage needs the field '{}' of one object", expected.array_name()),
+        "use the field of one object: LABELS=A,B (distfield --labels A,B) joins labels to one object",
     )
 }

@@ -166,21 +166,21 @@ pub fn typed<T: DeserializeOwned + Default>(path: &Path, meta: &Value, stage: &s
     if meta.is_null() {
         return Ok(T::default());
     }
-    let again = || format!("run {stage} again to make it anew");
+    let again = || format!("run {stage} again");
     let version = meta["version"].as_u64().unwrap_or(0);
     if version > u64::from(VERSION) {
         return Err(Error::of_file(
             path,
-            format!("its note is of version {version}; this program reads versions up to {VERSION}"),
-            "what it says may mean something else",
+            format!("its metadata has version {version}; this program reads versions up to {VERSION}"),
+            "later versions store the metadata differently",
             again(),
         ));
     }
     T::deserialize(meta).map_err(|error| {
         Error::of_file(
             path,
-            format!("its note cannot be read: {error}"),
-            "it says how the file is to be taken",
+            format!("its metadata cannot be read: {error}"),
+            "the metadata says how to interpret the file",
             again(),
         )
     })
@@ -225,7 +225,7 @@ mod tests {
         assert!(error.what.contains("version 2") && error.next.contains("run distfield again"), "{error}");
         for wrong in [json!({"source": "guess"}), json!({"cap_planes": [{"axis": 9}]}), json!("text")] {
             assert!(
-                read::<DistanceMeta>(&wrong).expect_err("wrong").what.contains("its note cannot be read"),
+                read::<DistanceMeta>(&wrong).expect_err("wrong").what.contains("its metadata cannot be read"),
                 "{wrong}"
             );
         }

@@ -160,8 +160,7 @@ fn write(
     history: &History,
     extra: &[u8],
 ) -> Result<()> {
-    let unencodable =
-        |error: String| Error::of_file(path, error, "the particles cannot be put into bytes", "report this bug");
+    let unencodable = |error: String| Error::of_file(path, error, "the particles cannot be encoded", "report this bug");
     let json = |value: serde_json::Result<String>| value.map_err(|error| unencodable(error.to_string()));
     let payload = PayloadOut {
         particles,
@@ -194,28 +193,27 @@ pub fn read_particles(path: &Path, accepted: &[ParticleKind]) -> Result<Particle
     Read::take(&mut file, HEADER_BYTES as u64).read_to_end(&mut header).map_err(cannot)?;
     let wanted: Vec<&str> = accepted.iter().map(|kind| kind.name()).collect();
     let stage = accepted.first().map_or("seed", |kind| kind.stage());
-    let refuse =
-        |what: String, why: String| Error::of_file(path, what, why, format!("run {stage} again to make it anew"));
+    let refuse = |what: String, why: String| Error::of_file(path, what, why, format!("run {stage} again"));
     if !header.starts_with(&MAGIC) {
         return Err(refuse(
             "is not a particle file of this program".to_owned(),
             format!("this stage reads {}", wanted.join(" or ")),
         ));
     }
-    let cut_short = || refuse("is cut short".to_owned(), "some of its particles are missing".to_owned());
+    let cut_short = || refuse("is truncated".to_owned(), "some of its particles are missing".to_owned());
     let header: [u8; HEADER_BYTES] = header.try_into().map_err(|_| cut_short())?;
     let word = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
     let (number, version) = (word(8), word(12));
     if ![VERSION, VERSION_OF_STRATA].contains(&version) {
         return Err(refuse(
             format!("has format version {version}; this program reads versions {VERSION} and {VERSION_OF_STRATA}"),
-            "its bytes mean something else".to_owned(),
+            "other versions store the data differently".to_owned(),
         ));
     }
     let kind = ParticleKind::ALL.into_iter().find(|kind| kind.number() == number);
     let kind = kind.filter(|kind| accepted.contains(kind)).ok_or_else(|| {
         let found = kind.map_or(format!("particles of the unknown kind {number}"), |kind| kind.name().to_owned());
-        refuse(format!("holds {found}"), format!("this stage reads {}", wanted.join(" or ")))
+        refuse(format!("contains {found}"), format!("this stage reads {}", wanted.join(" or ")))
     })?;
     let promised = u64::from(word(16)) | u64::from(word(20)) << 32;
     let found = length.saturating_sub(HEADER_BYTES as u64);
@@ -224,8 +222,8 @@ pub fn read_particles(path: &Path, accepted: &[ParticleKind]) -> Result<Particle
     }
     if found > promised {
         return Err(refuse(
-            format!("has {} bytes behind its end", found - promised),
-            "something else was written to it".to_owned(),
+            format!("has {} extra bytes at its end", found - promised),
+            "other data was appended to it".to_owned(),
         ));
     }
     check_memory(path, promised.saturating_mul(2))?;
@@ -246,13 +244,13 @@ pub fn read_particles(path: &Path, accepted: &[ParticleKind]) -> Result<Particle
         used += more;
     }
     if used != payload.len() {
-        return Err(damaged("has bytes behind its last particle"));
+        return Err(damaged("has extra bytes after its last particle"));
     }
     check_particles(&decoded.particles).map_err(damaged)?;
     if let Some(strata) = &strata {
         check_strata(strata, decoded.particles.positions.len()).map_err(damaged)?;
     }
-    let meta = serde_json::from_slice(&decoded.meta).map_err(|_| damaged("its note cannot be read"))?;
+    let meta = serde_json::from_slice(&decoded.meta).map_err(|_| damaged("its metadata cannot be read"))?;
     let history = serde_json::from_slice(&decoded.history).map_err(|_| damaged("its history cannot be read"))?;
     Ok(ParticleFile { kind, particles: decoded.particles, strata, meta, history, extra: decoded.extra })
 }
@@ -268,10 +266,10 @@ fn check_particles(set: &ParticleSet) -> std::result::Result<(), &'static str> {
         && set.normals.iter().all(|n| n.is_finite())
         && set.energies.iter().chain(&set.lambdas).all(|x| x.is_finite());
     if !finite {
-        return Err("holds a particle that is not finite");
+        return Err("contains a particle with a value that is not finite");
     }
     if set.sizes.iter().any(|&size| !(size > 0.0 && size.is_finite())) {
-        return Err("holds a particle whose target edge length is not positive");
+        return Err("contains a particle with a target edge length that is not positive");
     }
     Ok(())
 }
@@ -280,17 +278,17 @@ fn check_particles(set: &ParticleSet) -> std::result::Result<(), &'static str> {
 /// segments whose ends lie on junction curves or points.
 fn check_strata(strata: &Strata, count: usize) -> std::result::Result<(), &'static str> {
     if strata.of.len() != count {
-        return Err("has strata of other particles than its own");
+        return Err("its numbers of strata and particles differ");
     }
     if !strata.of.iter().all(Stratum::is_valid) {
-        return Err("has a stratum of other than two to four different materials");
+        return Err("has a stratum that is not between two to four different materials");
     }
     if !strata.of.is_sorted_by_key(Stratum::dimension) {
-        return Err("has particles of higher strata before those of lower ones");
+        return Err("its strata are not sorted by dimension");
     }
     let is_below_sheets = |&end: &u32| strata.of.get(end as usize).is_some_and(|stratum| stratum.dimension() < 2);
     if !strata.segments.as_flattened().iter().all(is_below_sheets) {
-        return Err("has a segment of a junction curve that ends on none");
+        return Err("has a segment of a junction curve with an end that is not on a junction");
     }
     Ok(())
 }
@@ -353,8 +351,8 @@ mod tests {
         write_particles(&path, ParticleKind::Seeds, &set(), &Value::Null, &history()).expect("written");
         assert_eq!(read_particles(&path, &[ParticleKind::Seeds]).expect("read").strata, None);
         for (wrong, said) in [
-            (Strata { of: vec![point], segments: Vec::new() }, "strata of other particles"),
-            (Strata { of: vec![sheet, curve], segments: Vec::new() }, "higher strata before"),
+            (Strata { of: vec![point], segments: Vec::new() }, "numbers of strata and particles differ"),
+            (Strata { of: vec![sheet, curve], segments: Vec::new() }, "strata are not sorted by dimension"),
             (Strata { of: vec![curve, sheet], segments: vec![[0, 1]] }, "segment"),
             (Strata { of: vec![curve, curve], segments: vec![[0, 2]] }, "segment"),
         ] {
@@ -378,7 +376,7 @@ mod tests {
     }
 
     #[test]
-    fn every_truncation_every_trailing_byte_and_every_flipped_bit_is_an_error() {
+    fn truncated_extended_and_corrupted_files_are_errors() {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("case.seeds.bin");
         write_particles(&path, ParticleKind::Seeds, &set(), &Value::Null, &history()).expect("written");

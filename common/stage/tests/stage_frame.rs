@@ -298,6 +298,6 @@ fn a_full_disk_leaves_nothing_half_written() {
     let output = output.expect("started");
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2), "{text}");
-    assert!(text.contains("cannot write") && text.contains("nothing half written is left"), "{text}");
+    assert!(text.contains("cannot write") && text.contains("no partial file is left"), "{text}");
     assert_eq!(names(folder.path()), ["in.txt"]);
 }

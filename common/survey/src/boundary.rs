@@ -1,11 +1,15 @@
-//! The surface of objects as the voxels have it: its area, and the shape of a sample of places on it.
+//! Measures the surface of objects from their voxels: the area, and the local shape at sampled
+//! places.
 //!
-//! A *face* lies between two neighbouring voxels of different class. Lines along the grid's axes cross a surface of area A and unit normal n
-//! |n_a| A / s times, s being the area between neighbouring lines; over all directions the mean of |n_x| + |n_y| + |n_z| is 3/2
-//! (Cauchy and Crofton), so that 2/3 of the area of all faces is that of the surface.
+//! A *face* separates two neighbouring voxels of different class. Lines along axis a, one per area
+//! s, cross a surface |n_a| A / s times, where A is its area and n its unit normal. The mean of
+//! |n_x| + |n_y| + |n_z| over all directions is 3/2 (Cauchy and Crofton). The area of the surface
+//! is therefore 2/3 of the total area of all faces.
 //!
-//! At sampled faces the share of a ball that lies inside tells the mean curvature (the integral invariant of Pottmann et al. 2007, share =
-//! 1/2 - 3/16 r H), the centre of mass of that part the normal, and a walk along the normal the thickness of the object or the gap.
+//! At a sampled face, the share of a ball that lies inside gives the mean curvature H (integral
+//! invariant of Pottmann et al. 2007: share = 1/2 - 3/16 r H). The centre of mass of the inside
+//! part gives the normal. A walk along the normal gives the thickness of the object or of the gap
+//! beside it.
 
 use crate::classes::{Classes, OUTSIDE};
 use glam::DVec3;
@@ -13,41 +17,47 @@ use isoparticles_field::random::uniform;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// Radius of the ball, in mean voxels: the smallest one that says more about the shape than about the staircase of voxels.
+/// Radius of the ball, in mean voxels: the smallest radius at which the shape outweighs the
+/// staircase of voxels. The search described at `EDGE_OVER_RADIUS` in `cost.rs` includes it.
 pub const BALL: f64 = 2.0;
 
-/// Length of a step along the normal, and of the whole walk, in mean voxels.
+/// Step along the normal, in mean voxels. It is the resolution of the thickness.
 const STEP: f64 = 0.5;
+
+/// Length of the walk along the normal, in mean voxels. At this thickness, h is bounded to
+/// 0.20 x 30 = 6 voxels (`EDGE_OVER_THICKNESS` in `cost.rs`).
 const REACH: f64 = 30.0;
 
-/// Seed of the draw of faces; any number will do.
+/// Seed of the random choice of faces. Its value does not matter.
 const SEED: u64 = 1;
 
-/// Faces of one class.
+/// The surface of one class.
 #[derive(Clone, Debug, Default)]
 pub struct Boundary {
-    /// Faces across each axis; the border of the volume counts.
+    /// Number of faces normal to each axis, including those at the border of the volume.
     pub faces: [usize; 3],
-    /// Some of them.
+    /// The sampled faces.
     pub sample: Vec<Place>,
-    /// Each of the sampled faces stands for this many.
+    /// Number of faces that one sampled face stands for.
     pub weight: f64,
 }
 
 /// A sampled face.
 #[derive(Clone, Copy, Debug)]
 pub struct Place {
-    /// Axis that it lies across.
+    /// Axis normal to the face.
     pub axis: usize,
-    /// Position in the grid frame, mm.
+    /// Centre of the face in the grid frame, mm.
     pub position: DVec3,
-    /// How far the inside share of the ball is from one half.
+    /// Absolute difference between the inside share of the ball and 1/2.
     pub imbalance: f64,
-    /// Way along the normal to the other side of the object or of the gap, whichever is nearer, in mean voxels; infinite beyond `REACH`.
+    /// Distance along the normal to the other side of the object or of the gap, whichever is
+    /// shorter, in mean voxels. Infinite beyond `REACH`.
     pub thickness: f64,
 }
 
-/// A face, by its voxel inside.
+/// A face: its class, the voxel of that class, the axis normal to it, and whether it is on the
+/// upper side of the voxel.
 struct Face {
     class: u16,
     inside: [usize; 3],
@@ -66,12 +76,12 @@ impl Boundary {
         self.weight * face_area(geometry, place.axis) / 1.5
     }
 
-    /// Diagonal of the box round the sampled faces, mm.
+    /// Diagonal of the bounding box of the sampled faces, mm.
     pub fn diagonal(&self) -> f64 {
         self.extent().length()
     }
 
-    /// Extent of that box along each axis, mm.
+    /// Edge lengths of that box, mm.
     pub fn extent(&self) -> DVec3 {
         let low = self.sample.iter().fold(DVec3::INFINITY, |low, place| low.min(place.position));
         let high = self.sample.iter().fold(DVec3::NEG_INFINITY, |high, place| high.max(place.position));
@@ -79,12 +89,12 @@ impl Boundary {
     }
 }
 
-/// Area of a face across an axis, mm^2.
+/// Area of a face normal to an axis, mm^2.
 fn face_area(geometry: &Geometry, axis: usize) -> f64 {
     geometry.spacing.element_product() / geometry.spacing[axis]
 }
 
-/// The boundary of every class (in the order of the classes, from 1 on), with about `wanted` sampled faces each.
+/// The surface of each class from 1 on, with about `wanted` sampled faces each.
 pub fn boundaries(classes: &Classes<'_>, wanted: usize) -> Vec<Boundary> {
     let geometry = classes.geometry;
     let nz = geometry.size[2];
@@ -122,7 +132,8 @@ pub fn boundaries(classes: &Classes<'_>, wanted: usize) -> Vec<Boundary> {
     found.split_off(1)
 }
 
-/// Calls `found` with the faces of the voxels of slice `k`: those to the next voxel along each axis, and those at the border.
+/// Calls `found` with the faces of slice `k`: those between each voxel and the next along each
+/// axis, and those at the border of the volume.
 fn each_face(classes: &Classes<'_>, k: usize, mut found: impl FnMut(Face)) {
     let [nx, ny, nz] = classes.geometry.size;
     let row = |j: usize, k: usize| {
@@ -160,7 +171,7 @@ fn each_face(classes: &Classes<'_>, k: usize, mut found: impl FnMut(Face)) {
                 }
             }
         }
-        // the lower border along each axis
+        // faces at the lower border of each axis
         let mut border = |i: usize, class: u16, axis: usize| {
             if class != OUTSIDE {
                 found(Face { class, inside: [i, j, k], axis, is_up: false });
@@ -176,7 +187,7 @@ fn each_face(classes: &Classes<'_>, k: usize, mut found: impl FnMut(Face)) {
     }
 }
 
-/// The voxels within the ball round a face, for each axis and side.
+/// Offsets of the voxels in the ball around a face, for each axis and side of the face.
 struct Shapes {
     balls: [[Vec<[isize; 3]>; 2]; 3],
 }
@@ -229,7 +240,7 @@ impl Shapes {
         let voxel = geometry.mean_spacing();
         let walk = |direction: DVec3, from_inside: bool| {
             let steps = (REACH / STEP) as usize;
-            // half a step first, to be off the face
+            // the first sample is 1.5 steps away, clearly off the face
             let ways = (1..=steps).map(|n| (n as f64 + 0.5) * STEP);
             let ends = |way: &f64| {
                 let index = geometry.grid_to_index(position + direction * (way * voxel));
@@ -267,7 +278,7 @@ mod tests {
         let sampled: f64 = ball.sample.iter().map(|place| ball.area_of(place, &geometry)).sum();
         assert!((sampled / area - 1.0).abs() < 0.05, "{sampled}, not {area}");
         assert!((ball.diagonal() - 2.0 * 3f64.sqrt() * radius).abs() < 1.5, "{}", ball.diagonal());
-        // the other side of the ball is 2 r away, 35 voxels: out of reach
+        // the opposite side is 2 r = 35 voxels away, beyond the reach of the walk
         assert!(ball.sample.iter().all(|place| place.thickness > 15.0), "a walk along the normal ends early");
     }
 

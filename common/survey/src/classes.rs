@@ -1,38 +1,40 @@
-//! A volume as classes: one for each label, or one for the inside of an object, row by row, so that no second volume is held.
+//! Assigns a class to each voxel: one class per label, or one class for the inside of an object.
+//! Classes are computed row by row from the voxel values, so no second volume is stored.
 
 use isoparticles_volume::{Geometry, Voxels};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// Class of the voxels that belong to nothing of interest, and of what lies beyond the border.
+/// Class of voxels outside all objects, and of places beyond the border of the volume.
 pub const OUTSIDE: u16 = 0;
 
-/// Most classes beside [`OUTSIDE`].
+/// Maximum number of classes besides [`OUTSIDE`].
 pub const MOST_CLASSES: usize = u16::MAX as usize;
 
-/// Labels that span no more than this have a table in place of a search.
+/// Maximum range of labels for a lookup table; labels that are farther apart use a hash map. At two
+/// bytes per label, a table takes at most 128 KiB.
 const LARGEST_TABLE: i64 = 1 << 16;
 
-/// How the value of a voxel becomes its class.
+/// Maps the value of a voxel to its class.
 #[derive(Clone, Debug)]
 pub enum Rule {
     /// Class 1 above the value.
     Above(f64),
     /// Class 1 below the value.
     Below(f64),
-    /// The class of each label, others being outside: the first label, and classes from there on.
+    /// A table of classes, starting at the given label. Labels beyond it are [`OUTSIDE`].
     Table(i64, Vec<u16>),
-    /// The same for labels far apart.
+    /// A hash map of classes, for labels that are far apart. Other labels are [`OUTSIDE`].
     Search(HashMap<i64, u16>),
 }
 
 impl Rule {
-    /// Class 1 for any of these labels.
+    /// Class 1 for each of these labels.
     pub fn any_of(labels: &[i64]) -> Self {
         Self::with(labels, |_| 1)
     }
 
-    /// Class n for the n-th of these labels, counted from 1; no more than [`MOST_CLASSES`].
+    /// Class n for the n-th of these labels, counted from 1; at most [`MOST_CLASSES`] labels.
     pub fn each_of(labels: &[i64]) -> Self {
         Self::with(labels, |n| n as u16 + 1)
     }
@@ -62,34 +64,36 @@ impl Rule {
         match self {
             Self::Above(iso) => u16::from(value > *iso),
             Self::Below(iso) => u16::from(value < *iso),
-            // NaN is background
+            // NaN counts as label 0
             _ if value.fract() == 0.0 || value.is_nan() => self.of_label(value as i64),
             _ => OUTSIDE,
         }
     }
 }
 
-/// The classes of a volume's voxels. Where layers overlap, the last one that has a class there counts.
+/// The classes of a volume's voxels. Where layers overlap, the last layer with a class other than
+/// [`OUTSIDE`] counts.
 #[derive(Clone, Debug)]
 pub struct Classes<'a> {
-    /// Where the voxels are.
+    /// Grid of the voxels.
     pub geometry: &'a Geometry,
     layers: Vec<Layer<'a>>,
-    /// Number of classes beside [`OUTSIDE`].
+    /// Number of classes besides [`OUTSIDE`].
     pub count: usize,
 }
 
-/// Voxels, and what their values mean.
+/// One layer: its voxels and the rule for their values.
 #[derive(Clone, Debug)]
 struct Layer<'a> {
     voxels: &'a Voxels,
     rule: Rule,
-    /// The class of each byte, for voxels of 8 bits, which large label maps are made of.
+    /// The class of each byte value: a faster lookup for 8-bit voxels, the usual type of large
+    /// label maps.
     of_byte: [u16; 256],
 }
 
 impl<'a> Classes<'a> {
-    /// Classes 1 to `count` of the voxels of some layers.
+    /// The classes 1 to `count` of the voxels of some layers.
     pub fn new(geometry: &'a Geometry, layers: Vec<(&'a Voxels, Rule)>, count: usize) -> Self {
         let layer = |(voxels, rule): (&'a Voxels, Rule)| {
             let of_byte = std::array::from_fn(|byte| rule.of_label(byte as i64));
@@ -98,7 +102,7 @@ impl<'a> Classes<'a> {
         Self { geometry, layers: layers.into_iter().map(layer).collect(), count }
     }
 
-    /// Writes the classes of the row (j, k).
+    /// Writes the classes of the row with y index `j` and z index `k`.
     pub fn copy_row(&self, j: usize, k: usize, row: &mut [u16]) {
         row.fill(OUTSIDE);
         let first = self.geometry.linear(0, j, k);
@@ -147,7 +151,7 @@ impl<'a> Classes<'a> {
         found.find(|class| *class != OUTSIDE).unwrap_or(OUTSIDE)
     }
 
-    /// Voxels of each class, [`OUTSIDE`] first.
+    /// Number of voxels of each class, [`OUTSIDE`] first.
     pub fn counts(&self) -> Vec<usize> {
         let [nx, ny, nz] = self.geometry.size;
         let slice = |k: usize| {
@@ -168,6 +172,7 @@ impl<'a> Classes<'a> {
     }
 }
 
+/// Writes the classes of the values to the row, except where the class is [`OUTSIDE`].
 fn put<T: Copy>(values: &[T], row: &mut [u16], class: impl Fn(T) -> u16) {
     for (row, &value) in row.iter_mut().zip(values) {
         let found = class(value);

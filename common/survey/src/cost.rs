@@ -1,8 +1,10 @@
-//! What a mesh of an object would cost: vertices, time and memory, from the voxels alone.
+//! Predicts the cost of meshing an object from its voxels: vertices, processor time and memory.
 //!
-//! The size field asks for edges by local feature size and curvature, graded (`sizefield --help`). From a sampled face the mean curvature and
-//! the thickness are known roughly ([`crate::boundary`]), so that h there is as well; what gradation and the other features of
-//! the surface add is a factor that was fitted to the shared volumes. Every constant here is a measurement, its command beside it.
+//! `sizefield` sets the edge length h from local feature size and curvature, and grades it
+//! (`sizefield --help`). The mean curvature and the thickness at sampled faces
+//! ([`crate::boundary`]) give a rough h there. The effect of gradation and of other features of the
+//! surface is a factor that was fitted to the shared volumes. Each constant has its measurement or
+//! its source beside it.
 
 use crate::boundary::{BALL, Boundary, Place};
 use crate::kind::Kind;
@@ -10,48 +12,68 @@ use isoparticles_field::spline::ROOM;
 use isoparticles_volume::Geometry;
 use serde::Serialize;
 
-/// Edge length over the radius of mean curvature, and over the thickness. Of a grid of values for these two, [`STAIRCASE`] and the radius [`BALL`], those
-/// that leave the least scatter (a factor of 1.3) between predicted and made vertices of the fourteen surfaces that `docs/developer/performance.md` lists;
-/// `stages/distfield/benches/predicted.py` compares, and tells the factors of gradation.
+/// Edge length over the radius of mean curvature. A grid search over this constant,
+/// [`EDGE_OVER_THICKNESS`], [`STAIRCASE`] and [`BALL`] minimises the scatter between predicted and
+/// actual vertex counts of fourteen surfaces; a factor of 1.3 remains.
+/// `stages/distfield/benches/predicted.py` lists the surfaces, compares the counts and prints the
+/// gradation factors below.
 const EDGE_OVER_RADIUS: f64 = 0.30;
+
+/// Edge length over the thickness, from the same search.
 const EDGE_OVER_THICKNESS: f64 = 0.20;
 
-/// Imbalance of the ball that the staircase of voxels leaves on a plane surface, root mean square; from the same search.
+/// Imbalance of the ball that the staircase of voxels leaves on a plane, root mean square; from the
+/// same search.
 const STAIRCASE: f64 = 0.06;
 
-/// Bounds of h by default: of the mean voxel spacing, and of the object's diagonal (`sizefield --quality medium`).
+/// Default minimum h of `sizefield --quality medium`, in mean voxel spacings.
 const SMALLEST_VOXELS: f64 = 0.75;
+
+/// Default maximum h of `sizefield --quality medium`, in diagonals of the object's bounding box.
 const LARGEST_DIAGONALS: f64 = 0.1;
 
-/// Vertices for each that the edge length at the sampled faces asks for: gradation, which spreads small h to its surroundings. Scans have more, because
-/// their surface is not smoothed and crosses cells between the voxels, too.
+/// Actual vertex count over the count from h at the sampled faces, for label maps: gradation
+/// spreads small h to its surroundings. The value makes the mean logarithm of the ratio zero
+/// (`predicted.py`).
 const GRADATION_LABELS: f64 = 1.82;
+
+/// The same for scans. Their surface is not smoothed, and it can pass between voxel centres without
+/// separating any, where there is no face to count.
 const GRADATION_SCAN: f64 = 2.22;
 
-/// How far off a prediction may be: a factor of this, either way. All but the smallest of the fourteen surfaces lie within it, by 1.43 at most.
+/// Factor, up or down, within which the actual vertex count is expected. All of the fourteen
+/// surfaces except the smallest are within 1.43.
 pub const UNCERTAINTY: f64 = 1.5;
 
-/// Fewest particles that a part is given (`sizefield`): so many vertices a speck has at least.
+/// Minimum number of vertices of a part with default sizes: `MIN_PARTICLES` of `sizefield`.
 const SPECK_VERTICES: f64 = 32.0;
 
-/// Fewest particles that a part is seeded with, whatever the size (`seed`).
+/// Minimum number of vertices of a part for any size: `COMPONENT_MINIMUM` of `seed`.
 const FEWEST_VERTICES: f64 = 12.0;
 
-/// What stages take: by itself, and for each node of the padded grid, face between voxels and vertex.
+/// Cost of a group of stages: a fixed amount, plus amounts per node of the padded grid, per face
+/// between voxels and per vertex.
 struct Rates {
     stage: &'static str,
-    /// Processor seconds: by itself, then for a million of each.
+    /// Processor seconds: fixed, then per million nodes, faces and vertices.
     seconds: [f64; 4],
-    /// Bytes at once, of each program that may need the most.
+    /// Bytes: fixed, then per node, face and vertex. One entry for each program that may need the
+    /// most memory of the group; the maximum counts.
     bytes: &'static [[f64; 4]],
 }
 
-/// `python stages/distfield/benches/costs.py`, seven phantoms on two cores of an EPYC, shared with much other work. Memory is met within a fifth; time within a
-/// third, but for the particles of noise (11.3 s where these rates give 4.3: they run all passes) and those of a coarse ball. The fields take most in distfield, by
-/// nodes, or in sizefield, by vertices: 12 bytes a node for F, its coefficients and h, and 820 to 1,160 a vertex on eight shared volumes (`costs.py --volumes`;
-/// 551 on `heart_ct`). `triangles`: bytes a vertex of
-/// `thorax_ct_native_u8`. `tetrahedra`: seconds elapsed of the torso's lungs and ribs, 11.7 for 36,514 vertices and 19.5 for 99,084, and 896 and 2,050 MiB
-/// for 55,626 and 292,825 vertices of `heart` and `ribs` (all three of `docs/developer/performance.md`).
+/// Measured with `python stages/distfield/benches/costs.py`: seven phantoms on two cores of an EPYC
+/// that ran other work as well. The rates meet the memory within about a fifth, and the time within
+/// about a third. Exceptions are the particles of the noise phantom (11.3 s measured, 4.3 s
+/// predicted, because they run all passes) and those of the coarse ball.
+///
+/// - `fields`: either distfield needs the most memory, per node, or sizefield, per vertex. The
+///   latter needs 12 bytes per node for F, its coefficients and h, and 820 to 1,160 per vertex on
+///   eight shared volumes (`costs.py --volumes`; 551 on `heart_ct`).
+/// - `triangles`: bytes per vertex of `thorax_ct_native_u8`.
+/// - `tetrahedra`: elapsed seconds of the torso's lungs and ribs, 11.7 for 36,514 vertices and 19.5
+///   for 99,084. Memory of `heart` and `ribs`, 896 MiB for 55,626 vertices and 2,050 MiB for
+///   292,825 (`docs/developer/performance.md`, "Real volumes").
 const RATES: [Rates; 4] = [
     Rates {
         stage: "fields",
@@ -63,48 +85,52 @@ const RATES: [Rates; 4] = [
     Rates { stage: "tetrahedra", seconds: [7.0, 0.0, 0.0, 125.0], bytes: &[[6.3e8, 0.0, 0.0, 5100.0]] },
 ];
 
-/// Bytes a node that distfield takes above its input's own: 5.98 for labels, 5.16 for scalars of 512^3 (`docs/developer/performance.md`, memory of distfield).
+/// Memory of distfield per node of the padded grid, without its input, bytes. Measured on the whole
+/// grid of 512^3 voxels: 5.98 for labels, 5.16 for scalars (`docs/developer/performance.md`,
+/// "Memory").
 const DISTFIELD_BYTES: f64 = 6.0;
 
-/// Edge lengths besides the default that are told, in mean voxels.
+/// Constant edge lengths for which vertices are predicted as well, in mean voxels.
 const SIZES: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
 
-/// What a mesh of an object would cost.
+/// Predicted cost of meshing an object.
 #[derive(Clone, Debug, Serialize)]
 pub struct Cost {
     /// Area of the object's surface, mm^2.
     pub area: f64,
-    /// Vertices with the default sizes.
+    /// Number of vertices with default sizes.
     pub vertices: usize,
-    /// Between what they will be, as far as is known.
+    /// Expected minimum and maximum of `vertices`: a factor of [`UNCERTAINTY`] down and up.
     pub vertices_range: [usize; 2],
-    /// Vertices with one edge length everywhere.
+    /// Number of vertices with a constant edge length, for several lengths.
     pub uniform: Vec<Uniform>,
-    /// What the stages take with the default sizes.
+    /// Time and memory of the stages with default sizes.
     pub stages: Vec<StageCost>,
 }
 
-/// One edge length everywhere.
+/// A constant edge length.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Uniform {
     /// The edge length, mm.
     pub size: f64,
-    /// Vertices.
+    /// Number of vertices.
     pub vertices: usize,
 }
 
-/// Time and memory of some stages.
+/// Time and memory of a group of stages.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct StageCost {
-    /// The stages: `fields` are distfield, sizefield and seed, `triangles` reconstruct, `tetrahedra` tetmesh-check.
+    /// Name of the group: `fields` (distfield, sizefield and seed), `particles`, `triangles`
+    /// (reconstruct) or `tetrahedra` (tetmesh-check).
     pub stage: &'static str,
-    /// Processor time, seconds, which the stages share among all threads; of `tetrahedra`, which use one, elapsed.
+    /// Processor time, seconds, summed over all threads. Elapsed time for `tetrahedra`, which use
+    /// one thread.
     pub seconds: f64,
-    /// Most memory at once, bytes.
+    /// Peak memory, bytes.
     pub bytes: f64,
 }
 
-/// The cost of an object of some parts with this boundary.
+/// Predicts the cost of an object with this boundary and number of connected parts (1 if unknown).
 pub fn cost(boundary: &Boundary, parts: Option<usize>, geometry: &Geometry, kind: Kind) -> Cost {
     let area = boundary.area(geometry);
     let parts = parts.unwrap_or(1) as f64;
@@ -134,7 +160,8 @@ pub fn cost(boundary: &Boundary, parts: Option<usize>, geometry: &Geometry, kind
     }
 }
 
-/// Nodes of the grid of the object's box, with its room and five more on each face, and no more than those of the volume.
+/// Number of nodes of the grid of F: the object's bounding box with [`ROOM`] voxels on each face,
+/// clipped to the volume, and five more on each face.
 fn nodes(boundary: &Boundary, geometry: &Geometry) -> f64 {
     let along = |axis: usize| {
         let voxels = boundary.extent()[axis] / geometry.spacing[axis] + 1.0 + 2.0 * ROOM as f64;
@@ -143,7 +170,7 @@ fn nodes(boundary: &Boundary, geometry: &Geometry) -> f64 {
     (0..3).map(along).product()
 }
 
-/// Vertices with the default sizes.
+/// Predicts the number of vertices with default sizes, from h at the sampled faces.
 pub fn default_vertices(boundary: &Boundary, geometry: &Geometry, kind: Kind) -> f64 {
     let voxel = geometry.mean_spacing();
     let smallest = SMALLEST_VOXELS * voxel;
@@ -161,12 +188,12 @@ pub fn default_vertices(boundary: &Boundary, geometry: &Geometry, kind: Kind) ->
     gradation * boundary.sample.iter().map(count).sum::<f64>()
 }
 
-/// Vertices for each mm^2 of a lattice of equilateral triangles of edge h.
+/// Vertices per mm^2 of a lattice of equilateral triangles with edges of `size` mm.
 fn lattice_density(size: f64) -> f64 {
     2.0 / (3f64.sqrt() * size * size)
 }
 
-/// Rounded to two significant digits: more are not known.
+/// Rounds to two significant digits, the accuracy of the predictions.
 pub fn two_digits(value: f64) -> f64 {
     if value <= 0.0 {
         return 0.0;
@@ -175,7 +202,7 @@ pub fn two_digits(value: f64) -> f64 {
     (value / unit).round() * unit
 }
 
-/// Bytes that distfield holds at once beside its input, for a padded grid of so many nodes.
+/// Peak memory of distfield without its input, bytes, for a padded grid of `nodes` nodes.
 pub fn distfield_bytes(nodes: usize) -> f64 {
     DISTFIELD_BYTES * nodes as f64
 }

@@ -1,21 +1,21 @@
-//! Whether a volume is a scan or holds labels.
+//! Judges whether a volume is a scan or a label map.
 //!
-//! Labels come in pieces of one value each, so that along an axis a change of value rarely follows
-//! on another one. A scan's values change from voxel to voxel, by noise or across the edges of what
-//! it shows, also where much of it is saturated or padded. Whether values are few tells less: a
-//! scan of 8 bits has 256, a parcellation may have more. In a scan of few levels values come in
-//! pieces as well, but a piece borders on pieces of the next level.
+//! A label map consists of regions of constant value, so along an axis one change of value rarely
+//! follows directly on another. In a scan, values change from voxel to voxel because of noise and
+//! blurred edges, even if large parts are saturated or padded. The number of distinct values is a
+//! weaker criterion: an 8-bit scan has 256, and a parcellation can have more. A scan with few
+//! levels also has regions of constant value, but each region borders on regions of the next level.
 
 use crate::survey::{Survey, UNCLEAR};
 use serde::Serialize;
 
-/// What the values of a volume mean.
+/// Meaning of a volume's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
-    /// Measured values, between which it makes sense to interpolate.
+    /// Measured values, which can be interpolated.
     Scan,
-    /// A label map: numbers of materials.
+    /// A label map: each value is the number of a material.
     Labels,
 }
 
@@ -28,19 +28,19 @@ impl std::fmt::Display for Kind {
     }
 }
 
-/// What the option `--kind` says.
+/// Values of the option `--kind`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum KindChoice {
-    /// Judge by the values.
+    /// Judged from the values.
     Auto,
     /// A scan: measured values.
     Scan,
-    /// Numbers of materials.
+    /// A label map: numbers of materials.
     Labels,
 }
 
 impl KindChoice {
-    /// The given kind; `None` if it is to be judged.
+    /// The given kind; `None` for `auto`.
     #[must_use]
     pub fn given(self) -> Option<Kind> {
         match self {
@@ -51,34 +51,38 @@ impl KindChoice {
     }
 }
 
-/// What a volume is taken for.
+/// The judged kind of a volume.
 #[derive(Clone, Debug, Serialize)]
 pub struct Judgement {
     /// Scan or labels.
     pub kind: Kind,
-    /// Whether that is clear enough to refuse what belongs to the other kind.
+    /// Whether the kind is certain enough to refuse options for the other kind.
     pub certain: bool,
-    /// Why, in words.
+    /// Reason, in words.
     pub reason: String,
 }
 
-/// In a scan of few levels, levels that are next to each other in value touch in space: 0.54 and
-/// more of the changes of scans in 8 to 128 levels go to the next value, at most 0.3 of those of
-/// label maps with more than 8 labels. `steps` over `jumps` of `isoparticles-volume info --json -`.
+/// Share of changes that go to the next occurring value (`steps` / `jumps`) above which a volume is
+/// a scan with few levels: there, consecutive levels touch in space. The share is at least 0.54 for
+/// scans in 8 to 128 levels, and at most 0.3 for label maps with more than 8 labels
+/// (`isoparticles-volume info --json -`).
 const STEPS_ABOVE: f64 = 0.5;
 
-/// Levels below which steps tell nothing: of three labels two of three pairs are next to each
-/// other, and layers from the outside in are often numbered in turn.
+/// Minimum number of distinct values for that test. With three labels, two of three pairs are
+/// consecutive, and nested layers are often numbered from the outside in.
 const FEWEST_LEVELS: usize = 8;
 
-/// Labels that one volume may well hold; the finest atlases of the brain have some hundreds. More in large pieces may also be a scan that was
+/// Maximum number of distinct values of a label map for a certain judgement. The finest brain
+/// atlases have some hundreds of labels. More values in large regions can also be a scan that was
 /// enlarged by repeating voxels.
 const MANY_LABELS: usize = 1000;
 
-/// Changes of value below which nothing is clear: a share of fewer is a matter of chance.
+/// Minimum number of changes of value for a certain judgement. With fewer, the shares are left to
+/// chance.
 const FEW_JUMPS: usize = 100;
 
-/// What the volume is taken for; `named` labels have a name in the file.
+/// Judges the kind of a volume. `named` is the number of labels that have a name in the file; a
+/// file with names is a label map.
 pub fn judge(survey: &Survey, named: usize) -> Judgement {
     let is = |kind, certain, reason: String| Judgement { kind, certain, reason };
     if named > 0 {
@@ -140,11 +144,12 @@ mod tests {
         judge(&Survey::of(&Voxels::I16(image.data), &geometry), 0)
     }
 
-    /// Distance from the middle, and a number with the spread of a noise of 1.
+    /// Distance from the middle of the volume, in voxels.
     fn radius(p: DVec3) -> f64 {
         p.distance(DVec3::new(23.3, 21.6, 19.8))
     }
 
+    /// Random number with mean 0 and standard deviation 1.
     fn noise(n: u64) -> f64 {
         (0..4).map(|stream| uniform(3, stream, n) - 0.5).sum::<f64>() * 3f64.sqrt()
     }
@@ -168,7 +173,7 @@ mod tests {
         ];
         for (name, judgement) in scans {
             assert_eq!(judgement.kind, Kind::Scan, "{name}: {judgement:?}");
-            // ten values, most of which are clipped at 0, leave a doubt
+            // with ten values, most of them clipped at 0, the kind is not certain
             assert!(judgement.certain || name == "eight bits, dark", "{name}: {judgement:?}");
         }
     }
@@ -176,7 +181,7 @@ mod tests {
     #[test]
     fn a_scan_in_few_levels_is_a_scan() {
         let edge = |p: DVec3| 1.0 / (1.0 + ((radius(p) - 14.0) / 3.0).exp());
-        // steps of 62.5, rounded down as in a file of whole numbers
+        // levels 62.5 apart, truncated to integers
         let levels = |count: f64, spread: f64| {
             judged(move |p, n| {
                 let value = (edge(p) + spread * noise(n)).clamp(0.0, 1.0);
@@ -215,7 +220,7 @@ mod tests {
         ];
         for (name, judgement) in labels {
             assert_eq!(judgement.kind, Kind::Labels, "{name}: {judgement:?}");
-            // sheets and specks of one voxel may leave a doubt, but no wrong answer
+            // sheets and specks one voxel thin can make the kind uncertain, but not wrong
             assert!(judgement.certain || name.contains("thin") || name.contains("specks"), "{name}: {judgement:?}");
         }
     }
@@ -229,7 +234,7 @@ mod tests {
         assert_eq!(judge(&ramp, 3).kind, Kind::Labels);
         let mut mask: Vec<f32> = (0..512).map(|n| f32::from(n > 200)).collect();
         assert_eq!(judge(&of(mask.clone()), 0).kind, Kind::Labels);
-        // a mask that was blurred holds shares of a voxel
+        // a blurred mask has fractional values
         mask[200] = 0.25;
         assert_eq!(judge(&of(mask), 0).kind, Kind::Scan);
         assert!(!judge(&of(vec![7.0; 512]), 0).certain);
@@ -263,7 +268,7 @@ mod tests {
         assert_eq!(with(|r, _| if r < 14.0 { 1.0 } else { f32::INFINITY }).kind, Kind::Scan);
     }
 
-    /// Between labels that were enlarged by interpolation the values of none of them stand; there is no more than a guess then.
+    /// Interpolation of a label map gives values between the labels, so the kind is not certain.
     #[test]
     fn blurred_labels_are_not_certainly_anything_else() {
         let blurred = judged(|p, _| (12.0 * (1.0 - ((radius(p) - 13.0) / 1.5).clamp(0.0, 1.0))).round() as i16);

@@ -1,11 +1,12 @@
-//! What a volume is: size, orientation, scan or labels, values, labels, and what a mesh of it would
-//! cost. The program `isoparticles-volume info` prints it; `distfield` refuses labels of a scan and
-//! iso values of labels by the same judgement.
+//! Describes a volume: size, orientation, kind (scan or labels), values, labels, and the predicted
+//! cost of a mesh. `isoparticles-volume info` prints the description. `distfield` uses the same
+//! judgement of the kind to refuse labels of a scan and iso values of a label map.
 //!
-//! [`survey`] reads the values once and [`kind`] judges by them. [`selection`] resolves the labels
-//! that a user names. [`classes`] marks the voxels of objects, [`boundary`] measures their surface,
-//! [`mod@parts`] counts their parts, and [`mod@cost`] predicts vertices, time and memory.
-//! [`thresholds`] proposes iso values, [`orientation`] names the axes, and [`text`] prints it all.
+//! [`survey`] reads the values once, and [`kind`] judges the kind from the result. [`selection`]
+//! resolves the labels that a user names. [`classes`] assigns the voxels to objects, [`boundary`]
+//! measures their surfaces, [`mod@parts`] counts their connected parts, and [`mod@cost`] predicts
+//! vertices, time and memory. [`thresholds`] proposes iso values, [`orientation`] names the axes,
+//! and [`text`] formats the description.
 
 pub mod boundary;
 pub mod classes;
@@ -32,7 +33,7 @@ use serde::Serialize;
 use survey::Survey;
 use thresholds::{IsoValue, is_hounsfield, iso_values};
 
-/// Which side of the iso value the object is on.
+/// Side of the iso value that the object is on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Inside {
     /// Values above the iso value.
@@ -41,105 +42,109 @@ pub enum Inside {
     Below,
 }
 
-/// Sampled faces of an object whose cost is told; their scatter leaves 2 % of the count.
+/// Number of faces sampled to predict the cost of an object. The vertex count then scatters by 2 %.
 const SAMPLE: usize = 6000;
 
-/// Sampled faces of all labels of a table together, and of one of them at least and at most.
+/// Number of faces sampled for the label table, all labels together.
 const TABLE_SAMPLE: usize = 200_000;
+
+/// Minimum and maximum number of faces sampled per label of the table. The maximum saves time with
+/// few labels, and the minimum limits the scatter with many.
 const LABEL_SAMPLE: std::ops::RangeInclusive<usize> = 100..=2000;
 
-/// What the user has said about the volume.
+/// What the user specified about the volume.
 #[derive(Clone, Debug, Default)]
 pub struct Wishes {
-    /// The labels meant.
+    /// Labels whose union is the object.
     pub labels: Option<Vec<LayerLabel>>,
-    /// The iso value meant, and the side of it.
+    /// Iso value of the object, and the side that the object is on.
     pub iso: Option<(f64, Inside)>,
-    /// The kind that the volume has, whatever it looks like.
+    /// Kind of the volume, which replaces the judgement.
     pub kind: Option<Kind>,
 }
 
-/// What a volume is.
+/// The description of a volume.
 #[derive(Clone, Debug, Serialize)]
 pub struct VolumeInfo {
-    /// Name of these data, `isoparticles-volume-info`.
+    /// Name of the JSON format, `isoparticles-volume-info`.
     pub format: &'static str,
-    /// Version of these data.
+    /// Version of the JSON format.
     pub version: u32,
-    /// Voxels along each axis.
+    /// Number of voxels along each axis.
     pub size: [usize; 3],
-    /// Distance of voxel centres along each axis, mm.
+    /// Distance between voxel centres along each axis, mm.
     pub spacing: [f64; 3],
-    /// Edges of the box of all voxels, mm.
+    /// Edge lengths of the box of all voxels, mm.
     pub extent: [f64; 3],
-    /// World position of the first voxel's centre, mm.
+    /// World position of the centre of the first voxel, mm.
     pub origin: [f64; 3],
-    /// The frame of the world.
+    /// World frame of `origin`.
     pub space: Space,
-    /// Where the axes point.
+    /// Directions of the axes.
     pub orientation: Orientation,
-    /// Type of the voxels.
+    /// Type of the voxel values.
     pub scalar_type: &'static str,
-    /// Layers of labels, which may overlap.
+    /// Number of label layers. Labels of different layers may overlap.
     pub layers: usize,
-    /// Scan or labels.
+    /// Kind of the volume, with certainty and reason.
     #[serde(flatten)]
     pub judgement: Judgement,
-    /// Whether the values look like Hounsfield units.
+    /// Whether the values look like Hounsfield units; false for label maps.
     pub hounsfield: bool,
-    /// The values.
+    /// Statistics of the values.
     pub values: Survey,
-    /// Distinct values, where they could be counted.
+    /// Number of distinct values; `None` if they were not counted.
     pub distinct: Option<usize>,
-    /// The labels but 0, of a volume of labels.
+    /// All labels except 0; empty for a scan.
     pub labels: Vec<LabelInfo>,
-    /// Objects that could be meshed: those meant, or else those worth trying.
+    /// Objects that could be meshed: the object that the user specified, otherwise all candidates.
     pub objects: Vec<Object>,
-    /// What the reader had to assume.
+    /// Remarks: assumptions of the reader, NaN among labels, shear.
     pub remarks: Vec<String>,
 }
 
-/// A label.
+/// One label.
 #[derive(Clone, Debug, Serialize)]
 pub struct LabelInfo {
-    /// Where it lies.
+    /// Layer and number.
     #[serde(flatten)]
     pub at: LayerLabel,
-    /// Its name, where the file gives one.
+    /// Name, if the file has one.
     pub name: Option<String>,
-    /// Its voxels.
+    /// Number of voxels.
     pub voxels: usize,
-    /// Their volume, mm^3.
+    /// Volume of these voxels, mm^3.
     pub volume: f64,
-    /// Its parts, where they could be counted.
+    /// Connected parts; `None` if the volume is too noisy to count them.
     pub parts: Option<Parts>,
-    /// Vertices that a mesh of it alone would have.
+    /// Predicted number of vertices of a mesh of this label alone, with default sizes.
     pub vertices: usize,
 }
 
 /// An object that could be meshed.
 #[derive(Clone, Debug, Serialize)]
 pub struct Object {
-    /// What it is, in words.
+    /// Description, in words.
     pub what: String,
-    /// The options of `make` that give it.
+    /// The variables of `make` that select the object.
     pub options: String,
-    /// Why it is worth trying.
+    /// Why the object is proposed, in words.
     pub why: String,
-    /// Voxels inside.
+    /// Number of voxels inside.
     pub voxels: usize,
-    /// Their volume, mm^3.
+    /// Volume of these voxels, mm^3.
     pub volume: f64,
-    /// Its parts, where they could be counted.
+    /// Connected parts; `None` if the volume is too noisy to count them.
     pub parts: Option<Parts>,
-    /// What a mesh would cost; `None` where nothing or everything is inside.
+    /// Predicted cost of a mesh; `None` if no voxel is inside.
     pub cost: Option<Cost>,
 }
 
-/// Looks at a volume.
+/// Describes a volume. The cost is predicted for the object in `wishes`, otherwise for the
+/// candidates.
 ///
 /// # Errors
-/// When interrupted, and when labels are asked for that are no whole numbers.
+/// When interrupted, and when the kind is labels and a value other than NaN is not an integer.
 pub fn examine(volume: &Volume, wishes: &Wishes, monitor: &dyn Monitor) -> Result<VolumeInfo> {
     let geometry = &volume.geometry;
     let shear = Shear::of(geometry);
@@ -192,7 +197,8 @@ pub fn examine(volume: &Volume, wishes: &Wishes, monitor: &dyn Monitor) -> Resul
     })
 }
 
-/// Classes moved to orthonormal axes.
+/// The classes of a sheared volume, resampled to the orthonormal grid of `shear`. Voxels beyond the
+/// volume are [`OUTSIDE`].
 fn moved(classes: &Classes<'_>, shear: &Shear) -> Voxels {
     let [nx, ny, _] = classes.geometry.size;
     let mut numbers = vec![OUTSIDE; classes.geometry.voxel_count()];
@@ -200,7 +206,8 @@ fn moved(classes: &Classes<'_>, shear: &Shear) -> Voxels {
     shear.move_labels(&Voxels::U16(numbers), Some(OUTSIDE.into()))
 }
 
-/// The classes of the moved voxels of a sheared volume, which measures are taken from.
+/// The classes on the orthonormal grid of a sheared volume, from the result of [`moved`]; otherwise
+/// `classes`. Areas and volumes are measured on orthonormal axes.
 fn unsheared<'a>(classes: Classes<'a>, moved: Option<(&'a Shear, &'a Voxels)>) -> Classes<'a> {
     let Some((shear, voxels)) = moved else { return classes };
     let numbers: Vec<i64> = (1..=classes.count as i64).collect();
@@ -211,7 +218,7 @@ fn volume_of(voxels: usize, geometry: &Geometry) -> f64 {
     voxels as f64 * geometry.spacing.element_product()
 }
 
-/// The labels but 0, layer by layer.
+/// Describes all labels except 0, layer by layer; at most [`MOST_CLASSES`] of each layer.
 fn label_table(volume: &Volume, shear: Option<&Shear>) -> Result<Vec<LabelInfo>> {
     let mut table = Vec::new();
     for (layer, voxels) in volume.layers().enumerate() {
@@ -241,10 +248,12 @@ fn label_table(volume: &Volume, shear: Option<&Shear>) -> Result<Vec<LabelInfo>>
     Ok(table)
 }
 
-/// What an object is, the options that give it, why it is proposed, and its voxels.
+/// Description of an object, `make` variables, reason, and the layers with the rules that define
+/// it.
 type Candidate<'a> = (String, String, String, Vec<(&'a Voxels, Rule)>);
 
-/// The object meant, or those worth trying.
+/// The object in `wishes`; otherwise the proposed iso values of a scan, or the union of all labels
+/// except 0.
 fn candidates<'a>(
     volume: &'a Volume,
     wishes: &Wishes,

@@ -1,29 +1,31 @@
-//! Where the axes of a volume point, in words.
+//! Names the directions of a volume's axes.
 
 use glam::DVec3;
 use isoparticles_volume::{Geometry, Space};
 use serde::Serialize;
 
-/// How the grid lies in the world.
+/// Orientation of a grid in the world.
 #[derive(Clone, Debug, Serialize)]
 pub struct Orientation {
-    /// Each axis from its first voxel to its last, such as `right to left`, or `+x` where the file names no anatomical space.
+    /// Direction of each axis from its first voxel to its last: for example `right to left`, or
+    /// `+x` if the file names no anatomical space.
     pub axes: [String; 3],
-    /// The same by the letters of the ends that the axes point to, such as `LPS`; `None` where the file names no anatomical space.
+    /// Initials of the ends that the axes point to, for example `LPS`; `None` if the file names no
+    /// anatomical space.
     pub letters: Option<String>,
-    /// Largest angle between an axis of the grid and the axis of the world that it is nearest to, degrees.
+    /// Maximum angle between a grid axis and the nearest world axis, degrees.
     pub oblique_degrees: f64,
-    /// Whether the way from the grid to the world mirrors.
+    /// Whether the transformation from grid to world includes a reflection.
     pub left_handed: bool,
-    /// Whether two axes of the grid are not at a right angle (by more than a tenth of a degree).
+    /// Whether the angle between two grid axes differs from a right angle by more than 0.1 degrees.
     pub sheared: bool,
 }
 
-/// The ends of the world's axes (LPS): where they come from, where they point to.
+/// Start and end of each axis of the LPS frame.
 const ENDS: [[&str; 2]; 3] = [["right", "left"], ["anterior", "posterior"], ["inferior", "superior"]];
 
 impl Orientation {
-    /// That of a grid.
+    /// The orientation of a grid.
     pub fn of(geometry: &Geometry) -> Self {
         let directions = [0, 1, 2].map(|axis| geometry.directions.col(axis));
         let nearest = directions.map(nearest_axis);
@@ -67,7 +69,7 @@ mod tests {
         assert_eq!(plain.axes, ["right to left", "anterior to posterior", "inferior to superior"]);
         assert_eq!((plain.letters.as_deref(), plain.left_handed, plain.oblique_degrees), (Some("LPS"), false, 0.0));
 
-        // RAS, turned by 20 degrees about the body's axis, slices from the head down
+        // right, anterior, inferior; rotated by 20 degrees about the body's axis
         let (sine, cosine) = 20f64.to_radians().sin_cos();
         let directions = DMat3::from_cols(DVec3::new(-cosine, -sine, 0.0), DVec3::new(sine, -cosine, 0.0), -DVec3::Z);
         let turned = Orientation::of(&Geometry { directions, ..geometry.clone() });

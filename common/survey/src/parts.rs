@@ -1,22 +1,23 @@
-//! Connected parts of every class, told apart through faces of voxels.
+//! Counts the connected parts of each class. Voxels are connected through faces.
 
 use crate::classes::{Classes, OUTSIDE};
 use isoparticles_mesh::components::DisjointSets;
 use serde::Serialize;
 
-/// Most runs of voxels along x that are joined, at 18 bytes each: more are noise, and their parts specks.
+/// Maximum number of runs along x: 288 MiB at 18 bytes per run. A volume with more is noise, and
+/// its parts are specks.
 const MOST_RUNS: usize = 1 << 24;
 
-/// The parts of one class.
+/// Connected parts of one class.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Parts {
-    /// How many.
+    /// Number of parts.
     pub count: usize,
-    /// Voxels of the largest.
+    /// Number of voxels of the largest part.
     pub largest: usize,
 }
 
-/// A run of voxels of one class.
+/// Consecutive voxels of one class along x, from `first` to before `end`.
 struct Run {
     class: u16,
     first: usize,
@@ -24,7 +25,7 @@ struct Run {
     number: u32,
 }
 
-/// The parts of every class, from class 1 on; `None` where the volume is too noisy for a count.
+/// The parts of each class from 1 on; `None` if the volume has more than `MOST_RUNS` runs.
 pub fn parts(classes: &Classes<'_>) -> Option<Vec<Parts>> {
     let [nx, ny, nz] = classes.geometry.size;
     let mut row = vec![OUTSIDE; nx];
@@ -40,7 +41,7 @@ pub fn parts(classes: &Classes<'_>) -> Option<Vec<Parts>> {
             first = end;
         }
     };
-    // first the number of runs, then the runs with what they touch in the row before and in the slice before
+    // count the runs; then join each with those it touches in the previous row and slice
     let (mut current, mut total) = (Vec::new(), 0);
     for (j, k) in rows(ny, nz) {
         copy_runs(j, k, 0, &mut current);
@@ -80,7 +81,7 @@ fn rows(ny: usize, nz: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..nz).flat_map(move |k| (0..ny).map(move |j| (j, k)))
 }
 
-/// Joins runs of one class in two rows that lie side by side.
+/// Joins runs of one class that overlap in two adjacent rows.
 fn join_touching(a: &[Run], b: &[Run], sets: &mut DisjointSets) {
     let (mut m, mut n) = (0, 0);
     while m < a.len() && n < b.len() {
@@ -100,7 +101,7 @@ mod tests {
     use isoparticles_field::random::uniform;
     use isoparticles_volume::{Geometry, Image, Voxels};
 
-    /// The parts by flooding from voxel to voxel.
+    /// The parts by flood fill.
     fn flooded(image: &Image<u8>, label: u8) -> Parts {
         let [nx, ny, nz] = image.geometry.size;
         let mut seen = vec![false; image.data.len()];

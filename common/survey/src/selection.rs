@@ -130,7 +130,7 @@ fn named(name: &str, volume: &Volume, present: &[LayerLabel]) -> Result<LayerLab
         .iter()
         .map(|segment| (distance(&segment.name.to_lowercase(), &name.to_lowercase()), segment))
         .min_by_key(|(distance, _)| *distance)
-        // beyond a third of the letters, the name counts as another word
+        // a name that differs in more than a third of its letters is not suggested
         .filter(|(distance, segment)| 3 * distance <= segment.name.chars().count().max(name.chars().count()));
     let next = match nearest {
         Some((_, segment)) => format!("did you mean '{}'? Labels: {}", segment.name, listed(volume, present)),

@@ -1,64 +1,66 @@
-//! One look at all voxels of a volume: their range, how many there are of each value, and how the values change along the axes.
+//! Statistics of all voxels of a volume: range, number of voxels of each value, histogram, and how
+//! the values change along the axes.
 
 use isoparticles_volume::{Geometry, Voxels};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::HashMap;
 
-/// Distinct whole numbers that are counted one by one; a volume with more of them has a histogram alone.
+/// Maximum number of distinct integers that are counted individually. With more, there is only the
+/// histogram.
 const MOST_DISTINCT: usize = 1 << 16;
 
-/// Bins of the histogram, at most.
+/// Maximum number of bins of the histogram.
 const BINS: usize = 256;
 
-/// Voxels that one task counts.
+/// Number of voxels per task.
 const CHUNK: usize = 1 << 20;
 
-/// Shares of changes of value that follow on another change at which these alone do not tell: below
-/// it are label maps, above it scans. The label maps of the shared volumes have at most 0.28
-/// (`brain_parcellation`), the scans at least 0.91 (`thorax_ct_native_u8`); scans in 8 to 64 levels
-/// have 0.30 to 0.83. `double_jumps` over `jumps` of `isoparticles-volume info VOLUME --json -`.
+/// Shares of double jumps (`double_jumps` / `jumps`) that do not decide between scan and label map.
+/// Lower shares are label maps, higher ones scans. The label maps of the shared volumes have at
+/// most 0.28 (`brain_parcellation`), the scans at least 0.91 (`thorax_ct_native_u8`). Scans in 8 to
+/// 64 levels have 0.30 to 0.83. Measured with `isoparticles-volume info VOLUME --json -`.
 pub const UNCLEAR: std::ops::Range<f64> = 0.29..0.75;
 
-/// What the voxels hold.
+/// Statistics of the voxels.
 #[derive(Clone, Debug, Serialize)]
 pub struct Survey {
-    /// Smallest and largest finite value; `None` where no value is finite.
+    /// Minimum and maximum finite value; `None` if no value is finite.
     pub range: Option<[f64; 2]>,
-    /// NaN and infinite values.
+    /// Number of NaN and infinite values.
     pub non_finite: usize,
-    /// Those of them that are NaN.
+    /// Number of NaN values.
     pub nan: usize,
-    /// Values that are not whole numbers.
+    /// Number of finite values that are not integers.
     pub fractions: usize,
-    /// Every value but NaN with the number of its voxels, in increasing order; `None` where some
-    /// are not whole or there are too many.
+    /// Each value except NaN with its number of voxels, in ascending order. `None` if some are not
+    /// integers, all are NaN, or there are too many.
     #[serde(skip)]
     pub values: Option<Vec<(i64, usize)>>,
-    /// How often neighbours along an axis differ (the last two of three voxels in a row).
+    /// Number of jumps: of three consecutive voxels along an axis, the last two differ.
     pub jumps: usize,
-    /// How often the first two of those three differ as well.
+    /// Number of double jumps: the first two of the three voxels differ as well.
     pub double_jumps: usize,
-    /// How often the last two of those three have values of which no other that occurs lies
-    /// between; counted where the share of double jumps is in [`UNCLEAR`], else 0.
+    /// Number of jumps between two values with no other occurring value between them. Counted only
+    /// if the share of double jumps is in [`UNCLEAR`], otherwise 0.
     pub steps: usize,
-    /// Voxels by value.
+    /// Histogram of the finite values.
     pub histogram: Histogram,
 }
 
-/// Voxels by value, in bins of one width.
+/// Number of voxels by value, in bins of equal width.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Histogram {
     /// Lower bound of the first bin.
     pub low: f64,
-    /// Width of a bin; whole numbers of a narrow range have a bin each.
+    /// Width of a bin; 1 for integers with a range below 256.
     pub width: f64,
-    /// Voxels in each bin.
+    /// Number of voxels in each bin.
     pub counts: Vec<usize>,
 }
 
 impl Survey {
-    /// Looks at the voxels of a volume.
+    /// Computes the statistics of a volume's voxels.
     pub fn of(voxels: &Voxels, geometry: &Geometry) -> Self {
         macro_rules! each {
             ($($variant:ident),*) => { match voxels { $(Voxels::$variant(values) => survey(values, geometry.size),)* } };
@@ -66,33 +68,33 @@ impl Survey {
         each!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64)
     }
 
-    /// Number of distinct values, where they were counted; NaN, which is background among labels,
-    /// counts as 0.
+    /// Number of distinct values, if they were counted. NaN counts as 0, the background of label
+    /// maps.
     pub fn distinct(&self) -> Option<usize> {
         let values = self.values.as_ref()?;
         let has_zero = self.nan == 0 || values.iter().any(|(value, _)| *value == 0);
         Some(values.len() + usize::from(!has_zero))
     }
 
-    /// The share of jumps that follow another one: near 1 where every voxel differs from its neighbours, near 0 where values come in pieces.
+    /// Share of jumps that are double: near 1 if every voxel differs from its neighbours, near 0
+    /// for regions of constant value.
     pub fn double_share(&self) -> f64 {
         self.double_jumps as f64 / self.jumps.max(1) as f64
     }
 
-    /// The share of jumps that go to the next value that occurs: near 1 where values come in
-    /// levels.
+    /// Share of jumps that go to the next occurring value: near 1 for values in levels.
     pub fn step_share(&self) -> f64 {
         self.steps as f64 / self.jumps.max(1) as f64
     }
 }
 
-/// A value of a voxel.
+/// A voxel value.
 trait Cell: Copy + Send + Sync {
-    /// Whether two values are the same; NaN is the same as NaN.
+    /// Whether two values are equal; NaN equals NaN.
     fn same(self, other: Self) -> bool;
-    /// Rounded, for integers beyond 2^53.
+    /// The value as f64; integers beyond 2^53 are rounded.
     fn double(self) -> f64;
-    /// As a whole number, if it is one that fits.
+    /// The value as an integer; `None` if it is not one, or does not fit.
     fn whole(self) -> Option<i64>;
 }
 
@@ -121,14 +123,14 @@ macro_rules! float_cell {
         }
         fn whole(self) -> Option<i64> {
             let value = f64::from(self);
-            // beyond 2^53 not every whole number is a float any more
+            // f64 does not represent every integer beyond 2^53
             (value.fract() == 0.0 && value.abs() <= 9_007_199_254_740_992.0).then_some(value as i64)
         }
     })*};
 }
 float_cell!(f32, f64);
 
-/// What is found out slice by slice.
+/// Statistics that are gathered slice by slice.
 #[derive(Clone, Copy)]
 struct Slice {
     low: f64,
@@ -215,8 +217,8 @@ fn survey<T: Cell>(values: &[T], size: [usize; 3]) -> Survey {
     }
 }
 
-/// Visits three voxels in a row along each axis, the last of them in slice k: rows of the first,
-/// second and third.
+/// Visits all triples of consecutive voxels along each axis whose last voxel is in slice `k`.
+/// `visit` gets the rows of the first, second and third voxels.
 fn each_triple<T>(values: &[T], [nx, ny, _]: [usize; 3], k: usize, mut visit: impl FnMut(&[T], &[T], &[T])) {
     let row = |j: usize, k: usize| &values[(k * ny + j) * nx..][..nx];
     for j in 0..ny {
@@ -233,7 +235,7 @@ fn each_triple<T>(values: &[T], [nx, ny, _]: [usize; 3], k: usize, mut visit: im
     }
 }
 
-/// How often the last of three voxels has the value next in the list to that of the second.
+/// Number of triples whose second and third voxel have values that are consecutive in `counted`.
 fn steps<T: Cell>(values: &[T], size: [usize; 3], counted: &[(i64, usize)]) -> usize {
     let rank =
         |value: T| value.whole().and_then(|value| counted.binary_search_by_key(&value, |(value, _)| *value).ok());
@@ -248,7 +250,7 @@ fn steps<T: Cell>(values: &[T], size: [usize; 3], counted: &[(i64, usize)]) -> u
     (0..size[2]).into_par_iter().map(of_slice).sum()
 }
 
-/// Voxels of each value, all of which are whole or NaN.
+/// Number of voxels of each value, if all are integers or NaN; `None` if there are too many values.
 fn count_whole<T: Cell>(values: &[T], [low, high]: [f64; 2]) -> Option<Vec<(i64, usize)>> {
     if high - low < MOST_DISTINCT as f64 {
         let first = low as i64;
@@ -290,7 +292,7 @@ fn count_whole<T: Cell>(values: &[T], [low, high]: [f64; 2]) -> Option<Vec<(i64,
 fn histogram<T: Cell>(values: &[T], [low, high]: [f64; 2], counted: Option<&[(i64, usize)]>) -> Histogram {
     let narrow = counted.is_some() && high - low < BINS as f64;
     let bins = if narrow { (high - low) as usize + 1 } else { BINS };
-    // a bin of one value reaches up to the next
+    // a bin for each integer has width 1
     let width = if narrow { 1.0 } else { ((high - low) / bins as f64).max(f64::MIN_POSITIVE) };
     let bin = |value: f64| (((value - low) / width) as usize).min(bins - 1);
     let counts = match counted {
@@ -336,7 +338,7 @@ mod tests {
             assert_eq!(survey.range, Some([-3.0, 1e6]));
             assert_eq!(survey.values, Some(vec![(-3, 6), (7, 12), (1_000_000, 6)]));
             assert_eq!(survey.histogram.counts.iter().sum::<usize>(), 24);
-            // along x all four differ from the next, two of three in a row; along y and z nothing changes
+            // each voxel differs from the next along x (two triples per row), none along y and z
             assert_eq!((survey.jumps, survey.double_jumps, survey.steps), (12, 12, 0));
         }
         let narrow = Survey::of(&Voxels::I8(numbers.iter().map(|&n| n.min(9) as i8).collect()), &geometry);

@@ -1,4 +1,4 @@
-//! The lines that `isoparticles-volume info` prints.
+//! Formats the description of a volume as the text that `isoparticles-volume info` prints.
 
 use crate::boundary::BALL;
 use crate::cost::{Cost, UNCERTAINTY};
@@ -7,17 +7,17 @@ use crate::{LabelInfo, Object, VolumeInfo};
 use isoparticles_volume::Space;
 use std::fmt::Write;
 
-/// Rows of the histogram.
+/// Maximum number of rows of the histogram.
 const ROWS: usize = 16;
 
 /// Length of the longest bar, characters.
 const BAR: f64 = 40.0;
 
-/// Labels that are listed, the largest ones.
+/// Maximum number of labels listed; the largest ones are kept.
 const MOST_LABELS: usize = 40;
 
 impl VolumeInfo {
-    /// What is known of the volume called `name`, in lines.
+    /// The description of the volume called `name`, as lines of text.
     pub fn text(&self, name: &str) -> String {
         // writing into a String cannot fail
         let mut out = String::new();
@@ -178,7 +178,7 @@ fn two(value: f64) -> f64 {
     crate::cost::two_digits(value)
 }
 
-/// A number with up to six significant digits and no zeros at its end.
+/// A number with up to six significant digits, without trailing zeros.
 fn short(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value}");
@@ -188,7 +188,7 @@ fn short(value: f64) -> String {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
-/// A whole number with commas.
+/// An integer with commas between thousands.
 fn grouped(value: usize) -> String {
     let digits = value.to_string();
     let mut out = String::new();

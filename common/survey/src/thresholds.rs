@@ -1,10 +1,11 @@
-//! Iso values worth trying: those that part the histogram best, and what Hounsfield units are known for.
+//! Proposes iso values for a scan: the thresholds of Otsu (1979) and, for Hounsfield units,
+//! textbook values.
 
 use crate::Inside;
 use crate::survey::{Histogram, Survey};
 use serde::Serialize;
 
-/// An iso value, and why it may be the one that is wanted.
+/// A proposed iso value.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct IsoValue {
     /// The value.
@@ -12,7 +13,7 @@ pub struct IsoValue {
     /// The side that the object is on.
     #[serde(serialize_with = "side")]
     pub inside: Inside,
-    /// Why, in words.
+    /// Reason, in words.
     pub why: String,
 }
 
@@ -23,14 +24,21 @@ fn side<S: serde::Serializer>(inside: &Inside, serializer: S) -> Result<S::Ok, S
     })
 }
 
-/// A volume is taken to be in Hounsfield units when its values reach from air to bone and, as nearly all of them, lie within what
-/// scanners give: -1024 for air, paddings down to -3024 (GE: -2000, 3-D Slicer: -3024), 3071 for metal at 12 bits.
+/// Values look like Hounsfield units if the minimum is below this (air), the maximum is above
+/// [`BONE_ABOVE`], and nearly all values are within [`SCANNER`].
 const AIR_BELOW: f64 = -800.0;
+
+/// The maximum of Hounsfield units is above this (bone).
 const BONE_ABOVE: f64 = 200.0;
+
+/// Values that scanners write: from -1024 for air, with padding down to -3024 (GE: -2000, 3D
+/// Slicer: -3024), to 3071 for metal at 12 bits. The minimum of Hounsfield units is in this range.
 const SCANNER: [f64; 2] = [-3100.0, 3100.0];
+
+/// Minimum share of voxels within [`SCANNER`].
 const SHARE_WITHIN: f64 = 0.99;
 
-/// Levels of the CT: text-book values, half way between the tissues that they part.
+/// Iso values for CT: textbook values, half-way between the tissues that they separate.
 const LEVELS: [(f64, Inside, &str); 4] = [
     (200.0, Inside::Above, "Hounsfield: bone, and blood with contrast agent"),
     (-300.0, Inside::Above, "Hounsfield: the body, to its skin"),
@@ -38,8 +46,8 @@ const LEVELS: [(f64, Inside, &str); 4] = [
     (700.0, Inside::Above, "Hounsfield: compact bone and teeth"),
 ];
 
-/// Share of one value above which it is taken for padding or saturation, which has no part in the thresholds: a scan's own values
-/// hold a few per cent each.
+/// Share of voxels above which the most frequent bin counts as padding or saturation, which the
+/// thresholds ignore. Other values of a scan hold a few per cent each.
 const PADDING_SHARE: f64 = 0.25;
 
 /// Whether the values look like Hounsfield units.
@@ -54,7 +62,8 @@ pub fn is_hounsfield(survey: &Survey) -> bool {
     low < AIR_BELOW && high > BONE_ABOVE && low >= SCANNER[0] && within as f64 >= SHARE_WITHIN * total as f64
 }
 
-/// Iso values worth trying in a scan, at most one of them for a value (within a hundredth of the range).
+/// The iso values proposed for a scan. A value within 1 % of the range of an earlier one is left
+/// out.
 pub fn iso_values(survey: &Survey) -> Vec<IsoValue> {
     let Some([low, high]) = survey.range.filter(|[low, high]| low < high) else { return Vec::new() };
     let mut found: Vec<IsoValue> = Vec::new();
@@ -82,18 +91,19 @@ pub fn iso_values(survey: &Survey) -> Vec<IsoValue> {
 }
 
 impl Histogram {
-    /// Middle of a bin.
+    /// Centre of a bin.
     pub fn middle(&self, bin: usize) -> f64 {
         self.low + (bin as f64 + 0.5) * self.width
     }
 
-    /// The border below a bin, with no more digits than the width of a bin warrants.
+    /// Lower bound of a bin, rounded to the decimal place of the bin width.
     fn round(&self, bin: usize) -> f64 {
         let unit = 10f64.powf(self.width.log10().floor());
         ((self.low + bin as f64 * self.width) / unit).round() * unit
     }
 
-    /// The same without the bin that holds a padding, and where that is.
+    /// The histogram without the bin of the padding, and the lower bound of that bin; `None` if
+    /// there is no padding.
     fn without_padding(&self) -> (Self, Option<f64>) {
         let total: usize = self.counts.iter().sum();
         let padding = (0..self.counts.len())
@@ -106,7 +116,7 @@ impl Histogram {
         (rest, padding.map(|bin| self.low + bin as f64 * self.width))
     }
 
-    /// Count and sum of the values in all bins below each bin.
+    /// Count of the values in all bins below each bin, and sum of their bin numbers.
     fn sums(&self) -> Vec<[f64; 2]> {
         let mut sums = vec![[0.0, 0.0]];
         for (n, &count) in self.counts.iter().enumerate() {
@@ -117,13 +127,14 @@ impl Histogram {
     }
 }
 
-/// Square of the sum over the count of the bins from `a` to below `b`: what the variance between classes is made of (Otsu 1979).
+/// Squared sum over count of the bins from `a` to below `b`. The between-class variance is the sum
+/// of these over the classes, up to constants (Otsu 1979).
 fn weight(sums: &[[f64; 2]], a: usize, b: usize) -> f64 {
     let (count, sum) = (sums[b][0] - sums[a][0], sums[b][1] - sums[a][1]);
     if count > 0.0 { sum * sum / count } else { f64::NEG_INFINITY }
 }
 
-/// The bin from which on values belong to the upper of two classes; in the middle of empty bins between the two.
+/// The first bin of the upper of two classes; the middle of the gap if empty bins separate them.
 fn otsu(histogram: &Histogram) -> Option<usize> {
     let sums = histogram.sums();
     let end = histogram.counts.len();
@@ -131,7 +142,7 @@ fn otsu(histogram: &Histogram) -> Option<usize> {
     best((1..end).map(|bin| (bin, of(bin))))
 }
 
-/// The same for the two borders of three classes.
+/// The first bins of the middle and the upper of three classes.
 fn otsu_two(histogram: &Histogram) -> Option<[usize; 2]> {
     let sums = histogram.sums();
     let end = histogram.counts.len();
@@ -141,7 +152,8 @@ fn otsu_two(histogram: &Histogram) -> Option<[usize; 2]> {
     Some([lower, upper(lower)?])
 }
 
-/// The middle one of the places of the greatest value, which is flat where bins are empty.
+/// The place of the maximum value. If several places have it, as for empty bins, the middle between
+/// the first and the last.
 fn best(values: impl Iterator<Item = (usize, f64)>) -> Option<usize> {
     let mut found: Option<(usize, usize, f64)> = None;
     for (place, value) in values.filter(|(_, value)| value.is_finite()) {
@@ -167,7 +179,7 @@ mod tests {
 
     #[test]
     fn modes_are_parted_and_padding_is_left_out() {
-        // padding, and modes round 40, 120 and 200
+        // padding, and modes around 40, 120 and 200
         let values: Vec<i16> = (0..4000)
             .map(|n| if n % 2 == 0 { 0 } else { [40, 120, 200][n / 2 % 3] + (n as i16 / 6 * 7) % 11 - 5 })
             .collect();

@@ -21,9 +21,9 @@ pub enum Error {
     },
     /// The number of matching series in the folder is not one.
     #[error("{}: {}", path.display(), match wanted {
-        None => format!("holds {matching} series"),
-        Some(wanted) if *matching == 0 => format!("holds no series '{wanted}'"),
-        Some(wanted) => format!("holds {matching} series '{wanted}'"),
+        None => format!("contains {matching} series"),
+        Some(wanted) if *matching == 0 => format!("contains no series '{wanted}'"),
+        Some(wanted) => format!("contains {matching} series '{wanted}'"),
     })]
     Series {
         /// The folder.
@@ -36,7 +36,7 @@ pub enum Error {
         present: Vec<String>,
     },
     /// A value is not an integer, so it is not a label.
-    #[error("the volume holds the value {value}, which is no label")]
+    #[error("the volume contains the value {value}, which is not a label")]
     NotALabel {
         /// The value.
         value: String,
@@ -60,7 +60,7 @@ pub enum Error {
         present: String,
     },
     /// Several layers hold the label.
-    #[error("{found} of the {layers} layers hold the label {label}")]
+    #[error("{found} of the {layers} layers contain the label {label}")]
     LabelAmbiguous {
         /// The label.
         label: i64,
@@ -124,16 +124,14 @@ impl Error {
         let reason = match self {
             Self::File(error) => return error.reason(),
             Self::NotAVolume { content: Content::DicomSlice, .. } => {
-                "a volume is the whole series, with one slice in each file"
+                "a volume consists of the whole series, with one slice in each file"
             }
             Self::NotAVolume { .. } => "a volume is needed: a scan or a label map",
             Self::Series { .. } => "a volume is made from the slices of one series",
-            Self::NotALabel { .. } => "labels are whole numbers",
-            Self::SegmentMissing { .. } => "there would be nothing to extract for it",
-            Self::SegmentAmbiguous { .. } => "it is not clear which one is meant",
-            Self::LabelAmbiguous { .. } => {
-                "segments of different layers may overlap, so that the number does not say which one is meant"
-            }
+            Self::NotALabel { .. } => "labels must be whole numbers",
+            Self::SegmentMissing { .. } => "there is nothing to extract",
+            Self::SegmentAmbiguous { .. } => "the choice is ambiguous",
+            Self::LabelAmbiguous { .. } => "segments of different layers may overlap, so the number is ambiguous",
         };
         reason.to_owned()
     }
@@ -143,21 +141,21 @@ impl Error {
         match self {
             Self::File(error) => error.remedy(),
             Self::NotAVolume { content, .. } => match content {
-                Content::DicomSlice => "give the folder that the files of the series lie in",
+                Content::DicomSlice => "use the folder that contains the files of the series",
                 Content::LegacyVtk => "open it in ParaView or pyvista and save the image as .vti",
-                _ => "give the volume that it was made from",
+                _ => "use the volume that it was made from",
             }
             .to_owned(),
             Self::Series { present, .. } => {
                 format!("choose one by its description, number or UID: {}", present.join("; "))
             }
-            Self::NotALabel { .. } => "give a label volume, or extract an iso value instead of labels".to_owned(),
+            Self::NotALabel { .. } => "use a label map, or extract an isosurface instead of labels".to_owned(),
             Self::SegmentMissing { present, .. } if present.is_empty() => {
-                "the file gives its labels no names: choose them by number".to_owned()
+                "choose labels by number; the file has no names for them".to_owned()
             }
             Self::SegmentMissing { present, .. } => format!("choose among the segments: {present}"),
             Self::SegmentAmbiguous { present, .. } => {
-                format!("give them names of their own, or choose by number: {present}")
+                format!("rename the segments, or choose by number: {present}")
             }
             Self::LabelAmbiguous { present, .. } => format!("choose by name: {present}"),
         }

@@ -9,11 +9,11 @@ use std::path::Path;
 /// Number of voxels for the sizes of a header. Fails if a size is zero or the product overflows.
 pub(crate) fn voxel_count(path: &Path, size: [usize; 3]) -> Result<usize> {
     if size.contains(&0) {
-        return Err(bad(path, format!("a size is zero: {size:?}"), "there are no voxels", "check how it was written"));
+        return Err(bad(path, format!("a size is zero: {size:?}"), "there are no voxels", "write the file again"));
     }
     size.iter().try_fold(1usize, |count, &n| count.checked_mul(n)).ok_or_else(|| {
-        let what = format!("its header promises {} x {} x {} voxels", size[0], size[1], size[2]);
-        bad(path, what, "no computer can hold them", "the header is damaged: write the file again")
+        let what = format!("its header declares {} x {} x {} voxels", size[0], size[1], size[2]);
+        bad(path, what, "this is more than a computer can address", "write the file again; its header is damaged")
     })
 }
 
@@ -32,7 +32,7 @@ pub(crate) fn geometry_from_steps(
         return Err(bad(
             path,
             format!("the spacing of axis {axis} is {}", spacing[axis]),
-            "lengths are measured with it, so it must be a finite positive number",
+            "the spacing must be a finite positive number",
             "correct the spacing in the file's header",
         ));
     }
@@ -40,7 +40,7 @@ pub(crate) fn geometry_from_steps(
         return Err(bad(
             path,
             format!("the spacing of axis {axis} is {:e}", spacing[axis]),
-            "that is no length of a voxel in mm, and rounding would spoil what is computed from it",
+            "voxels must be from 1e-9 mm to 1e6 mm long; beyond that, results suffer from rounding",
             "correct the spacing in the file's header",
         ));
     }
@@ -48,7 +48,7 @@ pub(crate) fn geometry_from_steps(
         return Err(bad(
             path,
             format!("the origin is {origin}"),
-            "positions in the world start from it",
+            "world coordinates need a finite origin within 1e9 mm",
             "correct the origin in the file's header",
         ));
     }
@@ -56,7 +56,7 @@ pub(crate) fn geometry_from_steps(
     if directions.determinant().abs() < 1e-3 {
         return Err(bad(
             path,
-            format!("the axes {}, {} and {} lie (nearly) in one plane", steps[0], steps[1], steps[2]),
+            format!("the axes {}, {} and {} are (nearly) coplanar", steps[0], steps[1], steps[2]),
             "the volume would be flat",
             "correct the directions in the file's header",
         ));

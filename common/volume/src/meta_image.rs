@@ -78,8 +78,8 @@ impl<'a> Header<'a> {
                 return Err(bad(
                     path,
                     format!("has the header line '{}'", line.chars().take(60).collect::<String>()),
-                    "a header line of a MetaImage is 'Name = value'",
-                    "the header is damaged, or the file is something else: write it again",
+                    "a header line of a MetaImage must be 'Name = value'",
+                    "write the file again; it is damaged or not a MetaImage",
                 ));
             };
             let (name, value) = (name.trim().to_owned(), value.trim().to_owned());
@@ -97,8 +97,8 @@ impl<'a> Header<'a> {
         Err(bad(
             path,
             "has no field 'ElementDataFile'",
-            "it ends the header of a MetaImage and says where the voxels are",
-            "the file is cut short or something else: write it again",
+            "this field ends the header of a MetaImage and names the voxel data",
+            "write the file again; it is truncated or not a MetaImage",
         ))
     }
 
@@ -116,7 +116,7 @@ impl<'a> Header<'a> {
         bad(
             self.path,
             format!("has '{name} = {shown}' in its header"),
-            "that value has no meaning in this place",
+            "this value is invalid",
             "correct the header, or write the file again with another program",
         )
     }
@@ -148,8 +148,8 @@ impl<'a> Header<'a> {
         bad(
             self.path,
             format!("has {dimension} dimensions (sizes {})", self.field("DimSize").unwrap_or("unknown")),
-            "a surface is extracted from a volume with three",
-            "write one 3-D volume to a file of its own",
+            "a volume must have three",
+            "write one 3-D volume to a separate file",
         )
     }
 
@@ -158,8 +158,8 @@ impl<'a> Header<'a> {
             return Err(bad(
                 self.path,
                 format!("is a MetaIO file of a {kind}"),
-                "a surface is extracted from an image",
-                "give the volume",
+                "an image is needed",
+                "use the volume",
             ));
         }
         let dimension: usize = self.need("NDims")?.parse().map_err(|_| self.error("NDims"))?;
@@ -177,8 +177,8 @@ impl<'a> Header<'a> {
             return Err(bad(
                 self.path,
                 format!("is a flat image of {} x {} x {} voxels", size[0], size[1], size[2]),
-                "a surface is extracted from a volume with at least two voxels along each axis",
-                "give a 3-D volume",
+                "a volume must have at least two voxels along each axis",
+                "use a 3-D volume",
             ));
         }
         let mut remarks = Vec::new();
@@ -205,9 +205,9 @@ impl<'a> Header<'a> {
         if let Some(channels) = self.field("ElementNumberOfChannels").filter(|&channels| channels != "1") {
             return Err(bad(
                 self.path,
-                format!("has {channels} numbers a voxel (ElementNumberOfChannels)"),
-                "a surface is extracted from one number a voxel",
-                "write one component to a file of its own",
+                format!("has {channels} values per voxel (ElementNumberOfChannels)"),
+                "a volume must have one value per voxel",
+                "write one component to a separate file",
             ));
         }
         let scalar = scalar_type(self.need("ElementType")?).ok_or_else(|| self.error("ElementType"))?;
@@ -267,7 +267,7 @@ impl<'a> Header<'a> {
         Err(bad(
             self.path,
             format!("names {} data files for {slices} slices", names.len()),
-            "the files do not add up to the volume",
+            "the data files must hold the whole volume",
             "correct 'ElementDataFile' in the header, or add the missing files",
         ))
     }

@@ -82,7 +82,8 @@ pub(crate) fn read_nifti(path: &Path) -> Result<Volume> {
         reader = open(&voxels_path).map_err(cannot)?;
     } else if offset < HEADER_BYTES as f64 {
         remarks.push(format!(
-            "the header has the voxels start at byte {offset}, within itself; they are read from byte {FIRST_VOXEL} on"
+            "the header places the voxels at byte {offset}, which is inside the header; they are read from byte \
+             {FIRST_VOXEL}"
         ));
         offset = FIRST_VOXEL as f64;
     }
@@ -94,8 +95,8 @@ pub(crate) fn read_nifti(path: &Path) -> Result<Volume> {
         let next = "copy or download the file again";
         match error.kind() {
             io::ErrorKind::UnexpectedEof | io::ErrorKind::InvalidData => {
-                let promised = format!("its header promises {count} voxels of type {}", scalar.name());
-                bad(&voxels_path, format!("the data is not as the header says: {error}"), promised, next)
+                let promised = format!("its header declares {count} voxels of type {}", scalar.name());
+                bad(&voxels_path, format!("the data does not match the header: {error}"), promised, next)
             }
             _ => cannot(error),
         }
@@ -114,18 +115,18 @@ const PAIR: &[u8; 4] = b"ni1\0";
 fn header(path: &Path, start: &[u8]) -> Result<NiftiHeader> {
     let next = "convert it to a single NIfTI-1 file (.nii or .nii.gz) or to NRRD";
     if start.len() >= 4 && is_nifti(start) && (start[0] == 0x1c || start[3] == 0x1c) {
-        return Err(bad(path, "is a NIfTI-2 file", "NIfTI-1 is read", next));
+        return Err(bad(path, "is a NIfTI-2 file", "only NIfTI-1 can be read", next));
     }
     if start.get(344..348).is_some_and(|magic| magic != b"n+1\0" && magic != PAIR) {
         return Err(bad(
             path,
             "is an Analyze 7.5 header, not NIfTI",
-            "it does not say which side is left, and programs differ on that",
+            "it does not define which side is left, and programs differ on that",
             next,
         ));
     }
     NiftiHeader::from_reader(start)
-        .map_err(|error| bad(path, format!("has no NIfTI-1 header: {error}"), "it is damaged or something else", next))
+        .map_err(|error| bad(path, format!("has no NIfTI-1 header: {error}"), "it is damaged or not NIfTI", next))
 }
 
 /// The voxel file of a separate header.
@@ -135,7 +136,7 @@ fn voxels_beside(path: &Path) -> Result<PathBuf> {
             path,
             "is the header of a NIfTI pair whose voxels are missing",
             "they are in a file of the same name that ends with .img or .img.gz",
-            "put that file beside it",
+            "put that file into the same folder",
         )
     })
 }
@@ -160,9 +161,9 @@ fn scalar_type(path: &Path, header: &NiftiHeader) -> Result<ScalarType> {
             };
             return Err(bad(
                 path,
-                format!("holds {name} (NIfTI type {other})"),
-                "a surface is extracted from one plain number a voxel",
-                "write one component to a file of its own",
+                format!("contains {name} (NIfTI type {other})"),
+                "a volume must have one real value per voxel",
+                "write one component to a separate file",
             ));
         }
     })
@@ -173,23 +174,23 @@ fn scalar_type(path: &Path, header: &NiftiHeader) -> Result<ScalarType> {
 fn geometry(path: &Path, header: &NiftiHeader) -> Result<(Geometry, Vec<String>)> {
     let dimension = usize::from(header.dim[0]);
     if !(1..=7).contains(&dimension) {
-        return Err(bad(path, format!("has dimension {dimension}"), "1 to 7 are possible", "write the file again"));
+        return Err(bad(path, format!("has dimension {dimension}"), "it must be from 1 to 7", "write the file again"));
     }
     let sizes: Vec<usize> = header.dim[1..=dimension].iter().map(|&n| usize::from(n)).collect();
     if let Some(axis) = (3..dimension).find(|&axis| sizes[axis] > 1) {
         return Err(bad(
             path,
             format!("has {} samples along axis {axis} (sizes {sizes:?})", sizes[axis]),
-            "a surface is extracted from one volume with one number a voxel",
-            "write one volume or component to a file of its own",
+            "a single volume with one value per voxel is needed",
+            "write one volume or component to a separate file",
         ));
     }
     if dimension < 3 || sizes[..3].contains(&1) {
         return Err(bad(
             path,
             format!("is a flat image (sizes {sizes:?})"),
-            "a surface is extracted from a volume with at least two voxels along each axis",
-            "give a 3-D volume",
+            "a volume must have at least two voxels along each axis",
+            "use a 3-D volume",
         ));
     }
     let size = [sizes[0], sizes[1], sizes[2]];
@@ -202,16 +203,14 @@ fn geometry(path: &Path, header: &NiftiHeader) -> Result<(Geometry, Vec<String>)
     };
     let has_steps = sform(header).0.determinant().abs() > 0.0;
     if header.sform_code > 0 && !has_steps {
-        remarks.push("the sform of the header has no directions and is passed over".to_owned());
+        remarks.push("the sform of the header has no directions and is ignored".to_owned());
     }
     let (steps, origin, space) = if header.sform_code > 0 && has_steps {
         sform(header)
     } else if header.qform_code > 0 {
         qform(header)
     } else {
-        remarks.push(
-            "the header says nothing of the orientation; axis-aligned voxels at the origin are assumed".to_owned(),
-        );
+        remarks.push("the header has no orientation; axis-aligned voxels at the origin are assumed".to_owned());
         let spacing = pixel_spacing(header);
         (DMat3::from_diagonal(spacing), DVec3::ZERO, Space::Unnamed)
     };
@@ -257,7 +256,7 @@ const MOST_EXTENSIONS: u64 = 1 << 24;
 /// [`MOST_EXTENSIONS`] bytes.
 fn skip_to_voxels(reader: &mut dyn Read, skip: f64) -> io::Result<Vec<u8>> {
     if !(0.0..1e9).contains(&skip) {
-        return Err(io::Error::new(io::ErrorKind::InvalidData, "the voxels start within the header"));
+        return Err(io::Error::new(io::ErrorKind::InvalidData, "the voxels start inside the header"));
     }
     let mut between = Vec::new();
     let mut reader = reader.take(skip as u64);
@@ -272,7 +271,7 @@ fn scaled(voxels: Voxels, slope: f32, intercept: f32, remarks: &mut Vec<String>)
     if plain {
         return voxels;
     }
-    remarks.push(format!("the values are the stored ones times {slope} plus {intercept}, as the header says"));
+    remarks.push(format!("values are computed as stored value * {slope} + {intercept}, as given in the header"));
     let (slope, intercept) = (f64::from(slope), f64::from(intercept));
     match voxels.scalar_type() {
         // single precision takes half the memory and keeps all digits of these types

@@ -60,9 +60,9 @@ pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume
     match options.series {
         Some(series) => Err(bad(
             path,
-            format!("has no series to choose '{series}' from"),
+            format!("has no series, and '{series}' was requested"),
             "only a folder of DICOM files has series",
-            "leave the series out, or give the folder",
+            "leave out the series, or use the folder",
         )),
         None => read(path),
     }
@@ -74,7 +74,7 @@ fn start(path: &Path) -> Result<Vec<u8>> {
         .and_then(|file| file.take(START_BYTES).read_to_end(&mut start))
         .map_err(|error| Error::file(path, "read", error, "check the name of the volume"))?;
     if start.is_empty() {
-        return Err(bad(path, "is empty", "there is no volume in it", "check how it was written"));
+        return Err(bad(path, "is empty", "it contains no volume", "write or copy the file again"));
     }
     Ok(start)
 }
@@ -106,15 +106,15 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
         return Err(bad(
             path,
             "does not start with the letters NRRD",
-            "it is not an NRRD file, whatever its name says",
-            "check how it was written or downloaded",
+            "it is not an NRRD file, despite its name",
+            "write or download the file again",
         ));
     }
     Err(bad(
         path,
-        "is of no format that this program knows",
-        "volumes are read from NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha, .mhd), VTK image files (.vti) and \
-         folders of DICOM slices",
+        "has an unknown format",
+        "volumes can be read from NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha, .mhd), VTK \
+         image files (.vti) and folders of DICOM slices",
         "convert it, for example with 3D Slicer, ITK-SNAP or SimpleITK",
     ))
 }

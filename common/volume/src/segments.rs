@@ -45,7 +45,7 @@ impl Volume {
     /// A remark on the treatment of NaN labels, if there are any.
     pub fn nan_remark(&self) -> Option<String> {
         let count: usize = self.layers().map(Voxels::nan_count).sum();
-        (count > 0).then(|| format!("{count} voxels are NaN and taken as background (label 0)"))
+        (count > 0).then(|| format!("{count} voxels are NaN and are treated as background (label 0)"))
     }
 
     /// The name of a label, if the file contains one.

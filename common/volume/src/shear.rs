@@ -93,8 +93,8 @@ impl Shear {
     pub fn remark(&self) -> String {
         let ([nx, ny, nz], [sx, sy, sz]) = (self.geometry.size, self.geometry.spacing.to_array());
         format!(
-            "the axes are {:.1} degrees off right angles; the volume is resampled to {nx} x {ny} x {nz} voxels of \
-             {sx:.4} x {sy:.4} x {sz:.4} mm at right angles",
+            "the axes are {:.1} degrees off right angles; the volume is resampled on an orthogonal grid of {nx} x \
+             {ny} x {nz} voxels of {sx:.4} x {sy:.4} x {sz:.4} mm",
             self.degrees
         )
     }

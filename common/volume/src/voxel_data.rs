@@ -36,7 +36,7 @@ pub(crate) fn read_line(path: &Path, reader: &mut impl BufRead) -> Result<Option
     let mut line = Vec::new();
     reader
         .read_until(b'\n', &mut line)
-        .map_err(|error| Error::file(path, "read", error, "check the disk the file is on"))?;
+        .map_err(|error| Error::file(path, "read", error, "check the disk that holds the file"))?;
     if line.is_empty() {
         return Ok(None);
     }
@@ -71,8 +71,8 @@ pub(crate) fn read_voxels(
     if layout.endian.is_none() && layout.scalar.bytes() > 1 && layout.coding != Coding::Text {
         return Err(bad(
             path,
-            format!("does not say the byte order of its {} voxels", layout.scalar.name()),
-            "read in the wrong order they would be noise",
+            format!("does not define the byte order of its {} voxels", layout.scalar.name()),
+            "with the wrong byte order, the values would be wrong",
             "add the byte order to the header ('endian: little' or big in NRRD)",
         ));
     }
@@ -80,7 +80,7 @@ pub(crate) fn read_voxels(
         return Err(bad(
             path,
             format!("skips {} bytes of text", layout.byte_skip),
-            "numbers in text have no known length to count from the end",
+            "bytes cannot be counted from the end of text",
             "correct the header",
         ));
     }
@@ -92,7 +92,7 @@ pub(crate) fn read_voxels(
                 return Err(bad(
                     path,
                     format!("names {} data files for {count} voxels", names.len()),
-                    "every file holds the same number of voxels",
+                    "every file must contain the same number of voxels",
                     "correct the data files in the header",
                 ));
             }
@@ -100,7 +100,12 @@ pub(crate) fn read_voxels(
             for name in names {
                 let part_path = folder.join(name);
                 let file = File::open(&part_path).map_err(|error| {
-                    Error::file(&part_path, "read", error, format!("{} names it: put it in its place", path.display()))
+                    Error::file(
+                        &part_path,
+                        "read",
+                        error,
+                        format!("copy this file there; the header {} names it", path.display()),
+                    )
                 })?;
                 let part = read_part(&part_path, layout, count / names.len(), BufReader::new(file), remarks)?;
                 match &mut whole {
@@ -131,7 +136,7 @@ fn read_part(
 
 /// The remark on a file with more data than its voxels.
 pub(crate) fn goes_on_remark(path: &Path) -> String {
-    format!("{} goes on behind the last voxel; what follows is not read", path.display())
+    format!("{} has data after the last voxel, which is ignored", path.display())
 }
 
 /// The voxels, and whether bytes follow the end of compressed data. Fails if there is more data
@@ -149,7 +154,7 @@ fn read_values(reader: &mut BufReader<File>, layout: &Layout, count: usize) -> i
         let length = io::copy(&mut Stream::new(&mut *reader, layout.coding), &mut io::sink())?;
         let needed = (count as u64).saturating_mul(layout.scalar.bytes() as u64).saturating_add(skip - 1);
         skip = length.checked_sub(needed).ok_or_else(|| {
-            io::Error::new(ErrorKind::UnexpectedEof, format!("{length} bytes where {needed} are needed"))
+            io::Error::new(ErrorKind::UnexpectedEof, format!("{length} bytes, but {needed} are needed"))
         })?;
         reader.seek(SeekFrom::Start(start))?;
     }
@@ -166,23 +171,23 @@ fn read_values(reader: &mut BufReader<File>, layout: &Layout, count: usize) -> i
 
 /// Describes an error of the data.
 fn data_error(path: &Path, layout: &Layout, count: usize, error: io::Error) -> Error {
-    let promised = format!("the header promises {count} voxels of type {} in this file", layout.scalar.name());
+    let promised = format!("the header declares {count} voxels of type {} in this file", layout.scalar.name());
     match error.kind() {
         ErrorKind::UnexpectedEof => bad(
             path,
-            format!("the data is cut short ({error})"),
+            format!("the data is truncated ({error})"),
             promised,
             "copy or download the file again, or correct the sizes in the header",
         ),
         ErrorKind::InvalidData | ErrorKind::InvalidInput => {
-            bad(path, format!("the data is not as the header says: {error}"), promised, "write the file again")
+            bad(path, format!("the data does not match the header: {error}"), promised, "write the file again")
         }
         _ => Error::file(path, "read the voxels", error, "copy or download the file again"),
     }
 }
 
 fn trailing(what: &str) -> io::Error {
-    io::Error::new(ErrorKind::InvalidData, format!("{what} behind the last voxel"))
+    io::Error::new(ErrorKind::InvalidData, format!("{what} after the last voxel"))
 }
 
 fn skip_lines(reader: &mut impl BufRead, lines: u64) -> io::Result<()> {
@@ -229,13 +234,13 @@ fn read_text(reader: &mut impl BufRead, scalar: ScalarType, count: usize) -> io:
             }
             if text.is_none_or(|text| !voxels.push_text(text)) {
                 let shown: String = String::from_utf8_lossy(word).chars().take(40).collect();
-                let text = format!("'{shown}' is no {}", scalar.name());
+                let text = format!("'{shown}' is not a number of type {}", scalar.name());
                 return Err(io::Error::new(ErrorKind::InvalidData, text));
             }
         }
     }
     if voxels.len() < count {
-        let text = format!("{} numbers where {count} are needed", voxels.len());
+        let text = format!("{} numbers, but {count} are needed", voxels.len());
         return Err(io::Error::new(ErrorKind::UnexpectedEof, text));
     }
     Ok(voxels)

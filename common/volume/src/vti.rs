@@ -42,9 +42,9 @@ pub fn geometry(path: &Path, file: &VtkFile) -> Result<Geometry> {
     let numbers = |name: &str, default: &[f64]| -> Result<Vec<f64>> {
         let Some(text) = image.attribute(name) else { return Ok(default.to_vec()) };
         let numbers: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
-        numbers.filter(|numbers| numbers.len() == default.len()).ok_or_else(|| {
-            bad(path, format!("has {name}=\"{text}\""), "the image has no place", "write the file again")
-        })
+        numbers
+            .filter(|numbers| numbers.len() == default.len())
+            .ok_or_else(|| bad(path, format!("has {name}=\"{text}\""), "this value is invalid", "write the file again"))
     };
     let extent = numbers("WholeExtent", &[0.0, -1.0, 0.0, -1.0, 0.0, -1.0])?;
     let piece = file.piece("ImageData")?;
@@ -53,8 +53,8 @@ pub fn geometry(path: &Path, file: &VtkFile) -> Result<Geometry> {
         if words != extent.iter().map(|&number| Some(number)).collect::<Vec<_>>() {
             return Err(bad(
                 path,
-                "holds only a part of its image",
-                "the rest of the voxels is in other files",
+                "contains only a part of its image",
+                "the other voxels are in other files",
                 "save the whole image in one file",
             ));
         }
@@ -150,8 +150,8 @@ fn check_not_flat(path: &Path, size: [usize; 3]) -> Result<()> {
     Err(bad(
         path,
         format!("is a flat image of {} x {} x {} voxels", size[0], size[1], size[2]),
-        "a surface is extracted from a volume with at least two voxels along each axis",
-        "give a 3-D volume",
+        "a volume must have at least two voxels along each axis",
+        "use a 3-D volume",
     ))
 }
 
@@ -169,7 +169,7 @@ pub(crate) fn read_vti(path: &Path) -> Result<Volume> {
         (Some(array), _) => array,
         (None, Some(array)) => {
             geometry = cell_centres(path, &geometry)?;
-            remarks.push("the values are on the cells of the image: each cell is read as a voxel".to_owned());
+            remarks.push("the values are cell data; each cell is read as a voxel".to_owned());
             array
         }
         (None, None) => {
@@ -178,7 +178,7 @@ pub(crate) fn read_vti(path: &Path) -> Result<Volume> {
             return Err(bad(
                 path,
                 format!("has no single scalar array on its points or cells (arrays: {})", names.join(", ")),
-                "a surface is extracted from one number a voxel",
+                "a volume must have one value per voxel",
                 "save it with one scalar array, or make that array the active one",
             ));
         }
@@ -227,7 +227,7 @@ mod tests {
             assert_eq!((volume.geometry.size, volume.geometry.spacing), ([2, 3, 2], DVec3::new(2.0, 1.0, 4.0)));
             // the first point is one step along x from the origin; the directions map x to y
             assert!(volume.geometry.origin.abs_diff_eq(DVec3::new(9.5, 3.0, 2.0), 1e-12), "{}", volume.geometry.origin);
-            assert!(volume.remarks[0].contains("cells"), "{:?}", volume.remarks);
+            assert!(volume.remarks[0].contains("cell data"), "{:?}", volume.remarks);
         }
         // an array on the points takes precedence
         let points =

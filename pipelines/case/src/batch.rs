@@ -53,7 +53,7 @@ pub fn time_limit(text: &str) -> Result<Duration> {
     humantime::parse_duration(text).map_err(|error| {
         Error::input(
             format!("TIME_LIMIT={text}: {error}"),
-            "it is how long a case may take before it is stopped",
+            "TIME_LIMIT is the time after which a case is stopped",
             "write a number with a unit, such as 90s, 30m or 2h",
         )
     })
@@ -144,7 +144,7 @@ impl Batch<'_> {
         // Logs of an earlier batch may belong to rows that are no longer in the list.
         let _ = std::fs::remove_dir_all(&logs);
         std::fs::create_dir_all(&logs)
-            .map_err(|error| Error::file(&logs, "make", &error, "choose another folder for the results (OUT=...)"))?;
+            .map_err(|error| Error::file(&logs, "create", &error, "set OUT to another folder"))?;
         program::listen();
         let mut endings: Vec<Ending> = Vec::with_capacity(rows.len());
         for row in &rows {
@@ -190,10 +190,10 @@ impl Batch<'_> {
     /// Parses the list.
     pub(crate) fn read(&self) -> Result<Vec<Row>> {
         let bad = |what: String, next: &str| {
-            Error::input(format!("{}: {what}", self.list.display()), "it says which cases to make", next)
+            Error::input(format!("{}: {what}", self.list.display()), "LIST defines the cases to make", next)
         };
         let text = std::fs::read_to_string(self.list)
-            .map_err(|error| Error::file(self.list, "read", &error, "check LIST; it is a CSV file"))?;
+            .map_err(|error| Error::file(self.list, "read", &error, "set LIST to a CSV file"))?;
         let text = with_plain_lines(&text);
         let header =
             text.lines().find(|line| !line.trim().is_empty() && !line.starts_with(COMMENT)).unwrap_or_default();
@@ -205,18 +205,18 @@ impl Batch<'_> {
             .comment(Some(COMMENT as u8))
             .flexible(true)
             .from_reader(text.as_bytes());
-        let check = "write a header with names such as INPUT,LABELS,SIZE and as many cells in every row";
+        let check = "write a header with names such as INPUT,LABELS,SIZE, and the same number of cells in every row";
         let columns: Vec<String> =
             reader.headers().map_err(|error| bad(error.to_string(), check))?.iter().map(str::to_owned).collect();
         for (position, column) in columns.iter().enumerate() {
             let set_by = format!("a column of {}", self.list.display());
             let key = keys::find(column, self.known, &set_by)?;
             if FOR_ALL.contains(&key.name) {
-                let what = format!("{column} is a column, and holds for all rows or none");
-                return Err(bad(what, &format!("leave the column out, and say {column}=... beside LIST")));
+                let what = format!("{column} cannot be a column; it applies to all rows");
+                return Err(bad(what, &format!("remove the column, and set {column}=... together with LIST")));
             }
             if columns[..position].contains(column) {
-                return Err(bad(format!("two columns are called {column}"), "leave one of them out"));
+                return Err(bad(format!("two columns are named {column}"), "remove one of them"));
             }
         }
         let mut rows: Vec<Row> = Vec::new();
@@ -238,8 +238,8 @@ impl Batch<'_> {
         let mut lines = BTreeMap::new();
         for row in &rows {
             if let Some(first) = lines.insert(&row.name, row.line) {
-                let what = format!("the cases of line {first} and {} are both called {}", row.line, row.name);
-                return Err(bad(what, "one would replace the other: give each a name of its own in a column NAME"));
+                let what = format!("lines {first} and {} have the same name, {}", row.line, row.name);
+                return Err(bad(what, "add a column NAME with different names, so that no results are replaced"));
             }
         }
         Ok(rows)
@@ -271,11 +271,10 @@ impl Batch<'_> {
             Err(error) => Some(problem(error)),
             Ok(_) => {
                 let before = std::fs::read(folder.status_path()).ok();
-                let file = std::fs::File::create(&log).map_err(|error| {
-                    Error::file(&log, "write", &error, "choose another folder for the results (OUT=...)")
-                })?;
+                let file = std::fs::File::create(&log)
+                    .map_err(|error| Error::file(&log, "write", &error, "set OUT to another folder"))?;
                 let this = std::env::current_exe().map_err(|error| {
-                    Error::input(format!("{error}"), "each case is a run of this program", "call it by its path")
+                    Error::input(format!("{error}"), "each case runs this program", "start it with its full path")
                 })?;
                 ending.log = log.display().to_string();
                 let (ended, out_of_time) =
@@ -424,8 +423,8 @@ pub(crate) fn refused_status(row: &Row, error: &Problem) -> Status {
 /// The last three-part error in a log.
 pub(crate) fn last_error_in(log: &Path) -> Problem {
     last_error(&std::fs::read_to_string(log).unwrap_or_default()).unwrap_or_else(|| Problem {
-        what: "ended without a word of why".to_owned(),
-        why: "nothing was made".to_owned(),
+        what: "ended without an error message".to_owned(),
+        why: "the case has no result".to_owned(),
         next: format!("read {}", log.display()),
     })
 }

@@ -88,7 +88,7 @@ fn ask(stage: &str, program: &Path, arguments: &[OsString], known: &Known) -> Re
     let told = last_error(&String::from_utf8_lossy(&output.stderr));
     let Some(error) = told else {
         return Err(Error::input(
-            format!("{stage}: makes nothing with its options ({})", output.status),
+            format!("{stage}: failed to check its options ({})", output.status),
             "nothing was removed or started",
             format!("see {} --help", program.display()),
         ));

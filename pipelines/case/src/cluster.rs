@@ -61,7 +61,7 @@ struct ToldStage {
 /// When the list is invalid, as for [`Batch::make`].
 pub fn rows(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<String>> {
     let this = std::env::current_exe().map_err(|error| {
-        Error::input(format!("{error}"), "each stage is a call of this program", "call it by its path")
+        Error::input(format!("{error}"), "each stage runs this program", "start it with its full path")
     })?;
     let out = out(&Settings::read(&[], batch.common, None, batch.known)?);
     let hashes: BTreeMap<&str, String> = wanted(batch)
@@ -105,7 +105,7 @@ pub fn rows(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<String>> {
                 .collect();
         }
         serde_json::to_string(&told).map_err(|error| {
-            Error::input(format!("line {}: {error}", row.line), "the row cannot be put into JSON", "report this bug")
+            Error::input(format!("line {}: {error}", row.line), "the row cannot be written as JSON", "report this bug")
         })
     };
     let rows = batch.checked(programs)?;
@@ -124,7 +124,7 @@ fn forget_marks(case: &Case, out: &Path, stages: &[&str]) -> Result<()> {
         };
         if path.exists() && !made {
             std::fs::remove_file(&path).map_err(|error| {
-                Error::file(&path, "remove", &error, "its stage would be left out: remove it yourself")
+                Error::file(&path, "remove", &error, "delete it yourself; otherwise its stage is skipped")
             })?;
         }
     }
@@ -188,7 +188,7 @@ pub fn summary(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<Ending>> {
     let refusals = out.join(LOGS);
     let _ = std::fs::remove_dir_all(&refusals);
     std::fs::create_dir_all(&refusals)
-        .map_err(|error| Error::file(&refusals, "make", &error, "choose another folder for the results (OUT=...)"))?;
+        .map_err(|error| Error::file(&refusals, "create", &error, "set OUT to another folder"))?;
     let endings = rows.iter().map(|row| ending(batch, row, &out)).collect::<Result<Vec<Ending>>>()?;
     batch::write_summary(&out.join("batch.csv"), &endings)?;
     Ok(endings)
@@ -221,9 +221,9 @@ fn ending(batch: &Batch<'_>, row: &Row, out: &Path) -> Result<Ending> {
                     None => {
                         ending.verdict = batch::word(Verdict::Interrupted);
                         Problem {
-                            what: "was not begun".to_owned(),
-                            why: "nothing was made".to_owned(),
-                            next: "make the list again".to_owned(),
+                            what: "was not started".to_owned(),
+                            why: "the case has no result".to_owned(),
+                            next: "run the list again".to_owned(),
                         }
                     }
                 },
@@ -263,12 +263,12 @@ fn tell(ending: &mut Ending, status: &Status, stopped: Option<&str>) {
         // The last run succeeded but had a nearer goal than the list.
         Some(stage) if ending.is_fit() => {
             ending.verdict = batch::word(Verdict::Interrupted);
-            ending.headline = format!("{stage} is not made yet, or its result is no longer there.");
-            "make the list again; what is made holds".clone_into(&mut ending.next);
+            ending.headline = format!("{stage} has no result yet, or its result was removed.");
+            "run the list again; valid results are kept".clone_into(&mut ending.next);
         }
         Some(_) => {
             if ending.verdict == batch::word(Verdict::Interrupted) {
-                "make the list again; it goes on from there".clone_into(&mut ending.next);
+                "run the list again to resume".clone_into(&mut ending.next);
             }
             ending.exit_code = Some(verdict::exit_code(status).into());
         }
@@ -286,7 +286,7 @@ pub fn failed_before(case: &Case, stage: &str) -> Result<Option<Status>> {
         status.as_ref().and_then(|status| status.stage(stage)).is_some_and(|it: &Stage| it.state == State::Failed);
     if failed {
         println!(
-            "{stage}: its checks failed before, and nothing has changed: not run again ({} mesh runs it)",
+            "{stage}: not run again, because its checks failed before and nothing has changed ({} mesh runs it)",
             program::front()
         );
     }
@@ -351,7 +351,7 @@ mod tests {
                 name: "half".to_owned(),
                 goal: "distfield".to_owned(),
                 verdict: Verdict::Passed,
-                headline: "The distance field is made; every check passed.".to_owned(),
+                headline: "The distance field is complete; every check passed.".to_owned(),
                 inputs: Vec::new(),
                 parameters: parameters.map(|(key, value)| (key.to_owned(), value)).collect(),
                 stages: vec![made],
@@ -368,9 +368,9 @@ mod tests {
             let endings = summary(batch, &programs()).expect("the summary");
             let found: Vec<_> = endings.iter().map(|it| (it.name.as_str(), it.verdict.as_str())).collect();
             assert_eq!(found, [("one", "interrupted"), ("two", "error"), ("half", "interrupted")]);
-            assert_eq!(endings[0].headline, "was not begun");
+            assert_eq!(endings[0].headline, "was not started");
             assert!(endings[1].headline.contains("gone.nrrd: not found"), "{}", endings[1].headline);
-            assert!(endings[2].headline.starts_with("sizefield is not made yet"), "{}", endings[2].headline);
+            assert!(endings[2].headline.starts_with("sizefield has no result yet"), "{}", endings[2].headline);
             assert!(folder.join("out/batch.csv").exists() && folder.join("out/.batch/two.status.json").exists());
         });
     }

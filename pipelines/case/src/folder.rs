@@ -156,13 +156,13 @@ impl CaseFolder {
     /// When the folder cannot be created, or another run works in it.
     pub fn lock(&self) -> Result<Lock> {
         std::fs::create_dir_all(self.path.join(REPORTS)).map_err(|error| {
-            Error::file(&self.path, "make the folder", &error, "check OUT, its permissions and the space on the disk")
+            Error::file(&self.path, "create the folder", &error, "check OUT, its permissions and the free disk space")
         })?;
         let lock = self.try_lock()?.ok_or_else(|| {
             Error::input(
                 format!("{}: another run works on this case", self.path.display()),
                 "two runs would overwrite each other's files",
-                "wait until it is done, stop it, or give this one a NAME of its own",
+                "wait until it ends, stop it, or set another NAME",
             )
         })?;
         if lock.certain {
@@ -286,7 +286,7 @@ impl CaseFolder {
                 &path,
                 "remove",
                 &error,
-                "it is no longer true: remove it yourself, or correct the folder's permissions",
+                "delete it yourself, because it is out of date, or correct the folder's permissions",
             )),
             _ => Ok(()),
         }
@@ -342,9 +342,9 @@ impl CaseFolder {
         let known = STAGES.iter().any(|stage| !self.files_of(stage).is_empty());
         if !known && !self.status_path().exists() && !self.path.join(LOCK).exists() {
             return Err(Error::input(
-                format!("{}: holds no results of this project", self.path.display()),
-                "clean removes the whole folder of a case, and nothing else",
-                "check NAME and OUT, or remove the folder yourself",
+                format!("{}: contains no results of a case", self.path.display()),
+                "clean removes only folders of cases",
+                "check NAME and OUT, or delete the folder yourself",
             ));
         }
         let _lock = self.lock()?;
@@ -373,7 +373,7 @@ fn interrupted(mut status: Status) -> Status {
         at = format!("in {}", stage.stage);
     }
     status.verdict = Verdict::Interrupted;
-    status.headline = format!("The run was killed {at}; make it again.");
+    status.headline = format!("The run was killed {at}; run it again.");
     status.page = None;
     status
 }

@@ -10,12 +10,12 @@ use std::path::Path;
 
 /// The stages with their inputs and results.
 const STAGES: [(&str, &str); 6] = [
-    ("distfield", "A volume to the signed distance field F"),
-    ("sizefield", "F to the target edge length h"),
-    ("seed", "F and h to the first particles"),
-    ("particles", "Seeds to settled particles"),
-    ("reconstruct", "Particles and F to triangles, checked"),
-    ("tetmesh-check", "Triangles and h to tetrahedra, checked and solved on"),
+    ("distfield", "Compute the signed distance field F of a volume"),
+    ("sizefield", "Compute the target edge length h from F"),
+    ("seed", "Place the first particles from F and h"),
+    ("particles", "Move the particles until they settle"),
+    ("reconstruct", "Make and check the triangles from the particles and F"),
+    ("tetmesh-check", "Fill the triangles with tetrahedra, check them and solve test problems"),
 ];
 
 /// Reads the command line that a stage described with `--command-line`.
@@ -24,13 +24,13 @@ const STAGES: [(&str, &str); 6] = [
 /// When the file cannot be read or does not hold a command line.
 pub fn stage(path: &Path) -> Result<CommandLine> {
     let text =
-        std::fs::read(path).map_err(|error| Error::file(path, "read", &error, "write it by STAGE --command-line"))?;
+        std::fs::read(path).map_err(|error| Error::file(path, "read", &error, "write it with STAGE --command-line"))?;
     serde_json::from_slice(&text).map_err(|error| {
         Error::of_file(
             path,
-            format!("is no command line: {error}"),
-            "a stage has told it",
-            "write it by STAGE --command-line",
+            format!("is not a command line: {error}"),
+            "it must be the output of a stage",
+            "write it with STAGE --command-line",
         )
     })
 }
@@ -48,20 +48,23 @@ pub fn command(known: &[CommandLine]) -> Command {
         let results = Arg::new("RESULTS").value_name("NAME").help("The name of the results");
         Command::new(name).about(about).arg(results).args(options())
     };
-    let list =
-        Arg::new("LIST.csv").value_hint(ValueHint::FilePath).help("The list: a column a parameter, a row a case");
-    let limit =
-        Arg::new("time-limit").long("time-limit").value_name("TIME").help("How long a case may take: 90s, 30m, 2h");
+    let list = Arg::new("LIST.csv")
+        .value_hint(ValueHint::FilePath)
+        .help("The list: one column per parameter, one row per case");
+    let limit = Arg::new("time-limit")
+        .long("time-limit")
+        .value_name("TIME")
+        .help("Time limit of each case, such as 90s, 30m or 2h");
     let goal = Arg::new("goal")
         .long("goal")
-        .help("How far each case is made")
+        .help("Goal up to which each case is made")
         .value_parser(PossibleValuesParser::new(["distfield", "sizefield", "seed", "particles", "surface", "mesh"]));
     let stages = STAGES.map(|(name, about)| {
         if let Some(known) = known.iter().find(|known| known.name == name) {
             return known.command().about(about);
         }
         let more = Arg::new("ARGUMENTS").num_args(0..).allow_hyphen_values(true).value_hint(ValueHint::AnyPath);
-        Command::new(name).about(about).arg(more.help("As `isoparticles STAGE --help` tells them"))
+        Command::new(name).about(about).arg(more.help("See `isoparticles STAGE --help`"))
     });
     let convert = Command::new("convert").about("Write a volume as a VTK image (.vti)").args([
         Arg::new("VOLUME").value_hint(ValueHint::AnyPath).help("The volume, or a folder of DICOM slices"),
@@ -72,18 +75,18 @@ pub fn command(known: &[CommandLine]) -> Command {
         .about("Volumes in, simulation-ready meshes out")
         .after_help("Example: isoparticles mesh ct.nii.gz --labels 1 -o out")
         .disable_help_subcommand(true)
-        .subcommand(of_volume("info", "What the volume is, and what to ask for"))
+        .subcommand(of_volume("info", "Describe a volume and suggest options"))
         .subcommand(convert)
-        .subcommand(of_volume("mesh", "From the volume to tetrahedra and the page about them"))
-        .subcommand(of_volume("surface", "As far as the triangles"))
-        .subcommand(of_name("verdict", "How it went"))
-        .subcommand(of_name("page", "The page once more"))
+        .subcommand(of_volume("mesh", "Mesh a volume with tetrahedra, and make its page"))
+        .subcommand(of_volume("surface", "Mesh only the surface of a volume"))
+        .subcommand(of_name("verdict", "Print the outcome of a case"))
+        .subcommand(of_name("page", "Make the page of a case again"))
         .subcommand(of_name("clean", "Remove the folder of results"))
         .subcommand(of_name("demo", "Mesh a phantom"))
-        .subcommand(Command::new("index").about("A page over all cases").args(options()))
-        .subcommand(Command::new("batch").about("Every row of a list").args([list, limit, goal]).args(options()))
+        .subcommand(Command::new("index").about("Make a page about all cases").args(options()))
+        .subcommand(Command::new("batch").about("Mesh every row of a list").args([list, limit, goal]).args(options()))
         .subcommands(stages)
-        .subcommand(Command::new("help").about("All goals and options"))
+        .subcommand(Command::new("help").about("List all goals and options"))
 }
 
 fn long(key: &Key) -> String {

@@ -27,7 +27,7 @@ pub fn status_files(out: &Path) -> Result<Vec<PathBuf>> {
         return Err(Error::input(
             format!("{}: no cases", out.display()),
             "the index is made from OUT/NAME/NAME.status.json",
-            format!("make a case first ({} demo), or say where they are (OUT=...)", program::front()),
+            format!("make a case first ({} demo), or set OUT to the folder of the cases", program::front()),
         ));
     }
     Ok(files)
@@ -51,7 +51,7 @@ pub fn write(out: &Path, more: Vec<PathBuf>, programs: &Programs) -> Result<Path
         ended => Err(Error::input(
             format!("{}: ended with {ended:?}", programs.index().display()),
             "the index was not written",
-            "read what it said above",
+            "see its messages above",
         )),
     }
 }

@@ -113,9 +113,9 @@ fn input(role: &str, path: &Path, before: Option<&Status>) -> Result<Input> {
     }
     let identity = Identity::of(&path).ok_or_else(|| {
         Error::input(
-            format!("{}: is no ordinary file", path.display()),
-            "whether it changes between two runs cannot be seen",
-            "copy it into a file first",
+            format!("{}: is not a regular file", path.display()),
+            "changes between runs cannot be detected",
+            "copy it to a regular file",
         )
     })?;
     let Identity { bytes, modified } = identity;

@@ -48,8 +48,8 @@ pub const KEYS: [Key; 33] = [
     key("LABELS", Form::Text, "the labels to mesh"),
     key("MATERIALS", Form::Text, "the materials to mesh together: all, or lungs:2,heart:1,rest:3+4..6"),
     key("INSIDE", Form::OneOf(&["above", "below"]), "the side of ISO that is the object"),
-    key("BORDER", Form::OneOf(&["cap", "open"]), "what happens where the volume cuts the object"),
-    key("SCALE", Form::NotNegative, "the size of the features to leave out, mm"),
+    key("BORDER", Form::OneOf(&["cap", "open"]), "what happens where the border of the volume cuts the object"),
+    key("SCALE", Form::NotNegative, "the size of the features to smooth away, mm"),
     key("EPSILON", Form::Positive, "edge length over local feature size"),
     key("DELTA", Form::Positive, "the largest gradient of the edge length"),
     key("SIZE", Form::Positive, "one edge length everywhere, mm"),
@@ -59,23 +59,23 @@ pub const KEYS: [Key; 33] = [
     key("QUALITY", Form::OneOf(&["coarse", "medium", "fine"]), "how fine the mesh is"),
     key("COUNT", Form::Whole(4), "the number of particles to seed"),
     key("SEED", Form::Whole(0), "the seed of the random numbers"),
-    key("BACKEND", Form::OneOf(&["auto", "gpu", "cpu"]), "where the particles are moved"),
+    key("BACKEND", Form::OneOf(&["auto", "gpu", "cpu"]), "the device that moves the particles"),
     key(
         "TET_ORDER",
         Form::OneOf(&["1", "2"]),
-        "the order of the tetrahedra; 2: with nodes amid the edges, those of the surface on it",
+        "the order of the tetrahedra; 2 adds mid-edge nodes, those of the surface on F = 0",
     ),
     key(
         "ACCEPT_FORCED",
         Form::OneOf(&["yes", "no"]),
-        "whether elements that the surface forces below a limit pass; the verdict counts them",
+        "whether to accept elements that the surface forces below a limit; the verdict counts them",
     ),
-    key("MAX_MEMORY", Form::Text, "the most memory that a stage may ask for, such as 8G"),
-    key("DISTFIELD_OPTIONS", Form::Words, "more options of distfield"),
-    key("SIZEFIELD_OPTIONS", Form::Words, "more options of sizefield"),
-    key("PARTICLES_OPTIONS", Form::Words, "more options of particles"),
-    key("RECONSTRUCT_OPTIONS", Form::Words, "more options of reconstruct"),
-    key("TETMESH_OPTIONS", Form::Words, "more options of tetmesh-check"),
+    key("MAX_MEMORY", Form::Text, "the maximum memory of a stage, such as 8G"),
+    key("DISTFIELD_OPTIONS", Form::Words, "further options of distfield"),
+    key("SIZEFIELD_OPTIONS", Form::Words, "further options of sizefield"),
+    key("PARTICLES_OPTIONS", Form::Words, "further options of particles"),
+    key("RECONSTRUCT_OPTIONS", Form::Words, "further options of reconstruct"),
+    key("TETMESH_OPTIONS", Form::Words, "further options of tetmesh-check"),
     key("OUT", Form::Text, "the folder of the results"),
     key("THREADS", Form::Whole(0), "CPU threads, 0 for all cores"),
     key("VERBOSITY", Form::Words, "-q, -v or -vv"),
@@ -98,7 +98,7 @@ pub fn find(name: &str, other: &[String], set_by: &str) -> Result<&'static Key> 
     let nearest = nearest(name, known).map_or(String::new(), |near| format!("did you mean {near}? "));
     Err(Error::input(
         format!("{name}: no such variable ({set_by})"),
-        "it would be ignored, and the result would not be what was asked for",
+        "it would be ignored",
         format!("{nearest}`{} help` lists them", crate::program::front()),
     ))
 }
@@ -119,12 +119,14 @@ pub fn nearest<'a>(name: &str, candidates: impl Iterator<Item = &'a str>) -> Opt
 pub fn check(key: &Key, value: &str, set_by: &str) -> Result<()> {
     let must = match key.form {
         Form::Text => None,
-        Form::Words => shlex::split(value).is_none().then(|| "options with every quote closed".to_owned()),
+        Form::Words => shlex::split(value).is_none().then(|| "options with balanced quotes".to_owned()),
         Form::Number => wrong_number(value, |_| true).then(|| "a number, such as 300 or -500.5".to_owned()),
         Form::Positive => wrong_number(value, |x| x > 0.0).then(|| "a number above 0, such as 2.5".to_owned()),
-        Form::NotNegative => wrong_number(value, |x| x >= 0.0).then(|| "a number from 0 on, such as 2.5".to_owned()),
+        Form::NotNegative => {
+            wrong_number(value, |x| x >= 0.0).then(|| "a number of at least 0, such as 2.5".to_owned())
+        }
         Form::Whole(least) => {
-            value.parse::<u64>().map_or(true, |n| n < least).then(|| format!("a whole number from {least} on"))
+            value.parse::<u64>().map_or(true, |n| n < least).then(|| format!("a whole number of at least {least}"))
         }
         Form::OneOf(words) => (!words.contains(&value)).then(|| {
             let near = nearest_word(value, words).map_or(String::new(), |near| format!(" (did you mean {near}?)"));
@@ -135,7 +137,7 @@ pub fn check(key: &Key, value: &str, set_by: &str) -> Result<()> {
         None => Ok(()),
         Some(must) => Err(Error::input(
             format!("{}={value} ({set_by}): not {}", key.name, form_in_words(key.form)),
-            format!("{} is {}", key.name, key.what),
+            format!("{} sets {}", key.name, key.what),
             format!("give {must}"),
         )),
     }
@@ -152,9 +154,9 @@ fn form_in_words(form: Form) -> &'static str {
         Form::Words => "a list of options",
         Form::Number => "a number",
         Form::Positive => "a number above 0",
-        Form::NotNegative => "a number from 0 on",
+        Form::NotNegative => "a number of at least 0",
         Form::Whole(_) => "a whole number in range",
-        Form::OneOf(_) => "a word that it takes",
+        Form::OneOf(_) => "an allowed word",
     }
 }
 

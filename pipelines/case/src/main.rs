@@ -124,8 +124,11 @@ fn go(arguments: Arguments) -> Result<u8> {
         let Some(list) = &arguments.list else {
             return Err(Error::input(
                 "LIST is not set",
-                "it is the list of cases to make",
-                format!("LIST=cases.csv, with a header of some of {}", batch::columns().collect::<Vec<_>>().join(",")),
+                "LIST is the file with the cases to make",
+                format!(
+                    "set LIST=cases.csv, a file whose header has some of {}",
+                    batch::columns().collect::<Vec<_>>().join(",")
+                ),
             ));
         };
         let common: Vec<String> = arguments.preset.into_iter().chain(arguments.set).collect();
@@ -189,7 +192,7 @@ fn stage_named(goal: &str) -> Result<&'static str> {
     stage_of_goal(goal).ok_or_else(|| {
         Error::input(
             format!("{goal}: no such goal"),
-            "a case is made as far as one of its stages",
+            "the goal selects what to do",
             "choose distfield, sizefield, seed, particles, surface, mesh, page, verdict, info, clean, index, keys, batch, rows or summary",
         )
     })
@@ -203,7 +206,7 @@ fn close_batch(batch: &Batch<'_>, endings: &[Ending], programs: &Programs) -> Re
     if programs.index().exists() {
         println!("index       {}", batch.index(programs)?.display());
     } else {
-        println!("no index: {} is not there (make env)", programs.index().display());
+        println!("no index: {} is missing (make env installs it)", programs.index().display());
     }
     Ok(code)
 }
@@ -235,8 +238,8 @@ fn clean(settings: &Settings) -> Result<u8> {
     if settings.get("NAME").or(settings.case_file()).is_none() {
         return Err(Error::input(
             "neither CASE nor NAME is set",
-            "clean removes the folder of one case, and has to know which",
-            format!("{} clean NAME=name", program::front()),
+            "clean removes the folder of one case",
+            format!("name the case: {} clean NAME=name", program::front()),
         ));
     }
     let folder = named(settings)?;
@@ -255,8 +258,8 @@ fn info(settings: Settings, programs: &Programs) -> Result<u8> {
     if case.volume == Volume::Phantom && !volume.exists() {
         return Err(Error::input(
             format!("{}: not made yet", volume.display()),
-            "the volume of this case is a phantom, which is made with the case",
-            "make distfield CASE=... first",
+            "the volume of this case is a phantom, which distfield makes",
+            "run 'make distfield CASE=...' first",
         ));
     }
     let mut words = vec!["info".into(), volume.into_os_string()];

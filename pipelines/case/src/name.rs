@@ -28,9 +28,9 @@ pub fn of_volume(path: &Path) -> Result<String> {
 pub fn check(name: &str) -> Result<()> {
     if name.is_empty() || name.starts_with(['.', '-']) || name.contains(['/', '\\', '\n']) {
         return Err(Error::input(
-            format!("NAME={name}: cannot name the results"),
-            "they go to a folder of that name in OUT, and no further",
-            "give NAME=... with letters, digits, dots, blanks, - and _, and a letter or digit first",
+            format!("NAME={name}: is not a valid name"),
+            "the results go to the folder NAME in OUT",
+            "set NAME to letters, digits, dots, spaces, - and _, with a letter or digit first",
         ));
     }
     Ok(())

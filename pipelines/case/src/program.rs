@@ -77,7 +77,11 @@ pub fn run(program: &Path, arguments: &[OsString]) -> Result<Ended> {
 pub fn run_logged(program: &Path, arguments: &[OsString], log: File, limit: Option<Duration>) -> Result<(Ended, bool)> {
     let mut command = Command::new(program);
     let errors = log.try_clone().map_err(|error| {
-        Error::input(format!("the log of {}: {error}", program.display()), "it tells what went wrong", "try again")
+        Error::input(
+            format!("the log of {}: {error}", program.display()),
+            "the log records errors",
+            "run the case again",
+        )
     })?;
     command.args(arguments).stdout(log).stderr(errors);
     run_command(command, limit)
@@ -96,8 +100,8 @@ pub fn output(program: &Path, arguments: &[OsString]) -> Result<Output> {
 fn not_started(program: &Path, error: &std::io::Error) -> Error {
     Error::input(
         format!("{}: cannot be started: {error}", program.display()),
-        "it makes the next result of the case",
-        "build it (make build env), or say where it is (BIN=..., TETMESH_CHECK=...)",
+        "the case needs this program",
+        "build it (make build env), or set BIN or TETMESH_CHECK to its path",
     )
 }
 
@@ -119,9 +123,9 @@ fn run_command(mut command: Command, limit: Option<Duration>) -> Result<(Ended, 
     RUNNING.store(0, Ordering::SeqCst);
     let (status, out_of_time) = status.map_err(|error| {
         Error::input(
-            format!("{}: cannot be waited for: {error}", command.get_program().display()),
-            "how it ended is not known",
-            "make the case again",
+            format!("{}: waiting for its end failed: {error}", command.get_program().display()),
+            "its outcome is unknown",
+            "run the case again",
         )
     })?;
     Ok((ended(status), out_of_time))

@@ -37,8 +37,8 @@ impl Case {
             (None, None) => {
                 return Err(Error::input(
                     "INPUT is not set",
-                    "it is the volume to mesh",
-                    format!("{} mesh INPUT=v.nrrd ISO=300", program::front()),
+                    "INPUT is the volume to mesh",
+                    format!("set INPUT, for example: {} mesh INPUT=v.nrrd ISO=300", program::front()),
                 ));
             }
         };
@@ -63,17 +63,17 @@ impl Case {
         {
             return Err(Error::input(
                 format!("{}: not found", path.display()),
-                "it is the volume to mesh",
-                "check INPUT; a case of pipelines/ looks for real volumes in DATA",
+                "this is the volume to mesh",
+                "check INPUT; for a case of pipelines/, set DATA to the folder of the volumes",
             ));
         }
         let of_labels = ["LABELS", "MATERIALS"].into_iter().find(|key| self.settings.get(key).is_some());
         if self.settings.get("ISO").is_none() && of_labels.is_none() {
             return Err(Error::input(
                 "neither ISO nor LABELS nor MATERIALS is set",
-                "one of them says what in the volume is to be meshed",
+                "one of them selects what to mesh",
                 format!(
-                    "add ISO=value, LABELS=1,2 or MATERIALS=all ({} info INPUT=... says what there is)",
+                    "set ISO=value, LABELS=1,2 or MATERIALS=all ({} info INPUT=... proposes values)",
                     program::front()
                 ),
             ));
@@ -81,8 +81,8 @@ impl Case {
         if let Some(key) = of_labels.filter(|_| self.settings.get("INSIDE").is_some()) {
             return Err(Error::input(
                 format!("INSIDE and {key} are both set"),
-                "INSIDE is the side of an iso value, and labels have none",
-                format!("keep INSIDE with ISO, or {key} alone"),
+                "INSIDE selects a side of the iso value, and labels have none",
+                format!("set INSIDE with ISO, or {key} without INSIDE"),
             ));
         }
         Ok(())
@@ -150,14 +150,14 @@ fn refuse_another_volume(case: &Case, before: &Status, plan: &Plan) -> Result<()
     let name = &case.folder.name;
     Err(Error::input(
         format!(
-            "{}: holds the results of {}, and this run is over {}",
+            "{}: contains the results of {}, but this run meshes {}",
             case.folder.path.display(),
             described(then),
             described(now),
         ),
-        format!("both are called {name}, and one would replace the other"),
+        format!("both have the name {name}, and the earlier results would be replaced"),
         format!(
-            "give this run a name of its own (NAME=...), or remove the other's results ({} clean NAME='{name}')",
+            "set another NAME for this run, or remove the earlier results ({} clean NAME='{name}')",
             program::front()
         ),
     ))
@@ -197,7 +197,7 @@ impl<'a> Run<'a> {
             name: folder.name.clone(),
             goal: goal_of_stage(goal).to_owned(),
             verdict: Verdict::Running,
-            headline: "A run is under way.".to_owned(),
+            headline: "A run is in progress.".to_owned(),
             inputs,
             parameters: case.settings.parameters(),
             stages,
@@ -342,7 +342,7 @@ pub fn make_page(folder: &CaseFolder, status: &mut Status, programs: &Programs) 
     folder.remove(&page)?;
     if !program.exists() {
         status.page = None;
-        say(&format!("no page: {} is not there (make env)", program.display()));
+        say(&format!("no page: {} is missing (make env installs it)", program.display()));
         return status.write(&folder.status_path());
     }
     status.page = Some(page.clone());
@@ -400,7 +400,7 @@ fn judge(stage: &mut Stage, ended: Ended, report: Option<&Report>, output: &Path
     }
     let name = &stage.stage;
     let unexplained = |what: String, next: &str| {
-        let why = "its result is missing, and the stages after it need that".to_owned();
+        let why = "later stages need its result".to_owned();
         Some(Problem { what, why, next: next.to_owned() })
     };
     stage.exit_code = if let Ended::Code(code) = ended { Some(code) } else { None };
@@ -416,16 +416,17 @@ fn judge(stage: &mut Stage, ended: Ended, report: Option<&Report>, output: &Path
     }
     stage.error = match ended {
         Ended::Code(0) => unexplained(
-            format!("{name}: ended well, but {} is not there", output.display()),
-            "make the case again; if it happens again, report this bug",
+            format!("{name}: ended successfully, but {} is missing", output.display()),
+            "run the case again; if it happens again, report this bug",
         ),
         Ended::Code(code) => unexplained(
             format!("{name}: ended with exit code {code} and wrote no report"),
-            "read what it said above; it usually is an option that it does not know",
+            "see its messages above; often an option is unknown",
         ),
         Ended::Signal(signal) => unexplained(
-            format!("{name}: was ended by signal {signal}"),
-            "9 is sent when memory runs out: use a coarser mesh or a larger machine; else report this bug",
+            format!("{name}: was terminated by signal {signal}"),
+            "if the signal is 9, memory ran out: raise SIZE or MIN_SIZE, or use a machine with more memory; \
+             otherwise report this bug",
         ),
     };
 }
@@ -483,8 +484,8 @@ pub fn status_of(folder: &CaseFolder) -> Result<Status> {
     folder.settle()?.ok_or_else(|| {
         Error::input(
             format!("{}: not found", folder.status_path().display()),
-            "it is the truth about the case, and is written when the case is made",
-            "make the case first, or say which and where (CASE=..., NAME=..., OUT=...)",
+            "this file records the outcome of the case",
+            "make the case first, or check CASE, NAME and OUT",
         )
     })
 }

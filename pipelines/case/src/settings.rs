@@ -24,19 +24,19 @@ pub struct Settings {
 
 /// Pairs of keys that exclude each other, and why.
 const EXCLUSIVE: [(&str, &str, &str); 11] = [
-    ("INPUT", "PHANTOM", "a case has one volume: a file, or a phantom that is made"),
-    ("ISO", "LABELS", "a volume is meshed as a scalar or as labels"),
-    ("ISO", "MATERIALS", "a volume is meshed as a scalar or as labels"),
-    ("LABELS", "MATERIALS", "labels are one object together, or a material each"),
-    ("TET_ORDER", "MATERIALS", "nodes amid the edges lie on the surface of one object; many materials have several"),
+    ("INPUT", "PHANTOM", "a case has one volume: a file or a phantom"),
+    ("ISO", "LABELS", "a volume is meshed either as a scan or as a label map"),
+    ("ISO", "MATERIALS", "a volume is meshed either as a scan or as a label map"),
+    ("LABELS", "MATERIALS", "LABELS joins labels to one object, MATERIALS keeps them apart"),
+    ("TET_ORDER", "MATERIALS", "mid-edge nodes are supported for one object only"),
     ("SIZE", "EPSILON", LEAVES_NOTHING),
     ("SIZE", "DELTA", LEAVES_NOTHING),
     ("SIZE", "MIN_SIZE", LEAVES_NOTHING),
     ("SIZE", "MAX_SIZE", LEAVES_NOTHING),
     ("SIZE", "QUALITY", LEAVES_NOTHING),
-    ("SIZE", "VERTICES", "each of them alone sets the edge length"),
+    ("SIZE", "VERTICES", "each of them sets the edge length"),
 ];
-const LEAVES_NOTHING: &str = "SIZE is one edge length everywhere and leaves nothing to grade or bound";
+const LEAVES_NOTHING: &str = "SIZE sets one edge length everywhere, without grading or bounds";
 
 /// Pairs (user's key, case file's key): if the user sets the first, the second is dropped.
 const GOES_WITH: [(&str, &str); 6] = [
@@ -78,7 +78,7 @@ impl Settings {
                 let (name, value) = assignment.split_once('=').ok_or_else(|| {
                     Error::input(
                         format!("{assignment}: not a variable with a value ({set_by})"),
-                        "a case is told by variables",
+                        "variables describe a case",
                         "write KEY=VALUE, such as SIZE=2.5",
                     )
                 })?;

@@ -315,8 +315,8 @@ fn refuse_own_results(folder: &CaseFolder, inputs: &[Input]) -> Result<()> {
         None => Ok(()),
         Some(input) => Err(Error::input(
             format!("{}: is a result of the case {} itself", input.path.display(), folder.name),
-            "results that are no longer true are removed before a stage starts",
-            "copy the file elsewhere, or give this run a NAME of its own",
+            "results that are out of date are removed before a stage starts",
+            "copy the file to another folder, or set another NAME for this run",
         )),
     }
 }

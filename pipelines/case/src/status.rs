@@ -192,7 +192,7 @@ impl Status {
         let text = serde_json::to_string_pretty(self).map_err(|error| {
             Error::input(
                 format!("{}: {error}", path.display()),
-                "the status cannot be put into JSON",
+                "the status cannot be written as JSON",
                 "report this bug",
             )
         })?;

@@ -11,28 +11,25 @@ pub fn of(status: &Status) -> (Verdict, String) {
     let stages = &status.stages;
     let at = |state: State| stages.iter().find(|stage| stage.state == state);
     if let Some(stage) = at(State::Error) {
-        let what = stage.error.as_ref().map_or("no word of why", |error| error.what.as_str());
-        return (Verdict::Error, format!("{} could not do its work: {what}", stage.stage));
+        let what = stage.error.as_ref().map_or("no error message", |error| error.what.as_str());
+        return (Verdict::Error, format!("{} stopped with an error: {what}", stage.stage));
     }
     if let Some(stage) = at(State::Failed) {
         return (Verdict::Failed, failed(stage));
     }
     if let Some(stage) = at(State::Interrupted) {
-        return (
-            Verdict::Interrupted,
-            format!("Stopped in {}; make it again, and it goes on from there.", stage.stage),
-        );
+        return (Verdict::Interrupted, format!("Stopped in {}; run it again to resume.", stage.stage));
     }
     let made = stages.iter().rev().find(|stage| stage.state == State::Done);
     let Some(made) = made else { return (Verdict::Interrupted, "Stopped before its first stage.".to_owned()) };
     let result = match made.stage.as_str() {
-        "tetmesh-check" => "The surface and its tetrahedra are made",
-        "reconstruct" => "The surface is made",
-        "distfield" => "The distance field is made",
-        "sizefield" => "The size field is made",
-        "seed" => "The first particles are made",
+        "tetmesh-check" => "The surface and its tetrahedra are complete",
+        "reconstruct" => "The surface is complete",
+        "distfield" => "The distance field is complete",
+        "sizefield" => "The size field is complete",
+        "seed" => "The seeds are complete",
         "particles" => "The particles are settled",
-        _ => "The volume is made",
+        _ => "The volume is complete",
     };
     let warnings = || stages.iter().flat_map(|stage| &stage.warnings);
     let accepted: Vec<&str> = warnings().filter_map(|words| words.strip_prefix(FIT_BUT_FOR)).collect();
@@ -140,6 +137,6 @@ mod tests {
         status.stages = vec![stage];
         let (verdict, headline) = of(&status);
         assert_eq!(verdict, Verdict::Warning);
-        assert!(headline.ends_with("made; fit but for 2 accepted tetrahedra: flat."), "{headline}");
+        assert!(headline.ends_with("complete; fit but for 2 accepted tetrahedra: flat."), "{headline}");
     }
 }

@@ -1,5 +1,5 @@
-//! Describes a volume: size, orientation, scan or labels, values, labels with their volumes, iso
-//! values worth trying, and what a mesh of each object costs.
+//! Describes a volume: size, orientation, kind (scan or labels), values, labels with their volumes,
+//! proposed iso values, and the predicted cost of a mesh of each object.
 
 use crate::Input;
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD};
@@ -12,29 +12,30 @@ use serde_json::{Value, json};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-/// Describe a volume, and predict what a mesh of it costs
+/// Describe a volume, and predict the cost of a mesh
 ///
-/// Prints size, orientation, scan or labels, values, labels with their volumes, and iso values
-/// worth trying. For the object of --iso or --labels, or else for the objects worth trying, it
-/// predicts vertices, time and memory.
+/// Prints size, orientation, kind (scan or labels), values, labels with their volumes, and proposed
+/// iso values. Predicts vertices, time and memory for the object of --iso or --labels; without
+/// either, for the union of all labels or for each proposed iso value.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
     input: Input,
-    /// Write the description as JSON to this file; `-` for stdout, in place of the text
+    /// Write the description as JSON to this file; `-` writes it to stdout instead of the text
     #[arg(long, value_name = "FILE.json|-", help_heading = FILES)]
     json: Option<PathBuf>,
-    /// Object above this iso value (below it with --inside below), in the unit of the volume
+    /// Iso value of the object, in the unit of the volume; the object is above it, or below it with
+    /// --inside below
     #[arg(long, value_name = "V", allow_negative_numbers = true, conflicts_with = "labels", help_heading = METHOD)]
     iso: Option<f64>,
     /// Side of the iso value that the object is on
     #[arg(long, value_enum, value_name = "SIDE", default_value_t = Inside::Above, help_heading = METHOD)]
     inside: Inside,
-    /// Object made of these labels, separated by commas or blanks: whole numbers, ranges such as
-    /// 2..5, all (but 0), or the names that the file gives
+    /// Labels whose union is the object, separated by commas or spaces: numbers, ranges such as
+    /// 2..5, all (every label except 0), or names from the file
     #[arg(long, value_name = "A,B", allow_hyphen_values = true, help_heading = METHOD)]
     labels: Option<Selection>,
-    /// What the values are: auto judges by the values
+    /// Kind of the volume; auto judges it from the values
     #[arg(long, value_enum, value_name = "KIND", default_value_t = KindChoice::Auto, help_heading = METHOD)]
     kind: KindChoice,
     #[command(flatten)]
@@ -74,7 +75,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<()> {
     print(&info.text(&args.input.path.display().to_string()))
 }
 
-/// Writes to stdout; a closed pipe is no error.
+/// Writes to stdout; a closed pipe is not an error.
 fn print(text: &str) -> Result<()> {
     match std::io::stdout().write_all(text.as_bytes()) {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {

@@ -37,7 +37,7 @@ struct Input {
     /// .mhd), VTK image (.vti), or a folder of DICOM slices
     #[arg(value_name = "VOLUME", help_heading = FILES)]
     path: PathBuf,
-    /// Series to read of a folder with several: its description, number or UID
+    /// Series to read if the folder has several: its description, number or UID
     #[arg(long, value_name = "NAME", help_heading = FILES)]
     series: Option<String>,
 }

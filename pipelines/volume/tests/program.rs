@@ -23,7 +23,7 @@ impl Case {
         Self(folder)
     }
 
-    /// Of the distance from the centre, mm, and the number of the voxel.
+    /// A case whose voxels are `value` of the distance from the centre (mm) and the voxel's index.
     fn of(value: impl Fn(f64, usize) -> f32) -> Self {
         let mut geometry = Geometry::axis_aligned([36, 34, 18], DVec3::new(1.0, 1.0, 2.0));
         geometry.space = Space::Lps;
@@ -33,7 +33,7 @@ impl Case {
         Self::new(&geometry, &Voxels::F32(values))
     }
 
-    /// A scan: a ball of 12 mm at 100 with a wide edge, and noise.
+    /// A scan: a ball with a radius of 12 mm at iso value 100, with a blurred edge and noise.
     fn scan() -> Self {
         Self::of(|radius, n| {
             let noise = ((n * 7919) % 31) as f64 - 15.0;
@@ -41,7 +41,8 @@ impl Case {
         })
     }
 
-    /// Labels: a ball of 3 in a shell of 2, a speck of 9, and `background`.
+    /// A label map: a ball of label 3 in a shell of label 2, one voxel of label 9, otherwise
+    /// `background`.
     fn labels(background: f32) -> Self {
         Self::of(|radius, n| match radius {
             _ if n == 0 => 9.0,
@@ -130,7 +131,7 @@ fn nan_among_labels_is_remarked() {
 
 #[test]
 fn info_measures_sheared_volumes_in_the_world() {
-    // slices of 1 mm shifted along y as by a gantry tilted by 30 degrees
+    // slices 1 mm apart, shifted along y as by a gantry tilt of 30 degrees
     let step = DVec3::new(0.0, 30f64.to_radians().tan(), 1.0);
     let geometry = Geometry {
         spacing: DVec3::new(1.0, 1.0, step.length()),

@@ -65,12 +65,12 @@ impl Choice {
     /// The scale for an edge length (mm). `whose` describes the length in the reason; `voxel` is
     /// the mean spacing (mm).
     fn for_length(length: f64, whose: &str, voxel: f64) -> Self {
-        let limit = format!("than {FINE_ENOUGH} of a voxel of {voxel:.4} mm");
+        let limit = format!("{FINE_ENOUGH} times the voxel size of {voxel:.4} mm");
         if length > FINE_ENOUGH * voxel {
-            let reason = format!("{SCALE_OVER_SIZE} times {whose} which is longer {limit}");
+            let reason = format!("{SCALE_OVER_SIZE} times {whose}, which exceeds {limit}");
             Self { length: SCALE_OVER_SIZE * length, reason }
         } else {
-            Self { length: 0.0, reason: format!("{whose} is no longer {limit}") }
+            Self { length: 0.0, reason: format!("{whose} does not exceed {limit}") }
         }
     }
 }
@@ -128,11 +128,11 @@ impl ScaleArgs {
     pub(crate) fn choose_by_length(&self, geometry: &Geometry) -> Option<Choice> {
         let voxel = geometry.mean_spacing();
         if let Some(size) = self.scale_for_size {
-            return Some(Choice::for_length(size, &format!("the edge length asked for, {size} mm,"), voxel));
+            return Some(Choice::for_length(size, &format!("the requested edge length of {size} mm"), voxel));
         }
         if let Some(quality) = self.quality {
             let smallest = quality.smallest_size_voxels() * voxel;
-            let whose = format!("the smallest h of quality {}, {smallest:.4} mm,", quality.name());
+            let whose = format!("the minimum h of {smallest:.4} mm for quality {}", quality.name());
             return Some(Choice::for_length(smallest, &whose, voxel));
         }
         let given = Choice { length: self.scale.unwrap_or(0.0), reason: "given".into() };
@@ -154,7 +154,7 @@ impl ScaleArgs {
         let vertices = self.scale_for_vertices.unwrap_or(0);
         let length = edge_length(vertices as f64, self.keep_thin)?
             .ok_or_else(|| nothing_left(&format!("a mesh of {vertices} vertices"), volume))?;
-        let whose = format!("the edge length of {vertices} vertices, {length:.4} mm,");
+        let whose = format!("the edge length of {length:.4} mm for {vertices} vertices");
         Ok(Choice::for_length(length, &whose, geometry.mean_spacing()))
     }
 }
@@ -166,8 +166,11 @@ fn nothing_left(by: &str, volume: f64) -> Error {
     let size = (2.0 * area / (3f64.sqrt() * 100.0)).sqrt();
     Error::input(
         format!("{by}: nothing is left of the object of {volume:.4} mm^3"),
-        "parts smaller than the scale are smoothed away, and all are",
-        format!("ask for edges of {size:.3} mm, which give about 100 vertices, or shorter ones; or give --keep-thin"),
+        "parts smaller than the scale are smoothed away, and every part is smaller",
+        format!(
+            "set SIZE (--scale-for-size) to {size:.3} mm or less, which gives about 100 vertices; or lower SCALE \
+             (--scale), raise VERTICES (--scale-for-vertices), or set DISTFIELD_OPTIONS=\"--keep-thin\""
+        ),
     )
 }
 
@@ -262,7 +265,7 @@ fn tell(changes: &Changes, length: f64, context: &Context) {
     context.summary(
         "voxel centres that changed side",
         format!(
-            "{}, {:.3} mm deep on average, 99 % within {:.3} mm, the deepest {:.3} mm",
+            "{}; depth: mean {:.3} mm, 99th percentile {:.3} mm, maximum {:.3} mm",
             changes.voxels_changed, depth.mean, depth.p99, depth.max
         ),
     );
@@ -274,18 +277,20 @@ fn tell(changes: &Changes, length: f64, context: &Context) {
         let named: Vec<String> = events.iter().map(|event| event_told(event)).collect();
         let more = if count > named.len() { format!(", and {} more", count - named.len()) } else { String::new() };
         let what = match kind {
-            Kind::Broken => "parts come in pieces",
-            Kind::Gone => "parts are gone",
-            Kind::Joined => "parts are joined to others",
-            Kind::Shortened => "thin ends are gone",
+            Kind::Broken => "parts are split",
+            Kind::Gone => "parts are lost",
+            Kind::Joined => "parts are merged",
+            Kind::Shortened => "thin ends are lost",
             Kind::Filled => "narrow gaps are filled",
         };
         let (volume, named) = (changes.volumes.get(&kind).copied().unwrap_or(0.0), named.join("; "));
-        let said = format!("at a scale of {length:.4} mm {what} ({count}, {volume:.4} mm^3 together): {named}{more}");
+        let said = format!("at a scale of {length:.4} mm, {what} ({count}, {volume:.4} mm^3 in total): {named}{more}");
         if kind == Kind::Gone && changes.lost() < SPECKS * changes.volume_before {
             context.info(said);
         } else {
-            context.warn(format!("{said}; a smaller --scale or --keep-thin keeps more"));
+            context.warn(format!(
+                "{said}; to prevent this, lower SCALE (--scale) or set DISTFIELD_OPTIONS=\"--keep-thin\""
+            ));
         }
     }
 }
@@ -294,8 +299,8 @@ fn event_told(event: &Event) -> String {
     let [x, y, z] = event.place;
     let pieces = match event.kind {
         Kind::Broken => format!(" in {} pieces", event.pieces),
-        Kind::Joined => format!(" of {} parts", event.pieces),
+        Kind::Joined => format!(" from {} parts", event.pieces),
         _ => String::new(),
     };
-    format!("{:.4} mm^3{pieces} round ({x:.1}, {y:.1}, {z:.1})", event.volume)
+    format!("{:.4} mm^3{pieces} at ({x:.1}, {y:.1}, {z:.1}) mm", event.volume)
 }

@@ -173,8 +173,8 @@ pub fn redistance(
     if mesh.triangles.is_empty() {
         return Err(Error::input(
             "the object has no surface on the grid",
-            "there is nothing to measure distances from",
-            "choose another iso value or other labels, or --border cap",
+            "F is the distance from the surface",
+            "choose another ISO (--iso) or other LABELS (--labels), or set BORDER=cap (--border cap)",
         ));
     }
     let samples = surface_samples(source, &nodes, &mesh);

@@ -443,7 +443,7 @@ mod tests {
     }
 
     #[test]
-    fn lanes_give_the_same_bits_by_the_best_and_the_least_instructions() {
+    fn simd_lanes_give_the_same_bits_at_every_level() {
         let (sampling, coefficients, values) = scene();
         let by = |level: Level| {
             let (mut at_samples, mut back) = (vec![0.0; values.len()], vec![0.0; coefficients.len()]);

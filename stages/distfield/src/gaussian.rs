@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn constants_stay_and_lines_longer_or_shorter_than_the_box_are_mirrored() {
+    fn smoothing_keeps_constants_on_lines_of_any_length() {
         for size in [[7, 1, 3], [40, 5, 33]] {
             let mut data = vec![2.5; size.iter().product()];
             smooth(&mut data, size, [3.0, 9.0, 0.4]);

@@ -32,31 +32,36 @@ pub fn check_kind(args: &Args, volume: &Volume, context: &Context) -> Result<()>
     match (labels, args.iso, judged.kind) {
         (Some(labels), _, Kind::Scan) if judged.certain => Err(Error::input(
             format!("{labels}: the volume is a scan, not a label map: {reason}"),
-            "a label is a number that stands for a material; in a scan the voxels of one value are specks here and there",
+            "in a label map, the voxels of one label form connected parts; in a scan, the voxels of one value are \
+             scattered",
             format!(
-                "give --iso VALUE (isoparticles-volume info {input} proposes some), or --kind labels if these are labels all the same"
+                "set ISO (--iso); isoparticles-volume info {input} proposes values. If the volume is a label map, set \
+                 DISTFIELD_OPTIONS=\"--kind labels\""
             ),
         )),
         (Some(_), _, Kind::Scan) => {
-            context.warn(format!("{input}: may be a scan and not a label map: {reason}; --iso is for scans"));
+            context.warn(format!("{input}: may be a scan, not a label map: {reason}; for a scan, set ISO (--iso)"));
             Ok(())
         }
         (None, Some(_), Kind::Labels) if survey.distinct() == Some(2) => {
             context.warn(format!(
-                "{input}: is a mask of two values; --labels keeps every voxel centre on its side, which --iso does not"
+                "{input}: is a mask of two values; LABELS (--labels) keeps every voxel centre on its side, ISO \
+                 (--iso) does not"
             ));
             Ok(())
         }
         (None, Some(iso), Kind::Labels) if judged.certain => Err(Error::input(
             format!("--iso {iso}: the volume is a label map, not a scan: {reason}"),
-            "labels are numbers of materials, with nothing in between: from 0 to 3 the surface would cross 1 and 2 as well",
+            "labels cannot be interpolated: between labels 0 and 3, an isosurface would pass through 1 and 2",
             format!(
-                "give --labels (all, 2..5 and names are understood; isoparticles-volume info {input} lists them), or --kind scan if these are \
-                 measured values all the same"
+                "set LABELS (--labels) to all, a range such as 2..5, or names; isoparticles-volume info {input} \
+                 lists the labels. If the volume is a scan, set DISTFIELD_OPTIONS=\"--kind scan\""
             ),
         )),
         (None, Some(_), Kind::Labels) if survey.distinct() != Some(1) => {
-            context.warn(format!("{input}: may be a label map and not a scan: {reason}; --labels is for label maps"));
+            context.warn(format!(
+                "{input}: may be a label map, not a scan: {reason}; for a label map, set LABELS (--labels)"
+            ));
             Ok(())
         }
         _ => Ok(()),

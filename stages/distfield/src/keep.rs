@@ -104,8 +104,8 @@ pub fn drop_parts(nodes: &mut Image<f32>, margin: usize, junctions: &[Junction],
     if dropped.components > 0 && dropped.components == parts.len() {
         return Err(Error::input(
             format!("--keep {keep}: the largest part of the object has {:.6} mm^3", largest as f64 * voxel),
-            "nothing would be left",
-            "ask for less, or give --keep largest",
+            "no part would be kept",
+            "set a smaller volume in DISTFIELD_OPTIONS=\"--keep MM3\", or DISTFIELD_OPTIONS=\"--keep largest\"",
         ));
     }
     if dropped.components > 0 {
@@ -127,8 +127,8 @@ pub(crate) fn parts_of_runs(inside: &Runs, size: [usize; 3], junctions: &[Juncti
     let Ok(count) = u32::try_from(inside.all().len()) else {
         return Err(Error::input(
             format!("the object consists of {} runs of nodes along x", inside.all().len()),
-            format!("parts are told apart among up to {} of them", u32::MAX),
-            "do without --keep and --scale, or give a volume that is smaller or less noisy",
+            format!("at most {} runs can be divided into parts", u32::MAX),
+            "leave out --keep (DISTFIELD_OPTIONS) and SCALE (--scale), or use a smaller or less noisy volume",
         ));
     };
     let mut sets = DisjointSets::new(count as usize);

@@ -27,7 +27,7 @@ use rayon::prelude::*;
 pub(crate) const SIGMA: DVec3 = DVec3::splat(1.5);
 
 /// Nodes around the labels on which the surface depends. With five, F equals that of the whole
-/// volume to 0.01 voxel (test `the_field_of_an_object_in_a_corner_is_that_of_the_whole_volume`);
+/// volume to 0.01 voxel (test `field_of_the_object_box_equals_field_of_the_whole_volume`);
 /// with four it does not.
 pub(crate) const LABEL_ROOM: usize = 5;
 
@@ -90,9 +90,9 @@ pub(crate) fn from_mask_with(
     let count = padded.inside.count();
     if count == 0 || (count == padded.geometry.voxel_count() && options.border == Border::Open) {
         return Err(Error::input(
-            "the chosen labels cover no voxel, or every voxel with an open border",
+            "the chosen labels cover no voxel, or they cover every voxel and the border is open",
             "there is no surface between inside and outside",
-            "choose other labels, or --border cap",
+            "choose other LABELS (--labels), or set BORDER=cap (--border cap)",
         ));
     }
     let step = monitor.phase("smoothing");

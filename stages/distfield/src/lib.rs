@@ -1,14 +1,15 @@
-//! The `distfield` stage: a volume and an iso value, or a set of labels, become the signed distance field F of section 3.1
-//! of the paper (Kim, Chen and Hansen 2012): negative inside, in mm, and read everywhere as the interpolating cubic
-//! B-spline through its samples.
+//! The `distfield` stage: computes the signed distance field F of section 3.1 of the paper (Kim,
+//! Chen and Hansen 2012) from a volume and an iso value, or from labels. F is negative inside, in
+//! mm. Between its samples, F is the cubic B-spline that interpolates them.
 //!
-//! [`mod@unshear`] resamples a sheared volume. [`crop`] takes the object's box out of the volume.
-//! [`scalar`] and [`labels`] say what the surface is; labels and scales are level sets of smoothed
-//! voxel shares ([`mask`], [`occupancy`], `level`). [`field`] turns the surface into distances
-//! ([`samples`], [`nearest`], [`closest`]), pins the zero set of the spline on it ([`fit`]), joins
-//! what touches as the source does ([`junctions`]) and closes it at the border ([`cap`]). [`keep`]
-//! drops parts, [`topology`] counts what came out and [`run`] is the program. [`materials`] makes a
-//! field for each of many materials. [`input`] refuses labels of a scan and iso values of labels.
+//! [`mod@unshear`] resamples sheared volumes, and [`crop`] crops the volume to the object.
+//! [`scalar`] and [`labels`] define the surface; for labels and scales it is a level set of the
+//! smoothed occupancy ([`mask`], [`occupancy`], `level`). [`field`] computes the distances to the
+//! surface ([`samples`], [`nearest`], [`closest`]) and fits the zero set of the spline to it
+//! ([`fit`]). It connects ambiguous faces as the source does ([`junctions`]) and closes the object
+//! at the border ([`cap`]). [`keep`] drops parts, [`topology`] counts the parts of the result, and
+//! [`run`] is the program. [`materials`] computes one field for each of many materials. [`input`]
+//! refuses labels of a scan and iso values of a label map.
 
 pub mod bits;
 pub mod cap;
@@ -45,11 +46,11 @@ pub use keep::Keep;
 pub use labels::{LabelOptions, from_labels, from_mask};
 pub use scalar::{ScalarOptions, from_scalar};
 
-/// What happens to the surface where the object meets the border of the volume.
+/// Treatment of the object at the border of the volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Border {
-    /// The object is closed half a voxel beyond the outermost voxel centres.
+    /// Close the object half a voxel beyond the outermost voxel centres.
     Cap,
-    /// The surface runs on straight and leaves the volume.
+    /// Continue the surface straight, so that it leaves the volume.
     Open,
 }

@@ -1,4 +1,5 @@
-//! The `distfield` program: a volume and an iso value, or labels, become the signed distance field F.
+//! The `distfield` program: computes the signed distance field F from a volume and an iso value, or
+//! from labels.
 
 use isoparticles_distfield::run::{Args, run};
 use isoparticles_stage::cli::run_stage;

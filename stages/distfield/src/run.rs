@@ -1,4 +1,5 @@
-//! The program: options, checks of the input, the run, the report.
+//! The program: options, checks of the input, computation of F, report. [`materials::program`] does
+//! the same for many materials.
 
 use crate::choose::{Choice as ScaleChoice, Object, ScaleArgs, choose_scale, extract_scaled};
 use crate::crop::{CutFaces, Grid, VoxelBox, crop, room_of_spline};
@@ -21,14 +22,15 @@ use isoparticles_volume::{Geometry, Image, LayerLabel, ReadOptions, Volume, read
 use serde_json::{Map, Value, json};
 use std::path::PathBuf;
 
-/// A volume and an iso value, or labels, become the signed distance field F
+/// Computes the signed distance field F (mm) of an object, from a volume and an iso value or labels
 ///
-/// F is the implicit function of section 3.1 of the paper (Kim, Chen and Hansen 2012): samples of
-/// the signed distance to the surface in mm, negative inside, read as the cubic B-spline that
-/// interpolates them. For a scalar volume the surface is that of the cubic B-spline through the
-/// voxels at the iso value; for labels it is a smooth one that leaves every voxel centre on its
-/// side and keeps the volume of each place. The grid is that of the input, of which --grid object
-/// keeps the box of the object, with --margin more voxels on each face.
+/// F is the implicit function of section 3.1 of the paper (Kim, Chen and Hansen 2012). The output
+/// holds samples of the signed distance to the surface, negative inside; F is the cubic B-spline
+/// that interpolates them. For a scalar volume, the surface is where the cubic B-spline through the
+/// voxels equals the iso value. For labels, it is a smooth surface that preserves the local volume
+/// and, without a scale, keeps every voxel centre on its side. The grid has the spacing of the
+/// input. It covers the object, or the volume with --grid volume, and --margin more voxels on each
+/// face.
 #[derive(Clone, Debug, clap::Parser)]
 #[command(
     name = "distfield",
@@ -36,17 +38,17 @@ use std::path::PathBuf;
     after_help = "Example: the tooth of a CT, integer iso values being fine\n  distfield tooth_ct.nrrd -o tooth.distfield.vti --iso 600\nExample: both lungs of a label map as one object\n  distfield lungs_label.nrrd -o lungs.distfield.vti --labels 2,3\nExample: every label of a volume as a material of its own\n  distfield brain_parcellation.nrrd -o brain.materials.vti --material all"
 )]
 pub struct Args {
-    /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha, .mhd), VTK image (.vti), or a folder of
-    /// DICOM slices
+    /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha,
+    /// .mhd), VTK image (.vti), or a folder of DICOM slices
     #[arg(value_name = "IN.nrrd", help_heading = FILES)]
     pub input: PathBuf,
-    /// Series to read of a folder with several: its description, number or UID
+    /// Series to read if the folder has several: its description, number or UID
     #[arg(long, value_name = "NAME", help_heading = FILES)]
     pub series: Option<String>,
-    /// Distance field to write, a VTK image file; lengths in mm
+    /// VTK image file to write: the distance field F in mm, or one field per --material
     #[arg(short, long, value_name = "F.vti", help_heading = FILES)]
     pub output: PathBuf,
-    /// Iso value of a scalar volume, in its own unit; between its smallest and largest value
+    /// Iso value of the surface, in the unit of the volume, between its minimum and maximum
     #[arg(
         long,
         value_name = "V",
@@ -56,15 +58,17 @@ pub struct Args {
         help_heading = METHOD
     )]
     pub iso: Option<f64>,
-    /// Side of the iso value that the object is on: lungs in a CT are the low side, --inside below
+    /// Side of the iso value that the object is on; below for the lungs in a CT, for example
     #[arg(long, value_enum, value_name = "SIDE", default_value_t = Inside::Above, help_heading = METHOD)]
     pub inside: Inside,
-    /// Labels whose union is the object, separated by commas or blanks: whole numbers, ranges such as 2..5 (those of them that occur),
-    /// all (but 0), or the names that the file gives its labels
+    /// Labels whose union is the object, separated by commas or spaces: numbers, ranges such as
+    /// 2..5 (those of them that occur), all (every label except 0), or names from the file
     #[arg(long, value_name = "A,B", allow_hyphen_values = true, help_heading = METHOD)]
     pub labels: Option<Selection>,
-    /// A material of its own, made of these labels; once for each material. NAME alone where the file has that name, all for one material of each label but 0
-    /// that no other names. What has no name is the material outside. The output holds a field for each
+    /// Make a material of these labels, such as lung=2+3; may be given several times. NAME alone
+    /// means the label of that name in the file. all makes one material of each label except 0 that
+    /// no other --material names. Other labels belong to the material "outside". The output holds
+    /// one field for each material, the outside included
     #[arg(
         long,
         value_name = "NAME=A+B",
@@ -73,35 +77,41 @@ pub struct Args {
         help_heading = METHOD
     )]
     pub material: Vec<Choice>,
-    /// Materials: give components of fewer voxels than this, of the outside as well, to the material that they share the most faces with. They are told by material
+    /// With --material: give each component of fewer voxels than this, including components of the
+    /// outside, to the material with which it shares the most faces; 1 changes nothing. Changes are
+    /// reported
     #[arg(long, value_name = "VOXELS", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..), requires = "material", help_heading = METHOD)]
     pub smallest_island: u32,
-    /// What the values are: scan or labels, where auto is mistaken. Labels of a scan and an iso value of labels are refused
+    /// Kind of the volume. auto judges it from the values, and refuses labels of a scan and an iso
+    /// value of a label map; give scan or labels if the judgement is wrong
     #[arg(long, value_enum, value_name = "KIND", default_value_t = KindChoice::Auto, help_heading = METHOD)]
     pub kind: KindChoice,
-    /// What happens where the object meets the border of the volume: cap closes it half a voxel beyond the outermost voxel
-    /// centres, with edges rounded by half a voxel; open lets the surface run on straight and leave the volume
+    /// Treatment of the object at the border of the volume: cap closes it half a voxel beyond the
+    /// outermost voxel centres, with edges rounded by half a voxel; open continues the surface
+    /// straight, so that it leaves the volume
     #[arg(long, value_enum, value_name = "HOW", default_value_t = Border::Cap, help_heading = METHOD)]
     pub border: Border,
-    /// Grid of the field: object is the box of the object with the room round it that the field near its surface depends on; volume is the whole
-    /// volume. The surface and its place in the world are the same
+    /// Extent of the grid: object is the box of the object with the room on which F near the
+    /// surface depends; volume is the whole volume. The surface and its world coordinates are the
+    /// same
     #[arg(long, value_enum, value_name = "WHICH", default_value_t = Grid::Object, help_heading = METHOD)]
     pub grid: Grid,
-    /// Parts of the object to keep: all, the largest alone, or those of at least this volume in mm^3. What is dropped is told;
-    /// cavities stay as they are
+    /// Parts of the object to keep: all, the largest only, or those of at least VOLUME mm^3.
+    /// Dropped parts are reported; cavities do not change
     #[arg(long, value_name = "all|largest|VOLUME", default_value_t = Keep::All, help_heading = METHOD)]
     pub keep: Keep,
-    /// Voxels added on each face of the grid, 3 to 64: room for the surface's neighbourhood
+    /// Voxels added on each face of the grid, 3 to 64, as room for F around the surface
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(3..=64), help_heading = METHOD)]
     pub margin: u16,
-    /// Labels: least distance of the surface from every voxel centre, in voxels (smallest spacing),
-    /// 0.01 to 0.15; room for the chords of the triangles to come
+    /// Labels without a scale: minimum distance of the surface from every voxel centre, in voxels
+    /// (minimum spacing), 0.01 to 0.15. It leaves room for the triangles, which deviate from the
+    /// curved surface
     #[arg(long, value_name = "VOXELS", default_value_t = 0.05, value_parser = clearance_in_range, help_heading = METHOD)]
     pub clearance: f64,
-    /// How much of the data is kept.
+    /// The options of the scale.
     #[command(flatten)]
     pub scale: ScaleArgs,
-    /// The options that every stage has.
+    /// The options of all stages.
     #[command(flatten)]
     pub common: CommonArgs,
 }
@@ -113,24 +123,25 @@ fn clearance_in_range(text: &str) -> std::result::Result<f64, String> {
     }
 }
 
-/// Largest clearance, in voxels: the level set aims at twice that, and a layer of one voxel has
-/// half a voxel.
+/// Maximum clearance, in voxels. The level set keeps twice this distance, 0.3, and the surface of a
+/// layer one voxel thick is half a voxel from its voxel centres.
 const MOST_CLEARANCE: f64 = 0.15;
 
-/// Surfaces of F whose volumes the file and the report list.
+/// Maximum number of surfaces of F whose volumes the file and the report list.
 const LISTED_SURFACES: usize = 100;
 
-/// Shift of the zero set (voxels; mean and 99th percentile) above which the user is warned.
+/// Distance between the zero sets of F and of its source above which the user is warned, in voxels:
+/// mean and 99th percentile.
 const SHIFT_LIMITS: (f64, f64) = (0.03, 0.15);
 
-/// Change of the volume, as a share, above which the user is warned, and above which that is a
-/// failed check. Layers of one voxel change by up to 8 %, of two by 3 % (test
+/// Relative change of the volume above which the user is warned, and above which a check fails.
+/// Layers one voxel thick change by up to 8 %, layers of two voxels by up to 3 % (test
 /// `thin_layers_and_rods_keep_their_volume`), specks of single voxels by up to 20 %.
 pub(crate) const VOLUME_LIMITS: (f64, f64) = (0.05, 0.25);
 
-/// The same for a scale, which is made to keep the volume: meshes of solid organs with 1,000
-/// vertices change by up to 2 %; what changes by 10 % (ribs and trabecular bone at a few thousand
-/// vertices: 20 to 42 %) is no mesh of the object.
+/// The same with a scale above 0, which preserves the volume. Meshes of solid organs with 1,000
+/// vertices change by up to 2 %. A mesh whose volume changes by 10 % does not represent the object:
+/// ribs and trabecular bone at a few thousand vertices change by 20 to 42 %.
 pub(crate) const SCALED_VOLUME_LIMITS: (f64, f64) = (0.02, 0.1);
 
 impl StageArgs for Args {
@@ -178,7 +189,8 @@ impl StageArgs for Args {
 /// Runs the stage.
 ///
 /// # Errors
-/// On input that holds no such surface, on files that cannot be read or written, and when interrupted.
+/// When the input has no such surface, the memory does not suffice, a file cannot be read or
+/// written, or the run is interrupted.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("read");
     let volume = read_volume_with(&args.input, &ReadOptions { series: args.series.as_deref() })?;
@@ -264,7 +276,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     Ok(Outcome::from_failed_checks(failed))
 }
 
-/// What the next stages are told, with the notes that are for people.
+/// The metadata of the file: fields for later stages, and `notes` for people.
 fn distance_meta(object: &Object, border: Border, cap_planes: Vec<CapPlane>, notes: Value) -> DistanceMeta {
     let mut notes = match notes {
         Value::Object(notes) => notes,
@@ -289,24 +301,24 @@ fn distance_meta(object: &Object, border: Border, cap_planes: Vec<CapPlane>, not
     }
 }
 
-/// F and what to note about it.
+/// F, and the notes for its metadata.
 type Extracted = (Redistanced, Value);
 
-/// Voxels round the object that the field near its surface depends on.
+/// Number of voxels to keep around the object, because F near its surface depends on them.
 fn room(margin: usize, geometry: &Geometry, object: &Object, scale: Option<&ScaleChoice>) -> [usize; 3] {
     match (scale, object) {
         (Some(scale), Object::Labels(_)) => room_round(0.5 * scale.length / geometry.spacing),
         (None, Object::Labels(_)) => room_of_labels(margin),
-        // a voxel next to those inside has a share as well
+        // voxels next to those inside are partly occupied as well
         (Some(scale), Object::Iso(..)) => room_round(0.5 * scale.length / geometry.spacing).map(|room| room + 1),
         (None, Object::Iso(..)) => room_of_spline(),
     }
 }
 
-/// Leaves of the volume what `--grid` asks for, if there is room for its field; tells the faces at which it was cut.
+/// Crops the volume to the grid that `--grid` selects, and returns the faces at which it was cut.
 ///
 /// # Errors
-/// When the field takes more memory than there is.
+/// When F needs more memory than is available.
 pub(crate) fn take_out(
     args: &Args,
     volume: &mut Volume,
@@ -320,7 +332,7 @@ pub(crate) fn take_out(
     Ok(kept.map_or_else(CutFaces::default, |kept| crop(volume, kept)))
 }
 
-/// Says how many nodes there are, and how many the whole volume would have.
+/// Reports the number of nodes of the grid, and that of the whole volume.
 pub(crate) fn tell_grid(whole: &Geometry, made: &Geometry, context: &Context) {
     let told = |[nx, ny, nz]: [usize; 3]| format!("{nx} x {ny} x {nz}");
     if whole.size == made.size {
@@ -367,10 +379,11 @@ fn extract_labels(
     Ok((result, meta))
 }
 
-/// The planes at which the border of the volume, whose grid is `whole`, cut the object, in the grid frame of the field: axis (0 to 2), side, position in mm.
+/// The planes that close the object at the border of the volume, in the grid frame of F: axis (0 to
+/// 2), side, position in mm. `whole` is the grid of the volume.
 fn cap_planes(field: &Image<f32>, whole: &Geometry) -> Vec<CapPlane> {
     let size = field.geometry.size;
-    // of the first voxel of the volume, by the place of both grids in the world
+    // index of the volume's first voxel in the grid of F, by the world positions of both grids
     let first = field.geometry.grid_to_index(field.geometry.world_to_grid(whole.origin)).round();
     let mut planes = Vec::new();
     for axis in 0..3 {
@@ -393,8 +406,8 @@ fn cap_planes(field: &Image<f32>, whole: &Geometry) -> Vec<CapPlane> {
     planes
 }
 
-/// How much larger the volume within F = 0 is than that of the labels' voxels that were kept, as a
-/// share; none where an open border leaves the surface open.
+/// Relative difference between the volume enclosed by F = 0 and that of the kept voxels. `None` for
+/// an isosurface without a scale, or if an open border leaves the surface open.
 fn volume_change(result: &Redistanced, meta: &DistanceMeta) -> Option<f64> {
     if result.volumes.is_empty() {
         return None;
@@ -444,8 +457,9 @@ fn describe(result: &Redistanced, meta: &DistanceMeta, context: &Context) {
     }
 }
 
-/// Labels are made such that these hold. A scalar volume may fold within a voxel, where the count
-/// of parts is a matter of rounding: there a difference is a warning.
+/// Checks that components, cavities and the sides of voxel centres are preserved. Label surfaces
+/// guarantee this, so a difference is a failed check. An isosurface can fold within a voxel, where
+/// the number of parts depends on rounding; there a difference is a warning.
 fn failed_checks(result: &Redistanced, context: &Context) -> Vec<String> {
     let (before, after) = (result.parts_before, result.parts_after);
     let mut failed = Vec::new();

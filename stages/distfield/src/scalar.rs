@@ -194,8 +194,8 @@ impl Input {
                 first / nx % ny,
                 first / (nx * ny)
             ),
-            "a surface cannot be interpolated through them",
-            "replace them in the input, for instance by the value of the background",
+            "F is interpolated between voxels",
+            "replace them in the input, for example by the background value",
         ))
     }
 
@@ -205,7 +205,7 @@ impl Input {
             return Err(Error::input(
                 format!("every voxel has the value {low}"),
                 "a constant volume has no isosurface",
-                "check that this is the volume you meant",
+                "check that INPUT is the right volume",
             ));
         }
         if iso.is_finite() && f64::from(low) < iso && iso < f64::from(high) {
@@ -214,7 +214,7 @@ impl Input {
         Err(Error::input(
             format!("no voxel crosses iso value {iso}: the volume ranges from {low} to {high}"),
             "the isosurface would be empty",
-            format!("choose --iso between {low} and {high}"),
+            format!("set ISO (--iso) to a value between {low} and {high}"),
         ))
     }
 

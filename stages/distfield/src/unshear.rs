@@ -37,7 +37,7 @@ pub fn unshear(volume: Volume, wanted: Wanted<'_>, border: Border, context: &Con
     let bytes = layers.iter().sum::<usize>() + 2 * layers.iter().max().unwrap_or(&0);
     context.check_memory(
         shear.geometry.voxel_count() as f64 * bytes as f64,
-        &format!("a volume of {nx} x {ny} x {nz} voxels that is resampled because its axes are sheared"),
+        &format!("resampling the sheared volume to {nx} x {ny} x {nz} voxels"),
         "crop the volume to the object, or resample it",
     )?;
     let step = context.step("resample");

@@ -108,7 +108,7 @@ fn two_balls(p: DVec3) -> f64 {
 }
 
 #[test]
-fn the_field_of_an_object_in_a_corner_is_that_of_the_whole_volume() {
+fn field_of_the_object_box_equals_field_of_the_whole_volume() {
     for (size, spacing) in [([90, 84, 76], DVec3::ONE), ([100, 84, 40], DVec3::new(0.9, 1.1, 2.5))] {
         let labels = folder(&oblique(size, spacing), |p| if two_balls(p) < 0.0 { 2.0 } else { 0.0 });
         let scan = folder(&oblique(size, spacing), |p| (100.0 - 30.0 * two_balls(p)).clamp(-300.0, 280.0) as f32);
@@ -133,7 +133,7 @@ fn the_field_of_an_object_in_a_corner_is_that_of_the_whole_volume() {
 }
 
 #[test]
-fn only_true_borders_of_the_volume_cap_the_object_or_let_it_run_on() {
+fn only_true_borders_of_the_volume_are_capped_or_open() {
     let geometry = oblique([60, 70, 66], DVec3::ONE);
     // a ball cut by the low x and the high z border
     let centre = DVec3::new(0.0, 30.0, 60.0);
@@ -164,7 +164,7 @@ fn only_true_borders_of_the_volume_cap_the_object_or_let_it_run_on() {
 }
 
 #[test]
-fn noise_beyond_the_box_is_none_of_the_object_with_an_open_border() {
+fn noise_beyond_the_box_adds_no_object_at_an_open_border() {
     // around the ball, voxels alternate just below the iso value, where a spline overshoots
     let noisy = |p: DVec3| {
         let alternates = if (p.x + p.y + p.z) as i64 % 2 == 0 { 99.9 } else { -400.0 };
@@ -216,7 +216,7 @@ fn many_materials_have_the_box_of_all_but_the_outside() {
 }
 
 #[test]
-fn the_report_and_the_history_tell_the_grid_and_errors_are_those_of_the_volume() {
+fn report_has_the_grid_and_errors_do_not_depend_on_it() {
     let folder =
         folder(&oblique([60, 58, 57], DVec3::ONE), |p| if p.distance(DVec3::splat(20.0)) < 5.0 { 1.0 } else { 0.0 });
     let report = folder.path().join("report.json");

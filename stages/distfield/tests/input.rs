@@ -84,14 +84,14 @@ impl Case {
 #[test]
 fn labels_of_a_scan_are_refused_unless_it_is_insisted() {
     let case = Case::new(scan);
-    case.refused(&["--labels", "200"], &["--labels 200: the volume is a scan", "--iso VALUE", "--kind labels"]);
+    case.refused(&["--labels", "200"], &["--labels 200: the volume is a scan", "set ISO (--iso)", "--kind labels"]);
     case.refused(&["--labels", "all"], &["the volume is a scan"]);
     let insisted = case.run(&["--labels", "180..220", "--kind", "labels"]);
     assert!(matches!(insisted.status.code(), Some(0 | 1)), "{}", String::from_utf8_lossy(&insisted.stderr));
 }
 
 #[test]
-fn an_iso_value_of_labels_is_refused_unless_it_is_insisted_and_of_a_mask_warned_of() {
+fn iso_is_refused_for_labels_and_warned_of_for_a_mask() {
     let case = Case::new(labels);
     case.refused(&["--iso", "2"], &["--iso 2: the volume is a label map", "--labels", "--kind scan"]);
     case.field(&["--iso", "1", "--kind", "scan"]);
@@ -135,7 +135,7 @@ fn nan_among_labels_is_background_and_told() {
     let run = case.run(&["--labels", "2,3"]);
     let told = String::from_utf8_lossy(&run.stderr);
     assert_eq!(run.status.code(), Some(0), "{told}");
-    assert!(told.contains(&format!("{count} voxels are NaN and taken as background")), "{told}");
+    assert!(told.contains(&format!("{count} voxels are NaN and are treated as background")), "{told}");
     assert_eq!(read(), expected);
 }
 
@@ -150,7 +150,7 @@ fn a_volume_that_is_mostly_lost_is_a_failed_check() {
 }
 
 #[test]
-fn a_field_that_takes_more_memory_than_allowed_is_refused_with_the_figure() {
+fn a_field_above_the_memory_limit_is_refused_with_the_figure() {
     let case = Case::new(scan);
     case.refused(&["--iso", "100", "--max-memory", "10K"], &["46 x 44 x 28 nodes", "MiB of memory", "--max-memory"]);
     case.field(&["--iso", "100", "--max-memory", "1G"]);

@@ -80,7 +80,7 @@ fn thickness(result: &Redistanced, index: DVec3, direction: DVec3) -> f64 {
 }
 
 #[test]
-fn parts_one_voxel_thin_keep_their_components_their_genus_and_half_a_voxel() {
+fn parts_one_voxel_thin_keep_topology_and_half_a_voxel() {
     for spacing in [DVec3::ONE, DVec3::new(0.7, 0.7, 3.0)] {
         let index = |p: DVec3| (p / spacing).round();
         let size = [20, 20, 20];
@@ -285,7 +285,7 @@ fn parts_at_an_open_border_count_their_own_voxels_alone() {
 }
 
 #[test]
-fn a_hole_of_one_voxel_stays_in_a_full_volume_with_an_open_border() {
+fn a_one_voxel_hole_in_a_full_open_volume_is_kept() {
     let hole = sampled([9, 9, 9], DVec3::ONE, |p| p != DVec3::splat(4.0));
     let open = LabelOptions { border: Border::Open, ..OPTIONS };
     let kept = from_labels(&hole, &open, &Context::silent("distfield")).expect("the hole");

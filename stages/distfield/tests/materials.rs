@@ -327,7 +327,7 @@ fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
 }
 
 #[test]
-fn a_scale_leaves_materials_their_places_however_far_the_outside_is() {
+fn a_scale_preserves_volumes_of_materials_far_from_outside() {
     // the outside in one corner, and slabs across the rest: two materials far from the outside
     // touch the border of the volume
     let slabs = volume([48, 16, 16], |[i, j, k]| if i < 8 && j < 8 && k < 8 { 0 } else { 1 + (i / 16) as u8 });
@@ -376,12 +376,12 @@ fn lost_parts_of_each_material_are_warned_of_with_their_volume() {
     let warnings: Vec<&str> =
         report["warnings"].as_array().expect("warnings").iter().filter_map(|w| w.as_str()).collect();
     let told = |words: &str| assert!(warnings.iter().any(|warning| warning.contains(words)), "{words}: {warnings:?}");
-    told("'small' loses 24 parts, 24.0000 mm^3, 0.58 % of it");
-    told("less than 0.1 % of each material: 'big' 4 parts, 4.0000 mm^3");
+    told("'small' loses 24 parts, 24.0000 mm^3 (0.58 % of its volume)");
+    told("less than 0.1 % of each material): 'big' 4 parts, 4.0000 mm^3");
 }
 
 #[test]
-fn the_scale_for_a_number_of_vertices_goes_by_the_area_of_all_interfaces() {
+fn scale_for_vertices_uses_the_area_of_all_interfaces() {
     let folder = tempfile::tempdir().expect("folder");
     let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
     let (input, output) = (at("in.nrrd"), at("out.vti"));
@@ -471,7 +471,7 @@ fn write_halves(path: &Path) {
 }
 
 #[test]
-fn the_program_writes_a_file_that_is_read_back_on_any_number_of_threads() {
+fn materials_file_reads_back_for_any_number_of_threads() {
     let folder = tempfile::tempdir().expect("folder");
     let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
     let (input, output, report) = (at("in.nrrd"), at("case.materials.vti"), at("report.json"));
@@ -549,14 +549,14 @@ fn what_cannot_be_meant_is_refused() {
     write_halves(Path::new(&input));
     for (options, said) in [
         (&["--material", "a=9"][..], "no voxel has the label 9"),
-        (&["--material", "a=1", "--material", "b=1"], "is of the material 'a' already"),
-        (&["--material", "a=1", "--material", "a=2"], "was given before"),
-        (&["--material", "heart"], "no label of that name"),
-        (&["--material", "outside=1"], "is the name of what no material has"),
+        (&["--material", "a=1", "--material", "b=1"], "already belongs to the material 'a'"),
+        (&["--material", "a=1", "--material", "a=2"], "the name 'a' is already used"),
+        (&["--material", "heart"], "no label in the file has this name"),
+        (&["--material", "outside=1"], "is reserved for voxels without a material"),
         (&["--material", "all", "--labels", "1"], "cannot be used with"),
         (&["--material", "all", "--iso", "1"], "cannot be used with"),
         (&["--material", "all", "--scale-for-vertices", "3"], "3 is not in"),
-        (&["--material", "all", "--keep", "largest"], "do not take it yet"),
+        (&["--material", "all", "--keep", "largest"], "--keep cannot be combined with MATERIALS (--material)"),
     ] {
         let run = distfield(&[&[&input, "-o", &output][..], options].concat());
         let error = String::from_utf8_lossy(&run.stderr);

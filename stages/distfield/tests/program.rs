@@ -148,7 +148,7 @@ fn a_cut_object_names_its_cap_planes() {
 }
 
 #[test]
-fn bad_input_ends_with_code_2_a_message_in_three_parts_and_no_output() {
+fn bad_input_gives_exit_code_2_a_message_and_no_output() {
     let folder = tempfile::tempdir().expect("folder");
     let path = |name: &str| folder.path().join(name);
     write_nrrd(&path("good.nrrd"), [8, 8, 8], |i, j, k| radius(i, j, k).floor());

@@ -152,7 +152,7 @@ fn the_edge_length_is_that_of_the_area() {
 }
 
 #[test]
-fn what_closes_an_object_at_the_border_counts_for_its_edge_length_where_it_is_closed() {
+fn edge_length_includes_the_cap_area_at_closed_borders() {
     // half a ball whose other half lies beyond the first slice; closed half a voxel beyond its
     // centres
     let half = Occupancy::of_mask(&Mask::from(&sampled([60, 60, 40], DVec3::ONE, |p| {
@@ -167,7 +167,7 @@ fn what_closes_an_object_at_the_border_counts_for_its_edge_length_where_it_is_cl
 }
 
 #[test]
-fn an_edge_length_that_smooths_much_of_the_area_away_still_has_the_vertices_asked_for() {
+fn edge_length_gives_the_vertex_count_despite_lost_area() {
     // rods of several radii: the thinner ones vanish one after the other as the scale grows
     let rods: Vec<(f64, f64, f64)> = (0..6)
         .flat_map(|i| {

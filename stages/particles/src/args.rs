@@ -85,8 +85,8 @@ pub struct Args {
     /// Number of lanes that work for one particle
     #[arg(long, hide = true, value_parser = clap::builder::PossibleValuesParser::new(["8", "16", "32"]))]
     pub(crate) team: Option<String>,
-    /// Use the method as printed: every value marked "printed" below, except where an option is
-    /// given. On the CPU without --order bins
+    /// Use the method as printed in the paper: the values marked "printed" below, except where an
+    /// option is given. The CPU does not support the printed --order bins
     #[arg(long, help_heading = METHOD)]
     as_printed: bool,
     #[arg(long, value_enum, help_heading = METHOD,
@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn each_printed_part_is_an_option_and_one_that_is_given_comes_first() {
+    fn printed_values_are_options_and_given_options_override_them() {
         let seed = given("").common.seed;
         let parts = "--max-passes 50 --energy-tolerance 0.0015 --energy-window 1 --rest-share 1 --closing-passes 0 --ideal-energy 3.462 \
             --add-below 0.75 --delete-above 1.35 --levels 1 --binning uniform --order bins";

@@ -41,8 +41,8 @@ pub(crate) fn keep(
 ) -> Result<()> {
     let extra = serde_json::to_vec(progress).map_err(|error| {
         Error::input(
-            format!("{}: cannot put the log into bytes: {error}", path.display()),
-            "the checkpoint needs it",
+            format!("{}: cannot encode the log: {error}", path.display()),
+            "the checkpoint contains the log",
             "report this bug",
         )
     })?;
@@ -69,12 +69,13 @@ pub(crate) fn resume(
     let refuse = |what: &str| {
         Error::input(
             format!("{}: {what}", path.display()),
-            "going on from it would not give the result of an unbroken run",
-            "leave out --resume to start anew, or give the inputs and parameters that the checkpoint was made with",
+            "a run resumed from it would differ from an uninterrupted one",
+            "delete the checkpoint or leave out --resume to start again, or use the inputs and parameters of the \
+             checkpoint",
         )
     };
     let progress: Progress =
-        serde_json::from_slice(&file.extra).map_err(|error| refuse(&format!("cannot be understood: {error}")))?;
+        serde_json::from_slice(&file.extra).map_err(|error| refuse(&format!("cannot be read: {error}")))?;
     if progress.inputs != *inputs {
         return Err(refuse("was made from other seeds or fields"));
     }
@@ -83,7 +84,8 @@ pub(crate) fn resume(
     }
     if progress.engine != engine {
         context.warn(format!(
-            "the checkpoint was made on another device ({}): the result will not be that of an unbroken run to the last bit",
+            "the checkpoint was made on another device ({}): the result will not be identical to that of an \
+             uninterrupted run",
             progress.engine
         ));
     }

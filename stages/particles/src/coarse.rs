@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn split_edges_make_a_lattice_of_half_the_edge_with_fewer_defects() {
+    fn splitting_edges_gives_a_finer_lattice_with_fewer_defects() {
         let (surface, sizing, seeds) = ball();
         let fields = Fields { surface: &surface, sizing: &sizing };
         let (at_once, records) = run(1, &seeds, &fields, None);

@@ -65,16 +65,17 @@ impl Ground {
 /// If seeds and field do not match.
 pub(crate) fn check_kind((ground, is_materials): (&Path, bool), (seeds, have_strata): (&Path, bool)) -> Result<()> {
     let mismatch = |found: &str, given: &str, why: &str| {
-        let what = format!("{}: holds particles of {found}, but {} holds {given}", seeds.display(), ground.display());
-        Err(Error::input(what, why, "give the file that the seeds were made from, or run seed again"))
+        let what =
+            format!("{}: contains particles of {found}, but {} contains {given}", seeds.display(), ground.display());
+        Err(Error::input(what, why, "use the file that the seeds were made from (--distfield), or run seed again"))
     };
     match (is_materials, have_strata) {
         (true, false) => {
-            let why = "none of them says which interface it lies on";
+            let why = "these particles are not assigned to interfaces";
             mismatch("one object", "the indicators of many materials", why)
         }
         (false, true) => {
-            let why = "each of them lies on an interface of two materials, or where more meet";
+            let why = "each of these particles lies on an interface or a junction";
             mismatch("many materials", "the distance field of one object", why)
         }
         _ => Ok(()),
@@ -90,8 +91,8 @@ pub(crate) fn check_levels(levels: Option<u32>) -> Result<()> {
         None => Ok(()),
         Some(levels) => Err(Error::input(
             format!("--levels {levels}: many materials are settled on one level"),
-            "the particles of junction curves are placed at the spacing of h, and those of coarser levels would not fit between them",
-            "leave out --levels, or give --levels 1",
+            "particles on junction curves have the spacing of h; those of coarser levels do not fit between them",
+            "leave --levels out of PARTICLES_OPTIONS, or set it to 1",
         )),
     }
 }

@@ -58,5 +58,5 @@ impl Log {
 }
 
 fn failed(path: &Path, error: &std::io::Error) -> Error {
-    Error::file(path, "write the log", error, "check the folder and the free space, or leave out --log")
+    Error::file(path, "write the log", error, "check the folder and the free disk space, or leave out --log")
 }

@@ -215,7 +215,7 @@ mod tests {
     use crate::scenes::Scene;
 
     #[test]
-    fn particles_that_do_not_see_each_other_stay_beyond_the_first_ring() {
+    fn unlisted_particles_stay_beyond_the_first_ring() {
         // twice as many as the lattice has, at random places, which gives the longest steps
         let scene = Scene::ball(1600, 1.6);
         let fields = scene.fields();
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn indefinite_matrices_become_positive_definite_and_good_ones_stay() {
+    fn only_indefinite_matrices_are_made_positive_definite() {
         let good = [3.0, 0.7, 2.0];
         let kept = positive_definite(good);
         assert!(good.iter().zip(kept).all(|(a, b)| (a - b).abs() < 1e-12), "{kept:?}");

@@ -43,7 +43,7 @@ fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
             // a named adapter must be used, so there is no fallback
             Err(error) if args.adapter.is_some() => return Err(error),
             Err(error) => {
-                context.verbose(format!("no GPU is used: {}", error.what));
+                context.verbose(format!("the CPU is used: {}", error.what));
                 return Ok(None);
             }
         },
@@ -51,7 +51,7 @@ fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
     context.verbose(format!("adapter: {}", gpu.summary()));
     context.verbose(gpu.limits_in_words());
     if args.profile && !gpu.has_timestamps() {
-        context.info(format!("--profile: {} has no timestamp queries; kernels are not measured", gpu.summary().name));
+        context.info(format!("--profile: {} has no timestamp queries; kernels are not timed", gpu.summary().name));
     }
     Ok(Some(gpu))
 }
@@ -73,7 +73,7 @@ impl<'a> Engines<'a> {
         match make(gpu) {
             Ok(engine) => Ok(Some(engine)),
             Err(error) if self.may_fall_back => {
-                self.context.warn(format!("the GPU is not used: {}", error.what));
+                self.context.warn(format!("the CPU is used instead of the GPU: {}", error.what));
                 self.fell_back.set(true);
                 Ok(None)
             }
@@ -119,7 +119,7 @@ fn list_adapters() {
         println!("{adapter}");
     }
     if adapters.is_empty() {
-        eprintln!("no adapter: there is no Vulkan, Metal or DX12 driver");
+        eprintln!("no adapter found: no Vulkan, Metal or DX12 driver is installed");
     }
 }
 
@@ -128,7 +128,7 @@ fn tell(report: &DeviceReport, context: &Context) {
     context.summary("adapter", &report.adapter);
     context.summary("device time", format!("{:.3} s", report.device_seconds));
     context.summary(
-        "  of it",
+        "  breakdown",
         format!(
             "{:.3} s upload, {:.3} s encoding, {:.3} s waiting for passes, {:.3} s readback",
             report.upload_seconds, report.encode_seconds, report.wait_seconds, report.readback_seconds
@@ -184,14 +184,14 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let count = seeds.particles.positions.len();
     context.check_memory(
         BYTES_PER_PARTICLE * count as f64,
-        &format!("{}: {count} particles to settle", seeds_file.display()),
-        "make fewer of them: sizefield --min-size, --scale or --quality coarse",
+        &format!("{}: settling {count} particles", seeds_file.display()),
+        "raise SIZE or MIN_SIZE (sizefield --uniform, --min-size), or set QUALITY=coarse (sizefield --quality)",
     )?;
     if seeds.particles.positions.is_empty() {
         return Err(Error::input(
-            format!("{}: holds no particles", seeds_file.display()),
+            format!("{}: contains no particles", seeds_file.display()),
             "there is nothing to settle",
-            "run seed again to make it anew",
+            "run seed again",
         ));
     }
     let engine = gpu.as_ref().map_or_else(cpu_engine, |gpu| format!("gpu: {}", gpu.summary().name));
@@ -225,7 +225,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let mut observe = |record: &PassRecord, engine: &mut dyn Engine| {
         progress.set(record.pass);
         progress.message(format!(
-            "energy {:.5} a particle, {} particles (+{} -{})",
+            "energy {:.5} per particle, {} particles (+{} -{})",
             record.energy / record.count.max(1) as f64,
             record.count,
             record.inserted,
@@ -268,9 +268,9 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     drop((progress, step));
     if particles.positions.is_empty() {
         return Err(Error::input(
-            format!("{}: no particle stayed on the surface", seeds_file.display()),
+            format!("{}: no particle remained on the surface", seeds_file.display()),
             "there is nothing to write",
-            "check that the distance field is the one that the seeds were made from",
+            "use the distance field that the seeds were made from (--distfield), or run seed again",
         ));
     }
     if summary.escaped > 0 {

@@ -451,7 +451,7 @@ mod tests {
     }
 
     #[test]
-    fn passes_go_on_while_defects_get_fewer_and_density_control_is_at_work() {
+    fn passes_continue_while_defects_fall_or_density_changes() {
         let parameters = Parameters::default();
         let closing = |records: &[PassRecord]| closing_since(records, &parameters);
         // 1 % per pass, then nothing from pass 20 on: the window of ten passes still has 0.8 % at

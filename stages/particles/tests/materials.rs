@@ -124,8 +124,12 @@ fn sheets_are_settled_and_a_broken_run_goes_on() {
 fn what_does_not_go_together_is_refused() {
     let files = Files::new();
     for (words, code, expected) in [
-        ("one.bin --distfield m.vti --sizefield h.vti -o o.bin", 2, "one.bin: holds particles of one object"),
-        ("seeds.bin --distfield f.vti --sizefield h.vti -o o.bin", 2, "seeds.bin: holds particles of many materials"),
+        ("one.bin --distfield m.vti --sizefield h.vti -o o.bin", 2, "one.bin: contains particles of one object"),
+        (
+            "seeds.bin --distfield f.vti --sizefield h.vti -o o.bin",
+            2,
+            "seeds.bin: contains particles of many materials",
+        ),
         (&format!("{ALL} -o o.bin --levels 2"), 2, "--levels 2"),
     ] {
         let ended = files.run(words);

@@ -69,7 +69,7 @@ fn nearest(set: &ParticleSet) -> Vec<f64> {
 }
 
 #[test]
-fn a_ball_gets_the_lattice_of_spacing_h_from_too_few_and_too_many_seeds() {
+fn a_ball_gets_lattice_spacing_h_from_few_and_many_seeds() {
     let image = sampled(|p| p.length() - 12.0);
     let surface = CubicSpline::new(&image);
     let sizing = uniform_size(&image, 1.6);
@@ -287,7 +287,7 @@ fn the_printed_ideal_energy_gets_its_own_lattice() {
 }
 
 #[test]
-fn the_printed_method_deletes_a_share_of_the_vertices_and_ends_near_its_energy() {
+fn printed_method_deletes_vertices_and_reaches_its_energy() {
     let (surface, sizing, start, _) = ball_at_vertices(1.6);
     let fields = Fields { surface: &surface, sizing: &sizing };
     let printed = Parameters::as_printed();

@@ -149,7 +149,7 @@ fn bad_input_and_usage_are_refused_with_code_2() {
     std::fs::write(folder.path("few.xyz"), "0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 1 1\n").unwrap();
     for (words, says) in [
         (&["words.xyz", "--method", "tight-cocone"][..], "line 2: 'four'"),
-        (&["empty.ply", "--method", "tight-cocone"], "no PLY"),
+        (&["empty.ply", "--method", "tight-cocone"], "not a PLY file"),
         (&["absent.vtp", "--method", "tight-cocone"], "absent.vtp"),
         (&["p.bin", "--method", "tight-cocone"], "p.bin"),
         (&["flat.xyz", "--method", "tight-cocone"], "one plane"),

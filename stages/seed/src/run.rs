@@ -49,9 +49,9 @@ pub struct Args {
     /// Source of the seeds (one object only)
     #[arg(long, value_enum, default_value_t = From::PoissonDisk, help_heading = METHOD)]
     pub(crate) from: From,
-    /// Seed about this many particles instead of the number that the sizing field requires, 4 or
-    /// more (each component still gets some). With --from marching-cubes exactly this many
-    /// vertices, spread evenly, from a finer grid if there are fewer
+    /// Number of particles to seed, 4 or more, instead of the number that the sizing field
+    /// requires; approximate, as each component gets some. With --from marching-cubes it is exact:
+    /// vertices spread evenly, from a finer grid if there are too few
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), help_heading = METHOD)]
     pub(crate) count: Option<u64>,
     #[command(flatten)]
@@ -96,14 +96,14 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     if particles.positions.is_empty() {
         return Err(Error::input(
             format!("{}: has no surface to seed", args.distfield.display()),
-            "particles live on F = 0, and F has no zero that can be reached",
-            "look at the iso value or the labels that distfield was given",
+            "seeds are placed on F = 0, and no point on it was found",
+            "check ISO or LABELS (distfield --iso, --labels)",
         ));
     }
     if summary.underpopulated_components > 0 {
         context.warn(format!(
-            "{} of {} components are small for their h and got extra particles; a smaller h (sizefield --min-size, \
-             --epsilon) suits them better",
+            "{} of {} components are too small for their h and got extra particles; to mesh them better, lower SIZE, \
+             MIN_SIZE or EPSILON (sizefield --uniform, --min-size, --epsilon)",
             summary.underpopulated_components, summary.components
         ));
     }
@@ -151,25 +151,26 @@ fn at_vertices(
         context.check_memory(
             BYTES_PER_NODE * nodes as f64,
             &format!("{}: a finer grid of {nodes} nodes for --count", args.distfield.display()),
-            "give a smaller --count, or leave out --from marching-cubes",
+            "lower COUNT (--count), or leave out --from marching-cubes",
         )
     };
     let found = vertices(distance, surface, args.count.map(|n| n as usize), has_room, context)?;
     if let Some(count) = args.count.filter(|&count| found.available > 0 && (found.available as u64) < count) {
         return Err(Error::input(
             format!(
-                "--count {count}: marching cubes over {} has {} vertices on a grid {FINEST} times as fine as its voxels",
+                "--count {count}: marching cubes on {} gives {} vertices on a grid {FINEST} times as fine as the \
+                 voxels",
                 args.distfield.display(),
                 found.available
             ),
-            "with --from marching-cubes every seed is at one of them",
-            format!("give --count {} or less, or leave out --from marching-cubes", found.available),
+            "--from marching-cubes places each seed at a different vertex",
+            format!("set COUNT (--count) to {} or less, or leave out --from marching-cubes", found.available),
         ));
     }
     context.check_memory(
         BYTES_PER_PARTICLE * found.points.len() as f64,
-        &format!("{}: {} vertices of marching cubes to seed at", args.distfield.display(), found.points.len()),
-        "give --count, or leave out --from marching-cubes",
+        &format!("{}: seeding {} vertices of marching cubes", args.distfield.display(), found.points.len()),
+        "set COUNT (--count), or leave out --from marching-cubes",
     )?;
     Ok(seed_vertices(&found, surface, sizing, context.seed(), context)?)
 }
@@ -188,16 +189,16 @@ pub(crate) fn check_prediction(args: &Args, predicted: impl FnOnce() -> f64, con
     // a missing surface has its own error message
     if count > 0.0 && count < COMPONENT_MINIMUM as f64 && args.count.is_none() {
         return Err(Error::input(
-            format!(
-                "{sizes}: the sizes ask for {count:.1} particles on the whole surface: h is larger than the object"
-            ),
-            format!("fewer than {COMPONENT_MINIMUM} do not make a closed surface"),
-            "run sizefield again with a smaller size; its defaults go by the object",
+            format!("{sizes}: h is too large for the object: it gives {count:.1} particles on the whole surface"),
+            format!("a closed surface needs at least {COMPONENT_MINIMUM} particles"),
+            "lower SIZE or MIN_SIZE (sizefield --uniform, --min-size), or leave them out: the defaults follow the \
+             object",
         ));
     }
     context.check_memory(
         BYTES_PER_PARTICLE * count,
-        &format!("{sizes}: {count:.0} particles to seed"),
-        "run sizefield again with larger triangles (--uniform, --min-size, --scale)",
+        &format!("{sizes}: seeding {count:.0} particles"),
+        "raise SIZE or MIN_SIZE (sizefield --uniform, --min-size), lower COUNT (--count), or set \
+         SIZEFIELD_OPTIONS=\"--scale 2\"",
     )
 }

@@ -52,7 +52,7 @@ fn a_component_between_the_samples_gets_particles() {
 }
 
 #[test]
-fn there_are_as_many_seeds_as_vertices_of_marching_cubes_and_all_lie_on_the_surface() {
+fn marching_cubes_seeds_are_all_vertices_on_the_surface() {
     let balls = |p: DVec3| {
         let ball = |x: f64, radius: f64| p.distance(DVec3::new(x, 12.0, 12.0)) - radius;
         ball(11.0, 7.0).min(ball(28.0, 5.0))

@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn the_nodes_asked_for_come_to_the_same_values_as_with_all_others() {
+    fn requested_nodes_get_the_values_of_a_full_sweep() {
         let geometry = Geometry::axis_aligned([70, 51, 44], DVec3::new(1.0, 0.8, 1.3));
         let mut h = Image::filled(geometry.clone(), f32::INFINITY);
         let mut asked = NodeSet::new(h.data.len());

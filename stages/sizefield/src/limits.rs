@@ -46,9 +46,10 @@ pub fn too_small(components: &[Component], sizing: &SizingField) -> Vec<TooSmall
 pub fn too_small_told(found: &[TooSmall], components: usize) -> Option<String> {
     let smallest = found.iter().min_by(|a, b| a.size.total_cmp(&b.size))?;
     Some(format!(
-        "{} of {components} components are too small for their h, the smallest {} mm across where h is {} mm, at {} mm (world); \
-         seed gives them extra particles, and a mesh may have them badly: a smaller h there (--refine, --min-size, --epsilon), or distfield without \
-         what is so small (--keep, --scale), suits them better",
+        "{} of {components} components are too small for their h and may be meshed poorly; the smallest is {} mm \
+         wide, where h is {} mm, at {} mm. Lower SIZE, MIN_SIZE or EPSILON (--uniform, --min-size, --epsilon), \
+         refine there (SIZEFIELD_OPTIONS=\"--refine ...\"), or remove small components (DISTFIELD_OPTIONS=\"--keep \
+         ...\", SCALE)",
         found.len(),
         significant(smallest.size),
         significant(smallest.h),
@@ -74,10 +75,14 @@ pub fn check_size(path: &Path, size: f64, area: f64) -> Result<()> {
             path.display()
         ),
         format!(
-            "fewer than {FEWEST} do not make a closed surface; the largest part has an area of {} mm^2",
+            "a closed surface needs at least {FEWEST} particles; the largest part has an area of {} mm^2",
             significant(area)
         ),
-        format!("give a size below {} mm; {} mm gives about 100 vertices", significant(largest), significant(would_do)),
+        format!(
+            "set SIZE (--uniform) below {} mm, or raise VERTICES (--vertices); {} mm gives about 100 vertices",
+            significant(largest),
+            significant(would_do)
+        ),
     ))
 }
 
@@ -88,11 +93,9 @@ pub fn check_size(path: &Path, size: f64, area: f64) -> Result<()> {
 pub fn check_count(path: &Path, predicted: f64, nodes: usize, context: &Context) -> Result<()> {
     context.check_memory(
         particles_bytes(predicted, nodes),
-        &format!(
-            "{}: the sizes ask for {predicted:.0} particles in reconstruct, on a grid of {nodes} nodes",
-            path.display()
-        ),
-        "ask for larger triangles (--uniform, --min-size, --scale)",
+        &format!("{}: reconstructing {predicted:.0} particles on a grid of {nodes} nodes", path.display()),
+        "raise SIZE (--uniform) or MIN_SIZE (--min-size), lower VERTICES (--vertices), or set \
+         SIZEFIELD_OPTIONS=\"--scale 2\"",
     )
 }
 
@@ -106,7 +109,7 @@ mod tests {
     use isoparticles_volume::{Geometry, Image};
 
     #[test]
-    fn a_component_too_small_for_its_h_is_named_though_no_sample_is_in_it() {
+    fn a_small_component_without_samples_is_reported() {
         // a ball, and a small component between the samples
         let geometry = Geometry::axis_aligned([32, 24, 24], DVec3::ONE);
         let (ball, speck) = (DVec3::new(9.0, 12.0, 12.0), DVec3::new(24.5, 12.45, 12.52));
@@ -127,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_size_above_the_object_is_refused_and_one_that_would_do_is_named() {
+    fn a_size_above_the_object_is_refused_with_a_better_one() {
         // a ball of radius 10: 1257 mm^2, twelve particles at 11 mm
         let area = 400.0 * std::f64::consts::PI;
         let path = Path::new("f.vti");

@@ -168,7 +168,7 @@ mod tests {
     use isoparticles_volume::Geometry;
 
     #[test]
-    fn the_sample_that_stops_a_ball_is_that_of_a_plain_search_with_and_without_a_hint() {
+    fn balls_stop_at_the_sample_of_a_full_search() {
         // two balls, both with random bumps
         let centres = [(DVec3::new(12.0, 12.0, 12.0), 7.0), (DVec3::new(24.0, 12.0, 12.5), 3.0)];
         let distance = |p: DVec3| {

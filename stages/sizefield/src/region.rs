@@ -100,14 +100,17 @@ impl Refinement {
         };
         if nodes.is_empty() {
             let what = match self {
-                Self::Ball(ball) => format!("the ball of radius {} mm round {}", ball.radius, ball.centre),
-                Self::Mask { file, .. } => format!("{}: its voxels that are not zero (if any)", file.display()),
-                Self::Points { file } => format!("{}: its points (if any)", file.display()),
+                Self::Ball(Ball { centre: DVec3 { x, y, z }, radius, .. }) => {
+                    format!("the ball of radius {radius} mm at ({x}, {y}, {z}) mm is")
+                }
+                Self::Mask { file, .. } => format!("{}: has no nonzero voxels, or all of them are", file.display()),
+                Self::Points { file } => format!("{}: has no points, or all of them are", file.display()),
             };
             return Err(Error::input(
-                format!("--refine: {what}: outside the grid of F"),
-                "it would refine nothing",
-                "give places in world coordinates, as the meshes have them (LPS, mm); distfield --grid volume makes F on all of the volume",
+                format!("--refine: {what} outside the grid of F"),
+                "it would have no effect",
+                "use world coordinates in mm, as in the meshes (LPS); DISTFIELD_OPTIONS=\"--grid volume\" computes F \
+                 on the whole volume",
             ));
         }
         Ok(nodes)

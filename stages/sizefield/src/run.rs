@@ -157,7 +157,8 @@ impl StageArgs for Args {
             check_bounds((min, max), "")?;
         }
         for file in self.refine.iter().filter_map(Refinement::file) {
-            std::fs::metadata(file).map_err(|error| Error::file(file, "read", &error, "check its name in --refine"))?;
+            std::fs::metadata(file)
+                .map_err(|error| Error::file(file, "read", &error, "check the file name in --refine"))?;
         }
         match &known.materials {
             Some(names) if names.is_empty() => self.refuse_sizes()?,
@@ -179,8 +180,9 @@ impl Args {
             None => Ok(()),
             Some(given) => Err(Error::input(
                 format!("--size {given} for one object"),
-                "one object has no materials to name",
-                "give --uniform or --min-size and --max-size, or a file that distfield --material writes",
+                "--size needs named materials",
+                "set SIZE (--uniform), or MIN_SIZE and MAX_SIZE (--min-size, --max-size); or set MATERIALS \
+                 (distfield --material)",
             )),
         }
     }
@@ -247,9 +249,9 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     drop(step);
     if features.triangles.is_empty() {
         return Err(Error::input(
-            format!("{}: has no surface, because F does not change its sign", args.input.display()),
-            "there is nothing to size",
-            "look at the iso value or the labels that distfield was given",
+            format!("{}: has no surface, because F does not change sign", args.input.display()),
+            "h is computed on the surface",
+            "check ISO or LABELS (distfield --iso, --labels)",
         ));
     }
     if let Some(size) = one_size {
@@ -297,7 +299,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let meta = describe(&features, &sizing, predicted, (largest, &small), context);
     check_count(&args.input, meta.predicted_count, geometry.voxel_count(), context)?;
     if let Some(size) = one_size {
-        warn_if_too_coarse(&features, size, context);
+        warn_if_too_coarse(&features, geometry, size, context);
     }
     context.check_interrupt()?;
     let _step = context.step("write");
@@ -312,7 +314,7 @@ pub(crate) fn refined_nodes(args: &Args, geometry: &Geometry, context: &Context)
         let nodes = refinement.nodes(geometry)?;
         if let Some(file) = refinement.file() {
             context.add_input(file, None)?;
-            context.info(format!("--refine {}: {} nodes of the grid", file.display(), nodes.len()));
+            context.info(format!("--refine {}: {} grid nodes", file.display(), nodes.len()));
         }
         refined.extend(nodes);
     }
@@ -336,18 +338,18 @@ fn resolve(
     let (min_size, max_size) = (parameters.min_size, parameters.max_size);
     check_bounds((min_size, max_size), &format!("; {}", describe_extent(args.input.as_path(), low, high)))?;
     let quality = args.quality().name();
-    let of_voxel = |share: f64| format!("{share} of the voxel spacing {} mm, quality {quality}", significant(voxel));
+    let of_voxel = |share: f64| format!("{share} times the voxel size of {} mm, quality {quality}", significant(voxel));
     let of_diagonal = format!(
-        "{} of the object's diagonal {} mm, quality {quality}",
+        "{} times the object's diagonal of {} mm, quality {quality}",
         defaults.max_size_diagonals,
         significant(diagonal)
     );
     for (name, value, given, reason) in [
         ("epsilon", parameters.epsilon, args.epsilon, format!("quality {quality}")),
         ("delta", parameters.delta, args.delta, format!("quality {quality}")),
-        ("smallest h, mm", min_size, args.min_size, of_voxel(defaults.min_size_voxels)),
-        ("largest h, mm", max_size, args.max_size, of_diagonal),
-        ("deviation, mm", deviation, args.max_deviation, of_voxel(defaults.deviation_voxels)),
+        ("minimum h, mm", min_size, args.min_size, of_voxel(defaults.min_size_voxels)),
+        ("maximum h, mm", max_size, args.max_size, of_diagonal),
+        ("maximum deviation, mm", deviation, args.max_deviation, of_voxel(defaults.deviation_voxels)),
     ] {
         let reason = if given.is_some() { "given" } else { &reason };
         context.info(format!("{name}: {} ({reason})", significant(value)));
@@ -362,7 +364,8 @@ fn resolve(
     let bound = wanted_sizes(features, &unbound).iter().filter(|&&h| h < parameters.min_size).count();
     if bound * 100 > features.points.len() {
         context.warn(format!(
-            "local features ask for less than the smallest h on {:.1} % of the surface samples; --min-size lowers it",
+            "local features need an h below the minimum on {:.1} % of the surface samples; to resolve them, lower \
+             MIN_SIZE (--min-size)",
             100.0 * bound as f64 / features.points.len() as f64
         ));
     }
@@ -376,8 +379,8 @@ pub(crate) fn check_bounds((min, max): (f64, f64), more: &str) -> Result<()> {
     }
     Err(Error::input(
         format!("--min-size {min} is above --max-size {max}"),
-        "no edge length fulfils both",
-        format!("give a smallest edge length below the largest{more}"),
+        "no edge length satisfies both",
+        format!("set MIN_SIZE (--min-size) below MAX_SIZE (--max-size){more}"),
     ))
 }
 
@@ -404,10 +407,10 @@ fn noise_told(noise: &[f64], spacing: DVec3) -> Option<String> {
     let what = if thickness < THICK_SLICES {
         "noise".to_owned()
     } else {
-        format!("ripple of slices {thickness:.1} times as thick as voxels are wide, or noise")
+        format!("noise, or ripple from slices {thickness:.1} times as thick as the voxels are wide,")
     };
     Some(format!(
-        "{what}, {} mm high (root mean square) on {:.1} % of the surface, is not taken for shape",
+        "{what} of {} mm (root mean square) on {:.1} % of the surface does not affect h",
         significant(mean),
         100.0 * found.len() as f64 / noise.len() as f64
     ))
@@ -455,7 +458,7 @@ pub(crate) fn percentiles(values: &mut [f64]) -> Value {
 }
 
 /// Warns if a constant h is too coarse for thin parts, with the place of the minimum feature size.
-fn warn_if_too_coarse(features: &Features, size: f64, context: &Context) {
+fn warn_if_too_coarse(features: &Features, geometry: &Geometry, size: f64, context: &Context) {
     let coarse = features.feature_size.iter().filter(|&&lfs| size > lfs).count();
     if coarse == 0 {
         return;
@@ -464,11 +467,12 @@ fn warn_if_too_coarse(features: &Features, size: f64, context: &Context) {
         .min_by(|&a, &b| features.feature_size[a].total_cmp(&features.feature_size[b]))
         .unwrap_or(0);
     context.warn(format!(
-        "h = {size} mm is larger than the local feature size on {:.1} % of the surface (smallest {} mm, at grid \
-         position {} mm); thin parts may not be caught",
+        "h = {size} mm is larger than the local feature size on {:.1} % of the surface (minimum {} mm, at {} mm); \
+         thin parts may be lost or merged. Lower SIZE (--uniform) or raise VERTICES (--vertices); without them, h \
+         follows the shape",
         100.0 * coarse as f64 / features.points.len() as f64,
         significant(features.feature_size[worst]),
-        place(features.points[worst].to_array()),
+        place(geometry.grid_to_world(features.points[worst]).to_array()),
     ));
 }
 
@@ -478,14 +482,14 @@ mod tests {
     use glam::DVec3;
 
     #[test]
-    fn what_is_not_taken_for_shape_is_noise_or_where_slices_are_thick_may_be_ripple() {
+    fn noise_message_names_ripple_only_for_thick_slices() {
         assert_eq!(noise_told(&[0.0; 4], DVec3::ONE), None);
         let told = noise_told(&[0.0, 0.02, 0.02, 0.0], DVec3::new(1.0, 1.0, 1.25)).expect("noise");
-        assert!(told.starts_with("noise, 0.0200 mm high"), "{told}");
+        assert!(told.starts_with("noise of 0.0200 mm (root mean square)"), "{told}");
         assert!(told.contains("on 50.0 % of the surface"), "{told}");
         let told = noise_told(&[0.0, 0.02, 0.02, 0.0], DVec3::new(0.5, 0.5, 2.0)).expect("ripple or noise");
         assert!(
-            told.starts_with("ripple of slices 4.0 times as thick as voxels are wide, or noise, 0.0200 mm"),
+            told.starts_with("noise, or ripple from slices 4.0 times as thick as the voxels are wide, of 0.0200 mm"),
             "{told}"
         );
     }

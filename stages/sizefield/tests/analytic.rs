@@ -54,7 +54,7 @@ fn ball() {
 }
 
 #[test]
-fn for_one_size_the_feature_sizes_are_the_same_and_areas_nearly_so() {
+fn purposes_give_equal_feature_sizes_and_similar_areas() {
     let image = sampled(56, |p| {
         let apart = |x: f64, radius: f64| (p - DVec3::X * x).length() - radius;
         apart(-10.0, 12.0).min(apart(16.0, 6.0))
@@ -161,7 +161,7 @@ fn largest_slope(h: &Image<f32>) -> f64 {
 
 /// Halving epsilon, or halving the scale, gives four times the particles on a smooth organ.
 #[test]
-fn the_count_goes_with_the_inverse_square_of_epsilon_and_of_the_scale() {
+fn count_is_inverse_square_in_epsilon_and_scale() {
     let image = sampled(56, |p| {
         let (q, r) = (p / DVec3::new(16.0, 12.0, 10.0), p / DVec3::new(256.0, 144.0, 100.0));
         q.length() * (q.length() - 1.0) / r.length().max(1e-3)

@@ -50,7 +50,7 @@ fn slips_and_values_out_of_range_are_refused_before_any_work() {
         ("VERTICES=2.5", "whole number"),
         ("MIN_SIZE=0", "above 0"),
         ("NAME=../elsewhere", "NAME=../elsewhere"),
-        ("DISTFIELD_OPTIONS=--keep 'largest", "every quote closed"),
+        ("DISTFIELD_OPTIONS=--keep 'largest", "balanced quotes"),
     ];
     for (variable, words) in attempts {
         case.surface(&["ISO=100", variable]).expect_error(2, &[words]);
@@ -124,7 +124,7 @@ fn clean_removes_one_case_and_nothing_else() {
     std::fs::write(keep.join("notes.txt"), "mine").unwrap();
     run(&mut case.command("distfield", &PARAMETERS)).expect_success("make distfield");
     run(&mut case.bare("clean", &[])).expect_error(2, &["CASE", "NAME"]);
-    run(&mut case.bare("clean", &["NAME=mine"])).expect_error(2, &["holds no results"]);
+    run(&mut case.bare("clean", &["NAME=mine"])).expect_error(2, &["contains no results"]);
     run(&mut case.bare("clean", &["NAME=.."])).expect_error(2, &["NAME=.."]);
     run(&mut case.bare("clean", &["NAME=ball"])).expect_success("make clean");
     assert!(!case.out().join("ball").exists() && keep.join("notes.txt").exists() && case.volume.exists());

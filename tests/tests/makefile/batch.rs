@@ -124,10 +124,10 @@ fn a_list_that_cannot_be_meant_is_refused_before_any_work() {
         assert!(!case.out().exists(), "{list}");
     };
     refused("INPUT,LABLES\nball.nrrd,1\n", &["LABLES", "a column of", "did you mean LABELS?"]);
-    refused("INPUT,ISO\nball.nrrd,1\nball.nrrd,2\n", &["line 2 and 3", "both called ball", "NAME"]);
+    refused("INPUT,ISO\nball.nrrd,1\nball.nrrd,2\n", &["lines 2 and 3", "the same name, ball", "NAME"]);
     refused("INPUT,ISO,ISO\nball.nrrd,1,2\n", &["two columns", "ISO"]);
     refused("INPUT,ISO\nball.nrrd,1,2\n", &["line: 2", "header"]);
-    refused("INPUT,OUT\nball.nrrd,x\n", &["OUT is a column"]);
+    refused("INPUT,OUT\nball.nrrd,x\n", &["OUT cannot be a column"]);
     refused("INPUT,ISO\n", &["no rows"]);
     let nothing = |variables: &[&str], words: &[&str]| {
         let mut command = make();

@@ -99,7 +99,7 @@ fn a_program_that_crashes_is_told_in_three_parts() {
     let programs = case.linked_programs();
     let bin = format!("BIN={}", programs.display());
     let seed = programs.join("seed");
-    for (script, words) in [("kill -9 $$\n", "signal 9"), ("exit 2\n", "exit code 2"), ("exit 0\n", "is not there")] {
+    for (script, words) in [("kill -9 $$\n", "signal 9"), ("exit 2\n", "exit code 2"), ("exit 0\n", "is missing")] {
         executable(&seed, &format!("{TAKES_ALL}{script}"));
         let ended = case.surface(&["ISO=100", "SIZE=2.5", "VERBOSITY=-q", &bin]);
         ended.expect_error(2, &["seed", words]);

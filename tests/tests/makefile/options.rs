@@ -71,7 +71,7 @@ fn names_of_materials_are_checked_before_any_stage() {
     surface(&["MATERIALS=body:1", "SCALE=0", given]).expect_success("make surface");
     let before = snapshot(&case.out().join("labels"));
     let wrong = "SIZEFIELD_OPTIONS=--size bdoy=3";
-    let told = ["sizefield", "--size bdoy=3: there is no such material", "outside, body"];
+    let told = ["sizefield", "--size bdoy=3: no such material", "outside, body"];
     // The distance field is valid.
     surface(&["MATERIALS=body:1", "SCALE=0", wrong]).expect_error(2, &told);
     // The distance field is out of date: its names come from the options, or from the volume.

@@ -53,7 +53,7 @@ fn check_closed(mesh: &TriangleMesh) -> isize {
 }
 
 #[test]
-fn sphere_torus_and_two_balls_have_their_topology_area_and_volume() {
+fn sphere_torus_and_balls_have_their_topology_and_measures() {
     let spacing = DVec3::new(0.5, 0.6, 0.4);
     let centre = DVec3::new(12.1, 12.3, 10.2);
     let size = [50, 42, 52];
@@ -136,7 +136,7 @@ fn empty_full_and_flat_images_have_no_surface() {
 }
 
 #[test]
-fn rows_of_any_number_of_words_have_a_vertex_on_every_crossed_edge() {
+fn rows_of_any_length_have_a_vertex_on_every_crossed_edge() {
     for nx in [3, 15, 16, 17, 63, 64, 65, 128, 131] {
         let size = [nx, 6, 5];
         let mut field = sampled(size, DVec3::ONE, |_| 1.0);

@@ -5,7 +5,7 @@
 #[non_exhaustive]
 pub enum Error {
     /// A box does not lie within the grid.
-    #[error("a box of {size:?} nodes at {first:?} does not lie in the grid of {grid:?} nodes")]
+    #[error("a box of {size:?} nodes at {first:?} extends beyond the grid of {grid:?} nodes")]
     Box {
         /// First node of the box.
         first: [usize; 3],
@@ -15,13 +15,13 @@ pub enum Error {
         grid: [usize; 3],
     },
     /// Brick numbers are not ascending, or exceed the number of bricks.
-    #[error("the numbers of the bricks do not ascend within the {count} bricks of the grid")]
+    #[error("the brick numbers are not ascending, or exceed the {count} bricks of the grid")]
     Bricks {
         /// Bricks of the grid.
         count: usize,
     },
     /// There are too many or too few coefficients.
-    #[error("{found} coefficients where the bricks read {expected}")]
+    #[error("{found} coefficients, but the bricks need {expected}")]
     Coefficients {
         /// Number of coefficients given.
         found: usize,
@@ -36,7 +36,7 @@ pub enum Error {
     },
     /// The fill of the bricks does not fit the grid or the materials.
     #[error(
-        "{found} materials of bricks, up to number {largest:?}, where there are {bricks} bricks and {materials} materials"
+        "{found} materials of bricks, up to number {largest:?}, but there are {bricks} bricks and {materials} materials"
     )]
     Fill {
         /// Number of bricks with a fill.
@@ -49,7 +49,7 @@ pub enum Error {
         materials: usize,
     },
     /// There are no materials, or more than can be numbered.
-    #[error("{found} materials; from 1 to {most} are understood")]
+    #[error("{found} materials, but the number must be from 1 to {most}")]
     Count {
         /// Number of materials given.
         found: usize,

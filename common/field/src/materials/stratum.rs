@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn strata_are_named_by_two_to_four_different_materials_in_any_order() {
+    fn a_stratum_is_two_to_four_materials_in_any_order() {
         let curve = stratum(&[7, 0, 3]).expect("three");
         assert_eq!(Some(curve), stratum(&[3, 7, 0]));
         assert_eq!((curve.count(), curve.dimension()), (3, 1));
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn strata_join_while_they_are_of_four_materials_and_know_their_curves() {
+    fn strata_join_up_to_four_materials_and_list_their_curves() {
         let of = |ids: &[u16]| stratum(ids).expect("valid");
         assert_eq!(of(&[0, 3, 7]).joined(&of(&[7, 2, 0])), stratum(&[0, 2, 3, 7]));
         assert_eq!(of(&[0, 3, 7, 8]).joined(&of(&[7, 2, 0])), None);

@@ -58,7 +58,7 @@ mod tests {
     use crate::random::{bits, uniform};
 
     #[test]
-    fn what_stays_is_what_a_plain_loop_keeps_at_any_contrast_and_on_any_number_of_threads() {
+    fn elimination_equals_a_serial_loop_on_any_number_of_threads() {
         for (count, contrast) in [(0u64, 1.0), (1, 1.0), (3000, 1.0), (2000, 9.0)] {
             let points: Vec<DVec3> =
                 (0..count).map(|n| DVec3::new(uniform(1, 0, n), uniform(1, 1, n), uniform(1, 2, n))).collect();

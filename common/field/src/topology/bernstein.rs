@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_are_the_values_of_f_and_all_values_are_between_the_coefficients() {
+    fn corners_are_values_of_f_and_coefficients_bound_all_values() {
         let (mut clear, mut graphs) = (0, 0);
         for seed in 0..20 {
             let field = noise(seed);

@@ -248,7 +248,7 @@ fn a_surface_that_ends_at_the_border_is_counted_as_it_is_there() {
 }
 
 #[test]
-fn neighbours_that_f_may_pass_through_differ_by_one_level_at_most() {
+fn neighbouring_crossed_cells_differ_by_at_most_one_level() {
     let scene = random(3);
     let cells = Cells::new(&scene.field, &unwatched()).expect("not interrupted");
     let mut by_level: BTreeMap<u8, usize> = BTreeMap::new();
@@ -264,7 +264,7 @@ fn neighbours_that_f_may_pass_through_differ_by_one_level_at_most() {
 }
 
 #[test]
-fn a_sheet_that_bulges_through_a_face_of_a_large_cell_into_smaller_ones_stays_in_one_piece() {
+fn a_dome_through_a_face_between_cell_sizes_stays_connected() {
     // A dome with its top 0.05 above the middle of a face. Grad F turns in the cell above, which is
     // subdivided, and not in that below. The middle of the face is a corner of the smaller cells
     // only; the larger cell sees a loop around it, beside the foot of the dome.
@@ -302,7 +302,7 @@ fn cubic(radius: f64, bend: f64) -> FieldTopology {
 }
 
 #[test]
-fn a_component_as_fine_as_what_is_told_may_be_missing_or_joined_to_the_next() {
+fn a_component_at_the_resolution_may_vanish_or_join_another() {
     // by the second-order expansion it is just large enough to be decided, by the crossings of its
     // cells it is not
     let radius = 1.003 * RESOLUTION;
@@ -328,7 +328,7 @@ fn a_component_as_fine_as_what_is_told_may_be_missing_or_joined_to_the_next() {
 }
 
 #[test]
-fn only_a_speck_may_vanish_and_not_what_has_its_extremum_next_to_its_border() {
+fn only_a_closed_speck_may_vanish() {
     let topology = speck(0.5 * RESOLUTION, false);
     assert!(topology.groups().may_vanish(0) && topology.undecided()[0].kind == UndecidedKind::Speck);
     // the same, but it opens into the surface beside it

@@ -89,8 +89,8 @@ pub(super) fn write_stl(file: &mut dyn Write, surface: &Surface, history: &Histo
     let length = text.len().min(80);
     header[..length].copy_from_slice(&text.as_bytes()[..length]);
     file.write_all(&header)?;
-    let count =
-        u32::try_from(surface.mesh.triangles.len()).map_err(|_| io::Error::other("STL counts to 2^32 triangles"))?;
+    let count = u32::try_from(surface.mesh.triangles.len())
+        .map_err(|_| io::Error::other("STL holds at most 2^32 triangles"))?;
     file.write_all(&count.to_le_bytes())?;
     for triangle in 0..surface.mesh.triangles.len() {
         let [a, b, c] = surface.mesh.corners(triangle);

@@ -133,9 +133,9 @@ fn format(path: &Path) -> Result<Format> {
         Some("vtk") => Ok(Format::Vtk),
         _ => Err(bad(
             path,
-            "has no ending that tells a surface format",
-            "the format of the output is told by its name",
-            "end the name in .vtp (everything), .ply, .stl, .obj or .vtk",
+            "does not have the file extension of a surface format",
+            "the extension selects the format of the output",
+            "use the extension .vtp (all data), .ply, .stl, .obj or .vtk",
         )),
     }
 }
@@ -186,7 +186,7 @@ fn check_indices(path: &Path, indices: &[u32], count: usize) -> Result<()> {
 }
 
 fn our_fault(path: &Path, what: &str) -> Error {
-    bad(path, what, "the file would be unreadable", "this is a bug of the program: report it")
+    bad(path, what, "the file would be unreadable", "report this bug")
 }
 
 #[cfg(test)]

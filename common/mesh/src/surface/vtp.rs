@@ -98,7 +98,7 @@ pub fn read_surface(path: &Path) -> Result<SurfaceFile> {
     let count = |name: &str| piece.attribute(name).and_then(|text| text.parse::<usize>().ok()).unwrap_or(0);
     let (points, polygons) = (count("NumberOfPoints"), count("NumberOfPolys"));
     if ["NumberOfVerts", "NumberOfLines", "NumberOfStrips"].iter().any(|name| count(name) > 0) {
-        return Err(unusable(path, "holds cells other than polygons"));
+        return Err(unusable(path, "contains cells other than polygons"));
     }
     let section = |name: &str, array: &str| {
         let section = piece.child(name);
@@ -109,7 +109,7 @@ pub fn read_surface(path: &Path) -> Result<SurfaceFile> {
         };
         array.ok_or_else(|| unusable(path, &format!("has no {name}")))
     };
-    let values = points.checked_mul(3).ok_or_else(|| unusable(path, "promises too many points"))?;
+    let values = points.checked_mul(3).ok_or_else(|| unusable(path, "declares too many points"))?;
     let positions = file.numbers(section("Points", "")?, values)?.to_f64();
     let (groups, _) = positions.as_chunks::<3>();
     let vertices: Vec<DVec3> = groups.iter().map(|&group| DVec3::from_array(group)).collect();

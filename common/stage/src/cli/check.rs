@@ -44,8 +44,8 @@ pub fn asked<A: clap::Parser>(tool: &str, check: impl FnOnce(&A, Known) -> Resul
     let known = serde_json::from_str(&known.to_string_lossy()).map_err(|error| {
         Error::input(
             format!("{CHECK_OPTIONS}: {error}"),
-            "JSON follows it",
-            "call isoparticles-case, which asks for this",
+            "it must be followed by JSON",
+            "run isoparticles-case, which uses this word",
         )
     });
     let checked = known.and_then(|known| check(&parsed?, known));
@@ -62,5 +62,5 @@ fn usage(tool: &str, error: &clap::Error) -> Error {
     let end = ["\n\nUsage:", "\n\nFor more information"].iter().filter_map(|part| text.find(part)).min();
     let told = &text[..end.unwrap_or(text.len())];
     let what = told.trim_start_matches("error: ").split_whitespace().collect::<Vec<_>>().join(" ");
-    Error::input(what, "the command line was not understood", format!("see {tool} --help"))
+    Error::input(what, "the command line is invalid", format!("see {tool} --help"))
 }

@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_command_line_does_not_depend_on_folders_outputs_or_threads() {
+    fn canonical_command_line_omits_folders_outputs_and_threads() {
         let line = |words: &[&str], output: &str| {
             canonical_command_line("seed", words.iter().map(|word| (*word).to_owned()), &[PathBuf::from(output)])
         };

@@ -171,7 +171,7 @@ impl Context {
                 return Err(Error::input(
                     format!("{}: is both an input and an output", path.display()),
                     "the input would be replaced",
-                    "give the output another name",
+                    "use another name for the output",
                 ));
             }
         }

@@ -13,8 +13,8 @@ impl Context {
     /// how to need less.
     pub fn check_memory(&self, needed: f64, what: &str, next: &str) -> Result<()> {
         let (limit, whose) = match (self.common.max_memory, available_memory()) {
-            (Some(limit), _) => (limit, "--max-memory allows"),
-            (None, Some(limit)) => (limit, "this machine has free"),
+            (Some(limit), _) => (limit, "MAX_MEMORY (--max-memory) allows"),
+            (None, Some(limit)) => (limit, "the free memory of this machine is"),
             (None, None) => return Ok(()),
         };
         self.verbose(format!("memory expected: {} of {}", in_words(needed), in_words(limit as f64)));
@@ -22,9 +22,12 @@ impl Context {
             return Ok(());
         }
         Err(Error::input(
-            format!("{what}: that takes about {} of memory", in_words(needed)),
-            format!("{whose} {}; the run would be killed, or take hours on a swapping disk", in_words(limit as f64)),
-            format!("{next}; or --max-memory {:.0}G if the memory is there all the same", (needed / GIB).ceil()),
+            format!("{what}: this needs about {} of memory", in_words(needed)),
+            format!("{whose} {}; the run would be killed, or swap to disk for hours", in_words(limit as f64)),
+            format!(
+                "{next}; or set MAX_MEMORY={:.0}G (--max-memory) if this machine has that much memory",
+                (needed / GIB).ceil()
+            ),
         ))
     }
 }
@@ -53,9 +56,9 @@ mod tests {
         context.common.max_memory = Some(3 << 29);
         assert!(context.check_memory(1e9, "a.vti: 7 particles", "use a larger h").is_ok());
         let error = context.check_memory(3e9, "a.vti: 7 particles", "use a larger h").expect_err("too much");
-        assert_eq!(error.what, "a.vti: 7 particles: that takes about 2.8 GiB of memory");
-        assert!(error.why.starts_with("--max-memory allows 1.5 GiB"), "{error}");
-        assert!(error.next.contains("use a larger h; or --max-memory 3G"), "{error}");
+        assert_eq!(error.what, "a.vti: 7 particles: this needs about 2.8 GiB of memory");
+        assert!(error.why.starts_with("MAX_MEMORY (--max-memory) allows 1.5 GiB"), "{error}");
+        assert!(error.next.contains("use a larger h; or set MAX_MEMORY=3G (--max-memory)"), "{error}");
         context.common.max_memory = None;
         assert_eq!(context.check_memory(1e18, "", "").is_err(), super::available_memory().is_some());
     }

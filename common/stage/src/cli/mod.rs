@@ -189,9 +189,9 @@ fn check_report(report: Option<&Path>, outputs: &[PathBuf]) -> Result<()> {
     }
     if outputs.iter().any(|output| output == path || same_file(output, path)) || start != [b'{'] {
         return Err(Error::input(
-            format!("{}: is not the place for the report", path.display()),
-            "an output or a file that is no report would be replaced",
-            "give --report a name of its own, such as case.report.json",
+            format!("{}: cannot be used for the report", path.display()),
+            "the report would replace an output, or a file that is not a report",
+            "set --report to another file, such as case.report.json",
         ));
     }
     Ok(())
@@ -211,15 +211,15 @@ fn prepare<A: StageArgs>(args: &A, context: &Context) -> Result<()> {
     // 0 means one thread per core
     let pool = rayon::ThreadPoolBuilder::new().num_threads(common.threads).stack_size(STACK);
     if pool.build_global().is_err() {
-        context.verbose("the thread pool was set up already; --threads has no effect");
+        context.verbose("the thread pool already exists; --threads has no effect");
     }
     let outputs = args.outputs();
     for (position, path) in outputs.iter().enumerate() {
         if outputs[..position].contains(path) {
             return Err(Error::input(
-                format!("{}: is named for two outputs", path.display()),
+                format!("{}: is used for two outputs", path.display()),
                 "the second would replace the first",
-                "give each output a name of its own",
+                "use a different name for each output",
             ));
         }
         output::check_output(path, common.force)?;

@@ -24,7 +24,7 @@ impl Report<'_> {
         let text = serde_json::to_string_pretty(&self.json()).map_err(|error| {
             Error::input(
                 format!("{}: {error}", path.display()),
-                "the report cannot be put into JSON",
+                "the report cannot be written as JSON",
                 "report this bug",
             )
         })?;

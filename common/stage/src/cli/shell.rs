@@ -76,7 +76,10 @@ impl CommandLine {
                 words => arg.value_parser(words.iter().map(|word| kept(word)).collect::<Vec<_>>()),
             }
         };
-        let files = Arg::new("FILES").num_args(0..).value_hint(ValueHint::AnyPath).help("Files, by their places");
+        let files = Arg::new("FILES")
+            .num_args(0..)
+            .value_hint(ValueHint::AnyPath)
+            .help("Input files, in the order that --help shows");
         Command::new(kept(&self.name)).args(self.options.iter().map(arg)).arg(files)
     }
 }
@@ -118,7 +121,7 @@ fn unknown(shell: &str) -> Error {
     let known: Vec<_> = Shell::value_variants().iter().map(ToString::to_string).collect();
     Error::input(
         format!("--completions {shell}: no such shell"),
-        "each shell has a language of its own",
+        "each shell needs its own script",
         format!("choose one of {}", known.join(", ")),
     )
 }

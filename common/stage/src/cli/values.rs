@@ -7,7 +7,7 @@ pub fn positive(text: &str) -> Result<f64, String> {
 
 /// Parses a finite number from 0.
 pub fn not_negative(text: &str) -> Result<f64, String> {
-    number(text, |x| x >= 0.0, "must be finite and not below 0")
+    number(text, |x| x >= 0.0, "must be finite and at least 0")
 }
 
 /// Parses a number from 0 to 1.
@@ -49,7 +49,7 @@ pub fn significant(value: f64) -> String {
 
 /// A position as text, with each coordinate formatted by [`significant`].
 pub fn place(position: [f64; 3]) -> String {
-    position.map(significant).join(" ")
+    format!("({})", position.map(significant).join(", "))
 }
 
 fn number(text: &str, fits: impl Fn(f64) -> bool, must: &str) -> Result<f64, String> {
@@ -67,7 +67,7 @@ mod tests {
     #[test]
     fn small_lengths_keep_their_digits() {
         assert_eq!([0.0, 2.5, -0.01, 0.0099].map(significant), ["0.0000", "2.5000", "-0.0100", "9.900e-3"]);
-        assert_eq!(place([1.6e-6, -2.0, 0.0]), "1.600e-6 -2.0000 0.0000");
+        assert_eq!(place([1.6e-6, -2.0, 0.0]), "(1.600e-6, -2.0000, 0.0000)");
     }
 
     #[test]

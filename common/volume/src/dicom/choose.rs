@@ -66,8 +66,8 @@ fn refuse(folder: &Path, groups: &[Group], wanted: Option<&str>, found: usize) -
         return bad(
             folder,
             "has DICOM files, but none with an image",
-            "a volume is made of images",
-            "give the folder that the slices lie in",
+            "a volume is made from images",
+            "use the folder that contains the slices",
         );
     }
     let listed = groups.iter().map(described).collect();

@@ -39,8 +39,8 @@ pub(crate) fn read_folder(folder: &Path, wanted: Option<&str>) -> Result<Volume>
     if let Some((path, _)) = no_images.iter().find(|(_, class)| *class == own_class) {
         return Err(bad(
             path,
-            "is of the kind of the slices, but its header ends before the image",
-            "it is cut short, and the volume would lack a slice",
+            "is of the same kind as the slices, but its header ends before the image",
+            "it is truncated, and the volume would lack a slice",
             "copy or export the file again",
         ));
     }
@@ -79,9 +79,9 @@ fn dicom_files(folder: &Path) -> Result<Vec<PathBuf>> {
         "is a folder without DICOM files",
         "a folder is read as the slices of one DICOM series",
         match names.is_empty() {
-            true => "give the volume's file, or the folder that the slices lie in".to_owned(),
+            true => "use the volume's file, or the folder that contains the slices".to_owned(),
             false => format!(
-                "give the volume's file, or the folder that the slices lie in; folders in it: {}",
+                "use the volume's file, or the folder that contains the slices; its subfolders are {}",
                 names.join(", ")
             ),
         },

@@ -79,9 +79,9 @@ impl Picture {
         if !is_whole {
             return Err(bad(
                 path,
-                "has an element that is longer than the file, or cannot be followed",
-                "it is cut short or damaged",
-                "copy or export the file again, or move it to another folder if it is no slice",
+                "has an element that extends beyond the end of the file, or cannot be parsed",
+                "it is truncated or damaged",
+                "copy or export the file again, or move it to another folder if it is not a slice",
             ));
         }
         let object = OpenFileOptions::new()
@@ -150,7 +150,7 @@ impl Slice {
         bad(
             &self.path,
             format!("its pixels cannot be decoded (transfer syntax {syntax}): {why}"),
-            "uncompressed, RLE and JPEG (baseline and lossless) pixels are read; the file may be damaged, too",
+            "only uncompressed, RLE and JPEG (baseline and lossless) pixels can be read; the file may also be damaged",
             "write the series uncompressed, for example with gdcmconv --raw or dcmdjpeg, or convert it to NRRD with 3D Slicer",
         )
     }
@@ -162,8 +162,8 @@ impl Slice {
         if !(bytes.len() == count * width || bytes.len() == (count * width).next_multiple_of(2)) {
             return Err(bad(
                 &self.path,
-                format!("has {} bytes of pixels where {} are needed", bytes.len(), count * width),
-                format!("its header promises {} x {} pixels", self.columns, self.rows),
+                format!("has {} bytes of pixels, but needs {}", bytes.len(), count * width),
+                format!("its header declares {} x {} pixels", self.columns, self.rows),
                 "copy or export the file again",
             ));
         }
@@ -225,7 +225,7 @@ impl Pixels {
     /// Describes the conversion of the stored numbers, if there is any.
     pub(super) fn remark(&self) -> Option<String> {
         (self.slope != 1.0 || self.intercept != 0.0).then(|| {
-            format!("the values are the stored ones times {} plus {}, as the slices say", self.slope, self.intercept)
+            format!("values are computed as stored value * {} + {}, as given in the slices", self.slope, self.intercept)
         })
     }
 }
@@ -258,8 +258,9 @@ impl Header<'_> {
             return Err(bad(
                 self.path,
                 format!("has no {name}"),
-                "without it the slice has no place in the world",
-                "export the series again from a program that keeps it, or move files that are no slices to another folder",
+                "without it, the position of the slice is unknown",
+                "export the series again from a program that keeps it, or move files that are not slices to another \
+                 folder",
             ));
         };
         let numbers = element.to_multi_float64().ok().and_then(|numbers| <[f64; COUNT]>::try_from(numbers).ok());
@@ -281,8 +282,8 @@ impl Header<'_> {
         bad(
             self.path,
             format!("has {name} '{shown}' in its header"),
-            "that value has no meaning in this place",
-            "the file is damaged: copy or export it again",
+            "this value is invalid",
+            "copy or export the file again",
         )
     }
 
@@ -292,16 +293,16 @@ impl Header<'_> {
         if !matches!(frames.as_str(), "" | "1") {
             return Err(bad(
                 self.path,
-                format!("holds {frames} frames in one file"),
-                "slices in files of their own are read",
+                format!("contains {frames} frames in one file"),
+                "each slice must be in a separate file",
                 "convert it to NIfTI with dcm2niix or to NRRD with 3D Slicer",
             ));
         }
         if let Some(samples) = self.whole(tags::SAMPLES_PER_PIXEL)?.filter(|&samples| samples != 1) {
             return Err(bad(
                 self.path,
-                format!("has {samples} numbers a pixel ({})", self.text(tags::PHOTOMETRIC_INTERPRETATION)),
-                "a surface is extracted from one number a voxel",
+                format!("has {samples} values per pixel ({})", self.text(tags::PHOTOMETRIC_INTERPRETATION)),
+                "a volume must have one value per voxel",
                 "move colour pictures (screenshots, reports) to another folder, or choose another series",
             ));
         }
@@ -339,8 +340,8 @@ fn damaged(path: &Path, error: &impl std::error::Error) -> Error {
     bad(
         path,
         format!("cannot be read as DICOM: {}", reason(error)),
-        "it is cut short or damaged",
-        "copy or export the file again, or move it to another folder if it is no slice",
+        "it is truncated or damaged",
+        "copy or export the file again, or move it to another folder if it is not a slice",
     )
 }
 

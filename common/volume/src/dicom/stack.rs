@@ -38,7 +38,7 @@ impl Stack {
     /// and have the same size and orientation.
     pub(super) fn new(folder: &Path, mut slices: Vec<Slice>) -> Result<Self> {
         let Some(first) = slices.first().cloned() else {
-            return Err(bad(folder, "holds no slice", "a volume is made of slices", "give another folder"));
+            return Err(bad(folder, "contains no slice", "a volume is made from slices", "use another folder"));
         };
         check_alike(&first, &slices)?;
         let size = [first.columns, first.rows, slices.len()];
@@ -46,9 +46,9 @@ impl Stack {
         if size.contains(&1) {
             return Err(bad(
                 folder,
-                format!("holds a flat image of {} x {} pixels in {} slices", size[0], size[1], size[2]),
-                "a surface is extracted from a volume with at least two voxels along each axis",
-                "give the folder of the whole series",
+                format!("contains a flat image of {} x {} pixels in {} slices", size[0], size[1], size[2]),
+                "a volume must have at least two voxels along each axis",
+                "use the folder of the whole series",
             ));
         }
         let normal = first.along_row.cross(first.along_column).normalize_or_zero();
@@ -64,9 +64,9 @@ impl Stack {
             check_gaps(&slices, &places)?;
             return Err(bad(
                 &slices[farthest].path,
-                format!("lies {:.3} mm beside its place in the stack", shift * step.length()),
-                "the voxels of a volume lie on one regular grid",
-                "resample the series, for example in 3D Slicer, which knows stacks that are not regular",
+                format!("is {:.3} mm away from its regular position in the stack", shift * step.length()),
+                "the voxels of a volume must lie on one regular grid",
+                "resample the series, for example in 3D Slicer, which can read irregular stacks",
             ));
         }
         let steps = [first.along_row, first.along_column, step];
@@ -84,8 +84,8 @@ impl Stack {
         let first = self.slices[0].pixels;
         let uneven = (self.shift > TOLD_SHIFT).then(|| {
             format!(
-                "the slices are unevenly spaced: up to {:.1} % of their distance beside their places on the even grid that is \
-                 taken, {:.4} mm apart",
+                "the slices are unevenly spaced: they deviate by up to {:.1} % of the slice distance from the \
+                 regular grid that is used, with a distance of {:.4} mm",
                 100.0 * self.shift,
                 self.geometry.spacing.z
             )
@@ -93,8 +93,7 @@ impl Stack {
         let numbers = match self.slices.iter().all(|slice| slice.pixels == first) {
             true => first.remark(),
             false => Some(
-                "the values are the stored ones times a slope plus an intercept that differ from slice to slice"
-                    .to_owned(),
+                "values are computed as stored value * slope + intercept, which differ from slice to slice".to_owned(),
             ),
         };
         uneven.into_iter().chain(numbers).collect()
@@ -107,17 +106,17 @@ fn check_alike(first: &Slice, slices: &[Slice]) -> Result<()> {
     for slice in slices {
         let what = match () {
             () if (slice.columns, slice.rows) != (first.columns, first.rows) => {
-                format!("has {} x {} pixels, others {} x {}", slice.columns, slice.rows, first.columns, first.rows)
+                format!("has {} x {} pixels, others have {} x {}", slice.columns, slice.rows, first.columns, first.rows)
             }
             () if differs(first.along_row, slice.along_row) || differs(first.along_column, slice.along_column) => {
-                "has another orientation or pixel spacing than the other slices of its series".to_owned()
+                "differs from the other slices of its series in orientation or pixel spacing".to_owned()
             }
             () => continue,
         };
         return Err(bad(
             &slice.path,
             what,
-            "the voxels of a volume lie on one regular grid",
+            "the voxels of a volume must lie on one regular grid",
             "move localizers and single views of the series to another folder",
         ));
     }
@@ -135,9 +134,9 @@ fn check_doubles(slices: &[Slice], places: &[f64]) -> Result<()> {
     if let Some(n) = places.windows(2).position(|pair| pair[1] - pair[0] <= SAME_PLACE * mean) {
         return Err(bad(
             &slices[n + 1].path,
-            format!("lies in the same place as {}, {:.3} mm along the normal", name(slices, n), places[n]),
-            "the series holds more than one volume (points in time, echoes), or a slice twice",
-            "put the slices of one volume into a folder of their own",
+            format!("is at the same position as {}, {:.3} mm along the normal", name(slices, n), places[n]),
+            "the series contains several volumes (points in time, echoes), or a slice twice",
+            "put the slices of one volume into a separate folder",
         ));
     }
     Ok(())
@@ -170,7 +169,7 @@ fn check_gaps(slices: &[Slice], places: &[f64]) -> Result<()> {
             ),
             false => format!("is unevenly spaced {between}: the gap is {:.3} mm, the others {usual:.3} mm", gaps[n]),
         },
-        "the voxels of a volume lie on one regular grid; what is missing cannot be meshed",
-        "add the missing files, or resample the series on an even grid, for example in 3D Slicer",
+        "the voxels of a volume must lie on one regular grid",
+        "add the missing files, or resample the series on a regular grid, for example in 3D Slicer",
     ))
 }

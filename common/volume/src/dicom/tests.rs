@@ -109,7 +109,7 @@ fn slope_intercept_sign_and_overlay_bits() {
     let hounsfield = with("1", "-1024", 0);
     assert_eq!(hounsfield.voxels.type_name(), "int16");
     assert_eq!(first(&hounsfield), [-1024.0, -1023.0, 3071.0, 1024.0, 1023.0, -1022.0]);
-    assert!(hounsfield.remarks[0].contains("plus -1024"));
+    assert!(hounsfield.remarks[0].contains("stored value * 1 + -1024"));
     assert_eq!(first(&with("1", "0", 1)), [0.0, 1.0, -1.0, -2048.0, 2047.0, 2.0]);
     let dose = with("0.5", "0.25", 0);
     assert_eq!(dose.voxels.type_name(), "float32");
@@ -175,7 +175,7 @@ fn mixed() -> Vec<Elements> {
 }
 
 #[test]
-fn what_cannot_be_a_volume_does_not_keep_a_series_from_being_read() {
+fn series_that_are_not_volumes_do_not_prevent_reading() {
     let expected = read_volume(folder_of(&stack()).path()).expect("a volume");
     let folder = folder_of(&mixed());
     for series in [None, Some("thorax 1.0"), Some("7"), Some("1.2.3")] {
@@ -186,7 +186,7 @@ fn what_cannot_be_a_volume_does_not_keep_a_series_from_being_read() {
         assert!(remarks.contains("(SEG, number 300") && remarks.contains("19 frames"), "{remarks}");
     }
     let error = read_volume_with(folder.path(), &ReadOptions { series: Some("300") }).expect_err("a segmentation");
-    assert!(error.to_string().contains("holds 19 frames"), "{error}");
+    assert!(error.to_string().contains("contains 19 frames"), "{error}");
     // a single slice, such as a localizer beside the series, is not a stack
     let mut slices = stack();
     let mut localizer = slices[0].clone();
@@ -254,18 +254,18 @@ fn what_is_no_stack_is_refused_with_the_place() {
         ("unevenly spaced", |slices| {
             texts(&mut slices[1], VR::DS, &[(tags::IMAGE_POSITION_PATIENT, "-10\\20\\3")]);
         }),
-        ("same place", |slices| slices.push(slices[1].clone())),
-        ("beside its place", |slices| {
+        ("same position", |slices| slices.push(slices[1].clone())),
+        ("away from its regular position", |slices| {
             texts(&mut slices[1], VR::DS, &[(tags::IMAGE_POSITION_PATIENT, "-9\\20\\2.5")]);
         }),
-        ("another orientation", |slices| {
+        ("in orientation or pixel spacing", |slices| {
             texts(&mut slices[1], VR::DS, &[(tags::IMAGE_ORIENTATION_PATIENT, "1\\0\\0\\0\\0\\1")]);
         }),
         ("flat image", |slices| slices.truncate(1)),
         ("has no ImagePositionPatient", |slices| drop(slices[2].remove(&tags::IMAGE_POSITION_PATIENT))),
-        ("has 3 numbers a pixel", |slices| numbers(&mut slices[0], &[(tags::SAMPLES_PER_PIXEL, 3)])),
-        ("holds 40 frames", |slices| texts(&mut slices[0], VR::IS, &[(tags::NUMBER_OF_FRAMES, "40")])),
-        ("bytes of pixels where 12 are needed", |slices| {
+        ("has 3 values per pixel", |slices| numbers(&mut slices[0], &[(tags::SAMPLES_PER_PIXEL, 3)])),
+        ("contains 40 frames", |slices| texts(&mut slices[0], VR::IS, &[(tags::NUMBER_OF_FRAMES, "40")])),
+        ("bytes of pixels, but needs 12", |slices| {
             slices[0].insert(tags::PIXEL_DATA, (VR::OW, PrimitiveValue::U16([1, 2].as_slice().into())));
         }),
         ("none with an image", |slices| slices.iter_mut().for_each(|slice| drop(slice.remove(&tags::ROWS)))),

@@ -31,7 +31,7 @@ pub(super) fn names(bytes: &[u8], endian: Endian, remarks: &mut Vec<String>) -> 
         if text.contains("<LabelTable") {
             match table(text.trim_end_matches('\0')) {
                 Ok(found) => segments.extend(found),
-                Err(why) => remarks.push(format!("the names of labels behind the header cannot be read: {why}")),
+                Err(why) => remarks.push(format!("the label names in the header extension cannot be read: {why}")),
             }
         }
     }

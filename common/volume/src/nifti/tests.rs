@@ -52,7 +52,7 @@ fn bytes_behind_the_voxels_are_left_out_and_told() {
     let path = folder.path().join("v.nii");
     let volume = read(&path, &[&header(352.0, 1, 0, b"n+1\0")[..], &[0; 4], &VALUES, &[7; 16]].concat());
     assert_eq!(volume.voxels, Voxels::U8(VALUES.to_vec()));
-    assert!(volume.remarks[0].contains("v.nii goes on behind the last voxel"), "{:?}", volume.remarks);
+    assert!(volume.remarks[0].contains("v.nii has data after the last voxel"), "{:?}", volume.remarks);
 }
 
 #[test]

@@ -32,8 +32,8 @@ pub(super) fn grid(path: &Path, header: &Header, is_segmentation: bool) -> Resul
         return Err(bad(
             path,
             format!("is a flat image of {} x {} x {} voxels", size[0], size[1], size[2]),
-            "a surface is extracted from a volume with at least two voxels along each axis",
-            "give a 3-D volume",
+            "a volume must have at least two voxels along each axis",
+            "use a 3-D volume",
         ));
     }
     let mut remarks = Vec::new();
@@ -85,15 +85,15 @@ fn unit_lengths(
             Some(length) => lengths[axis] = length,
             None if word.trim().is_empty() => {}
             None if NO_UNIT.contains(&lower.trim_end_matches('s')) => {
-                let remark = format!("the header gives lengths in '{word}', which is no unit: they are taken as mm");
+                let remark = format!("the header gives lengths in '{word}', which is not a unit; mm is assumed");
                 remarks.extend(Some(remark).filter(|remark| !remarks.contains(remark)));
             }
             None => {
                 return Err(bad(
                     path,
                     format!("gives lengths in '{word}' ('{name}' in its header)"),
-                    "that is no unit that is known, and every length would be wrong by an unknown factor",
-                    "write mm, cm, m, um, nm or inches there, or delete the field if the lengths are in mm",
+                    "this unit is unknown, and every length would be wrong by an unknown factor",
+                    "change it to mm, cm, m, um, nm or inches, or delete the field if the lengths are in mm",
                 ));
             }
         }
@@ -203,14 +203,14 @@ fn spatial_axes(
     if let Some(&axis) = others.iter().find(|&&axis| header.sizes[axis] != 1 && Some(axis) != layer_axis) {
         let (size, kind) = (header.sizes[axis], kind(axis));
         let (what, next) = if kind == "time" {
-            ("a sequence of volumes", "write one of the volumes to a file of its own")
+            ("a sequence of volumes", "write one of the volumes to a separate file")
         } else {
-            ("a volume with more than one number a voxel", "write one component to a file of its own")
+            ("a volume with more than one value per voxel", "write one component to a separate file")
         };
         return Err(bad(
             path,
             format!("is {what}: axis {axis} (kind {kind}) has {size} samples"),
-            "a surface is extracted from one number a voxel",
+            "a volume must have one value per voxel",
             next,
         ));
     }
@@ -224,8 +224,8 @@ fn spatial_axes(
         bad(
             path,
             format!("has {} spatial axes (sizes {:?})", spatial.len(), header.sizes),
-            "a surface is extracted from a volume with three",
-            "give a 3-D volume",
+            "a volume must have three",
+            "use a 3-D volume",
         )
     })?;
     Ok((axes, layer_axis))
@@ -260,7 +260,7 @@ fn plain_spacing(path: &Path, header: &Header, axes: [usize; 3], remarks: &mut V
         return Err(bad(
             path,
             format!("the spacing of axis {} is {}", axes[axis], spacing[axis]),
-            "lengths are measured with it, so it must be a finite positive number",
+            "the spacing must be a finite positive number",
             "correct 'spacings' in the file's header",
         ));
     }

@@ -49,7 +49,7 @@ impl Header {
             return Err(bad(
                 path,
                 format!("has {} sizes for dimension {dimension}", sizes.len()),
-                "it is not clear how many voxels there are",
+                "the number of voxels is ambiguous",
                 "correct the header",
             ));
         }
@@ -112,8 +112,8 @@ fn read_fields(path: &Path, reader: &mut impl BufRead) -> Result<Fields> {
             return Err(bad(
                 path,
                 format!("starts with '{}'", magic.chars().take(20).collect::<String>()),
-                "NRRD files of versions 1 to 5 are read, which start with NRRD0001 to NRRD0005",
-                "check how it was written or downloaded",
+                "NRRD files of versions 1 to 5 can be read; they start with NRRD0001 to NRRD0005",
+                "write or download the file again",
             ));
         }
     }
@@ -140,8 +140,8 @@ fn read_fields(path: &Path, reader: &mut impl BufRead) -> Result<Fields> {
             return Err(bad(
                 path,
                 format!("has the header line '{}'", line.chars().take(60).collect::<String>()),
-                "a header line is 'field: value', 'key:=value' or '# comment'",
-                "the header is damaged, or lacks the blank line at its end: write the file again",
+                "a header line must be 'field: value', 'key:=value' or '# comment'",
+                "write the file again; its header is damaged, or lacks the blank line at its end",
             ));
         };
         let name = canonical_name(&name.trim().to_lowercase()).to_owned();
@@ -151,7 +151,7 @@ fn read_fields(path: &Path, reader: &mut impl BufRead) -> Result<Fields> {
             return Err(bad(
                 path,
                 format!("has the field '{name}' twice"),
-                "it is not clear which one is meant",
+                "the value is ambiguous",
                 "delete one of the two lines",
             ));
         }
@@ -184,7 +184,7 @@ pub(super) fn field_error(path: &Path, field: &str, value: &str) -> Error {
     bad(
         path,
         format!("has '{field}: {shown}' in its header"),
-        "that value has no meaning in this place",
+        "this value is invalid",
         "correct the header, or write the file again with another program",
     )
 }
@@ -248,7 +248,7 @@ fn data_files(path: &Path, field: Option<&str>, list: Vec<String>, sizes: &[usiz
     Err(bad(
         path,
         format!("names {} data files of dimension {part_dimension} for the sizes {sizes:?}", names.len()),
-        "the files do not add up to the volume",
+        "the data files must hold the whole volume",
         "correct 'data file' in the header, or add the missing files",
     ))
 }

@@ -35,9 +35,9 @@ pub fn read_nrrd(path: &Path) -> Result<Volume> {
     let count = count.ok_or_else(|| {
         bad(
             path,
-            format!("promises {layers} layers"),
-            "no computer can hold them",
-            "the header is damaged: write the file again",
+            format!("its header declares {layers} layers"),
+            "this is more than a computer can address",
+            "write the file again; its header is damaged",
         )
     })?;
     // splitting the voxels into layers needs a second copy

@@ -43,7 +43,7 @@ pub(super) fn segments(path: &Path, header: &Header, layers: usize) -> Result<Ve
             return Err(bad(
                 path,
                 format!("puts the segment '{name}' into layer {layer} of {layers}"),
-                "that layer is not there",
+                "this layer does not exist",
                 "write the segmentation again",
             ));
         }

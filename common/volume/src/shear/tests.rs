@@ -35,7 +35,7 @@ fn counts(voxels: &Voxels) -> BTreeMap<i64, usize> {
 const TILT: f64 = 0.577_350_269; // 30 degrees
 
 #[test]
-fn only_what_shifts_the_far_end_by_a_tenth_of_a_voxel_is_sheared() {
+fn shear_below_a_tenth_of_a_voxel_is_ignored() {
     for (lean, others, found) in [
         (0.0, [0.0, 0.0], None),
         (0.002, [0.002, -0.002], None),

@@ -46,7 +46,7 @@ fn a_negative_skip_counts_from_the_end_of_decoded_data() {
         let volume = read_volume(&path).unwrap_or_else(|error| panic!("{encoding}: {error}"));
         assert_eq!((volume.voxels, volume.remarks.len()), (Voxels::U8(VALUES.to_vec()), 0), "{encoding} {skip}");
         write(&path, &format!("encoding: {encoding}\nbyte skip: -400"), &data);
-        assert!(read_volume(&path).expect_err("too short").to_string().contains("cut short"));
+        assert!(read_volume(&path).expect_err("too short").to_string().contains("truncated"));
     }
 }
 
@@ -59,7 +59,11 @@ fn bytes_behind_compressed_data_are_left_out_and_told() {
             write(&path, &format!("encoding: {encoding}"), &[&data[..], &[byte; 200]].concat());
             let volume = read_volume(&path).unwrap_or_else(|error| panic!("{encoding}: {error}"));
             assert_eq!(volume.voxels, Voxels::U8(VALUES.to_vec()), "{encoding}");
-            assert!(volume.remarks.len() == 1 && volume.remarks[0].contains("goes on behind"), "{:?}", volume.remarks);
+            assert!(
+                volume.remarks.len() == 1 && volume.remarks[0].contains("has data after the last voxel"),
+                "{:?}",
+                volume.remarks
+            );
         }
     }
 }
@@ -79,7 +83,7 @@ fn more_data_than_voxels_and_damage_are_refused() {
     for (encoding, data) in more {
         write(&path, &format!("encoding: {encoding}"), &data);
         let error = read_volume(&path).expect_err(encoding);
-        assert!(error.to_string().contains("behind the last voxel"), "{encoding}: {error}");
+        assert!(error.to_string().contains("after the last voxel"), "{encoding}: {error}");
     }
     // a wrong checksum is damage, not the end of the data
     let mut damaged = gzip(&VALUES);

@@ -64,7 +64,7 @@ fn a_box_is_cut_out_in_place() {
 }
 
 #[test]
-fn the_ends_of_what_is_wanted_are_counted_from_the_start_of_the_range() {
+fn ends_are_counted_from_the_start_of_the_range() {
     let labels = Voxels::U8(vec![9, 0, 0, 3, 3, 0, 4, 0, 9]);
     assert_eq!(labels.ends_of_labels(1..8, |label| label == 3 || label == 4), Some((2, 5)));
     assert_eq!(labels.ends_of_labels(3..5, |label| label == 3), Some((0, 1)));

@@ -73,8 +73,8 @@ impl VtkFile {
                     return Err(bad(
                         path,
                         format!("is compressed with {other}"),
-                        "only zlib is read",
-                        "save it again with zlib compression or with none",
+                        "only zlib compression can be read",
+                        "save it again with zlib compression or without compression",
                     ));
                 }
             },
@@ -85,12 +85,12 @@ impl VtkFile {
     /// The data set element, such as `ImageData`. Fails if the file contains another data set.
     pub fn data_set(&self, kind: &str) -> Result<&Element> {
         self.root.child(kind).ok_or_else(|| {
-            let found = self.root.attribute("type").unwrap_or("nothing that is known");
+            let found = self.root.attribute("type").unwrap_or("no known data set");
             bad(
                 &self.path,
-                format!("holds {found}, not {kind}"),
-                "that is another kind of file",
-                "give the file that the stage before wrote",
+                format!("contains {found}, not {kind}"),
+                "another kind of file is needed",
+                "use the file that the previous stage wrote",
             )
         })
     }
@@ -103,7 +103,7 @@ impl VtkFile {
             pieces => Err(bad(
                 &self.path,
                 format!("has {} pieces", pieces.len()),
-                "files of one piece are read",
+                "only files with one piece can be read",
                 "save it again as one piece",
             )),
         }
@@ -125,7 +125,7 @@ impl VtkFile {
             let mut values = Voxels::empty(scalar);
             for word in array.text.split_ascii_whitespace() {
                 if values.len() == count || !values.push_text(word) {
-                    return Err(wrong(std::io::Error::other(format!("'{word}' does not belong there"))));
+                    return Err(wrong(std::io::Error::other(format!("'{word}' is unexpected"))));
                 }
             }
             if values.len() < count {
@@ -135,7 +135,7 @@ impl VtkFile {
         }
         let mut reader = self.reader(array).map_err(wrong)?;
         if reader.length != expected {
-            let text = format!("{} bytes where {expected} are needed", reader.length);
+            let text = format!("{} bytes, but {expected} are needed", reader.length);
             return Err(wrong(std::io::Error::other(text)));
         }
         let values = match self.plain_bytes(array) {
@@ -215,8 +215,8 @@ impl VtkFile {
         bad(
             &self.path,
             format!("the array '{}' cannot be read: {error}", array.attribute("Name").unwrap_or("")),
-            "the file is damaged or cut short",
-            "make it again with the stage or program that wrote it",
+            "the file is damaged or truncated",
+            "write it again with the stage or program that wrote it",
         )
     }
 }
@@ -232,8 +232,9 @@ fn read_head(path: &Path, reader: &mut impl BufRead) -> Result<(Vec<u8>, Appende
     let mut head = Vec::new();
     let mut searched = 0usize;
     loop {
-        let chunk =
-            reader.fill_buf().map_err(|error| Error::file(path, "read", error, "check the disk the file is on"))?;
+        let chunk = reader
+            .fill_buf()
+            .map_err(|error| Error::file(path, "read", error, "check the disk that holds the file"))?;
         if chunk.is_empty() {
             return Ok((head, None));
         }
@@ -268,7 +269,7 @@ fn parse(path: &Path, head: &[u8]) -> Result<Element> {
             path,
             what,
             "it is not a VTK XML file, or is damaged",
-            "make it again with the stage or program that wrote it",
+            "write it again with the stage or program that wrote it",
         )
     };
     let text = String::from_utf8_lossy(head);

@@ -161,22 +161,22 @@ def make_nrrd():
     by_hand("none_axis.nrrd", four.format("1 3 4 2") + "kinds: list domain domain domain\n" + directions.format("none")
             + "\n", data, stepped)
     refuse(folder, "colour.nrrd", four.format("2 3 4 1") + "kinds: vector domain domain domain\n"
-           + directions.format("none") + "\n", data, "more than one number")
+           + directions.format("none") + "\n", data, "more than one value")
     refuse(folder, "time.nrrd", four.format("3 2 2 2").replace("space: LPS\n", "")
            + "kinds: domain domain domain time\n\n", data, "sequence")
     refuse(folder, "flat.nrrd", start.replace("3 4 2", "6 4 1") + "\n", data, "flat")
     refuse(folder, "two_axes.nrrd", start.replace("3 4 2", "6 4").replace("dimension: 3", "dimension: 2") + "\n", data,
            "2 spatial axes")
-    refuse(folder, "short.nrrd", start + "\n", data[:-1], "cut short")
-    refuse(folder, "trailing.nrrd", start + "\n", data + b"x", "behind the last voxel")
+    refuse(folder, "short.nrrd", start + "\n", data[:-1], "truncated")
+    refuse(folder, "trailing.nrrd", start + "\n", data + b"x", "after the last voxel")
     refuse(folder, "zero_spacing.nrrd", start + "spacings: 0.5 0 2\n\n", data, "spacing of axis 1 is 0")
     refuse(folder, "negative_spacing.nrrd", start + "spacings: 0.5 -1 2\n\n", data, "spacing of axis 1 is -1")
     refuse(folder, "nan_spacing.nrrd", start + "spacings: 0.5 nan 2\n\n", data, "spacing of axis 1 is NaN")
     refuse(folder, "huge_spacing.nrrd", start + "spacings: 0.5 1e30 2\n\n", data, "spacing of axis 1")
     refuse(folder, "flat_directions.nrrd", start + "space: LPS\nspace directions: (1,0,0) (0,1,0) (1,1,0)\n\n", data,
-           "one plane")
-    refuse(folder, "huge.nrrd", start.replace("3 4 2", "300000 300000 300000") + "\n", data, "promises")
-    refuse(folder, "overflow.nrrd", start.replace("3 4 2", "9000000000 9000000000 9000000000") + "\n", data, "promises")
+           "coplanar")
+    refuse(folder, "huge.nrrd", start.replace("3 4 2", "300000 300000 300000") + "\n", data, "declares")
+    refuse(folder, "overflow.nrrd", start.replace("3 4 2", "9000000000 9000000000 9000000000") + "\n", data, "declares")
     refuse(folder, "zero_size.nrrd", start.replace("3 4 2", "3 0 2") + "\n", data, "zero")
     refuse(folder, "no_endian.nrrd", start.replace("endian: little\n", "") + "\n", data, "byte order")
 
@@ -321,13 +321,13 @@ def make_meta():
         (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
         by_itk(f"meta/{name}", "int16")
     refused = {
-        "colour.mha": (grid + "ElementNumberOfChannels = 3\n" + kind, little * 3, "3 numbers a voxel"),
-        "short.mha": (grid + kind, little[:-1], "cut short"),
-        "trailing.mha": (grid + kind, little + b"x", "behind the last voxel"),
+        "colour.mha": (grid + "ElementNumberOfChannels = 3\n" + kind, little * 3, "3 values per voxel"),
+        "short.mha": (grid + kind, little[:-1], "truncated"),
+        "trailing.mha": (grid + kind, little + b"x", "after the last voxel"),
         "flat.mha": ("NDims = 2\nDimSize = 3 4\n" + kind, little[:24], "2 dimensions"),
         "huge.mha": (grid.replace("3 4 2", "300000 300000 300000") + kind, little, "MiB of voxels"),
-        "overflow.mha": (grid.replace("3 4 2", "9999999999 9999999999 9999999999") + kind, little, "promises"),
-        "no_zlib.mha": (grid + "CompressedData = True\n" + kind, little, "not as the header says"),
+        "overflow.mha": (grid.replace("3 4 2", "9999999999 9999999999 9999999999") + kind, little, "declares"),
+        "no_zlib.mha": (grid + "CompressedData = True\n" + kind, little, "does not match the header"),
         "array.mha": (grid + "ElementType = MET_SHORT_ARRAY\n", little, "MET_SHORT_ARRAY"),
         "zero_spacing.mha": (grid.replace("1.25", "0") + kind, little, "spacing"),
     }

@@ -40,10 +40,10 @@ impl FromStr for Choice {
         };
         match &choice {
             Self::Named(name) | Self::Labels(name, _) if name.is_empty() => {
-                Err("has no name: give NAME=LABEL, NAME=LABEL+LABEL, a name of the file, or all".into())
+                Err("has no name: write NAME=LABEL, NAME=LABEL+LABEL, a name in the file, or all".into())
             }
             Self::Named(name) | Self::Labels(name, _) if name.eq_ignore_ascii_case(OUTSIDE) => {
-                Err(format!("'{OUTSIDE}' is the name of what no material has; choose another"))
+                Err(format!("'{OUTSIDE}' is reserved for voxels without a material; choose another name"))
             }
             _ => Ok(choice),
         }
@@ -112,9 +112,9 @@ pub fn resolve(choices: &[Choice], volume: &Volume) -> Result<Chosen> {
         };
         if named.iter().any(|other| other.name == *name) {
             return Err(wrong(
-                format!("--material {choice}: the name '{name}' was given before"),
-                "later stages call a material by its name",
-                "give each material one name, once; several labels of one are joined by +",
+                format!("--material {choice}: the name '{name}' is already used"),
+                "later stages identify a material by its name",
+                "give each material in MATERIALS (--material) its own name; join several labels with +",
                 &named,
             ));
         }
@@ -125,9 +125,9 @@ pub fn resolve(choices: &[Choice], volume: &Volume) -> Result<Chosen> {
                 Some(other) if usize::from(other) != id => {
                     let other = &named[usize::from(other) - 1].name;
                     return Err(wrong(
-                        format!("--material {choice}: label {} is of the material '{other}' already", label.label),
-                        "a place is of one material",
-                        "name each label once",
+                        format!("--material {choice}: label {} already belongs to the material '{other}'", label.label),
+                        "each voxel belongs to one material",
+                        "use each label once in MATERIALS (--material)",
                         &named,
                     ));
                 }
@@ -149,9 +149,9 @@ pub fn resolve(choices: &[Choice], volume: &Volume) -> Result<Chosen> {
     }
     if named.is_empty() || named.len() >= MOST_MATERIALS {
         return Err(Error::input(
-            format!("{} materials", named.len()),
-            format!("there must be one beside the outside, and no more than {}", MOST_MATERIALS - 1),
-            format!("choose among the labels present: {}", listed(volume, &present)),
+            format!("{} materials are selected", named.len()),
+            format!("the number of materials must be from 1 to {}, without the outside", MOST_MATERIALS - 1),
+            format!("set MATERIALS (--material) to some of the labels present: {}", listed(volume, &present)),
         ));
     }
     let rest = present.iter().copied().filter(|label| !number.contains_key(label)).collect();
@@ -168,11 +168,14 @@ fn of_name(name: &str, volume: &Volume, present: &[LayerLabel]) -> Result<LayerL
         Err(error) => Err(Error {
             what: match error {
                 isoparticles_volume::Error::SegmentAmbiguous { .. } => {
-                    format!("--material {name}: several segments of the file have that name")
+                    format!("--material {name}: several segments in the file have this name")
                 }
-                _ => format!("--material {name}: the file has no label of that name"),
+                _ => format!("--material {name}: no label in the file has this name"),
             },
-            next: format!("give {name}=LABEL; labels present: {}", listed(volume, present)),
+            next: format!(
+                "set MATERIALS={name}:LABEL (--material {name}=LABEL); labels present: {}",
+                listed(volume, present)
+            ),
             ..Error::from(error)
         }),
     }
@@ -202,7 +205,7 @@ fn wrong(what: String, why: &str, next: &str, named: &[Material]) -> Error {
             format!("{}={}", material.name, labels.join("+"))
         })
         .collect();
-    Error::input(what, why, format!("{next}; given before: {}", told.join(", ")))
+    Error::input(what, why, format!("{next}; materials so far: {}", told.join(", ")))
 }
 
 #[cfg(test)]
@@ -247,9 +250,9 @@ mod tests {
     fn what_is_wrong_is_told_with_what_is_there() {
         for (choices, what, next) in [
             (&["a=8"][..], "no voxel has the label 8", "2 'left lung'"),
-            (&["a=1", "a=2"], "the name 'a' was given before", "a=1"),
-            (&["a=1", "b=2+1"], "label 1 is of the material 'a' already", "a=1"),
-            (&["spleen"], "no label of that name", "2 'left lung'"),
+            (&["a=1", "a=2"], "the name 'a' is already used", "a=1"),
+            (&["a=1", "b=2+1"], "label 1 already belongs to the material 'a'", "a=1"),
+            (&["spleen"], "no label in the file has this name", "2 'left lung'"),
             (&["lost"], "no voxel has the label 9 'lost'", "2 'left lung'"),
             (&["a=left lnug"], "no segment is called 'left lnug'", "did you mean 'left lung'?"),
         ] {

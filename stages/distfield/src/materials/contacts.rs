@@ -41,7 +41,7 @@ const CLEARANCE: [f64; 2] = [0.2, 0.4];
 /// materials all choose the same diagonal. Along the straight edges of eight cubes of 6^3 voxels the
 /// indicators, which are pinned to 0.0005 voxel, differ by up to 0.0025; without a tie the faces
 /// there choose different diagonals, and eight segments of junction curves are missing.
-const TIE: f64 = 0.01;
+const TIE: f64 = 0.004;
 
 /// Margin that a raise aims at, over the required one. Without the excess, the last rounds converge
 /// slowly.

@@ -101,8 +101,8 @@ pub fn extract(
     if let Some(gone) = (1..extents.len()).find(|&id| extents[id].count == 0) {
         return Err(Error::input(
             format!("the material '{}' has no voxel", chosen.table[gone].name),
-            "it has no border, and no place in the mesh",
-            "leave it out; another material or layer may have taken its voxels",
+            "a material without voxels has no surface",
+            "leave it out of MATERIALS (--material); another material or layer may contain its voxels",
         ));
     }
     // the outside is computed from the union of all others, whose box contains all boxes
@@ -148,9 +148,9 @@ pub fn extract(
         .collect();
     let mut materials = Materials::new(padded, parts).map_err(|error| {
         Error::input(
-            format!("the indicators do not fit together: {error}"),
-            "nothing can be read of them",
-            "crop the volume, or name fewer materials",
+            format!("the indicators are inconsistent: {error}"),
+            "no mesh can be made from them",
+            "crop the volume, or select fewer materials in MATERIALS (--material)",
         )
     })?;
     let contacts = keep_contacts(&mut materials, options.scale.is_some(), monitor)?;

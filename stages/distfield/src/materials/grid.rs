@@ -85,13 +85,14 @@ impl LabelGrid {
         if let Some(((a, b), count)) = overlaps.first_key_value() {
             return Err(Error::input(
                 format!(
-                    "{count} voxels are of two materials, '{}' and '{}' ({} pairs overlap)",
+                    "{count} voxels belong to two materials, '{}' and '{}' ({} pairs of materials overlap)",
                     name(*a),
                     name(*b),
                     overlaps.len()
                 ),
-                "the layers of the file overlap there, and a place is of one material",
-                "take one of the two out, or join them to one material: NAME=LABEL+LABEL",
+                "layers of the file overlap, but each voxel must belong to one material",
+                "remove one of the two from MATERIALS (--material), or join them: MATERIALS=NAME:LABEL+LABEL \
+                 (--material NAME=LABEL+LABEL)",
             ));
         }
         Ok(Self { geometry: volume.geometry.clone(), numbers, border, margin })

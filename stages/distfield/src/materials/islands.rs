@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn islands_within_islands_go_from_the_outermost_inwards_through_slices() {
+    fn nested_islands_are_removed_from_the_outside_in() {
         let (mut given, mut table) = grid(&["1111", "1111", "", "1211", "1231", "", "1111", "1111"]);
         let found = remove_islands(&mut given, &mut table, 3);
         assert!(given.numbers.iter().all(|&own| own == 1));

@@ -66,13 +66,14 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     describe(&materials, &tallies, &found, context);
     let Contacts { crossed, undecided, raised, left, near } = contacts;
     context.summary(
-        "contacts made, decided",
-        format!("{crossed}, {undecided} ({raised} samples raised, {near} left too near)"),
+        "contacts to correct, open decisions",
+        format!("{crossed}, {undecided} ({raised} samples raised, {near} margins still too small)"),
     );
     context.report("contacts", json!(contacts));
     if left > 0 {
         context.warn(format!(
-            "at {left} places between nodes a material that none of them has is the smallest: no raise takes it away"
+            "at {left} places between grid nodes, the indicators select a material that none of the nodes has; raising \
+             samples did not correct this"
         ));
     }
     if let Some(scale) = scale {
@@ -109,19 +110,24 @@ fn remove_small(grid: &mut LabelGrid, chosen: &mut Chosen, least: usize, context
     let _step = context.step("islands");
     let found = remove_islands(grid, &mut chosen.table, least);
     let (count, voxels) = found.iter().fold((0, 0), |(n, voxels), own| (n + own.count, voxels + own.voxels));
-    context.summary("islands given away, voxels", format!("{count}, {voxels}"));
+    context.summary("islands reassigned, voxels", format!("{count}, {voxels}"));
     context.report("islands", json!(found));
     let Some(largest) = found.iter().max_by_key(|own| own.largest) else { return };
     let ([x, y, z], name, most) = (largest.place, &largest.name, largest.largest);
     context.warn(format!(
-        "{count} islands of fewer than {least} voxels, {voxels} voxels, were given to the materials round them (the largest of '{name}', {most} voxels at \
-         [{x:.1}, {y:.1}, {z:.1}] mm; the report lists all as `islands`)"
+        "{count} islands of fewer than {least} voxels ({voxels} voxels in total) were merged into the surrounding \
+         materials; the largest, of '{name}', has {most} voxels at ({x:.1}, {y:.1}, {z:.1}) mm (`islands` in the \
+         report lists all)"
     ));
     let gone: Vec<&str> = found.iter().filter(|own| own.is_all).map(|own| own.name.as_str()).collect();
     if !gone.is_empty() {
         let more = if gone.len() > NAMED { ", ..." } else { "" };
         let named = gone[..gone.len().min(NAMED)].join(", ");
-        context.warn(format!("{} materials had nothing but such islands, and are gone: {named}{more}", gone.len()));
+        context.warn(format!(
+            "{} materials consisted of such islands only and were removed: {named}{more}; to keep them, lower the \
+             number in DISTFIELD_OPTIONS=\"--smallest-island VOXELS\"",
+            gone.len()
+        ));
     }
 }
 
@@ -129,13 +135,13 @@ fn remove_small(grid: &mut LabelGrid, chosen: &mut Chosen, least: usize, context
 pub(crate) fn check_options(args: &Args) -> Result<()> {
     let refused = |option: &str, why: &str| {
         Err(Error::input(
-            format!("{option} with --material"),
-            format!("many materials do not take it yet: {why}"),
-            format!("leave {option} out, or make one object of some labels with --labels"),
+            format!("{option} cannot be combined with MATERIALS (--material)"),
+            format!("it applies to one object; {why}"),
+            format!("leave {option} out of DISTFIELD_OPTIONS, or mesh one object with LABELS (--labels)"),
         ))
     };
     if args.keep != Keep::All {
-        return refused("--keep", "--smallest-island VOXELS gives small components to the materials round them");
+        return refused("--keep", "--smallest-island VOXELS merges small components into the surrounding materials");
     }
     Ok(())
 }
@@ -221,7 +227,7 @@ fn describe(materials: &Materials, tallies: &[Tally], found: &Survey, context: &
     }
     let mut pairs: Vec<_> = found.interfaces.iter().collect();
     pairs.sort_by(|a, b| b.area.total_cmp(&a.area));
-    context.summary("pairs that touch", pairs.len());
+    context.summary("pairs of materials in contact", pairs.len());
     for pair in pairs.into_iter().take(SHOWN) {
         let [a, b] = pair.materials.map(|id| name(id.index()));
         context.summary(format!("  {a} | {b}"), format!("{:.6e} mm^2", pair.area));
@@ -229,16 +235,17 @@ fn describe(materials: &Materials, tallies: &[Tally], found: &Survey, context: &
     let junctions = found.junctions;
     let told = format!("{} of three, {} of four materials", junctions.edges_of_three, junctions.edges_of_four);
     context.summary("junction edges", told);
-    context.summary("cells with four or more", junctions.corners);
-    context.summary("voxel centres that changed", found.changed.iter().sum::<usize>());
+    context.summary("cells with four or more materials", junctions.corners);
+    context.summary("voxel centres that changed material", found.changed.iter().sum::<usize>());
     let nodes = materials.geometry().voxel_count() as f64;
     let state = materials.bytes() as f64;
-    context.summary("indicators", format!("{:.1} MiB, {:.2} bytes a node", state / 1048576.0, state / nodes));
+    context.summary("indicators", format!("{:.1} MiB, {:.2} bytes per node", state / 1048576.0, state / nodes));
     let is_scaled = tallies.iter().any(|tally| tally.changes.is_some());
     let lost = volumes_changed(materials, tallies, found, VOLUME_LIMITS.0);
     if !lost.is_empty() && !is_scaled {
         context.warn(format!(
-            "the volumes of {} materials changed by more than {:.0} %: they are mostly one to four voxels thin, or specks ({})",
+            "the volumes of {} materials changed by more than {:.0} %, mostly because they are one to four voxels \
+             thin or consist of specks: {}",
             lost.len(),
             100.0 * VOLUME_LIMITS.0,
             listed(&lost),
@@ -263,22 +270,18 @@ fn volumes_changed(materials: &Materials, tallies: &[Tally], found: &Survey, lim
 
 /// Warns which materials have broken or joined parts or filled gaps at a scale, and what each lost.
 fn tell_changes(materials: &Materials, tallies: &[Tally], scale: Scale, context: &Context) {
-    let at_scale = format!("at a scale of {:.4} mm", scale.length);
+    let at_scale = format!("at a scale of {:.4} mm,", scale.length);
     let changed = || {
         let names = materials.table().iter().map(|material| material.name.as_str());
         names.zip(tallies).skip(1).filter_map(|(name, tally)| Some((name, tally.changes.as_ref()?)))
     };
-    for (kind, what) in [
-        (Kind::Broken, "in several pieces"),
-        (Kind::Joined, "parts of them joined"),
-        (Kind::Filled, "narrow gaps of them filled"),
-    ] {
+    for (kind, what) in [(Kind::Broken, "split parts"), (Kind::Joined, "merged parts"), (Kind::Filled, "filled gaps")] {
         let counted = changed().map(|(name, changes)| (name, changes.count(kind)));
         let named: Vec<String> =
             counted.filter(|(_, count)| *count > 0).map(|(name, count)| format!("'{name}' ({count})")).collect();
         if !named.is_empty() {
             let (count, listed) = (named.len(), listed(&named));
-            context.warn(format!("{at_scale} {count} materials have {what}: {listed}; the report has their places"));
+            context.warn(format!("{at_scale} {count} materials have {what}: {listed}; the report lists the places"));
         }
     }
     let losses = changed().filter(|(_, changes)| changes.lost() > 0.0).collect();
@@ -299,8 +302,9 @@ fn tell_losses(losses: Vec<(&str, &Changes)>, at_scale: &str, context: &Context)
             specks.push((changes.lost(), format!("'{name}' {told}")));
         } else {
             let percent = 100.0 * share;
-            context
-                .warn(format!("{at_scale} '{name}' loses {told}, {percent:.2} % of it; the report has their places"));
+            context.warn(format!(
+                "{at_scale} '{name}' loses {told} ({percent:.2} % of its volume); the report lists the places"
+            ));
         }
     }
     if specks.is_empty() {
@@ -312,7 +316,7 @@ fn tell_losses(losses: Vec<(&str, &Changes)>, at_scale: &str, context: &Context)
     let volume: f64 = rest.iter().map(|(volume, _)| volume).sum();
     let more = if rest.is_empty() { String::new() } else { format!("; {} more, {volume:.4} mm^3", rest.len()) };
     let (percent, named) = (100.0 * SPECKS, named.join("; "));
-    context.warn(format!("{at_scale} specks are lost, less than {percent:.1} % of each material: {named}{more}"));
+    context.warn(format!("{at_scale} specks are lost (less than {percent:.1} % of each material): {named}{more}"));
 }
 
 /// The failed checks of a run with a scale, which preserves volumes but not voxels.
@@ -322,7 +326,9 @@ fn failed_at_scale(materials: &Materials, tallies: &[Tally], found: &Survey) -> 
         return Vec::new();
     }
     vec![format!(
-        "the volumes of {} materials changed by more than {:.0} %: too much of them is thinner than a mesh of that scale tells apart (a finer mesh keeps more, and --keep-thin what is thin): {}",
+        "the volumes of {} materials changed by more than {:.0} %: {}; many of their parts are too thin for this \
+         scale. To keep them, lower SIZE or SCALE (--scale), raise VERTICES, or set \
+         DISTFIELD_OPTIONS=\"--keep-thin\"",
         changed.len(),
         100.0 * SCALED_VOLUME_LIMITS.1,
         listed(&changed)
@@ -343,18 +349,18 @@ fn failed_checks(materials: &Materials, tallies: &[Tally], found: &Survey) -> Ve
     let changed = of(&|id| found.changed[id] > 0);
     if !changed.is_empty() {
         let count: usize = found.changed.iter().sum();
-        failed.push(format!("{count} voxel centres changed material, of {}", listed(&changed)));
+        failed.push(format!("{count} voxel centres changed material, in {}", listed(&changed)));
     }
     let sides = of(&|id| tallies[id].changed > 0);
     if !sides.is_empty() {
-        failed.push(format!("indicators have another sign than their voxel centres: {}", listed(&sides)));
+        failed.push(format!("indicators have the wrong sign at voxel centres: {}", listed(&sides)));
     }
     let parts = of(&|id| {
         let [before, after] = tallies[id].parts;
         (before.components, before.cavities) != (after.components, after.cavities)
     });
     if !parts.is_empty() {
-        failed.push(format!("indicators have more or fewer parts than their voxels: {}", listed(&parts)));
+        failed.push(format!("indicators and voxels differ in their number of components: {}", listed(&parts)));
     }
     failed
 }

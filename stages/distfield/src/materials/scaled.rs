@@ -272,11 +272,11 @@ impl<'a> Levels<'a> {
             above.par_iter_mut().for_each(|above| *above = -*above);
         }
         if grid.border == Border::Open && above.par_iter().all(|&above| above > 0.0) {
-            let all = if is_outside { "all others fill" } else { "it fills" };
+            let all = if is_outside { "the other materials fill" } else { "it fills" };
             return Err(Error::input(
-                format!("at a scale of {scale:.4} mm {all} the volume from border to border"),
-                "nothing is told apart at so large a scale",
-                "give a smaller --scale or --scale-for-size, or more --scale-for-vertices",
+                format!("at a scale of {scale:.4} mm, {all} the volume from border to border"),
+                "no interface is left at so large a scale",
+                "lower SCALE (--scale) or SIZE (--scale-for-size), or raise VERTICES (--scale-for-vertices)",
             ));
         }
         let inside = |number: u16| (number == id.0) != is_outside;

@@ -127,7 +127,7 @@ fn energy_of((set, strata): &OnStrata, i: usize, place: DVec3) -> f64 {
 }
 
 #[test]
-fn forces_are_differences_of_the_energy_among_those_that_are_held_and_others() {
+fn forces_on_materials_are_derivatives_of_the_energy() {
     let body = corners(1.0, 500);
     let surface = Sheets::new(&body.indicators, 1.0);
     let fields = Fields { surface: &surface, sizing: &body.sizing };
@@ -166,7 +166,7 @@ fn forces_are_differences_of_the_energy_among_those_that_are_held_and_others() {
 }
 
 #[test]
-fn newcomers_keep_their_distance_from_those_that_are_held_and_come_on_every_sheet() {
+fn newcomers_keep_their_distance_on_their_interface() {
     let body = sectors(1.0, 150);
     let surface = Sheets::new(&body.indicators, 1.0);
     let fields = Fields { surface: &surface, sizing: &body.sizing };
@@ -213,7 +213,7 @@ fn particles_off_their_sheet_are_removed() {
 }
 
 #[test]
-fn materials_settle_the_same_on_any_number_of_threads_and_after_a_break() {
+fn materials_settle_alike_on_any_threads_and_after_resume() {
     let body = corners(0.8, 900);
     let surface = Sheets::new(&body.indicators, 1.0);
     let parameters = Parameters { max_passes: 33, ..parameters() };

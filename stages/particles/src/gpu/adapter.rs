@@ -135,7 +135,7 @@ impl Gpu {
         let all = found(&instance);
         let listed = || {
             let names: Vec<String> = all.iter().map(|a| summary(a).to_string()).collect();
-            if names.is_empty() { "none was found".to_owned() } else { names.join("; ") }
+            if names.is_empty() { "none".to_owned() } else { names.join("; ") }
         };
         let adapter = match &choice.name {
             Some(name) => all
@@ -143,18 +143,22 @@ impl Gpu {
                 .find(|a| a.get_info().name.to_lowercase().contains(&name.to_lowercase()))
                 .ok_or_else(|| {
                     Error::gpu(
-                        format!("--adapter {name}: no adapter has that in its name"),
-                        "the particles were to be moved there",
-                        format!("choose one of these, or --backend cpu: {}", listed()),
+                        format!("--adapter {name}: no adapter has this name"),
+                        "the run was requested on this adapter",
+                        format!(
+                            "set BACKEND=cpu (--backend cpu), or select one of these adapters in \
+                             PARTICLES_OPTIONS=\"--adapter NAME\": {}",
+                            listed()
+                        ),
                     )
                 })?,
             None => all.iter().find(|a| a.get_info().device_type != wgpu::DeviceType::Cpu).ok_or_else(|| {
                 Error::gpu(
                     "no GPU was found",
-                    "the run was told to use one",
+                    "BACKEND=gpu (--backend gpu) needs one",
                     format!(
-                        "install its Vulkan, Metal or DX12 driver, use --backend cpu, or name a software adapter with \
-                         --adapter ({})",
+                        "install its Vulkan, Metal or DX12 driver, set BACKEND=cpu (--backend cpu), or select a \
+                         software adapter in PARTICLES_OPTIONS=\"--adapter NAME\" (found: {})",
                         listed()
                     ),
                 )
@@ -181,8 +185,8 @@ impl Gpu {
         .map_err(|error| {
             Error::gpu(
                 format!("{}: cannot be opened: {error}", summary.name),
-                "the particles were to be moved there",
-                "close other programs that use it, update its driver, or use --backend cpu",
+                "the particles are moved on this adapter",
+                "close other programs that use it, update its driver, or set BACKEND=cpu (--backend cpu)",
             )
         })?;
         let failure = Arc::new(Mutex::new(None));
@@ -236,7 +240,7 @@ impl Gpu {
     /// The limits as text, for verbose mode.
     pub fn limits_in_words(&self) -> String {
         format!(
-            "limits: {} storage buffers a kernel, {} bytes of workgroup memory, subgroups of {} to {}; sums by {}",
+            "limits: {} storage buffers per kernel, {} bytes of workgroup memory, subgroups of {} to {}; sums by {}",
             self.limits.max_storage_buffers_per_shader_stage,
             self.limits.max_compute_workgroup_storage_size,
             self.summary.subgroup[0],
@@ -272,8 +276,9 @@ impl Gpu {
     pub(crate) fn failed(&self, what: &str) -> Error {
         Error::gpu(
             format!("{}: {what}", self.summary.name),
-            "the particles are on that device and cannot be moved on",
-            "run the same command again with --resume if a checkpoint was kept; if it fails again, use --backend cpu",
+            "the particles are in the memory of that device",
+            "run the same command again, with --resume if there is a checkpoint (make does this); if it fails again, \
+             set BACKEND=cpu (--backend cpu)",
         )
     }
 }

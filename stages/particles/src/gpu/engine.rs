@@ -321,12 +321,13 @@ fn slab_length(gpu: &Gpu, voxels: u64) -> Result<u32> {
     if voxels > 4 * most || voxels > u64::from(u32::MAX) {
         return Err(Error::gpu(
             format!(
-                "{}: a field of {voxels} voxels does not fit four bindings of {} bytes",
+                "{}: a field of {voxels} voxels does not fit in four bindings of {} bytes",
                 gpu.summary().name,
                 4 * most
             ),
-            "the distance field and the size field must be on the device",
-            "use another adapter (--list-adapters shows their limits), a coarser volume, or --backend cpu",
+            "the distance field and the size field must fit in device memory",
+            "use another adapter (--list-adapters shows their limits), a coarser volume, or BACKEND=cpu (--backend \
+             cpu)",
         ));
     }
     Ok(voxels.min(most) as u32)
@@ -335,10 +336,11 @@ fn slab_length(gpu: &Gpu, voxels: u64) -> Result<u32> {
 fn no_room_for_lists(gpu: &Gpu, particles: u32, members: u32) -> Error {
     Error::gpu(
         format!(
-            "{}: neighbour lists of {particles} particles do not fit with room for {members} members each",
+            "{}: neighbour lists of {particles} particles with {members} entries each do not fit in device memory",
             gpu.summary().name
         ),
-        "the longest list decides the room of all, and a crowd of particles far nearer to each other than h makes a long one",
-        "start from seeds that h asks for (seed without --count), use a larger target edge length, or --backend cpu",
+        "all lists are as long as the longest one; particles far closer together than h make it long",
+        "leave out COUNT (seed --count), raise SIZE or MIN_SIZE (sizefield --uniform, --min-size), or set \
+         BACKEND=cpu (--backend cpu)",
     )
 }

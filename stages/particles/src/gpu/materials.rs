@@ -68,9 +68,9 @@ impl Carried {
         strata.extend_from_slice(&of[..held]);
         if strata.len() > MOST_STRATA {
             return Err(Error::gpu(
-                format!("{} sheets and particles of junctions; the GPU numbers {MOST_STRATA}", strata.len()),
-                "the number of each travels with the particles",
-                "use a larger target edge length, or --backend cpu",
+                format!("{} interfaces and junction particles; the GPU supports {MOST_STRATA}", strata.len()),
+                "each particle stores the number of its interface as a 32-bit float",
+                "raise SIZE or MIN_SIZE (sizefield --uniform, --min-size), or set BACKEND=cpu (--backend cpu)",
             ));
         }
         let first = |set: &ParticleSet| ParticleSet {

@@ -27,8 +27,9 @@ impl Memory {
                     gpu.summary().name,
                     gpu.limits.max_storage_buffer_binding_size
                 ),
-                "the particles and their neighbours must be on the device",
-                "use a larger target edge length, another adapter, or --backend cpu",
+                "the particles and their neighbours must fit in device memory",
+                "raise SIZE or MIN_SIZE (sizefield --uniform, --min-size), use another adapter, or set BACKEND=cpu \
+                 (--backend cpu)",
             ));
         }
         self.remove(name);
@@ -43,12 +44,13 @@ impl Memory {
         if let Some(error) = pollster::block_on(guard.pop()) {
             return Err(Error::gpu(
                 format!(
-                    "{}: out of memory at the buffer `{name}` of {size} bytes, with {} in use: {error}",
+                    "{}: out of memory: the buffer `{name}` needs {size} bytes, and {} bytes are in use: {error}",
                     gpu.summary().name,
                     self.bytes
                 ),
-                "fields, particles and neighbours must be on the device",
-                "close other programs that use it, use a larger target edge length, or --backend cpu",
+                "fields, particles and neighbours must fit in device memory",
+                "close other programs that use the device, raise SIZE or MIN_SIZE (sizefield --uniform, --min-size), \
+                 or set BACKEND=cpu (--backend cpu)",
             ));
         }
         self.bytes += size;
@@ -133,7 +135,7 @@ pub(crate) fn read_staging<T: bytemuck::AnyBitPattern>(
     match receiver.recv() {
         Ok(Ok(())) => {}
         Ok(Err(error)) => return Err(gpu.failed(&format!("cannot read its memory: {error}"))),
-        Err(error) => return Err(gpu.failed(&format!("did not answer: {error}"))),
+        Err(error) => return Err(gpu.failed(&format!("did not respond: {error}"))),
     }
     let view = staging.slice(..bytes).get_mapped_range().map_err(|error| gpu.failed(&error.to_string()))?;
     let mut values = Vec::with_capacity(bytes as usize / size_of::<T>());

@@ -15,9 +15,9 @@ use serde_json::json;
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     if args.from == From::MarchingCubes {
         return Err(Error::input(
-            format!("--from marching-cubes: {} holds the indicators of many materials", args.distfield.display()),
-            "marching cubes is over the distance field of one object; junctions have no vertices of it",
-            "leave out --from, or mesh one object (distfield --iso or --labels)",
+            format!("--from marching-cubes: {} contains many materials", args.distfield.display()),
+            "marching cubes needs the distance field of one object; it has no vertices at junctions",
+            "leave out --from, or mesh one object with ISO or LABELS (distfield --iso, --labels)",
         ));
     }
     let step = context.step("read");
@@ -37,8 +37,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     if complex.triangles.is_empty() {
         return Err(Error::input(
             format!("{}: has no interface to seed", args.distfield.display()),
-            "particles live where materials meet, and all of the volume is of one",
-            "look at the materials that distfield was given",
+            "seeds are placed on interfaces, and the whole volume is one material",
+            "check MATERIALS (distfield --material)",
         ));
     }
     check_prediction(args, || predicted, context)?;
@@ -50,7 +50,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     drop(step);
     if summary.bare_components > 0 {
         context.warn(format!(
-            "{} of {} components of interfaces got no particle, since no place on them could be met: they are far smaller than a voxel",
+            "{} of {} components of interfaces got no particle, because they are far smaller than a voxel",
             summary.bare_components, summary.components
         ));
     }

@@ -60,9 +60,9 @@ impl Given {
         for own in sizes {
             let unknown = || {
                 Error::input(
-                    format!("--size {own}: there is no such material or interface"),
-                    "no edge length can be given to what is not there",
-                    format!("give one of these, or two with a slash between: {}", names.join(", ")),
+                    format!("--size {own}: no such material or interface"),
+                    "the edge length would have no effect",
+                    format!("use one of these materials, or two of them separated by a slash: {}", names.join(", ")),
                 )
             };
             if let Some(id) = named(&own.name) {
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pair_goes_before_its_materials_and_the_smaller_before_the_larger() {
+    fn pairs_override_materials_and_smaller_sizes_win() {
         let [a, b, c] = [1, 2, 3].map(MaterialId);
         let given = Given { materials: vec![(a, 2.0), (b, 1.0)], sheets: vec![(Stratum::sheet(a, b), 3.0)] };
         assert_eq!(given.of(&Stratum::sheet(b, a)), Some(3.0));

@@ -37,9 +37,9 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     drop(step);
     if complex.triangles.is_empty() {
         return Err(Error::input(
-            format!("{}: has no interface, because all of it is of one material", args.input.display()),
-            "there is nothing to size",
-            "look at the materials that distfield was given",
+            format!("{}: has no interface; the whole volume is one material", args.input.display()),
+            "h is computed on the interfaces",
+            "check MATERIALS (distfield --material)",
         ));
     }
     context.check_interrupt()?;
@@ -209,11 +209,14 @@ fn resolve(args: &Args, materials: &Materials, refined: Vec<(usize, f64)>, conte
     for (name, value, is_given) in [
         ("epsilon", parameters.epsilon, args.epsilon.is_some()),
         ("delta", parameters.delta, args.delta.is_some()),
-        ("smallest h, mm", parameters.min_size, args.min_size.is_some()),
-        ("deviation, mm", deviation, args.max_deviation.is_some()),
+        ("minimum h, mm", parameters.min_size, args.min_size.is_some()),
+        ("maximum deviation, mm", deviation, args.max_deviation.is_some()),
     ] {
-        let reason =
-            if is_given { "given".to_owned() } else { format!("quality {quality}, voxel {} mm", significant(voxel)) };
+        let reason = if is_given {
+            "given".to_owned()
+        } else {
+            format!("quality {quality}, voxel size {} mm", significant(voxel))
+        };
         context.info(format!("{name}: {} ({reason})", significant(value)));
     }
     context.set_parameter("epsilon", parameters.epsilon);

@@ -125,7 +125,7 @@ fn nested_balls_have_two_closed_sheets_whose_areas_converge() {
 }
 
 #[test]
-fn three_sectors_of_a_ball_meet_along_four_curves_between_two_points() {
+fn three_sectors_of_a_ball_have_four_curves_and_two_points() {
     let analytic = smooth_sectors();
     let errors = |complex: &Complex| {
         is_closed(complex);
@@ -168,7 +168,7 @@ fn three_sectors_of_a_ball_meet_along_four_curves_between_two_points() {
 }
 
 #[test]
-fn four_regions_of_a_cube_meet_at_a_point_where_curves_from_the_border_end() {
+fn four_regions_of_a_cube_have_four_curves_and_one_point() {
     let analytic = corners(CENTRE);
     for (complex, most) in [(exact(&analytic, 1.5), 1e-6), (Complex::new(&sampled(&analytic, 1.5)), 0.4)] {
         is_closed(&complex);

@@ -160,7 +160,7 @@ fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
 }
 
 #[test]
-fn bins_of_one_colour_move_one_particle_after_the_other_and_nobody_else_does() {
+fn only_bins_of_the_colour_move_one_particle_at_a_time() {
     let Some(gpu) = any_gpu("movement of a colour", Choice::default()) else { return };
     let scene = too_many();
     let mut rig = Rig::in_bins(&gpu, &scene, Binning::Uniform);

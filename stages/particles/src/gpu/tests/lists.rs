@@ -11,7 +11,7 @@ use glam::UVec3;
 use isoparticles_field::neighbours::NeighbourLists;
 
 #[test]
-fn lists_are_those_of_the_cpu_and_no_two_neighbours_share_a_class() {
+fn lists_equal_the_cpu_and_neighbours_differ_in_class() {
     let Some(gpu) = any_gpu("neighbour lists", Choice::default()) else { return };
     for (scene, binning) in [
         (Scene::ball(1, 1.6), Binning::Graded),

@@ -76,7 +76,7 @@ fn particles_stay_on_the_surface_and_energy_falls() {
 }
 
 #[test]
-fn every_run_gives_the_same_bytes_also_a_resumed_one_and_one_in_slabs() {
+fn repeated_resumed_and_slab_runs_give_the_same_bytes() {
     let Some(gpu) = any_gpu("repeatability", Choice::default()) else { return };
     let scene = Scene::bumpy_torus(900);
     let fields = scene.fields();
@@ -170,7 +170,7 @@ fn an_adapter_that_is_not_there_ends_with_exit_code_3() {
 }
 
 #[test]
-fn a_lost_device_is_an_error_with_exit_code_3_and_the_run_goes_on_elsewhere() {
+fn a_lost_device_is_a_gpu_error_and_the_run_can_resume() {
     let Some(gpu) = any_gpu("a lost device", Choice::default()) else { return };
     let scene = Scene::ball(300, 1.6);
     let parameters = Parameters { max_passes: 15, levels: 1, ..Parameters::default() };
