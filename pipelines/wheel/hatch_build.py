@@ -13,11 +13,20 @@ from hatchling.metadata.plugin.interface import MetadataHookInterface
 
 ROOT = Path(__file__).resolve().parents[2]
 TETMESH_CHECK = ROOT / "stages" / "tetmesh-check"
-PROGRAMS = ("distfield", "sizefield", "seed", "particles", "reconstruct", "phantom", "isoparticles-case", "isoparticles-volume")
+PROGRAMS = (
+    "distfield",
+    "sizefield",
+    "seed",
+    "particles",
+    "reconstruct",
+    "phantom",
+    "isoparticles-case",
+    "isoparticles-volume",
+)
 
 
 class Metadata(MetadataHookInterface):
-    """The wheel has the version and the dependencies of tetmesh-check."""
+    """Gives the wheel the version and the dependencies of tetmesh-check."""
 
     def update(self, metadata: dict[str, Any]) -> None:
         """Fill in the dynamic fields."""

@@ -47,7 +47,16 @@ def test_the_wheel_names_its_platform_and_holds_everything(wheel: Path) -> None:
     assert "-py3-none-" in wheel.name
     with zipfile.ZipFile(wheel) as file:
         names = set(file.namelist())
-    for program in ("distfield", "sizefield", "seed", "particles", "reconstruct", "phantom", "isoparticles-case", "isoparticles-volume"):
+    for program in (
+        "distfield",
+        "sizefield",
+        "seed",
+        "particles",
+        "reconstruct",
+        "phantom",
+        "isoparticles-case",
+        "isoparticles-volume",
+    ):
         assert f"isoparticles/bin/{program}" in names
     assert {
         "tetmesh_check/cli.py",
@@ -86,7 +95,7 @@ def test_shells_and_man_know_every_goal(site: Path, run: Run) -> None:
 
 
 def sorted_as(words: list[str], text: str) -> list[str]:
-    """Words in the order in which a text first contains each as a separate word."""
+    """Sort words by their first occurrence as separate words in a text."""
     return sorted(words, key=lambda word: text.index(f" {word} "))
 
 

@@ -186,7 +186,7 @@ fn wrong_input_is_refused_and_leaves_nothing_behind() {
         assert!(error.what.contains(says), "{}", error.what);
         assert!(!case.path(output).exists());
     };
-    refused("s.xyz", "ending");
+    refused("s.xyz", "extension");
     std::fs::copy(case.path("f.vti"), case.path("kept.vti")).unwrap();
     std::fs::copy(case.path("p.bin"), case.path("f.vti")).unwrap();
     refused("s.vtp", "f.vti");

@@ -1,1 +1,1 @@
-"""The command ``isoparticles``: the chain from a volume to tetrahedra, and each of its stages."""
+"""The command ``isoparticles``, which runs all stages from a volume to tetrahedra, or one stage."""

@@ -1,7 +1,7 @@
-"""``isoparticles GOAL ...`` makes a case, ``isoparticles STAGE ...`` runs one stage.
+"""``isoparticles GOAL ...`` makes a case; ``isoparticles STAGE ...`` runs one stage.
 
-The goals are those of the Makefile. This module only translates command lines: goals go to the
-program ``isoparticles-case``, ``--min-size 2`` becomes ``MIN_SIZE=2``, and stages get their
+The goals are the same as in the Makefile. This module only translates command lines: goals go to
+the program ``isoparticles-case``, ``--min-size 2`` becomes ``MIN_SIZE=2``, and stages get their
 arguments unchanged.
 """
 
@@ -25,7 +25,9 @@ VOLUME_GOALS = {
     "mesh": "from the volume to tetrahedra and the page about them",
     "surface": "as far as the triangles",
 }
-"""Goals whose first argument is the volume. A stage name is not a goal here: it runs the stage."""
+"""Goals whose first argument is the volume. The name of a stage runs the stage instead."""
+TOOLS = {"convert": "write a volume as a VTK image (.vti)"}
+"""Verbs of ``isoparticles-volume`` that run without a case."""
 NAME_GOALS = {
     "verdict": "how it went",
     "page": "the page once more",
@@ -35,7 +37,7 @@ NAME_GOALS = {
 SHORT = {"-o": "OUT", "--output": "OUT"}
 VERBOSITY = frozenset({"-q", "-v", "-vv"})
 BATCH = {"--time-limit": "--time-limit", "--goal": "--as-far-as"}
-"""Options of ``batch`` alone, with their names in ``isoparticles-case``."""
+"""Options that only ``batch`` has, with their names in ``isoparticles-case``."""
 
 
 class UsageError(Exception):
@@ -46,13 +48,13 @@ class UsageError(Exception):
 
 
 def program(name: str) -> str:
-    """Path of one of the programs in the wheel."""
+    """Return the path of one of the programs in the wheel."""
     ending = ".exe" if os.name == "nt" else ""
     return str(HERE / "bin" / f"{name}{ending}")
 
 
 def scripts() -> Path:
-    """Folder of the commands that were installed with this one."""
+    """Return the folder of the commands that were installed with this command."""
     name = f"tetmesh-check{'.exe' if os.name == 'nt' else ''}"
     for folder in (Path(sys.argv[0]).resolve().parent, Path(sys.executable).parent):
         if (folder / name).is_file():
@@ -68,7 +70,7 @@ def scripts() -> Path:
 
 
 def case_arguments(goal: str, settings: Sequence[str], options: Sequence[str] = ()) -> list[str]:
-    """Command line of ``isoparticles-case``."""
+    """Return the command line of ``isoparticles-case``."""
     package = Path(tetmesh_check.__file__).parent
     tetrahedra = sorted(str(file) for file in package.glob("*.py") if file.name != "convergence.py")
     pages = sorted(str(file) for file in (package / "page").glob("*.*"))
@@ -139,7 +141,7 @@ def settings_of(words: Sequence[str], first: str, known: dict[str, str]) -> tupl
 
 
 def preset_of(case_file: Path) -> list[str]:
-    """Options of ``isoparticles-case`` for a case file: its lines ``KEY := VALUE``."""
+    """Return options of ``isoparticles-case`` for the lines ``KEY := VALUE`` of a case file."""
     lines = case_file.read_text(encoding="utf-8").splitlines()
     pairs = [line.split(":=", 1) for line in lines if ":=" in line and not line.startswith("#")]
     presets = [word for key, value in pairs for word in ("--preset", f"{key.strip()}={value.strip()}")]
@@ -147,7 +149,7 @@ def preset_of(case_file: Path) -> list[str]:
 
 
 def help_text() -> str:
-    """The help text with all goals and options."""
+    """Return the help text with all goals and options."""
     keys = subprocess.run([program("isoparticles-case"), "keys"], capture_output=True, text=True, check=True)
     lines = [line.split("\t", 1) for line in keys.stdout.splitlines()]
     options = "\n".join(
@@ -174,7 +176,7 @@ Options of mesh and surface (also as KEY=VALUE):
 
 
 def command_of(arguments: Sequence[str]) -> list[str]:
-    """Program and arguments for a command line; raises :class:`UsageError`."""
+    """Return the program and arguments for a command line, or raise :class:`UsageError`."""
     goal, rest = arguments[0], arguments[1:]
     if goal == "tetmesh-check":
         return [sys.executable, "-m", "tetmesh_check", *rest]
@@ -225,5 +227,5 @@ def main() -> NoReturn:
 
 
 def is_help(arguments: Sequence[str]) -> bool:
-    """Whether a goal is asked for help; only stages have help of their own."""
+    """Return whether the user requests help for a goal; only stages have their own help."""
     return arguments[0] not in STAGES and any(word in ("-h", "--help") for word in arguments[1:])
