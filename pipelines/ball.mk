@@ -1,8 +1,8 @@
-# A small ball: the fastest case, for trying things out. Keys: see demo.mk.
+# A small ball: the fastest case, for experiments. Keys: see demo.mk.
 PHANTOM := ball --size 32
 # Halfway between the values inside and outside.
 ISO := 100
 # One edge length everywhere, mm.
 SIZE := 2.5
-# A reference shape: no smoothing.
+# No smoothing, because the ball is a reference shape.
 SCALE := 0

@@ -24,8 +24,8 @@ def main() -> None:
     stages = {it["stage"]: it["command"] for it in row["stages"]}
     program, goal, *words = stages[what] if what in stages else row[what]
     os.chdir(row["folder"])
-    # Assignments go before the options, because some options take any number of words. Of two
-    # assignments to one key the last counts, so the job's own settings apply.
+    # Assignments go before the options, because some options take any number of words. The last
+    # of several assignments to one key takes effect, so the job's own settings apply.
     at = next((n for n, word in enumerate(words) if word.startswith("-")), len(words))
     set_here = [word for word in more if not word.startswith("-")]
     options = [word for word in more if word.startswith("-")]

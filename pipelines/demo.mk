@@ -1,25 +1,26 @@
 # The demo: a heart-like phantom at half the resolution of the paper's volume (`make demo`). This
-# file also explains the keys of a case; pipelines/case/src/keys.rs lists all of them. Keys that are
-# not set keep the stage's default. The command line takes precedence over this file: SIZE=3 there
-# drops MIN_SIZE here.
+# file also explains the keys of a case; pipelines/case/src/keys.rs lists all keys. If a key is not
+# set, the default of the stage applies. The command line takes precedence over this file: SIZE=3 on
+# the command line drops the MIN_SIZE of this file.
 
-# The volume. Either INPUT: a file (.nrrd .nhdr .nii .nii.gz .mha .mhd .vti) or a folder of DICOM
+# The volume: either INPUT, a file (.nrrd .nhdr .nii .nii.gz .mha .mhd .vti) or a folder of DICOM
 # slices. $(DATA) is the folder of the real volumes, set by DATA=...
 #   INPUT := $(DATA)/heart_label.nrrd
-# Or PHANTOM: shape and options of the `phantom` program (`target/release/phantom --help`), which
-# makes the volume.
+# or PHANTOM, the shape and options for the `phantom` program (`target/release/phantom --help`),
+# which makes the volume.
 PHANTOM := torso --part heart --size 134,65,89 --spacing 2.6
 
 # Name of the results in OUT/NAME/ (default: the name of this file).
 NAME := demo
 
-# What to mesh. Either ISO, an iso value of the volume's scalars, with INSIDE = above or below ...
+# The object to mesh: either ISO, an iso value of the volume's scalars, with INSIDE = above or
+# below ...
 ISO := 170
 INSIDE := above
 # ... or LABELS, whole numbers separated by commas; their union is meshed.
 #   LABELS := 1,2
-# ... or MATERIALS: all labels, or some by name; each is a region of one mesh with shared
-# interfaces.
+# ... or MATERIALS: all labels, or some labels with names. Each material is a region of one mesh
+# with shared interfaces.
 #   MATERIALS := lungs:2,heart:1,rest:3+4
 
 # BORDER = cap closes the object where the volume's box cuts it; open leaves it open.
@@ -38,10 +39,10 @@ MIN_SIZE := 2
 # ... or coarse, medium or fine.
 #   QUALITY := medium
 
-# SCALE: features smaller than this (mm) are smoothed away; 0 keeps all.
+# SCALE: size in mm below which features are smoothed away; 0 keeps all features.
 #   SCALE := 0
 
-# COUNT: number of particles to seed (default: predicted from h). SEED: seed of the random numbers.
+# COUNT: number of particles to seed (default: predicted from h). SEED: seed for the random numbers.
 #   COUNT := 20000
 #   SEED := 1
 
@@ -49,8 +50,8 @@ MIN_SIZE := 2
 #   BACKEND := auto
 #   MAX_MEMORY := 8G
 
-# ACCEPT_FORCED = yes accepts elements that the surface of many materials forces below a limit; the
-# verdict counts them.
+# ACCEPT_FORCED = yes accepts elements whose quality is below a limit because the surface of several
+# materials forces it. The verdict counts these elements.
 #   ACCEPT_FORCED := no
 
 # Further options of a stage, from its --help. RECONSTRUCT_OPTIONS := --method tight-cocone connects

@@ -1,7 +1,7 @@
 # Human ribcage, spine and shoulder blades of a chest CT, label map (LIDC-IDRI-0314, CC BY 3.0).
 # Keys: see demo.mk.
 INPUT := $(DATA)/thorax_labels.nrrd
-# Label 1: bone.
+# Label 1 is bone.
 LABELS := 1
 # Two cases share this volume, so the results need a distinct name.
 NAME := ribs

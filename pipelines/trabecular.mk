@@ -1,4 +1,4 @@
-# Trabecular bone: micro-CT with an iso value; rods and plates, cut by all six faces of the volume
+# Trabecular bone: micro-CT with an iso value. All six faces of the volume cut the rods and plates
 # (LHDL, MIT). Keys: see demo.mk.
 #
 # The volume; its spacing is 0.0195 mm.

@@ -1,8 +1,8 @@
-# Two small balls with a gap of three voxels: two components. Keys: see demo.mk.
+# Two small balls with a gap of three voxels, which are two components. Keys: see demo.mk.
 PHANTOM := two-balls --size 32
 # Halfway between the values inside and outside.
 ISO := 100
 # One edge length everywhere, mm.
 SIZE := 2
-# The case is about the gap: no smoothing.
+# No smoothing, because the case tests the gap.
 SCALE := 0

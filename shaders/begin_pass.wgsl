@@ -1,16 +1,16 @@
 // Writes the parameters of a pass for its kernels. The host may submit a pass before it has read
-// the result of the previous one; then only the device knows the number of particles. If the
-// previous pass must be repeated, or left more particles than this pass has room for, the count
-// becomes 0. The pass then leaves its input unchanged.
+// the result of the previous pass. In that case only the device knows the number of particles. If
+// the previous pass must be repeated, or if it left more particles than this pass has room for, the
+// count is set to 0. The pass then leaves its input unchanged.
 
 struct Planned {
     number: u32,
-    // Number of particles, or AS_LEFT: as many as the previous pass left.
+    // Number of particles. AS_LEFT stands for the number that the previous pass left.
     count: u32,
     allow_insert: u32,
-    // Particles that this pass has room for.
+    // Number of particles that this pass has room for.
     room: u32,
-    // Room of the lists, and number of classes, of the previous pass.
+    // Room of each neighbour list and number of classes in the previous pass.
     list_room: u32,
     classes: u32,
     unused_1: u32,
@@ -18,7 +18,7 @@ struct Planned {
 }
 
 @group(0) @binding(2) var<uniform> planned: Planned;
-// The buffers `now` and `scan_keep`, which the other kernels read.
+// Buffers `now` and `scan_keep`, which the other kernels read.
 @group(0) @binding(3) var<storage, read_write> begun: array<u32>;
 @group(0) @binding(4) var<storage, read_write> begun_scan: array<u32>;
 @group(0) @binding(15) var<storage, read> words: array<u32>;

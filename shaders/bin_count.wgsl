@@ -1,4 +1,4 @@
-// Counting sort into bins, step 1: the bin of each particle, and the number of particles in each
+// Counting sort into bins, step 1: finds the bin of each particle and counts the particles of each
 // bin.
 
 @group(0) @binding(2) var<storage, read> listed_place: array<vec4<f32>>;

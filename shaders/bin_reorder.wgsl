@@ -1,6 +1,6 @@
-// Counting sort into bins, step 3: moves the particles. Within a bin they keep their former order,
-// held particles first, whatever the order of the atomics in step 2. So the sort is stable, and a
-// resumed run gives the same result.
+// Counting sort into bins, step 3: copies the particles into sorted order. Within a bin, held
+// particles come first and all others keep their previous order. The order of the atomics in step 2
+// has no influence. The sort is therefore stable, and a resumed run gives the same result.
 
 @group(0) @binding(2) var<storage, read> listed_place: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> bin_of: array<u32>;
@@ -12,7 +12,7 @@
 @group(0) @binding(12) var<storage, read_write> place_at_listing: array<vec4<f32>>;
 @group(0) @binding(13) var<storage, read_write> outcome: array<u32>;
 
-// Sort key of a particle within its bin.
+// Returns the sort key of a particle within its bin.
 fn rank_of(i: u32) -> u32 {
     return i | select(0x80000000u, 0u, is_held(listed_normal[i].w));
 }
@@ -40,6 +40,6 @@ fn bin_reorder(
     place[to] = listed_place[i];
     place_at_listing[to] = listed_place[i];
     normal[to] = listed_normal[i];
-    // particles without a class do not move; this is their outcome
+    // particles without a class do not move and keep this outcome
     outcome[to] = 0u;
 }

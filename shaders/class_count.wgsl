@@ -1,4 +1,4 @@
-// Counts the particles of each class.
+// Counts the particles in each class.
 
 @group(0) @binding(3) var<storage, read> classes: array<u32>;
 @group(0) @binding(4) var<storage, read_write> class_counts: array<atomic<u32>>;

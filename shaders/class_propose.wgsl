@@ -1,6 +1,7 @@
-// Classes, first half of a round: each particle without a class proposes one that none of its
-// neighbours has. The choice is random among the first sixteen, or among the next three free ones
-// if these are taken. So the higher classes mostly stay empty; each class in use costs a dispatch.
+// Class assignment, first half of a round: each particle without a class proposes a class that none
+// of its neighbours has. The class is chosen at random among the free classes of the first sixteen.
+// If all sixteen are taken, it is chosen among the next three free classes. The higher classes
+// therefore remain mostly empty, which saves time because each class in use costs a dispatch.
 
 @group(0) @binding(3) var<storage, read> classes: array<u32>;
 @group(0) @binding(4) var<storage, read_write> proposed_classes: array<u32>;
@@ -37,7 +38,7 @@ fn class_propose(
     }
     var choice = UNCLASSED;
     if free != 0u {
-        // the n-th free class
+        // selects the n-th free class
         var n = random_bits(0xc0000000u + 16u * now.number + round.number, i) % min(choices, countOneBits(free));
         while n > 0u {
             free &= free - 1u;

@@ -1,4 +1,5 @@
-// The first member of each class, and the number of workgroups that move it (indirect dispatch).
+// Computes the index of the first member of each class and the number of workgroups that move the
+// class (indirect dispatch).
 
 @group(0) @binding(4) var<storage, read_write> class_counts: array<u32>;
 @group(0) @binding(5) var<storage, read_write> class_starts: array<u32>;
@@ -12,7 +13,7 @@ fn class_starts_kernel() {
     for (var c = 0u; c < CLASSES; c++) {
         let count = class_counts[c];
         class_starts[c] = start;
-        // class_scatter uses this as the next free slot
+        // class_scatter uses this entry as the next free slot
         class_counts[c] = start;
         start += count;
         used = select(used, c + 1u, count > 0u);

@@ -1,8 +1,8 @@
-// Density control, one round of deletion: of oversampled particles that interact, the one with the
-// highest energy is deleted. The CPU deletes them one by one in the order of energy. A few rounds
-// with updated energies give the same result where few particles exceed the limit. In a start
-// several times too dense, a round deletes only one of many interacting particles, so far fewer go
-// in a pass than on the CPU.
+// Density control, one round of deletion: among oversampled particles that interact, the particle
+// with the highest energy is deleted. The CPU deletes particles one by one in descending order of
+// energy. A few rounds with updated energies give the same result if few particles exceed the
+// limit. If the seeds are several times too dense, a round deletes only one of many interacting
+// particles. A GPU pass then deletes far fewer particles than a CPU pass.
 //
 // Twin: `delete` in stages/particles/src/density.rs
 
@@ -11,7 +11,7 @@
 @group(0) @binding(13) var<storage, read_write> marks: array<atomic<u32>>;
 @group(0) @binding(14) var<storage, read_write> touched: array<atomic<u32>>;
 
-// Whether particle j still existed when this round began.
+// Returns whether particle j still existed when this round began.
 fn was_there(j: u32) -> bool {
     let mark = atomicLoad(&marks[j]);
     return mark == 0u || mark == round.number;

@@ -1,4 +1,4 @@
-// Density control, after a round of deletion: subtracts the energy of deleted neighbours.
+// Density control, after a round of deletion: subtracts the pair energies of deleted neighbours.
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(12) var<storage, read_write> energies: array<f32>;

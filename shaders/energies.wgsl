@@ -1,17 +1,17 @@
-// The energy (Eq. 1) and lattice-defect flag of every particle. Also resets the marks of density
-// control. Particles next to a held one are not counted as defects.
+// Computes the energy (Eq. 1) and the lattice-defect flag of every particle, and resets the marks
+// of density control. Particles next to a held particle do not count as defects.
 //
 // Twin: `measure` in stages/particles/src/state.rs
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;
 @group(0) @binding(12) var<storage, read_write> energies: array<f32>;
-// 0: kept; n: deleted in round n.
+// 0 if the particle is kept, n if it was deleted in round n.
 @group(0) @binding(13) var<storage, read_write> marks: array<u32>;
-// The last round in which a neighbour was deleted.
+// Last round that deleted a neighbour of the particle.
 @group(0) @binding(14) var<storage, read_write> touched: array<u32>;
 
-// Number of steps tried, and the flags STEP_TAKEN and LATTICE_DEFECT.
+// Number of attempted steps, combined with the flags STEP_TAKEN and LATTICE_DEFECT.
 @group(0) @binding(15) var<storage, read_write> outcome: array<u32>;
 
 @compute @workgroup_size(NARROW)

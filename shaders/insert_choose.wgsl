@@ -1,7 +1,8 @@
-// Density control: which particles are kept and which newcomers are inserted. Of newcomers whose
-// parents are neighbours, or that are nearer than newcomer_distance to each other, only the one
-// whose parent draws the highest number is inserted. Writes flags whose prefix sum gives the next
-// index of every particle: kept particles first, then newcomers.
+// Density control: selects the particles to keep and the newcomers to insert. Newcomers conflict if
+// their parents are neighbours or if they are closer together than newcomer_distance. A newcomer is
+// inserted only if its parent draws the highest random number among all conflicting newcomers. The
+// kernel writes flags. Their prefix sum gives the new index of every particle: first the kept
+// particles, then the newcomers.
 //
 // Twin: `insert` in stages/particles/src/density.rs
 
@@ -18,9 +19,10 @@ fn beats(j: u32, i: u32) -> bool {
     return other > own || (other == own && j < i);
 }
 
-// Whether the newcomer of i is too near to one that beats it. The bins hold the parents' positions
-// at the time of the sort. Since then parents have moved by at most REBUILD_MOVE + FARTHEST_MOVE of
-// their h, and the projection leaves a newcomer within two spacings of its parent.
+// Returns whether the newcomer of i is too close to a newcomer of higher priority. The bins hold
+// the positions of the parents at the time of the sort. Since then each parent has moved by at most
+// REBUILD_MOVE + FARTHEST_MOVE in units of its h. The projection leaves a newcomer within two
+// lattice spacings of its parent.
 fn is_too_near(i: u32) -> bool {
     let own = newcomer_place[i];
     let facing = newcomer_normal[i];

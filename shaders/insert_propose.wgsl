@@ -1,6 +1,6 @@
-// Density control, insertion: each undersampled particle proposes a newcomer. It stands on the
-// surface, one lattice spacing away, in the middle of the widest gap between neighbours, if it
-// keeps its minimum distances there.
+// Density control, insertion: each undersampled particle proposes a newcomer. The candidate
+// position is one lattice spacing away, in the middle of the widest gap between neighbours,
+// projected onto the surface. The proposal is dropped if that position violates a minimum distance.
 //
 // Twin: `propose`, `place_in_widest_gap` in stages/particles/src/density.rs
 
@@ -12,34 +12,34 @@
 @group(0) @binding(15) var<storage, read_write> newcomer_place: array<vec4<f32>>;
 @group(0) @binding(16) var<storage, read_write> newcomer_normal: array<vec4<f32>>;
 
-// The direction of neighbour j from the particle in the tangent plane, radians; 2 TAU if j is
-// deleted or beyond the second ring.
+// Returns the direction in radians from the particle to neighbour j in the tangent plane. The
+// result is 2 TAU if j is deleted or outside the second ring.
 fn angle_of(own: vec4<f32>, plane: Plane, j: u32) -> f32 {
     let offset = place[j].xyz - own.xyz;
     let edge = parameters.spacing_in_h * own.w;
-    // the second ring is SUPPORT lattice edges away
+    // the radius of the second ring is SUPPORT lattice spacings
     if marks[j] != 0u || dot(offset, offset) >= SUPPORT * SUPPORT * edge * edge {
         return 2.0 * TAU;
     }
     return atan2(dot(plane.v, offset), dot(plane.u, offset));
 }
 
-// The direction of the middle of the widest gap, by a team that shares the neighbours. Of equal
-// gaps the first in the list counts.
+// Returns the direction of the middle of the widest gap. The lanes of the team share the
+// neighbours. If several gaps are equally wide, the first in the list is used.
 fn widest_gap(own: vec4<f32>, plane: Plane, list: List, lane: u32) -> f32 {
     var lowest = TAU;
     for (var k = lane; k < list.length; k += TEAM) {
         lowest = min(lowest, angle_of(own, plane, member(list, k)));
     }
     lowest = -team_best(vec4(-lowest, 0.0, 0.0, 0.0), lane).x;
-    // width, index in the list, direction
+    // components: width, index in the list, direction
     var widest = vec4(0.0);
     for (var k = lane; k < list.length; k += TEAM) {
         let angle = angle_of(own, plane, member(list, k));
         if angle > TAU {
             continue;
         }
-        // the next neighbour counter-clockwise; of equal angles, the later in the list
+        // the next neighbour counter-clockwise; among equal angles, the next in the list
         var next = lowest + TAU;
         for (var m = 0u; m < list.length; m++) {
             let other = angle_of(own, plane, member(list, m));
@@ -84,7 +84,7 @@ fn propose(i: u32, lane: u32) {
     }
 }
 
-// The undersampled particles among the workgroup's NARROW particles, in any order.
+// Undersampled particles among the NARROW particles of the workgroup, in arbitrary order.
 var<workgroup> lacking: array<u32, NARROW>;
 var<workgroup> lacking_count: atomic<u32>;
 
@@ -107,7 +107,7 @@ fn insert_propose(
         }
     }
     workgroupBarrier();
-    // few particles are undersampled: with one invocation each, most lanes would be idle
+    // few particles are undersampled, so with one invocation per particle most lanes would be idle
     let count = atomicLoad(&lacking_count);
     for (var k = local / TEAM; k < count; k += TEAMS) {
         propose(lacking[k], local % TEAM);

@@ -1,11 +1,12 @@
-// One pass of movement for the bins of one colour (sections 4.1, 5.1 and 5.2 of the paper). One
-// workgroup processes a bin: its particles move one after the other, and its lanes share the
-// neighbours of the particle that moves.
+// One pass of movement for the bins of one colour (sections 4.1, 5.1 and 5.2 of the paper). A
+// workgroup processes one bin. The particles of the bin move one after the other, and the lanes
+// share the neighbours of the moving particle.
 //
-// Every third bin along each axis has the same colour, so there are 27 colours. There are no
-// conflicts: lists reach no farther than one bin edge, so a workgroup writes its bin and reads the
-// 27 bins around it. Two bins of a colour have two others between them, so these neighbourhoods are
-// disjoint. This holds until the next sort, because bins and lists do not change before it.
+// Every third bin along each axis has the same colour, so there are 27 colours. Workgroups do not
+// conflict: neighbour lists reach no farther than one bin edge, so a workgroup writes its own bin
+// and reads that bin and the 26 around it. Two bins of one colour are separated by two other bins,
+// so the regions that they read are disjoint. Bins and lists do not change until the next sort, so
+// this holds for all passes in between.
 
 @group(0) @binding(5) var<storage, read> bin_starts: array<u32>;
 
@@ -16,7 +17,7 @@ fn move_bins(
     @builtin(local_invocation_index) lane: u32,
 ) {
     let first = vec3(round.number % COLOUR_STRIDE, (round.number / COLOUR_STRIDE) % COLOUR_STRIDE, round.number / (COLOUR_STRIDE * COLOUR_STRIDE));
-    // bins of this colour along each axis
+    // number of bins of this colour along each axis
     let bins = (parameters.levels[0].bins + (COLOUR_STRIDE - 1u) - first) / COLOUR_STRIDE;
     let number = flat_group(group, groups);
     if number >= bins.x * bins.y * bins.z {
@@ -27,7 +28,7 @@ fn move_bins(
     let end = bin_starts[bin + 1u];
     for (var i = bin_starts[bin]; i < end; i++) {
         move_particle(i, lane);
-        // the next particle reads this one's new position
+        // the next particle reads the new position of this particle
         storageBarrier();
     }
 }

@@ -1,8 +1,8 @@
 // One pass of movement for one class of particles (sections 3.2.1 and 3.2.2, Algorithm 1 of the
-// paper), with a team of lanes for each particle.
+// paper). A team of lanes moves each particle.
 //
-// There are no conflicts: a particle reads itself and its listed neighbours and writes itself, and
-// no two members of a class are in each other's lists.
+// Particles do not conflict: each particle reads itself and its listed neighbours and writes only
+// itself, and no two members of a class are in each other's lists.
 //
 // Twin: `pass` in stages/particles/src/movement.rs
 

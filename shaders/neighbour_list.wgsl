@@ -1,5 +1,5 @@
-// Builds the neighbour lists, four members at a time. The lengths count all neighbours, even those
-// that exceed the room of a list.
+// Builds the neighbour lists and writes four members at a time. The stored length counts all
+// neighbours, including those that do not fit into the list.
 //
 // Twin: `NeighbourLists` in common/field/src/neighbours.rs
 
@@ -7,7 +7,7 @@
 @group(0) @binding(11) var<storage, read_write> lists: array<vec4<u32>>;
 
 var<private> particle: u32;
-// The last four members found, the newest in w.
+// The last four members found; w holds the newest.
 var<private> last_four: vec4<u32>;
 
 fn found(n: u32, j: u32) {
@@ -32,7 +32,7 @@ fn neighbour_list(
     list_lengths[i] = length;
     let rest = length % 4u;
     if rest > 0u && length < parameters.list_room {
-        // moves the remaining one to three members to the front of their group of four
+        // move the remaining one to three members to the front of their group of four
         let four = select(select(vec4(last_four.w), last_four.zwzw, rest == 2u), last_four.yzwy, rest == 3u);
         lists[list_slot(i, length)] = four;
     }

@@ -1,4 +1,5 @@
-// Exclusive prefix sum, kernel 3 of 3: adds the start of each block to its numbers.
+// Exclusive prefix sum, kernel 3 of 3: adds the start value of each block to the numbers of the
+// block.
 
 @group(0) @binding(3) var<storage, read_write> scan_output: array<u32>;
 @group(0) @binding(4) var<storage, read_write> scan_sums: array<u32>;

@@ -1,5 +1,5 @@
-// Exclusive prefix sum, kernel 2 of 3: one workgroup turns the sums of the blocks into their
-// starts.
+// Exclusive prefix sum, kernel 2 of 3: a single workgroup turns the sums of the blocks into their
+// start values.
 
 @group(0) @binding(4) var<storage, read_write> scan_sums: array<u32>;
 

@@ -1,7 +1,8 @@
-// Totals of a pass, step 2: one workgroup sums the blocks and writes the words that the host reads.
+// Totals of a pass, step 2: a single workgroup adds up the blocks and writes the words that the
+// host reads.
 
 @group(0) @binding(6) var<storage, read> block_totals: array<Totals>;
-// stages/particles/src/gpu/constants.rs documents the words.
+// The words are documented in stages/particles/src/gpu/constants.rs.
 @group(0) @binding(15) var<storage, read_write> words: array<u32>;
 
 @compute @workgroup_size(WIDE)

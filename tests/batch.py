@@ -5,9 +5,9 @@
 
 Writes the volumes and the list, and runs `isoparticles-case batch` as `make batch` does. Sends
 SIGINT when a third of the rows is done, and runs the batch again. Checks the exit codes and the
-summary: only the broken rows may fail, each with what is wrong and what to do. No row that was done
-before the interrupt may be made again. On Slurm, `scancel` for all jobs replaces SIGINT, and the
-same call continues with the other rows.
+summary: only the broken rows may fail, and each must report the error and what to do. Rows that
+were done before the interrupt must not be made again. On Slurm, `scancel` for all jobs replaces
+SIGINT, and the same call continues with the other rows.
 """
 
 from __future__ import annotations
@@ -56,24 +56,24 @@ SLURM_OPTIONS = (
 """Snakemake options for a Slurm without accounting; one job per row (docs/user/batch.md)."""
 COLUMNS = ("NAME", "INPUT", "ISO", "LABELS", "SIZE", "VERTICES")
 SHARE_BEFORE = 1.0 / 3.0
-"""Share of the rows that are done when the interrupt comes."""
+"""Fraction of the rows that are done when the interrupt is sent."""
 
 
 def phantoms(folder: Path, program: Path, count: int) -> list[dict[str, str]]:
-    """Make the volumes, and a row for each."""
+    """Make the volumes, and return a row for each volume."""
     rows = []
     for number, (variant, shape) in enumerate(itertools.islice(itertools.product(VARIANTS, SHAPES), count)):
         path = folder / f"{shape}-{number:02}.nrrd"
         subprocess.run([program, shape, "-o", path, *variant, "--seed", str(number)], check=True)
         labels = "label" in variant
-        # Two of three rows have one edge length; the others follow the local feature size.
+        # Two of three rows have a constant edge length; other rows use the local feature size.
         row = {"NAME": path.stem, "INPUT": path.name, "LABELS" if labels else "ISO": "1" if labels else "100"}
         rows.append({**row, "SIZE": "2"} if number % 3 else row)
     return rows
 
 
 def broken(folder: Path) -> list[dict[str, str]]:
-    """Write broken volumes and return rows that must fail, one of them with a missing file."""
+    """Write broken volumes and return rows that must fail; one row has a missing file."""
     whole = (folder / "ball-00.nrrd").read_bytes()
     (folder / "truncated.nrrd").write_bytes(whole[: len(whole) // 2])
     (folder / "no-volume.nrrd").write_bytes(b"NAME,INPUT\nthis is a list and no volume\n")
@@ -95,7 +95,7 @@ def write_list(path: Path, rows: list[dict[str, str]]) -> None:
 
 
 def summary(out: Path) -> list[dict[str, str]]:
-    """The lines of batch.csv; empty before the first row is done."""
+    """Return the lines of batch.csv; empty before the first row is done."""
     try:
         with (out / "batch.csv").open(newline="") as file:
             return list(csv.DictReader(file))
@@ -104,12 +104,12 @@ def summary(out: Path) -> list[dict[str, str]]:
 
 
 def times(out: Path) -> dict[str, int]:
-    """Modification time of each case's surface, ns."""
+    """Return the modification time in ns of each case's surface."""
     return {path.parent.name: path.stat().st_mtime_ns for path in out.glob("*/*.surface.vtp")}
 
 
 def faults(rows: list[dict[str, str]], found: list[dict[str, str]]) -> list[str]:
-    """Differences between the summary and what is expected."""
+    """Return the differences between the summary and the expected result."""
     wrong = []
     if sorted(row["name"] for row in found) != sorted(row["NAME"] for row in rows):
         wrong.append(f"{len(found)} rows in batch.csv for {len(rows)} of the list")
@@ -123,7 +123,7 @@ def faults(rows: list[dict[str, str]], found: list[dict[str, str]]) -> list[str]
 
 
 def main() -> int:
-    """Run the batch; 0 if every check passes."""
+    """Run the batch; return 0 if every check passes."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--bin", metavar="DIR", type=Path, default=Path("target/release"), help="folder of the programs"

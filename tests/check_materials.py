@@ -3,12 +3,12 @@
     python tests/check_materials.py CASE.surface.vtp LABELS.vti [--volume FILE] [--json FILE]
 
 LABELS.vti is the output of `isoparticles-volume convert VOLUME -o LABELS.vti`. If
-`--smallest-island` has reassigned voxels, it is the indicator file of distfield instead, which
-holds the material of each node; only distfield itself has then compared these with the labels. The
-material of every voxel centre is found by tracing lines of voxel centres through the triangles,
-from outside in. Junctions are compared by position; triangles and tetrahedra are measured. No code
-is shared with the programs that made the files. The last line is `PASSED`, or names the
-differences; the exit code is then 1.
+`--smallest-island` has reassigned voxels, use the indicator file of distfield instead, which
+contains the material of each node; then only distfield itself has compared these with the labels.
+The material of every voxel centre is found by tracing lines through the voxel centres and the
+triangles, starting outside. Junctions are compared by position; triangles and tetrahedra are
+measured. The check shares no code with the programs that made the files. The last line is `PASSED`
+or lists the differences; if there are differences, the exit code is 1.
 """
 
 from __future__ import annotations
@@ -30,26 +30,27 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 OFF_LATTICE = (3.1e-9, 7.3e-9)
-"""Offsets of the traced lines from the voxel centres in y and z, as shares of the spacing.
+"""Offsets of the traced lines from the voxel centres in y and z, as fractions of the spacing.
 
-They keep lines off the edges of capped faces. Positions have errors of about 1e-13 of the spacing.
-A facet may be as near to a centre as 3e-5 and must stay on the right side of it.
+The offsets keep the lines away from the edges of capped faces. Positions have errors of about
+1e-13 of the spacing. The distance from a facet to a centre can be as small as 3e-5 of the spacing,
+and the facet must stay on the correct side of the centre.
 """
 NEAR = 1.5
-"""Junctions of the voxels and of the mesh match if they are nearer than this, in voxels."""
+"""Maximum distance in voxels between matching junctions of the voxels and of the mesh."""
 SMALL_COMPONENT = 8
-"""Components of at most this many voxels may be missing in the mesh."""
+"""Maximum number of voxels of a component that may be missing in the mesh."""
 SMALL_JUNCTION = 2
-"""Materials that meet along at most this many voxel edges need not meet in the mesh."""
+"""Materials that meet along this many voxel edges or fewer need not meet in the mesh."""
 
 
 def note(data: pv.DataSet, name: str) -> Any:
-    """Parse a JSON text in the field data."""
+    """Parse a JSON string in the field data."""
     return json.loads(bytes(np.asarray(data.field_data[name]).astype(np.uint8)).decode())
 
 
 def materials_of(labels: pv.ImageData, table: list[dict[str, Any]]) -> Integers:
-    """The material of each voxel, shape (nx, ny, nz)."""
+    """Return the material of each voxel, shape (nx, ny, nz)."""
     if "material" in labels.point_data:
         return np.asarray(labels.point_data["material"]).reshape(labels.dimensions, order="F").astype(np.int64)
     values = np.asarray(labels.point_data["values"]).reshape(labels.dimensions, order="F").astype(np.int64)
@@ -65,7 +66,7 @@ def materials_of(labels: pv.ImageData, table: list[dict[str, Any]]) -> Integers:
 
 
 def into_voxels(points: Floats, labels: pv.ImageData) -> Floats:
-    """World positions as fractional voxel indices."""
+    """Convert world positions into fractional voxel indices."""
     matrix = np.asarray(labels.direction_matrix).reshape(3, 3) * np.asarray(labels.spacing)
     return np.linalg.solve(matrix, (points - np.asarray(labels.origin)).T).T
 
@@ -73,9 +74,10 @@ def into_voxels(points: Floats, labels: pv.ImageData) -> Floats:
 def crossings(
     corners: Floats, inside: Integers, outside: Integers, size: tuple[int, ...]
 ) -> tuple[Integers, Floats, Integers, Integers]:
-    """Crossings of triangles with lines along x through voxel centres, sorted by line and x.
+    """Find the crossings of triangles with lines along x through voxel centres.
 
-    Returns the line numbers, the x positions, and the materials before and behind each crossing.
+    Returns the line numbers, the x positions, and the materials before and behind each crossing,
+    sorted by line and x.
     """
     lines, places, before, behind = [], [], [], []
     yz = corners[:, :, 1:] - np.asarray(OFF_LATTICE)
@@ -111,11 +113,11 @@ def crossings(
 def follow_lines(
     corners: Floats, inside: Integers, outside: Integers, size: tuple[int, ...]
 ) -> tuple[Integers, int, tuple[int, int]]:
-    """Material at each voxel centre, number of wrong crossings, and contacts along x.
+    """Return the material at each voxel centre, the number of wrong crossings, and the contacts.
 
-    A crossing is wrong if its first material is not the one that the line is in. The contacts are
-    the neighbours of different materials along x: those with another material between them, and
-    all.
+    A crossing is wrong if its first material is not the current material of the line. Contacts
+    are neighbours of different materials along x. The two counts are the contacts with another
+    material between the neighbours, and all contacts.
     """
     line, place, before, behind = crossings(corners, inside, outside, size)
     found = np.zeros(size, dtype=np.int64)
@@ -135,11 +137,11 @@ def follow_lines(
 
 
 def grid_junctions(materials: Integers, open_ones: bool) -> dict[tuple[int, ...], Floats]:
-    """Middles of voxel edges where three or more materials meet, by these materials, in voxels.
+    """Return the middles (in voxels) of voxel edges where three or more materials meet.
 
-    Everything beyond the volume is outside (material 0). If each of the four voxels at an edge
-    differs from both face neighbours, the labels leave open which opposite pair touches.
-    `open_ones` selects these edges or the others.
+    The keys are the materials. Everything beyond the volume is outside (material 0). If each of the
+    four voxels at an edge differs from both face neighbours, the labels do not determine which
+    opposite pair touches. `open_ones` selects these edges or all other edges.
     """
     padded = np.pad(materials, 1)
     found: dict[tuple[int, ...], list[Floats]] = {}
@@ -161,7 +163,7 @@ def grid_junctions(materials: Integers, open_ones: bool) -> dict[tuple[int, ...]
 def mesh_junctions(
     points: Floats, triangles: Integers, inside: Integers, outside: Integers
 ) -> dict[tuple[int, ...], Floats]:
-    """Middles of mesh edges that do not have two triangles, by the materials around them."""
+    """Return the middles of mesh edges that do not have two triangles, by adjacent materials."""
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     owner = np.repeat(np.arange(len(triangles)), 3)
     unique, inverse, counts = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
@@ -178,7 +180,7 @@ def mesh_junctions(
 def share_near(
     places: dict[tuple[int, ...], Floats], others: dict[tuple[int, ...], Floats], has: Any
 ) -> tuple[int, int]:
-    """Number of places with a match within NEAR by materials that satisfy `has`, and of all."""
+    """Count the points with a match within NEAR whose materials satisfy `has`, and all points."""
     near = total = 0
     for names, own in places.items():
         total += len(own)
@@ -190,7 +192,7 @@ def share_near(
 
 
 def triangle_figures(points: Floats, triangles: Integers, pair: Integers) -> dict[str, float]:
-    """Radius ratio 2 r / R; angles, and turns of normals within an interface, in degrees."""
+    """Return radius ratios 2 r / R, and angles and turns of normals in an interface in degrees."""
     corners = points[triangles]
     sides = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
     length = np.linalg.norm(sides, axis=2)
@@ -221,7 +223,7 @@ def triangle_figures(points: Floats, triangles: Integers, pair: Integers) -> dic
 
 
 def unbalanced_edges(triangles: Integers, inside: Integers, outside: Integers, count: int) -> int:
-    """Number of edges along which the outward boundary of some material is not closed."""
+    """Return the number of edges at which the outward boundary of a material is not closed."""
     wrong = 0
     for number in range(count):
         turned = np.concatenate((triangles[inside == number], triangles[outside == number][:, ::-1]))
@@ -233,7 +235,7 @@ def unbalanced_edges(triangles: Integers, inside: Integers, outside: Integers, c
 
 
 def smallest_dihedrals(volume: pv.UnstructuredGrid) -> Floats:
-    """Minimum dihedral angle of each tetrahedron, degrees."""
+    """Return the minimum dihedral angle of each tetrahedron in degrees."""
     corners = np.asarray(volume.points)[volume.cells_dict[pv.CellType.TETRA]]
     faces = [(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)]
     normals = np.stack(
@@ -250,7 +252,7 @@ def smallest_dihedrals(volume: pv.UnstructuredGrid) -> Floats:
 
 
 def lost_components(materials: Integers, found: Integers) -> list[str]:
-    """Components above SMALL_COMPONENT voxels that lost their material in every voxel."""
+    """Return components above SMALL_COMPONENT voxels that lost their material in all voxels."""
     lost = []
     for number in np.unique(materials[materials > 0]).tolist():
         parts, count = ndimage.label(materials == number)

@@ -3,7 +3,7 @@
 
     tests/commands_page.py --bin target/release --tetmesh-check .venv/bin/tetmesh-check
 
-``tests/test_docs.py`` fails when the page is stale.
+``tests/test_docs.py`` fails if the page is out of date.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def help_of(command: list[str]) -> str:
 
 
 def page(bin_folder: Path, tetmesh_check: Path) -> str:
-    """Write the text of the page.
+    """Return the text of the page.
 
     Parameters
     ----------

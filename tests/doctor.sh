@@ -1,6 +1,7 @@
 #!/bin/sh
-# Reports what this machine lacks to build and run the pipeline, and how to get it (`make doctor`).
-# Exit code: 0 if everything needed is there, 1 if something is missing. Changes nothing.
+# Reports which requirements for building and running the pipeline are missing on this machine, and
+# how to install them (`make doctor`). The exit code is 0 if all requirements are met, and 1 if
+# something is missing. The script changes nothing.
 set -u
 cd "$(dirname "$0")/.." || exit 2
 missing=0

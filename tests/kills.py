@@ -42,14 +42,14 @@ TARGETS = ("program", "stage", "all")
 WITH_TIMES = (".json", ".html", ".log", ".csv")
 """Endings of files that contain times."""
 PATIENCE = 120.0
-"""Seconds that processes may take to end after a signal.
+"""Maximum time in seconds for processes to end after a signal.
 
-A stage is interrupted twice, and has a minute each time for its last checkpoint.
+A stage is interrupted twice, and gets a minute each time for its last checkpoint.
 """
 
 
 def children_of(parent: int) -> list[int]:
-    """Child processes of a process."""
+    """Return the child processes of a process."""
     try:
         return [int(word) for word in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
     except (FileNotFoundError, ProcessLookupError):
@@ -57,7 +57,7 @@ def children_of(parent: int) -> list[int]:
 
 
 def group_lives(group: int) -> bool:
-    """Whether any process of a group is still running."""
+    """Return whether any process of a group is still running."""
     for path in Path("/proc").glob("[0-9]*/stat"):
         try:
             fields = path.read_text().rpartition(")")[2].split()
@@ -81,7 +81,7 @@ def send(process: subprocess.Popen[bytes], target: str, which: signal.Signals) -
 
 
 def stages_in(folder: Path) -> list[dict[str, object]]:
-    """The stages in the status file; empty before there is one."""
+    """Return the stages in the status file; empty if the file does not exist yet."""
     try:
         stages: list[dict[str, object]] = json.loads((folder / f"{NAME}.status.json").read_text())["stages"]
     except FileNotFoundError:
@@ -90,14 +90,14 @@ def stages_in(folder: Path) -> list[dict[str, object]]:
 
 
 def stage_now(folder: Path) -> str:
-    """The running stage according to the status file."""
+    """Return the running stage according to the status file."""
     stages = stages_in(folder)
     running = [str(entry["stage"]) for entry in stages if entry["state"] == "running"]
     return running[0] if running else "between two" if stages else "before the first"
 
 
 def wait_for_stage(process: subprocess.Popen[bytes], folder: Path, stage: str) -> None:
-    """Wait until a stage runs or is done; `start` is not a stage and needs no wait."""
+    """Wait until a stage is running or done; return at once for `start`, which is not a stage."""
     while stage != "start" and process.poll() is None:
         if any(entry["stage"] == stage and entry["state"] in ("running", "done") for entry in stages_in(folder)):
             return
@@ -105,7 +105,7 @@ def wait_for_stage(process: subprocess.Popen[bytes], folder: Path, stage: str) -
 
 
 def contents(folder: Path) -> dict[str, object]:
-    """Files of a folder with their bytes, or with what does not depend on time."""
+    """Return the content of each file of a folder, without the parts that depend on time."""
     found: dict[str, object] = {}
     for path in sorted(folder.rglob("*")):
         if path.is_file():
@@ -129,7 +129,7 @@ def told_by(path: Path) -> object:
 
 
 class Chain:
-    """The command under test."""
+    """Command under test."""
 
     def __init__(self, arguments: argparse.Namespace, work: Path) -> None:
         self.work = work
@@ -162,14 +162,14 @@ def wait_for(process: subprocess.Popen[bytes]) -> None:
 
 
 def differences(one: dict[str, object], other: dict[str, object]) -> list[str]:
-    """Files that are missing, left over or different."""
+    """Return messages about files that are missing, left over or different."""
     missing = [f"{name} is missing" for name in one if name not in other]
     added = [f"{name} is left over" for name in other if name not in one]
     return missing + added + [f"{name} differs" for name in one if name in other and one[name] != other[name]]
 
 
 def undisturbed(chain: Chain) -> tuple[dict[str, object], dict[str, float]]:
-    """Files of an undisturbed run, and the seconds of each stage."""
+    """Return the files of an undisturbed run, and the seconds of each stage."""
     process = chain.start()
     wait_for(process)
     if process.returncode != 0:
@@ -183,7 +183,7 @@ def kill_once(
 ) -> tuple[str, list[str]]:
     """Kill a run at a delay after the start of a stage, and run it again.
 
-    Returns the stage that the signal met, and what was wrong.
+    Returns the stage that received the signal, and a list of problems.
     """
     shutil.rmtree(chain.folder, ignore_errors=True)
     process = chain.start()
@@ -196,7 +196,7 @@ def kill_once(
         met = stage_now(chain.folder)
         send(process, target, which)
     process.wait(PATIENCE)
-    # Processes that a killed program leaves may still run when the command is run again.
+    # Processes that a killed program leaves may still be running during the next run.
     again = chain.start()
     wait_for(again)
     wrong = [] if again.returncode == 0 else [f"the run after it ended with {again.returncode}: {chain.log()[-2000:]}"]
@@ -205,7 +205,7 @@ def kill_once(
 
 
 def main() -> int:
-    """Run the kills; 0 if every result is the same."""
+    """Run the kills; return 0 if every result is the same."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", metavar="N", type=int, default=100, help="kills (default 100)")
     parser.add_argument("--seed", metavar="N", type=int, default=1, help="of moments, signals and targets (default 1)")

@@ -1,9 +1,9 @@
 #!/bin/sh
-# Installs Mesa's software Vulkan driver, lavapipe, for the tests of the GPU backend. It does so
-# only if there is no adapter and the user may install packages (root, or sudo without a password).
-# It never fails: without an adapter those tests report that they skip.
+# Installs Mesa's software Vulkan driver, lavapipe, for the tests of the GPU backend, but only if
+# there is no adapter and the user may install packages (as root, or with sudo without a password).
+# The script never fails: without an adapter, the tests of the GPU backend are reported as skipped.
 #
-#   lavapipe.sh PARTICLES      the stage program that lists the adapters
+#   lavapipe.sh PARTICLES      PARTICLES: path of the stage program that lists the adapters
 set -u
 
 if [ -n "$("$1" --list-adapters --quiet 2>/dev/null)" ]; then exit 0; fi

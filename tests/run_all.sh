@@ -1,7 +1,7 @@
 #!/bin/sh
-# Runs the goals of `make test` in order, up to the first one that fails. The last lines say how
-# many tests passed, failed and were skipped; the lines above them list the skips with their
-# reasons.
+# Runs the goals of `make test` in order, up to the first goal that fails. The last line contains
+# the numbers of tests that passed, failed and were skipped. The lines above it list the skipped
+# tests with their reasons.
 #
 #   run_all.sh MAKE GOAL...      called by `make test`
 set -u
@@ -24,9 +24,9 @@ for goal in "$@"; do
 done
 
 echo
-# One test may skip in several places.
+# One test may record several skips.
 sort -u "$ISOPARTICLES_SKIPS" | awk -F '\t' '{ print "skipped: " $1 ": " $2 }'
-# pytest prints its skips with their number in brackets.
+# pytest prints the number of skips in brackets.
 sed -n 's/^SKIPPED \[\([0-9]*\)\] /skipped: \1 x /p' "$folder/log"
 skips=$(cut -f 1 "$ISOPARTICLES_SKIPS" | sort -u | wc -l)
 awk -v skips="$skips" '

@@ -4,7 +4,7 @@
     scaling.py @stages/distfield/benches/peers.txt [--threads 1 2 4 8 16] [--rounds 1]
 
 CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]. @FILE stands for the lines of a file
-except those that start with #. $NAME stands for an environment variable. Seconds are those of the
+that do not start with #. $NAME stands for an environment variable. Seconds are those of the
 stages' reports, the minimum over all rounds. A step has a row if it takes at least a fiftieth of
 the whole chain on the fewest threads. "Serial" is the share of the work that does not scale, by
 Amdahl's law from the fewest and the most threads: t(n) = t(1) (s + (1 - s) / n). Files made with
@@ -28,7 +28,7 @@ LEAST_SHARE = 0.02  # minimum share of the total time for a step to have a row
 
 
 def commands(volume: str, distfield: list[str], sizefield: list[str], folder: Path) -> list[tuple[list[str], Path]]:
-    """Arguments of each stage, and the file that it writes."""
+    """Return the arguments of each stage and the file that the stage writes."""
     names = ("distfield.vti", "sizefield.vti", "seeds.bin", "particles.bin", "surface.vtp")
     f, s, seeds, particles, surface = (folder / name for name in names)
     fields = ["--distfield", str(f), "--sizefield", str(s)]
@@ -44,7 +44,7 @@ def commands(volume: str, distfield: list[str], sizefield: list[str], folder: Pa
 def run(
     arguments: argparse.Namespace, text: str, threads: int, folder: Path
 ) -> tuple[dict[tuple[str, str], float], str]:
-    """Seconds of every step ("" for the whole stage), and a digest of all output files."""
+    """Return the seconds of every step ("" for the whole stage) and a digest of all outputs."""
     _, _, rest = text.partition("=")
     volume, distfield, sizefield = [*os.path.expandvars(rest).split(";"), ""][:3]
     seconds: dict[tuple[str, str], float] = {}
@@ -67,8 +67,8 @@ def run(
 
 
 def serial(first: float, last: float, few: int, many: int) -> str:
-    """Serial share of the work on one thread, percent, by Amdahl's law."""
-    # With t(few) = w (s + (1 - s) / few), and t(many) likewise, the ratio of both gives s.
+    """Return the serial percentage of the work on one thread, from Amdahl's law."""
+    # With t(n) = w (s + (1 - s) / n), the ratio t(many) / t(few) gives s.
     ratio = last / first if first > 0.0 else 1.0
     share = (ratio / few - 1.0 / many) / ((1.0 - 1.0 / many) - ratio * (1.0 - 1.0 / few))
     return f"{100.0 * min(max(share, 0.0), 1.0):.0f}"
@@ -88,7 +88,7 @@ def main() -> None:
     threads = sorted(set(arguments.threads))
     differ = False
     print(f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start")
-    # Files of cases may contain comments.
+    # Case files may contain comments.
     for text in (text for text in arguments.cases if not text.startswith("#")):
         name = text.partition("=")[0]
         folder = arguments.work / name

@@ -4,10 +4,11 @@
 
 Takes the folders of two cases of one ball, with linear and with quadratic tetrahedra, exported as
 inp, msh, msh2, med and xdmf. Each program solves -lap u = 1 with u = 0 on the boundary part
-`surface`, on the file format that it reads. The integral of u over a ball of radius R is 4 pi R^5 /
-45. Each program selects the part by its name in the file, so a wrong set or tag changes the result;
-so does a wrong order of nodes. A program that is not installed has a row that says so. Exit code 1
-if a result is off by more than the discretization error.
+`surface`, in the file format that it supports. The integral of u over a ball of radius R is
+4 pi R^5 / 45. Each program selects the boundary part by its name in the file, so a wrong set, a
+wrong tag or a wrong order of nodes changes the result. The table has a row for each program, also
+if the program is not installed. The exit code is 1 if the error of a result exceeds the
+discretization error.
 """
 
 from __future__ import annotations
@@ -104,7 +105,7 @@ NT
 
 
 def called(words: list[str], folder: Path, environment: dict[str, str] | None = None) -> str:
-    """Output of a program; a failure of the program ends this one."""
+    """Return the output of a program; exit if the program fails."""
     done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False, env=environment)
     if done.returncode != 0:
         sys.exit(f"{' '.join(words)}: exit code {done.returncode}\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
@@ -112,18 +113,18 @@ def called(words: list[str], folder: Path, environment: dict[str, str] | None = 
 
 
 def total_in(text: str) -> float:
-    """The last number after `total`."""
+    """Return the last number after `total`."""
     return float(re.findall(r"total\s+(\S+)", text)[-1])
 
 
 def tetrahedra_of(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Points and tetrahedra of an exported file."""
+    """Return the points and tetrahedra of an exported file."""
     mesh = meshio.read(path, "gmsh" if path.suffix.startswith(".msh") else None)
     return mesh.points, mesh.cells_dict.get("tetra10", mesh.cells_dict.get("tetra"))
 
 
 def by_scikit_fem(case: Path, name: str, order: int, _: Path) -> float | str:
-    """scikit-fem with linear elements on the Gmsh 4.1 file, read by meshio."""
+    """Solve with scikit-fem and linear elements on the Gmsh 4.1 file, which meshio reads."""
     if order == 2:
         return "tests/test_quadratic.py"
     points, cells = tetrahedra_of(case / f"{name}.volume.msh")
@@ -133,7 +134,7 @@ def by_scikit_fem(case: Path, name: str, order: int, _: Path) -> float | str:
 
 
 def by_getdp(case: Path, name: str, _: int, work: Path) -> float | str:
-    """GetDP on the Gmsh 2.2 file: a GetDP built without Gmsh reads no other version."""
+    """Solve with GetDP on the Gmsh 2.2 file, the only version that GetDP reads without Gmsh."""
     if shutil.which("getdp") is None:
         return NOT_HERE
     shutil.copy(case / f"{name}.volume.msh2", work / "ball.msh")
@@ -143,7 +144,7 @@ def by_getdp(case: Path, name: str, _: int, work: Path) -> float | str:
 
 
 def by_freefem(case: Path, name: str, order: int, work: Path) -> float | str:
-    """FreeFEM on the Gmsh 2.2 file."""
+    """Solve with FreeFEM on the Gmsh 2.2 file."""
     if shutil.which("FreeFem++-nw") is None:
         return NOT_HERE
     if order == 2:
@@ -156,7 +157,7 @@ def by_freefem(case: Path, name: str, order: int, work: Path) -> float | str:
 
 
 def by_dolfinx(case: Path, name: str, order: int, work: Path) -> float | str:
-    """FEniCSx (dolfinx) of the system's Python on the pair of XDMF files."""
+    """Solve with FEniCSx (dolfinx) of the system's Python on the pair of XDMF files."""
     python = "/usr/bin/python3"
     if subprocess.run([python, "-c", "import dolfinx"], capture_output=True, check=False).returncode != 0:
         return NOT_HERE
@@ -165,7 +166,7 @@ def by_dolfinx(case: Path, name: str, order: int, work: Path) -> float | str:
 
 
 def by_calculix(case: Path, name: str, _: int, work: Path) -> float | str:
-    """CalculiX with steady heat conduction; the integral of its nodal temperatures."""
+    """Solve steady heat conduction with CalculiX; return the integral of the nodal temperatures."""
     if shutil.which("ccx") is None:
         return NOT_HERE
     inp = case / f"{name}.volume.inp"
@@ -181,7 +182,7 @@ def by_calculix(case: Path, name: str, _: int, work: Path) -> float | str:
 
 
 def integral(points: np.ndarray, cells: np.ndarray, u: np.ndarray) -> float:
-    """Integral of nodal values `u` over linear or curved quadratic tetrahedra."""
+    """Return the integral of nodal values `u` over linear or curved quadratic tetrahedra."""
     places, weights = get_quadrature(RefTet, 5)
     corner = np.vstack([1.0 - places.sum(axis=0), places])
     slope = np.vstack([-np.ones(3), np.eye(3)])
@@ -207,7 +208,7 @@ PROGRAMS = {
 
 
 def main() -> int:
-    """Solve and print the table; 1 if a result is off."""
+    """Solve the problem and print the table; return 1 if a result is wrong."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("linear", type=Path)
     parser.add_argument("quadratic", type=Path)

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Print wall time and peak memory of every stage from the reports of cases.
+"""Print the wall time and peak memory of every stage from the reports of cases.
 
 Usage: stage_table.py CASE_FOLDER...
 
-Each folder has reports/STAGE.json, as the Makefile leaves them; see ``make bench-stages``.
+Each folder contains reports/STAGE.json files from the Makefile; see ``make bench-stages``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ STAGES = ["distfield", "sizefield", "seed", "particles", "reconstruct", "tetmesh
 
 
 def machine() -> str:
-    """Name the processor, the cores, the memory and the system."""
+    """Describe the processor, the cores, the memory and the system."""
     processor = platform.processor() or platform.machine()
     memory = ""
     cpuinfo, meminfo = Path("/proc/cpuinfo"), Path("/proc/meminfo")
@@ -33,7 +33,7 @@ def machine() -> str:
 
 
 def row(stage: str, report: dict) -> str:
-    """One row of the table."""
+    """Return one row of the table."""
     memory = report.get("peak_memory_bytes")
     return (
         f"| {stage} | {report['seconds']:.1f} | {'-' if memory is None else f'{memory / 1024**2:.0f}'} "

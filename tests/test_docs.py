@@ -1,7 +1,7 @@
-"""Tables of figures in README.md and docs have the command that measures them beside them.
+"""Test that tables of figures in README.md and docs have a nearby command that measures them.
 
-Beside means the paragraph before or after, the first one of the section, or a section of the same
-page that one of these links to.
+The command must be in the paragraph before or after the table, in the first paragraph of the
+section, or in a section of the same page to which one of these paragraphs links.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
 
 NUMBER = re.compile(r"^[-+~<]?\d[\d,.]*( ?%)?$")
-"""A cell, or a part of it, that is a figure."""
+"""A cell, or a part of a cell, that is a figure."""
 SHARE = 0.5
-"""Of the cells of a column that are figures, from which on it is one of figures."""
+"""Minimum fraction of figures among the cells of a column of figures."""
 PROGRAMS = (
     "make|cargo|distfield|sizefield|seed|particles|reconstruct|phantom|tetmesh-check|isoparticles|python|perf|time"
 )
@@ -30,30 +30,30 @@ LINK = re.compile(r"\]\(#([\w-]+)\)")
 
 
 def cells(line: str) -> list[str]:
-    """The cells of a row."""
+    """Return the cells of a row."""
     return [cell.strip() for cell in line.strip().strip("|").split("|")]
 
 
 def is_figure(cell: str) -> bool:
-    """Whether a cell is a number, or a few: `0.98 / 0.72`, `3 to 4`, `12, 13`."""
+    """Return whether a cell contains only numbers: `0.98 / 0.72`, `3 to 4`, `12, 13`."""
     parts = [part for part in re.split(r" / | to | and |, |; ", cell.replace("**", "")) if part]
     return bool(parts) and all(NUMBER.match(part.strip()) for part in parts)
 
 
 def has_figures(rows: list[str]) -> bool:
-    """Whether any column but the first is one of figures."""
+    """Return whether any column except the first is a column of figures."""
     body = [cells(row) for row in rows[2:]]
     width = min((len(row) for row in body), default=0)
     return any(sum(is_figure(row[i]) for row in body) > SHARE * len(body) for i in range(1, width))
 
 
 def anchor(heading: str) -> str:
-    """What a link to a heading says."""
+    """Return the anchor of a link to a heading."""
     return re.sub(r"[^\w -]", "", heading.strip("# ").lower()).replace(" ", "-")
 
 
 def sections(text: str) -> dict[str, list[str]]:
-    """The lines below each heading, by its anchor."""
+    """Return the lines below each heading, by the anchor of the heading."""
     found: dict[str, list[str]] = {"": []}
     name, fenced = "", False
     for line in text.splitlines():
@@ -65,13 +65,13 @@ def sections(text: str) -> dict[str, list[str]]:
 
 
 def has_command(lines: list[str]) -> bool:
-    """Whether there is a command: in the line, in a fence, or indented."""
+    """Return whether the lines contain a command: inline, in a fence, or indented."""
     codes = [*CODE.findall("\n".join(lines)), *(line for line in lines if line.startswith("    "))]
     return any(COMMAND.search(code) for code in codes)
 
 
 def blocks(lines: list[str]) -> list[list[str]]:
-    """Paragraphs and tables between empty lines; a list belongs to the paragraph before it."""
+    """Return the paragraphs and tables; a list belongs to the paragraph before it."""
     found: list[list[str]] = [[]]
     for line in lines:
         if line.strip():
@@ -88,7 +88,7 @@ def blocks(lines: list[str]) -> list[list[str]]:
 
 
 def without_command(text: str) -> list[str]:
-    """Head rows of the tables of figures that have no command beside them."""
+    """Return the header rows of tables of figures that have no nearby command."""
     found = []
     parts = sections(text)
     for lines in parts.values():

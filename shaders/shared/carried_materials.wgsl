@@ -1,11 +1,11 @@
-// Data that a particle of many materials carries in normal.w: 16 s + c, where s is the number of
+// Data stored in normal.w for a particle of a multi-material run: 16 s + c, where s is the index of
 // its stratum. The code c is log10(damping / 0.001), or HELD_CODE for a held particle. The value is
-// a whole number below 2^24, so f32 holds it exactly. Material interfaces have the first numbers.
-// After them each held particle has its own number.
+// an integer below 2^24, so f32 represents it exactly. Material interfaces have the first indices.
+// After them, each held particle has an index of its own.
 //
 // Twin: `rebuild_lists` in stages/particles/src/state.rs
 
-// Made by stages/particles/src/gpu/differences.rs, which documents the layout.
+// Index built by stages/particles/src/gpu/differences.rs, which documents the layout.
 @group(0) @binding(28) var<storage, read> materials_index: array<vec4<u32>>;
 
 fn damping_of(carried: f32) -> f32 {
@@ -25,18 +25,18 @@ fn is_held(carried: f32) -> bool {
     return (u32(carried) & 15u) == HELD_CODE;
 }
 
-// The materials of a particle's stratum in ascending order, padded with 65535.
+// Returns the materials of a particle's stratum in ascending order, padded with 65535.
 fn materials_of(carried: f32) -> vec4<u32> {
     return materials_index[materials_index[0].x + (u32(carried) >> 4u)];
 }
 
-// Whether a junction stratum (`lower`) lies on the interface of two materials (`sheet`).
+// Returns whether a junction stratum (`lower`) lies on the interface of two materials (`sheet`).
 fn is_on(lower: vec4<u32>, sheet: vec4<u32>) -> bool {
     return any(lower == vec4(sheet.x)) && any(lower == vec4(sheet.y));
 }
 
-// Whether two particles interact. Held particles interact with all particles of the interfaces that
-// they border, whatever the normals, and not with each other.
+// Returns whether two particles interact. A held particle interacts with all particles of the
+// interfaces that meet at its junction, for any normals. Two held particles do not interact.
 fn see_each_other(a: vec4<f32>, b: vec4<f32>) -> bool {
     if is_held(a.w) {
         return !is_held(b.w) && is_on(materials_of(a.w), materials_of(b.w));

@@ -1,5 +1,5 @@
-// Data that a particle of one object carries in normal.w: its damping. Two particles interact if
-// their normals agree.
+// Data stored in normal.w for a particle of a single-object run: the damping. Two particles
+// interact if their normals agree.
 
 fn damping_of(carried: f32) -> f32 {
     return carried;

@@ -1,5 +1,6 @@
-// Tests for over- and undersampling (section 3.3 of the paper), with the random bias of Witkin and
-// Heckbert: the excess or lack of energy, times a random number, must exceed the threshold.
+// Tests for oversampling and undersampling (section 3.3 of the paper) with the random bias of
+// Witkin and Heckbert: the excess or lack of energy, multiplied by a random number, must exceed the
+// threshold.
 //
 // Twin: `delete`, `insert` in stages/particles/src/density.rs
 

@@ -1,6 +1,6 @@
-// The cell of the voxel grid that contains a position, and h by trilinear interpolation. Device
-// positions are in mm from the centre of voxel parameters.centre. That origin is a whole voxel, so
-// the fraction within a cell keeps full precision.
+// Finds the voxel-grid cell that contains a position and interpolates h trilinearly. Device
+// positions are in mm, relative to the centre of voxel parameters.centre. Because the origin is the
+// centre of a voxel, the fraction within a cell keeps full precision.
 //
 // Twin: `SizingField`, `value_gradient` in common/field/src/sizing.rs
 
@@ -9,7 +9,7 @@ struct Cell {
     fraction: vec3<f32>,
 }
 
-// The cell of a position and the fraction within it, clamped to the grid.
+// Returns the cell of a position and the fraction within the cell, both clamped to the grid.
 fn cell_at(position: vec3<f32>) -> Cell {
     let index = position * parameters.inverse_spacing;
     let whole = floor(index);
@@ -19,14 +19,14 @@ fn cell_at(position: vec3<f32>) -> Cell {
     let outside = (base < vec3(0)) | (base >= last);
     base = clamp(base, vec3(0), last);
     fraction = select(fraction, vec3(0.0), outside);
-    // beyond the last sample: the far end of the last cell
+    // beyond the last sample, use the far end of the last cell
     let top = max(last - 1, vec3(0));
     fraction = select(fraction, vec3(1.0), base > top);
     return Cell(min(base, top), fraction);
 }
 
-// Whether a position lies between the first and the last samples, or on them to a thousandth of the
-// spacing. Twin: `Geometry::holds`.
+// Returns whether a position lies between the first and the last sample on each axis, with a
+// tolerance of a thousandth of the voxel spacing. The CPU counterpart is `Geometry::holds`.
 fn is_in_grid(position: vec3<f32>) -> bool {
     let index = position * parameters.inverse_spacing + vec3<f32>(parameters.centre);
     let last = vec3<f32>(parameters.grid_size) - 1.0;
@@ -38,7 +38,7 @@ fn linear_index(at: vec3<i32>) -> u32 {
     return (u32(at.z) * n.y + u32(at.y)) * n.x + u32(at.x);
 }
 
-// The gradient of h (xyz, dimensionless) and h (w, mm).
+// Returns the gradient of h (xyz, dimensionless) and h in mm (w).
 fn sizing_at(position: vec3<f32>) -> vec4<f32> {
     let cell = cell_at(position);
     let next = min(cell.base + 1, vec3<i32>(parameters.grid_size) - 1);
@@ -52,7 +52,7 @@ fn sizing_at(position: vec3<f32>) -> vec4<f32> {
     let v101 = size_at(linear_index(vec3(next.x, b.y, next.z)));
     let v011 = size_at(linear_index(vec3(b.x, next.y, next.z)));
     let v111 = size_at(linear_index(next));
-    // along x first: the four edges of the cell
+    // interpolate along x first, on the four edges of the cell
     let e00 = v000 + (v100 - v000) * t.x;
     let e10 = v010 + (v110 - v010) * t.x;
     let e01 = v001 + (v101 - v001) * t.x;

@@ -1,9 +1,9 @@
-// The damped Newton step in the tangent plane (Eq. 3).
+// Damped Newton step in the tangent plane (Eq. 3).
 //
 // Twin: `positive_definite`, `damped_newton` in stages/particles/src/movement.rs
 
-// Replaces the eigenvalues of a symmetric 2 x 2 matrix (entries uu, uv, vv) by their magnitudes,
-// bounded away from zero, so that the Newton step leads downhill.
+// Replaces the eigenvalues of a symmetric 2 x 2 matrix (entries uu, uv, vv) by their magnitudes and
+// bounds them away from zero, so that the Newton step is a descent step.
 fn positive_definite(m: vec3<f32>) -> vec3<f32> {
     let middle_of = 0.5 * (m.x + m.z);
     let half_gap = 0.5 * (m.x - m.z);

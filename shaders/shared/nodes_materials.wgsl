@@ -1,16 +1,16 @@
-// The coefficients of G = (F_i - F_j) / 2 at grid nodes, for the interface of materials i and j.
-// They are stored as differences, in blocks of 4 x 4 x 4. The index locates them by brick
-// (4 x 4 x 4 cells; layout: stages/particles/src/gpu/differences.rs). A look-up takes two dependent
-// reads, so its result is kept while the brick stays the same. A projection rarely leaves its
+// Coefficients of G = (F_i - F_j) / 2 at grid nodes, for the interface of materials i and j. The
+// differences are stored in blocks of 4 x 4 x 4 coefficients. The index locates the blocks by brick
+// of 4 x 4 x 4 cells (layout: stages/particles/src/gpu/differences.rs). A look-up takes two
+// dependent reads, so its result is kept until the brick changes. A projection rarely leaves its
 // brick.
 //
 // Twin: `gather` in common/field/src/materials/indicator.rs
 // Twin: `is_real_sheet` in common/field/src/materials/index.rs
 
-// Number of the interface that is evaluated.
+// Index of the interface to evaluate.
 var<private> chosen: u32;
-// The open brick and its first node; the interface whose record is loaded, the index of the brick's
-// next entry (0: none), and the record with its index.
+// The open brick and its first node; the interface whose record is loaded; the index of the next
+// entry of the brick (0 if there is none); the index of the record, and the record.
 var<private> open_brick: u32;
 var<private> open_start: vec3<u32>;
 var<private> open_sheet: u32;
@@ -19,10 +19,10 @@ var<private> open_at: u32;
 var<private> open_low: vec4<u32>;
 var<private> open_high: vec4<u32>;
 var<private> open_cells: vec4<u32>;
-// Whether the indicators of both materials are stored in the cell.
+// Whether the indicators of both materials are stored in the current cell.
 var<private> is_known: bool;
 
-// Selects the interface of a particle for the calls that follow.
+// Selects the interface of a particle for subsequent calls.
 fn choose_surface(carried: f32) {
     chosen = u32(carried) >> 4u;
     open_brick = NO_BRICK;
@@ -35,8 +35,8 @@ fn open_record(at: u32) {
     open_cells = materials_index[at + 2u];
 }
 
-// Takes the chosen interface from an entry that names two, or the first one. Returns the index of
-// its record.
+// Selects the chosen interface from an entry that refers to two interfaces. If the entry does not
+// contain it, selects the first interface of the entry. Returns the index of the record.
 fn take_entry(entry: vec4<u32>) -> u32 {
     let is_second = entry.z == chosen;
     open_sheet = select(entry.x, entry.z, is_second);
@@ -44,8 +44,8 @@ fn take_entry(entry: vec4<u32>) -> u32 {
     return select(entry.y, entry.w, is_second);
 }
 
-// Loads the record of the chosen interface if the brick's first entry names it, else the record
-// that this entry names first.
+// Loads the record of the chosen interface if it is in the first entry of the brick. Otherwise
+// loads the record of the first interface in that entry.
 fn ask_for_cell(cell: Cell) {
     let bricks = max((parameters.grid_size + 2u) / 4u, vec3(1u));
     let at = vec3<u32>(cell.base) / 4u;
@@ -54,8 +54,8 @@ fn ask_for_cell(cell: Cell) {
     open_record(take_entry(materials_index[INDEX_BRICKS + open_brick]));
 }
 
-// Makes the chosen interface in the brick of the cell current; without a record its coefficients
-// are zero.
+// Loads the record of the chosen interface for the brick of the cell. If the brick has no such
+// record, the coefficients are zero.
 fn open_cell(cell: Cell) {
     if any(vec3<u32>(cell.base) / 4u != open_start / 4u) || open_brick == NO_BRICK {
         ask_for_cell(cell);
@@ -75,15 +75,15 @@ fn open_cell(cell: Cell) {
     is_known = is_of(open_cells.xy, vec3<u32>(cell.base));
 }
 
-// Whether the bit of a cell of the open brick is set.
+// Returns whether the bit of a cell of the open brick is set.
 fn is_of(cells: vec2<u32>, base: vec3<u32>) -> bool {
     let within = base - open_start;
     let bit = 16u * (within.z & 1u) + 4u * within.y + within.x;
     return ((select(cells.x, cells.y, within.z >= 2u) >> bit) & 1u) != 0u;
 }
 
-// The coefficient at a node; zero where either material is unknown. The zero gradient then ends the
-// projection.
+// Returns the coefficient at a node. The result is zero if either material is unknown; the gradient
+// is then zero, which ends the projection.
 fn node_coefficient(at: vec3<i32>) -> f32 {
     if !is_known {
         return 0.0;
@@ -95,13 +95,13 @@ fn node_coefficient(at: vec3<i32>) -> f32 {
     return coefficient_at(64u * block + 16u * (place.z & 3u) + 4u * (place.y & 3u) + (place.x & 3u));
 }
 
-// Checks of third materials at a place on the interface: index of the next check, end of the
-// checks, and whether the stored difference of the open check has the opposite sign.
+// Checks of third materials at a point on the interface: the index of the next check, the end of
+// the checks, and whether the stored difference of the open check has the opposite sign.
 var<private> next_check: u32;
 var<private> end_of_checks: u32;
 var<private> is_negative: bool;
 
-// Prepares the checks of a cell; fails if another material fills the brick.
+// Prepares the checks of a cell. The result is CHECKS_FAIL if another material fills the brick.
 fn begin_checks(cell: Cell) -> u32 {
     next_check = 0u;
     end_of_checks = 0u;
@@ -117,8 +117,8 @@ fn begin_checks(cell: Cell) -> u32 {
     return CHECKS_PASS;
 }
 
-// Replaces the open record by the next difference from a third material that may be as close in the
-// cell.
+// Replaces the open record by the next difference from a third material that may be equally close
+// in the cell.
 fn open_check(cell: Cell) -> u32 {
     let base = vec3<u32>(cell.base);
     while next_check < end_of_checks {
@@ -127,7 +127,7 @@ fn open_check(cell: Cell) -> u32 {
         if is_of(check.zw, base) {
             open_record(check.x);
             if !is_of(open_cells.xy, base) {
-                // the third material is not stored here: the cell lies deep inside it
+                // the third material is not stored here, so the cell lies deep inside it
                 return CHECKS_FAIL;
             }
             is_negative = check.y != 0u;
@@ -141,7 +141,7 @@ fn passes_check(difference: f32) -> bool {
     return select(difference, -difference, is_negative) > 0.0;
 }
 
-// The record of the interface must be loaded again.
+// Ends the checks. The record of the interface must be loaded again.
 fn end_checks() {
     open_brick = NO_BRICK;
 }

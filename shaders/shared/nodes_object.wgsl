@@ -1,4 +1,5 @@
-// The coefficients of F at grid nodes, for one object. The checks of third materials always pass.
+// Coefficients of F at grid nodes for a single object. There are no third materials, so all checks
+// pass.
 
 fn choose_surface(carried: f32) {}
 

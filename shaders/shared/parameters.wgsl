@@ -1,13 +1,14 @@
 // Parameters of the run for every kernel: grid, levels of bins, limits.
-// stages/particles/src/gpu/parameters.rs makes them, and its tests compare this layout with naga's.
+// stages/particles/src/gpu/parameters.rs fills them, and its tests compare this layout with the
+// layout that naga computes.
 
-// Bins of the particles of one octave of h; edges in mm.
+// One level of bins, for the particles of one octave of h. Edges are in mm.
 struct Level {
     edge: f32,
     inverse_edge: f32,
-    // Maximum h of the level, mm.
+    // Maximum h of the level in mm.
     largest: f32,
-    // Number of its first bin.
+    // Index of the first bin of the level.
     first_bin: u32,
     bins: vec3<u32>,
     unused: u32,
@@ -16,32 +17,32 @@ struct Level {
 struct Parameters {
     grid_size: vec3<u32>,
     level_count: u32,
-    // Voxel spacing, mm.
+    // Voxel spacing in mm.
     spacing: vec3<f32>,
-    // Tolerance of |F| = 0, mm.
+    // Tolerance of |F| = 0 in mm.
     tolerance: f32,
     inverse_spacing: vec3<f32>,
-    // Longest single step of a projection, mm.
+    // Maximum length in mm of a single projection step.
     projection_step: f32,
-    // The voxel at the origin of device positions.
+    // Voxel at the origin of device positions.
     centre: vec3<i32>,
-    // Voxels in each slab of a field.
+    // Number of voxels in each slab of a field.
     slab_length: u32,
-    // Device position of the corner of bin (0, 0, 0), mm.
+    // Device position in mm of the corner of bin (0, 0, 0).
     bins_origin: vec3<f32>,
     normal_agreement: f32,
     ideal_energy: f32,
     add_below: f32,
     delete_above: f32,
-    // Upper bound of h on the surface, mm; interpolated sizes are clamped to it.
+    // Upper bound of h on the surface in mm; interpolated values of h are clamped to it.
     largest_size: f32,
     bin_total: u32,
-    // Members that each neighbour list has room for.
+    // Number of members that each neighbour list has room for.
     list_room: u32,
     seed: u32,
     initial_lambda: f32,
-    // Lengths in units of h: edge of the target lattice, radius of the first ring, and the minimum
-    // distances of a newcomer from other particles and from its parent.
+    // Lengths in units of h: spacing of the target lattice, radius of the first ring, and minimum
+    // distance of a newcomer from other particles and from its parent.
     spacing_in_h: f32,
     first_ring: f32,
     newcomer_distance: f32,
@@ -61,7 +62,7 @@ struct Pass {
 @group(0) @binding(0) var<uniform> parameters: Parameters;
 @group(0) @binding(1) var<uniform> now: Pass;
 
-// Linear number of a workgroup of a two-dimensional dispatch.
+// Returns the linear index of a workgroup in a two-dimensional dispatch.
 fn flat_group(group: vec3<u32>, groups: vec3<u32>) -> u32 {
     return group.y * groups.x + group.x;
 }

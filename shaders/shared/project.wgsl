@@ -1,4 +1,4 @@
-// Projection onto F = 0, or onto a material interface, by a team (Eq. 5 with its sign corrected).
+// Projection by a team onto F = 0 or onto a material interface (Eq. 5 with its sign corrected).
 //
 // Twin: `project_with_gradient` in common/field/src/spline/mod.rs
 
@@ -9,8 +9,8 @@ struct Projected {
     size: f32,
 }
 
-// State of a projection: 0 continue, 1 converged, 2 failed (gradient too small). `field` holds the
-// gradient (per mm) and the value.
+// Returns the state of a projection: 0 to continue, 1 if converged, 2 if failed because the
+// gradient is too small. `field` contains the gradient per mm (xyz) and the value (w).
 fn projection_state(field: vec4<f32>) -> u32 {
     let squared = dot(field.xyz, field.xyz);
     if !(squared > LEAST_SQUARED_GRADIENT) {
@@ -19,16 +19,17 @@ fn projection_state(field: vec4<f32>) -> u32 {
     return select(0u, 1u, abs(field.w) <= parameters.tolerance * min(sqrt(squared), 1.0));
 }
 
-// The Newton step of Eq. 5, limited to projection_step, mm.
+// Returns the Newton step of Eq. 5 in mm, limited to projection_step.
 fn projection_motion(field: vec4<f32>) -> vec3<f32> {
     let motion = field.xyz * (-field.w / dot(field.xyz, field.xyz));
     let distance = length(motion);
     return motion * select(1.0, parameters.projection_step / distance, distance > parameters.projection_step);
 }
 
-// Projects `start`; the total move is at most `limit`, mm. With many materials, no third material
-// may be as close as the two at the end point. The same loop evaluates the differences from such
-// materials, because a separate copy of the code would cost registers in every step.
+// Projects `start`. The total displacement is at most `limit`, in mm. With many materials, the end
+// point is rejected if a third material is as close as the two materials of the interface. The same
+// loop evaluates the differences from third materials, because a separate copy of the code would
+// cost registers in every step.
 fn project(start: vec3<f32>, limit: f32, lane: u32) -> Projected {
     var there = Projected(start, false, vec3(0.0), 0.0);
     var is_there = false;

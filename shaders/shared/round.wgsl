@@ -1,4 +1,4 @@
-// The number of a round, class or colour; it distinguishes the dispatches of one kernel in a pass.
+// Index of a round, class or colour. It distinguishes the dispatches of one kernel within a pass.
 
 struct Round {
     number: u32,

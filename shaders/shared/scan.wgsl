@@ -1,8 +1,8 @@
-// Parameters of a prefix sum. One invocation takes EACH numbers, one workgroup a block of WIDE *
-// EACH.
+// Parameters of a prefix sum. An invocation processes EACH numbers, and a workgroup processes a
+// block of WIDE * EACH numbers.
 
 struct Scan {
-    // Length of the input; the result has one number more.
+    // Length of the input. The output has one more element.
     length: u32,
     blocks: u32,
     unused_1: u32,

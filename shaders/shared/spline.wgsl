@@ -1,9 +1,9 @@
-// The implicit function F: a cubic B-spline and its gradient, in f32 without hardware filtering,
-// mirrored at the border.
+// The implicit function F: a cubic B-spline and its gradient, evaluated in f32 without hardware
+// filtering. The coefficients are mirrored at the border of the grid.
 //
 // Twin: `Stencil`, `mirror` in common/field/src/spline/stencil.rs
 
-// Weight (x) and its derivative (y) of tap 0 to 3 at fraction t of a cell.
+// Returns the weight (x) and its derivative (y) of tap 0 to 3 at fraction t of a cell.
 fn tap_weight(tap: u32, t: f32) -> vec2<f32> {
     let left = tap < 2u;
     let s = select(1.0 - t, t, left);
@@ -15,15 +15,16 @@ fn tap_weight(tap: u32, t: f32) -> vec2<f32> {
     return vec2((4.0 + s * s * (3.0 * s - 6.0)) / 6.0, sign * s * (1.5 * s - 2.0));
 }
 
-// Index i of n samples, mirrored at both ends.
+// Returns index i of n samples, mirrored at both ends.
 fn mirrored(i: i32, n: i32) -> i32 {
     let low = abs(i);
     return select(select(low, 2 * (n - 1) - low, low > n - 1), 0, n == 1);
 }
 
-// Contribution of taps (x, y, z) and (x, y, z + 1), where `plane` is x + 4 y, to the gradient per
-// voxel (xyz) and the value (w). The sum over taps is written out: naga adds a counter to loops,
-// which keeps drivers from unrolling them and from issuing the loads together.
+// Returns the contribution of taps (x, y, z) and (x, y, z + 1) to the gradient per voxel (xyz) and
+// to the value (w); `plane` is x + 4 y. The sum over taps is unrolled by hand because naga adds a
+// counter to loops. The counter keeps drivers from unrolling the loop and from issuing the loads
+// together.
 fn two_taps(cell: Cell, plane: u32, z: u32) -> vec4<f32> {
     let step = vec3(plane & 3u, plane >> 2u, z);
     let size = vec3<i32>(parameters.grid_size);
@@ -38,7 +39,7 @@ fn two_taps(cell: Cell, plane: u32, z: u32) -> vec4<f32> {
     return vec4(u.y * v.x * w.x, u.x * v.y * w.x, u.x * v.x * w.y, u.x * v.x * w.x);
 }
 
-// Contribution of taps (x, y, 0) to (x, y, 3).
+// Returns the contribution of taps (x, y, 0) to (x, y, 3).
 fn four_taps(cell: Cell, plane: u32) -> vec4<f32> {
     return two_taps(cell, plane, 0u) + two_taps(cell, plane, 2u);
 }

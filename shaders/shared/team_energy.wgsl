@@ -1,4 +1,4 @@
-// Energy of a particle and its derivatives, by a team whose lanes share the neighbours.
+// Energy of a particle and its derivatives, computed by a team whose lanes share the neighbours.
 //
 // Twin: `jet` in stages/particles/src/neighbourhood.rs
 // Twin: `energy` in stages/particles/src/neighbourhood.rs
@@ -6,15 +6,15 @@
 
 struct Jet {
     energy: f32,
-    // In the tangent plane, per mm, with the derivative through the particle's own h.
+    // Gradient per mm in the tangent plane, including the derivative through the particle's own h.
     gradient: vec2<f32>,
-    // Entries uu, uv, vv, per mm squared, h held fixed.
+    // Hessian per mm squared with h held fixed: entries uu, uv, vv.
     hessian: vec3<f32>,
 }
 
-// The first three neighbours of a lane, (position, h); missing ones are far away. Most lists have
-// at most three times as many members as a team of eight lanes. Every try reads them, so they are
-// loaded once and together.
+// The first three neighbours of a lane as (position, h). A missing neighbour has a distant
+// position. Most lists have at most three times as many members as a team of eight lanes. Every
+// attempt reads these neighbours, so they are loaded once and together.
 struct Nearest {
     a: vec4<f32>,
     b: vec4<f32>,
@@ -36,7 +36,8 @@ fn nearest_neighbours(list: List, lane: u32) -> Nearest {
     );
 }
 
-// first: energy, gradient (2) and derivative by the particle's size; second: Hessian (3).
+// first: energy, gradient (2 components) and derivative with respect to the particle's size;
+// second: Hessian (3 components).
 struct Terms {
     first: vec4<f32>,
     second: vec4<f32>,
@@ -69,7 +70,7 @@ fn add_pair(sum: Terms, own: vec4<f32>, plane: Plane, other: vec4<f32>) -> Terms
 }
 
 fn team_jet(own: vec4<f32>, plane: Plane, list: List, nearest: Nearest, lane: u32) -> Jet {
-    // loaded before it is needed, to hide the latency
+    // loaded before it is needed to hide the latency
     let slope = sizing_at(own.xyz).xyz;
     var sum = Terms(vec4(0.0), vec4(0.0));
     sum = add_pair(sum, own, plane, nearest.a);

@@ -1,9 +1,9 @@
-// A team is a workgroup of TEAM lanes that works for one particle. Sums go through workgroup memory
-// in a fixed order. For adapters without subgroups of 32 lanes.
+// A team is a workgroup of TEAM lanes that work on one particle. Sums go through workgroup memory
+// in a fixed order. This variant is for adapters without subgroups of 32 lanes.
 
 var<workgroup> team_scratch: array<vec4<f32>, TEAM>;
 
-// The sum over the team's lanes, with the same bits in each lane.
+// Returns the sum over the lanes of the team. Every lane gets the same bits.
 fn team_sum(value: vec4<f32>, lane: u32) -> vec4<f32> {
     workgroupBarrier();
     team_scratch[lane] = value;
@@ -15,7 +15,8 @@ fn team_sum(value: vec4<f32>, lane: u32) -> vec4<f32> {
     return sum;
 }
 
-// The team's value with the largest x, and of equal ones the smallest y; the same in each lane.
+// Returns the value with the largest x among the lanes of the team. If several have the same x, the
+// value with the smallest y is returned. Every lane gets the same result.
 fn team_best(value: vec4<f32>, lane: u32) -> vec4<f32> {
     workgroupBarrier();
     team_scratch[lane] = value;

@@ -1,13 +1,13 @@
-// Movement of one particle by a team (sections 3.2.1 and 3.2.2, Algorithm 1 of the paper): a damped
-// Newton step in the tangent plane, projection onto F = 0 (Eq. 5) and the energy test. lambda grows
-// tenfold until a step lowers the energy. The team reads the particle and its listed neighbours and
-// writes the particle.
+// Moves one particle by a team (sections 3.2.1 and 3.2.2, Algorithm 1 of the paper): a damped
+// Newton step in the tangent plane, projection onto F = 0 (Eq. 5) and the energy test. The damping
+// lambda grows tenfold until a step lowers the energy. The team reads the particle and its listed
+// neighbours and writes only the particle.
 //
 // Twin: `step` in stages/particles/src/movement.rs
 
 @group(0) @binding(8) var<storage, read_write> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read_write> normal: array<vec4<f32>>;
-// Number of steps tried, and the flag STEP_TAKEN.
+// Number of attempted steps, combined with the flag STEP_TAKEN.
 @group(0) @binding(12) var<storage, read_write> outcome: array<u32>;
 
 fn move_particle(i: u32, lane: u32) {
@@ -16,7 +16,7 @@ fn move_particle(i: u32, lane: u32) {
     let list = list_of(i);
     let plane = tangent_plane(facing.xyz);
     let nearest = nearest_neighbours(list, lane);
-    // most steps end in the same brick: its record is loaded early, to hide the latency
+    // most steps end in the same brick, so its record is loaded early to hide the latency
     choose_surface(facing.w);
     ask_for_cell(cell_at(own.xyz));
     let jet = team_jet(own, plane, list, nearest, lane);
@@ -41,7 +41,7 @@ fn move_particle(i: u32, lane: u32) {
                     moved = true;
                     if lane == 0u {
                         place[i] = candidate;
-                        // accepted at the first try: less damping in the next pass
+                        // if the first attempt is accepted, the next pass starts with less damping
                         let damping = select(lambda, max(LAMBDA_FALL * lambda, LEAST_LAMBDA), tries == 1u);
                         normal[i] = vec4(there.normal, with_damping(facing.w, damping));
                     }

@@ -1,8 +1,8 @@
-// A team is a part of a subgroup that works for one particle; a workgroup holds TEAMS of them.
-// Butterfly sums add the same two numbers in both lanes of a pair, so every lane gets the same
-// bits. TEAM is a power of two.
+// A team is a part of a subgroup whose lanes work on one particle. A workgroup contains TEAMS
+// teams. Butterfly sums add the same two numbers in both lanes of a pair, so every lane gets the
+// same bits. TEAM is a power of two.
 
-// The sum over the team's lanes, with the same bits in each lane.
+// Returns the sum over the lanes of the team. Every lane gets the same bits.
 fn team_sum(value: vec4<f32>, lane: u32) -> vec4<f32> {
     var sum = value;
     for (var step = TEAM / 2u; step > 0u; step >>= 1u) {
@@ -11,7 +11,8 @@ fn team_sum(value: vec4<f32>, lane: u32) -> vec4<f32> {
     return sum;
 }
 
-// The team's value with the largest x, and of equal ones the smallest y; the same in each lane.
+// Returns the value with the largest x among the lanes of the team. If several have the same x, the
+// value with the smallest y is returned. Every lane gets the same result.
 fn team_best(value: vec4<f32>, lane: u32) -> vec4<f32> {
     var best = value;
     for (var step = TEAM / 2u; step > 0u; step >>= 1u) {

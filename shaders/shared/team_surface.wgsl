@@ -1,6 +1,6 @@
-// F by a team: the 64 taps are spread over its lanes, without loops (see two_taps).
+// Evaluates F by a team. The 64 taps are distributed over the lanes without loops (see two_taps).
 
-// The gradient of F (xyz, per mm) and F (w, mm).
+// Returns the gradient of F per mm (xyz) and F in mm (w).
 fn surface_at(position: vec3<f32>, lane: u32) -> vec4<f32> {
     let cell = cell_at(position);
     open_cell(cell);

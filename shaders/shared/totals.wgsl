@@ -1,13 +1,13 @@
-// Totals of a pass, summed in a fixed order.
+// Totals of a pass, added up in a fixed order.
 
 struct Totals {
     energy: f32,
-    // Maximum distance that a particle has moved since the lists were made, in units of its h.
+    // Maximum distance that a particle has moved since the lists were built, in units of its h.
     longest_way: f32,
     moved: u32,
     tries: u32,
     defects: u32,
-    // Members of all lists, and of the longest one.
+    // Number of members of all lists, and of the longest list.
     listed: u32,
     longest_list: u32,
 }
@@ -26,7 +26,7 @@ fn add_totals(a: Totals, b: Totals) -> Totals {
     );
 }
 
-// The total over a workgroup of WIDE, in lane 0.
+// Returns the total over a workgroup of WIDE invocations. The result is valid in lane 0.
 fn total_of_group(own: Totals, lane: u32) -> Totals {
     partial[lane] = own;
     workgroupBarrier();

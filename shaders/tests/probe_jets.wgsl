@@ -1,5 +1,5 @@
-// Test kernel: energy, gradient and Hessian of each particle, and F with its gradient, one team
-// each.
+// Test kernel: computes the energy, its gradient and its Hessian for each particle, and F with its
+// gradient. A team evaluates each particle.
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;

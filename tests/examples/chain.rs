@@ -1,4 +1,4 @@
-//! The whole chain as library calls, from labels to triangles, without files: `cargo run --release
+//! Runs all stages as library calls, from labels to triangles, without files: `cargo run --release
 //! -p isoparticles-tests --example chain`.
 
 use glam::DVec3;
@@ -14,7 +14,7 @@ use isoparticles_stage::monitor::Silent;
 use isoparticles_volume::{Geometry, Image};
 
 fn main() -> Result<()> {
-    // Voxels of two overlapping balls.
+    // The object consists of the voxels of two overlapping balls.
     let geometry = Geometry::axis_aligned([40, 28, 28], DVec3::ONE);
     let centres = [14.0, 25.0].map(|x| DVec3::new(x, 13.5, 13.5));
     let inside = Image::sampled(geometry, |p| centres.iter().any(|&centre| p.distance(centre) < 9.0));

@@ -1,4 +1,4 @@
-//! Fuzzes the file reader that the environment variable `READER` names.
+//! Fuzzes the file reader whose name is in the environment variable `READER`.
 
 #![no_main]
 

@@ -1,12 +1,12 @@
 #!/bin/sh
-# Fuzzes every file reader, or the named ones, for a number of seconds each (default 60), with a
-# number of jobs in parallel (default 1). The corpus starts from the test fixtures and from seeds/.
-# It is kept in target/fuzz/corpus, and the finds in target/fuzz/finds. Needs nightly Rust and
-# cargo-fuzz (cargo install cargo-fuzz).
+# Fuzzes all file readers, or the readers given by name, each for a number of seconds (default 60)
+# with a number of parallel jobs (default 1). The initial corpus consists of the test fixtures and
+# the files in seeds/. The corpus is kept in target/fuzz/corpus, and failing inputs are kept in
+# target/fuzz/finds. Needs nightly Rust and cargo-fuzz (cargo install cargo-fuzz).
 #
 #   tests/fuzz/run.sh [--seconds N] [--jobs N] [--pack FOLDER] [READER...]
 #
-# --pack only builds, and copies everything that another machine needs into FOLDER. There,
+# --pack only builds, and copies everything that another machine needs into FOLDER. On that machine,
 # FOLDER/run.sh --seconds 300 --jobs 16 runs without Rust.
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
@@ -24,7 +24,7 @@ while [ $# -gt 0 ]; do
     shift 2
 done
 
-# Initial files for the corpus of a reader.
+# Lists the initial files for the corpus of a reader.
 fixtures() {
     volume=common/volume/tests/data
     stage=common/stage/tests/data
@@ -68,11 +68,11 @@ pack() {
     done
 }
 
-# Fuzzes one reader for the given time, and restarts after every find.
+# Fuzzes one reader for the given time, and restarts after every failing input.
 fuzz() {
     mkdir -p "$work/corpus/$1" "$work/finds" "$work/logs" "$scratch/$1"
     most=8192
-    # The smallest file of many materials has 41 kB.
+    # The smallest file with several materials has 41 kB.
     if [ "$1" = materials ]; then most=65536; fi
     end=$(($(date +%s) + seconds))
     : >"$work/logs/$1"
@@ -90,7 +90,7 @@ fuzz() {
     printf '%-20s %10d executions %7d a second %6d files kept %4d finds\n' "$1" "$runs" $((runs / seconds)) "$(find "$work/corpus/$1" -type f | wc -l)" "$finds"
 }
 
-# In a packed folder, the program is beside this script; in the project, it is built first.
+# A packed folder contains the program beside this script; in the project, it is built first.
 if [ -x "$here/readers" ]; then
     program=$here
     work=${OUT:-$here/work}

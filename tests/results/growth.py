@@ -6,9 +6,9 @@
 
 Needs only the stage programs and Python. A row of the JSON file is one stage at one size of a
 series, with the seconds and the peak memory of its report. The sizes of a series run in ascending
-order. A stage that would take longer than `--longest`, extrapolated from its last time, is left out
-from there on, with a row that says so. Another call continues after the existing rows. `page.py`
-fits the exponents.
+order. A stage whose extrapolated time exceeds `--longest` is omitted at this and all larger sizes,
+and a row records this. Another call continues after the existing rows. `page.py` fits the
+exponents.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from pathlib import Path
 from measured import SHRINK, Bench, Row, Rows, begin, end, options, settled, stage_row
 
 VOLUMES = [64, 96, 128, 192, 256, 384, 512]
-"""Voxels along an edge; each volume holds the same torus with about PARTICLES particles."""
+"""Voxels along an edge; each volume contains the same torus with about PARTICLES particles."""
 EDGE = 128.0
-"""Edge length of those volumes, mm."""
+"""Edge length of the volumes, mm."""
 PARTICLES = 50_000
 COUNTS = [10_000, 30_000, 100_000, 300_000, 1_000_000, 2_000_000, 5_000_000]
-"""Particles on the bumpy torus of 128 x 128 x 128 voxels."""
+"""Numbers of particles on the bumpy torus of 128 x 128 x 128 voxels."""
 MATERIALS = [1, 3, 10, 30, 100]
 """Numbers of cells that the ball is cut into."""
 CELLS_EDGE = 96
-"""Voxels of 1 mm along an edge of the volume of materials."""
+"""Number of voxels of 1 mm along an edge of the volume with several materials."""
 CELLS_H = 1.5
-"""Edge length on their interfaces, mm."""
+"""Edge length on the interfaces of the materials, mm."""
 TORUS = "bumpy-torus"
 SERIES = ("volume", "particles", "cores", "materials")
 STAGES = ("distfield", "sizefield", "seed", "particles", "reconstruct")
 
 
 def value(line: tuple[float, float, int], x: float) -> float:
-    """Value of a line (slope, offset, label) at x."""
+    """Return the value of a line (slope, offset, label) at x."""
     return line[0] * x + line[1]
 
 
 def cells(materials: int, edge: int) -> bytes:
-    """NRRD file of a ball that is cut into the Voronoi cells of random points.
+    """Return an NRRD file of a ball that is divided into the Voronoi cells of random points.
 
     The labels are 1 to `materials`, and 0 outside. Along a row of voxels, the squared distance to a
     point is x^2 + a x + b, with a and b depending on the point. So the nearest points are the lower
@@ -63,7 +63,7 @@ def cells(materials: int, edge: int) -> bytes:
                 return tuple(c + centre for c in point)
 
     points: list[tuple[float, ...]] = []
-    for _ in range(materials):  # of twenty candidates, the one farthest from the other points
+    for _ in range(materials):  # the candidate farthest from the other points, of twenty
         candidates = [inside() for _ in range(20)]
         points.append(max(candidates, key=lambda c: min((math.dist(c, p) for p in points), default=0.0)))
     order = sorted(range(materials), key=lambda i: points[i][0])
@@ -107,7 +107,7 @@ class Growth:
     def step(
         self, series: str, size: float, stage: str, words: str, output: Path, threads: int = 0, engine: str = ""
     ) -> bool:
-        """Run a stage at a size of a series; whether its output exists."""
+        """Run a stage at a size of a series; return whether its output exists."""
         name = f"{series} {size:09.0f} {stage}{engine and ' ' + engine}"
         if name in self.rows and output.exists():
             self.last[series, stage + engine] = (size, self.rows.rows[name].get("seconds", 0.0))
@@ -133,9 +133,9 @@ class Growth:
         return True
 
     def complete(self, series: str, size: float) -> bool:
-        """Whether all rows of a size exist, up to the last stage or one that was left out.
+        """Return whether all rows of a size exist, up to the last stage or an omitted stage.
 
-        Also notes their seconds for later predictions.
+        Also records the seconds of the rows for later predictions.
         """
         own = [row for row in self.rows.rows.values() if (row["series"], row["size"]) == (series, size)]
         for row in own:
@@ -162,7 +162,7 @@ class Growth:
             self.step(series, size, "reconstruct", f"'{found}' {both}", surface, threads)
 
     def chain(self, series: str, size: float, volume: Path, words: tuple[str, str], threads: int = 0) -> None:
-        """Run all stages from a volume, unless their rows exist."""
+        """Run all stages on a volume, unless all rows exist."""
         if self.complete(series, size):
             return
         stem = self.bench.work / f"{series}-{size:.0f}"
@@ -175,7 +175,7 @@ class Growth:
             path.unlink()
 
     def torus(self, edge: int) -> tuple[Path, float]:
-        """Make the volume of a bumpy torus; its path, and the area of the surface in mm^2."""
+        """Make the volume of a bumpy torus; return its path and the area of the surface in mm^2."""
         path = self.bench.work / f"torus-{edge}.nrrd"
         truth = path.with_suffix(".json")
         self.bench.phantom(f"{TORUS} --size {edge} --spacing {EDGE / edge} --raw --truth '{truth}'", path)
@@ -183,41 +183,41 @@ class Growth:
         return path, area
 
     def volume(self, edge: int) -> None:
-        """Measure the same object on another grid."""
+        """Measure the same object on a grid with this edge."""
         path, area = self.torus(edge)
         self.chain("volume", edge**3, path, ("--iso 100", f"--uniform {of_count(area, PARTICLES // self.shrink):.4g}"))
         path.unlink()
 
     def particles(self, count: int) -> None:
-        """Measure another number of particles on the same object."""
+        """Measure this number of particles on the same object."""
         path, area = self.torus(64 if self.shrink > 1 else 128)
         self.chain("particles", count, path, ("--iso 100", f"--uniform {of_count(area, count // self.shrink):.4g}"))
 
     def cores(self, threads: int) -> None:
-        """Measure the torso phantom's ribcage on another number of cores."""
+        """Measure the torso phantom's ribcage with this number of threads."""
         path = self.bench.phantom("torso --part ribs", self.bench.work / "ribs.nrrd")
         sizes = f"--scale {self.shrink**0.5:.4g}"
         self.chain("cores", threads, path, ("--iso 370", sizes), threads)
 
     def materials(self, count: int) -> None:
-        """Measure another number of materials in the same ball."""
+        """Measure this number of materials in the same ball."""
         path = self.bench.work / f"cells-{count}.nrrd"
         path.write_bytes(cells(count, CELLS_EDGE // 2 if self.shrink > 1 else CELLS_EDGE))
         self.chain("materials", count, path, ("--material all", f"--uniform {CELLS_H * self.shrink**0.25:.4g}"))
 
 
 def of_count(area: float, count: int) -> float:
-    """Spacing of a hexagonal lattice with this many particles on an area."""
+    """Return the spacing of a hexagonal lattice with this many particles on an area."""
     return math.sqrt(2.0 * area / (math.sqrt(3.0) * count))
 
 
 def shorten(words: str) -> str:
-    """The options with the names of files in place of their paths."""
+    """Return the options with file names instead of paths."""
     return " ".join(f"'{Path(word.strip(chr(39))).name}'" if "/" in word else word for word in words.split(" "))
 
 
 def main() -> int:
-    """Run the program; 1 if something was left out."""
+    """Run the program; return 1 if something was omitted."""
     parser = options(__doc__, "growth")
     parser.add_argument("--series", nargs="+", choices=SERIES, default=SERIES)
     parser.add_argument(

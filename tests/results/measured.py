@@ -1,6 +1,6 @@
 """Shared code of the benchmarks of docs/results.md: stage runs, and a JSON file with their rows.
 
-Uses only the standard library, so a machine needs only Python and the programs.
+The code uses only the standard library, so a machine needs only Python and the programs.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ SHRINK = 20
 """Divisor of the number of particles with `--quick`."""
 
 BINS = 25
-"""Bins of a stored histogram of radius ratios; the reports have 50."""
+"""Number of bins of a stored histogram of radius ratios; the reports have 50 bins."""
 
 
 class StageError(Exception):
-    """A program has failed; the text says which one and why."""
+    """A program has failed; the message contains the program and the reason."""
 
 
 @dataclass
 class Rows:
-    """The rows of a JSON file by name; the file is written again after each row."""
+    """The rows of a JSON file by name; the file is rewritten after each row."""
 
     path: Path
     head: Row
@@ -45,7 +45,7 @@ class Rows:
 
     @classmethod
     def open(cls, path: Path, head: Row) -> Rows:
-        """Read the rows of the file; rows of another build or machine are refused."""
+        """Read the rows of the file; refuse rows of another build or machine."""
         if not path.exists():
             return cls(path, head)
         told = json.loads(path.read_text(encoding="utf-8"))
@@ -59,7 +59,7 @@ class Rows:
         return cls(path, told["head"], told["rows"])
 
     def __contains__(self, name: str) -> bool:
-        """Whether the row exists."""
+        """Return whether the row exists."""
         return name in self.rows
 
     def add(self, name: str, row: Row) -> None:
@@ -84,7 +84,7 @@ class Bench:
     left: int = 0
 
     def stage(self, program: str, options: str, report: Path, threads: int, allowed: tuple[int, ...] = (0,)) -> Row:
-        """Run a stage; its report, with the seconds of the whole process as `wall`."""
+        """Run a stage; return its report, with the seconds of the whole process as `wall`."""
         command = [str(self.programs / program), *shlex.split(options)]
         command += ["--force", "-q", "--threads", str(threads), "--report", str(report)]
         begun = time.perf_counter()
@@ -117,7 +117,7 @@ class Bench:
     def each(self, tasks: Iterable[tuple[str, Callable[[], None]]], at_once: int) -> None:
         """Run tasks, `at_once` in parallel.
 
-        A task that fails is reported and left out. No task starts after the time limit.
+        A task that fails is reported and omitted. No task starts after the time limit.
         """
 
         def one(name: str, task: Callable[[], None]) -> None:
@@ -146,7 +146,7 @@ def histogram(quality: Row) -> list[int]:
 
 
 def settled(report: Row) -> Row:
-    """Figures that a row keeps of a report of `particles`."""
+    """Return the figures of a `particles` report that a row stores."""
     results = report["results"]
     passes = results["passes"]
     device = results.get("device") or {}
@@ -167,7 +167,7 @@ def settled(report: Row) -> Row:
 
 
 def ratios(quality: Row) -> Row:
-    """Figures that a row keeps of the quality of triangles."""
+    """Return the figures of triangle quality that a row stores."""
     return {
         "mean": round(quality["radius_ratio_mean"], 5),
         "smallest": round(quality["radius_ratio_min"], 5),
@@ -177,7 +177,7 @@ def ratios(quality: Row) -> Row:
 
 
 def stage_row(report: Row) -> Row:
-    """Time and memory of a stage."""
+    """Return the time and memory of a stage."""
     return {
         "seconds": round(report["seconds"], 4),
         "wall": round(report["wall"], 3),
@@ -186,7 +186,7 @@ def stage_row(report: Row) -> Row:
 
 
 def options(description: str | None, json_name: str) -> argparse.ArgumentParser:
-    """Options that both benchmarks share."""
+    """Return a parser with the options that both benchmarks share."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bin", type=Path, default=Path("target/release"), help="folder of the stage programs")
     parser.add_argument("--work", type=Path, default=Path("out") / json_name, help="folder for the files")
@@ -214,7 +214,7 @@ def options(description: str | None, json_name: str) -> argparse.ArgumentParser:
 
 
 def processor() -> str:
-    """Name of the processor."""
+    """Return the name of the processor."""
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
         for line in cpuinfo.read_text(encoding="utf-8").splitlines():
@@ -224,7 +224,7 @@ def processor() -> str:
 
 
 def adapter(arguments: argparse.Namespace) -> str | None:
-    """The GPU for the runs; None without a GPU."""
+    """Return the GPU for the runs; None without a GPU."""
     if arguments.no_gpu:
         return None
     done = subprocess.run(
@@ -239,7 +239,7 @@ def adapter(arguments: argparse.Namespace) -> str | None:
 
 
 def commit() -> str:
-    """The current commit, according to git."""
+    """Return the current commit according to git."""
     done = subprocess.run(["git", "rev-parse", "--short=10", "HEAD"], check=False, capture_output=True, text=True)
     return done.stdout.strip() if done.returncode == 0 else "unknown"
 
@@ -260,7 +260,7 @@ def begin(arguments: argparse.Namespace, further: Row) -> tuple[Bench, Rows]:
     }
     if gpu is None:
         print("no GPU: its rows are left out", file=sys.stderr)
-    # Existing files are used again, so every build and every quick run has a separate folder.
+    # Existing files are reused, so each build and each quick run has a separate folder.
     work = arguments.work / (f"{head['commit']}-quick" if arguments.quick else str(head["commit"]))
     work.mkdir(parents=True, exist_ok=True)
     bench = Bench(arguments.bin, work, cores, time.monotonic() + arguments.time_limit)
@@ -268,6 +268,6 @@ def begin(arguments: argparse.Namespace, further: Row) -> tuple[Bench, Rows]:
 
 
 def end(bench: Bench, rows: Rows) -> int:
-    """Report the numbers of rows and of left-out tasks; 1 if something was left out."""
+    """Report the numbers of rows and of omitted tasks; return 1 if something was omitted."""
     print(f"{rows.path}: {len(rows.rows)} rows, {bench.left} left out", file=sys.stderr)
     return int(bench.left > 0)

@@ -6,8 +6,8 @@
 
 `{{name}}` in docs/results/template.md stands for a table or a number of `Page.pieces`. The text
 from `{{if gpu}}` to `{{else}}` applies to rows with a GPU, the text from there to `{{end}}` to rows
-without one. A missing row ends the program with the name of the row. The figures of the paper are
-in `printed.py`.
+without one. If a row is missing, the program ends with an error that contains the name of the row.
+The figures of the paper are in `printed.py`.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ Row = dict[str, Any]
 
 
 class MissingRowError(Exception):
-    """A row that the page needs is not in the JSON file."""
+    """The JSON file lacks a row that the page needs."""
 
 
 def load(path: Path) -> tuple[Row, dict[str, Row]]:
-    """Head and rows of a JSON file."""
+    """Return the head and the rows of a JSON file."""
     told = json.loads(path.read_text(encoding="utf-8"))
     return told["head"], told["rows"]
 
@@ -46,17 +46,17 @@ def table(columns: list[str], lines: list[list[str]]) -> str:
 
 
 def both(quality: Row) -> str:
-    """Mean and minimum radius ratio."""
+    """Format the mean and minimum radius ratio."""
     return f"{quality['mean']:.3f} / {quality['smallest']:.2f}"
 
 
 def span(values: list[float], digits: int) -> str:
-    """Minimum and maximum."""
+    """Format the minimum and maximum."""
     return f"{min(values):,.{digits}f} to {max(values):,.{digits}f}"
 
 
 def exponent(points: list[tuple[float, float]]) -> float | None:
-    """Least-squares slope of log y over log x; None for fewer than three points."""
+    """Return the least-squares slope of log y over log x; None for fewer than three points."""
     if len(points) < 3:
         return None
     logs = [(math.log(x), math.log(y)) for x, y in points]
@@ -65,7 +65,7 @@ def exponent(points: list[tuple[float, float]]) -> float | None:
 
 
 Runs = dict[str, Row]
-"""The rows of a case by engine: cpu-1, cpu-all and, with a GPU, gpu."""
+"""Rows of a case by engine: cpu-1, cpu-all and, with a GPU, gpu."""
 
 
 @dataclass
@@ -74,25 +74,25 @@ class Column:
 
     heading: str
     cell: Callable[[str, Runs], str]
-    """Text of the cell, from the name and the rows of the case."""
+    """Function that returns the cell from the name and the rows of the case."""
     of_gpu: bool = False
-    """Whether the column is left out without a GPU."""
+    """Whether the column is omitted without a GPU."""
 
 
 def pair(runs: Runs, key: str, form: str) -> str:
-    """A figure of the CPU and, if there is one, of the GPU."""
+    """Format a figure of the CPU and, if there is a GPU, of the GPU."""
     return ", ".join(format(runs[engine][key], form) for engine in ("cpu-1", "gpu") if engine in runs)
 
 
 def speed_up(runs: Runs) -> float:
-    """Seconds of one CPU thread over seconds of the GPU."""
+    """Return the seconds of one CPU thread divided by the seconds of the GPU."""
     seconds: float = runs["cpu-1"]["settle"]
     device: float = runs["gpu"]["device"]
     return seconds / device
 
 
 def lost(row: Row) -> float:
-    """Percentage of the seeds of Table 3 that were deleted."""
+    """Return the percentage of the seeds of Table 3 that were deleted."""
     left: int = row["particles"]
     return 100 * (1 - left / int(row["seeds"]))
 
@@ -113,7 +113,7 @@ TIMES = [
 
 
 def organ_columns(figures: Callable[[str], list[str]], *headings: str) -> list[Column]:
-    """The column of the organ, and the columns of its printed figures."""
+    """Return the column of the organ names and the columns of the printed figures."""
     told = [Column(heading, lambda name, _, i=i: figures(name)[i]) for i, heading in enumerate(headings)]  # type: ignore[misc]
     return [Column("organ", lambda name, _: f"{name} ({printed.organ(name)})"), *told]
 
@@ -159,7 +159,7 @@ CASES = {"1": list(OBJECTS), "2": list(OBJECTS), "3": [str(count) for count in S
 
 
 class Page:
-    """Everything that the template may name."""
+    """All values that the template may contain by name."""
 
     def __init__(self, paper: tuple[Row, dict[str, Row]], growth: tuple[Row, dict[str, Row]]) -> None:
         self.head, self.rows = paper
@@ -168,7 +168,7 @@ class Page:
         self.stems = {(case.table, case.name, case.mode): case.stem for case in cases(["1", "2", "3", "4"], False)}
 
     def row(self, place: str, name: str, mode: str, engine: str) -> Row:
-        """A row of Tables 1 to 4."""
+        """Return a row of Tables 1 to 4."""
         stem = self.stems["2" if place == "1" else place, name, mode]
         key = f"1 {stem}.{engine}" if place == "1" else f"{stem} {engine}"
         if key not in self.rows:
@@ -176,7 +176,7 @@ class Page:
         return self.rows[key]
 
     def runs(self, place: str, name: str, mode: str = "as printed") -> Runs:
-        """The rows of a case by engine."""
+        """Return the rows of a case by engine."""
         engines = [*([] if place == "1" else ["cpu-1"]), "cpu-all", *(["gpu"] if self.gpu else [])]
         return {engine: self.row(place, name, mode, engine) for engine in engines}
 
@@ -188,13 +188,13 @@ class Page:
         return table([column.heading for column in shown], lines)
 
     def sizes(self, series: str) -> list[int]:
-        """The sizes of a series."""
+        """Return the sizes of a series."""
         if series == "cores":
             return sorted({int(row["size"]) for row in self.growth.values() if row["series"] == "cores"})
         return {"volume": [edge**3 for edge in VOLUMES], "particles": COUNTS, "materials": MATERIALS}[series]
 
     def grown(self, series: str, size: int, stage: str, engine: str) -> Row | None:
-        """A row of a series; None if it or an earlier stage was left out as too slow."""
+        """Return a row of a series; None if this or an earlier stage was omitted as too slow."""
         key = f"{series} {size:09.0f} {stage}{engine and ' ' + engine}"
         if key in self.growth:
             row = self.growth[key]
@@ -205,7 +205,7 @@ class Page:
         raise MissingRowError(f"no row '{key}' in the rows of growth.py")
 
     def columns(self, series: str) -> list[tuple[str, str, str]]:
-        """Stage, engine and heading of each column."""
+        """Return the stage, engine and heading of each column."""
         engines = ["cpu"] if series == "cores" or self.growth_head["adapter"] is None else ["cpu", "gpu"]
         found = []
         for stage in STAGES:
@@ -241,13 +241,13 @@ class Page:
         return table([first, *(f"{heading}: s, MiB" for *_, heading in columns)], lines)
 
     def machine(self) -> str:
-        """Machine, date and commit of the figures."""
+        """Describe the machine, date and commit of the figures."""
         head = self.head
         gpu = str(head["adapter"]).split(" (")[0] if self.gpu else "no GPU"
         return f"{head['processor']}, {head['cores']} cores, {gpu}; {head['date']}, commit {head['commit']}"
 
     def pieces(self) -> dict[str, Callable[[], str]]:
-        """The text for each name of the template."""
+        """Return the functions that make the text for each name in the template."""
 
         def difference(key: str, mode: str) -> str:
             every = [self.runs("1", name, mode) for name in OBJECTS]
@@ -322,7 +322,7 @@ class Page:
 
 
 def main() -> int:
-    """Run the program; 1 if the page cannot be made or, with --check, differs."""
+    """Run the program; return 1 if the page cannot be made or, with --check, differs."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--folder", type=Path, default=Path("docs/results"), help="of template.md, paper.json and growth.json"

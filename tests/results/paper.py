@@ -5,10 +5,10 @@
     tests/results/paper.py --tables 2 1 --time-limit 540    # a part of it; call again for the rest
     tests/results/paper.py --quick --no-gpu --json FILE     # fewer particles, only to try it out
 
-All tables run with the printed parameters, Tables 1 and 2 also with the defaults. Needs only the
-stage programs and Python. Each run is a row of the JSON file, which is written at once; existing
-rows are not made again. `page.py` and `plots.py` make the page and its pictures. The constants at
-the top of this file define the runs.
+All tables run with the printed parameters; Tables 1 and 2 also run with the defaults. Needs only
+the stage programs and Python. Each run is a row of the JSON file, which is written immediately;
+existing rows are not made again. `page.py` and `plots.py` make the page and its pictures. The
+constants at the top of this file define the runs.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from pathlib import Path
 from measured import SHRINK, Bench, Row, Rows, begin, end, options, ratios, settled
 
 PACKING = 2.1
-"""Particles at the printed stop test over the vertices requested from sizefield.
+"""Ratio of the particles at the printed stop test to the vertices requested from sizefield.
 
 Measured on the torso phantom's heart: 84,716 over 40,000. The lattice with the printed energy 3.462
-has 2.3 times the particles of a lattice with edge h, but the test ends before it is reached.
+has 2.3 times the particles of a lattice with edge h, but the run stops before it reaches this.
 """
 
 TORSO = "torso --part"
@@ -40,14 +40,14 @@ OBJECTS = {
     "thorax_labels 2": ("thorax_labels.nrrd", "--labels 2", 74_000),
     "thorax_labels 1": ("thorax_labels.nrrd", "--labels 1", 469_000),
 }
-"""The organs of Table 2: volume, options of distfield, and about the printed number of particles.
+"""Organs of Table 2: volume, options of distfield, and approximate printed number of particles.
 
 In `thorax_labels`, label 2 is the lungs and label 1 is bone.
 """
 
 QUICK_OBJECTS = ["torso heart"]
 QUICK_GRID = "--size 134,65,89 --spacing 2.6"
-"""Grid for `--quick`, which runs phantoms only."""
+"""Grid for `--quick`, which runs only phantoms."""
 
 RIBCAGE = "torso ribcage"
 FINE = f"{TORSO} ribs --size 402,194,266 --spacing 0.8667"
@@ -80,7 +80,7 @@ MODES = {
 
 @dataclass(frozen=True)
 class Case:
-    """A case to settle; each engine gives a row."""
+    """A case whose particles are settled; each engine gives a row."""
 
     table: str
     name: str
@@ -93,17 +93,17 @@ class Case:
 
     @property
     def stem(self) -> str:
-        """Stem of its file names."""
+        """Return the stem of the case's file names."""
         return f"{self.table} {self.name} {self.mode}".replace(" ", "-").replace("/", "-")
 
     @property
     def field(self) -> str:
-        """Stem of the files of its distance field, which several cases share."""
+        """Return the stem of the distance field's files, which several cases share."""
         return f"{self.volume} {self.distfield}".replace(" ", "-").replace("/", "-").replace(",", "-")
 
     @property
     def options(self) -> Row:
-        """Options of each stage, for the row."""
+        """Return the options of each stage for the row."""
         seed, particles, _ = MODES[self.mode]
         return {
             "volume": self.volume,
@@ -115,7 +115,7 @@ class Case:
 
 
 def cases(tables: list[str], quick: bool) -> list[Case]:
-    """All cases of these tables; a quick run has fewer and smaller ones."""
+    """Return all cases of these tables; a quick run has fewer and smaller cases."""
     shrink = SHRINK if quick else 1
     coarser = math.sqrt(shrink)
     found = []
@@ -146,7 +146,7 @@ def cases(tables: list[str], quick: bool) -> list[Case]:
 
 
 def small(volume: str) -> str:
-    """A phantom on the coarse grid; a file stays as it is."""
+    """Return a phantom on the coarse grid; return a file unchanged."""
     return f"{volume} {QUICK_GRID}" if volume.startswith(TORSO) else volume
 
 
@@ -162,11 +162,11 @@ class Paper:
     keep: Path | None
 
     def path(self, name: str, ending: str) -> Path:
-        """Path of a file in the work folder."""
+        """Return the path of a file in the work folder."""
         return self.bench.work / f"{name}.{ending}"
 
     def field(self, case: Case, threads: int) -> None:
-        """Make the distance field of a case, unless it exists."""
+        """Make the distance field of a case if it does not exist."""
         output = self.path(case.field, "distfield.vti")
         if output.exists():
             return
@@ -178,7 +178,7 @@ class Paper:
         )
 
     def seeds(self, case: Case, threads: int) -> None:
-        """Make sizes and seeds of a case, unless they exist."""
+        """Make the sizes and seeds of a case if they do not exist."""
         seeds, sizes = self.path(case.stem, "seeds.bin"), self.path(case.stem, "sizefield.vti")
         if seeds.exists():
             return
@@ -189,12 +189,12 @@ class Paper:
         self.bench.stage("seed", f"'{field}' '{sizes}' {case.options['seed']} -o '{seeds}'", report, threads)
 
     def of(self, case: Case, name: str) -> str:
-        """Arguments with the files of a case."""
+        """Return arguments with the files of a case."""
         fields = f"--distfield '{self.path(case.field, 'distfield.vti')}' --sizefield '{self.path(case.stem, 'sizefield.vti')}'"
         return f"'{name}' {fields}"
 
     def settle(self, case: Case, engine: str) -> Row:
-        """Settle the seeds; the report of `particles`."""
+        """Settle the seeds; return the report of `particles`."""
         backend = "--backend cpu"
         if engine == "gpu":
             backend = "--backend gpu" + (f" --adapter '{self.adapter}'" if self.adapter else "")
@@ -204,7 +204,7 @@ class Paper:
         return self.bench.stage("particles", words, self.path(f"{case.stem}.{engine}", "json"), threads)
 
     def particles(self, case: Case, engine: str) -> None:
-        """Make the row of a case on an engine."""
+        """Make the row of a case for an engine."""
         self.seeds(case, self.bench.cores)
         seeded = self.bench.report(self.path(case.stem, "seed.json"))
         predicted = self.bench.report(self.path(case.stem, "sizefield.json"))["results"]["fields"]
@@ -247,7 +247,7 @@ class Paper:
     def run(self, found: list[Case], tables: list[str], beside: int) -> None:
         """Make all missing rows.
 
-        Timed runs on all cores or on the GPU run alone; runs on one thread run beside each other.
+        Timed runs on all cores or on the GPU run alone; runs on one thread run in parallel.
         """
         engines = ["cpu-all", "cpu-1", *(["gpu"] if self.gpu else [])]
         missing = [(case, engine) for case in found for engine in engines if f"{case.stem} {engine}" not in self.rows]
@@ -273,12 +273,12 @@ class Paper:
 
 
 def named(pairs: list[tuple[Case, str]], task: Callable[[Case, str], None]) -> list[tuple[str, Callable[[], None]]]:
-    """Tasks with their names."""
+    """Return tasks with their names."""
     return [(f"{case.stem} {engine}", partial(task, case, engine)) for case, engine in pairs]
 
 
 def main() -> int:
-    """Run the program; 1 if rows were left out."""
+    """Run the program; return 1 if rows were omitted."""
     parser = options(__doc__, "paper")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of the real volumes")
     parser.add_argument("--tables", nargs="+", choices=["1", "2", "3", "4"], default=["2", "1", "3", "4"])

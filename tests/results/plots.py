@@ -38,7 +38,7 @@ def save(figure: Any, folder: Path, name: str) -> None:
 def times(
     page: Page, folder: Path, name: str, rows: list[tuple[str, str, str]], paper: list[tuple[float, ...]]
 ) -> None:
-    """Figures 7 and 8: seconds over particles, the paper's beside ours."""
+    """Draw Figures 7 and 8: seconds over particles, for the paper and for this program."""
     figure, axes = plt.subplots(1, 2, figsize=(9.5, 3.6), layout="constrained")
     for axis, title in zip(axes, ("the paper, 2012", "ours"), strict=True):
         axis.set(title=title, xlabel="particles", ylabel="seconds", yscale="log")
@@ -64,7 +64,7 @@ def times(
 
 
 def histograms(page: Page, folder: Path) -> None:
-    """Figure 9: distributions of radius ratios, CPU and GPU."""
+    """Draw Figure 9: distributions of radius ratios, CPU and GPU."""
     figure, axes = plt.subplots(
         len(MODES), len(OBJECTS), figsize=(13, 4.6), sharex=True, layout="constrained", squeeze=False
     )
@@ -91,7 +91,7 @@ def histograms(page: Page, folder: Path) -> None:
 
 
 def growth(page: Page, folder: Path) -> None:
-    """Seconds of every stage over each series."""
+    """Draw the seconds of every stage for each series."""
     figure, axes = plt.subplots(1, len(SERIES), figsize=(14, 3.9), layout="constrained")
     headings = [heading for *_, heading in page.columns("volume")]
     titles = {"volume": "voxels", "particles": "particles", "cores": "threads", "materials": "materials"}
@@ -109,7 +109,7 @@ def growth(page: Page, folder: Path) -> None:
 
 
 def closeups(surfaces: Path, folder: Path) -> None:
-    """Close-ups of Figure 9: the same part of the heart's mesh, CPU and GPU."""
+    """Draw the close-ups of Figure 9: the same part of the heart's mesh, CPU and GPU."""
     import pyvista as pv
 
     files = []

@@ -1,6 +1,6 @@
 """Figures printed in section 6 of Kim, Chen and Hansen (2012).
 
-Their machine: Intel Xeon X5650 (one thread) and NVIDIA Tesla C2070.
+Machine of the paper: Intel Xeon X5650 (one thread) and NVIDIA Tesla C2070.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ TABLE_3 = {
     270000: (3455.14, 200925, 172.31, 208866),
     300000: (4042.60, 225054, 183.98, 237921),
 }
-"""By number of seeds: seconds and remaining particles on the CPU, then on the GPU."""
+"""Seconds and remaining particles on the CPU, then on the GPU, by number of seeds."""
 
 TABLE_4 = [
     (3798.74, 317809, 160.17, 323762),
@@ -48,7 +48,7 @@ The rows go from epsilon 8 to 0.01; the last one has refinement level 7.
 
 
 def organ(name: str) -> str:
-    """The printed organ to compare an object with."""
+    """Return the printed organ with which to compare an object."""
     for word, found in (
         ("heart", "heart"),
         ("lungs", "lungs"),
@@ -62,17 +62,17 @@ def organ(name: str) -> str:
 
 
 def quality(name: str) -> list[str]:
-    """The two printed columns of Table 1."""
+    """Return the two printed columns of Table 1."""
     return [f"{mean:.3f} / {smallest:.2f}" for mean, smallest in TABLE_1[organ(name)]]
 
 
 def times(name: str) -> list[str]:
-    """The three printed columns of Table 2."""
+    """Return the three printed columns of Table 2."""
     cpu, _, gpu, _ = TABLE_2[organ(name)]
     return [f"{cpu:,.0f}", f"{gpu:.0f}", f"{cpu / gpu:.1f}"]
 
 
 def lost(seeds: int) -> list[float]:
-    """Percentage of the seeds of Table 3 that were deleted, CPU and GPU."""
+    """Return the percentages of the seeds of Table 3 that were deleted, CPU and GPU."""
     _, cpu, _, gpu = TABLE_3[seeds]
     return [100 * (1 - left / seeds) for left in (cpu, gpu)]

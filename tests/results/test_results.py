@@ -29,7 +29,7 @@ def call(program: str, *words: object) -> subprocess.CompletedProcess[str]:
 
 
 def rows_of_paper() -> dict[str, Any]:
-    """A row for each run, with the figures that the page reads."""
+    """Return a row for each run, with the figures that the page needs."""
     rows: dict[str, Any] = {}
     triangles = {"mean": 0.96, "smallest": 0.3, "angles": [20, 110], "histogram": [1] * measured.BINS}
     for case in paper.cases(["1", "2", "3", "4"], False):
@@ -43,7 +43,7 @@ def rows_of_paper() -> dict[str, Any]:
 
 
 def rows_of_growth() -> dict[str, Any]:
-    """Rows with seconds that grow with the square of the size; the last reconstruct is left out."""
+    """Return rows with seconds proportional to the squared size, without the last reconstruct."""
     sizes = {
         "volume": [n**3 for n in growth.VOLUMES],
         "particles": growth.COUNTS,
@@ -69,7 +69,7 @@ def rows_of_growth() -> dict[str, Any]:
 
 
 def write(folder: Path, paper_rows: dict[str, Any], growth_rows: dict[str, Any], adapter: str | None = "a (b)") -> None:
-    """Write the template and the rows, as in docs/results."""
+    """Write the template and the rows with the layout of docs/results."""
     head = {"date": "2012-03-03", "commit": "c", "processor": "p", "cores": 4, "adapter": adapter, "beside": 1}
     folder.mkdir(exist_ok=True)
     (folder / "template.md").write_bytes((ROOT / "docs/results/template.md").read_bytes())

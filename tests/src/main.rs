@@ -1,4 +1,5 @@
-//! `phantom`: writes an analytic volume and its exact figures, for tests, demos and benchmarks.
+//! The `phantom` program: writes an analytic volume and its exact figures for tests, demos and
+//! benchmarks.
 
 use clap::Parser;
 use glam::{DMat3, DVec3};
@@ -78,9 +79,9 @@ struct Arguments {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Kind {
-    /// Smooth edge around iso value 100 (or the one in the truth file).
+    /// Scalars with a smooth edge around the iso value 100, or the iso value in the truth file.
     Scalar,
-    /// Integers: 0 outside, 1 inside; the torso has four tissues.
+    /// Labels: 0 outside, 1 inside; the torso has four tissues.
     Label,
 }
 
@@ -162,7 +163,7 @@ fn voxels(arguments: &Arguments, scene: &dyn Scene, geometry: &Geometry) -> Voxe
     }
 }
 
-/// The scene's exact figures, with those that depend on the kind of volume.
+/// Returns the exact figures of the scene, including the figures that depend on the kind of volume.
 fn truth(arguments: &Arguments, scene: &dyn Scene, geometry: &Geometry) -> Truth {
     let mut truth = scene.truth();
     truth.centre_world = geometry.grid_to_world(DVec3::from_array(truth.centre_grid)).to_array();
@@ -170,7 +171,7 @@ fn truth(arguments: &Arguments, scene: &dyn Scene, geometry: &Geometry) -> Truth
     if arguments.kind == Kind::Label {
         truth.labels = if whole_torso { vec![1, 2, 3] } else { vec![1] };
     } else if whole_torso {
-        // Bone against everything else.
+        // This iso value separates bone from everything else.
         truth.iso = Some(500.0);
         truth.inside = Some("above".into());
     } else {

@@ -1,5 +1,5 @@
-//! A minimal NRRD writer (format: teem.sourceforge.net/nrrd/format.html), independent of the reader
-//! under test. It also writes spaces that the pipeline's own writer does not need.
+//! A minimal NRRD writer (format: teem.sourceforge.net/nrrd/format.html). It is independent of the
+//! reader under test, and also writes spaces that the pipeline's own writer does not need.
 
 use flate2::{Compression, write::GzEncoder};
 use glam::DVec3;
@@ -19,7 +19,7 @@ pub enum Voxels {
     F32(Vec<f32>),
 }
 
-/// World frame named in the file.
+/// World frame that the file specifies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum FileSpace {
     /// `left-posterior-superior`.
@@ -33,11 +33,11 @@ pub enum FileSpace {
     Unnamed,
 }
 
-/// Writes an NRRD file with an attached header, gzip or raw. The file gets its name when it is
-/// complete.
+/// Writes an NRRD file with an attached header, with gzip or raw encoding. The file gets its final
+/// name after it is complete.
 ///
 /// # Errors
-/// When the folder cannot be written.
+/// If the folder is not writable.
 pub fn write(path: &Path, geometry: &Geometry, space: FileSpace, voxels: &Voxels, gzip: bool) -> Result<()> {
     let (type_name, bytes): (&str, Vec<u8>) = match voxels {
         Voxels::U8(data) => ("uint8", data.clone()),

@@ -1,5 +1,5 @@
-//! Every file reader under one name, for tests with arbitrary bytes. A reader must return a value
-//! or a three-part error. It must never panic, or allocate memory that the file does not fill.
+//! Lists every file reader by name, for tests with arbitrary bytes. A reader must return a value or
+//! a three-part error. It must never panic, and must not allocate more memory than the file fills.
 
 use isoparticles_mesh::point_cloud::read_point_cloud;
 use isoparticles_mesh::surface::read_surface;
@@ -11,10 +11,10 @@ use isoparticles_volume::{data_files, read_volume};
 use std::path::Path;
 use tempfile::TempDir;
 
-/// A reader and the ending of its files.
+/// A reader and the file name ending that it supports.
 #[derive(Clone, Copy, Debug)]
 pub struct Reader {
-    /// Name, also of its fuzz target.
+    /// Name of the reader, which is also the name of its fuzz target.
     pub name: &'static str,
     /// Ending of the file name.
     pub ending: &'static str,
@@ -22,7 +22,7 @@ pub struct Reader {
 }
 
 fn volume(path: &Path) -> Option<Error> {
-    // isoparticles-case calls this before a stage reads the volume.
+    // isoparticles-case calls `data_files` before a stage reads the volume.
     drop(data_files(path));
     read_volume(path).err().map(Error::from)
 }
@@ -76,10 +76,10 @@ pub const READERS: [Reader; 15] = [
 ];
 
 impl Reader {
-    /// The reader with a name.
+    /// Returns the reader called `name`.
     ///
     /// # Panics
-    /// When there is none.
+    /// Panics if no reader has this name.
     pub fn named(name: &str) -> Self {
         *READERS.iter().find(|reader| reader.name == name).unwrap_or_else(|| panic!("no reader is called {name}"))
     }
@@ -87,7 +87,7 @@ impl Reader {
     /// Reads a file with these bytes.
     ///
     /// # Panics
-    /// When the reader panics, or its error lacks one of the three parts.
+    /// Panics if the reader panics, or if its error lacks one of the three parts.
     pub fn feed(self, bytes: &[u8]) {
         Feeder::new(self).feed(bytes);
     }
@@ -104,16 +104,16 @@ impl Feeder {
     /// Creates a temporary folder for a reader.
     ///
     /// # Panics
-    /// When it cannot be created.
+    /// Panics if the folder cannot be created.
     pub fn new(reader: Reader) -> Self {
         Self { reader, folder: tempfile::tempdir().expect("a folder for files") }
     }
 
     /// Reads a file with these bytes. The reader of series gets a folder of slices. A particle file
-    /// is also read with a corrected length and checksum.
+    /// is read a second time with a corrected length and checksum.
     ///
     /// # Panics
-    /// When the reader panics, or its error lacks one of the three parts.
+    /// Panics if the reader panics, or if its error lacks one of the three parts.
     pub fn feed(&self, bytes: &[u8]) {
         let name = format!("file.{}", self.reader.ending);
         if self.reader.ending != "dcm" {
@@ -140,7 +140,7 @@ impl Feeder {
     /// Reads a file with this name and these bytes.
     ///
     /// # Panics
-    /// As [`Feeder::feed`].
+    /// Panics in the same cases as [`Feeder::feed`].
     pub fn feed_file(&self, name: &str, bytes: &[u8]) {
         let path = self.folder.path().join(name);
         std::fs::write(&path, bytes).expect("a file to read");
@@ -158,8 +158,8 @@ impl Feeder {
     }
 }
 
-/// A particle file with the correct length and checksum of its payload (`particle_file.rs`), which
-/// random bytes never have; `None` for other files.
+/// Returns a particle file with the correct length and checksum of its payload
+/// (`particle_file.rs`), because random bytes never have them. Returns `None` for other files.
 fn sealed(bytes: &[u8]) -> Option<Vec<u8>> {
     let (head, _) = bytes.split_at_checked(16).filter(|(head, _)| head.starts_with(b"ISOPART\n"))?;
     let payload = bytes.get(56..)?;
@@ -169,8 +169,8 @@ fn sealed(bytes: &[u8]) -> Option<Vec<u8>> {
 /// Offset in bytes of the letters DICM in a slice.
 const SLICE_MAGIC: usize = 128;
 
-/// Splits concatenated slices: each starts 128 bytes before its letters DICM. A volume needs at
-/// least two slices, so a single one is refused before its pixels are read.
+/// Splits concatenated slices. Each slice starts 128 bytes before the letters DICM. A volume needs
+/// at least two slices, so the reader would refuse a single slice before reading its pixels.
 fn slices(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     let mut rest = Some(bytes);
     std::iter::from_fn(move || {

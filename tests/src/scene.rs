@@ -1,4 +1,5 @@
-//! Phantom scenes: an implicit function in the grid frame, with the exact figures of its surface.
+//! Phantom scenes. A scene is an implicit function in the grid frame, with the exact figures of its
+//! surface.
 
 use crate::{shapes, torso};
 use glam::DVec3;
@@ -6,38 +7,41 @@ use isoparticles_volume::Geometry;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// An implicit function, negative inside; a signed distance if [`Truth::exact_distance`] is set.
+/// An implicit function, which is negative inside. It is a signed distance if
+/// [`Truth::exact_distance`] is set.
 pub trait Scene: Sync {
-    /// Value at a grid-frame position (mm).
+    /// Returns the value at a position (mm) in the grid frame.
     fn value(&self, position: DVec3) -> f64;
 
-    /// Label of a voxel with its centre at `position`: 0 outside, 1 inside, unless there are
-    /// several parts.
+    /// Returns the label of a voxel with its centre at `position`: 0 outside and 1 inside, unless
+    /// the scene has several parts.
     fn label(&self, position: DVec3) -> u8 {
         u8::from(self.value(position) < 0.0)
     }
 
-    /// Profile at a position for an edge of the given width (mm): 0 outside, 1 inside, 0.5 on the
-    /// surface.
+    /// Returns the profile at a position for an edge of the given width (mm): 0 outside, 1 inside,
+    /// 0.5 on the surface.
     fn profile(&self, position: DVec3, edge_width: f64) -> f64 {
         edge_profile(self.value(position), edge_width)
     }
 
-    /// Scalar values of "outside" (profile 0) and "inside" (profile 1); Hounsfield-like.
+    /// Returns the scalar values of "outside" (profile 0) and "inside" (profile 1), which are
+    /// similar to Hounsfield units.
     fn intensities(&self) -> (f64, f64) {
         (-100.0, 300.0)
     }
 
-    /// Exact figures of the surface.
+    /// Returns the exact figures of the surface.
     fn truth(&self) -> Truth;
 }
 
-/// The smooth edge of a scanner image: 1 deep inside, 0.5 on the surface, 0 far outside.
+/// Returns the smooth edge profile of a scanner image: 1 deep inside, 0.5 on the surface, 0 far
+/// outside.
 pub fn edge_profile(signed_distance: f64, edge_width: f64) -> f64 {
     0.5 * (1.0 - (signed_distance / edge_width).tanh())
 }
 
-/// Exact figures of a scene's surface; absent without a closed form or quadrature.
+/// Exact figures of a scene's surface. A figure is absent if it has no closed form or quadrature.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Truth {
     /// Name of the shape.
@@ -48,7 +52,7 @@ pub struct Truth {
     pub iso: Option<f64>,
     /// Side of the iso value on which the object lies: `above` or `below`.
     pub inside: Option<String>,
-    /// Labels that together form the object (label maps).
+    /// Labels in a label map that together form the object.
     pub labels: Vec<u8>,
     /// Whether the implicit function is the exact signed distance.
     pub exact_distance: bool,
@@ -64,9 +68,9 @@ pub struct Truth {
     pub local_feature_size_min: Option<f64>,
     /// Maximum local feature size on the surface, mm.
     pub local_feature_size_max: Option<f64>,
-    /// Centre of the object in the grid frame, mm.
+    /// Centre of the object in mm in the grid frame.
     pub centre_grid: [f64; 3],
-    /// Centre of the object in the world (LPS when the file names a space), mm.
+    /// Centre of the object in mm in world coordinates (LPS if the file specifies a space).
     pub centre_world: [f64; 3],
     /// Named dimensions of the shape, mm.
     pub dimensions: BTreeMap<String, f64>,
@@ -104,7 +108,7 @@ pub enum Shape {
 /// Adjustable properties of shapes.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
-    /// Wall of the thin shell, mm.
+    /// Wall thickness of the thin shell, mm.
     pub thickness: f64,
     /// Gap between the two balls, mm.
     pub gap: f64,
@@ -113,13 +117,13 @@ pub struct Options {
 }
 
 impl Options {
-    /// Wall of 2.5 and gap of 3 mean voxel spacings; the whole torso.
+    /// Returns options with a wall of 2.5 and a gap of 3 mean voxel spacings, and the whole torso.
     pub fn for_grid(grid: &Geometry) -> Self {
         Self { thickness: 2.5 * grid.mean_spacing(), gap: 3.0 * grid.mean_spacing(), part: torso::Part::All }
     }
 }
 
-/// The scene of a shape, sized to fill the grid with a margin.
+/// Returns the scene of a shape, sized to fill the grid with a margin.
 pub fn build(shape: Shape, grid: &Geometry, options: &Options) -> Box<dyn Scene> {
     match shape {
         Shape::Ball => Box::new(shapes::round::Ball::filling(grid)),
@@ -137,12 +141,14 @@ pub fn build(shape: Shape, grid: &Geometry, options: &Options) -> Box<dyn Scene>
     }
 }
 
-/// Shortest side of the box spanned by the voxel centres, mm. Shapes scale with it.
+/// Returns the shortest side in mm of the box spanned by the voxel centres. The size of the shapes
+/// is proportional to this side.
 pub fn shortest_extent(grid: &Geometry) -> f64 {
     grid.upper_corner().min_element()
 }
 
-/// Centre of the grid (grid frame, mm), a fraction of a voxel off every symmetry of the lattice.
+/// Returns a point in mm in the grid frame near the centre of the grid. It is a fraction of a voxel
+/// away from every symmetry point of the lattice.
 pub fn off_lattice_centre(grid: &Geometry) -> DVec3 {
     0.5 * grid.upper_corner() + grid.index_to_grid(DVec3::new(0.137, 0.291, -0.173))
 }

@@ -1,14 +1,14 @@
-//! Reports tests that cannot run here; `make test` counts them.
+//! Reports tests that cannot run on this machine. `make test` counts them.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Environment variable with the path of the file that records skips, one per line: test, tab,
-/// reason.
+/// Environment variable that contains the path of the file for skips. Each line of the file
+/// consists of the test, a tab and the reason.
 pub const NOTED_IN: &str = "ISOPARTICLES_SKIPS";
 
-/// Reports on the terminal, past the harness's capture, that a test did not run, and records it for
-/// `make test`.
+/// Reports on the terminal that a test did not run, and records the skip for `make test`. The
+/// report bypasses the output capture of the test harness.
 pub fn skip(what: &str, reason: &str) {
     // A closed stderr is not a failure.
     let _ = writeln!(std::io::stderr(), "SKIP {what}: {reason}");
@@ -21,15 +21,16 @@ pub fn skip(what: &str, reason: &str) {
     file.write_all(format!("{test}\t{what}: {reason}\n").as_bytes()).expect("noted");
 }
 
-/// Folder of the real volumes: ISOPARTICLES_DATA, or else `../shared/data` from the repository's
-/// root.
+/// Returns the folder of the real volumes: ISOPARTICLES_DATA, or else `../shared/data` relative to
+/// the repository's root.
 #[must_use]
 pub fn real_volumes_folder() -> PathBuf {
     let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data");
     std::env::var_os("ISOPARTICLES_DATA").map_or(beside, PathBuf::from)
 }
 
-/// Path of a real volume by its file name; `None`, with a recorded skip, if it is missing.
+/// Returns the path of a real volume by its file name. If the file is missing, records a skip and
+/// returns `None`.
 #[must_use]
 pub fn real_volume(name: &str) -> Option<PathBuf> {
     let path = real_volumes_folder().join(name);

@@ -1,5 +1,6 @@
-//! Digital topology of a set of voxels: components, cavities and Euler characteristic of the
-//! cubical complex. It shares no code with any mesh, so tests can compare meshes with it.
+//! Computes the digital topology of a set of voxels: the components, cavities and Euler
+//! characteristic of the cubical complex. It shares no code with any mesh, so tests can compare
+//! meshes with it.
 //!
 //! For a solid with `b0` components, `b2` cavities and `b1` handles, `euler = b0 - b1 + b2`. The
 //! genera of all its `b0 + b2` surfaces sum to `b1`.
@@ -11,25 +12,26 @@ use isoparticles_volume::Image;
 pub struct Topology {
     /// Connected components of the object.
     pub components: usize,
-    /// Components of the background, connected across faces only, that do not reach the border.
+    /// Components of the background that do not reach the border. The background is connected
+    /// across faces only.
     pub cavities: usize,
     /// Euler characteristic of the solid.
     pub euler: i64,
 }
 
 impl Topology {
-    /// Number of handles, which is the sum of the genera of all surfaces.
+    /// Returns the number of handles, which is the sum of the genera of all surfaces.
     pub fn handles(&self) -> i64 {
         self.components as i64 + self.cavities as i64 - self.euler
     }
 
-    /// Number of closed surfaces.
+    /// Returns the number of closed surfaces.
     pub fn surfaces(&self) -> usize {
         self.components + self.cavities
     }
 }
 
-/// Topology of the voxels that are `true`; everything beyond the border is background.
+/// Returns the topology of the voxels that are `true`. Everything beyond the border is background.
 pub fn of_voxels(mask: &Image<bool>) -> Topology {
     let [nx, ny, nz] = mask.geometry.size;
     let padded = mask.geometry.padded(1);
@@ -49,8 +51,9 @@ pub fn of_voxels(mask: &Image<bool>) -> Topology {
     Topology { components, cavities, euler: euler(&inside, padded.size) }
 }
 
-/// Vertices - edges + faces - voxels of the cubical complex. A cell of the complex at the lower
-/// corner of voxel `(i, j, k)` is present if any voxel that contains it is.
+/// Returns the number of vertices - edges + faces - voxels of the cubical complex. A cell at the
+/// lower corner of voxel `(i, j, k)` belongs to the complex if any voxel that contains the cell is
+/// inside.
 fn euler(inside: &[bool], size: [usize; 3]) -> i64 {
     let stride = [1, size[0], size[0] * size[1]];
     let mut sum = 0;
@@ -59,7 +62,7 @@ fn euler(inside: &[bool], size: [usize; 3]) -> i64 {
             for i in 1..size[0] {
                 let here = i + j * stride[1] + k * stride[2];
                 // Bit a of `cell` is set if the cell extends along axis a. Then only voxels at this
-                // index along a contain it.
+                // index along axis a contain the cell.
                 for cell in 0..8_u32 {
                     let present = (0..8_u32).filter(|corner| corner & cell == 0).any(|corner| {
                         inside[here - (0..3).map(|a| ((corner >> a & 1) as usize) * stride[a]).sum::<usize>()]

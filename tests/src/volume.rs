@@ -1,5 +1,5 @@
-//! Samples a scene as voxels: scalar volumes with a scanner's smooth edge and noise, label maps,
-//! masks.
+//! Samples a scene as voxels. Makes scalar volumes with a scanner's smooth edge and noise, label
+//! maps and masks.
 
 use crate::scene::Scene;
 use glam::DVec3;
@@ -7,7 +7,8 @@ use isoparticles_field::random;
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
-/// Width of the edge profile in mean voxel spacings; the rise from 10 to 90 % takes 2.2 widths.
+/// Width of the edge profile in units of the mean voxel spacing. The rise from 10 to 90 % takes 2.2
+/// widths.
 pub const EDGE_WIDTH_VOXELS: f64 = 1.25;
 
 /// Stream of the counter-based random numbers for the noise.
@@ -25,8 +26,8 @@ fn sampled<T: Copy + Send>(grid: &Geometry, f: impl Fn(DVec3, u64) -> T + Sync) 
     Image { geometry: grid.clone(), data }
 }
 
-/// Scalar volume: the edge profile between outside and inside intensity, plus Gaussian noise of
-/// standard deviation `noise` (in units of the intensities).
+/// Returns a scalar volume: the edge profile between the outside and inside intensity, plus
+/// Gaussian noise with the standard deviation `noise` (in units of the intensities).
 pub fn scalar(scene: &dyn Scene, grid: &Geometry, noise: f64, seed: u64) -> Image<f32> {
     let width = EDGE_WIDTH_VOXELS * grid.mean_spacing();
     let (outside, inside) = scene.intensities();
@@ -36,22 +37,23 @@ pub fn scalar(scene: &dyn Scene, grid: &Geometry, noise: f64, seed: u64) -> Imag
     })
 }
 
-/// Label map.
+/// Returns a label map.
 pub fn labels(scene: &dyn Scene, grid: &Geometry) -> Image<u8> {
     sampled(grid, |position, _| scene.label(position))
 }
 
-/// Voxels with their centre inside.
+/// Returns a mask that is true for voxels with their centre inside.
 pub fn mask(scene: &dyn Scene, grid: &Geometry) -> Image<bool> {
     sampled(grid, |position, _| scene.value(position) < 0.0)
 }
 
-/// The scene's value at every voxel centre (the exact signed distance where the scene has one).
+/// Returns the scene's value at every voxel centre, which is the exact signed distance if the scene
+/// has one.
 pub fn values(scene: &dyn Scene, grid: &Geometry) -> Image<f32> {
     sampled(grid, |position, _| scene.value(position) as f32)
 }
 
-/// Standard normal number (Box and Muller 1958) for a counter.
+/// Returns a standard normal random number (Box and Muller 1958) for a counter.
 fn gaussian(seed: u64, counter: u64) -> f64 {
     let radius = (-2.0 * (1.0 - random::uniform(seed, NOISE_STREAM, 2 * counter)).ln()).sqrt();
     radius * (std::f64::consts::TAU * random::uniform(seed, NOISE_STREAM, 2 * counter + 1)).cos()
@@ -75,7 +77,8 @@ mod tests {
         let count = differences.len() as f64;
         let mean = differences.iter().sum::<f64>() / count;
         let deviation = (differences.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / count).sqrt();
-        // Four standard errors of 13,824 draws: 0.7 for the mean, 0.5 for the deviation.
+        // The tolerances are four standard errors of 13,824 draws: 0.7 for the mean, 0.5 for the
+        // deviation.
         assert!(mean.abs() < 0.7, "mean {mean}");
         assert!((deviation - 20.0).abs() < 0.5, "deviation {deviation}");
     }

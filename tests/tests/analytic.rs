@@ -1,5 +1,5 @@
-//! Compares the chain with exact figures of phantoms: area, volume, genus, components, distance to
-//! the true surface, local feature size.
+//! Compares the results of all stages with exact figures of phantoms: area, volume, genus,
+//! components, distance to the true surface, and local feature size.
 
 mod support;
 
@@ -54,7 +54,7 @@ fn assert_as_stated(shape: Shape, meshed: &Meshed) {
         let relative = found / stated - 1.0;
         assert!(relative.abs() < 0.01, "{shape:?}: {name} {found} is off {stated} by {:.2} %", 100.0 * relative);
     }
-    // The limits required of organs; the phantoms are no harder.
+    // These limits are required for organs, and the phantoms are no more difficult.
     assert!(examined.mean_radius_ratio >= 0.95, "{shape:?}: {examined:?}");
     assert!(examined.smallest_radius_ratio >= 0.30, "{shape:?}: {examined:?}");
 }
@@ -121,13 +121,14 @@ fn two_balls_scalar() {
 
 #[test]
 fn thin_shell_scalar() {
-    // Two surfaces 2.5 voxels apart, at an edge length of 1.6 voxels: their particles must not mix.
+    // Two surfaces are 2.5 voxels apart, and the edge length is 1.6 voxels. The particles of the
+    // two surfaces must not interact.
     let geometry = cube(40);
     let folder = tempfile::tempdir().expect("folder");
     let volume = folder.path().join("phantom.nrrd");
     let truth = write_phantom(&volume, Shape::ThinShell, &geometry, Kind::Scalar);
-    // The smooth edges of walls this close overlap and move the halfway surface. So only the
-    // topology is compared with the exact figures, not area and volume.
+    // The smooth edges of such close walls overlap and move the surface at the mean intensity, so
+    // only the topology is compared with the exact figures, not area and volume.
     let files = chain::surface(&volume, folder.path(), &Wishes::scalar(Some(1.6)));
     let surface = read_surface(&files.surface).expect("surface").surface.mesh;
     let examined = examine(&surface.vertices, &surface.triangles);
@@ -139,8 +140,8 @@ fn thin_shell_scalar() {
 
 #[test]
 fn cylinder_is_closed_where_the_volume_cuts_it() {
-    // F rounds the rims, which takes 0.73 % of the area (from a mesh at h = 0.3). Triangles at h =
-    // 1.3 take another 0.21 to 0.26 % (eight particle seeds).
+    // F rounds the rims, which reduces the area by 0.73 % (from a mesh at h = 0.3). Triangles at h
+    // = 1.3 reduce the area by another 0.21 to 0.26 % (eight particle seeds).
     let meshed = mesh(Shape::Cylinder, &cube(48), Kind::Scalar, Some(1.3));
     assert_as_stated(Shape::Cylinder, &meshed);
 }
@@ -155,7 +156,8 @@ fn cylinder_ends_at_an_open_border() {
         let [low, high] = [heights.clone().fold(f64::MAX, f64::min), heights.fold(f64::MIN, f64::max)];
         let radius =
             meshed.vertices.iter().map(|v| (v.truncate() - 15.5).length()).sum::<f64>() / meshed.vertices.len() as f64;
-        // F continues five voxels beyond the volume; the rims are uneven by less than an edge
+        // F continues five voxels beyond the volume. The unevenness of the rims is below an edge
+        // length.
         assert!(low < -4.0 && high > 35.0 - 2.0, "{kind:?}: from {low} to {high}");
         let wall = 2.0 * std::f64::consts::PI * radius * (high - low);
         assert!((0.9..1.01).contains(&(meshed.examined.area / wall)), "{kind:?}: {} of {wall}", meshed.examined.area);
@@ -168,7 +170,8 @@ fn gyroid_is_closed_on_all_six_faces() {
     let meshed = mesh(Shape::Gyroid, &cube(48), Kind::Scalar, Some(1.3));
     assert_eq!(meshed.examined.bad_edges, 0, "{:?}", meshed.examined);
     assert!(meshed.examined.genus > 3, "a gyroid has many handles: {:?}", meshed.examined);
-    // Half of the box between the capped faces, which are half a voxel outside the voxel centres.
+    // The expected volume is half of the box between the capped faces, which are half a voxel
+    // outside the voxel centres.
     let half_box = 0.5 * 48.0_f64.powi(3);
     assert!((meshed.examined.volume / half_box - 1.0).abs() < 0.03, "{:?}", meshed.examined);
 }
@@ -184,9 +187,10 @@ fn one_voxel_thin_labels_keep_their_topology() {
     }
 }
 
-/// Local feature size in an image with a scanner's edge, whose spline has ripples of a few
-/// thousandths of a voxel. Measured ratios to the exact value (minimum and median): ball 0.988 and
-/// 0.995, torus 0.966 and 0.987, two balls 1.005 and 0.999; ellipsoid, at its tips, 1.016.
+/// Tests local feature size in an image with a scanner's edge. The spline of such an edge has
+/// ripples of a few thousandths of a voxel. Measured ratios to the exact value (minimum and
+/// median): ball 0.988 and 0.995, torus 0.966 and 0.987, two balls 1.005 and 0.999; ellipsoid, at
+/// its tips, 1.016.
 #[test]
 fn local_feature_size_stands_the_ripple_of_an_edge() {
     for (shape, n) in [(Shape::Ball, 56), (Shape::Torus, 64), (Shape::TwoBalls, 56), (Shape::Ellipsoid, 64)] {
@@ -201,7 +205,8 @@ fn local_feature_size_stands_the_ripple_of_an_edge() {
             (truth.local_feature_size_min.expect("stated"), truth.local_feature_size_max.expect("stated"));
         let mut pairs = vec![("min", low), ("max", high)];
         if shape != Shape::Ellipsoid {
-            // The value everywhere on the ball and the torus, and at most places of the two balls.
+            // This is the value everywhere on the ball and the torus, and on most of the surface of
+            // the two balls.
             pairs.push(("median", high));
         }
         for (figure, stated) in pairs {
@@ -214,8 +219,8 @@ fn local_feature_size_stands_the_ripple_of_an_edge() {
     }
 }
 
-/// h on the surface is epsilon times the local feature size, which these shapes have in closed
-/// form. The volume holds the exact distance, and the bound by curvature is off.
+/// h on the surface is epsilon times the local feature size, which has a closed form for these
+/// shapes. The volume contains the exact distance, and the curvature bound is disabled.
 #[test]
 fn size_is_epsilon_times_local_feature_size() {
     let geometry = cube(64);
@@ -223,7 +228,7 @@ fn size_is_epsilon_times_local_feature_size() {
         let folder = tempfile::tempdir().expect("folder");
         let volume = folder.path().join("phantom.nrrd");
         let mut options = Options::for_grid(&geometry);
-        // Wide enough that the medial plane of the gap is several voxels from either ball.
+        // The gap is wide enough that its medial plane is several voxels away from both balls.
         options.gap = 10.0;
         let scene = scene::build(shape, &geometry, &options);
         let truth = scene.truth();
@@ -252,13 +257,13 @@ fn size_is_epsilon_times_local_feature_size() {
     }
 }
 
-/// Points of the true surface on rays towards the centre, spread evenly over directions.
+/// Returns points of the true surface on rays towards the centre, with evenly spread directions.
 fn surface_points(scene: &dyn scene::Scene, truth: &Truth) -> Vec<DVec3> {
     let centre = DVec3::from_array(truth.centre_grid);
     let mut points = Vec::new();
     for i in 0..4000 {
-        // A Fibonacci spiral of directions. Each ray starts well outside and walks in by sphere
-        // tracing (the distance is exact).
+        // A Fibonacci spiral of directions. Each ray starts well outside and approaches the surface
+        // by sphere tracing, which works because the distance is exact.
         let z = 1.0 - (2.0 * f64::from(i) + 1.0) / 4000.0;
         let azimuth = f64::from(i) * std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
         let across = (1.0 - z * z).sqrt();
@@ -282,8 +287,8 @@ fn true_feature_size(shape: Shape, truth: &Truth, point: DVec3) -> f64 {
     }
 }
 
-/// Minimum and median of the local feature size, then of h, at the surface of a phantom with noise
-/// of this standard deviation (the edge has a height of 400).
+/// Returns the minimum and median of the local feature size, then the minimum and median of h, at
+/// the surface of a phantom with noise of this standard deviation (the edge has a height of 400).
 fn noisy_sizes(shape: Shape, n: usize, noise: f64) -> [f64; 4] {
     let folder = tempfile::tempdir().expect("folder");
     let volume = folder.path().join("phantom.nrrd");

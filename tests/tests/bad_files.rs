@@ -1,5 +1,5 @@
-//! Bad input between the stages: wrong kinds, damaged files, fields of another volume and
-//! impossible parameters are refused. Also the behaviour of an interrupted stage.
+//! Tests bad input between the stages: the stages refuse wrong kinds, damaged files, fields of
+//! another volume and impossible parameters. Also tests the behaviour of an interrupted stage.
 
 mod support;
 
@@ -14,7 +14,7 @@ use std::sync::OnceLock;
 use support::chain::{self, Files, Wishes};
 use support::{Kind, binaries, listing, stage, write_phantom};
 
-/// A small valid case, made once per test program.
+/// Returns a small valid case, which is made once per test program.
 fn good() -> &'static Files {
     static GOOD: OnceLock<(tempfile::TempDir, Files)> = OnceLock::new();
     &GOOD
@@ -28,7 +28,7 @@ fn good() -> &'static Files {
         .1
 }
 
-/// The command line of each stage with valid inputs, and the name of its output.
+/// Returns the command line of each stage with valid inputs, and the name of the stage's output.
 fn commands(files: &Files) -> [(&'static str, Vec<OsString>, &'static str); 4] {
     let fields = arguments!["--distfield", &files.distfield, "--sizefield", &files.sizefield];
     let with_fields = |first: &Path| {
@@ -56,7 +56,7 @@ fn refused(name: &str, mut arguments: Vec<OsString>, output: &str, words: &[&str
     assert_eq!(listing(folder.path()), [] as [&str; 0], "{name} left something behind");
 }
 
-/// Replaces every input of every stage by something else.
+/// Replaces each input of each stage by a missing, empty, damaged or foreign file.
 #[test]
 fn every_input_of_every_stage_is_checked() {
     let folder = tempfile::tempdir().expect("folder");
@@ -78,8 +78,8 @@ fn every_input_of_every_stage_is_checked() {
                 ("truncated", Some(bytes[..bytes.len() / 2].to_vec())),
             ];
             if ending == "bin" {
-                // The container stores length and checksum; a VTK file without its last line break
-                // is valid.
+                // Only the container stores a length and a checksum. A VTK file without its last
+                // line break is valid.
                 let shorter = bytes[..bytes.len() - 1].to_vec();
                 replacements.extend([("flipped", Some(flipped)), ("longer", Some(longer)), ("shorter", Some(shorter))]);
             }
@@ -271,7 +271,7 @@ fn an_interrupted_run_leaves_nothing_but_its_checkpoint() {
 }
 
 /// A run of 20 passes, and a run resumed from the checkpoint of pass 10, give the same particles
-/// bit for bit. (The files differ in the command line in their histories.)
+/// bit for bit. (The files themselves differ, because their histories contain the command lines.)
 #[test]
 fn a_resumed_run_gives_the_particles_of_an_unbroken_one() {
     let folder = tempfile::tempdir().expect("folder");
@@ -326,7 +326,7 @@ fn a_resumed_run_gives_the_particles_of_an_unbroken_one() {
     while !Path::new(&checkpoint).exists() && child.try_wait().unwrap().is_none() {
         std::thread::sleep(std::time::Duration::from_millis(1));
     }
-    // It may have ended already; only the checkpoint is needed.
+    // The process may have ended already; only the checkpoint is needed.
     child.kill().ok();
     child.wait().unwrap();
     assert!(Path::new(&checkpoint).exists(), "a checkpoint is written at pass 10");
@@ -334,7 +334,8 @@ fn a_resumed_run_gives_the_particles_of_an_unbroken_one() {
     ended.expect_success("the resumed run");
     let particles = |path: &Path| read_particles(path, &[ParticleKind::Particles]).expect("particles").particles;
     assert!(particles(&unbroken) == particles(&resumed), "the resumed run differs");
-    // The same from the checkpoint of the last pass, after which only the final steps remain.
+    // A run resumed from the checkpoint of the last pass also gives the same particles. Only the
+    // final steps remain after that pass.
     let last = folder.path().join("last.bin").to_string_lossy().into_owned();
     let (ended, _) = run("whole.bin", "20", &["--checkpoint", &last]);
     ended.expect_success("the run with checkpoints");

@@ -1,5 +1,5 @@
-//! Bad input of `distfield`, which reads the user's files: exit code 2, a three-part message that
-//! names the problem, and no file left behind.
+//! Bad input of `distfield`, which reads the user's files. Tests that the exit code is 2, a
+//! three-part message describes the problem, and no file is left behind.
 
 mod support;
 
@@ -11,7 +11,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use support::{Kind, listing, stage, write_phantom};
 
-/// A folder with one input file in it.
+/// A folder that contains one input file.
 struct Case {
     folder: tempfile::TempDir,
     input: PathBuf,
@@ -30,7 +30,8 @@ impl Case {
         case
     }
 
-    /// A small header with the given lines replaced or added, followed by `data`.
+    /// Creates a file from a small header with the given lines replaced or added, followed by
+    /// `data`.
     fn nrrd(lines: &[&str], data: &[u8]) -> Self {
         let mut header =
             vec!["type: uint8", "dimension: 3", "sizes: 8 8 8", "spacings: 1 1 1", "endian: little", "encoding: raw"];
@@ -75,7 +76,7 @@ fn command(input: &Path, output: &Path, options: &[&str]) -> Vec<OsString> {
     arguments
 }
 
-/// 512 voxels of two values.
+/// Returns 512 voxels with two values.
 fn blob() -> Vec<u8> {
     (0..512_usize).map(|i| if (200..300).contains(&i) { 200 } else { 0 }).collect()
 }

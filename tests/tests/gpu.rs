@@ -1,6 +1,6 @@
-//! The GPU backend of `particles` on the first adapter, which may be Mesa's lavapipe. Its mesh is
-//! as good as the CPU's, its runs repeat and resume to the same particles, and its failures have
-//! exit code 3.
+//! Tests the GPU backend of `particles` on the first adapter, which may be Mesa's lavapipe. The
+//! mesh is as good as with the CPU, repeated and resumed runs give the same particles, and failures
+//! have exit code 3.
 
 mod support;
 
@@ -15,7 +15,8 @@ use std::path::Path;
 use support::chain::{self, Files, Wishes};
 use support::{Kind, examine, listing, skip, stage, write_phantom};
 
-/// Name of the first adapter; `None`, with a recorded skip, if there is none.
+/// Returns the name of the first adapter. If there is no adapter, records a skip and returns
+/// `None`.
 fn adapter(test: &str) -> Option<String> {
     let ended = stage("particles", ["--list-adapters"]).expect_success("--list-adapters");
     let name = ended.stdout.lines().find_map(|line| line.split_once(" (").map(|(name, _)| name.to_owned()));
@@ -25,7 +26,7 @@ fn adapter(test: &str) -> Option<String> {
     name
 }
 
-/// A small case with a target edge length of h (mm), settled on the CPU.
+/// Makes a small case with the target edge length h (mm), settled on the CPU.
 fn torus(folder: &Path, h: f64) -> Files {
     let volume = folder.join("torus.nrrd");
     write_phantom(&volume, Shape::BumpyTorus, &Geometry::axis_aligned([36; 3], DVec3::ONE), Kind::Scalar);
@@ -47,11 +48,12 @@ fn settle(files: &Files, adapter: &str, output: &Path, more: &[&str]) -> Particl
 fn the_mesh_is_as_good_as_that_of_the_cpu() {
     let Some(adapter) = adapter("the mesh from the GPU's particles") else { return };
     let folder = tempfile::tempdir().expect("folder");
-    // 2,400 particles: with 600, a difference of one per cent is chance.
+    // 2,400 particles. With 600, a difference of one per cent is within random variation.
     let files = torus(folder.path(), 0.9);
     let report = folder.path().join("particles.json");
     let output = folder.path().join("gpu.bin");
-    // With the CPU's default levels: one level ends with 2 % more particles on so small a surface.
+    // Uses the CPU's default number of levels, because one level gives 2 % more particles on such a
+    // small surface.
     let found = settle(&files, &adapter, &output, &["--levels", "3", "--report", &report.to_string_lossy()]);
     let on_cpu = read_particles(&files.particles, &[ParticleKind::Particles]).expect("particles").particles;
     let ratio = found.positions.len() as f64 / on_cpu.positions.len() as f64;
@@ -78,7 +80,8 @@ fn runs_repeat_and_resume_to_the_same_particles() {
     let passes = ["--energy-tolerance", "0", "--levels", "2", "--coarse-passes", "15", "--max-passes", "17"];
     let whole = settle(&files, &adapter, &folder.path().join("whole.bin"), &passes);
     assert!(whole == settle(&files, &adapter, &folder.path().join("again.bin"), &passes), "two runs differ");
-    // A finished run leaves the checkpoint of pass 30 (second level); the next run resumes there.
+    // A finished run leaves the checkpoint of pass 30 (second level). The next run resumes from
+    // this checkpoint.
     let checkpoint = folder.path().join("checkpoint.bin");
     let mut more = passes.to_vec();
     let name = checkpoint.to_string_lossy().into_owned();
@@ -100,7 +103,7 @@ fn an_adapter_that_is_not_there_ends_with_three() {
     assert_eq!(listing(folder.path()), before);
 }
 
-/// Without a display, Mesa's device-selection layer complains; that must not reach the user.
+/// Without a display, Mesa's device-selection layer prints a complaint. The user must not see it.
 #[test]
 #[cfg(target_os = "linux")]
 fn nothing_is_said_of_a_display_that_nobody_needs() {

@@ -1,4 +1,5 @@
-//! Labelled cubes of a few voxels: along their edges four materials meet, at their corners eight.
+//! Meshes labelled cubes of a few voxels. Four materials meet along the edges of the cubes, and
+//! eight at the corners.
 
 mod support;
 

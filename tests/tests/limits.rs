@@ -1,5 +1,5 @@
-//! Limits that stages check before any work: a size above the object, and memory above the maximum.
-//! The message gives the figure, and no file is left behind.
+//! Tests limits that stages check before any work: a size larger than the object, and memory above
+//! the maximum. The message contains the figure, and no file is left behind.
 
 mod support;
 
@@ -13,7 +13,7 @@ use std::path::Path;
 use support::chain::{Files, Wishes, surface};
 use support::{Kind, listing, stage, write_phantom};
 
-/// A ball in a temporary folder, meshed up to its triangles.
+/// Makes a ball in a temporary folder, up to its triangles.
 fn ball() -> (tempfile::TempDir, Files) {
     let folder = tempfile::tempdir().expect("folder");
     let volume = folder.path().join("ball.nrrd");
@@ -38,7 +38,7 @@ fn a_size_above_the_object_is_refused_with_a_better_one() {
     let too_large = arguments![&files.distfield, "--uniform", "500"];
     refused(folder.path(), "sizefield", too_large, "new.vti", &["h = 500 mm is too large", "gives about 100 vertices"]);
 
-    // An edited size field reaches seed, which must refuse it.
+    // seed must also refuse an edited size field with a size that is too large.
     let field = read_field(&files.sizefield, FieldKind::Sizing).expect("a size field");
     let large = folder.path().join("large.vti");
     let image = Image::filled(field.image.geometry.clone(), 500.0);

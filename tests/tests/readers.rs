@@ -1,4 +1,4 @@
-//! Short run of every reader on changed and random files; `make fuzz` runs longer, guided by
+//! Runs every reader briefly on changed and random files. `make fuzz` runs longer and is guided by
 //! coverage.
 
 use isoparticles_stage::error::Error;
@@ -31,7 +31,7 @@ fn read_all(name: &str, bytes: &[u8]) {
     FEEDERS.with(|feeders| feeders.iter().for_each(|feeder| feeder.feed_file(name, bytes)));
 }
 
-/// The bytes with truncations, insertions and replacements.
+/// Returns the bytes with truncations, insertions and replacements.
 fn changed(bytes: &[u8], changes: Vec<(prop::sample::Index, u8, u8)>) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     for (at, byte, how) in changes {
@@ -49,7 +49,7 @@ fn changed(bytes: &[u8], changes: Vec<(prop::sample::Index, u8, u8)>) -> Vec<u8>
     bytes
 }
 
-/// A valid or invalid line of an NRRD header.
+/// Returns a strategy for valid or invalid lines of an NRRD header.
 fn header_line() -> impl Strategy<Value = String> {
     let fields = [
         "type",
@@ -160,7 +160,8 @@ proptest! {
     }
 }
 
-/// Files with which a fuzz target found a fault, one per fault: `tests/data/found/NUMBER.READER`.
+/// Runs the readers on files for which a fuzz target found a fault. There is one file per fault:
+/// `tests/data/found/NUMBER.READER`.
 #[test]
 fn what_was_found_stays_found() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/found");

@@ -1,5 +1,6 @@
-//! Real volumes, if they exist (`../shared/data` from the repository's root, or
-//! `ISOPARTICLES_DATA`): the surface is closed, outward, complete and made of good triangles.
+//! Meshes real volumes, if they exist (in `../shared/data` relative to the repository's root, or in
+//! `ISOPARTICLES_DATA`). Tests that the surface is closed, outward, complete and made of good
+//! triangles.
 
 mod support;
 
@@ -35,14 +36,14 @@ fn mesh(test: &str, case: &str, components: Option<usize>) {
 
 #[test]
 fn mickey() {
-    // A hollow ball: an outer and an inner surface.
+    // A hollow ball has an outer and an inner surface.
     mesh("mickey", "mickey", Some(2));
 }
 
 #[test]
 fn heart() {
-    // The object, and two cavities of eight voxels each. The cavities touch the background only
-    // along edges, where the object is connected.
+    // The components are the surfaces of the object and of two cavities of eight voxels each. The
+    // cavities touch the background only along edges, where the object is connected.
     mesh("heart", "heart", Some(3));
 }
 

@@ -1,5 +1,5 @@
-//! Meshes with a given number of vertices: `distfield --scale-for-vertices` and `sizefield
-//! --vertices` through the whole chain.
+//! Tests meshes with a given number of vertices: `distfield --scale-for-vertices` and `sizefield
+//! --vertices`, with all stages.
 
 mod support;
 
@@ -11,8 +11,8 @@ use support::chain::{self, Wishes};
 use support::examine::{Examination, examine};
 use support::{Kind, write_phantom};
 
-/// Meshes a phantom with a given number of vertices and more options of `sizefield`. Returns also
-/// the ratio of its volume to the exact volume.
+/// Meshes a phantom with a given number of vertices and further options of `sizefield`. Returns the
+/// examination of the mesh and the ratio of the mesh volume to the exact volume.
 fn mesh(shape: Shape, spacing: DVec3, kind: Kind, vertices: u32, graded: &[&str]) -> (Examination, f64) {
     let folder = tempfile::tempdir().expect("folder");
     let volume = folder.path().join("phantom.nrrd");

@@ -1,5 +1,5 @@
-//! Positions of meshes in the world: oblique, anisotropic and left-handed volumes, and the spaces
-//! that a file may name.
+//! Tests the positions of meshes in the world for oblique, anisotropic and left-handed volumes, and
+//! for the spaces that a file may specify.
 
 mod support;
 
@@ -12,8 +12,8 @@ use support::chain::{self, Wishes};
 use support::examine::examine;
 use support::{Kind, write_phantom_with};
 
-/// Meshes an ellipsoid, whose three different axes reveal a swapped axis. Compares every vertex
-/// with the true surface, placed by hand with the numbers of the header.
+/// Meshes an ellipsoid. Its three axes differ, so that swapped axes are detected. Compares every
+/// vertex with the true surface, which is placed directly from the numbers in the header.
 fn lands_where_the_header_says(left_handed: bool, space: FileSpace) {
     let mut directions = DMat3::from_rotation_z(0.5) * DMat3::from_rotation_y(-0.3) * DMat3::from_rotation_x(0.8);
     if left_handed {

@@ -1,24 +1,26 @@
 #!/bin/sh
-# Compares the Delaunay triangulation with CGAL's on the same points in one run, and prints a table
-# (`make bench-delaunay`). Needs g++, CGAL and TBB (Debian: apt-get install g++ libcgal-dev
-# libtbb-dev), which nothing else in the project needs.
+# Compares this Delaunay triangulation with CGAL's on the same points in one run, and prints a table
+# (`make bench-delaunay`). Only this script needs g++, CGAL and TBB (Debian: apt-get install g++
+# libcgal-dev libtbb-dev).
 #
 #   compare.sh [--bin FOLDER] [--work FOLDER] [--sizes "H ..."] [--particles "FILE ..."]
 #              [--passes N] [--repeat N] [--threads N] [--no-degenerate] [--no-parallel]
 #
 # --bin            folder of the stage programs and of bench_delaunay   [target/release]
-# --work           folder for points and programs; reuses points        [out/bench-delaunay]
-# --sizes          uniform target edge lengths, mm: particles settled on the torso phantom's ribcage
-#                  [1.482 0.663 0.332: about 100, 500 and 2,000 thousand]
-# --particles      settled particles of other surfaces                  [none]
+# --work           folder for points and programs; points are reused     [out/bench-delaunay]
+# --sizes          uniform target edge lengths in mm for particles settled on the ribcage of the
+#                  torso phantom
+#                  [1.482 0.663 0.332: about 100, 500 and 2,000 thousand particles]
+# --particles      files of settled particles of other surfaces         [none]
 # --passes         maximum number of passes                             [12]
-# --repeat         runs of each program, in turn; minimum counts        [3]
+# --repeat         runs of each program; the fastest run counts         [3]
 # --threads        threads of the parallel runs                         [all]
-# --no-degenerate  leave out cospherical points and the grid
-# --no-parallel    leave out the runs on several threads
+# --no-degenerate  skip the cospherical points, the grid and the random cube
+# --no-parallel    skip the runs on several threads
 #
 # Columns: microseconds per point from the points in memory to the triangulation; CPU time of all
-# threads; growth of the peak memory in bytes per point; ratio of ours to CGAL's on as many threads.
+# threads; growth of the peak memory in bytes per point; ratio of this triangulation to CGAL's with
+# the same number of threads.
 set -eu
 
 bin=${BIN:-target/release}
@@ -54,7 +56,7 @@ if [ ! -e "$work/cgal" ] || [ "$here/cgal.cpp" -nt "$work/cgal" ]; then
     }
 fi
 
-# settled H: particles of the ribcage at this edge length.
+# settled H: settles particles on the ribcage with target edge length H
 settled() {
     ribs=$work/ribs.distfield.vti
     if [ ! -e "$ribs" ]; then
@@ -67,9 +69,9 @@ settled() {
         --max-passes "$passes" -o "$work/ribs-$1.particles.bin" -q --force
 }
 
-# number LINE KEY
+# number LINE KEY: prints the value of KEY
 number() { printf '%s\n' "$1" | tr ' ' '\n' | sed -n "s/^$2=//p"; }
-# faster A B: the line of fewer seconds; the first may be empty.
+# faster A B: prints the line with fewer seconds; A may be empty
 faster() {
     if [ -z "$1" ] || awk -v a="$(number "$1" seconds)" -v b="$(number "$2" seconds)" 'BEGIN { exit !(b < a) }'; then
         printf '%s\n' "$2"
@@ -78,7 +80,7 @@ faster() {
     fi
 }
 
-# row CASE LINE THREADS CGAL'S LINE
+# row CASE LINE THREADS [LINE-OF-CGAL]: prints a row of the table
 row() {
     awk -v name="$1" -v program="$(number "$2" program)" -v n="$(number "$2" points)" -v c="$(number "$2" cells)" -v k="$3" \
         -v s="$(number "$2" seconds)" -v u="$(number "$2" cpu)" -v b="$(number "$2" bytes)" -v t="$(number "${4:-$2}" seconds)" \
@@ -87,7 +89,7 @@ row() {
             u / n * 1e6, b / n, other == "" ? "" : sprintf("%.2f, %.2f, %.2f", s / t, u / v, b / d) }'
 }
 
-# compare CASE FILE
+# compare CASE FILE: runs both programs and prints their rows
 compare() {
     ours_one='' cgal_one='' ours_all='' cgal_all=''
     for _ in $(seq "$repeat"); do

@@ -1,5 +1,5 @@
-//! Makes test point sets, and times the Delaunay triangulation of a point file by this crate.
-//! `compare.sh` runs this program beside `cgal.cpp`.
+//! Creates test point sets, and times the Delaunay triangulation of a point file by this crate.
+//! `compare.sh` runs this program and `cgal.cpp` on the same points.
 //!
 //! ```text
 //! bench_delaunay points PARTICLES.bin FILE     positions of settled particles
@@ -7,12 +7,12 @@
 //! bench_delaunay sphere N FILE                 random points on a sphere, rounded to doubles
 //! bench_delaunay grid N FILE                   N x N x N points of a grid
 //! bench_delaunay cube N FILE                   random points in a cube
-//! bench_delaunay FILE [THREADS]                triangulates; THREADS 0 or left out: all cores
+//! bench_delaunay FILE [THREADS]                triangulates; THREADS 0 or omitted: all cores
 //! ```
-//! FILE holds little-endian doubles, three per point. The last form prints one line of `key=value`
-//! pairs: points, vertices, finite cells, wall-clock seconds of the triangulation (file reading
-//! excluded), processor seconds summed over all threads, and the growth of the peak memory in
-//! bytes.
+//! FILE contains little-endian doubles, three per point. The last form prints one line of
+//! `key=value` pairs: points, vertices, finite cells, wall-clock seconds of the triangulation (file
+//! reading excluded), processor seconds summed over all threads, and the growth of the peak memory
+//! in bytes.
 
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
@@ -21,8 +21,8 @@ use isoparticles_stage::particle_file::{ParticleKind, read_particles};
 use std::path::Path;
 use std::process::ExitCode;
 
-/// Square of the radius of the sphere of [`cospherical`]: the product of the odd primes up to 23.
-/// 64,512 integer points lie on that sphere.
+/// Squared radius of the sphere of [`cospherical`]: the product of the odd primes up to 23. The
+/// sphere contains 64,512 integer points.
 const SQUARED_RADIUS: i64 = 111_546_435;
 
 type Failure = Box<dyn std::error::Error>;
@@ -74,19 +74,20 @@ fn triangulate(file: &str, threads: usize) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The value of one line of `/proc/self/status`, converted from KiB to bytes; 0 if there is none.
+/// Returns the value of a line of `/proc/self/status`, converted from KiB to bytes, or 0 if the
+/// line is missing.
 fn memory(key: &str) -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix(key)).unwrap_or_default();
     line.split_whitespace().next().and_then(|number| number.parse::<u64>().ok()).unwrap_or(0) * 1024
 }
 
-/// Processor time of all threads of this process in seconds, with a resolution of 0.01 s; 0 if
-/// unknown.
+/// Returns the processor time of all threads of this process in seconds, with a resolution of 0.01
+/// s. Returns 0 if the time is unknown.
 fn processor_seconds() -> f64 {
     let status = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    // The program name, in parentheses, may contain spaces. User and system time are the 12th and
-    // 13th words after it, in ticks of 0.01 s.
+    // The program name is in parentheses and may contain spaces. User and system time are the 12th
+    // and 13th words after it, in ticks of 0.01 s.
     let after = status.rsplit(')').next().unwrap_or_default();
     after.split_whitespace().skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / 100.0
 }

@@ -1,11 +1,11 @@
-//! Measures the time and memory per point of the Delaunay triangulation on five point sets:
+//! Measures the time and memory per point of the Delaunay triangulation on five point sets.
 //!
 //! ```text
 //! cargo run --release -p isoparticles-delaunay --example speed [POINTS]
 //! ```
 //!
-//! Prints one line per point set (100,000 points by default); nothing is asserted. Large sets use
-//! all cores; set `RAYON_NUM_THREADS=1` to measure one thread.
+//! Prints one line per point set (100,000 points by default) and checks nothing. Large sets use all
+//! cores. Set `RAYON_NUM_THREADS=1` to measure one thread.
 
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
@@ -26,7 +26,7 @@ fn main() {
         let (a, b) = (TAU * u(0, n), TAU * u(1, n));
         DVec3::new((60.0 + 25.0 * b.cos()) * a.cos(), (60.0 + 25.0 * b.cos()) * a.sin(), 25.0 * b.sin())
     };
-    // A golden-angle spiral on a bumpy ball: evenly spaced, like settled particles.
+    // a golden-angle spiral on a bumpy ball gives evenly spaced points, like settled particles
     let bumpy = |n: u64| {
         let (z, angle) = (1.0 - (2.0 * n as f64 + 1.0) / count as f64, n as f64 * TAU * 0.618_033_988_749_894_9);
         let (r, bump) = ((1.0 - z * z).sqrt(), 1.0 + 0.2 * (5.0 * z).sin() * (4.0 * angle).cos() * (1.0 - z * z));

@@ -1,36 +1,37 @@
-//! Exact signs of the orientation and in-sphere determinants in integer arithmetic. Used for input
-//! that the floating-point filters cannot decide, such as cospherical and coplanar points.
+//! Computes the exact signs of the orientation and in-sphere determinants in integer arithmetic.
+//! The floating-point filters cannot decide some inputs, such as cospherical and coplanar points.
 //!
 //! Every double is an integer times a power of two. In units of the lowest set bit of all
-//! coordinates, the coordinate differences of nearby points therefore have few bits. They fit in
-//! 62 bits unless some coordinate is much closer to zero than the points are to each other. The two
+//! coordinates, the coordinate differences of nearby points therefore have few bits. They fit in 62
+//! bits unless some coordinate is much closer to zero than the points are to each other. The two
 //! determinants then fit in 189 and 317 bits, and a few dozen multiplications evaluate them
-//! exactly. An adaptive expansion is about a hundred times slower. The cofactors are those of the
-//! filters in [`super::predicates`].
+//! exactly. An adaptive expansion is about a hundred times slower. The cofactors are the same as in
+//! the filters of [`super::predicates`].
 
 use glam::DVec3;
 
-/// Maximum number of bits of a coordinate difference, without the sign. The orientation is a sum of
-/// 6 products of 3 differences: 3 * 62 + log2(6) < 189 bits. The in-sphere determinant is a sum of
-/// 72 products of 5 differences: 5 * 62 + log2(72) < 317 bits.
+/// Maximum number of bits of a coordinate difference, excluding the sign. The orientation is a sum
+/// of 6 products of 3 differences: 3 * 62 + log2(6) < 189 bits. The in-sphere determinant is a sum
+/// of 72 products of 5 differences: 5 * 62 + log2(72) < 317 bits.
 const DIFFERENCE_BITS: u32 = 62;
 
-/// Up to this many bits per difference, as on a grid, the in-sphere determinant fits in an `i64`:
-/// 5 * 11 + log2(72) < 62 bits.
+/// Maximum number of bits per difference for the in-sphere determinant to fit in an `i64`: 5 * 11 +
+/// log2(72) < 62 bits. Differences of grid points are usually this small.
 const SMALL_BITS: u32 = 11;
 
 type Difference = [i64; 3];
 
-/// Sign of (b - a) x (c - a) . (d - a); `None` if the differences have too many bits.
+/// Returns the sign of (b - a) x (c - a) . (d - a), or `None` if the differences have too many
+/// bits.
 pub(super) fn orientation_sign(points: &[DVec3; 4]) -> Option<f64> {
     let [p, q, r] = differences::<4, 3>(points)?;
     // The differences are relative to d instead of a, which flips the sign of the determinant.
     Some(sign(-i32::from(volume(p, q, r).signum())))
 }
 
-/// Sign of the in-sphere determinant of five points. Positive if the last point lies inside the
-/// sphere through the first four, which must be positively oriented. `None` if the differences have
-/// too many bits.
+/// Returns the sign of the in-sphere determinant of five points. The sign is positive if the last
+/// point lies inside the sphere through the first four, which must be positively oriented. Returns
+/// `None` if the differences have too many bits.
 pub(super) fn in_sphere_sign(points: &[DVec3; 5]) -> Option<f64> {
     let [p, q, r, s] = differences::<5, 4>(points)?;
     if [p, q, r, s].as_flattened().iter().all(|x| x.unsigned_abs() >> SMALL_BITS == 0) {
@@ -48,8 +49,8 @@ fn sign(signum: i32) -> f64 {
     f64::from(signum)
 }
 
-/// All points but the last, relative to the last, as integers in units of the lowest set bit.
-/// `None` if a difference has more than [`DIFFERENCE_BITS`] bits.
+/// Returns all points except the last, relative to the last, as integers in units of the lowest set
+/// bit. Returns `None` if a difference has more than [`DIFFERENCE_BITS`] bits.
 fn differences<const POINTS: usize, const OTHERS: usize>(points: &[DVec3; POINTS]) -> Option<[Difference; OTHERS]> {
     let last = points[POINTS - 1].to_array();
     let mut rounded = [[0.0; 3]; OTHERS];
@@ -77,15 +78,15 @@ fn differences<const POINTS: usize, const OTHERS: usize>(points: &[DVec3; POINTS
     Some(all)
 }
 
-/// As [`differences`], for points whose differences doubles cannot represent exactly: subtracts
-/// integers.
+/// Does the same as [`differences`] for points whose differences doubles cannot represent exactly.
+/// Converts the coordinates to integers before it subtracts them.
 fn differences_of_integers<const POINTS: usize, const OTHERS: usize>(
     points: &[DVec3; POINTS],
 ) -> Option<[Difference; OTHERS]> {
     let points = points.map(|p| p.to_array());
     let scale = scale(points.iter().flatten())?;
-    // The limit of 100 bits leaves room in an `i128`. Points with larger coordinates go to the
-    // adaptive expansion.
+    // Numbers below 2^100 can be subtracted in an `i128` without overflow. The adaptive expansion
+    // handles points with larger coordinates.
     let whole = |x: f64| Some(x * scale).filter(|x| x.abs() < 2f64.powi(100)).map(|x| x as i128);
     let mut base = [0i128; 3];
     for (to, x) in base.iter_mut().zip(points[POINTS - 1]) {
@@ -104,20 +105,21 @@ fn differences_of_integers<const POINTS: usize, const OTHERS: usize>(
     Some(all)
 }
 
-/// The smallest power of two that turns all numbers into integers; `None` if it is out of range.
+/// Returns the smallest power of two that turns all numbers into integers, or `None` if this power
+/// is out of range.
 fn scale<'a>(numbers: impl Iterator<Item = &'a f64>) -> Option<f64> {
     let least = numbers.filter(|&&x| x != 0.0).map(|&x| least_exponent(x)).min().unwrap_or(0);
     u64::try_from(1023 - least).ok().filter(|&biased| biased < 2047).map(|biased| f64::from_bits(biased << 52))
 }
 
-/// Exponent of the lowest set bit of a normal number.
+/// Returns the exponent of the lowest set bit of a normal number.
 fn least_exponent(x: f64) -> i32 {
     let bits = x.to_bits();
     let exponent = ((bits >> 52) & 0x7ff) as i32 - 1023;
     exponent - 52 + ((bits | 1 << 52).trailing_zeros() as i32)
 }
 
-/// A wide integer, `high` * 2^64 + `low`.
+/// A wide integer with the value `high` * 2^64 + `low`.
 #[derive(Clone, Copy)]
 struct Wide {
     high: i128,
@@ -130,7 +132,7 @@ impl Wide {
     }
 }
 
-/// p x q . r, with the sign convention of the 3 x 3 minors in the filter.
+/// Computes p x q . r, with the sign convention of the 3 x 3 minors in the filter.
 fn volume(p: Difference, q: Difference, r: Difference) -> Wide {
     let minor =
         |a: Difference, b: Difference| i128::from(a[0]) * i128::from(b[1]) - i128::from(b[0]) * i128::from(a[1]);
@@ -144,7 +146,7 @@ fn volume(p: Difference, q: Difference, r: Difference) -> Wide {
     Wide { high: high + (low >> 64) as i128, low: low as u64 }
 }
 
-/// The in-sphere determinant of differences of at most [`SMALL_BITS`] bits.
+/// Computes the in-sphere determinant of differences that have at most [`SMALL_BITS`] bits.
 fn small_in_sphere(p: Difference, q: Difference, r: Difference, s: Difference) -> i64 {
     let minor = |a: Difference, b: Difference| a[0] * b[1] - b[0] * a[1];
     let volume = |p, q, r| -> i64 {
@@ -160,8 +162,8 @@ fn length_squared(p: Difference) -> u128 {
     p.iter().map(|&x| u128::from(x.unsigned_abs()).pow(2)).sum()
 }
 
-/// A sum of products in base 2^64. Each digit is an `i128`, so many terms can be added before the
-/// carry.
+/// A sum of products in base 2^64. Each digit is an `i128`, so many terms can be added before
+/// carries are propagated.
 #[derive(Default)]
 struct Sum([i128; 5]);
 
@@ -170,7 +172,7 @@ impl Sum {
         let length = [length as u64, (length >> 64) as u64].map(i128::from);
         let volume = [i128::from(volume.low), i128::from(volume.high as u64), volume.high >> 64];
         for (i, l) in length.into_iter().enumerate() {
-            // only the highest word of the volume is signed; products of the others need all
+            // only the highest word of the volume is signed; products of the other words need all
             // 128 bits
             for (j, v) in volume[..2].iter().enumerate() {
                 let product = (l as u128) * (*v as u128);
@@ -247,7 +249,7 @@ mod tests {
 
     #[test]
     fn the_largest_differences_do_not_overflow() {
-        // corners of the largest allowed box, or one unit (512) away from them
+        // corners of the largest allowed box, or points one unit (512) away from a corner
         let edge = 2f64.powi(62);
         for n in 0..4000u64 {
             let points: [DVec3; 5] = std::array::from_fn(|k| {

@@ -1,4 +1,4 @@
-//! Point location by walking, and point insertion after Bowyer (1981) and Watson (1981). An
+//! Point location by walking, and point insertion as in Bowyer (1981) and Watson (1981). An
 //! insertion removes all tetrahedra whose circumsphere contains the point, and connects the faces
 //! of the resulting cavity ("walls") to the point.
 //!
@@ -14,22 +14,22 @@ const UNKNOWN: u8 = 0;
 const IN_CONFLICT: u8 = 1;
 const KEPT: u8 = 2;
 
-/// Values from here upwards mark a neighbour beyond a cut, which this region does not hold. The
-/// outermost cut has the largest value.
+/// Neighbour entries of at least this value mark a neighbour beyond a cut, which this region does
+/// not contain. The outermost cut has the largest value.
 const ELSEWHERE: u32 = u32::MAX - 255;
 
-/// The depth of a cut (0 for the outermost). As an error: the operation needs tetrahedra beyond
-/// this cut.
+/// The depth of a cut (0 for the outermost). As an error, it means that the operation needs
+/// tetrahedra beyond this cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Beyond(pub(super) u32);
 
 impl Beyond {
-    /// The marker stored in place of a neighbour across this cut.
+    /// Returns the marker that is stored instead of a neighbour across this cut.
     pub(super) fn neighbour(self) -> u32 {
         u32::MAX - self.0
     }
 
-    /// Fails if a neighbour entry marks a cut.
+    /// Returns an error if a neighbour entry marks a cut.
     #[inline]
     pub(super) fn check(neighbour: u32) -> std::result::Result<(), Self> {
         if neighbour < ELSEWHERE { Ok(()) } else { Err(Self(u32::MAX - neighbour)) }
@@ -38,42 +38,43 @@ impl Beyond {
 
 type Reached<T> = std::result::Result<T, Beyond>;
 
-/// No facet: a walk has not entered its first tetrahedron through a facet.
+/// Facet index of a walk that has not crossed a facet yet.
 const NOWHERE: usize = 4;
 
-/// Maximum number of tetrahedra before an insertion. Indices have 30 bits, so 2^29 of them remain
+/// Maximum number of tetrahedra before an insertion. Indices have 30 bits, so 2^29 indices remain
 /// for the new tetrahedra of one cavity.
 const MOST_TETRAHEDRA: usize = 1 << 29;
 
-/// Maximum number of walls for which shared edges are found with a table of all vertex pairs;
-/// larger cavities sort the edges. 252 walls have 128 vertices, so the table takes 64 KiB.
+/// Maximum number of walls for which a table of all vertex pairs finds the shared edges. For larger
+/// cavities, the edges are sorted. 252 walls have 128 vertices, so the table takes 64 KiB.
 const WALLS_FOR_A_TABLE: usize = 252;
 
-/// A facet between the tetrahedra in conflict and the others.
+/// A facet between a tetrahedron in conflict and a tetrahedron that is kept.
 #[derive(Clone, Copy, Debug)]
 struct Wall {
-    /// The facet as seen from outside the cavity: tetrahedron * 4 + facet place.
+    /// The facet as seen from outside the cavity: tetrahedron * 4 + facet index.
     outside: u32,
-    /// Counter-clockwise as seen from the outer tetrahedron.
+    /// Vertices in counter-clockwise order as seen from the outer tetrahedron.
     vertices: [u32; 3],
 }
 
 /// Buffers that are reused between insertions to avoid allocations.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Workspace {
-    /// State of each tetrahedron during an insertion; all `UNKNOWN` between insertions.
+    /// State of each tetrahedron during an insertion. All states are `UNKNOWN` between insertions.
     states: Vec<u8>,
     conflict: Vec<u32>,
     kept: Vec<u32>,
     walls: Vec<Wall>,
     created: Vec<u32>,
-    /// Local number of each cavity vertex, plus `numbered`. Index 0 is the vertex at infinity,
+    /// Local number of each cavity vertex, plus `numbered`. Index 0 is the vertex at infinity, and
     /// index v + 1 is vertex v. Smaller values are left over from earlier insertions.
     numbers: Vec<u32>,
     numbered: u32,
-    /// For each ordered pair of local numbers, the facet at the edge from one to the other.
+    /// For each ordered pair of local numbers, the facet at the edge from the first to the second
+    /// vertex.
     table: Vec<u32>,
-    /// The same as a sortable list, for large cavities.
+    /// The facets at the edges as a sortable list, which replaces the table for large cavities.
     edges: Vec<(u32, u32, u32)>,
 }
 
@@ -94,13 +95,14 @@ impl Workspace {
             + self.edges.capacity() * size_of::<(u32, u32, u32)>()
     }
 
-    /// Links the created tetrahedra, each made of the new vertex and a wall, across the wall edges.
-    /// Every edge belongs to two walls, which traverse it in opposite directions.
+    /// Links the created tetrahedra across the edges of the walls. Each tetrahedron consists of a
+    /// wall and the new vertex. Every edge belongs to two walls, which traverse it in opposite
+    /// directions.
     fn join(&mut self, tetrahedra: &mut [Tetrahedron], vertices: usize) {
         if self.walls.len() > WALLS_FOR_A_TABLE {
             return self.join_by_sorting(tetrahedra);
         }
-        // the walls form a triangulated sphere: V = F / 2 + 2
+        // the walls form a triangulated sphere, so V = F / 2 + 2
         let side = self.walls.len() / 2 + 2;
         if self.table.len() < side * side {
             self.table.resize(side * side, 0);
@@ -137,8 +139,8 @@ impl Workspace {
         self.numbered = next;
     }
 
-    /// As [`Workspace::join`], for any number of walls: sorting brings the two entries of each edge
-    /// together.
+    /// Does the same as [`Workspace::join`] for any number of walls. Sorting makes the two entries
+    /// of each edge adjacent.
     fn join_by_sorting(&mut self, tetrahedra: &mut [Tetrahedron]) {
         self.edges.clear();
         for (wall, &number) in self.walls.iter().zip(&self.created) {
@@ -160,11 +162,11 @@ fn place_of_infinity(vertices: &[u32; 4]) -> Option<usize> {
     vertices.iter().position(|&v| v == INFINITE)
 }
 
-/// The points of the triangulation, indexed by tetrahedron vertices.
+/// The points of the triangulation. Vertices of tetrahedra are indices into this list.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sites<'a> {
     pub(super) points: &'a [DVec3],
-    /// The caller's index of each point; empty if the indices are the same.
+    /// The caller's index of each point. Empty if the caller's indices are the same.
     pub(super) named: &'a [u32],
 }
 
@@ -173,15 +175,15 @@ impl Sites<'_> {
         self.points[v as usize]
     }
 
-    /// Rank in the symbolic perturbation: a hash of the caller's index (an odd factor keeps the
-    /// ranks distinct). Ranks that increase along a surface or grid would turn cospherical points
-    /// into fans of long cells.
+    /// Returns the rank of a vertex in the symbolic perturbation: a hash of the caller's index. The
+    /// odd factor keeps the ranks distinct. Ranks that increase along a surface or grid would turn
+    /// cospherical points into fans of long cells.
     fn rank(&self, v: u32) -> u32 {
         let index = if self.named.is_empty() { v } else { self.named[v as usize] };
         index.wrapping_mul(0x9e37_79b9)
     }
 
-    /// Whether the perturbed circumsphere of a tetrahedron contains vertex `v` at `point`.
+    /// Returns whether the perturbed circumsphere of a tetrahedron contains vertex `v` at `point`.
     #[inline]
     fn sphere_holds(&self, vertices: &[u32; 4], v: u32, point: DVec3) -> bool {
         let [a, b, c, d] = *vertices;
@@ -190,20 +192,20 @@ impl Sites<'_> {
     }
 }
 
-/// Tetrahedra connected across their facets: a whole triangulation, or one region of it. In a
-/// region, some facets lie on a cut, and operations that would cross them fail.
+/// Tetrahedra connected across their facets, which form a whole triangulation or one region of it.
+/// In a region, some facets lie on a cut, and operations that would cross them fail.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Cells {
     pub(super) tetrahedra: Vec<Tetrahedron>,
-    /// Numbers of removed tetrahedra, to be reused.
+    /// Numbers of removed tetrahedra, available for reuse.
     pub(super) free: Vec<u32>,
-    /// Where the next walk starts.
+    /// Tetrahedron where the next walk starts.
     pub(super) last: u32,
     pub(super) work: Workspace,
 }
 
 impl Cells {
-    /// The given tetrahedra, none of which is dead.
+    /// Creates a set of tetrahedra, none of which may be removed.
     pub(super) fn of(tetrahedra: Vec<Tetrahedron>) -> Self {
         let states = vec![UNKNOWN; tetrahedra.len()];
         Self { tetrahedra, work: Workspace { states, ..Workspace::default() }, ..Self::default() }
@@ -216,7 +218,7 @@ impl Cells {
     }
 
     /// Appends the tetrahedra of `others`, with their numbers offset by the length of `self`.
-    /// Reserves memory for `spare` more. Facets on a cut stay marked.
+    /// Reserves memory for `spare` further tetrahedra. Facets on a cut stay marked.
     pub(super) fn joined_by(mut self, mut others: Self, spare: usize) -> Self {
         let offset = self.tetrahedra.len() as u32;
         others.work = Workspace::default();
@@ -230,25 +232,25 @@ impl Cells {
         self
     }
 
-    /// Whether a number denotes a live tetrahedron.
+    /// Returns whether a number denotes a tetrahedron that has not been removed.
     pub(super) fn is_alive(&self, t: u32) -> bool {
         self.tetrahedra[t as usize].vertices[0] != DEAD
     }
 
     /// Creates the first tetrahedron and its four ghosts.
     pub(super) fn start(&mut self, simplex: [u32; 4]) {
-        // the ghost at facet i has number i + 1, and the facet has place 0 there
+        // the ghost at facet i has number i + 1, and this facet has index 0 in the ghost
         self.tetrahedra.push(Tetrahedron { vertices: simplex, neighbours: [1, 2, 3, 4].map(|ghost| ghost << 2) });
         for (i, facet) in FACETS.iter().enumerate() {
             // Seen from outside, the facet is counter-clockwise. Swapping two vertices and putting
-            // infinity first gives the ghost the orientation of a finite tetrahedron.
+            // the vertex at infinity first gives the ghost the orientation of a finite tetrahedron.
             let [p, q, r] = *facet;
             let place = |of: usize, vertex: usize| {
                 let [p, q, r] = FACETS[of];
                 [p, r, q].iter().position(|&k| k == vertex).map_or(0, |k| k + 1)
             };
-            // this ghost meets the ghost at facet k in the facet opposite vertex k; there, it is
-            // opposite i
+            // this ghost and the ghost at facet k share the facet opposite vertex k; in the other
+            // ghost, it is the facet opposite vertex i
             let ghost = |k: usize| (k as u32 + 1) << 2 | place(k, i) as u32;
             self.tetrahedra.push(Tetrahedron {
                 vertices: [INFINITE, simplex[p], simplex[r], simplex[q]],
@@ -260,8 +262,8 @@ impl Cells {
     }
 
     /// Walks to the tetrahedron that contains a point, or to a ghost if the point lies strictly
-    /// outside the hull. The walk terminates, because the tetrahedra of a Delaunay triangulation
-    /// are ordered front to back as seen from any point. Fails if the walk crosses a cut.
+    /// outside the hull. The walk terminates because the tetrahedra of a Delaunay triangulation are
+    /// ordered front to back as seen from any point. Returns an error if the walk crosses a cut.
     pub(super) fn locate(&self, sites: Sites<'_>, point: DVec3, start: u32) -> Reached<u32> {
         let mut t = start;
         let Tetrahedron { vertices, neighbours } = &self.tetrahedra[t as usize];
@@ -294,10 +296,10 @@ impl Cells {
         }
     }
 
-    /// Whether a tetrahedron is in conflict with a vertex: its circumsphere contains the vertex.
-    /// For a ghost, the open half-space beyond its hull triangle replaces the sphere. A vertex in
-    /// the plane of that triangle is tested against the sphere of the finite neighbour. Fails if
-    /// that neighbour lies beyond a cut.
+    /// Returns whether a tetrahedron is in conflict with a vertex, which means that its
+    /// circumsphere contains the vertex. For a ghost, the open half-space beyond its hull triangle
+    /// replaces the sphere. If the vertex lies in the plane of that triangle, the sphere of the
+    /// finite neighbour decides. Returns an error if that neighbour lies beyond a cut.
     #[inline]
     fn conflicts(&self, sites: Sites<'_>, t: u32, v: u32, point: DVec3) -> Reached<bool> {
         let vertices = &self.tetrahedra[t as usize].vertices;
@@ -321,7 +323,7 @@ impl Cells {
         Ok(sites.sphere_holds(&self.tetrahedra[(finite >> 2) as usize].vertices, v, point))
     }
 
-    /// Fails if too few tetrahedron numbers remain for another insertion.
+    /// Returns an error if too few tetrahedron numbers remain for another insertion.
     pub(super) fn check_room(&self) -> Result<()> {
         if self.tetrahedra.len() <= MOST_TETRAHEDRA {
             return Ok(());
@@ -330,7 +332,7 @@ impl Cells {
     }
 
     /// Inserts a vertex whose point differs from all others, given the tetrahedron that contains
-    /// it. Fails and changes nothing if the cavity extends beyond a cut.
+    /// the point. If the cavity extends beyond a cut, returns an error and changes nothing.
     pub(super) fn insert_at(&mut self, sites: Sites<'_>, v: u32, located: u32) -> Reached<()> {
         let mut work = std::mem::take(&mut self.work);
         let dug = self.dig(sites, v, located, &mut work);
@@ -346,7 +348,7 @@ impl Cells {
     }
 
     /// Finds the tetrahedra in conflict with a vertex by breadth-first search, and the walls of
-    /// their cavity. Fails if the cavity extends beyond a cut.
+    /// their cavity. Returns an error if the cavity extends beyond a cut.
     fn dig(&self, sites: Sites<'_>, v: u32, located: u32, work: &mut Workspace) -> Reached<()> {
         let point = sites.at(v);
         work.conflict.clear();

@@ -5,12 +5,12 @@
 //! *Ghost* tetrahedra connect each hull triangle to a vertex at infinity ([`INFINITE`]), so every
 //! tetrahedron has four neighbours and the boundary needs no special cases. Cospherical, coplanar
 //! and collinear points, grids and duplicates are all allowed. A symbolic perturbation (see
-//! [`predicates`]) breaks in-sphere ties. It depends only on the point indices, so the
-//! triangulation of a given point list is unique for any insertion order. Only input whose points
-//! all lie in one plane is refused, because it has no tetrahedra.
+//! [`predicates`]) breaks ties of the in-sphere test. It depends only on the point indices, so a
+//! list of points has the same triangulation for any insertion order. An input is refused only if
+//! all its points lie in one plane, because it then has no tetrahedra.
 //!
 //! The same points give the same tetrahedra with the same numbers on any number of threads. For
-//! half a million surface points the speed is about that of CGAL (`make bench-delaunay` compares
+//! half a million surface points, the speed is about that of CGAL (`make bench-delaunay` compares
 //! both).
 //!
 //! ```
@@ -56,10 +56,11 @@ use regions::Cutting;
 /// The vertex at infinity, in the vertex list of ghost tetrahedra.
 pub const INFINITE: u32 = u32::MAX;
 
-/// First vertex of a removed tetrahedron.
+/// Value of the first vertex of a removed tetrahedron.
 const DEAD: u32 = u32::MAX - 1;
 
-/// Largest coordinate: its fifth power, the degree of the in-sphere determinant, is still finite.
+/// Largest allowed coordinate. Its fifth power, the degree of the in-sphere determinant, is still
+/// finite.
 const LARGEST_COORDINATE: f64 = 1e50;
 
 /// Coordinates closer to zero than this are set to zero, so that the exact predicates never
@@ -69,28 +70,28 @@ const SMALLEST_COORDINATE: f64 = 1e-40;
 #[derive(Clone, Copy, Debug)]
 struct Tetrahedron {
     vertices: [u32; 4],
-    /// Entry i describes the neighbour across the facet opposite vertex i: its number times 4, plus
-    /// the place of the facet in the neighbour.
+    /// Entry i describes the neighbour across the facet opposite vertex i: the number of the
+    /// neighbour times 4, plus the index of the facet in the neighbour.
     neighbours: [u32; 4],
 }
 
 /// Result of [`Delaunay::insert`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Insertion {
-    /// The point is a new vertex with this index.
+    /// The point was inserted as a new vertex with this index.
     New(u32),
     /// A vertex with this index already has exactly these coordinates.
     Duplicate(u32),
 }
 
-/// Tetrahedron counts and memory use, for reports.
+/// Memory use and number of tetrahedra, for reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MemoryUse {
     /// Bytes allocated by the triangulation, including spare capacity.
     pub bytes: usize,
     /// Number of tetrahedra, including ghosts.
     pub tetrahedra: usize,
-    /// Number of tetrahedron slots, including free ones.
+    /// Number of tetrahedron slots, including free slots.
     pub slots: usize,
 }
 
@@ -98,21 +99,22 @@ pub struct MemoryUse {
 #[derive(Clone, Debug)]
 pub struct Delaunay {
     points: Vec<DVec3>,
-    /// For every point, the first point with the same coordinates.
+    /// For every point, the index of the first point with the same coordinates.
     first: Vec<u32>,
     vertex_count: usize,
     cells: Cells,
-    /// One tetrahedron at each vertex; `u32::MAX` for duplicates.
+    /// For every vertex, one tetrahedron that contains it. The value is `u32::MAX` for duplicates.
     incident: Vec<u32>,
 }
 
 impl Delaunay {
-    /// Triangulates points (any unit), using all cores for large sets. The same points give the
+    /// Triangulates points (in any unit), using all cores for large sets. The same points give the
     /// same tetrahedra with the same numbers on any number of threads.
     ///
     /// # Errors
-    /// If there are fewer than four distinct points or all points lie in one plane. If a coordinate
-    /// is not finite or exceeds 1e50. If more than 2^29 tetrahedra are needed on the way.
+    /// If there are fewer than four distinct points, or if all points lie in one plane. If a
+    /// coordinate is not finite or exceeds 1e50. If the insertion needs more than 2^29 tetrahedra
+    /// at any time.
     pub fn new(points: &[DVec3]) -> Result<Self> {
         Self::with_cutting(points, Cutting::USUAL)
     }
@@ -142,82 +144,86 @@ impl Delaunay {
         Ok(built)
     }
 
-    /// All points, duplicates included: those of the input, then the inserted ones.
+    /// Returns all points, including duplicates. The points of the input precede the inserted
+    /// points.
     pub fn points(&self) -> &[DVec3] {
         &self.points
     }
 
-    /// Number of distinct points.
+    /// Returns the number of distinct points.
     pub fn vertex_count(&self) -> usize {
         self.vertex_count
     }
 
-    /// The first point with the same coordinates, if that is another point. Duplicates are in no
-    /// tetrahedron.
+    /// Returns the first point with the same coordinates if it differs from `point`. Duplicates do
+    /// not belong to any tetrahedron.
     pub fn duplicate_of(&self, point: u32) -> Option<u32> {
         let first = self.first[point as usize];
         (first != point).then_some(first)
     }
 
-    /// One more than the largest tetrahedron number in use. Some numbers below it may be free.
+    /// Returns one more than the largest tetrahedron number. Some numbers below it may be free.
     pub fn slot_count(&self) -> usize {
         self.cells.tetrahedra.len()
     }
 
-    /// Whether a number denotes a tetrahedron; false if that one was removed.
+    /// Returns whether a number denotes a tetrahedron. Returns false if the tetrahedron has been
+    /// removed.
     pub fn is_alive(&self, tetrahedron: u32) -> bool {
         self.cells.tetrahedra[tetrahedron as usize].vertices[0] != DEAD
     }
 
-    /// Whether a tetrahedron connects a hull triangle to infinity.
+    /// Returns whether a tetrahedron connects a hull triangle to infinity.
     pub fn is_ghost(&self, tetrahedron: u32) -> bool {
         self.cells.tetrahedra[tetrahedron as usize].vertices.contains(&INFINITE)
     }
 
-    /// All tetrahedra as (number, vertices). Finite ones have positive volume. Ghosts contain
-    /// [`INFINITE`]; replacing it with any point beyond the hull triangle gives a positive volume,
-    /// too.
+    /// Returns all tetrahedra as (number, vertices). Finite tetrahedra have positive volume. Ghosts
+    /// contain [`INFINITE`]; replacing it with any point beyond the hull triangle also gives a
+    /// positive volume.
     pub fn tetrahedra(&self) -> impl Iterator<Item = (u32, [u32; 4])> + '_ {
         let all = self.cells.tetrahedra.iter().enumerate();
         all.filter(|(_, t)| t.vertices[0] != DEAD).map(|(i, t)| (i as u32, t.vertices))
     }
 
-    /// The same as a parallel iterator.
+    /// Returns all tetrahedra as (number, vertices), like [`Delaunay::tetrahedra`], as a parallel
+    /// iterator.
     pub fn par_tetrahedra(&self) -> impl ParallelIterator<Item = (u32, [u32; 4])> + '_ {
         let all = self.cells.tetrahedra.par_iter().enumerate();
         all.filter(|(_, t)| t.vertices[0] != DEAD).map(|(i, t)| (i as u32, t.vertices))
     }
 
-    /// The finite tetrahedra, as (number, vertices).
+    /// Returns the finite tetrahedra as (number, vertices).
     pub fn finite_tetrahedra(&self) -> impl Iterator<Item = (u32, [u32; 4])> + '_ {
         self.tetrahedra().filter(|(_, vertices)| !vertices.contains(&INFINITE))
     }
 
-    /// Vertices of a tetrahedron.
+    /// Returns the vertices of a tetrahedron.
     pub fn vertices(&self, tetrahedron: u32) -> [u32; 4] {
         self.cells.tetrahedra[tetrahedron as usize].vertices
     }
 
-    /// Neighbours of a tetrahedron; neighbour i lies across the facet opposite vertex i.
+    /// Returns the neighbours of a tetrahedron. Neighbour i lies across the facet opposite vertex
+    /// i.
     pub fn neighbours(&self, tetrahedron: u32) -> [u32; 4] {
         self.cells.tetrahedra[tetrahedron as usize].neighbours.map(|n| n >> 2)
     }
 
-    /// The facet of a tetrahedron opposite its vertex i, counter-clockwise as seen from outside the
-    /// tetrahedron.
+    /// Returns the facet opposite vertex i of a tetrahedron. The vertices are counter-clockwise as
+    /// seen from outside the tetrahedron.
     pub fn facet(&self, tetrahedron: u32, i: usize) -> [u32; 3] {
         let v = self.vertices(tetrahedron);
         FACETS[i].map(|k| v[k])
     }
 
-    /// One tetrahedron at a vertex; `None` for a duplicate.
+    /// Returns one tetrahedron that contains a vertex, or `None` for a duplicate.
     pub fn incident(&self, vertex: u32) -> Option<u32> {
         self.incident.get(vertex as usize).copied().filter(|&t| t != u32::MAX)
     }
 
-    /// Circumcentre of a tetrahedron. Computed relative to one of its vertices and with the exact
-    /// volume, so a thin tetrahedron gives a distant centre instead of a wrong one. `None` for a
-    /// ghost or if the centre is not finite.
+    /// Computes the circumcentre of a tetrahedron relative to one of its vertices and with the
+    /// exact volume. A thin tetrahedron therefore gives a distant centre instead of a wrong one.
+    /// Returns `None` for a ghost, or if the centre is not finite.
     pub fn circumcentre(&self, tetrahedron: u32) -> Option<DVec3> {
         let v = self.vertices(tetrahedron);
         if v.contains(&INFINITE) || v[0] == DEAD {
@@ -226,7 +232,7 @@ impl Delaunay {
         circumcentre(v.map(|i| self.points[i as usize]))
     }
 
-    /// Memory use and tetrahedron counts.
+    /// Returns the memory use and the number of tetrahedra.
     pub fn memory(&self) -> MemoryUse {
         let words = self.first.capacity() + self.cells.free.capacity() + self.incident.capacity();
         MemoryUse {
@@ -239,8 +245,8 @@ impl Delaunay {
         }
     }
 
-    /// Inserts a point. The search starts at the vertex `near`, or at the last insertion if it is
-    /// `None`. [`Delaunay::created`] then lists the new tetrahedra.
+    /// Inserts a point. The search starts at the vertex `near`, or at the last insertion if `near`
+    /// is `None`. [`Delaunay::created`] then returns the new tetrahedra.
     ///
     /// # Errors
     /// If a coordinate is not finite or exceeds 1e50, or if there are more than 2^29 tetrahedra.
@@ -266,7 +272,7 @@ impl Delaunay {
         Ok(Insertion::New(v))
     }
 
-    /// Records a tetrahedron as the incident one of each of its finite vertices.
+    /// Records a tetrahedron as the incident tetrahedron of each of its finite vertices.
     fn note_incident(&mut self, t: u32) {
         let vertices = self.cells.tetrahedra[t as usize].vertices;
         if vertices[0] != DEAD {
@@ -276,21 +282,21 @@ impl Delaunay {
         }
     }
 
-    /// Tetrahedra created by the last insertion, including ghosts. They may reuse the numbers of
-    /// removed ones.
+    /// Returns the tetrahedra that the last insertion created, including ghosts. They may have the
+    /// numbers of removed tetrahedra.
     pub fn created(&self) -> &[u32] {
         self.cells.work.created()
     }
 }
 
-/// Why operations on a whole triangulation never meet a cut.
+/// Panic message. Operations on a whole triangulation never reach a cut, so the panic cannot occur.
 const WHOLE: &str = "a whole triangulation has all tetrahedra";
 
-/// Facet opposite each vertex of a positively oriented tetrahedron, counter-clockwise as seen from
-/// outside.
+/// Facet opposite each vertex of a positively oriented tetrahedron. The vertices are
+/// counter-clockwise as seen from outside.
 const FACETS: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
-/// Centre of the sphere through four points; `None` if it is not finite.
+/// Computes the centre of the sphere through four points. Returns `None` if it is not finite.
 pub fn circumcentre([a, b, c, d]: [DVec3; 4]) -> Option<DVec3> {
     let (u, v, w) = (b - a, c - a, d - a);
     let volume = volume(a, b, c, d);
@@ -307,8 +313,8 @@ fn admissible(p: DVec3) -> Result<DVec3> {
     Ok(DVec3::from_array(p.to_array().map(|x| if x.abs() < SMALLEST_COORDINATE { 0.0 } else { x })))
 }
 
-/// Positions in the insertion order of four points that do not lie in one plane, positively
-/// oriented.
+/// Finds four points that do not lie in one plane. Returns their positions in the insertion order,
+/// sorted so that the tetrahedron is positively oriented.
 fn first_simplex(points: &[DVec3], order: &[u32]) -> Result<[u32; 4]> {
     let at = |place: usize| points[order[place] as usize];
     if order.len() < 4 {

@@ -1,23 +1,24 @@
-//! The order of insertion: a biased randomised insertion order (Amenta, Choi and Rote, 2003). Each
-//! round is about eight times as large as the one before and follows a Hilbert curve. The walk from
-//! the last insertion is then short for any arrangement of the input.
+//! The insertion order: a biased randomised insertion order (Amenta, Choi and Rote 2003). Each
+//! round is about eight times as large as the previous one and follows a Hilbert curve. The walk
+//! from the last insertion is then short for any arrangement of the input.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Bits of the Hilbert index per axis; three axes fit in 64 bits.
+/// Number of bits of the Hilbert index per axis. The index of three axes fits in 64 bits.
 const LEVELS: u32 = 20;
 
-/// Fewer points than this are inserted in a single round.
+/// Sets with fewer distinct points are inserted in a single round.
 const SMALLEST_ROUND: usize = 1000;
 
 /// The insertion order of a set of points.
 pub(super) struct Order {
     /// Indices of the distinct points, in the order of insertion.
     pub(super) order: Vec<u32>,
-    /// Where each round ends in `order`.
+    /// End of each round, as an index into `order`.
     pub(super) rounds: Vec<usize>,
-    /// For every point, the first point with the same coordinates (usually itself).
+    /// For every point, the index of the first point with the same coordinates, usually the point
+    /// itself.
     pub(super) first: Vec<u32>,
 }
 
@@ -39,7 +40,8 @@ pub(super) fn insertion_order(points: &[DVec3]) -> Order {
     along.par_sort_unstable();
     let mut first: Vec<u32> = (0..points.len() as u32).collect();
     let mut distinct: Vec<u32> = Vec::with_capacity(points.len());
-    // Equal points share a Hilbert cell. Sorting the cell by coordinates makes them adjacent.
+    // Equal points share a Hilbert cell. Sorting the points of a cell by coordinates makes equal
+    // points adjacent.
     for group in along.chunk_by_mut(|a, b| a.0 == b.0) {
         if group.len() > 1 {
             group.sort_unstable_by(|a, b| {
@@ -61,10 +63,10 @@ pub(super) fn insertion_order(points: &[DVec3]) -> Order {
     let rounds = (distinct.len() / SMALLEST_ROUND).checked_ilog2().map_or(0, |n| n / 3 + 1);
     let mut order = Vec::with_capacity(distinct.len());
     let mut ends = Vec::new();
-    // a point is in the last round with probability 7/8, in the one before with 7/64, and so on
+    // a point is in the last round with probability 7/8, in the previous round with 7/64, and so on
     let round_of = |i: u32| rounds.saturating_sub(well_mixed(i).trailing_ones() / 3);
     for round in 0..=rounds {
-        // every other round runs backwards, so that it starts where the previous one ended
+        // every other round is reversed, so that it starts where the previous round ended
         let members = distinct.iter().copied().filter(|&i| round_of(i) == round);
         let start = order.len();
         order.extend(members);
@@ -76,19 +78,19 @@ pub(super) fn insertion_order(points: &[DVec3]) -> Order {
     Order { order, rounds: ends, first }
 }
 
-/// 64 bits that look random but depend only on the index: the finaliser of SplitMix64 (Steele, Lea
-/// and Flood 2014).
+/// Returns 64 bits that look random but depend only on the index. Uses the finaliser of SplitMix64
+/// (Steele, Lea and Flood 2014).
 fn well_mixed(index: u32) -> u64 {
-    // The offset is arbitrary. Changing it changes the insertion order, and so the numbers of the
-    // tetrahedra.
+    // The offset is arbitrary. A different offset changes the insertion order and therefore the
+    // numbers of the tetrahedra.
     let x = 0x134a_bdb5_a05c_6011_u64.wrapping_add(u64::from(index));
     let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     x ^ (x >> 31)
 }
 
-/// Position of a cell along the three-dimensional Hilbert curve (Skilling's transposition method,
-/// 2004).
+/// Returns the position of a cell along the three-dimensional Hilbert curve, computed with
+/// Skilling's transposition method (2004).
 fn hilbert_index(mut x: [u32; 3]) -> u64 {
     let top = 1u32 << (LEVELS - 1);
     let mut q = top;

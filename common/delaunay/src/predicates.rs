@@ -1,14 +1,14 @@
-//! Exact orientation and in-sphere tests. A floating-point filter decides most cases, then integers
-//! (`exact.rs`). If these would have too many bits, Shewchuk's adaptive predicates (crate `robust`)
-//! decide. Exact in-sphere ties are broken by the symbolic perturbation of Devillers and Teillaud
-//! (2003).
+//! Exact orientation and in-sphere tests. A floating-point filter decides most cases. The remaining
+//! cases are decided in integer arithmetic (`exact.rs`), or by Shewchuk's adaptive predicates
+//! (crate `robust`) if the integers would have too many bits. The symbolic perturbation of
+//! Devillers and Teillaud (2003) breaks exact ties of the in-sphere test.
 //!
-//! Filter bounds: a determinant is a sum of monomials, each of which passes through a known number
-//! of roundings. Let (mx, my, mz) bound the coordinate differences, and m be the largest of the
-//! three. The orientation has 6 monomials with at most 8 roundings each, so its error is at most
-//! 6 * 8 * 2^-53 * mx my mz. The in-sphere determinant has 72 monomials with at most 16 roundings
+//! Filter bounds: a determinant is a sum of monomials, and each monomial undergoes a known number
+//! of roundings. Let (mx, my, mz) bound the coordinate differences, and let m be the largest of the
+//! three. The orientation has 6 monomials with at most 8 roundings each, so its error is at most 6
+//! * 8 * 2^-53 * mx my mz. The in-sphere determinant has 72 monomials with at most 16 roundings
 //! each: 72 * 16 * 2^-53 * mx my mz m^2. A coarser bound is tried first, with the length of the
-//! longest difference in place of mx, my, mz and m. The constants below are rounded up by more than
+//! longest difference instead of mx, my, mz and m. The constants below are rounded up by more than
 //! the rounding errors of the bounds themselves.
 
 use super::exact;
@@ -24,9 +24,9 @@ fn coordinates(p: DVec3) -> Coord3D<f64> {
     Coord3D { x: p.x, y: p.y, z: p.z }
 }
 
-/// A number with the exact sign of (b - a) x (c - a) . (d - a). Positive if b, c, d turn
-/// counter-clockwise as seen from the side opposite a, VTK's order for a tetrahedron. Only the sign
-/// is meaningful; see [`volume`] for the value.
+/// Returns a number with the exact sign of (b - a) x (c - a) . (d - a). The sign is positive if b,
+/// c, d are counter-clockwise as seen from the side opposite a, which is VTK's order for a
+/// tetrahedron. Only the sign is meaningful; use [`volume`] for the value.
 #[inline]
 pub fn orientation(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     let (u, v, w) = (b - a, c - a, d - a);
@@ -39,8 +39,8 @@ pub fn orientation(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     orientation_of_flat(a, b, c, d)
 }
 
-/// (b - a) x (c - a) . (d - a), six times the volume of the tetrahedron. The sign is exact, and the
-/// value has a small relative error however flat the tetrahedron is.
+/// Computes (b - a) x (c - a) . (d - a), six times the volume of the tetrahedron. The sign is
+/// exact, and the relative error of the value is small even for flat tetrahedra.
 pub fn volume(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     -robust::orient3d(coordinates(a), coordinates(b), coordinates(c), coordinates(d))
 }
@@ -51,8 +51,9 @@ fn orientation_of_flat(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     exact::orientation_sign(&[a, b, c, d]).unwrap_or_else(|| volume(a, b, c, d))
 }
 
-/// A number with the exact sign of the in-sphere determinant. Positive if e lies inside the sphere
-/// through the positively oriented tetrahedron a, b, c, d; zero if e lies on it.
+/// Returns a number with the exact sign of the in-sphere determinant. The sign is positive if e
+/// lies inside the sphere through the positively oriented tetrahedron a, b, c, d. The result is
+/// zero if e lies on the sphere.
 #[inline]
 pub fn in_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
     let (p, q, r, s) = (a - e, b - e, c - e, d - e);
@@ -76,7 +77,7 @@ pub fn in_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
     in_sphere_near_zero(determinant, [a, b, c, d, e])
 }
 
-/// As [`in_sphere`], for determinants that the coarse bound cannot decide.
+/// Does the same as [`in_sphere`] for determinants that the coarse bound cannot decide.
 #[cold]
 #[inline(never)]
 fn in_sphere_near_zero(determinant: f64, [a, b, c, d, e]: [DVec3; 5]) -> f64 {
@@ -93,11 +94,11 @@ fn in_sphere_near_zero(determinant: f64, [a, b, c, d, e]: [DVec3; 5]) -> f64 {
     exact::in_sphere_sign(&[a, b, c, d, e]).unwrap_or_else(expansion)
 }
 
-/// Whether `points[4]` lies inside the sphere through the positively oriented `points[0..4]`; there
-/// are no ties. Points exactly on the sphere are lifted from the paraboloid by infinitesimal
-/// amounts, larger by orders of magnitude for larger ranks. Since each point keeps its lift, all
-/// answers describe one regular triangulation. Its cells are never flat, and its cavities are
-/// star-shaped. Points and ranks must be distinct.
+/// Returns whether `points[4]` lies inside the sphere through the positively oriented
+/// `points[0..4]`, without ties. Each point on the paraboloid is lifted by an infinitesimal amount,
+/// and a larger rank gives a lift that is larger by orders of magnitude. Since each point always
+/// has the same lift, all results describe one regular triangulation. Its cells are never flat, and
+/// its cavities are star-shaped. Points and ranks must be distinct.
 #[inline]
 pub fn in_sphere_perturbed(points: &[DVec3; 5], ranks: impl FnOnce() -> [u32; 5]) -> bool {
     let [a, b, c, d, e] = *points;
@@ -110,7 +111,7 @@ fn break_tie(points: &[DVec3; 5], ranks: [u32; 5]) -> bool {
     let [a, b, c, d, e] = *points;
     let mut largest = None;
     for _ in 0..5 {
-        // the point with the next lower rank; usually, the first one already decides
+        // the point with the next lower rank; the first point usually decides
         let below = (0..5).filter(|&i| largest.is_none_or(|above| ranks[i] < ranks[above]));
         largest = below.max_by_key(|&i| ranks[i]);
         // Lifting a vertex raises the plane at e by e's barycentric coordinate for that vertex, so
@@ -129,7 +130,7 @@ fn break_tie(points: &[DVec3; 5], ranks: [u32; 5]) -> bool {
     false
 }
 
-/// Whether three points lie on one line; exact.
+/// Returns whether three points lie exactly on one line.
 pub fn collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
     let flat = |i: usize, j: usize| {
         let at = |p: DVec3| robust::Coord { x: p[i], y: p[j] };
@@ -159,7 +160,7 @@ mod tests {
 
     #[test]
     fn the_filter_never_contradicts_the_exact_predicates() {
-        // a wrong bound would show at tiny offsets from degenerate positions
+        // tiny offsets from degenerate positions would reveal a wrong bound
         for n in 0..20_000u64 {
             let q = |k: u64| {
                 let coarse = (point(1, 5 * n + k) * 4.0).floor();
@@ -173,8 +174,8 @@ mod tests {
         }
     }
 
-    /// The test must be symmetric in two neighbours: e is in conflict with abcd exactly if d is in
-    /// conflict with the tetrahedron of abc and e.
+    /// The test must be symmetric in two neighbours: e is in conflict with the tetrahedron abcd
+    /// exactly if d is in conflict with the tetrahedron of abc and e.
     #[test]
     fn perturbed_test_is_symmetric() {
         let mut ties = 0;

@@ -1,40 +1,42 @@
-//! Inserts rounds of points on all cores. A plane cuts the triangulation into two regions with
-//! their own tetrahedra, recursively, and one thread per region inserts the points in it. A point
-//! whose cavity would extend into another region is postponed until the two regions are merged.
-//! Tetrahedra next to another region are therefore never removed, and merging only renumbers one of
-//! the two. Coarse rounds come first, so most cavities are small in the rounds that are cut.
+//! Inserts rounds of points on all cores. Planes recursively cut the triangulation into pairs of
+//! regions, each with its own tetrahedra, and one thread per region inserts the points in it. A
+//! point whose cavity would extend into another region is postponed until the two regions are
+//! merged. Tetrahedra next to another region are therefore never removed, and merging only
+//! renumbers the tetrahedra of one region. Coarse rounds are inserted first, so most cavities are
+//! small in the rounds that are cut.
 //!
-//! The cuts, and so the tetrahedron numbers, do not depend on the number of threads.
+//! The cuts do not depend on the number of threads, and neither do the tetrahedron numbers.
 
 use super::insert::{Beyond, Cells, Sites};
 use super::{DEAD, INFINITE, Tetrahedron};
 use crate::error::Error;
 use glam::DVec3;
 
-/// Limits of the recursive cutting.
+/// Limits of the recursive division into regions.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cutting {
-    /// A region is cut only if at least this many points are to be inserted in it.
+    /// A region is cut only if at least this many points must be inserted into it.
     pub(super) points: usize,
     /// Maximum number of nested cuts.
     pub(super) depth: u32,
 }
 
 impl Cutting {
-    /// Measured on 377,000 particles of a ribcage, with the topology of F computed alongside. On 16
-    /// cores, 2, 4, 8 and 16 regions take 1.32, 1.04, 0.77 and 0.74 s. (Two regions are cut from
-    /// 200,000 points on, sixteen from 20,000.) On one core, 2 regions take 3.3 s and 8 take 3.5 s.
+    /// Measured on 377,000 particles of a ribcage, while the topology of F was computed at the same
+    /// time. On 16 cores, 2, 4, 8 and 16 regions take 1.32, 1.04, 0.77 and 0.74 s. (`points` is
+    /// 200,000 for two regions and 20,000 for sixteen.) On one core, 2 regions take 3.3 s and 8
+    /// take 3.5 s.
     pub(super) const USUAL: Self = Self { points: 20_000, depth: 3 };
 }
 
-/// Minimum share of the points on each side of a cut; with less, the region is not cut.
+/// Minimum share of the points on each side of a cut. If one side has fewer, the region is not cut.
 const SMALLEST_SHARE: f64 = 0.1;
 
-/// The plane of a cut is the median of at most this many points.
+/// Maximum number of points for the median that determines the plane of a cut.
 const SAMPLE: usize = 10_000;
 
-/// Triangulates points that are given in insertion order. `rounds` holds the end of each round, and
-/// `seeds` the vertices of the first tetrahedron.
+/// Triangulates points that are given in insertion order. `rounds` contains the end of each round,
+/// and `seeds` the vertices of the first tetrahedron.
 pub(super) fn triangulate(
     sites: Sites<'_>,
     rounds: &[usize],
@@ -56,14 +58,14 @@ pub(super) fn triangulate(
 
 /// Result of inserting the points of a region.
 struct Inserted {
-    /// Postponed points, with the cut that must be undone first.
+    /// Postponed points, each with the cut that must be removed before the point can be inserted.
     put_off: Vec<(u32, Beyond)>,
-    /// New numbers of the tetrahedra that existed before and still exist; `None` if the numbers are
-    /// unchanged.
+    /// New numbers of the tetrahedra that existed before the insertion and still exist. `None` if
+    /// the numbers are unchanged.
     renumbered: Option<Vec<u32>>,
 }
 
-/// The triangulation that a region was cut from, for locating points if a walk leaves the region.
+/// The triangulation from which a region was cut. It locates points if a walk leaves the region.
 struct Outer<'a> {
     whole: &'a Cells,
     places: &'a [Place],
@@ -74,13 +76,14 @@ struct Outer<'a> {
 }
 
 impl Outer<'_> {
-    /// The start of the walk at each level, innermost first.
+    /// Returns the start of the walk at each level, innermost first.
     fn starts(&self) -> Vec<u32> {
         std::iter::successors(Some(self), |outer| outer.up).map(|outer| outer.whole.last).collect()
     }
 
-    /// The tetrahedron of the region that contained a point before any insertion, by its original
-    /// number. Fails if it is in another region; the point then has to be postponed.
+    /// Returns the tetrahedron of the region that contained a point before any insertion, by its
+    /// original number. Returns an error if the tetrahedron is in another region; the point must
+    /// then be postponed.
     fn find(&self, sites: Sites<'_>, point: DVec3, starts: &mut [u32]) -> Result<u32, Beyond> {
         let (start, further) = starts.split_first_mut().ok_or(self.cut)?;
         let walked = self.whole.locate(sites, point, *start);
@@ -104,8 +107,8 @@ fn insert_all(
         Cut::new(cells, sites, &members, depth)
     };
     let Some(Cut { mut regions, places, seams }) = cut else {
-        // Reserve once: memory freed by a vector that grows in a thread would stay with the
-        // thread's allocator.
+        // Reserve once: if a vector grows in a thread, the thread's allocator keeps the freed
+        // memory.
         cells.reserve(members.len() * 8);
         let put_off = insert_in_order(cells, sites, members, outer, None)?;
         return Ok(Inserted { put_off, renumbered: None });
@@ -122,7 +125,7 @@ fn insert_all(
     let [(low, _), (high, _)] = regions;
     let all: Vec<(u32, Beyond)> = done.iter().flat_map(|inserted| &inserted.put_off).copied().collect();
     let offset = low.tetrahedra.len() as u32;
-    // number after merging of a tetrahedron that a region started with
+    // number after merging of a tetrahedron that a region contained from the start
     let number = |side: usize, number: u32| {
         let number = done[side].renumbered.as_ref().map_or(number, |new| new[number as usize]);
         if side == 0 { number } else { number + offset }
@@ -143,7 +146,7 @@ fn insert_all(
     Ok(Inserted { put_off, renumbered: Some(renumbered) })
 }
 
-/// Inserts points one by one. Returns those that need tetrahedra beyond a cut.
+/// Inserts points one by one. Returns the points that need tetrahedra beyond a cut.
 fn insert_in_order(
     cells: &mut Cells,
     sites: Sites<'_>,
@@ -169,12 +172,12 @@ fn insert_in_order(
     Ok(put_off)
 }
 
-/// Where a tetrahedron went in a cut: its number in the region times 2, plus the side.
+/// Position of a tetrahedron after a cut: its number in the region times 2, plus the side.
 #[derive(Clone, Copy)]
 struct Place(u32);
 
 impl Place {
-    /// For an unused tetrahedron number.
+    /// Value for an unused tetrahedron number.
     const NONE: Self = Self(u32::MAX);
 
     fn new(side: usize, number: u32) -> Self {
@@ -190,18 +193,19 @@ impl Place {
     }
 }
 
-/// A triangulation or region, cut into two halves.
+/// A triangulation or region that is cut into two halves.
 struct Cut {
-    /// The tetrahedra of each half and the points to insert there.
+    /// The tetrahedra of each half, and the points to insert into it.
     regions: [(Cells, Vec<u32>); 2],
     places: Vec<Place>,
-    /// The facets on the cut, as (tetrahedron * 4 + place) on both sides.
+    /// The facets on the cut, as (tetrahedron * 4 + facet index) on both sides.
     seams: Vec<[u32; 2]>,
 }
 
 impl Cut {
-    /// Cuts at the median of the points to insert, across their longest extent. `None` if one side
-    /// would have less than [`SMALLEST_SHARE`] of the points, or no tetrahedra.
+    /// Cuts a region perpendicular to the longest extent of the points to insert, at their median.
+    /// Returns `None` if one side would have less than [`SMALLEST_SHARE`] of the points, or no
+    /// tetrahedra.
     fn new(cells: &Cells, sites: Sites<'_>, members: &[u32], depth: Beyond) -> Option<Self> {
         let at = |v: u32| sites.points[v as usize];
         let mut sample: Vec<DVec3> = members.iter().step_by(members.len() / SAMPLE + 1).map(|&v| at(v)).collect();

@@ -1,4 +1,4 @@
-//! Tests the triangulation against brute force and topological invariants on all kinds of
+//! Tests the triangulation against brute force and topological invariants on many kinds of
 //! degenerate input.
 
 use super::*;
@@ -22,7 +22,7 @@ fn grid(n: usize) -> Vec<DVec3> {
     points
 }
 
-/// Integer points exactly on one sphere of radius 21.
+/// Returns all integer points on a sphere of radius 21.
 fn cospherical() -> Vec<DVec3> {
     let mut set = BTreeSet::new();
     for x in -21i32..=21 {
@@ -46,8 +46,8 @@ fn torus(count: u64) -> Vec<DVec3> {
         .collect()
 }
 
-/// Neighbours agree, cells have positive volume, and every vertex is present. With the vertex at
-/// infinity, the triangulation has the Euler characteristic of the 3-sphere.
+/// Checks that neighbours are mutual, cells have positive volume, and every vertex is present. With
+/// the vertex at infinity, the triangulation must have the Euler characteristic of the 3-sphere.
 fn check_structure(d: &Delaunay) {
     let mut seen = HashSet::new();
     let (mut edges, mut facets, mut cells) = (HashSet::new(), HashSet::new(), 0);
@@ -83,7 +83,7 @@ fn check_structure(d: &Delaunay) {
     }
 }
 
-/// No point lies strictly inside any circumsphere or strictly outside any hull triangle.
+/// Checks that no point lies strictly inside a circumsphere or strictly outside a hull triangle.
 fn check_spheres(d: &Delaunay) {
     for (t, v) in d.tetrahedra() {
         let corners = |p: DVec3| v.map(|i| if i == INFINITE { p } else { d.points()[i as usize] });
@@ -122,7 +122,7 @@ fn random_points_in_a_cube() {
     check_spheres(&d);
     let large = Delaunay::new(&cube(20_000)).unwrap();
     check_structure(&large);
-    // Poisson points have 6.77 cells per vertex on average; the hull reduces this
+    // Poisson points have 6.77 cells per vertex on average; cells are missing at the hull
     let ratio = large.finite_tetrahedra().count() as f64 / 20_000.0;
     assert!((6.3..6.8).contains(&ratio), "{ratio} cells a vertex");
 }
@@ -213,7 +213,7 @@ fn later_insertions_give_the_triangulation_of_the_whole() {
     }
 }
 
-/// Cuts regions down to a few points.
+/// Limits that cut regions down to a few points.
 const FINELY: Cutting = Cutting { points: 40, depth: 6 };
 
 #[test]
@@ -262,8 +262,8 @@ fn regions_are_open_to_later_insertions() {
     assert_eq!(cells(&grown), cells(&Delaunay::new(&points).unwrap()));
 }
 
-/// The centre of a sphere sees the whole sphere, so its cavity has more walls than the edge table
-/// can hold.
+/// All tetrahedra contain the centre of the sphere in their circumspheres, so its cavity has more
+/// walls than the edge table can hold.
 #[test]
 fn large_cavities() {
     let on_sphere = |n: u64| {
@@ -303,7 +303,8 @@ fn scales_from_tiny_to_huge() {
 
 #[test]
 fn circumcentre_of_a_thin_cell_is_at_its_distance() {
-    // four points near a circle of radius 1 in the plane z = 0; the last one is lifted by `far`
+    // four points near a circle of radius 1 in the plane z = 0; the last point is displaced by
+    // `far`
     let p = |angle: f64, z: f64| DVec3::new(angle.cos(), angle.sin(), z);
     for far in [1e-3, 1e-6, 1e-9] {
         let corners = [p(0.0, 0.0), p(1.0, 0.0), p(2.5, 0.0), p(4.0, 0.0) * (1.0 + far) + DVec3::Z * far];
@@ -317,8 +318,8 @@ fn circumcentre_of_a_thin_cell_is_at_its_distance() {
 
 #[test]
 fn circumcentre_of_a_flat_cell_is_far_away_in_any_unit() {
-    // Quads in a tilted plane. Their volume is only the rounding of the coordinates, below the
-    // bound of the filter.
+    // These are quads in a tilted plane. Their volume results only from the rounding of the
+    // coordinates and is below the bound of the filter.
     let (u, v) = (DVec3::new(0.9, 0.2, -0.3).normalize(), DVec3::new(0.1, 0.7, 0.6));
     let mut undecided = 0;
     for k in 0..200u64 {

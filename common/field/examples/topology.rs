@@ -1,5 +1,5 @@
-//! Prints the topology of F = 0 for distance fields, the time it took, and digests of the complete
-//! result for comparing two builds of the code:
+//! Prints the topology of F = 0 for distance fields and the time for computing it. Also prints
+//! digests of the complete result, for comparing two builds of the code:
 //! `cargo run --release -p isoparticles-field --example topology -- F.vti [more.vti]`.
 
 use isoparticles_field::spline::CubicSpline;
@@ -49,7 +49,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Hash of debug output. Floats print with enough digits to read back exactly, so equal text means
+/// Returns a hash of debug output. Floats are printed at full precision, so equal strings mean
 /// equal bits.
 fn digest(text: &str) -> u64 {
     let mut hasher = DefaultHasher::new();

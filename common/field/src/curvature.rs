@@ -1,12 +1,13 @@
-//! Curvature of the level sets of F from its gradient and Hessian (Goldman, *Curvature formulas for
-//! implicit curves and surfaces*, 2005).
+//! Computes the curvature of the level sets of F from the gradient and Hessian of F (Goldman,
+//! *Curvature formulas for implicit curves and surfaces*, 2005).
 
 use crate::spline::{FLATTEST, Jet};
 use glam::{DMat3, DVec3};
 
-/// Curvature tensor of the level set through a point, per mm: the Hessian over the gradient's
-/// length, restricted to the tangent plane. Its eigenvalues are 0 (along the normal) and the two
-/// principal curvatures, positive on a ball. Zero where the gradient is shorter than [`FLATTEST`].
+/// Returns the curvature tensor of the level set through a point, per mm. It is the Hessian divided
+/// by the length of the gradient, restricted to the tangent plane. Its eigenvalues are 0 (along the
+/// normal) and the two principal curvatures, which are positive on a ball. The tensor is zero if
+/// the gradient is shorter than [`FLATTEST`].
 pub fn curvature_tensor(jet: &Jet) -> DMat3 {
     let slope = jet.gradient.length();
     if slope < FLATTEST {
@@ -17,8 +18,8 @@ pub fn curvature_tensor(jet: &Jet) -> DMat3 {
     across * jet.hessian * across * (1.0 / slope)
 }
 
-/// Absolute value of the principal curvature of larger magnitude, per mm, given the curvature
-/// tensor of a surface with unit normal n.
+/// Returns the larger absolute value of the two principal curvatures, per mm. `tensor` is the
+/// curvature tensor of a surface with unit normal n.
 pub fn largest_curvature(tensor: &DMat3, n: DVec3) -> f64 {
     let u = n.any_orthonormal_vector();
     let v = n.cross(u);
@@ -27,7 +28,8 @@ pub fn largest_curvature(tensor: &DMat3, n: DVec3) -> f64 {
     (0.5 * (a + c)).abs() + (0.5 * (a - c)).hypot(b)
 }
 
-/// Mean curvature, per mm: half the divergence of the unit normal, 1/R on a ball of radius R.
+/// Returns the mean curvature, per mm: half the divergence of the unit normal, which is 1/R on a
+/// ball of radius R.
 pub fn mean_curvature(jet: &Jet) -> f64 {
     let slope = jet.gradient.length().max(FLATTEST);
     let trace = jet.hessian.x_axis.x + jet.hessian.y_axis.y + jet.hessian.z_axis.z;

@@ -1,23 +1,25 @@
-//! Volumes enclosed by an implicit surface, one for each connected component of a mesh of it.
+//! Computes the volumes enclosed by an implicit surface, one for each connected component of a mesh
+//! of this surface.
 //!
-//! The mesh vertices are moved onto the surface. The normals at the ends of an edge give the height
-//! of the surface over the edge's middle. These heights give the volume between a triangle and the
-//! surface, which is taken to be quadratic over the triangle. Edges over which the surface bends
-//! too much are divided; the decision depends on the edge alone, so the triangles remain a closed
-//! surface. Parts of the surface missing from the mesh are ignored.
+//! The mesh vertices are moved onto the surface. The normals at both ends of an edge give the
+//! height of the surface over the midpoint of the edge. These heights give the volume between a
+//! triangle and the surface, which is assumed to be quadratic over the triangle. Edges over which
+//! the surface bends too much are divided. The decision depends only on the edge, so the triangles
+//! remain a closed surface. Parts of the surface that the mesh lacks are ignored.
 
 use fearless_simd::{Level, dispatch};
 use glam::DVec3;
 use isoparticles_mesh::{TriangleMesh, components};
 use rayon::prelude::*;
 
-/// An edge is divided if the height of the surface over its middle exceeds this fraction of its
-/// length. With 0.1 the volume of a ball of 0.9 voxel is off by 0.07 %, with 0.13 by 0.11 % (test
-/// `balls_and_rods_have_their_volumes`).
+/// An edge is divided if the height of the surface over its midpoint exceeds this fraction of its
+/// length. With 0.1, the volume of a ball of 0.9 voxel is off by 0.07 %; with 0.13, it is off by
+/// 0.11 % (test `balls_and_rods_have_their_volumes`).
 const FLAT: f64 = 0.1;
 
-/// Over a triangle with corners on a sphere, the volume is the area times the height over the edges
-/// times 1 + 10.7 (height / edge)^2, to next order, by the solid angle of the spherical triangle.
+/// Coefficient of the next-order term for a triangle with corners on a sphere. The volume over the
+/// triangle is the area times the height over the edges times 1 + 10.7 (height / edge)^2, derived
+/// from the solid angle of the spherical triangle.
 const SPHERE: f64 = 10.7;
 
 /// Maximum number of times an edge is divided.
@@ -34,13 +36,14 @@ const LONGEST_STEP: f64 = 0.3;
 /// voxel).
 const TOLERANCE: f64 = 0.03;
 
-/// Vertices, or triangles, per parallel task.
+/// Number of vertices, or of triangles, per parallel task.
 const CHUNK: usize = 1024;
 
-/// Volumes (mm^3) enclosed by the zero set of an implicit function (negative inside), one per
-/// component of `mesh`, in the order of [`components::of_vertices`]; those of cavities are
-/// negative. `value_gradient` takes points in the frame of the mesh. No vertex may be farther than
-/// `near` (mm) from the surface. The result does not depend on the number of threads.
+/// Returns the volumes (mm^3) enclosed by the zero set of an implicit function (negative inside).
+/// There is one volume per component of `mesh`, in the order of [`components::of_vertices`].
+/// Volumes of cavities are negative. `value_gradient` takes points in the frame of the mesh. No
+/// vertex may be farther than `near` (mm) from the surface. The result does not depend on the
+/// number of threads.
 pub fn enclosed_volumes(
     mesh: &TriangleMesh,
     near: f64,
@@ -49,8 +52,8 @@ pub fn enclosed_volumes(
     let (component, count) = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
     let surface = Surface { value_gradient, longest: LONGEST_STEP * near };
     let instructions = Level::new();
-    // plain loops instead of closures, which `dispatch!` would not compile for the instruction set
-    // at hand
+    // plain loops instead of closures: `dispatch!` would not compile closures for the available
+    // instruction set
     let vertices = mesh.vertices.par_chunks(CHUNK).flat_map_iter(|chunk| {
         let mut found = Vec::with_capacity(chunk.len());
         dispatch!(instructions, _simd => {
@@ -78,7 +81,7 @@ pub fn enclosed_volumes(
     found
 }
 
-/// A point of the surface and its unit normal; the normal is zero where the projection failed.
+/// A point on the surface and its unit normal. The normal is zero if the projection failed.
 #[derive(Clone, Copy)]
 struct Vertex {
     place: DVec3,
@@ -87,13 +90,13 @@ struct Vertex {
 
 struct Surface<F> {
     value_gradient: F,
-    /// Longest step of a projection, mm.
+    /// Maximum step length of a projection in mm.
     longest: f64,
 }
 
 impl<F: Fn(DVec3) -> (f64, DVec3)> Surface<F> {
-    /// The point of the surface that Newton's method reaches from `start`; if it does not converge,
-    /// `start` itself with a zero normal.
+    /// Returns the point on the surface that Newton's method reaches from `start`. If the method
+    /// does not converge, returns `start` with a zero normal.
     #[inline(always)]
     fn project(&self, start: DVec3) -> Vertex {
         let mut place = start;
@@ -112,8 +115,8 @@ impl<F: Fn(DVec3) -> (f64, DVec3)> Surface<F> {
         Vertex { place: start, normal: DVec3::ZERO }
     }
 
-    /// Signed volume (mm^3) between the origin and the part of the surface over a triangle. `open`
-    /// is scratch space.
+    /// Returns the signed volume (mm^3) between the origin and the part of the surface over a
+    /// triangle. `open` is scratch space.
     #[inline(always)]
     fn integral(&self, corners: [Vertex; 3], open: &mut Vec<([Vertex; 3], u32)>) -> f64 {
         let mut sum = 0.0;
@@ -176,7 +179,7 @@ mod tests {
             assert_eq!(found.len(), 1);
             assert!((found[0] / volume - 1.0).abs() < 1e-3, "{radius}: {}", found[0] / volume);
         }
-        // a rod whose cross section has the area of a voxel's face, with round ends
+        // a rod with round ends, whose cross section has the area of a voxel face
         let radius = PI.sqrt().recip();
         let rod = |p: DVec3| {
             let nearest = DVec3::new(p.x.clamp(5.0, 15.0), 10.0, 10.0);

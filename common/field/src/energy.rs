@@ -1,52 +1,52 @@
 //! The inter-particle energy: Eq. 1, 2 and 4 of Kim, Chen and Hansen 2012 (after Meyer, Georgel and
 //! Whitaker 2005).
 //!
-//! With x = d pi/2 and c = cot x, the pair energy is `c + x - pi/2`. Its first derivative in d is
-//! `-(pi/2) c^2` (Eq. 4, with 1 - 1/sin^2 = -cot^2), its second `(pi^2/2) c (1 + c^2)`. One tangent
-//! serves all three. Eq. 2 prints 2 cos(pi/2), which is zero; the correct factor is 2
-//! cos(pi/6) = sqrt(3). It puts the second ring of the hexagonal lattice of spacing h exactly at
-//! the cut-off d = 1.
+//! With x = d pi/2 and c = cot x, the pair energy is `c + x - pi/2`. Its first derivative with
+//! respect to d is `-(pi/2) c^2` (Eq. 4, with 1 - 1/sin^2 = -cot^2). Its second derivative is
+//! `(pi^2/2) c (1 + c^2)`. All three need only one tangent. Eq. 2 prints 2 cos(pi/2), which is
+//! zero; the correct factor is 2 cos(pi/6) = sqrt(3). With this factor, the second ring of the
+//! hexagonal lattice of spacing h lies exactly at the cut-off d = 1.
 
 use fearless_simd::{Simd, f64x8, prelude::*};
 use glam::{DMat3, DVec3};
 use std::f64::consts::{FRAC_2_PI, FRAC_PI_2, PI};
 
-/// Interaction radius in target edge lengths (Eq. 2): 2 cos(pi/6) = sqrt(3).
+/// Interaction radius in units of the target edge length (Eq. 2): 2 cos(pi/6) = sqrt(3).
 pub const SUPPORT: f64 = 1.732_050_807_568_877_2;
 
-/// Minimum scaled distance. Closer particles are treated as this far apart, so that energy and
-/// forces are finite.
+/// Minimum scaled distance. Closer particles are treated as if they were this far apart, so that
+/// energy and forces are finite.
 pub const LEAST_SCALED_DISTANCE: f64 = 1e-6;
 
-/// Ideal energy as printed in section 3.3: six times the ideal *distance* 0.577, not the energy of
-/// Eq. 1.
+/// Ideal energy as printed in section 3.3. It is six times the ideal *distance* 0.577 instead of
+/// the energy of Eq. 1.
 pub const PRINTED_IDEAL_ENERGY: f64 = 3.462;
 
-/// Energy of a particle whose six neighbours lie on the hexagonal lattice of spacing h: 6
-/// E(1/sqrt(3)) = 0.7108.
+/// Returns the energy of a particle whose six neighbours lie on the hexagonal lattice of spacing h:
+/// 6 E(1/sqrt(3)) = 0.7108.
 pub fn ideal_energy() -> f64 {
     6.0 * pair_energy(1.0 / SUPPORT)
 }
 
-/// Energy (Eq. 1) of a particle in the hexagonal lattice of this spacing (in h), summed over all
-/// rings within the cut-off. It is 0.7108 at spacing 1 ([`ideal_energy`]).
+/// Returns the energy (Eq. 1) of a particle in a hexagonal lattice, summed over all rings within
+/// the cut-off. `spacing` is in units of h. The energy is 0.7108 at spacing 1 ([`ideal_energy`]).
 pub fn lattice_energy(spacing: f64) -> f64 {
-    // the lattice is six rotations of the points a u + b v with a > 0 and b >= 0, which are
-    // sqrt(a^2 + a b + b^2) spacings from the origin
+    // the lattice consists of six rotations of the points a u + b v with a > 0 and b >= 0, whose
+    // distance from the origin is sqrt(a^2 + a b + b^2) spacings
     let last = (SUPPORT / spacing).ceil() as u32;
     let place =
         |a: u32, b: u32| pair_energy(scaled_distance(f64::from(a * a + a * b + b * b).sqrt() * spacing, 1.0, 1.0));
     6.0 * (1..=last).flat_map(|a| (0..=last).map(move |b| (a, b))).map(|(a, b)| place(a, b)).sum::<f64>()
 }
 
-/// Minimum result of [`lattice_spacing`], in h.
+/// Minimum result of [`lattice_spacing`], in units of h.
 const LEAST_SPACING: f64 = 0.05;
 
-/// Spacing (in h) of the hexagonal lattice whose particles have this energy: 1 for
-/// [`ideal_energy`], 0.657 for [`PRINTED_IDEAL_ENERGY`]. The result is limited to 0.05 to
-/// [`SUPPORT`].
+/// Returns the spacing, in units of h, of the hexagonal lattice whose particles have the given
+/// energy: 1 for [`ideal_energy`], 0.657 for [`PRINTED_IDEAL_ENERGY`]. The result is limited to the
+/// range from 0.05 to [`SUPPORT`].
 pub fn lattice_spacing(energy: f64) -> f64 {
-    // exactly 1 for the ideal energy; bisection would only reach it up to rounding
+    // exactly 1 for the ideal energy; bisection would reach 1 only up to rounding
     if energy == ideal_energy() {
         return 1.0;
     }
@@ -60,13 +60,14 @@ pub fn lattice_spacing(energy: f64) -> f64 {
     }
 }
 
-/// Distance of two particles over [`SUPPORT`] times the smaller of their target edge lengths
-/// (Eq. 2), dimensionless.
+/// Returns the dimensionless scaled distance of two particles (Eq. 2): their distance divided by
+/// [`SUPPORT`] times the smaller of their target edge lengths.
 pub fn scaled_distance(distance: f64, size_i: f64, size_j: f64) -> f64 {
     distance / (SUPPORT * size_i.min(size_j))
 }
 
-/// Pair energy at scaled distance d (Eq. 1): infinite at d = 0, zero from d = 1 on.
+/// Returns the pair energy at scaled distance d (Eq. 1). It is infinite at d = 0 and zero from
+/// d = 1 on.
 pub fn pair_energy(d: f64) -> f64 {
     if d >= 1.0 {
         return 0.0;
@@ -75,7 +76,8 @@ pub fn pair_energy(d: f64) -> f64 {
     1.0 / x.tan() + x - FRAC_PI_2
 }
 
-/// Pair energy and its first and second derivative in the scaled distance (Eq. 1 and 4).
+/// Returns the pair energy and its first and second derivatives with respect to the scaled distance
+/// (Eq. 1 and 4).
 pub fn pair_energy_derivatives(d: f64) -> (f64, f64, f64) {
     if d >= 1.0 {
         return (0.0, 0.0, 0.0);
@@ -85,14 +87,14 @@ pub fn pair_energy_derivatives(d: f64) -> (f64, f64, f64) {
     (c + x - FRAC_PI_2, -FRAC_PI_2 * c * c, 0.5 * PI * PI * c * (1.0 + c * c))
 }
 
-/// Energy, gradient (per mm) and Hessian (per mm squared) of one pair with respect to the first
-/// particle's position, with both sizes held fixed. `offset` is p_i - p_j (mm).
+/// Returns the energy, gradient (per mm) and Hessian (per mm squared) of one pair with respect to
+/// the position of the first particle. Both sizes are held fixed. `offset` is p_i - p_j in mm.
 ///
-/// The Hessian has both terms: the second derivative along the pair, and the first derivative over
-/// the distance across it.
+/// The Hessian is the sum of two terms: the second derivative along the pair, and the first
+/// derivative divided by the distance across the pair.
 pub fn pair_jet(offset: DVec3, size_i: f64, size_j: f64) -> (f64, DVec3, DMat3) {
     let reach = SUPPORT * size_i.min(size_j);
-    // the lower limit keeps energy and derivatives finite; at offset zero the gradient is zero
+    // the lower limit keeps energy and derivatives finite; the gradient is zero at offset zero
     let distance = offset.length().max(LEAST_SCALED_DISTANCE * reach);
     if distance >= reach {
         return (0.0, DVec3::ZERO, DMat3::ZERO);
@@ -105,30 +107,30 @@ pub fn pair_jet(offset: DVec3, size_i: f64, size_j: f64) -> (f64, DVec3, DMat3) 
     (energy, u * (first / reach), outer * (along - across) + DMat3::from_diagonal(DVec3::splat(across)))
 }
 
-/// Derivative of a pair's energy with respect to the first particle's size (per mm). Zero where the
-/// second particle is smaller.
+/// Returns the derivative of a pair's energy with respect to the size of the first particle (per
+/// mm). The derivative is zero if the second particle is smaller.
 ///
-/// Eq. 3 holds the sizes fixed, but a particle that moves changes its h. Without this term, the
-/// energy test rejects steps wherever h varies.
+/// Eq. 3 holds the sizes fixed, but h changes when a particle moves. Without this term, the energy
+/// test rejects steps wherever h varies.
 pub fn pair_size_derivative(distance: f64, size_i: f64, size_j: f64) -> f64 {
     let d = scaled_distance(distance, size_i, size_j);
     if size_i > size_j || d >= 1.0 { 0.0 } else { -pair_energy_derivatives(d).1 * d / size_i }
 }
 
-/// Eight pairs at once: Eq. 1 and 4 with a polynomial in place of the tangent.
+/// Evaluates eight pairs at once: Eq. 1 and 4 with a polynomial instead of the tangent.
 ///
-/// With s = d^2, x cot x is an even function of x that vanishes with 1 - s, so
-/// `cot x = (1 - s) Q(s) / x`. The nearest pole of Q is at s = 4, so each degree of a polynomial
-/// over 0 to 1 gains more than a digit. Degree 10 is within 4e-13 of Q (fitted to
-/// `x cot x / (1 - s)` at Chebyshev points in 40 digits).
+/// With s = d^2, x cot x is an even function of x that vanishes at s = 1, so
+/// `cot x = (1 - s) Q(s) / x`. The nearest pole of Q is at s = 4, so each additional degree of a
+/// polynomial on the interval from 0 to 1 gains more than one digit. A polynomial of degree 10 is
+/// within 4e-13 of Q (fitted to `x cot x / (1 - s)` at Chebyshev points with 40 digits).
 ///
-/// Errors (tests): 4e-13 of 1 + E for the energy, 8e-13 of its value for the first derivative, and
-/// 1.2e-12 for the second, which is cubic in the cotangent. No operation is fused, so every
-/// instruction set gives the same bits.
+/// The tests measure these errors: 4e-13 of 1 + E for the energy, 8e-13 of its value for the first
+/// derivative, and 1.2e-12 of its value for the second, which is cubic in the cotangent. No
+/// operations are fused, so every instruction set gives the same bits.
 #[derive(Clone, Copy, Debug)]
 pub struct Pairs<S: Simd> {
-    /// Scaled distance d (Eq. 2), limited to [`LEAST_SCALED_DISTANCE`] to 1. At 1 the energy and
-    /// both derivatives are exactly zero.
+    /// Scaled distance d (Eq. 2), at least [`LEAST_SCALED_DISTANCE`] and at most one. At d = 1 the
+    /// energy and both derivatives are exactly zero.
     pub scaled: f64x8<S>,
     /// 1 / d.
     pub reciprocal: f64x8<S>,
@@ -151,12 +153,12 @@ const COTANGENT: [f64; 11] = [
 ];
 
 impl<S: Simd> Pairs<S> {
-    /// The pairs with these squared scaled distances.
+    /// Creates the pairs with the given squared scaled distances.
     #[inline(always)]
     pub fn new(squared: f64x8<S>) -> Self {
         let s = squared.max(LEAST_SCALED_DISTANCE * LEAST_SCALED_DISTANCE).min(1.0);
         let t = s * s;
-        // even and odd powers as two independent chains, which halves the latency
+        // two independent chains for even and odd powers halve the latency
         let [mut even, mut odd] = [COTANGENT[10], COTANGENT[9]].map(|c| f64x8::splat(s.token(), c));
         for power in [8, 6, 4, 2] {
             even = even * t + COTANGENT[power];
@@ -169,13 +171,13 @@ impl<S: Simd> Pairs<S> {
         Self { scaled, reciprocal, cotangent }
     }
 
-    /// E (Eq. 1).
+    /// Returns the energy E (Eq. 1).
     #[inline(always)]
     pub fn energy(&self) -> f64x8<S> {
         self.cotangent + (self.scaled - 1.0) * FRAC_PI_2
     }
 
-    /// First and second derivative in d (Eq. 4).
+    /// Returns the first and second derivatives with respect to d (Eq. 4).
     #[inline(always)]
     pub fn derivatives(&self) -> (f64x8<S>, f64x8<S>) {
         let square = self.cotangent * self.cotangent;
@@ -183,7 +185,7 @@ impl<S: Simd> Pairs<S> {
     }
 }
 
-/// Sum of eight lanes, in the same order on every instruction set.
+/// Returns the sum of eight lanes, added in the same order on every instruction set.
 #[inline(always)]
 pub fn sum<S: Simd>(lanes: f64x8<S>) -> f64 {
     let [a, b, c, d, e, f, g, h] = *lanes;
@@ -196,8 +198,8 @@ mod tests {
     use crate::random::uniform;
     use fearless_simd::{Level, dispatch};
 
-    /// Energy of a particle in an infinite hexagonal lattice of the given spacing (in h), summed
-    /// over all rings.
+    /// Returns the energy of a particle in an infinite hexagonal lattice, summed over all rings.
+    /// `spacing` is in units of h.
     fn energy_by_rows(spacing: f64) -> f64 {
         let mut sum = 0.0;
         for i in -8i32..=8 {
@@ -215,7 +217,7 @@ mod tests {
     fn ideal_energy_is_that_of_the_hexagonal_lattice() {
         assert!((ideal_energy() - 0.7108).abs() < 1e-4, "{}", ideal_energy());
         for (spacing, energy) in [(0.6, 4.60), (0.657, 3.462), (0.8, 1.76), (0.9, 1.12), (1.0, 0.711), (1.1, 0.434)] {
-            // the table is rounded to three digits, the spacing included
+            // the table is rounded to three digits, including the spacing
             assert!((lattice_energy(spacing) / energy - 1.0).abs() < 0.005, "{spacing}: {}", lattice_energy(spacing));
             assert!((lattice_energy(spacing) / energy_by_rows(spacing) - 1.0).abs() < 1e-12, "{spacing}");
             assert!((lattice_spacing(lattice_energy(spacing)) - spacing).abs() < 1e-14, "{spacing}");
@@ -269,7 +271,8 @@ mod tests {
         }
     }
 
-    /// Energy, first and second derivative at eight squared scaled distances, by [`Pairs`].
+    /// Returns the energy and its first and second derivatives at eight squared scaled distances,
+    /// computed with [`Pairs`].
     fn by_lanes(level: Level, squared: [f64; 8]) -> [[f64; 8]; 3] {
         #[inline(always)]
         fn jets<S: Simd>(simd: S, squared: [f64; 8]) -> [[f64; 8]; 3] {
@@ -287,7 +290,7 @@ mod tests {
         for n in 0..20_000 {
             let d: [f64; 8] = std::array::from_fn(|lane| {
                 let part = (f64::from(n) + lane as f64 / 8.0) / 20_000.0;
-                // evenly spread, and clustered at either end
+                // evenly spread, or clustered at either end
                 [part, 1e-6f64.powf(part), 1.0 - 1e-6f64.powf(part)][n as usize % 3].max(LEAST_SCALED_DISTANCE)
             });
             let found = by_lanes(levels[0], d.map(|d| d * d));
@@ -296,8 +299,8 @@ mod tests {
                 let (energy, first, second) = pair_energy_derivatives(d);
                 worst[0] = worst[0].max((found[0][lane] - energy).abs() / (1.0 + energy));
                 for (a, want) in [(1, first), (2, second)] {
-                    // d is the root of a rounded square: the error of 1 - d is 1e-16, that of the
-                    // cotangent 1e-16 / (1 - d)
+                    // d is the root of a rounded square: 1 - d has an error of 1e-16, and the
+                    // cotangent has an error of 1e-16 / (1 - d)
                     let rounding = 1e-15 / (1.0 - d).max(1e-15);
                     worst[a] = worst[a]
                         .max((found[a][lane] / want.abs().max(f64::MIN_POSITIVE) - want.signum()).abs() - rounding);

@@ -1,13 +1,13 @@
 //! Implicit surfaces F = 0 and the fields on them, after Kim, Chen and Hansen 2012.
 //!
-//! - [`spline`]: F itself, the cubic B-spline through samples of a signed distance (negative
-//!   inside), with analytic derivatives; [`curvature`] is computed from these.
+//! - [`spline`]: the function F, a cubic B-spline through samples of a signed distance (negative
+//!   inside), with analytic derivatives. [`curvature`] is computed from these derivatives.
 //! - [`sizing`]: the target edge length h. [`energy`]: the particle energy (Eq. 1, 2 and 4).
-//! - [`neighbours`]: neighbour search. [`random`]: counter-based random numbers, independent of the
-//!   order of evaluation.
+//! - [`neighbours`]: neighbour search. [`random`]: counter-based random numbers that do not depend
+//!   on the order of evaluation.
 //! - [`topology`]: components, Euler characteristics and critical points of F.
 //! - [`marching_cubes`]: a triangle mesh of F = 0.
-//! - [`materials`]: one such function for each of many materials.
+//! - [`materials`]: one implicit function for each of many materials.
 //!
 //! ```
 //! use glam::DVec3;

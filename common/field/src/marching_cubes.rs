@@ -1,12 +1,12 @@
-//! Marching cubes (Lorensen and Cline 1987): a closed, manifold triangulation of F = iso. The
-//! stages use it for seeds, components and dense samples of the surface.
+//! Marching cubes (Lorensen and Cline 1987): computes a closed, manifold triangulation of F = iso.
+//! The stages use it for seeds, components and dense samples of the surface.
 //!
-//! The case table is computed, not typed in. Where only two opposite corners of a cell face are
-//! inside, the sign at the saddle of the face decides whether they are joined across it (Nielson
-//! and Hamann 1991). The value there is that of a quadratic interpolant: the bilinear one breaks
-//! diagonal layers that are one voxel thin. Two cells that share a face always draw the same
-//! segments on it. The segments link up into loops, and each loop is cut into triangles without a
-//! diagonal on a cell face. Hence every edge lies in exactly two triangles.
+//! The case table is computed by the program. If only two opposite corners of a cell face are
+//! inside, the sign at the saddle of the face decides whether they are joined across the face
+//! (Nielson and Hamann 1991). The saddle value is that of a quadratic interpolant, because the
+//! bilinear interpolant breaks diagonal layers that are one voxel thin. Two cells that share a face
+//! always create the same segments on it. The segments form loops, and each loop is cut into
+//! triangles without a diagonal on a cell face. Every edge therefore lies in exactly two triangles.
 
 use crate::node_bits::{NodeBits, Side, WORD, each_bit, first_bits, shifted};
 use glam::DVec3;
@@ -17,19 +17,20 @@ use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::sync::OnceLock;
 
-/// Minimum distance (in edge lengths) of vertices from the grid nodes. No triangle degenerates
-/// where a sample equals the iso value.
+/// Minimum distance, in edge lengths, of vertices from the grid nodes. It prevents degenerate
+/// triangles where a sample equals the iso value.
 const CLEARANCE: f64 = 1e-3;
 
-/// Slices of cells per parallel task.
+/// Number of slices of cells per parallel task.
 const SLICES_PER_TASK: usize = 8;
 
-/// The surface between the samples below `iso` (inside) and the others, in the grid frame (mm).
+/// Returns the surface between the samples below `iso` (inside) and all other samples, in the grid
+/// frame (mm).
 ///
-/// Triangles are counter-clockwise seen from the larger values. Values equal to `iso` count as
-/// outside, and so do NaNs. The mesh is closed unless inside samples lie on the border of the
-/// image, where it ends. Its edges and vertices are manifold. The order of vertices and triangles
-/// does not depend on the number of threads.
+/// Triangles are counter-clockwise when seen from the side of the larger values. Values equal to
+/// `iso` and NaNs count as outside. The mesh is closed unless inside samples lie on the border of
+/// the image, where the mesh ends. Its edges and vertices are manifold. The order of vertices and
+/// triangles does not depend on the number of threads.
 pub fn marching_cubes(image: &Image<f32>, iso: f32) -> TriangleMesh {
     let [nx, ny, nz] = image.geometry.size;
     if nx < 2 || ny < 2 || nz < 2 {
@@ -58,12 +59,13 @@ pub fn marching_cubes(image: &Image<f32>, iso: f32) -> TriangleMesh {
 struct Grid<'a> {
     image: &'a Image<f32>,
     iso: f32,
-    /// Which nodes are inside. Most 64-bit words contain no crossing and are skipped as a whole.
+    /// Bit mask of the nodes that are inside. Most 64-bit words contain no crossing and are
+    /// skipped.
     inside: NodeBits,
 }
 
-/// Triangles in some slices of cells. Vertex indices from the number of edge vertices on refer to
-/// `centres`.
+/// Triangles in some slices of cells. A vertex index that is not smaller than the number of edge
+/// vertices refers to `centres`.
 #[derive(Default)]
 struct Part {
     triangles: Vec<[u32; 3]>,
@@ -71,13 +73,13 @@ struct Part {
 }
 
 /// Vertex numbers on the three grid edges that start at each node of a slice, x fastest. Entries of
-/// edges that are not crossed are arbitrary.
+/// edges without a crossing are arbitrary.
 struct SliceNumbers {
     on_edge: Vec<[u32; 3]>,
 }
 
 impl Grid<'_> {
-    /// Calls `visit(i, j, axis)` for the crossed grid edges that start in slice `k`, in the order
+    /// Calls `visit(i, j, axis)` for each crossed grid edge that starts in slice `k`, in the order
     /// of the vertex numbers.
     fn each_crossing(&self, k: usize, mut visit: impl FnMut(usize, usize, usize)) {
         let [nx, ny, nz] = self.image.geometry.size;
@@ -111,8 +113,8 @@ impl Grid<'_> {
         vertices
     }
 
-    /// Writes the vertex numbers of slice `k`, starting at `offset`. Entries of edges that are not
-    /// crossed stay unchanged.
+    /// Writes the vertex numbers of slice `k`, starting at `offset`. Entries of edges without a
+    /// crossing stay unchanged.
     fn number(&self, k: usize, offset: u32, numbers: &mut SliceNumbers) {
         let nx = self.image.geometry.size[0];
         let mut next = offset;
@@ -131,7 +133,7 @@ impl Grid<'_> {
         for &k in slices {
             self.number(k + 1, offsets[k + 1], &mut upper);
             for (j, word) in (0..ny - 1).flat_map(|j| (0..self.inside.width()).map(move |word| (j, word))) {
-                // y fastest, as the corners of a cell are numbered
+                // y fastest, in the order of the corners of a cell
                 let rows = [0, 1, ny, ny + 1].map(|n| {
                     let row = self.inside.row(k * ny + j + n);
                     (row[word], shifted(row, word, 1))
@@ -173,8 +175,8 @@ impl Grid<'_> {
         part
     }
 
-    /// One bit for each ambiguous face of the cell whose lowest node is `base`: whether its inside
-    /// corners are joined.
+    /// Returns one bit for each ambiguous face of the cell whose lowest node is `base`. The bit is
+    /// set if the inside corners of the face are joined.
     fn joined_faces(&self, ambiguous: &[[u8; 4]], base: usize) -> usize {
         let [nx, ny, _] = self.image.geometry.size;
         let node = |corner: u8| {
@@ -189,12 +191,12 @@ impl Grid<'_> {
     }
 }
 
-/// Value at the saddle of a cell face, given its two pairs of opposite nodes. It is that of the
-/// bilinear interpolant, corrected by the mean second differences along the two axes; second
-/// differences across the image border count as zero. Below the iso value, the inside corners are
-/// joined across the face.
+/// Returns the value at the saddle of a cell face, given its two pairs of opposite nodes. The value
+/// is that of the bilinear interpolant, corrected by the mean second differences along the two
+/// axes. Second differences across the image border count as zero. If the value is below the iso
+/// value, the inside corners are joined across the face.
 pub fn saddle_value(image: &Image<f32>, diagonal: [usize; 2], other: [usize; 2]) -> f64 {
-    // sorted, so that both cells of the face compute the same bits
+    // sorted, so that both cells at the face compute the same bits
     let mut nodes = [diagonal[0], diagonal[1], other[0], other[1]];
     nodes.sort_unstable();
     let [a, b, c, d] = nodes.map(|n| f64::from(image.data[n]));
@@ -208,13 +210,13 @@ pub fn saddle_value(image: &Image<f32>, diagonal: [usize; 2], other: [usize; 2])
     bilinear - 4.0 * MIDPOINT_BEND * (u * (1.0 - u) * along_u + v * (1.0 - v) * along_v)
 }
 
-/// The value midway between two nodes is their mean minus this times their mean second difference.
-/// With 0.2 each of the two nodes has the weight of 0.6 that it has in the cubic spline; the next
-/// nodes have -0.1, where the spline has -0.13.
+/// Factor of the mean second difference of two nodes, which is subtracted from their mean to obtain
+/// the value at the midpoint. With 0.2, each of the two nodes has the weight 0.6, as in the cubic
+/// spline. The next nodes have the weight -0.1; in the spline it is -0.13.
 pub const MIDPOINT_BEND: f64 = 0.2;
 
-/// Second difference at a node along the axis on which neighbours are `stride` nodes apart; zero on
-/// the image border.
+/// Returns the second difference at a node along the axis on which neighbours are `stride` nodes
+/// apart. It is zero on the image border.
 fn second_difference(image: &Image<f32>, node: usize, stride: usize) -> f64 {
     let [nx, ny, nz] = image.geometry.size;
     let (step, count) =
@@ -229,16 +231,16 @@ fn second_difference(image: &Image<f32>, node: usize, stride: usize) -> f64 {
 
 // ---- the case table ----------------------------------------------------------------------------
 
-/// Bit of a corner number that holds its offset along x, y and z. The four corners of one x are
-/// four neighbouring bits.
+/// Bit of a corner number that contains the offset of the corner along x, y and z. The four corners
+/// with the same x have four consecutive numbers.
 const AXIS_BIT: [u8; 3] = [4, 1, 2];
 
-/// Offset of a corner along each axis, 0 or 1.
+/// Returns the offset of a corner along each axis, 0 or 1.
 fn offset(corner: u8) -> [usize; 3] {
     AXIS_BIT.map(|bit| usize::from(corner & bit != 0))
 }
 
-/// An edge of the cell: its lower corner and its direction.
+/// An edge of the cell, given by its lower corner and its direction.
 #[derive(Clone, Copy)]
 struct Edge {
     corner: u8,
@@ -264,18 +266,18 @@ const fn edges() -> [Edge; 12] {
     list
 }
 
-/// One closed loop of the contour in a cell, as edges of the cell.
+/// One closed loop of the contour in a cell, as a list of cell edges.
 enum Piece {
     Triangles(Vec<[u8; 3]>),
-    /// Triangles around an extra vertex at the mean of the loop, where every triangulation has a
-    /// diagonal on a cell face.
+    /// Triangles around an extra vertex at the mean of the loop. It is used if every triangulation
+    /// has a diagonal on a cell face.
     Fan(Vec<u8>),
 }
 
 /// The contour for one pattern of inside corners.
 struct Case {
-    /// Faces with two opposite inside corners (the first and third), in the order of the bits of a
-    /// variant.
+    /// Faces with two opposite inside corners (the first and third corners), in the order of the
+    /// bits of a variant.
     ambiguous: Vec<[u8; 4]>,
     /// The contour for each choice of joined ambiguous faces.
     variants: Vec<Vec<Piece>>,
@@ -293,7 +295,8 @@ fn table() -> &'static [Case] {
     })
 }
 
-/// Faces with two opposite corners inside, rotated so that these are the first and the third.
+/// Returns the faces with two opposite inside corners, rotated so that these corners are the first
+/// and the third.
 fn ambiguous_faces(case: u8) -> Vec<[u8; 4]> {
     let pattern = |face: [u8; 4]| face.map(|corner| case >> corner & 1 == 1);
     faces()
@@ -305,14 +308,15 @@ fn ambiguous_faces(case: u8) -> Vec<[u8; 4]> {
         .collect()
 }
 
-/// The edge of the cell between two neighbouring corners.
+/// Returns the edge of the cell between two adjacent corners.
 fn edge_between(a: u8, b: u8) -> u8 {
     let low = a & b;
     let found = EDGES.iter().position(|e| e.corner == low && AXIS_BIT[e.axis] == a ^ b);
     found.expect("neighbouring corners of a face share an edge") as u8
 }
 
-/// The four corners of each face of the cell, counter-clockwise seen from outside the cell.
+/// Returns the four corners of each face of the cell, counter-clockwise when seen from outside the
+/// cell.
 fn faces() -> impl Iterator<Item = [u8; 4]> {
     (0..3usize).flat_map(|axis| {
         let (b, c) = (AXIS_BIT[(axis + 1) % 3], AXIS_BIT[(axis + 2) % 3]);
@@ -321,8 +325,8 @@ fn faces() -> impl Iterator<Item = [u8; 4]> {
     })
 }
 
-/// Closed loops of the contour on the surface of the cell, with the inside always on the same hand.
-/// The bits of `variant` say which ambiguous faces join their inside corners.
+/// Returns the closed loops of the contour on the surface of the cell, with the inside always on
+/// the same side. The bits of `variant` tell which ambiguous faces join their inside corners.
 fn loops(case: u8, variant: usize) -> Vec<Vec<u8>> {
     let inside = |corner: u8| case >> corner & 1 == 1;
     let mut next = [None; 12];
@@ -337,14 +341,14 @@ fn loops(case: u8, variant: usize) -> Vec<Vec<u8>> {
             if !inside(face[start]) || inside(face[(start + 3) % 4]) {
                 continue;
             }
-            // a run of inside corners from `start` to `end`: one segment cuts it off from the
-            // rest ...
+            // a run of inside corners from `start` to `end`: one segment separates the run from the
+            // other corners of the face
             let mut end = start;
             while inside(face[(end + 1) % 4]) {
                 end = (end + 1) % 4;
             }
             if joined {
-                // ... or, on a joined face, cuts off the outside corner before `start`
+                // on a joined face, the segment separates the outside corner before `start`
                 end = (end + 2) % 4;
             }
             let entering = edge_between(face[(start + 3) % 4], face[start]);
@@ -376,9 +380,9 @@ fn cut(cycle: Vec<u8>) -> Piece {
     }
 }
 
-/// Cuts off ears until one triangle is left, without diagonals on a cell face; backtracks where
-/// only such diagonals remain. `given_up` holds remainders of the cycle that are known to fail.
-/// Returns whether it succeeded.
+/// Cuts off ears until one triangle is left, without diagonals on a cell face. Backtracks if only
+/// such diagonals remain. `given_up` contains remainders of the cycle that are known to fail.
+/// Returns whether the cut succeeded.
 fn cut_without_face_diagonals(cycle: &[u8], triangles: &mut Vec<[u8; 3]>, given_up: &mut BTreeSet<Vec<u8>>) -> bool {
     if let &[a, b, c] = cycle {
         triangles.push([a, b, c]);
@@ -404,7 +408,7 @@ fn cut_without_face_diagonals(cycle: &[u8], triangles: &mut Vec<[u8; 3]>, given_
     false
 }
 
-/// One bit for each of the two faces of the cell that contain an edge.
+/// Returns one bit for each of the two faces of the cell that contain an edge.
 fn faces_of(edge: u8) -> u8 {
     let Edge { corner, axis } = EDGES[usize::from(edge)];
     let face = |across: usize| 1 << (2 * across + usize::from(corner & AXIS_BIT[across] != 0));

@@ -1,10 +1,11 @@
-//! Neighbour search over points with individual radii of interaction.
+//! Searches for neighbours among points with individual interaction radii.
 //!
 //! [`NeighbourLists`] lists the neighbours of every point. It uses a tree of boxes over the points
-//! in spatial order, eight to a box, so that queries run on SIMD lanes over contiguous memory.
-//! [`LevelBins`] answers queries at arbitrary positions, with one grid of bins for each octave of
-//! h. The cost of a query does not depend on the contrast of h. The paper's single bin edge max(h),
-//! a limitation that it states, makes fine regions pay for coarse ones.
+//! in spatial order, with eight points per box, so that queries run on SIMD lanes over contiguous
+//! memory. [`LevelBins`] answers queries at arbitrary positions, with one grid of bins for each
+//! octave of h. The cost of a query does not depend on the contrast of h. The paper uses a single
+//! bin edge max(h), which makes queries in fine regions as expensive as in coarse regions; it
+//! states this limitation.
 
 mod bins;
 mod elimination;
@@ -18,45 +19,46 @@ use rayon::prelude::*;
 use std::ops::Range;
 use tree::{Candidates, LANES, Tree};
 
-/// Relative widening of bins and boxes, so that rounding puts no interaction beyond the next one.
+/// Relative widening of bins and boxes. It ensures that rounding moves no interaction beyond the
+/// adjacent bin.
 const WIDENING: f64 = 1e-9;
 
-/// Points per block of [`NeighbourLists::independent_blocks`]. The data that a pass reads for a
-/// block and its surroundings stays in the first caches of a core, and a few thousand points make
+/// Number of points per block of [`NeighbourLists::independent_blocks`]. The data that a pass needs
+/// for a block and its surroundings stays in the first caches of a core. A few thousand points give
 /// enough blocks for all cores.
 pub const BLOCK: usize = 128;
 
-/// Points whose lists are made and stored together. A few thousand points make enough chunks for
-/// all cores. A multiple of [`BLOCK`] and of [`LANES`].
+/// Number of points whose lists are created and stored together. A few thousand points give enough
+/// chunks for all cores. It is a multiple of [`BLOCK`] and of [`LANES`].
 const CHUNK: usize = 4 * BLOCK;
 
 /// Neighbours of every point.
 #[derive(Clone, Debug, Default)]
 pub struct NeighbourLists {
     count: usize,
-    /// The lists of [`CHUNK`] points each.
+    /// Lists of [`CHUNK`] points each.
     chunks: Vec<Lists>,
-    /// The tree that made the lists; the next lists reuse its memory.
+    /// Tree from which the lists were created. The next lists reuse its memory.
     tree: Tree,
 }
 
 /// Lists of consecutive points.
 #[derive(Clone, Debug, Default)]
 struct Lists {
-    /// Start of each list, and the end of the last.
+    /// Start of each list, followed by the end of the last list.
     starts: Vec<u32>,
     members: Vec<u32>,
 }
 
 impl NeighbourLists {
-    /// Lists, for each point i, the others j that are nearer than `reach * min(h_i, h_j)` and for
-    /// which `accept(i, j)` holds. Sizes must be positive and finite. Fastest if the points are in
-    /// spatial order ([`space_order`]).
+    /// Lists, for each point i, the other points j that are nearer than `reach * min(h_i, h_j)` and
+    /// for which `accept(i, j)` is true. Sizes must be positive and finite. The function is fastest
+    /// if the points are in spatial order ([`space_order`]).
     pub fn new(points: &[DVec3], sizes: &[f64], reach: f64, accept: impl Fn(usize, usize) -> bool + Sync) -> Self {
         Self::default().anew(points, sizes, reach, accept)
     }
 
-    /// As [`Self::new`], but reuses the memory of these lists, which are dropped.
+    /// Creates lists like [`Self::new`], but reuses the memory of these lists, which are dropped.
     #[must_use]
     pub fn anew(
         mut self,
@@ -99,7 +101,7 @@ impl NeighbourLists {
         })
     }
 
-    /// Makes the lists of `count` points, chunk by chunk.
+    /// Creates the lists of `count` points, chunk by chunk.
     fn of_chunks(mut self, count: usize, append: impl Fn(Range<usize>, &mut Lists) + Sync) -> Self {
         self.count = count;
         self.chunks.resize_with(count.div_ceil(CHUNK), Lists::default);
@@ -115,34 +117,35 @@ impl NeighbourLists {
         self
     }
 
-    /// Neighbours of point i.
+    /// Returns the neighbours of point i.
     #[inline]
     pub fn of(&self, i: usize) -> &[u32] {
         let (lists, i) = (&self.chunks[i / CHUNK], i % CHUNK);
         &lists.members[lists.starts[i] as usize..lists.starts[i + 1] as usize]
     }
 
-    /// Number of points.
+    /// Returns the number of points.
     pub fn len(&self) -> usize {
         self.count
     }
 
-    /// Whether there are no points.
+    /// Returns whether there are no points.
     pub fn is_empty(&self) -> bool {
         self.count == 0
     }
 
-    /// Mean number of neighbours.
+    /// Returns the mean number of neighbours.
     pub fn mean_count(&self) -> f64 {
         self.chunks.iter().map(|lists| lists.members.len()).sum::<usize>() as f64 / self.count.max(1) as f64
     }
 
-    /// Divides the points into blocks of [`BLOCK`] consecutive ones, and the blocks into classes,
-    /// so that no point has a neighbour in another block of its class (greedy colouring, smallest
-    /// free colour). The blocks of a class can run at the same time, each point by point: no block
-    /// reads a point that another one moves, whatever the contrast of h. This is the paper's rule
-    /// (section 4) that overlapping neighbourhoods must not run together. The points should be in
-    /// spatial order ([`space_order`]).
+    /// Divides the points into blocks of [`BLOCK`] consecutive points, and the blocks into classes,
+    /// so that no point has a neighbour in another block of its class. The classes are computed by
+    /// greedy colouring with the smallest free colour. All blocks of a class can be processed at
+    /// the same time, each point by point. Regardless of the contrast of h, no block reads a point
+    /// that another block of its class moves. This is the paper's rule (section 4) that overlapping
+    /// neighbourhoods must not be processed together. The points should be in spatial order
+    /// ([`space_order`]).
     pub fn independent_blocks(&self) -> Vec<Vec<u32>> {
         let blocks = self.len().div_ceil(BLOCK);
         let seen: Vec<Vec<u32>> = (0..blocks)
@@ -165,7 +168,7 @@ impl NeighbourLists {
             .collect();
         let mut colour: Vec<usize> = Vec::with_capacity(blocks);
         let mut classes: Vec<Vec<u32>> = Vec::new();
-        // the last block with a neighbour in each colour
+        // for each colour, the last block with a neighbour of that colour
         let mut seen_by: Vec<usize> = Vec::new();
         for (block, seen) in seen.iter().enumerate() {
             seen.iter().for_each(|&other| seen_by[colour[other as usize]] = block);
@@ -181,7 +184,7 @@ impl NeighbourLists {
     }
 }
 
-/// Appends the lists of the points in `range`, which starts with a run.
+/// Appends the lists of the points in `range`, which starts at the first point of a run.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "a closure's body, so that it is compiled for each instruction set")]
 fn append_lists<S: Simd>(

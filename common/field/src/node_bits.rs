@@ -1,13 +1,13 @@
-//! One bit for each node of a grid, in rows of whole words: 64 nodes are compared with their
-//! neighbours at once.
+//! Stores one bit for each node of a grid, in rows of whole words, so that 64 nodes are compared
+//! with their neighbours at once.
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
 
-/// Nodes per word.
+/// Number of nodes per word.
 pub(crate) const WORD: usize = u64::BITS as usize;
 
-/// Nodes that one lane operation compares.
+/// Number of nodes that one lane operation compares.
 const LANES: usize = 16;
 
 /// The side of a level on which values are marked.
@@ -17,7 +17,7 @@ pub(crate) enum Side {
     Above,
 }
 
-/// The bits of all nodes. Each row along x starts with a new word; bits beyond the end of a row are
+/// The bits of all nodes. Each row along x starts with a new word. Bits beyond the end of a row are
 /// zero.
 pub(crate) struct NodeBits {
     words: Vec<u64>,
@@ -25,8 +25,8 @@ pub(crate) struct NodeBits {
 }
 
 impl NodeBits {
-    /// Marks the values (x fastest, rows of `nx`) strictly on one side of a level. NaN is never
-    /// marked.
+    /// Marks the values that lie strictly on one side of a level. The values are stored x fastest,
+    /// in rows of `nx`. NaN is never marked.
     pub(crate) fn of(values: &[f32], nx: usize, side: Side, level: f32) -> Self {
         let width = nx.div_ceil(WORD);
         if values.is_empty() {
@@ -40,23 +40,23 @@ impl NodeBits {
         Self { words, width }
     }
 
-    /// Words per row.
+    /// Returns the number of words per row.
     pub(crate) fn width(&self) -> usize {
         self.width
     }
 
-    /// The words of a row, whose number is j + ny k.
+    /// Returns the words of a row. The row at indices j and k has the number j + ny k.
     pub(crate) fn row(&self, row: usize) -> &[u64] {
         self.rows(row, 1)
     }
 
-    /// The words of some consecutive rows.
+    /// Returns the words of some consecutive rows.
     pub(crate) fn rows(&self, first: usize, count: usize) -> &[u64] {
         &self.words[first * self.width..][..count * self.width]
     }
 }
 
-/// Sets the bits of a row; `words` must be zero.
+/// Sets the bits of a row. All `words` must be zero.
 #[inline(always)]
 fn mark<S: Simd>(simd: S, row: &[f32], side: Side, level: f32, words: &mut [u64]) {
     let (whole, rest) = row.as_chunks::<LANES>();
@@ -77,8 +77,9 @@ fn mark<S: Simd>(simd: S, row: &[f32], side: Side, level: f32, words: &mut [u64]
     }
 }
 
-/// The bits of the nodes that follow those of a word of a row at a distance of `by` nodes, less
-/// than a word. Bits beyond the ends of the row are one.
+/// Returns the bits of the nodes that are `by` nodes after those of a word in a row, or before them
+/// if `by` is negative. The distance must be less than a word. Bits beyond the ends of the row are
+/// one.
 pub(crate) fn shifted(row: &[u64], word: usize, by: isize) -> u64 {
     let at = |word: Option<usize>| word.and_then(|word| row.get(word)).copied().unwrap_or(u64::MAX);
     let own = row[word];
@@ -89,7 +90,7 @@ pub(crate) fn shifted(row: &[u64], word: usize, by: isize) -> u64 {
     }
 }
 
-/// Calls `visit` with the place of every bit that is set, ascending.
+/// Calls `visit` with the index of every bit that is set, ascending.
 pub(crate) fn each_bit(mut bits: u64, mut visit: impl FnMut(usize)) {
     while bits != 0 {
         visit(bits.trailing_zeros() as usize);
@@ -97,7 +98,7 @@ pub(crate) fn each_bit(mut bits: u64, mut visit: impl FnMut(usize)) {
     }
 }
 
-/// The first `count` bits of a word, all of them at most.
+/// Returns the first `count` bits of a word, or all bits if `count` is larger.
 pub(crate) fn first_bits(count: usize) -> u64 {
     if count >= WORD { u64::MAX } else { (1 << count) - 1 }
 }

@@ -1,38 +1,41 @@
-//! The particles that `seed` creates, `particles` settles and `reconstruct` joins into a mesh.
+//! The particles that `seed` creates, `particles` moves into equilibrium and `reconstruct` connects
+//! to a mesh.
 
 use crate::materials::Stratum;
 use glam::DVec3;
 use isoparticles_volume::Geometry;
 use serde::{Deserialize, Serialize};
 
-/// Particles on the isosurface, in the grid frame of the distance field they were made from.
+/// Particles on the isosurface, in the grid frame of the distance field from which they were
+/// created.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ParticleSet {
-    /// Geometry of that distance field.
+    /// Geometry of this distance field.
     pub geometry: Geometry,
-    /// Positions, grid frame, mm.
+    /// Positions in the grid frame, mm.
     pub positions: Vec<DVec3>,
-    /// Unit normals (gradient of F, outward), grid frame.
+    /// Unit normals in the grid frame (direction of the gradient of F, outward).
     pub normals: Vec<DVec3>,
-    /// Target edge length h at each particle, mm.
+    /// Target edge length h at each particle in mm.
     pub sizes: Vec<f64>,
-    /// Energy of each particle (Eq. 1); zero if not computed yet.
+    /// Energy of each particle (Eq. 1). Zero if not computed yet.
     pub energies: Vec<f64>,
     /// Levenberg-Marquardt damping of each particle.
     pub lambdas: Vec<f64>,
 }
 
-/// Strata of the particles of many materials, in the order of their [`ParticleSet`]: first junction
+/// The strata of multi-material particles, in the order of the [`ParticleSet`]: first junction
 /// points, then particles on junction curves, then particles on material interfaces.
 ///
-/// On an interface, the normal points from the material of the higher number to that of the lower.
-/// On a curve it is the tangent, at a junction point it is zero.
+/// On an interface, the normal points from the material with the higher number to the material with
+/// the lower number. On a curve, the normal is replaced by the tangent. At a junction point, it is
+/// zero.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Strata {
-    /// The stratum of each particle.
+    /// Stratum of each particle.
     pub of: Vec<Stratum>,
-    /// Pairs of consecutive particles on a junction curve, its ends included (junction points, or
-    /// particles on the border of the volume). A closed curve of one particle has no pair, one of
-    /// two particles has two.
+    /// Pairs of consecutive particles on a junction curve, including its ends (junction points, or
+    /// particles on the border of the volume). A closed curve of one particle has no pair; a closed
+    /// curve of two particles has two pairs.
     pub segments: Vec<[u32; 2]>,
 }

@@ -1,5 +1,5 @@
-//! The sizing field h: the target edge length, interpolated trilinearly, and the number of
-//! particles that it predicts.
+//! The sizing field h, which is the target edge length, interpolated trilinearly. Also predicts the
+//! number of particles from h.
 
 use crate::spline::CubicSpline;
 use crate::surface_integral::integrate;
@@ -20,31 +20,32 @@ impl SizingField {
         Self { image }
     }
 
-    /// The field with all edge lengths multiplied by `factor`.
+    /// Returns the field with all edge lengths multiplied by `factor`.
     pub fn scaled(&self, factor: f64) -> Self {
         let data = self.image.data.par_iter().map(|&h| (factor * f64::from(h)) as f32).collect();
         Self { image: Image { geometry: self.image.geometry.clone(), data } }
     }
 
-    /// The image of edge lengths.
+    /// Returns the image of edge lengths.
     pub fn image(&self) -> &Image<f32> {
         &self.image
     }
 
-    /// Edge length (mm) at a grid position, trilinear, clamped at the border of the volume.
+    /// Returns the edge length (mm) at a grid position, interpolated trilinearly and clamped at the
+    /// border of the volume.
     #[inline(always)]
     pub fn at(&self, grid: DVec3) -> f64 {
         trilinear(&self.image, grid)
     }
 
-    /// Edge length (mm) and its gradient (dimensionless) at a grid position. The gradient is that
-    /// of the trilinear cell, so it jumps from cell to cell.
+    /// Returns the edge length (mm) and its gradient (dimensionless) at a grid position. The
+    /// gradient is that of the trilinear interpolant, so it jumps from cell to cell.
     #[inline(always)]
     pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         let cell = Cell::around(&self.image, grid);
         let value = |x: usize, y: usize, z: usize| cell.value([x, y, z]);
         let [tx, ty, tz] = cell.fraction;
-        // along x first: the values on the four edges of the cell
+        // first along x: the values on the four edges of the cell that are parallel to x
         let (e00, e10) = (mix(value(0, 0, 0), value(1, 0, 0), tx), mix(value(0, 1, 0), value(1, 1, 0), tx));
         let (e01, e11) = (mix(value(0, 0, 1), value(1, 0, 1), tx), mix(value(0, 1, 1), value(1, 1, 1), tx));
         let slope = |y: usize, z: usize| value(1, y, z) - value(0, y, z);
@@ -56,38 +57,40 @@ impl SizingField {
         (mix(mix(e00, e10, ty), mix(e01, e11, ty), tz), gradient / self.image.geometry.spacing)
     }
 
-    /// Particles per mm^2 of a surface with this unit normal at a grid position: 2 / (sqrt(3) e^2),
-    /// the density of the hexagonal lattice of edge e.
+    /// Returns the number of particles per mm^2 of a surface with the given unit normal at a grid
+    /// position. This number is 2 / (sqrt(3) e^2), the density of the hexagonal lattice of edge e.
     ///
-    /// Two particles keep the distance of the smaller of their two h (Eq. 2). A step up the slope
-    /// of h is therefore h long. Along a direction in which h has the slope s, h grows by the
-    /// factor 1 + s with each step, so the mean step is h ln(1 + s) / s. In the direction t the
-    /// slope is s |cos t|, and e is the mean over all directions: h (asin s / s) (1 - asin s / pi)
-    /// in closed form.
+    /// The distance of two particles is the smaller of their two sizes h (Eq. 2), so a step up the
+    /// slope of h has the length h. Along a direction in which h has the slope s, h grows by the
+    /// factor 1 + s with each step, and the mean step is h ln(1 + s) / s. In the direction t, the
+    /// slope is s |cos t|. The edge e is the mean over all directions, in closed form h (asin s /
+    /// s) (1 - asin s / pi).
     pub fn lattice_density(&self, grid: DVec3, normal: DVec3) -> f64 {
         let (h, gradient) = self.value_gradient(grid);
         2.0 / (3f64.sqrt() * (h * edge_over_size(gradient.reject_from_normalized(normal).length())).powi(2))
     }
 
-    /// Number of particles that settle on F = 0: the integral of [`Self::lattice_density`].
+    /// Returns the number of particles that settle on F = 0, which is the integral of
+    /// [`Self::lattice_density`].
     pub fn predicted_count(&self, surface: &CubicSpline) -> f64 {
         integrate(surface, |point, normal| self.lattice_density(point, normal))
     }
 
-    /// The same on triangles that follow F = 0, for example those of marching cubes. Faster, but it
-    /// misses whatever lies between the samples.
+    /// Returns the same number as [`Self::predicted_count`] for triangles that follow F = 0, for
+    /// example those of marching cubes. It is faster, but misses features between the samples.
     pub fn count_on(&self, points: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
         let on = |corners: &[u32; 3]| {
             let [a, b, c] = corners.map(|v| points[v as usize]);
             let doubled = (b - a).cross(c - a);
             0.5 * doubled.length() * self.lattice_density((a + b + c) / 3.0, doubled.normalize_or_zero())
         };
-        // summed in order, so that the number of threads does not matter
+        // summed in order, so that the result does not depend on the number of threads
         triangles.par_iter().map(on).collect::<Vec<f64>>().iter().sum()
     }
 }
 
-/// Value of an image at a grid position, trilinear, clamped at the border of the volume.
+/// Returns the value of an image at a grid position, interpolated trilinearly and clamped at the
+/// border of the volume.
 #[inline(always)]
 pub fn trilinear(image: &Image<f32>, grid: DVec3) -> f64 {
     let cell = Cell::around(image, grid);
@@ -96,8 +99,8 @@ pub fn trilinear(image: &Image<f32>, grid: DVec3) -> f64 {
     mix(mix(along_x(0, 0), along_x(1, 0), ty), mix(along_x(0, 1), along_x(1, 1), ty), tz)
 }
 
-/// Mean edge of the lattice over h, where h has this slope along the surface. Slopes above 1 count
-/// as 1.
+/// Returns the mean edge of the lattice divided by h, for a given slope of h along the surface.
+/// Slopes above 1 count as 1.
 fn edge_over_size(slope: f64) -> f64 {
     if slope < 1e-6 {
         return 1.0;
@@ -113,7 +116,7 @@ fn mix(a: f64, b: f64, t: f64) -> f64 {
 
 /// The eight voxels around a position.
 struct Cell {
-    /// Their values: at x and x + 1 in each of the four rows along x, y fastest.
+    /// Values at x and x + 1 in each of the four rows along x, y fastest.
     rows: [[f64; 2]; 4],
     fraction: [f64; 3],
 }
@@ -130,10 +133,10 @@ impl Cell {
         for axis in 0..3 {
             let last = (g.size[axis] - 1) as f64;
             let x = index[axis].clamp(0.0, last);
-            // not negative, so the cast rounds down
+            // x is not negative, so the cast rounds down
             base[axis] = (x as usize).min(g.size[axis].saturating_sub(2));
             fraction[axis] = x - base[axis] as f64;
-            // an axis of one voxel has no neighbour to blend with
+            // an axis of one voxel has no neighbour for interpolation
             step[axis] = if g.size[axis] > 1 { stride[axis] } else { 0 };
         }
         let start = g.linear(base[0], base[1], base[2]);
@@ -211,7 +214,7 @@ mod tests {
         let area = 4.0 * PI * radius * radius;
         for slope in [0.0, 0.1, 0.3] {
             let size = |x: f64| 4.0 + slope * x;
-            // bands of a sphere between planes of equal spacing have equal areas
+            // bands of a sphere between equidistant planes have equal areas
             let rings = 2000;
             let want: f64 = (0..rings)
                 .map(|n| -1.0 + (2.0 * f64::from(n) + 1.0) / f64::from(rings))

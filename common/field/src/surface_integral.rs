@@ -1,11 +1,12 @@
-//! Integrals over F = 0 from its crossings with straight lines (Cauchy and Crofton).
+//! Computes integrals over F = 0 from the crossings of F = 0 with straight lines (Cauchy and
+//! Crofton).
 //!
-//! Take lines along an axis a, one per area s of the plane across it. They cross a piece of surface
-//! of area A and unit normal n on average A |n_a| / s times. The sum of s |n_a| over the crossings
-//! with lines along all three axes therefore has the mean A (n_x^2 + n_y^2 + n_z^2) = A. Along a
-//! line within a cell the spline is a cubic, all of whose roots are found. Folds and specks between
-//! the nodes thus count. The triangles of marching cubes miss them: on a noisy volume, a tenth of
-//! the area of F = 0.
+//! Consider lines along an axis a, with one line per area s of the perpendicular plane. On average
+//! they cross a piece of surface, with area A and unit normal n, A |n_a| / s times. The sum of s
+//! |n_a| over the crossings with lines along all three axes therefore has the mean
+//! `A (n_x^2 + n_y^2 + n_z^2) = A`. Along a line within a cell, the spline is a cubic, and all its
+//! roots are found. The integral therefore includes folds and specks between the nodes. The
+//! triangles of marching cubes miss these: a tenth of the area of F = 0 on a noisy volume.
 
 use crate::spline::CubicSpline;
 use crate::spline::bezier::{BezierPoints, ORDER};
@@ -13,23 +14,24 @@ use crate::topology::Signs;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Lines along each axis through a cell, in each of the two transverse directions. With two, the
-/// area of a staircase of labels is 1 % too large; three and five agree.
+/// Number of lines along each axis through a cell, in each of the two transverse directions. With
+/// two, the area of a staircase of labels is 1 % too large; three and five agree.
 const LINES: usize = 3;
 
-/// Maximum number of bisections of a line within a cell. If the points of an interval still change
-/// sign several times, it counts as one root (odd) or none (even).
+/// Maximum number of bisections of a line within a cell. If the Bézier points of an interval still
+/// change sign several times after that, an odd number of changes counts as one root and an even
+/// number as none.
 const HALVINGS: u32 = 12;
 
-/// Maximum number of steps that find a root. Each halves the interval where Newton's method does
-/// not do better.
+/// Maximum number of steps to find a root. A step halves the interval unless Newton's method does
+/// better.
 const STEPS: usize = 30;
 
-/// Accuracy of a root, as a fraction of a cell.
+/// Accuracy of a root as a fraction of a cell.
 const ACCURACY: f64 = 1e-7;
 
-/// Integral of `density(point, unit normal)` over F = 0, within the volume; points in the grid
-/// frame (mm). The result does not depend on the number of threads.
+/// Returns the integral of `density(point, unit normal)` over F = 0 within the volume. Points are
+/// in the grid frame (mm). The result does not depend on the number of threads.
 pub fn integrate(surface: &CubicSpline, density: impl Fn(DVec3, DVec3) -> f64 + Sync) -> f64 {
     let size = surface.geometry().size.map(|n| n.saturating_sub(1));
     let signs = Signs::of(surface);
@@ -44,7 +46,7 @@ pub fn integrate(surface: &CubicSpline, density: impl Fn(DVec3, DVec3) -> f64 + 
     layers.iter().sum()
 }
 
-/// The integral over one cell.
+/// Returns the integral over one cell.
 fn integrate_cell(
     surface: &CubicSpline,
     cell: [usize; 3],
@@ -84,46 +86,46 @@ fn integrate_cell(
     sum
 }
 
-/// Whether no number is negative, or all are.
+/// Returns whether either no number or every number is negative.
 fn have_one_sign(points: &[f64]) -> bool {
     let negative = points.iter().filter(|&&point| point < 0.0).count();
     negative == 0 || negative == points.len()
 }
 
-/// The Bézier points of a cell, indexed by the axis after the given one, the axis after that, and
-/// the given one.
+/// Returns the Bézier points of a cell with permuted axes: indexed first by the axis after `axis`,
+/// then by the axis after that, and last by `axis`.
 fn turn(points: &BezierPoints, axis: usize) -> [[[f64; ORDER]; ORDER]; ORDER] {
     let stride = |axis: usize| ORDER.pow(axis as u32 % 3);
     let [t, u, v] = [axis, axis + 1, axis + 2].map(stride);
     std::array::from_fn(|i| std::array::from_fn(|j| std::array::from_fn(|k| points[u * i + v * j + t * k])))
 }
 
-/// Weighted sum of four rows of points.
+/// Returns the weighted sum of four rows of points.
 #[inline]
 fn blend([a, b, c, d]: &[[f64; 4]; 4], weights: [f64; 4]) -> [f64; 4] {
     std::array::from_fn(|n| weights[0] * a[n] + weights[1] * b[n] + weights[2] * c[n] + weights[3] * d[n])
 }
 
-/// The four cubic Bernstein polynomials at t.
+/// Returns the four cubic Bernstein polynomials at t.
 fn bernstein(t: f64) -> [f64; 4] {
     let s = 1.0 - t;
     [s * s * s, 3.0 * s * s * t, 3.0 * s * t * t, t * t * t]
 }
 
-/// Their derivatives.
+/// Returns the derivatives of the four cubic Bernstein polynomials at t.
 fn slopes(t: f64) -> [f64; 4] {
     let s = 1.0 - t;
     [-3.0 * s * s, 3.0 * s * (s - 2.0 * t), 3.0 * t * (2.0 * s - t), 3.0 * t * t]
 }
 
-/// Weighted sum of four numbers.
+/// Returns the weighted sum of four numbers.
 #[inline]
 fn sum_of(points: [f64; 4], weights: [f64; 4]) -> f64 {
     weights[0] * points[0] + weights[1] * points[1] + weights[2] * points[2] + weights[3] * points[3]
 }
 
-/// Calls `found` with every root between `low` and `high` of a cubic, given by its Bézier points
-/// there. Bisects until the points change sign at most once.
+/// Calls `found` with every root of a cubic between `low` and `high`. The cubic is given by its
+/// Bézier points on this interval. Bisects the interval until the points change sign at most once.
 fn each_root(points: [f64; 4], low: f64, high: f64, halvings: u32, found: &mut impl FnMut(f64)) {
     let changes = points.windows(2).filter(|pair| (pair[0] < 0.0) != (pair[1] < 0.0)).count();
     if changes == 1 || (halvings == 0 && changes % 2 == 1) {
@@ -136,7 +138,7 @@ fn each_root(points: [f64; 4], low: f64, high: f64, halvings: u32, found: &mut i
     }
 }
 
-/// De Casteljau's subdivision at the middle.
+/// Subdivides the Bézier points at the middle (de Casteljau's algorithm).
 fn halves([a, b, c, d]: [f64; 4]) -> [[f64; 4]; 2] {
     let (ab, bc, cd) = (0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + d));
     let (abc, bcd) = (0.5 * (ab + bc), 0.5 * (bc + cd));
@@ -144,8 +146,8 @@ fn halves([a, b, c, d]: [f64; 4]) -> [[f64; 4]; 2] {
     [[a, ab, abc, middle], [middle, bcd, cd, d]]
 }
 
-/// The root in [0, 1] of a cubic whose Bézier points change sign once: Newton's method, with
-/// bisection where that would leave the interval that contains the root.
+/// Returns the root in [0, 1] of a cubic whose Bézier points change sign once. Uses Newton's
+/// method, with bisection if a Newton step would leave the interval that contains the root.
 fn single_root([a, b, c, d]: [f64; 4]) -> f64 {
     let (c1, c2, c3) = (3.0 * (b - a), 3.0 * (a - 2.0 * b + c), d - a + 3.0 * (b - c));
     let (mut low, mut high) = (0.0, 1.0);
@@ -204,11 +206,12 @@ mod tests {
         assert_eq!(integrate(&spline([12; 3], DVec3::ONE, |p| p.z + 1.0), |_, _| 1.0), 0.0);
     }
 
-    /// Two parts of F = 0 less than a voxel apart, between the nodes: marching cubes sees neither.
+    /// Two parts of F = 0 lie less than a voxel apart between the nodes. Marching cubes detects
+    /// neither part.
     #[test]
     fn what_lies_between_the_nodes_counts() {
         let mut image = Image::filled(Geometry::axis_aligned([9, 9, 10], DVec3::ONE), 1.0f32);
-        // along z the spline dips below zero between the two middle nodes
+        // along z the spline is negative between the two middle nodes
         for (n, value) in image.data.iter_mut().enumerate() {
             *value = [20.0, 10.0, 5.0, 2.0, 0.1, 0.1, 2.0, 5.0, 10.0, 20.0][n / 81];
         }

@@ -3,12 +3,12 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// An error of file access. The text names the file and the problem, [`Error::reason`] states why
-/// it matters, and [`Error::remedy`] what to do.
+/// An error of file access. The error message contains the file and the problem. [`Error::reason`]
+/// explains why the problem matters, and [`Error::remedy`] how to solve it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The operating system refuses access to a file or folder.
+    /// The operating system denied access to a file or folder.
     #[error("{}: cannot {doing}: {source}", path.display())]
     System {
         /// The file or folder.
@@ -17,10 +17,10 @@ pub enum Error {
         doing: String,
         /// The error of the operating system.
         source: io::Error,
-        /// What to do.
+        /// Instructions for the user.
         remedy: String,
     },
-    /// The file cannot be written; no partial file is left.
+    /// The file could not be written. No partial file remains.
     #[error("{}: cannot write: {source}", path.display())]
     Write {
         /// The file.
@@ -28,58 +28,59 @@ pub enum Error {
         /// The error of the operating system.
         source: io::Error,
     },
-    /// A folder has the name of the output file.
+    /// The output path is an existing folder.
     #[error("{}: is a folder", path.display())]
     Folder {
         /// The folder.
         path: PathBuf,
     },
-    /// The output file already exists and may not be replaced.
+    /// The output file already exists and must not be replaced.
     #[error("{}: already exists", path.display())]
     Exists {
         /// The file.
         path: PathBuf,
     },
-    /// The run was interrupted while writing the file; no partial file is left.
+    /// The run was interrupted while the file was being written. No partial file remains.
     #[error("{}: interrupted while writing", path.display())]
     Interrupted {
         /// The file.
         path: PathBuf,
     },
-    /// A header promises more data than there is free memory.
+    /// The data that the header declares does not fit in the free memory.
     #[error("{}: its header declares {} MiB of voxels", path.display(), promised >> 20)]
     TooLarge {
         /// The file.
         path: PathBuf,
-        /// Bytes that the header promises.
+        /// Memory in bytes needed for the data that the header declares.
         promised: u64,
         /// Free memory in bytes.
         available: u64,
     },
-    /// The contents violate the file format or are not what the program needs.
+    /// The contents violate the file format or do not meet the program's requirements.
     #[error("{}: {problem}", path.display())]
     Contents {
         /// The file.
         path: PathBuf,
-        /// The problem, with the offending value and its place.
+        /// The problem, including the invalid value and its location.
         problem: String,
-        /// Why that matters.
+        /// Why the problem matters.
         reason: String,
-        /// What to do.
+        /// Instructions for the user.
         remedy: String,
     },
 }
 
-/// Result of a file operation.
+/// The result of a file operation.
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// An operating-system error; `doing` is the failed operation, such as "read".
+    /// Creates an error reported by the operating system. `doing` is the failed operation, such as
+    /// "read".
     pub fn system(path: &Path, doing: &str, source: io::Error, remedy: impl Into<String>) -> Self {
         Self::System { path: path.to_path_buf(), doing: doing.to_owned(), source, remedy: remedy.into() }
     }
 
-    /// An error in the contents of a file.
+    /// Creates an error about the contents of a file.
     pub fn contents(
         path: &Path,
         problem: impl std::fmt::Display,
@@ -94,7 +95,7 @@ impl Error {
         }
     }
 
-    /// Why the error matters.
+    /// Returns an explanation of why the error matters.
     pub fn reason(&self) -> String {
         match self {
             Self::System { .. } => "this file is needed".to_owned(),
@@ -107,7 +108,7 @@ impl Error {
         }
     }
 
-    /// What to do about the error.
+    /// Returns instructions for solving the problem.
     pub fn remedy(&self) -> String {
         let remedy = match self {
             Self::System { remedy, .. } | Self::Contents { remedy, .. } => remedy,

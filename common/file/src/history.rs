@@ -1,22 +1,22 @@
-//! The history that every output file carries: the program, its parameters and its input files,
-//! each with its own history.
+//! The history stored in every output file: the program, its parameters and its input files. The
+//! history of an input file includes the histories of its own inputs.
 //!
-//! Two equal runs give equal histories: these contain no times, folders, thread counts or output
-//! names.
+//! Identical runs produce identical histories, because a history contains no times, folders, thread
+//! counts or output names.
 
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// How a file was made.
+/// Describes how a file was made.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct History {
     /// Name of the stage program.
     pub tool: String,
     /// Version of the stage program.
     pub version: String,
-    /// Command line of the program. Paths are reduced to file names, and options that do not affect
-    /// the result are left out.
+    /// Command line of the program, with paths reduced to file names and without options that do
+    /// not affect the result.
     pub command_line: String,
     /// All parameters in effect, including defaults and the seed.
     pub parameters: serde_json::Value,
@@ -27,24 +27,25 @@ pub struct History {
 /// An input file of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Input {
-    /// File name, without folders.
+    /// File name without its folder.
     pub path: String,
-    /// BLAKE3 hash of the contents in hexadecimal; see [`hash_file`].
+    /// BLAKE3 hash of the contents as a hexadecimal string; see [`hash_file`].
     pub blake3: String,
-    /// The input's own history, if it carries one.
+    /// History of the input file, if the file contains one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub history: Option<Box<History>>,
 }
 
 impl Input {
-    /// Hashes a file or folder.
+    /// Creates the entry of a file or folder, including its hash.
     pub fn of_file(path: &Path, history: Option<History>) -> Result<Self> {
         Ok(Self { path: file_name(path), blake3: hash_file(path)?, history: history.map(Box::new) })
     }
 }
 
-/// BLAKE3 hash of a file in hexadecimal. For a folder (a DICOM series), hashes the names and hashes
-/// of the files directly in it, sorted by name.
+/// Computes the BLAKE3 hash of a file as a hexadecimal string. For a folder (a DICOM series),
+/// hashes the list of its files: the name and hash of each file directly in the folder, sorted by
+/// name.
 pub fn hash_file(path: &Path) -> Result<String> {
     if path.is_dir() {
         return hash_folder(path);
@@ -74,7 +75,7 @@ fn hash_folder(folder: &Path) -> Result<String> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// The last part of a path.
+/// Returns the last component of a path.
 pub fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }

@@ -1,16 +1,16 @@
-//! The flag that requests a run to stop. Stage programs set it on SIGINT and SIGTERM; code that
+//! A flag that requests the run to stop. Stage programs set it on SIGINT and SIGTERM, and code that
 //! writes files checks it.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
-/// Requests the run to stop. Returns whether that was already requested.
+/// Requests the run to stop. Returns whether a stop had already been requested.
 pub fn request() -> bool {
     INTERRUPTED.swap(true, Ordering::SeqCst)
 }
 
-/// Whether the run should stop.
+/// Returns whether a stop has been requested.
 pub fn requested() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }

@@ -1,9 +1,10 @@
-//! File handling shared by the crates that read and write volumes and meshes, and by the frame of
-//! the stage programs (`isoparticles-stage`).
+//! File handling shared by the crates that read and write volumes and meshes, and by the common
+//! code of the stage programs (`isoparticles-stage`).
 //!
-//! [`output`] writes files atomically: to a temporary name, then renamed. [`history`] records how a
-//! file was made. [`limit`] refuses data that does not fit in memory before it is allocated.
-//! [`monitor`] reports the progress of long computations and stops them.
+//! [`output`] writes files atomically: it writes to a temporary file and then renames it.
+//! [`history`] records how a file was made. [`limit`] rejects data that does not fit in memory
+//! before allocating memory for it. [`monitor`] reports the progress of long computations and stops
+//! them on request.
 //!
 //! ```
 //! use isoparticles_file::{history::hash_file, output::write_atomically};

@@ -1,14 +1,14 @@
-//! Refuses data that does not fit in memory before it is allocated.
+//! Rejects data that does not fit in memory before memory is allocated for it.
 
 use crate::error::{Error, Result};
 use crate::memory::available_memory;
 use std::path::Path;
 
-/// Checks that `bytes` more memory can be allocated for the file `path`. Always succeeds if the
-/// free memory is unknown.
+/// Checks that an additional `bytes` bytes of memory can be allocated for the file `path`. Always
+/// succeeds if the amount of free memory is unknown.
 ///
 /// # Errors
-/// If less memory is free.
+/// If less than `bytes` bytes of memory are free.
 pub fn check_memory(path: &Path, bytes: u64) -> Result<()> {
     match available_memory() {
         Some(available) if bytes > available => {

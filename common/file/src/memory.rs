@@ -1,14 +1,14 @@
-//! Free memory of the machine and peak memory of this process. Known on Linux only.
+//! Free memory of the machine and peak memory of this process. Both are available on Linux only.
 
 use std::fs::read_to_string;
 
-/// Peak resident memory of this process in bytes; `None` if unknown.
+/// Returns the peak resident memory of this process in bytes, or `None` if it is unknown.
 pub fn peak_memory() -> Option<u64> {
     kibibytes_of("/proc/self/status", "VmHWM:")
 }
 
-/// Memory available without swapping, in bytes: the minimum of the machine's and the control
-/// group's. `None` if unknown.
+/// Returns the memory in bytes that can be allocated without swapping: the smaller of the machine's
+/// free memory and the control group's remaining memory. Returns `None` if both are unknown.
 pub fn available_memory() -> Option<u64> {
     let machine = kibibytes_of("/proc/meminfo", "MemAvailable:");
     let number = |path: &str| read_to_string(path).ok()?.trim().parse::<u64>().ok();
@@ -21,7 +21,8 @@ pub fn available_memory() -> Option<u64> {
     }
 }
 
-/// The value of the line of a `/proc` file that starts with `key`, converted from KiB to bytes.
+/// Finds the line of a `/proc` file that starts with `key`, and returns its value converted from
+/// KiB to bytes.
 fn kibibytes_of(path: &str, key: &str) -> Option<u64> {
     let text = read_to_string(path).ok()?;
     let line = text.lines().find_map(|line| line.strip_prefix(key))?;

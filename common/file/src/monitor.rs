@@ -1,5 +1,5 @@
-//! How algorithms report progress and learn of a request to stop, independent of the program around
-//! them.
+//! An interface for reporting progress and checking for stop requests. It makes the algorithms
+//! independent of the program that runs them.
 
 /// The computation was interrupted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -9,33 +9,34 @@ pub struct Interrupted {
     pub by: String,
 }
 
-/// Receives the progress of a computation. Algorithms take `&dyn Monitor`; use [`Silent`] if no
-/// reports are needed.
+/// Receives the progress of a computation. Algorithms take a `&dyn Monitor`; pass [`Silent`] to
+/// disable reports.
 pub trait Monitor: Sync {
-    /// Fails if the computation should stop. Long loops call this regularly.
+    /// Fails if the computation should stop. Long loops call this function regularly.
     ///
     /// # Errors
-    /// [`Interrupted`] if a stop was requested.
+    /// If a stop was requested.
     fn check(&self) -> Result<(), Interrupted>;
 
-    /// Starts a phase of the computation, such as "triangulate". It ends when the returned value is
-    /// dropped.
+    /// Starts a phase of the computation, such as "triangulate". The phase ends when the returned
+    /// guard is dropped.
     fn phase<'a>(&'a self, name: &str) -> Box<dyn Phase + 'a>;
 
-    /// A detail for verbose output. `_detail` is called only if it is shown.
+    /// Reports a detail in verbose output. `_detail` is called only if the detail is shown.
     fn note(&self, _detail: &dyn Fn() -> String) {}
 
-    /// Starts a counter. It shows a percentage if `total` is known, and ends when the returned
-    /// value is dropped.
+    /// Starts a progress counter, which shows a percentage if `total` is known. The counter ends
+    /// when the returned guard is dropped.
     fn counter<'a>(&'a self, label: &str, total: Option<u64>) -> Box<dyn Counter + 'a>;
 }
 
-/// A phase of the computation, which lasts until this is dropped.
+/// Guard of a phase of the computation. The phase ends when the guard is dropped.
 pub trait Phase {}
 
 /// Counts completed work.
 pub trait Counter: Sync {
-    /// Adds to the count. Cheap, but call it per slice or chunk, not per voxel.
+    /// Increases the count by `amount`. The call is cheap, but should be made per slice or chunk
+    /// rather than per voxel.
     fn add(&self, amount: u64);
 }
 

@@ -1,5 +1,5 @@
-//! Output files: checked before the computation starts, written to a temporary file beside the
-//! target, and renamed when complete.
+//! Writes output files. A path is checked before the computation starts. The file is written under
+//! a temporary name in the same folder and renamed when it is complete.
 
 use crate::error::{Error, Result};
 use crate::interrupt;
@@ -8,11 +8,14 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// The temporary files that currently exist, for removal after a second interrupt.
+/// The temporary files that currently exist. They are deleted after a second interrupt.
 static TEMPORARIES: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// Fails if the output exists (unless `force` is set), is a folder, or lies in a folder that cannot
-/// be written to.
+/// Checks that an output file can be written.
+///
+/// # Errors
+/// If the file exists and `force` is false, if the path is a folder, or if the containing folder is
+/// not writable.
 pub fn check_output(path: &Path, force: bool) -> Result<()> {
     if path.is_dir() {
         return Err(Error::Folder { path: path.to_path_buf() });
@@ -26,9 +29,9 @@ pub fn check_output(path: &Path, force: bool) -> Result<()> {
     temporary_beside(path).map(drop).map_err(|source| Error::Write { path: path.to_path_buf(), source })
 }
 
-/// Writes a file atomically: it appears under its name only when it is complete. After an error, an
-/// interrupt or a full disk, the old file is unchanged and no temporary file is left. Devices and
-/// pipes are written directly.
+/// Writes a file atomically: the file appears under its name only when it is complete. After an
+/// error, an interrupt or a full disk, the old file is unchanged and no temporary file remains.
+/// Devices and pipes are written directly.
 pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<()> {
     let attempt = if is_special(path) { write_through(path, write) } else { write_and_rename(path, write) };
     attempt.map_err(|error| {
@@ -40,16 +43,17 @@ pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::R
     })
 }
 
-/// Removes the temporary files of this process. Called before exiting after a second interrupt.
+/// Deletes the temporary files of this process. Called before the process exits after a second
+/// interrupt.
 pub fn remove_temporaries() {
     for path in temporaries().drain(..) {
-        // a file that no longer exists needs no removal
+        // a file that no longer exists does not need to be deleted
         let _ = std::fs::remove_file(path);
     }
 }
 
 fn write_and_rename(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
-    // A symbolic link is kept; its target is replaced.
+    // Keep a symbolic link and replace its target.
     let target = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
     let path = target.as_path();
     let temporary = temporary_beside(path)?;
@@ -63,7 +67,7 @@ fn write_and_rename(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Resul
     result
 }
 
-/// Writes to a device or pipe, which cannot be replaced by renaming.
+/// Writes directly to a device or pipe, which cannot be replaced by renaming.
 fn write_through(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
     fill(&File::options().write(true).open(path)?, write)
 }
@@ -83,8 +87,8 @@ fn temporary_beside(path: &Path) -> io::Result<tempfile::NamedTempFile> {
     builder.prefix(".isoparticles-").suffix(".partial");
     #[cfg(unix)]
     {
-        // Use the permissions of the user's umask, as for any new file; tempfile's default is owner
-        // only.
+        // Apply the user's umask, as for any new file. By default, tempfile gives access only to
+        // the owner.
         use std::os::unix::fs::PermissionsExt;
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
@@ -99,8 +103,8 @@ fn temporaries() -> std::sync::MutexGuard<'static, Vec<PathBuf>> {
     TEMPORARIES.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A file that refuses data after an interrupt. Files that are opened after the interrupt (reports
-/// and final checkpoints) still accept data.
+/// A file that rejects data after an interrupt. Files opened after the interrupt (reports and final
+/// checkpoints) still accept data.
 struct Stoppable<'a> {
     file: &'a File,
     stopped_before: bool,

@@ -1,6 +1,6 @@
-//! Parallel helpers for lists: concatenation, splitting into parts, and sorting items into buckets.
-//! The bucket sort is a counting sort in which each thread reads all items but writes only its own
-//! buckets. That takes a fraction of the time of scattered writes.
+//! Parallel functions for lists: concatenation, splitting into parts, and sorting items into
+//! buckets. The bucket sort is a counting sort in which each thread reads all items but writes only
+//! its own buckets. This takes a fraction of the time of scattered writes.
 
 use rayon::prelude::*;
 use std::ops::Range;
@@ -10,7 +10,7 @@ const LEAST_SHARE: usize = 1 << 12;
 
 /// Items sorted by bucket.
 pub struct Buckets {
-    /// Start of each bucket in `items`, followed by the number of items.
+    /// Start of each bucket in `items`, followed by the total number of items.
     pub starts: Vec<u32>,
     /// The items, in ascending order within each bucket.
     pub items: Vec<u32>,
@@ -52,7 +52,7 @@ impl Buckets {
     }
 }
 
-/// Start offsets of consecutive parts of the given lengths.
+/// Returns the start offsets of consecutive parts of the given lengths.
 pub fn starts_of(lengths: impl IntoIterator<Item = usize>) -> Vec<u32> {
     let starts = lengths.into_iter().scan(0, |next, length| {
         let start = *next;
@@ -64,7 +64,7 @@ pub fn starts_of(lengths: impl IntoIterator<Item = usize>) -> Vec<u32> {
 
 /// Concatenates all lists in order. The lists and the result are in memory at the same time.
 pub fn joined<T: Copy + Default + Send + Sync>(lists: Vec<Vec<T>>) -> Vec<T> {
-    // First access to new memory is slower than the copy itself, so all threads share it, too.
+    // The first access to new memory is slower than the copy itself, so all threads share it.
     let lengths: Vec<usize> = lists.iter().map(Vec::len).collect();
     let mut all: Vec<T> = (0..lengths.iter().sum()).into_par_iter().map(|_| T::default()).collect();
     parts_mut(&mut all, lengths).into_par_iter().zip(lists).for_each(|(own, list)| own.copy_from_slice(&list));
@@ -83,7 +83,7 @@ pub fn parts_mut<T>(list: &mut [T], lengths: impl IntoIterator<Item = usize>) ->
     parts
 }
 
-/// Mutable parts of a list. The ranges must be ascending and disjoint.
+/// Returns mutable parts of a list. The ranges must be ascending and disjoint.
 pub fn ranges_mut<'l, T>(list: &'l mut [T], ranges: &[Range<usize>]) -> Vec<&'l mut [T]> {
     let mut end = 0;
     let lengths = ranges.iter().flat_map(|range| {

@@ -1,28 +1,28 @@
-//! Disjoint sets, and the connected components of a mesh computed with them.
+//! Disjoint sets, and connected components of a mesh.
 
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-/// Minimum number of triangles that one thread joins at a time.
+/// Minimum number of triangles per task.
 const CHUNK: usize = 1 << 12;
 
 /// Component of a vertex that belongs to no triangle.
 pub const NO_COMPONENT: u32 = u32::MAX;
 
 /// Union-find with path halving. The smallest member represents a set, so the result does not
-/// depend on the order of joining.
+/// depend on the order of the joins.
 #[derive(Clone, Debug)]
 pub struct DisjointSets {
     parent: Vec<u32>,
 }
 
 impl DisjointSets {
-    /// `count` sets of one member each.
+    /// Creates `count` sets with one member each.
     pub fn new(count: usize) -> Self {
         Self { parent: (0..count as u32).collect() }
     }
 
-    /// The smallest member of the set that contains x.
+    /// Returns the smallest member of the set that contains x.
     pub fn find(&mut self, x: u32) -> u32 {
         let mut x = x;
         while self.parent[x as usize] != x {
@@ -40,8 +40,8 @@ impl DisjointSets {
     }
 }
 
-/// As [`DisjointSets`], for concurrent joins: a compare-and-exchange attaches a root to a smaller
-/// root, as in Jayanti and Tarjan 2016.
+/// Disjoint sets like [`DisjointSets`], but with concurrent joins. A compare-and-exchange attaches
+/// a root to a smaller root, as in Jayanti and Tarjan 2016.
 struct SharedSets(Vec<AtomicU32>);
 
 impl SharedSets {
@@ -53,8 +53,8 @@ impl SharedSets {
             if above == parent {
                 return parent;
             }
-            // A failure is harmless: another thread has changed the parent, or the exchange failed
-            // spuriously.
+            // A failed exchange is harmless. Either another thread has changed the parent, or the
+            // failure is spurious.
             let _ = self.0[x as usize].compare_exchange_weak(parent, above, Relaxed, Relaxed);
             x = above;
         }
@@ -71,8 +71,9 @@ impl SharedSets {
     }
 }
 
-/// Component of each vertex (connected through triangles), and the number of components. They are
-/// numbered in the order of their first vertices. Vertices of no triangle get [`NO_COMPONENT`].
+/// Returns the component of each vertex, and the number of components. Triangles connect the
+/// vertices of a component. Components are numbered in the order of their first vertices. Vertices
+/// of no triangle get [`NO_COMPONENT`].
 pub fn of_vertices(count: usize, triangles: &[[u32; 3]]) -> (Vec<u32>, usize) {
     let sets = SharedSets((0..count as u32).map(AtomicU32::new).collect());
     let used: Vec<AtomicU32> = (0..count).map(|_| AtomicU32::new(NO_COMPONENT)).collect();
@@ -90,7 +91,7 @@ pub fn of_vertices(count: usize, triangles: &[[u32; 3]]) -> (Vec<u32>, usize) {
         if number[v] == NO_COMPONENT {
             continue;
         }
-        // the root is the smallest member, so it is numbered before all others
+        // the root is the smallest member, so it has been numbered already
         let root = sets.find(v as u32) as usize;
         if root == v {
             number[v] = components;
@@ -115,7 +116,7 @@ mod tests {
 
     #[test]
     fn components_of_many_are_those_of_one_set_after_the_other() {
-        // strips of triangles of different lengths, in scrambled order
+        // strips of triangles of different lengths, in random order
         let count = 60_000u32;
         let mut triangles: Vec<[u32; 3]> =
             (0..count - 2).filter(|n| n % 997 < 900 && n % 31 < 29).map(|n| [n, n + 1, n + 2]).collect();

@@ -3,15 +3,15 @@
 use std::fmt::Display;
 use std::path::Path;
 
-/// An error of a surface or point file. The text names the file and the problem, [`Error::reason`]
-/// states why it matters, and [`Error::remedy`] what to do.
+/// An error in a surface or point file. The message names the file and the problem,
+/// [`Error::reason`] states why the error matters, and [`Error::remedy`] states what to do.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// The file cannot be read or written, is damaged, or is not of the required kind.
     #[error(transparent)]
     File(#[from] isoparticles_file::error::Error),
-    /// An error in VTK XML, which surfaces and volumes share.
+    /// An error in VTK XML. Surfaces and volumes share this format.
     #[error(transparent)]
     Vtk(#[from] isoparticles_volume::Error),
 }
@@ -20,7 +20,7 @@ pub enum Error {
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// Why the error matters.
+    /// Returns why the error matters.
     pub fn reason(&self) -> String {
         match self {
             Self::File(error) => error.reason(),
@@ -28,7 +28,7 @@ impl Error {
         }
     }
 
-    /// What to do about the error.
+    /// Returns what to do about the error.
     pub fn remedy(&self) -> String {
         match self {
             Self::File(error) => error.remedy(),
@@ -37,7 +37,7 @@ impl Error {
     }
 }
 
-/// An error in the contents of a file.
+/// Returns an error for the contents of a file.
 pub(crate) fn bad(path: &Path, problem: impl Display, reason: impl Into<String>, remedy: impl Into<String>) -> Error {
     isoparticles_file::error::Error::contents(path, problem, reason, remedy).into()
 }

@@ -1,57 +1,58 @@
-//! The triangles at each vertex, and from them edges, fans and Euler characteristics. Computed by
-//! counting instead of sorting, because the refinement needs them in every round.
+//! The triangles at each vertex, and the edges, fans and Euler characteristics derived from them.
+//! The lists are computed by counting instead of sorting, because the refinement needs them in
+//! every round.
 
 use crate::buckets::Buckets;
 use rayon::prelude::*;
 
-/// Vertices whose edges one thread counts at a time. Small enough that a small mesh still gives
-/// several chunks.
+/// Number of vertices per task. It is small enough that a small mesh still gives several tasks.
 const CHUNK: usize = 1 << 11;
 
-/// Buffers of [`Incidence::fans_at`], reused from vertex to vertex.
+/// Buffers of [`Incidence::fans_at`], which are reused between vertices.
 #[derive(Default)]
 pub struct FanWork {
-    /// (other end of an edge at the vertex, local index of its triangle).
+    /// Other end of an edge at the vertex, and local index of the triangle.
     ends: Vec<(u32, u32)>,
-    /// Fan of each triangle at the vertex.
+    /// Fan number of each triangle at the vertex.
     fan: Vec<u32>,
 }
 
 /// The triangles at each vertex of a triangle list.
 pub struct Incidence<'a> {
     triangles: &'a [[u32; 3]],
-    /// Start of each vertex in `at_vertex`, followed by its length.
+    /// Start of the triangles of each vertex in `at_vertex`, followed by the length of `at_vertex`.
     starts: Vec<u32>,
     at_vertex: Vec<u32>,
 }
 
 impl<'a> Incidence<'a> {
-    /// Indexes the triangles; all their vertices must be below `vertex_count`.
+    /// Indexes the triangles. All vertex indices must be below `vertex_count`.
     pub fn new(triangles: &'a [[u32; 3]], vertex_count: usize) -> Self {
         let Buckets { starts, items } = Buckets::new(triangles.as_flattened(), vertex_count);
-        // an item is a corner: 3 * triangle + place
+        // an item is a corner: 3 * triangle + corner index
         let at_vertex = items.into_par_iter().map(|corner| corner / 3).collect();
         Self { triangles, starts, at_vertex }
     }
 
-    /// The triangles.
+    /// Returns the triangles.
     pub fn triangles(&self) -> &'a [[u32; 3]] {
         self.triangles
     }
 
-    /// The triangles at a vertex, in ascending order.
+    /// Returns the triangles at a vertex in ascending order.
     pub fn of(&self, vertex: u32) -> &[u32] {
         let v = vertex as usize;
         &self.at_vertex[self.starts[v] as usize..self.starts[v + 1] as usize]
     }
 
-    /// Number of vertices, including those of no triangle.
+    /// Returns the number of vertices, including vertices without triangles.
     pub fn vertex_count(&self) -> usize {
         self.starts.len() - 1
     }
 
-    /// Calls `hear` for each edge from `vertex` to a vertex of larger index, with (other end,
-    /// triangle) for each of its triangles. All are in ascending order.
+    /// Calls `hear` for each edge from `vertex` to a vertex with a larger index. The arguments are
+    /// the other end, and the pair (other end, triangle) for each triangle at the edge. Edges and
+    /// triangles are in ascending order.
     fn edges_from(&self, vertex: u32, ends: &mut Vec<(u32, u32)>, mut hear: impl FnMut(u32, &[(u32, u32)])) {
         ends.clear();
         for &t in self.of(vertex) {
@@ -62,10 +63,10 @@ impl<'a> Incidence<'a> {
         ends.chunk_by(|a, b| a.0 == b.0).for_each(|edge| hear(edge[0].0, edge));
     }
 
-    /// Number of triangle fans at a vertex. Triangles belong to one fan if edges at the vertex
-    /// connect them that lie in exactly two triangles. A manifold vertex has one fan, an unused
-    /// vertex none. All other edges at the vertex are passed to `other_edge`, as the other end and
-    /// the triangles.
+    /// Returns the number of triangle fans at a vertex. Two triangles that share an edge at the
+    /// vertex belong to the same fan if no other triangle contains this edge. A manifold vertex has
+    /// one fan, and an unused vertex has none. If an edge at the vertex does not lie in exactly two
+    /// triangles, its other end and its triangles are passed to `other_edge`.
     pub fn fans_at(
         &self,
         vertex: u32,
@@ -97,9 +98,9 @@ impl<'a> Incidence<'a> {
         count
     }
 
-    /// Euler characteristic V - E + F of each class of triangles. `class` holds the class of each
-    /// triangle and must be below `classes`. A vertex or edge counts once in each class that uses
-    /// it.
+    /// Returns the Euler characteristic V - E + F of each class of triangles. `class` contains the
+    /// class number of each triangle, and all numbers must be below `classes`. A vertex or edge
+    /// counts once in each class that uses it.
     pub fn euler_characteristics(&self, class: &[u32], classes: usize) -> Vec<i64> {
         let chunks = (0..self.vertex_count()).into_par_iter().step_by(CHUNK);
         let sums = chunks.map(|first| {

@@ -1,9 +1,9 @@
-//! Finds the grid nodes inside a closed mesh, and those where the mesh and F disagree.
+//! Finds the grid nodes inside a closed mesh, and the nodes where the mesh and F disagree.
 //!
-//! Uses the parity along the grid lines in x: where a line crosses a triangle, all nodes beyond the
-//! crossing change sides. Grid lines are shifted symbolically to (y + e, z + e^2), so a crossing at
-//! a shared vertex or edge counts only once. All signs come from exact predicates. The cost depends
-//! only on the grid lines that meet the yz projection of a triangle.
+//! The method counts crossings along the grid lines in x. Where a line crosses a triangle, all
+//! nodes beyond the crossing change sides. Grid lines are shifted symbolically to (y + e, z + e^2),
+//! so a crossing at a shared vertex or edge counts only once. All signs come from exact predicates.
+//! The cost depends only on the grid lines that meet the yz projection of a triangle.
 
 use super::TriangleMesh;
 use super::intersect::{orientation, turn};
@@ -12,8 +12,9 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use robust::Coord;
 
-/// Grid nodes (i, j, k) where the closed mesh, in the grid frame, disagrees with the sign of F
-/// (negative inside). Ascending, with i fastest. Nodes with F = 0 are never listed.
+/// Returns the grid nodes (i, j, k) where the closed mesh, in the grid frame, disagrees with the
+/// sign of F (negative inside). The nodes are in ascending order, and i varies fastest. Nodes with
+/// F = 0 are never included.
 pub fn nodes_on_wrong_side(mesh: &TriangleMesh, image: &Image<f32>) -> Vec<[usize; 3]> {
     let geometry = &image.geometry;
     let [nx, ny, _] = geometry.size;
@@ -42,7 +43,7 @@ pub fn nodes_on_wrong_side(mesh: &TriangleMesh, image: &Image<f32>) -> Vec<[usiz
         .collect()
 }
 
-/// Number of grid nodes inside the closed mesh, which is in the grid frame.
+/// Returns the number of grid nodes inside a closed mesh, which is given in the grid frame.
 pub fn count_nodes_inside(mesh: &TriangleMesh, geometry: &Geometry) -> usize {
     let nx = geometry.size[0];
     let crossings = sorted_crossings(mesh, geometry);
@@ -57,23 +58,23 @@ pub fn count_nodes_inside(mesh: &TriangleMesh, geometry: &Geometry) -> usize {
         .sum()
 }
 
-/// A crossing of a triangle and a grid line. All nodes of the row from index `first` on change
-/// sides.
+/// A crossing of a triangle and a grid line. All nodes of the row with index `first` or above
+/// change sides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Crossing {
     /// Row number, k * ny + j.
     pub row: usize,
-    /// Index i of the first node beyond the crossing; the number of nodes in the row if there is
-    /// none.
+    /// Index i of the first node beyond the crossing. If there is no such node, the number of nodes
+    /// in the row.
     pub first: usize,
 }
 
-/// Calls `found` with every crossing of one triangle (grid frame) with the grid lines in x.
+/// Calls `found` with every crossing of a triangle (in the grid frame) with the grid lines in x.
 pub fn crossings(corners: [DVec3; 3], geometry: &Geometry, mut found: impl FnMut(Crossing)) {
     let spacing = geometry.spacing;
     let low = corners[0].min(corners[1]).min(corners[2]);
     let high = corners[0].max(corners[1]).max(corners[2]);
-    // slightly too wide; the exact signs below decide
+    // the range is slightly too wide; the exact signs below decide
     let range = |axis: usize| {
         let from = (low[axis] / spacing[axis] - 1e-6).ceil().max(0.0);
         let to = (high[axis] / spacing[axis] + 1e-6).floor().min(geometry.size[axis] as f64 - 1.0);
@@ -94,7 +95,8 @@ pub fn crossings(corners: [DVec3; 3], geometry: &Geometry, mut found: impl FnMut
     }
 }
 
-/// Side of a point relative to the line a, b after the symbolic shift; 0 only if a = b.
+/// Returns the side of a point relative to the line a, b after the symbolic shift. The result is 0
+/// only if a = b.
 fn moved_turn(a: Coord<f64>, b: Coord<f64>, p: Coord<f64>) -> i8 {
     let difference = |x: f64, y: f64| i8::from(x > y) - i8::from(x < y);
     match turn(a, b, p) {
@@ -106,14 +108,14 @@ fn moved_turn(a: Coord<f64>, b: Coord<f64>, p: Coord<f64>) -> i8 {
     }
 }
 
-/// Index of the first node of the row at (y, z) = `at` beyond the plane of a triangle that this row
-/// crosses.
+/// Returns the index of the first node beyond the plane of a triangle, in the row at (y, z) = `at`.
+/// The row crosses the triangle.
 fn first_beyond(corners: [DVec3; 3], side: i8, at: Coord<f64>, geometry: &Geometry) -> usize {
     let spacing = geometry.spacing.x;
     let count = geometry.size[0];
     let [a, b, c] = corners;
     let beyond = |i: usize| orientation(a, b, c, DVec3::new(i as f64 * spacing, at.x, at.y)) * side > 0;
-    // a floating-point estimate, corrected by the exact sign
+    // a floating-point estimate, which the exact sign corrects
     let normal = (b - a).cross(c - a);
     let x = a.x - (normal.y * (at.x - a.y) + normal.z * (at.y - a.z)) / normal.x;
     let low = a.x.min(b.x).min(c.x);
@@ -152,7 +154,8 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    /// Sum of the solid angles of all triangles over 4 pi (van Oosterom and Strackee 1983).
+    /// Returns the sum of the solid angles of all triangles divided by 4 pi (van Oosterom and
+    /// Strackee 1983).
     fn winding_number(mesh: &TriangleMesh, p: DVec3) -> f64 {
         let mut sum = 0.0;
         for t in 0..mesh.triangles.len() {
@@ -205,7 +208,7 @@ mod tests {
         let inside = truth.data.iter().filter(|&&x| x < 0.0).count();
         assert_eq!(count_nodes_inside(&mesh, &truth.geometry), inside);
         assert!(inside > 200);
-        // a field without the object is wrong at all inner nodes
+        // if F is positive everywhere, all inner nodes are on the wrong side
         let outside = Image::filled(truth.geometry.clone(), 1.0f32);
         assert_eq!(nodes_on_wrong_side(&mesh, &outside).len(), inside);
     }
@@ -224,14 +227,14 @@ mod tests {
 
     #[test]
     fn lines_through_vertices_edges_and_faces_count_once() {
-        // corners, edges and faces all lie on grid lines, so every crossing is degenerate
+        // all corners, edges and faces lie on grid lines, so every crossing is degenerate
         let mesh = moved(shapes::cuboid(DVec3::new(4.0, 3.0, 2.0)), DVec3::ONE);
         let field = image([8; 3], DVec3::ONE, |p| {
             let d = (p - DVec3::new(3.0, 2.5, 2.0)).abs() - DVec3::new(2.0, 1.5, 1.0);
             d.max_element()
         });
         assert!(nodes_on_wrong_side(&mesh, &field).is_empty());
-        // an octahedron with its corners on grid nodes
+        // an octahedron whose corners lie on grid nodes
         let sphere = TriangleMesh {
             vertices: [DVec3::X, DVec3::Y, DVec3::Z, -DVec3::X, -DVec3::Y, -DVec3::Z].map(|p| p * 3.0 + 4.0).to_vec(),
             triangles: vec![[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]],

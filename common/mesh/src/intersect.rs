@@ -1,9 +1,9 @@
-//! Self-intersections of a mesh, found with exact predicates (Shewchuk's adaptive `orient2d` and
+//! Finds self-intersections of a mesh with exact predicates (Shewchuk's adaptive `orient2d` and
 //! `orient3d`).
 //!
-//! Triangles are closed sets, so touching counts. Two triangles without a common vertex must be
-//! disjoint. Two triangles with one common vertex may meet only there. Two triangles with a common
-//! edge must not be folded onto each other in one plane. No triangle may occur twice.
+//! Triangles are closed sets, so touching triangles intersect. Two triangles without a common
+//! vertex must be disjoint. Two triangles with one common vertex may meet only there. Two triangles
+//! with a common edge must not be folded onto each other in one plane. No triangle may occur twice.
 
 use super::TriangleMesh;
 use crate::spatial::{Bounds, BoxTree};
@@ -11,19 +11,20 @@ use glam::DVec3;
 use rayon::prelude::*;
 use robust::{Coord, Coord3D};
 
-/// All pairs of triangles that have more in common than their shared vertices. Lower index first,
-/// in ascending order.
+/// Returns all pairs of triangles that intersect outside their shared vertices and edges. The pairs
+/// are in ascending order, with the lower index first.
 pub fn self_intersections(mesh: &TriangleMesh) -> Vec<[u32; 2]> {
     let boxes: Vec<Bounds> = (0..mesh.triangles.len()).into_par_iter().map(|t| Bounds::of(&mesh.corners(t))).collect();
     BoxTree::new(&boxes).pairs(|a, b| triangles_cross(mesh, a as usize, b as usize))
 }
 
-/// Whether two different triangles of a mesh have more in common than their shared vertices.
+/// Returns whether two different triangles of a mesh intersect outside their shared vertices and
+/// edges.
 pub fn triangles_cross(mesh: &TriangleMesh, first: usize, second: usize) -> bool {
     corners_cross(mesh.triangles[first], mesh.corners(first), mesh.triangles[second], mesh.corners(second))
 }
 
-/// As [`triangles_cross`], for triangles given by vertex indices and positions.
+/// Does the same as [`triangles_cross`] for triangles given by vertex indices and positions.
 pub fn corners_cross(first: [u32; 3], p: [DVec3; 3], second: [u32; 3], q: [DVec3; 3]) -> bool {
     let mut shared = [(0, 0); 3];
     let mut count = 0;
@@ -53,22 +54,23 @@ pub fn corners_cross(first: [u32; 3], p: [DVec3; 3], second: [u32; 3], q: [DVec3
     }
 }
 
-/// The triangle with its corners rotated so that corner `first` comes first.
+/// Returns the triangle with its corners rotated so that corner `first` comes first.
 fn turned(t: [DVec3; 3], first: usize) -> [DVec3; 3] {
     [t[first], t[(first + 1) % 3], t[(first + 2) % 3]]
 }
 
-/// A fast floating-point certificate that two triangles are apart. Tests the plane of `t`, and the
-/// planes perpendicular to it through the edges at its first corner. True if one of them has all
-/// `points` (corners of `other`) on its free side by more than the rounding error; false if in
-/// doubt. If `points` leaves out a corner of `other`, that corner must be the first one of `t`.
+/// Returns whether a fast floating-point test proves that two triangles do not intersect. The test
+/// uses the plane of `t`, and the planes perpendicular to `t` through the two edges at its first
+/// corner. It succeeds if all `points` (corners of `other`) are on the free side of one of these
+/// planes by more than the rounding error. If `points` omits a corner of `other`, that corner must
+/// be the first corner of `t`.
 fn clearly_apart(t: [DVec3; 3], other: [DVec3; 3], points: &[DVec3]) -> bool {
     let (u, v) = (t[1] - t[0], t[2] - t[0]);
     let normal = u.cross(v);
     let length = u.length() + v.length();
     let far = other.iter().map(|p| p.distance(t[0])).fold(0.0, f64::max);
     let plane = |direction: DVec3, size: f64| {
-        // Rounding errors are below 1e-14 of the product. Anything closer goes to the exact test.
+        // Rounding errors are below 1e-14 of the product. The exact test decides closer cases.
         let margin = 1e-10 * size * far;
         let side = |p: &DVec3| (*p - t[0]).dot(direction);
         (points.iter().all(|p| side(p) < -margin), points.iter().all(|p| side(p) > margin))
@@ -78,7 +80,7 @@ fn clearly_apart(t: [DVec3; 3], other: [DVec3; 3], points: &[DVec3]) -> bool {
     below || above || plane(normal.cross(u), cube).0 || plane(v.cross(normal), cube).0
 }
 
-/// Whether two triangles without a common vertex intersect.
+/// Returns whether two triangles without a common vertex intersect.
 pub fn triangles_meet(p: [DVec3; 3], q: [DVec3; 3]) -> bool {
     let side = |t: [DVec3; 3], of: [DVec3; 3]| of.map(|x| orientation(t[0], t[1], t[2], x));
     let of_q = side(p, q);
@@ -99,7 +101,7 @@ fn one_sided(s: [i8; 3]) -> bool {
     s == [1; 3] || s == [-1; 3]
 }
 
-/// Whether a closed segment and a closed triangle intersect.
+/// Returns whether a closed segment and a closed triangle intersect.
 pub fn segment_meets_triangle(a: DVec3, b: DVec3, t: [DVec3; 3]) -> bool {
     let at_a = orientation(t[0], t[1], t[2], a);
     let at_b = orientation(t[0], t[1], t[2], b);
@@ -113,8 +115,8 @@ pub fn segment_meets_triangle(a: DVec3, b: DVec3, t: [DVec3; 3]) -> bool {
     !(turns.contains(&1) && turns.contains(&-1))
 }
 
-/// Whether the triangles (u, v, p) and (u, v, q) lie in one plane, on the same side of their common
-/// edge.
+/// Returns whether the triangles (u, v, p) and (u, v, q) lie in one plane and on the same side of
+/// their common edge.
 fn folded(u: DVec3, v: DVec3, p: DVec3, q: DVec3) -> bool {
     if orientation(u, v, p, q) != 0 {
         return false;
@@ -125,9 +127,9 @@ fn folded(u: DVec3, v: DVec3, p: DVec3, q: DVec3) -> bool {
     })
 }
 
-// Coplanar sets intersect exactly if their projections along all three axes do. A common point
-// projects to a common point, and at least one projection is not degenerate, unless all points are
-// collinear.
+// Coplanar sets intersect exactly if their projections along all three axes intersect. A common
+// point projects to a common point, and at least one projection is not degenerate unless all points
+// are collinear.
 
 fn flat_triangles_meet(p: [DVec3; 3], q: [DVec3; 3]) -> bool {
     (0..3).all(|axis| {
@@ -148,8 +150,8 @@ fn flat(p: DVec3, axis: usize) -> Coord<f64> {
     Coord { x: p[(axis + 1) % 3], y: p[(axis + 2) % 3] }
 }
 
-/// Whether a point lies in a triangle of positive area. False for a triangle without area; its
-/// sides are tested separately.
+/// Returns whether a point lies in a triangle of positive area. Returns false for a triangle
+/// without area, whose sides are tested separately.
 fn holds(t: [Coord<f64>; 3], p: Coord<f64>) -> bool {
     let turns: [i8; 3] = std::array::from_fn(|e| turn(t[e], t[(e + 1) % 3], p));
     turn(t[0], t[1], t[2]) != 0 && !(turns.contains(&1) && turns.contains(&-1))
@@ -162,20 +164,21 @@ fn segments_meet_2d(a: Coord<f64>, b: Coord<f64>, c: Coord<f64>, d: Coord<f64>) 
         return false;
     }
     if of_c == 0 && of_d == 0 && of_a == 0 && of_b == 0 {
-        // collinear or points: compare the extents
+        // all points are collinear or coincide, so compare the extents
         let apart = |a: f64, b: f64, c: f64, d: f64| a.max(b) < c.min(d) || c.max(d) < a.min(b);
         return !apart(a.x, b.x, c.x, d.x) && !apart(a.y, b.y, c.y, d.y);
     }
     true
 }
 
-/// Exact sign of the turn a, b, c in the plane: 1 to the left, -1 to the right, 0 if collinear.
+/// Returns the exact sign of the turn a, b, c in the plane: 1 to the left, -1 to the right, 0 if
+/// the points are collinear.
 pub fn turn(a: Coord<f64>, b: Coord<f64>, c: Coord<f64>) -> i8 {
     sign(robust::orient2d(a, b, c))
 }
 
-/// Exact side of d relative to the plane a, b, c: 1 on the side of the normal (b - a) x (c - a), -1
-/// on the other side, 0 in the plane.
+/// Returns the exact side of d relative to the plane a, b, c. The result is 1 on the side of the
+/// normal (b - a) x (c - a), -1 on the other side, and 0 in the plane.
 pub fn orientation(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> i8 {
     let coordinate = |p: DVec3| Coord3D { x: p.x, y: p.y, z: p.z };
     -sign(robust::orient3d(coordinate(a), coordinate(b), coordinate(c), coordinate(d)))
@@ -214,14 +217,14 @@ mod tests {
     #[test]
     fn crossing_touching_and_parted_triangles() {
         assert!(pair(BASE, [v(0.2, 0.2, -1.0), v(0.2, 0.2, 1.0), v(3.0, 3.0, 0.0)]));
-        // a corner on the face, and a corner just off it
+        // a corner on the face, and a corner slightly off the face
         assert!(pair(BASE, [v(0.25, 0.25, 0.0), v(0.0, 0.0, 1.0), v(1.0, 0.0, 1.0)]));
         assert!(!pair(BASE, [v(0.25, 0.25, 1e-300), v(0.0, 0.0, 1.0), v(1.0, 0.0, 1.0)]));
         // edge on edge
         assert!(pair(BASE, [v(0.5, 0.0, -1.0), v(0.5, 0.0, 1.0), v(0.5, -1.0, 0.0)]));
         // parallel
         assert!(!pair(BASE, BASE.map(|p| p + DVec3::Z * 1e-12)));
-        // coplanar: overlapping, one inside the other, apart, touching in a point
+        // coplanar triangles: overlapping, one inside the other, disjoint, touching in a point
         assert!(pair(BASE, BASE.map(|p| p + v(0.3, 0.3, 0.0))));
         assert!(pair(BASE, BASE.map(|p| p * 0.25 + v(0.25, 0.25, 0.0))));
         assert!(!pair(BASE, BASE.map(|p| p + v(0.6, 0.6, 0.0))));
@@ -249,10 +252,11 @@ mod tests {
             triangles: vec![[0, 1, 2], [4, 0, 3]],
         };
         assert!(self_intersections(&mesh(v(-1.0, 0.0, 0.0), v(0.0, -1.0, 0.5))).is_empty());
-        // the far edge of the second triangle passes through the first, or beyond its far edge
+        // the far edge of the second triangle passes through the first triangle, or beyond its far
+        // edge
         assert_eq!(self_intersections(&mesh(v(0.2, 0.2, -1.0), v(0.2, 0.2, 1.0))), [[0, 1]]);
         assert_eq!(self_intersections(&mesh(v(2.0, 2.0, -1.0), v(2.0, 2.0, 1.0))), [[0, 1]]);
-        // coplanar: side by side, and overlapping
+        // coplanar triangles: side by side, and overlapping
         assert!(self_intersections(&mesh(v(-1.0, 0.0, 0.0), v(0.0, -1.0, 0.0))).is_empty());
         assert_eq!(self_intersections(&mesh(v(1.0, 3.0, 0.0), v(3.0, 1.0, 0.0))), [[0, 1]]);
     }
@@ -288,9 +292,10 @@ mod tests {
         assert!(found.windows(2).all(|w| w[0] < w[1]));
     }
 
-    /// The separating-axis test in integers, where it is exact. Two triangles are apart exactly if
-    /// their projections onto some axis are: a face normal, a cross product of two edges, or an
-    /// in-plane edge normal.
+    /// Returns whether two triangles intersect, using the separating-axis test in integers, where
+    /// it is exact. Two triangles are disjoint exactly if their projections onto some axis are
+    /// disjoint. The axis is a face normal, a cross product of two edges, or an in-plane edge
+    /// normal.
     fn reference_meet(p: [[i64; 3]; 3], q: [[i64; 3]; 3]) -> bool {
         let sub = |a: [i64; 3], b: [i64; 3]| std::array::from_fn::<i128, 3, _>(|i| i128::from(a[i]) - i128::from(b[i]));
         let cross = |a: [i128; 3], b: [i128; 3]| {
@@ -317,8 +322,8 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(4000))]
-        /// Compares with the separating-axis test in integers, where touching and coplanar cases
-        /// are frequent.
+        /// Compares with the separating-axis test on small integers, where touching and coplanar
+        /// triangles are frequent.
         #[test]
         fn agrees_with_the_separating_axis_test(
             p in prop::array::uniform3(prop::array::uniform3(-3i64..4)),
@@ -332,7 +337,8 @@ mod tests {
             prop_assert_eq!(corners_cross([0, 1, 2], real(p), [3, 4, 5], real(q)), expected);
         }
 
-        /// The fast certificate must never accept a pair that the exact test rejects.
+        /// The fast test must never declare two triangles disjoint if the exact test finds an
+        /// intersection.
         #[test]
         fn pairs_with_a_common_vertex_agree_with_the_exact_test(
             points in prop::array::uniform5(prop::array::uniform3(-3i8..4)),

@@ -1,10 +1,10 @@
-//! A balanced k-d tree over points for nearest-neighbour queries (Bentley 1975), with the bounding
-//! box of the points of every node.
+//! A balanced k-d tree of points for nearest-neighbour queries (Bentley 1975). Every node stores
+//! the bounding box of its points.
 //!
 //! The points are reordered into an implicit median tree, so the tree needs one index and about ten
-//! bytes of boxes per point. It handles any number of equal coordinates, which are common here
-//! because points lie on grid planes. The boxes exclude the empty space around surface points, so a
-//! ball that touches a surface meets few of them.
+//! bytes of boxes per point. It supports any number of equal coordinates, which are common because
+//! points often lie on grid planes. The boxes exclude the empty space around surface points, so a
+//! ball that touches a surface meets few boxes.
 
 use crate::spatial::Bounds;
 use glam::DVec3;
@@ -17,12 +17,12 @@ const LEAF: usize = 12;
 pub struct KdTree {
     points: Vec<DVec3>,
     index: Vec<u32>,
-    /// Bounding box of each node; the children of node n are 2 n + 1 and 2 n + 2.
+    /// Bounding box of each node. The children of node n are 2 n + 1 and 2 n + 2.
     boxes: Vec<Bounds>,
 }
 
 impl KdTree {
-    /// Builds the tree. Results refer to points by their index in `points`.
+    /// Builds the tree. Results identify a point by its index in `points`.
     pub fn new(points: &[DVec3]) -> Self {
         let mut order: Vec<u32> = (0..points.len() as u32).collect();
         split(points, &mut order);
@@ -32,30 +32,31 @@ impl KdTree {
         tree
     }
 
-    /// Number of points.
+    /// Returns the number of points.
     pub fn len(&self) -> usize {
         self.points.len()
     }
 
-    /// Whether there are no points.
+    /// Returns whether there are no points.
     pub fn is_empty(&self) -> bool {
         self.points.is_empty()
     }
 
-    /// Index and distance of the nearest point; `None` for an empty tree. The lowest index wins a
-    /// tie.
+    /// Returns the index and distance of the nearest point, or `None` for an empty tree. If several
+    /// points are nearest, returns the lowest index.
     pub fn nearest(&self, query: DVec3) -> Option<(usize, f64)> {
         self.nearest_within(query, f64::INFINITY)
     }
 
-    /// Index and distance of the nearest point closer than `radius`.
+    /// Returns the index and distance of the nearest point that is closer than `radius`.
     pub fn nearest_within(&self, query: DVec3, radius: f64) -> Option<(usize, f64)> {
         self.nearest_of_leaves(query, radius, usize::MAX)
     }
 
-    /// As [`KdTree::nearest_within`], but visits at most `leaves` leaves, closest first, so the
-    /// result may be only approximately nearest. If all points are about equally far, as from the
-    /// centre of a ball, an exact search would visit every leaf.
+    /// Does the same as [`KdTree::nearest_within`], but visits at most `leaves` leaves, starting
+    /// with the closest. The result may therefore be only approximately nearest. If all points are
+    /// at about the same distance, for example around the centre of a ball, an exact search would
+    /// visit every leaf.
     pub fn nearest_of_leaves(&self, query: DVec3, radius: f64, leaves: usize) -> Option<(usize, f64)> {
         let mut search = Search { query, best: (u32::MAX, radius * radius), leaves };
         self.search(&mut search, 0..self.points.len(), 0);
@@ -63,10 +64,10 @@ impl KdTree {
         (index != u32::MAX).then(|| (index as usize, squared.sqrt()))
     }
 
-    /// Calls `found` with the index and position of every point in a ball (centre, radius), closest
-    /// nodes first. `found` may return a smaller ball inside the current one, which the search then
-    /// continues with. Returns false if more than `leaves` leaves would have to be visited; some
-    /// points are then missing.
+    /// Calls `found` with the index and position of every point in a ball (centre, radius),
+    /// starting with the closest nodes. `found` may return a smaller ball inside the current ball,
+    /// and the search then continues with the smaller ball. Returns false, and omits some points,
+    /// if the search would visit more than `leaves` leaves.
     pub fn each_within(
         &self,
         ball: (DVec3, f64),
@@ -136,7 +137,7 @@ impl KdTree {
         }
     }
 
-    /// Sets the boxes of a node and of its descendants, and returns the box of the node.
+    /// Sets the boxes of a node and its descendants, and returns the box of the node.
     fn bound(&mut self, part: Range<usize>, number: usize) -> Bounds {
         let bounds = if part.len() <= LEAF {
             Bounds::of(&self.points[part])
@@ -154,7 +155,7 @@ impl KdTree {
     }
 }
 
-/// Index of the point that separates the two children of a node.
+/// Returns the index of the point that separates the two children of a node.
 fn middle(part: &Range<usize>) -> usize {
     part.start + part.len() / 2
 }
@@ -168,7 +169,7 @@ struct Visit {
     centre: DVec3,
     /// Squared radius of the ball.
     squared: f64,
-    /// Number of leaves that may still be visited.
+    /// Number of leaves that the search may still visit.
     leaves: usize,
 }
 
@@ -177,7 +178,7 @@ struct Search {
     query: DVec3,
     /// Index and squared distance of the nearest point so far.
     best: (u32, f64),
-    /// Number of leaves that may still be visited.
+    /// Number of leaves that the search may still visit.
     leaves: usize,
 }
 

@@ -1,9 +1,10 @@
 //! Triangle meshes: the data structure, quality measures, validity checks and file formats.
 //!
-//! [`quality`] and [`measure`] compute the figures of the paper's Table 1 (radius ratio 2r/R,
-//! angles, areas). [`topology`], [`intersect`] and [`inside`] check with exact predicates whether a
-//! mesh is valid for simulation. [`spatial`] and [`kd_tree`] are search structures, and
-//! [`components`] finds connected components. [`surface`] and [`point_cloud`] read and write files.
+//! [`quality`] and [`measure`] compute the values of the paper's Table 1 (radius ratio 2r/R,
+//! angles, areas). [`topology`], [`intersect`] and [`inside`] check whether a mesh is valid for
+//! simulation; geometric tests use exact predicates. [`spatial`] and [`kd_tree`] are search
+//! structures, and [`components`] finds connected components. [`surface`] and [`point_cloud`] read
+//! and write files.
 //!
 //! ```
 //! use isoparticles_mesh::{
@@ -37,7 +38,7 @@ mod vtk_legacy;
 
 pub use error::{Error, Result};
 
-/// Indexed triangles, counter-clockwise as seen from outside.
+/// A mesh of indexed triangles, which are counter-clockwise as seen from outside.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TriangleMesh {
     /// Vertex positions.
@@ -47,14 +48,14 @@ pub struct TriangleMesh {
 }
 
 impl TriangleMesh {
-    /// Positions of the three corners of a triangle.
+    /// Returns the positions of the three corners of a triangle.
     #[inline]
     pub fn corners(&self, triangle: usize) -> [DVec3; 3] {
         self.triangles[triangle].map(|v| self.vertices[v as usize])
     }
 
-    /// Whether all coordinates are finite and all indices refer to a vertex. The other checks
-    /// assume both.
+    /// Returns whether all coordinates are finite and all indices refer to a vertex. The other
+    /// checks assume both conditions.
     pub fn is_well_formed(&self) -> bool {
         let count = self.vertices.len();
         self.vertices.iter().all(|p| p.is_finite()) && self.triangles.iter().flatten().all(|&v| (v as usize) < count)

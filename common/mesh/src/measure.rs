@@ -1,30 +1,30 @@
-//! Area and signed volume of a mesh and of its components.
+//! Computes the area and signed volume of a mesh and of its components.
 
 use super::TriangleMesh;
 use glam::DVec3;
 use serde::Serialize;
 
-/// Area (mm^2) and signed volume (mm^3, positive if the triangles face outward).
+/// Area in mm^2, and signed volume in mm^3 (positive if the triangles face outward).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Measure {
-    /// Area, mm^2.
+    /// Area in mm^2.
     pub area: f64,
-    /// Signed volume, mm^3; meaningful only for a closed surface.
+    /// Signed volume in mm^3. It is meaningful only for a closed surface.
     pub volume: f64,
 }
 
-/// Area and volume of the whole mesh.
+/// Computes the area and volume of the whole mesh.
 pub fn measure(mesh: &TriangleMesh) -> Measure {
     let everything = vec![0; mesh.triangles.len()];
     measure_components(mesh, &everything, 1)[0]
 }
 
-/// Area and volume of each component, given the component of every triangle
+/// Computes the area and volume of each component, given the component of every triangle
 /// (`Topology::component_of_triangle` of [`super::topology`]).
 pub fn measure_components(mesh: &TriangleMesh, component_of_triangle: &[u32], count: usize) -> Vec<Measure> {
     let mut measures = vec![Measure::default(); count];
-    // A reference point on the component keeps the volume of a small part far from the origin
-    // accurate.
+    // With a reference point on the component, the volume of a small component far from the origin
+    // is accurate.
     let mut references: Vec<Option<DVec3>> = vec![None; count];
     for (t, &component) in component_of_triangle.iter().enumerate() {
         let [a, b, c] = mesh.corners(t);
@@ -56,8 +56,8 @@ mod tests {
 
     #[test]
     fn a_fine_sphere_approaches_the_analytic_measure() {
-        // An inscribed icosphere of level n loses a share of about 0.83 / 4^n of the volume, and
-        // half that share of the area.
+        // An inscribed icosphere of level n is missing a share of about 0.83 / 4^n of the volume,
+        // and half that share of the area.
         let got = measure(&shapes::icosphere(2.0, 5));
         let (area, volume) = (16.0 * PI, 32.0 / 3.0 * PI);
         assert!((got.area / area - 1.0).abs() < 1e-3, "{got:?}");

@@ -1,5 +1,6 @@
-//! Reads point clouds: PLY (ASCII or binary), text with lines `x y z [nx ny nz]` (`.xyz`), and the
-//! points of VTK files (`.vtp` and legacy `.vtk`). Normals are read if the file has them.
+//! Reads point clouds: PLY (ASCII or binary), text files with lines `x y z [nx ny nz]` (`.xyz`),
+//! and the points of VTK files (`.vtp` and legacy `.vtk`). Also reads normals if the file contains
+//! them.
 
 use crate::error::bad;
 use crate::error::{Error, Result};
@@ -11,33 +12,33 @@ use isoparticles_volume::Space;
 use isoparticles_volume::vtk_xml::VtkFile;
 use std::path::Path;
 
-/// Points in the coordinates and order of the file.
+/// Points in the coordinates and the order of the file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PointCloud {
-    /// Positions; all are finite.
+    /// Positions, all of which are finite.
     pub positions: Vec<DVec3>,
-    /// A normal per point, not normalised; zero if the file's normal is not finite. `None` if the
-    /// file has no normals.
+    /// One normal per point, not normalised. A normal that is not finite in the file is replaced
+    /// with zero. `None` if the file has no normals.
     pub normals: Option<Vec<DVec3>>,
-    /// The world frame, if the file states it.
+    /// World frame of the points, if the file specifies it.
     pub space: Space,
-    /// How the file was made, if it states that.
+    /// History of the file, if the file contains one.
     pub history: Option<History>,
 }
 
 impl PointCloud {
-    /// A point cloud from a file that does not state its frame or history.
+    /// Creates a point cloud from a file that does not specify a frame or history.
     fn unplaced(positions: Vec<DVec3>, normals: Option<Vec<DVec3>>) -> Self {
         Self { positions, normals, space: Space::Unnamed, history: None }
     }
 }
 
-/// Whether the file name has the extension of a point cloud.
+/// Returns whether the file name has the extension of a point cloud.
 pub fn is_point_cloud(path: &Path) -> bool {
     format(path).is_some()
 }
 
-/// Reads a point cloud; the file extension decides the format.
+/// Reads a point cloud. The file extension determines the format.
 ///
 /// # Errors
 /// If the extension is unknown, if the file cannot be read, is damaged or has no points, or if a
@@ -90,7 +91,7 @@ fn unusable(path: &Path, what: &str) -> Error {
     )
 }
 
-/// Whether a point array is named as normals are.
+/// Returns whether a point array has the name of normals.
 pub(crate) fn is_normals(name: &str) -> bool {
     name.eq_ignore_ascii_case("normals") || name.eq_ignore_ascii_case("normal")
 }
@@ -153,7 +154,7 @@ fn read_vtp(path: &Path) -> Result<PointCloud> {
     Ok(PointCloud { positions, normals, space: space.unwrap_or(Space::Unnamed), history })
 }
 
-/// How a PLY file stores its numbers.
+/// Encoding of the numbers in a PLY file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Encoding {
     Ascii,
@@ -161,7 +162,7 @@ enum Encoding {
     BigEndian,
 }
 
-/// A number type of PLY, with its size in bytes.
+/// A number type of PLY and its size in bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum PlyScalar {
     Signed(usize),
@@ -190,7 +191,7 @@ impl PlyScalar {
         }
     }
 
-    /// The value of a number given by its little-endian bytes, padded with zeros.
+    /// Returns the value of a number given by its little-endian bytes, which are padded with zeros.
     fn value(self, little: [u8; 8]) -> f64 {
         let whole = u64::from_le_bytes(little);
         match self {
@@ -205,7 +206,7 @@ impl PlyScalar {
     }
 }
 
-/// An element of a PLY file: a group of equal records.
+/// An element of a PLY file, which is a group of records with the same properties.
 struct PlyElement {
     name: String,
     count: usize,
@@ -217,7 +218,7 @@ struct PlyElement {
 struct PlyHeader {
     encoding: Encoding,
     elements: Vec<PlyElement>,
-    /// Length of the header in bytes; the data follows it.
+    /// Length of the header in bytes. The data follows the header.
     length: usize,
 }
 
@@ -299,17 +300,18 @@ fn ply_points(bytes: &[u8]) -> std::result::Result<PointCloud, String> {
     Ok(PointCloud::unplaced(positions, directions.map(|_| normals)))
 }
 
-/// Iterates over the records of an element.
+/// Iterator over the records of an element.
 enum Rows<'a> {
     Words(std::str::SplitAsciiWhitespace<'a>),
     Bytes(&'a [u8], Encoding),
 }
 
 impl<'a> Rows<'a> {
-    /// Skips to the records of element number `at`. Fails if the data is too short for its records.
+    /// Skips to the records of element number `at`. Returns an error if the data is too short for
+    /// the number of records.
     fn new(header: &PlyHeader, at: usize, data: &'a [u8]) -> std::result::Result<Self, String> {
         let is_text = header.encoding == Encoding::Ascii;
-        // in text, every number but the last takes at least two bytes
+        // in text, every number except the last takes at least two bytes
         let width =
             |e: &PlyElement| e.properties.iter().map(|(_, s)| if is_text { 2 } else { s.bytes() }).sum::<usize>();
         let size = |e: &PlyElement| e.count.checked_mul(width(e));

@@ -1,5 +1,5 @@
-//! Reads points with one number each from VTK polygon (`.vtp`) and unstructured (`.vtu`) files.
-//! Cells are ignored.
+//! Reads points with one number per point from VTK polygon (`.vtp`) and unstructured (`.vtu`)
+//! files. Cells are ignored.
 
 use crate::error::bad;
 use crate::error::{Error, Result};
@@ -38,7 +38,7 @@ pub fn read_sized_points(path: &Path, name: &str) -> Result<Vec<(DVec3, f64)>> {
     }
 }
 
-/// The point positions of a piece, which must not be empty. `unusable` makes the error.
+/// Returns the point positions of a piece, which must not be empty. `unusable` creates the error.
 pub(crate) fn positions(file: &VtkFile, piece: &Element, unusable: impl Fn(&str) -> Error) -> Result<Vec<DVec3>> {
     let count = piece.attribute("NumberOfPoints").and_then(|text| text.parse::<usize>().ok());
     let count = count.filter(|&count| count > 0).ok_or_else(|| unusable("has no points"))?;

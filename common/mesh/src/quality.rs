@@ -1,22 +1,23 @@
-//! Quality of triangles: the radius ratio 2r/R of the paper's Table 1 (1 for an equilateral
-//! triangle, 0 for a degenerate one), angles, areas, edge lengths, and their distribution over a
-//! mesh.
+//! Quality of triangles: the radius ratio 2r/R of the paper's Table 1, angles, areas and edge
+//! lengths, and the distribution of these values over a mesh. The radius ratio is 1 for an
+//! equilateral triangle and 0 for a degenerate triangle.
 
 use super::TriangleMesh;
 use glam::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Number of equal bins of the radius-ratio histogram over [0, 1].
+/// Number of equal bins of the radius-ratio histogram from 0 to 1.
 pub const HISTOGRAM_BINS: usize = 50;
 
-/// Number of triangles that one thread handles at a time.
+/// Number of triangles per task.
 const CHUNK: usize = 1 << 12;
 
-/// A triangle counts as degenerate if its area is at most this share of the mean area.
+/// A triangle is degenerate if its area is at most this share of the mean area.
 pub const ZERO_AREA_SHARE: f64 = 1e-12;
 
-/// Radius ratio 2r/R of a triangle: 8 A^2 / (s a b c) with s half the perimeter; 0 if degenerate.
+/// Computes the radius ratio 2r/R of a triangle: 8 A^2 / (s a b c), where s is half the perimeter.
+/// Returns 0 for a degenerate triangle.
 #[inline]
 pub fn radius_ratio(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     let lengths = [b.distance(c), c.distance(a), a.distance(b)];
@@ -26,13 +27,13 @@ pub fn radius_ratio(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     if ratio.is_finite() { ratio } else { 0.0 }
 }
 
-/// Area of a triangle in squared units of the coordinates.
+/// Computes the area of a triangle in squared units of the coordinates.
 pub fn area(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     0.5 * (b - a).cross(c - a).length()
 }
 
-/// The three interior angles in degrees, at `a`, `b` and `c`; NaN at the ends of an edge of length
-/// zero.
+/// Computes the three interior angles in degrees, at `a`, `b` and `c`. The angles at the ends of an
+/// edge of length zero are NaN.
 pub fn angles(a: DVec3, b: DVec3, c: DVec3) -> [f64; 3] {
     let at = |p: DVec3, q: DVec3, r: DVec3| {
         let (u, v) = (q - p, r - p);
@@ -41,7 +42,7 @@ pub fn angles(a: DVec3, b: DVec3, c: DVec3) -> [f64; 3] {
     [at(a, b, c), at(b, c, a), at(c, a, b)]
 }
 
-/// Radius ratio of every triangle, in order.
+/// Returns the radius ratio of every triangle, in order.
 pub fn radius_ratios(mesh: &TriangleMesh) -> Vec<f64> {
     (0..mesh.triangles.len())
         .into_par_iter()
@@ -52,7 +53,7 @@ pub fn radius_ratios(mesh: &TriangleMesh) -> Vec<f64> {
         .collect()
 }
 
-/// Triangles whose area is at most [`ZERO_AREA_SHARE`] of the mean area.
+/// Returns the triangles whose area is at most [`ZERO_AREA_SHARE`] of the mean area.
 pub fn zero_area_triangles(mesh: &TriangleMesh) -> Vec<u32> {
     let areas: Vec<f64> = (0..mesh.triangles.len())
         .into_par_iter()
@@ -84,21 +85,21 @@ pub struct QualitySummary {
     pub radius_ratio_median: f64,
     /// Share of the triangles with a radius ratio below one half.
     pub share_below_half: f64,
-    /// Triangles in each of [`HISTOGRAM_BINS`] equal bins of the radius ratio over [0, 1].
+    /// Number of triangles in each of [`HISTOGRAM_BINS`] equal bins of the radius ratio.
     pub radius_ratio_histogram: Vec<usize>,
-    /// Minimum angle, degrees.
+    /// Minimum angle in degrees.
     pub angle_min: f64,
-    /// Maximum angle, degrees.
+    /// Maximum angle in degrees.
     pub angle_max: f64,
-    /// Minimum edge length, mm.
+    /// Minimum edge length in mm.
     pub edge_length_min: f64,
-    /// Mean edge length over all triangles (an inner edge counts twice), mm.
+    /// Mean edge length in mm over all triangles. An inner edge counts twice.
     pub edge_length_mean: f64,
-    /// Maximum edge length, mm.
+    /// Maximum edge length in mm.
     pub edge_length_max: f64,
 }
 
-/// Minimum and maximum of the angles and edge lengths of some triangles, and the total length.
+/// Minimum and maximum of the angles and edge lengths of some triangles, and the total edge length.
 struct Sides {
     angles: [f64; 2],
     lengths: [f64; 2],
@@ -122,7 +123,7 @@ impl Sides {
     }
 }
 
-/// Quality statistics of all triangles; all zeros for an empty mesh.
+/// Computes the quality statistics of all triangles. All values are zero for an empty mesh.
 pub fn summarise(mesh: &TriangleMesh) -> QualitySummary {
     if mesh.triangles.is_empty() {
         return QualitySummary { radius_ratio_histogram: vec![0; HISTOGRAM_BINS], ..QualitySummary::default() };
@@ -162,12 +163,13 @@ pub fn summarise(mesh: &TriangleMesh) -> QualitySummary {
     summary
 }
 
-/// Mean of the values, summed in order; 0 for no values.
+/// Returns the mean of the values, summed in order, or 0 if there are no values.
 pub fn mean(values: &[f64]) -> f64 {
     if values.is_empty() { 0.0 } else { values.iter().sum::<f64>() / values.len() as f64 }
 }
 
-/// Percentile (0 to 100) of ascending values, interpolated linearly; 0 for no values.
+/// Returns a percentile (0 to 100) of ascending values, interpolated linearly, or 0 if there are no
+/// values.
 pub fn percentile(ascending: &[f64], percent: f64) -> f64 {
     if ascending.is_empty() {
         return 0.0;
@@ -186,10 +188,10 @@ mod tests {
     fn radius_ratio_of_known_triangles() {
         let equilateral = radius_ratio(DVec3::ZERO, DVec3::X, DVec3::new(0.5, 0.75f64.sqrt(), 0.0));
         assert!((equilateral - 1.0).abs() < 1e-14);
-        // 3-4-5: r = 1, R = 2.5
+        // 3-4-5 triangle: r = 1, R = 2.5
         let right = radius_ratio(DVec3::ZERO, DVec3::X * 3.0, DVec3::Y * 4.0);
         assert!((right - 0.8).abs() < 1e-14);
-        // right isosceles: 2 (sqrt 2 - 1)
+        // right isosceles triangle: 2 (sqrt 2 - 1)
         let isosceles = radius_ratio(DVec3::ZERO, DVec3::X, DVec3::Z);
         assert!((isosceles - 2.0 * (2f64.sqrt() - 1.0)).abs() < 1e-14);
         assert_eq!(radius_ratio(DVec3::ZERO, DVec3::X, DVec3::X * 2.0), 0.0);

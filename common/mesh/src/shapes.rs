@@ -1,13 +1,14 @@
-//! Meshes of known shape and topology (icosphere, torus, box), for tests and as simple initial
-//! meshes.
+//! Creates meshes of known shape and topology (icosphere, torus, box), for tests and as simple
+//! initial meshes.
 
 use super::TriangleMesh;
 use glam::DVec3;
 use std::collections::HashMap;
 use std::f64::consts::TAU;
 
-/// A sphere about the origin: an icosahedron whose triangles are split into four `levels` times. It
-/// has 20 * 4^levels triangles that face outward, and all vertices at distance `radius`.
+/// Creates a sphere around the origin from an icosahedron whose triangles are split into four
+/// `levels` times. The sphere has 20 * 4^levels triangles, which face outward. All vertices are at
+/// distance `radius` from the origin.
 pub fn icosphere(radius: f64, levels: usize) -> TriangleMesh {
     let golden = 0.5 * (1.0 + 5f64.sqrt());
     let mut vertices = Vec::new();
@@ -50,7 +51,8 @@ pub fn icosphere(radius: f64, levels: usize) -> TriangleMesh {
     TriangleMesh { vertices, triangles }
 }
 
-/// A torus about the z axis with `around` x `across` vertices (at least 3 each), facing outward.
+/// Creates a torus around the z axis with `around` x `across` vertices (at least 3 each). The
+/// triangles face outward.
 pub fn torus(ring_radius: f64, tube_radius: f64, around: usize, across: usize) -> TriangleMesh {
     let (around, across) = (around.max(3), across.max(3));
     let mut mesh = TriangleMesh::default();
@@ -72,8 +74,8 @@ pub fn torus(ring_radius: f64, tube_radius: f64, around: usize, across: usize) -
     mesh
 }
 
-/// A box with one corner at the origin and the opposite corner at `size`; twelve triangles, facing
-/// outward.
+/// Creates a box with one corner at the origin and the opposite corner at `size`. The box has
+/// twelve triangles, which face outward.
 pub fn cuboid(size: DVec3) -> TriangleMesh {
     let vertices =
         (0..8u32).map(|c| DVec3::new(f64::from(c & 1), f64::from(c >> 1 & 1), f64::from(c >> 2 & 1)) * size).collect();

@@ -1,5 +1,5 @@
-//! Spatial search: a tree of axis-aligned boxes that finds the pairs of boxes that meet, and cubic
-//! bins for points that are added and removed.
+//! Spatial search: a tree of axis-aligned boxes that finds the pairs of boxes that intersect, and
+//! cubic bins for points that are added and removed.
 //!
 //! The boxes are sorted along a Morton curve and grouped by eight, level by level, so that SIMD
 //! instructions test eight boxes at once. The tree and the order of the results depend only on the
@@ -23,37 +23,37 @@ impl Bounds {
     /// The empty box.
     pub const EMPTY: Self = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
 
-    /// The smallest box around some points.
+    /// Returns the smallest box that contains some points.
     #[inline]
     pub fn of(points: &[DVec3]) -> Self {
         points.iter().fold(Self::EMPTY, |b, &p| Self { low: b.low.min(p), high: b.high.max(p) })
     }
 
-    /// The smallest box around two boxes.
+    /// Returns the smallest box that contains two boxes.
     #[inline]
     pub fn merged(self, other: Self) -> Self {
         Self { low: self.low.min(other.low), high: self.high.max(other.high) }
     }
 
-    /// Whether two boxes intersect; touching counts.
+    /// Returns whether two boxes intersect. Touching boxes intersect.
     #[inline]
     pub fn meets(&self, other: &Self) -> bool {
         self.low.cmple(other.high).all() && other.low.cmple(self.high).all()
     }
 
-    /// Whether a point lies in the box or on its border.
+    /// Returns whether a point lies in the box or on its border.
     #[inline]
     pub fn holds(&self, p: DVec3) -> bool {
         self.low.cmple(p).all() && p.cmple(self.high).all()
     }
 
-    /// Whether a point lies strictly inside the box.
+    /// Returns whether a point lies strictly inside the box.
     #[inline]
     pub fn encloses(&self, p: DVec3) -> bool {
         self.low.cmplt(p).all() && p.cmplt(self.high).all()
     }
 
-    /// The centre.
+    /// Returns the centre of the box.
     #[inline]
     pub fn centre(&self) -> DVec3 {
         0.5 * (self.low + self.high)
@@ -63,19 +63,19 @@ impl Bounds {
 /// Number of boxes that one SIMD operation tests.
 const LANES: usize = 8;
 
-/// Minimum number of boxes per task; below it, the work stays on one thread.
+/// Minimum number of boxes per task. Fewer boxes are processed on one thread.
 const FEW: usize = 1 << 14;
 
-/// Eight consecutive boxes. Unused places hold NaN coordinates, which meet nothing.
+/// Eight consecutive boxes. Unused lanes hold NaN coordinates, which intersect nothing.
 #[derive(Clone, Copy, Debug)]
 struct Eight {
-    /// Minimum coordinates, axis by axis.
+    /// Minimum coordinates of the boxes along each axis.
     low: [[f64; LANES]; 3],
     high: [[f64; LANES]; 3],
 }
 
 impl Eight {
-    /// At most eight boxes, and the box around all of them.
+    /// Groups at most eight boxes. Also returns the smallest box that contains all of them.
     fn of(boxes: impl Iterator<Item = Bounds>) -> (Self, Bounds) {
         let mut new = Self { low: [[f64::NAN; LANES]; 3], high: [[f64::NAN; LANES]; 3] };
         let mut whole = Bounds::EMPTY;
@@ -88,13 +88,13 @@ impl Eight {
         (new, whole)
     }
 
-    /// One of the eight boxes.
+    /// Returns one of the eight boxes.
     fn at(&self, lane: usize) -> Bounds {
         let place = |from: &[[f64; LANES]; 3]| DVec3::from_array([0, 1, 2].map(|axis| from[axis][lane]));
         Bounds { low: place(&self.low), high: place(&self.high) }
     }
 
-    /// Bit mask of the boxes that meet another box; touching counts.
+    /// Returns a bit mask of the boxes that intersect another box. Touching boxes intersect.
     #[inline(always)]
     fn meeting<S: Simd>(&self, simd: S, other: &Bounds) -> u64 {
         let mut meets = u64::MAX;
@@ -107,18 +107,18 @@ impl Eight {
     }
 }
 
-/// Tree of boxes in which every node has up to eight children.
+/// A tree of boxes in which every node has up to eight children.
 #[derive(Clone, Debug)]
 pub struct BoxTree {
     /// Indices of the boxes, in the order of the Morton curve.
     order: Vec<u32>,
     /// The levels of the tree, from the sorted boxes up to the root.
     levels: Vec<Vec<Eight>>,
-    /// The boxes around the groups of eight of the first level.
+    /// Bounding box of each group of eight boxes at the first level.
     outlines: Vec<Bounds>,
 }
 
-/// The pairs found, and the buffers of the search.
+/// Pairs of boxes found so far, and the buffers of the search.
 #[derive(Default)]
 struct Found {
     pairs: Vec<[u32; 2]>,
@@ -127,7 +127,7 @@ struct Found {
 }
 
 impl BoxTree {
-    /// Builds the tree over some boxes.
+    /// Builds a tree of some boxes.
     pub fn new(boxes: &[Bounds]) -> Self {
         let whole = boxes.iter().fold(Bounds::EMPTY, |a, &b| a.merged(b));
         let scale = (whole.high - whole.low).max(DVec3::splat(f64::MIN_POSITIVE)).recip() * 2_097_151.0;
@@ -162,8 +162,8 @@ impl BoxTree {
         Self { order, levels, outlines }
     }
 
-    /// All pairs of boxes that meet (touching counts) and pass `test`. Lower index first, in
-    /// ascending order.
+    /// Returns all pairs of boxes that intersect (or touch) and pass `test`. The pairs are in
+    /// ascending order, with the lower index first.
     pub fn pairs(&self, test: impl Fn(u32, u32) -> bool + Sync) -> Vec<[u32; 2]> {
         let of_eight = |found: &mut Found, eight: usize| {
             self.find_pairs(eight, found);
@@ -175,8 +175,8 @@ impl BoxTree {
         pairs
     }
 
-    /// Whether any pair of boxes that meet (touching counts) passes `test`. It receives the lower
-    /// index first.
+    /// Returns whether any pair of boxes that intersect (or touch) passes `test`. The first
+    /// argument of `test` is the lower index.
     pub fn any_pair(&self, mut test: impl FnMut(u32, u32) -> bool) -> bool {
         let mut found = Found::default();
         (0..self.outlines.len()).any(|eight| {
@@ -185,7 +185,7 @@ impl BoxTree {
         })
     }
 
-    /// Finds the pairs of boxes that meet, with the first box (in Morton order) in group `eight`.
+    /// Finds the pairs of intersecting boxes whose first box (in Morton order) is in group `eight`.
     fn find_pairs(&self, eight: usize, found: &mut Found) {
         dispatch!(Level::new(), simd => self.find_pairs_by(simd, eight, found));
     }
@@ -214,7 +214,7 @@ impl BoxTree {
             for other in near.iter().map(|&n| n as usize).filter(|&n| n >= eight) {
                 let mut meets = first[other].meeting(simd, &own);
                 if other == eight {
-                    // only the boxes after this one
+                    // only the boxes after the current box
                     meets &= u64::MAX << 1 << lane;
                 }
                 while meets != 0 {
@@ -235,7 +235,7 @@ pub struct Bins<T> {
 }
 
 impl<T: PartialEq> Bins<T> {
-    /// Empty bins with the given positive side length.
+    /// Creates empty bins with the given positive side length.
     pub fn new(side: f64) -> Self {
         Self { side, bins: HashMap::new() }
     }
@@ -249,14 +249,14 @@ impl<T: PartialEq> Bins<T> {
         self.bins.entry(self.bin(p)).or_default().push(value);
     }
 
-    /// Removes a value at a point.
+    /// Removes all values equal to `value` from the bin of a point.
     pub fn remove(&mut self, p: DVec3, value: &T) {
         let bin = self.bin(p);
         self.bins.entry(bin).or_default().retain(|other| other != value);
     }
 
-    /// The values in the bin of a point and in its 26 neighbours, in a fixed order. Contains all
-    /// values at points closer than the side length, and some others.
+    /// Returns the values in the bin of a point and in its 26 neighbours, in a fixed order. These
+    /// are all values at points closer than the side length, and some others.
     pub fn near(&self, p: DVec3) -> impl Iterator<Item = &T> {
         let at = self.bin(p);
         let around = (0..27).map(move |n| [at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1]);

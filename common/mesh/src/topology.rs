@@ -1,13 +1,14 @@
-//! Topology of a triangle mesh: whether every edge lies in exactly two oppositely oriented
-//! triangles, and every vertex has one fan of triangles. Also finds components, Euler
-//! characteristic and genus. Lists the offending vertices, edges and triangles.
+//! Topology of a triangle mesh. Checks whether every edge lies in exactly two triangles with
+//! opposite orientation, and whether every vertex has one fan of triangles. Finds the components,
+//! Euler characteristics and genus, and lists the vertices, edges and triangles that violate a
+//! condition.
 
 use super::TriangleMesh;
 use crate::components::{self, DisjointSets, NO_COMPONENT};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Topology of one component (vertices connected through triangles).
+/// Topology of one component, whose vertices are connected through triangles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct ComponentTopology {
     /// Number of vertices.
@@ -22,28 +23,28 @@ pub struct ComponentTopology {
     pub genus: Option<i64>,
 }
 
-/// Topology of a mesh. Edges are given by their vertices, lower index first. All lists are
-/// ascending.
+/// Topology of a mesh. Edges are given by their vertices, with the lower index first. All lists are
+/// in ascending order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Topology {
     /// Number of different edges.
     pub edges: usize,
-    /// Edges in one triangle only.
+    /// Edges that lie in only one triangle.
     pub open_edges: Vec<[u32; 2]>,
-    /// Edges in more than two triangles.
+    /// Edges that lie in more than two triangles.
     pub non_manifold_edges: Vec<[u32; 2]>,
-    /// Edges that both of their triangles traverse in the same direction.
+    /// Edges with two triangles that traverse the edge in the same direction.
     pub badly_oriented_edges: Vec<[u32; 2]>,
     /// Vertices whose triangles form more than one fan.
     pub non_manifold_vertices: Vec<u32>,
-    /// Vertices of no triangle.
+    /// Vertices that belong to no triangle.
     pub unused_vertices: Vec<u32>,
     /// Triangles with a repeated vertex.
     pub collapsed_triangles: Vec<u32>,
-    /// Triangles with the same three vertices as an earlier one.
+    /// Triangles with the same three vertices as an earlier triangle.
     pub duplicate_triangles: Vec<u32>,
-    /// Component of each vertex, numbered by their lowest vertices; [`NO_COMPONENT`] for an unused
-    /// vertex.
+    /// Component of each vertex. Components are numbered in the order of their lowest vertices.
+    /// [`NO_COMPONENT`] for an unused vertex.
     pub component_of_vertex: Vec<u32>,
     /// Component of each triangle.
     pub component_of_triangle: Vec<u32>,
@@ -54,12 +55,13 @@ pub struct Topology {
 }
 
 impl Topology {
-    /// Whether every edge lies in exactly two triangles that traverse it in opposite directions.
+    /// Returns whether every edge lies in exactly two triangles that traverse it in opposite
+    /// directions.
     pub fn is_watertight(&self) -> bool {
         self.open_edges.is_empty() && self.non_manifold_edges.is_empty() && self.badly_oriented_edges.is_empty()
     }
 
-    /// Whether the mesh is watertight, has one fan at every vertex, and has no duplicate or
+    /// Returns whether the mesh is watertight, has one fan at every vertex, and has no duplicate or
     /// collapsed triangles.
     pub fn is_closed_manifold(&self) -> bool {
         self.is_watertight()
@@ -69,7 +71,7 @@ impl Topology {
     }
 }
 
-/// Analyses a mesh. It must be well-formed ([`TriangleMesh::is_well_formed`]).
+/// Analyses a mesh, which must be well-formed ([`TriangleMesh::is_well_formed`]).
 pub fn analyse(mesh: &TriangleMesh) -> Topology {
     let mut topology = Topology { duplicate_triangles: duplicates(mesh), ..Topology::default() };
     for (t, &[a, b, c]) in mesh.triangles.iter().enumerate() {
@@ -80,8 +82,8 @@ pub fn analyse(mesh: &TriangleMesh) -> Topology {
     find_components(mesh, &mut topology);
 
     let sides = sorted_sides(mesh);
-    // The corners at a vertex are joined if their triangles share an edge. One remaining set means
-    // one fan.
+    // Two corners at a vertex are joined if their triangles share an edge at the vertex. If one set
+    // remains, the vertex has one fan.
     let mut fans = DisjointSets::new(3 * mesh.triangles.len());
     let mut faulty = vec![false; topology.components.len()];
     let mut from = 0;
@@ -138,7 +140,7 @@ pub fn analyse(mesh: &TriangleMesh) -> Topology {
     topology
 }
 
-/// One side of a triangle, with the sort key of its edge.
+/// A side of a triangle, with the sort key of the edge.
 struct Side {
     key: u64,
     triangle: u32,
@@ -162,7 +164,8 @@ fn sorted_sides(mesh: &TriangleMesh) -> Vec<Side> {
     sides
 }
 
-/// Corner number (3 * triangle + place) of the first occurrence of a vertex in a triangle.
+/// Returns the corner number (3 * triangle + corner index) of the first occurrence of a vertex in a
+/// triangle.
 fn corner_of(mesh: &TriangleMesh, triangle: u32, vertex: u32) -> u32 {
     let corners = mesh.triangles[triangle as usize];
     3 * triangle + u32::from(corners[0] != vertex) * (1 + u32::from(corners[1] != vertex))

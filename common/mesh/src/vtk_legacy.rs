@@ -1,7 +1,7 @@
-//! Legacy VTK files (`.vtk`), using vtkio: writes surfaces for programs that support no other VTK
-//! format, and reads points that such programs wrote.
+//! Legacy VTK files (`.vtk`), read and written with vtkio. Writes surfaces for programs that
+//! support no other VTK format, and reads points from files of such programs.
 //!
-//! docs/developer/formats.md explains what vtkio is not used for.
+//! docs/developer/formats.md lists the tasks for which vtkio is not used.
 
 use crate::point_cloud::is_normals;
 use crate::surface::{DataArray, Surface, provenance};
@@ -14,14 +14,15 @@ use vtkio::model::{
     VertexNumbers, Vtk,
 };
 
-/// Points and their normals, if the file has them. Normals are neither normalised nor checked.
+/// Points and their normals, if the file contains normals. Normals are neither normalised nor
+/// checked.
 pub(crate) type Points = (Vec<DVec3>, Option<Vec<DVec3>>);
 
 /// Reads the points of `POLYDATA` or `UNSTRUCTURED_GRID`, and the point data `Normals` or `normal`.
 /// The file may be text or binary.
 ///
 /// # Errors
-/// A description of the problem.
+/// If the file is not a legacy VTK file or has no usable points. The error describes the problem.
 pub(crate) fn read_points(bytes: &[u8]) -> Result<Points, String> {
     let file = Vtk::parse_legacy_be(bytes).map_err(|error| format!("is not a legacy VTK file: {error}"))?;
     let (points, data) = match file.data {
@@ -59,7 +60,7 @@ fn normals(attribute: &Attribute, count: usize) -> Option<Vec<DVec3>> {
     vectors(buffer).filter(|normals| normals.len() == count)
 }
 
-/// Writes a surface as binary `POLYDATA` with its data. The format has no place for the history.
+/// Writes a surface as binary `POLYDATA` with its data. The format cannot store the history.
 pub(crate) fn write(file: &mut dyn Write, surface: &Surface, history: &History) -> io::Result<()> {
     let triangles = &surface.mesh.triangles;
     let piece = PolyDataPiece {
@@ -97,8 +98,8 @@ fn attribute(array: &DataArray) -> Attribute {
 }
 
 /// Converts numbers to types that all programs can read. The name of the 64-bit integer type
-/// differs between versions of the format, so these become 32-bit integers, or doubles if they do
-/// not fit.
+/// differs between versions of the format. 64-bit integers are therefore converted to 32-bit
+/// integers, or to doubles if they do not fit.
 fn buffer(values: &Voxels) -> IOBuffer {
     match values {
         Voxels::F32(values) => IOBuffer::F32(values.clone()),

@@ -1,17 +1,17 @@
-//! User-facing errors of the stages in three parts: what happened (file, value), why it matters,
-//! and what to do next.
+//! User-facing errors of the stages in three parts: what happened (with file and value), why it
+//! matters, and what to do next.
 //!
-//! Libraries have their own errors, which do not depend on programs and options. They are converted
-//! here.
+//! Libraries define their own errors, which do not depend on programs and options. This module
+//! converts those errors.
 
 use isoparticles_volume::Content;
 use std::fmt::Display;
 use std::path::Path;
 
-/// How a stage fails; docs/developer/architecture.md lists the exit codes.
+/// Kinds of failure of a stage. docs/developer/architecture.md lists the exit codes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Bad usage or input: exit code 2.
+    /// Invalid usage or input: exit code 2.
     Input,
     /// No usable GPU although one was required: exit code 3.
     Gpu,
@@ -23,11 +23,11 @@ pub enum Kind {
 #[derive(Clone, Debug, thiserror::Error)]
 #[error("{what}\n  why it matters: {why}\n  what to do: {next}")]
 pub struct Error {
-    /// How the program should exit.
+    /// Kind of failure, which determines the exit code.
     pub kind: Kind,
     /// What happened, with the file and the value.
     pub what: String,
-    /// Why the stage cannot go on.
+    /// Why the stage cannot continue.
     pub why: String,
     /// What the user can do next.
     pub next: String,
@@ -37,17 +37,17 @@ pub struct Error {
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// Bad usage or input (exit code 2).
+    /// Creates an error about invalid usage or input (exit code 2).
     pub fn input(what: impl Into<String>, why: impl Into<String>, next: impl Into<String>) -> Self {
         Self { kind: Kind::Input, what: what.into(), why: why.into(), next: next.into() }
     }
 
-    /// No usable GPU (exit code 3).
+    /// Creates an error for a missing or unusable GPU (exit code 3).
     pub fn gpu(what: impl Into<String>, why: impl Into<String>, next: impl Into<String>) -> Self {
         Self { kind: Kind::Gpu, what: what.into(), why: why.into(), next: next.into() }
     }
 
-    /// The user interrupted the run (exit code 130).
+    /// Creates the error for a run that the user interrupted (exit code 130).
     pub fn interrupted(what: impl Into<String>) -> Self {
         Self {
             kind: Kind::Interrupted,
@@ -57,12 +57,12 @@ impl Error {
         }
     }
 
-    /// An operating-system error on a file (exit code 2).
+    /// Creates an error from an operating-system error on a file (exit code 2).
     pub fn file(path: &Path, doing: &str, source: &std::io::Error, next: impl Into<String>) -> Self {
         Self::input(format!("{}: cannot {doing}: {source}", path.display()), "the stage needs this file", next)
     }
 
-    /// An input error about a file (exit code 2).
+    /// Creates an input error about a file (exit code 2).
     pub fn of_file(path: &Path, what: impl Display, why: impl Into<String>, next: impl Into<String>) -> Self {
         Self::input(format!("{}: {what}", path.display()), why, next)
     }
@@ -114,7 +114,8 @@ impl From<isoparticles_mesh::Error> for Error {
     }
 }
 
-/// The stage that accepts a file that is not a volume, and the file to use instead.
+/// Returns advice for a file that is not a volume: the stage that accepts it, and the file to use
+/// instead.
 fn taken_by(content: Content) -> Option<&'static str> {
     const SURFACE: &str = "distfield needs the volume that the surface was made from; tetmesh-check fills a closed \
                            .vtp surface with tetrahedra, and 'reconstruct --method tight-cocone' reads the points of \

@@ -1,9 +1,9 @@
-//! Reads and writes the fields that stages exchange, signed distance and target edge length, as VTK
-//! image files.
+//! Reads and writes the fields that stages exchange as VTK image files: signed distance and target
+//! edge length.
 //!
-//! Origin, Spacing and Direction place the grid in the world for ParaView and pyvista. The field
-//! data holds the exact geometry, metadata of the stage, and the history. Files that pyvista edited
-//! and saved again are read, too, even if that field data is incomplete.
+//! Origin, Spacing and Direction define the position of the grid in the world for ParaView and
+//! pyvista. The field data contains the exact geometry, metadata of the stage, and the history.
+//! Files that were edited and saved in pyvista can be read even if this field data is incomplete.
 
 use crate::error::{Error, Result};
 use crate::materials_file;
@@ -16,10 +16,10 @@ use serde::Serialize;
 use serde_json::Value;
 use std::path::Path;
 
-/// Version of the field files that are written. Version 1 stored texts as VTK strings instead of
+/// Version of the field files that are written. Version 1 stored strings as VTK strings instead of
 /// bytes.
 const VERSION: u32 = 2;
-/// Versions that are read.
+/// Versions that can be read.
 const READ_VERSIONS: [u32; 2] = [1, VERSION];
 
 /// The type of a field.
@@ -32,7 +32,7 @@ pub enum FieldKind {
 }
 
 impl FieldKind {
-    /// Name of the file kind: the stage that writes it.
+    /// Returns the name of the file kind, which is the name of the stage that writes it.
     pub fn name(self) -> &'static str {
         match self {
             Self::Distance => "distfield",
@@ -40,7 +40,7 @@ impl FieldKind {
         }
     }
 
-    /// Name of the point array.
+    /// Returns the name of the point array.
     pub fn array_name(self) -> &'static str {
         match self {
             Self::Distance => "signed_distance",
@@ -54,15 +54,15 @@ impl FieldKind {
 pub struct Field {
     /// Values and geometry.
     pub image: Image<f32>,
-    /// Metadata of the stage that made it; null in a file of another program.
+    /// Metadata of the stage that wrote the file; null in a file of another program.
     pub meta: Value,
-    /// The history, if the file carries one.
+    /// The history, if the file contains one.
     pub history: Option<History>,
     /// The type of the field.
     pub kind: FieldKind,
 }
 
-/// Writes a field, whose values must be finite. Fails if the file cannot be written.
+/// Writes a field, whose values must be finite. Returns an error if the file cannot be written.
 pub fn write_field(
     path: &Path,
     kind: FieldKind,
@@ -72,7 +72,7 @@ pub fn write_field(
 ) -> Result<()> {
     let mut document = Document::new("ImageData");
     vti::open_image(&mut document, &image.geometry);
-    // sort the keys, independent of the order of the struct fields
+    // sort the keys, so that they do not depend on the order of the struct fields
     let meta = serde_json::to_value(meta).unwrap_or(Value::Null);
     let texts = [("geometry", ascii_json(&image.geometry)), ("meta", ascii_json(&meta))];
     document.identity(kind.name(), VERSION, &texts, history);
@@ -82,8 +82,8 @@ pub fn write_field(
     write_atomically(path, |file| document.write(file))
 }
 
-/// Reads a field. Fails if it is not of the expected kind, has an unknown version or has invalid
-/// values.
+/// Reads a field. Returns an error if the file is not of the expected kind, has an unknown version
+/// or contains invalid values.
 pub fn read_field(path: &Path, expected: FieldKind) -> Result<Field> {
     let file = VtkFile::open(path)?;
     let image = file.data_set("ImageData")?;
@@ -122,8 +122,8 @@ pub fn read_field(path: &Path, expected: FieldKind) -> Result<Field> {
     Ok(Field { image: Image { geometry, data }, meta, history, kind: expected })
 }
 
-/// Fails unless two fields have the same grid. Allows for the rounding of files that another
-/// program has saved.
+/// Returns an error unless two fields have the same grid. Tolerates the rounding in files that
+/// another program has saved.
 pub fn check_same_grid(first: (&Path, &Geometry), second: (&Path, &Geometry)) -> Result<()> {
     if vti::same_grid(first.1, second.1) {
         return Ok(());
@@ -154,7 +154,7 @@ fn wrong_kind(path: &Path, expected: FieldKind, what: &str) -> Error {
     )
 }
 
-/// Distances must be finite; edge lengths must be finite and positive.
+/// Returns an error unless all distances are finite, or all edge lengths are finite and positive.
 fn check_values(path: &Path, kind: FieldKind, data: &[f32]) -> Result<()> {
     let is_bad = |value: &&f32| !value.is_finite() || (kind == FieldKind::Sizing && **value <= 0.0);
     let count: usize = data.par_chunks(1 << 16).map(|part| part.iter().filter(is_bad).count()).sum();

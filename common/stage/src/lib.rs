@@ -1,8 +1,8 @@
-//! The frame of the stage programs of isoparticles.
+//! Shared parts of the stage programs of isoparticles.
 //!
-//! [`cli`] has the common options, exit codes, progress and report. [`error`] has the user-facing
-//! errors in three parts. [`field_file`], [`materials_file`] and [`particle_file`] are the files
-//! that stages exchange, and [`meta`] is the metadata in them.
+//! [`cli`] contains the common options, exit codes, progress and report. [`error`] contains the
+//! user-facing errors in three parts. [`field_file`], [`materials_file`] and [`particle_file`] read
+//! and write the files that stages exchange, and [`meta`] defines the metadata in these files.
 //!
 //! ```no_run
 //! use isoparticles_stage::cli::{CommonArgs, Context, Outcome, StageArgs, run_stage};

@@ -1,9 +1,9 @@
 //! Reads and writes the indicators of several materials, which stages exchange as a VTK image file.
 //!
-//! For ParaView and pyvista, the point data holds the material of each node and its distance from
-//! the nearest interface. The field data holds the indicators: the bricks and coefficients of all
-//! materials, concatenated in the order of the table, and the values that fill the bricks.
-//! Indicators are read back bit for bit.
+//! The point data, for ParaView and pyvista, contains the material of each node and the distance of
+//! the node from the nearest interface. The field data contains the indicators: the bricks and
+//! coefficients of all materials, concatenated in the order of the table, and the values in the
+//! bricks. Indicators are read back bit for bit.
 
 use crate::error::{Error, Result};
 use crate::field_file::FieldKind;
@@ -19,15 +19,15 @@ use std::path::Path;
 /// Name of the file kind.
 pub const KIND: &str = "materials";
 
-/// Version of the layout.
+/// Version of the file layout.
 const VERSION: u32 = 1;
 
-/// The point data of each node for display, x fastest.
+/// The point data of the nodes, for display. The x index varies fastest.
 #[derive(Clone, Copy, Debug)]
 pub struct Shown<'a> {
-    /// Number of the material.
+    /// Material number of each node.
     pub material: &'a [u16],
-    /// Half the difference of the two smallest indicators, mm.
+    /// Half the difference in mm between the two smallest indicators at each node.
     pub interface_distance: &'a [f32],
 }
 
@@ -36,29 +36,29 @@ pub struct Shown<'a> {
 pub struct MaterialsFile {
     /// The indicators, with names and labels.
     pub materials: Materials,
-    /// Metadata of the stage that made them.
+    /// Metadata of the stage that wrote the file.
     pub meta: Value,
-    /// The history, if the file carries one.
+    /// The history, if the file contains one.
     pub history: Option<History>,
 }
 
-/// A material in the file's table.
+/// A material in the table of the file.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Row {
     #[serde(flatten)]
     material: Material,
-    /// First node of the material's box.
+    /// First node of the box of the material.
     first: [usize; 3],
     /// Number of nodes of the box along each axis.
     size: [usize; 3],
     /// Whether everything outside the box is inside the material.
     surrounds: bool,
-    /// Number of bricks of this material; its number of coefficients follows.
+    /// Number of bricks of this material. The next field is the number of its coefficients.
     bricks: usize,
     coefficients: usize,
 }
 
-/// Writes materials. Fails if the file cannot be written.
+/// Writes materials. Returns an error if the file cannot be written.
 ///
 /// # Panics
 /// If `shown` does not have one value per node.
@@ -106,8 +106,8 @@ pub fn write_materials(
     write_atomically(path, |file| document.write(file))
 }
 
-/// Whether a file holds the indicators of several materials. False if it cannot be read as a VTK
-/// image.
+/// Returns whether a file contains the indicators of several materials. Returns false if the file
+/// cannot be read as a VTK image.
 pub fn is_materials(path: &Path) -> bool {
     let kind = || {
         let file = VtkFile::open(path).ok()?;
@@ -190,7 +190,7 @@ fn damaged(path: &Path, what: &str) -> Error {
     Error::of_file(path, what, "the file is damaged or was written by another program", "run distfield again")
 }
 
-/// The error for a file with several materials where a single object is needed.
+/// Returns the error for a file with several materials if the stage needs a single object.
 pub(crate) fn not_one_object(path: &Path, expected: FieldKind) -> Error {
     Error::of_file(
         path,

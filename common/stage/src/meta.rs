@@ -1,8 +1,8 @@
-//! Typed and versioned metadata that stages store in their files, next to the values.
+//! Typed and versioned metadata that stages store in their files, in addition to the values.
 //!
-//! Each struct is the `meta` of one file type. Later stages use the named fields; `notes` is
-//! information for people only. Files of other programs have no metadata, and files without a
-//! version lack some fields, so every field may be missing.
+//! Each struct is the `meta` of one file type. Later stages use the named fields. `notes` is
+//! information for users and is not used by the stages. Files of other programs have no metadata,
+//! and files without a version lack some fields, so every field is optional.
 
 use crate::error::{Error, Result};
 use isoparticles_field::materials::Material;
@@ -11,18 +11,18 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::path::Path;
 
-/// Version of the metadata that is written; 0 stands for files without a version.
+/// Version of the metadata that is written. Version 0 denotes files without a version.
 pub const VERSION: u32 = 1;
 
 /// The source of a surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Source {
-    /// Labels, which fix the side of each voxel centre.
+    /// Labels, which determine the side of each voxel centre.
     Labels,
-    /// The values of a scan and an isovalue.
+    /// The values of a scan and an iso value.
     Scalar,
-    /// Points only.
+    /// Points without a volume.
     Points,
 }
 
@@ -51,9 +51,9 @@ pub enum Side {
 pub struct CapPlane {
     /// Axis of the grid frame that is normal to the plane, 0 to 2.
     pub axis: usize,
-    /// The face of the volume that it closes.
+    /// The face of the volume that the plane closes.
     pub side: Side,
-    /// Position of the plane along that axis, grid frame, mm.
+    /// Position of the plane along the axis in mm, in the grid frame.
     pub position: f64,
 }
 
@@ -66,30 +66,30 @@ pub struct DistanceMeta {
     /// The source of F.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<Source>,
-    /// Treatment of the border.
+    /// Treatment of the object at the border of the volume.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub border: Option<Border>,
     /// The planes that close the object.
     pub cap_planes: Vec<CapPlane>,
-    /// Length scale of the smoothing, mm. None or 0 if every voxel centre was kept.
+    /// Length scale of the smoothing in mm. `None` or 0 if every voxel centre was kept on its side.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<f64>,
-    /// Volume of the input object, mm^3, if known.
+    /// Volume of the input object in mm^3, if known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub volume_before: Option<f64>,
-    /// Information for people.
+    /// Information for users.
     #[serde(flatten)]
     pub notes: Map<String, Value>,
 }
 
 impl DistanceMeta {
-    /// Whether the object was smoothed, so that voxel centres may be on the other side than their
-    /// labels.
+    /// Returns whether the object was smoothed. A voxel centre of a smoothed object may lie on the
+    /// side opposite to its label.
     pub fn is_scaled(&self) -> bool {
         self.scale.is_some_and(|scale| scale > 0.0)
     }
 
-    /// Whether every voxel centre stays on the side of its label.
+    /// Returns whether every voxel centre lies on the side of its label.
     pub fn keeps_voxels(&self) -> bool {
         self.source == Some(Source::Labels) && !self.is_scaled()
     }
@@ -101,19 +101,20 @@ impl DistanceMeta {
 pub struct MaterialsMeta {
     /// Version of the metadata.
     pub version: u32,
-    /// Treatment of the border.
+    /// Treatment of the materials at the border of the volume.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub border: Option<Border>,
-    /// Number of grid nodes that pad each face of the volume.
+    /// Number of grid nodes added beyond each face of the volume.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub margin: Option<usize>,
-    /// Upper bound of `interface_distance`, mm.
+    /// Upper bound of `interface_distance` in mm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distance_limit: Option<f64>,
-    /// Length scale of the smoothing, mm; none if every voxel centre was kept.
+    /// Length scale of the smoothing in mm. `None` if every voxel centre was kept on its side.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<f64>,
-    /// Information for people: the table of materials, the pairs that touch, and the junctions.
+    /// Information for users: the table of materials, the pairs of materials that touch, and the
+    /// junctions.
     #[serde(flatten)]
     pub notes: Map<String, Value>,
 }
@@ -128,7 +129,7 @@ pub struct SizeMeta {
     pub components: usize,
     /// Number of particles predicted from h.
     pub predicted_count: f64,
-    /// Information for people: the distributions of h, of the local feature size and of the noise.
+    /// Information for users: the distributions of h, of the local feature size and of the noise.
     #[serde(flatten)]
     pub notes: Map<String, Value>,
 }
@@ -142,23 +143,23 @@ pub struct SurfaceMeta {
     /// The source of the surface.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<Source>,
-    /// Treatment of the border.
+    /// Treatment of the object at the border of the volume.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub border: Option<Border>,
-    /// The failed checks, in words.
+    /// Descriptions of the failed checks.
     pub failed_checks: Vec<String>,
     /// Expected number of components.
     pub components: usize,
-    /// The materials in the order of their numbers, if there are several. The triangle data
-    /// `material_inside` and `material_outside` refer to them.
+    /// The materials in the order of their numbers, if there are several. The triangle arrays
+    /// `material_inside` and `material_outside` contain these numbers.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub materials: Vec<Material>,
-    /// Information for people.
+    /// Information for users.
     #[serde(flatten)]
     pub notes: Map<String, Value>,
 }
 
-/// Converts the `meta` of a file to its type. Null gives the default.
+/// Converts the `meta` of a file to its type. Returns the default if `meta` is null.
 ///
 /// # Errors
 /// If the metadata has the wrong type or a later version.

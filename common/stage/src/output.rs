@@ -1,21 +1,21 @@
-//! Atomic writing of a stage's outputs, with user-facing errors.
+//! Writes the outputs of a stage atomically, with user-facing errors.
 
 use crate::error::Result;
 use std::io::{self, Write};
 use std::path::Path;
 
-/// Fails if an output exists (unless `force` is set) or if its folder cannot be written to.
+/// Checks that an output can be written.
 ///
 /// # Errors
-/// An error in three parts.
+/// If the output exists and `force` is not set, or if its folder is not writable.
 pub fn check_output(path: &Path, force: bool) -> Result<()> {
     Ok(isoparticles_file::output::check_output(path, force)?)
 }
 
-/// Writes a file atomically; see [`isoparticles_file::output::write_atomically`].
+/// Writes a file atomically. See [`isoparticles_file::output::write_atomically`].
 ///
 /// # Errors
-/// An error in three parts.
+/// If the file cannot be written.
 pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<()> {
     Ok(isoparticles_file::output::write_atomically(path, write)?)
 }

@@ -1,10 +1,10 @@
 //! Reads and writes the particles that stages exchange: a bincode payload in a container with kind,
 //! version, length and checksum.
 //!
-//! Container, little-endian: magic (8 bytes), kind (u32), format version (u32), length of the
-//! payload (u64), BLAKE3 hash of the payload (32 bytes), payload. Payload: the particle set, the
-//! JSON texts of meta and history, and extra bytes of checkpoints, in bincode with fixed-width
-//! little-endian integers. In version 2 (several materials), the strata follow.
+//! The container is little-endian: magic (8 bytes), kind (u32), format version (u32), length of the
+//! payload (u64), BLAKE3 hash of the payload (32 bytes), payload. The payload contains the particle
+//! set, the JSON strings of meta and history, and extra bytes of checkpoints, in bincode with
+//! fixed-width little-endian integers. In version 2 (several materials), the strata follow.
 
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
@@ -18,11 +18,11 @@ use std::io::Read;
 use std::path::Path;
 
 const MAGIC: [u8; 8] = *b"ISOPART\n";
-/// Container version that is written for a single object.
+/// Container version of files with a single object.
 const VERSION: u32 = 1;
-/// Container version that is written for several materials.
+/// Container version of files with several materials.
 const VERSION_OF_STRATA: u32 = 2;
-/// Size of the header before the payload, in bytes.
+/// Size in bytes of the header before the payload.
 const HEADER_BYTES: usize = 56;
 
 /// The type of the particles in a file.
@@ -32,14 +32,14 @@ pub enum ParticleKind {
     Seeds,
     /// Settled particles, written by `particles`.
     Particles,
-    /// Particles that are not yet settled, with the state to resume; written by `particles`.
+    /// Particles that are not yet settled, with the state needed to resume; written by `particles`.
     Checkpoint,
 }
 
 impl ParticleKind {
     const ALL: [Self; 3] = [Self::Seeds, Self::Particles, Self::Checkpoint];
 
-    /// Name of the file kind.
+    /// Returns the name of the file kind.
     pub fn name(self) -> &'static str {
         match self {
             Self::Seeds => "seeds",
@@ -48,7 +48,7 @@ impl ParticleKind {
         }
     }
 
-    /// The stage that writes it.
+    /// Returns the stage that writes files of this kind.
     pub fn stage(self) -> &'static str {
         match self {
             Self::Seeds => "seed",
@@ -74,11 +74,11 @@ pub struct ParticleFile {
     pub particles: ParticleSet,
     /// The strata of the particles; `None` for a single object.
     pub strata: Option<Strata>,
-    /// Metadata of the stage that made the file.
+    /// Metadata of the stage that wrote the file.
     pub meta: Value,
-    /// The history.
+    /// The history of the file.
     pub history: History,
-    /// Bytes that only the writing stage interprets; empty except in checkpoints.
+    /// Bytes that only the writing stage interprets. Empty except in checkpoints.
     pub extra: Vec<u8>,
 }
 
@@ -90,8 +90,8 @@ struct PayloadOut<'a> {
     extra: &'a [u8],
 }
 
-/// The payload with its texts as bytes, which have the same encoding. For a text, bincode allocates
-/// the promised length before it checks how much data there is.
+/// The payload with its strings as bytes, which have the same encoding. For a string, bincode would
+/// allocate the declared length before checking the amount of data.
 #[derive(Deserialize)]
 struct PayloadIn {
     particles: ParticleSet,
@@ -115,7 +115,7 @@ pub fn write_particles(
     write_particles_with(path, kind, particles, meta, history, &[])
 }
 
-/// Writes the particles of a single object, with extra bytes for a checkpoint.
+/// Writes the particles of a single object, with the extra bytes of a checkpoint.
 pub fn write_particles_with(
     path: &Path,
     kind: ParticleKind,
@@ -139,7 +139,7 @@ pub fn write_material_particles(
     write(path, kind, (particles, Some(strata)), meta, history, &[])
 }
 
-/// Writes the particles of several materials, with extra bytes for a checkpoint.
+/// Writes the particles of several materials, with the extra bytes of a checkpoint.
 pub fn write_material_particles_with(
     path: &Path,
     kind: ParticleKind,
@@ -184,7 +184,7 @@ fn write(
     })
 }
 
-/// Reads particles. Fails if they are not of one of the accepted kinds, or if the file is damaged.
+/// Reads particles. Returns an error if their kind is not accepted, or if the file is damaged.
 pub fn read_particles(path: &Path, accepted: &[ParticleKind]) -> Result<ParticleFile> {
     let cannot = |error: std::io::Error| Error::file(path, "read", &error, "check the name of the particle file");
     let mut file = std::fs::File::open(path).map_err(cannot)?;
@@ -255,7 +255,8 @@ pub fn read_particles(path: &Path, accepted: &[ParticleKind]) -> Result<Particle
     Ok(ParticleFile { kind, particles: decoded.particles, strata, meta, history, extra: decoded.extra })
 }
 
-/// Checks what all stages rely on: arrays of equal length, finite values and positive sizes.
+/// Checks the properties that all stages require: arrays of equal length, finite values and
+/// positive sizes.
 fn check_particles(set: &ParticleSet) -> std::result::Result<(), &'static str> {
     let count = set.positions.len();
     let lengths = [set.normals.len(), set.sizes.len(), set.energies.len(), set.lambdas.len()];
@@ -274,8 +275,8 @@ fn check_particles(set: &ParticleSet) -> std::result::Result<(), &'static str> {
     Ok(())
 }
 
-/// Checks what all stages rely on: one stratum per particle, strata of lower dimension first, and
-/// segments whose ends lie on junction curves or points.
+/// Checks the properties that all stages require: one stratum per particle, strata of lower
+/// dimension first, and segments whose ends lie on junction curves or points.
 fn check_strata(strata: &Strata, count: usize) -> std::result::Result<(), &'static str> {
     if strata.of.len() != count {
         return Err("its numbers of strata and particles differ");

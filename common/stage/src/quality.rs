@@ -1,19 +1,19 @@
-//! The fineness of a mesh in one word. `distfield` chooses its length scale and `sizefield` its
-//! defaults by it.
+//! The quality of a mesh, as specified with `--quality`. It determines the length scale of
+//! `distfield` and the defaults of `sizefield`.
 
 /// Fineness of a mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Quality {
-    /// About a quarter of the triangles, for a first look.
+    /// About a quarter as many triangles as medium, for a first look.
     Coarse,
     /// As fine as the data supports.
     Medium,
-    /// About three times the triangles, smoother than the data.
+    /// About three times as many triangles as medium, smoother than the data.
     Fine,
 }
 
 impl Quality {
-    /// The name on the command line.
+    /// Returns the name on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -23,8 +23,8 @@ impl Quality {
         }
     }
 
-    /// Minimum h in mean voxel spacings. Triangles below 0.75 voxels add no information about the
-    /// data.
+    /// Returns the minimum h in units of the mean voxel spacing. Triangles with edges below 0.75
+    /// voxels add no information about the data.
     #[must_use]
     pub fn smallest_size_voxels(self) -> f64 {
         match self {

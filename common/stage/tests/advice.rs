@@ -1,5 +1,5 @@
-//! Tests the user-facing errors for files that are not volumes: they name the stage that takes the
-//! file, or the option that helps.
+//! Tests the user-facing errors for files that are not volumes. The errors name the stage that
+//! accepts the file, or a suitable option.
 
 use isoparticles_stage::error::Error;
 use isoparticles_volume::read_volume;

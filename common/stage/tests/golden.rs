@@ -1,5 +1,5 @@
-//! Tests one file of each released format version: it must stay readable, and writing the same data
-//! must give the same bytes.
+//! Tests one file of each released format version. The file must remain readable, and writing the
+//! same data must give the same bytes.
 //!
 //! `UPDATE_GOLDEN=1 cargo test -p isoparticles-stage --test golden` rewrites the files of the
 //! current versions.
@@ -21,7 +21,7 @@ fn data(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
 }
 
-/// An oblique, anisotropic and left-handed grid.
+/// Returns an oblique, anisotropic and left-handed grid.
 fn geometry() -> Geometry {
     let columns = [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [-0.48, -0.64, -0.6]].map(DVec3::from_array);
     Geometry {
@@ -84,8 +84,8 @@ fn surface() -> Surface {
     surface
 }
 
-/// Compares the output of `write` with the golden file. Rewrites the golden file first if
-/// `UPDATE_GOLDEN` is set.
+/// Compares the output of `write` with the golden file. If `UPDATE_GOLDEN` is set, rewrites the
+/// golden file first.
 fn check_bytes(name: &str, write: impl Fn(&Path)) {
     let golden = data("golden").join(name);
     if std::env::var_os("UPDATE_GOLDEN").is_some() {
@@ -98,7 +98,7 @@ fn check_bytes(name: &str, write: impl Fn(&Path)) {
     assert!(same, "{name}: other bytes than before; if the format was meant to change, raise its version");
 }
 
-/// Version 1 stored texts as VTK strings.
+/// Version 1 stored strings as VTK strings.
 #[test]
 fn field_versions_1_and_2() {
     let meta = json!({"unit": "mm"});
@@ -111,7 +111,8 @@ fn field_versions_1_and_2() {
     }
 }
 
-/// A block of two materials inside the outside. One of the boxes does not cover the whole grid.
+/// Returns a block of two materials surrounded by the outside. One of the boxes does not cover the
+/// whole grid.
 fn materials() -> Materials {
     let size = [17, 8, 9];
     let geometry = Geometry { size, ..geometry() };
@@ -167,7 +168,7 @@ fn particles_version_1() {
     assert_eq!(file.extra, b"state");
 }
 
-/// Version 1 of `.vtp` stored texts as VTK strings.
+/// Version 1 of `.vtp` stored strings as VTK strings.
 #[test]
 fn surface_versions_1_and_2() {
     let meta = json!({"genus": 0});
@@ -180,7 +181,7 @@ fn surface_versions_1_and_2() {
     }
 }
 
-/// The size field, doubled in pyvista and saved in several ways (see `make_edited` in
+/// Reads a size field that was doubled in pyvista and saved in several ways (see `make_edited` in
 /// `common/volume/tests/data/make_fixtures.py`).
 #[test]
 fn a_size_field_edited_in_pyvista_is_read() {

@@ -1,7 +1,7 @@
-//! Tests the frame that all stage programs share, with a small program: exit codes, complete or
+//! Tests the shared parts of all stage programs with a small program: exit codes, complete or
 //! unchanged outputs, the report, reproducible bytes, and the behaviour after a signal.
 //!
-//! This test has no harness, so that it can start itself as that program.
+//! This test has no harness, because it starts itself as that program.
 
 use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::cli::shell::CommandLine;
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Output, Stdio};
 use std::time::Duration;
 
-/// Set in the environment of the program under test.
+/// Environment variable that is set for the program under test.
 const CHILD: &str = "ISOPARTICLES_STAGE_FRAME_CHILD";
 
 /// Tries the frame of a stage.
@@ -227,7 +227,8 @@ fn what_shells_and_man_read() {
     assert_eq!(names(folder.path()), ["in.txt"]);
 }
 
-/// The output does not depend on the folder, the output's name, the number of threads, or the time.
+/// Checks that the output does not depend on the folder, the name of the output, the number of
+/// threads, or the time.
 fn same_bytes() {
     let (first, second) = (workplace(), workplace());
     let input = second.path().join("in.txt");
@@ -264,7 +265,7 @@ fn the_report() {
 #[cfg(unix)]
 fn a_signal_leaves_nothing_half_written() {
     use std::io::{BufRead, BufReader};
-    // "deaf" never checks the flag, so only the second signal ends it
+    // "deaf" never checks the flag, so only the second signal ends the program
     for (mode, signals) in
         [("wait", &["INT"][..]), ("wait", &["TERM"]), ("endless", &["INT"]), ("deaf", &["INT", "TERM"])]
     {
@@ -275,7 +276,7 @@ fn a_signal_leaves_nothing_half_written() {
         let mut lines = BufReader::new(child.stderr.take().expect("stderr")).lines();
         assert_eq!(lines.next().expect("a line").expect("text"), "ready");
         for signal in signals {
-            // use the shell's built-in kill; not every system has a program of that name
+            // use the built-in kill of the shell, because some systems have no program of that name
             let status = Command::new("sh").args(["-c", &format!("kill -{signal} {}", child.id())]).status();
             assert!(status.expect("sh").success());
             std::thread::sleep(Duration::from_millis(100));
@@ -288,7 +289,7 @@ fn a_signal_leaves_nothing_half_written() {
     }
 }
 
-/// Simulates a full disk by a limit on the file size.
+/// Simulates a full disk with a limit on the file size.
 #[cfg(unix)]
 fn a_full_disk_leaves_nothing_half_written() {
     let folder = workplace();

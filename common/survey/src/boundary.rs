@@ -1,15 +1,15 @@
 //! Measures the surface of objects from their voxels: the area, and the local shape at sampled
-//! places.
+//! faces.
 //!
-//! A *face* separates two neighbouring voxels of different class. Lines along axis a, one per area
-//! s, cross a surface |n_a| A / s times, where A is its area and n its unit normal. The mean of
-//! |n_x| + |n_y| + |n_z| over all directions is 3/2 (Cauchy and Crofton). The area of the surface
-//! is therefore 2/3 of the total area of all faces.
+//! A *face* separates two neighbouring voxels of different class. Lines along axis a, with one line
+//! per area s, cross a surface |n_a| A / s times, where A is the area of the surface and n its unit
+//! normal. The mean of |n_x| + |n_y| + |n_z| over all directions is 3/2 (Cauchy and Crofton). The
+//! area of the surface is therefore 2/3 of the total area of all faces.
 //!
 //! At a sampled face, the share of a ball that lies inside gives the mean curvature H (integral
 //! invariant of Pottmann et al. 2007: share = 1/2 - 3/16 r H). The centre of mass of the inside
-//! part gives the normal. A walk along the normal gives the thickness of the object or of the gap
-//! beside it.
+//! part gives the normal. A walk along the normal gives the thickness of the object or of the
+//! adjacent gap.
 
 use crate::classes::{Classes, OUTSIDE};
 use glam::DVec3;
@@ -17,18 +17,19 @@ use isoparticles_field::random::uniform;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// Radius of the ball, in mean voxels: the smallest radius at which the shape outweighs the
-/// staircase of voxels. The search described at `EDGE_OVER_RADIUS` in `cost.rs` includes it.
+/// Radius of the ball, in mean voxels. This is the smallest radius for which the shape has more
+/// effect than the staircase of voxels. The search described at `EDGE_OVER_RADIUS` in `cost.rs`
+/// includes this constant.
 pub const BALL: f64 = 2.0;
 
-/// Step along the normal, in mean voxels. It is the resolution of the thickness.
+/// Step length along the normal, in mean voxels. It is the resolution of the thickness.
 const STEP: f64 = 0.5;
 
-/// Length of the walk along the normal, in mean voxels. At this thickness, h is bounded to
-/// 0.20 x 30 = 6 voxels (`EDGE_OVER_THICKNESS` in `cost.rs`).
+/// Length of the walk along the normal, in mean voxels. A thickness of this length limits h to 0.20
+/// x 30 = 6 voxels (`EDGE_OVER_THICKNESS` in `cost.rs`).
 const REACH: f64 = 30.0;
 
-/// Seed of the random choice of faces. Its value does not matter.
+/// Seed for the random selection of faces. The value is arbitrary.
 const SEED: u64 = 1;
 
 /// The surface of one class.
@@ -38,7 +39,7 @@ pub struct Boundary {
     pub faces: [usize; 3],
     /// The sampled faces.
     pub sample: Vec<Place>,
-    /// Number of faces that one sampled face stands for.
+    /// Number of faces that one sampled face represents.
     pub weight: f64,
 }
 
@@ -47,17 +48,17 @@ pub struct Boundary {
 pub struct Place {
     /// Axis normal to the face.
     pub axis: usize,
-    /// Centre of the face in the grid frame, mm.
+    /// Centre of the face in mm, in the grid frame.
     pub position: DVec3,
-    /// Absolute difference between the inside share of the ball and 1/2.
+    /// Absolute difference between 1/2 and the share of the ball that lies inside.
     pub imbalance: f64,
-    /// Distance along the normal to the other side of the object or of the gap, whichever is
-    /// shorter, in mean voxels. Infinite beyond `REACH`.
+    /// Thickness in mean voxels: distance along the normal to the other side of the object or of
+    /// the gap, whichever is shorter. Infinite if both distances exceed `REACH`.
     pub thickness: f64,
 }
 
-/// A face: its class, the voxel of that class, the axis normal to it, and whether it is on the
-/// upper side of the voxel.
+/// A face: its class, the voxel of that class, the axis normal to the face, and whether the face is
+/// on the upper side of the voxel.
 struct Face {
     class: u16,
     inside: [usize; 3],
@@ -66,22 +67,22 @@ struct Face {
 }
 
 impl Boundary {
-    /// Area of the surface, mm^2.
+    /// Returns the area of the surface in mm^2.
     pub fn area(&self, geometry: &Geometry) -> f64 {
         (0..3).map(|axis| self.faces[axis] as f64 * face_area(geometry, axis)).sum::<f64>() / 1.5
     }
 
-    /// Area of the surface that a sampled face stands for, mm^2.
+    /// Returns the area of the surface that a sampled face represents, in mm^2.
     pub fn area_of(&self, place: &Place, geometry: &Geometry) -> f64 {
         self.weight * face_area(geometry, place.axis) / 1.5
     }
 
-    /// Diagonal of the bounding box of the sampled faces, mm.
+    /// Returns the diagonal of the bounding box of the sampled faces, in mm.
     pub fn diagonal(&self) -> f64 {
         self.extent().length()
     }
 
-    /// Edge lengths of that box, mm.
+    /// Returns the edge lengths of the bounding box of the sampled faces, in mm.
     pub fn extent(&self) -> DVec3 {
         let low = self.sample.iter().fold(DVec3::INFINITY, |low, place| low.min(place.position));
         let high = self.sample.iter().fold(DVec3::NEG_INFINITY, |high, place| high.max(place.position));
@@ -89,12 +90,13 @@ impl Boundary {
     }
 }
 
-/// Area of a face normal to an axis, mm^2.
+/// Returns the area of a face normal to an axis, in mm^2.
 fn face_area(geometry: &Geometry, axis: usize) -> f64 {
     geometry.spacing.element_product() / geometry.spacing[axis]
 }
 
-/// The surface of each class from 1 on, with about `wanted` sampled faces each.
+/// Returns the surface of each class except [`OUTSIDE`], with about `wanted` sampled faces per
+/// class.
 pub fn boundaries(classes: &Classes<'_>, wanted: usize) -> Vec<Boundary> {
     let geometry = classes.geometry;
     let nz = geometry.size[2];
@@ -132,8 +134,8 @@ pub fn boundaries(classes: &Classes<'_>, wanted: usize) -> Vec<Boundary> {
     found.split_off(1)
 }
 
-/// Calls `found` with the faces of slice `k`: those between each voxel and the next along each
-/// axis, and those at the border of the volume.
+/// Calls `found` with the faces of slice `k`: those between each voxel and the next voxel along
+/// each axis, and those at the border of the volume.
 fn each_face(classes: &Classes<'_>, k: usize, mut found: impl FnMut(Face)) {
     let [nx, ny, nz] = classes.geometry.size;
     let row = |j: usize, k: usize| {
@@ -171,7 +173,7 @@ fn each_face(classes: &Classes<'_>, k: usize, mut found: impl FnMut(Face)) {
                 }
             }
         }
-        // faces at the lower border of each axis
+        // faces at the lower border along each axis
         let mut border = |i: usize, class: u16, axis: usize| {
             if class != OUTSIDE {
                 found(Face { class, inside: [i, j, k], axis, is_up: false });
@@ -187,7 +189,7 @@ fn each_face(classes: &Classes<'_>, k: usize, mut found: impl FnMut(Face)) {
     }
 }
 
-/// Offsets of the voxels in the ball around a face, for each axis and side of the face.
+/// Offsets of the voxels in the ball around a face, for each axis and each side of the voxel.
 struct Shapes {
     balls: [[Vec<[isize; 3]>; 2]; 3],
 }
@@ -240,7 +242,7 @@ impl Shapes {
         let voxel = geometry.mean_spacing();
         let walk = |direction: DVec3, from_inside: bool| {
             let steps = (REACH / STEP) as usize;
-            // the first sample is 1.5 steps away, clearly off the face
+            // the first sample is 1.5 steps away, at a safe distance from the face
             let ways = (1..=steps).map(|n| (n as f64 + 0.5) * STEP);
             let ends = |way: &f64| {
                 let index = geometry.grid_to_index(position + direction * (way * voxel));
@@ -278,7 +280,7 @@ mod tests {
         let sampled: f64 = ball.sample.iter().map(|place| ball.area_of(place, &geometry)).sum();
         assert!((sampled / area - 1.0).abs() < 0.05, "{sampled}, not {area}");
         assert!((ball.diagonal() - 2.0 * 3f64.sqrt() * radius).abs() < 1.5, "{}", ball.diagonal());
-        // the opposite side is 2 r = 35 voxels away, beyond the reach of the walk
+        // the opposite side is 2 r = 35 voxels away, beyond the end of the walk
         assert!(ball.sample.iter().all(|place| place.thickness > 15.0), "a walk along the normal ends early");
     }
 

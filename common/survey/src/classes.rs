@@ -5,36 +5,37 @@ use isoparticles_volume::{Geometry, Voxels};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// Class of voxels outside all objects, and of places beyond the border of the volume.
+/// Class of voxels outside all objects, and of positions beyond the border of the volume.
 pub const OUTSIDE: u16 = 0;
 
-/// Maximum number of classes besides [`OUTSIDE`].
+/// Maximum number of classes, excluding [`OUTSIDE`].
 pub const MOST_CLASSES: usize = u16::MAX as usize;
 
-/// Maximum range of labels for a lookup table; labels that are farther apart use a hash map. At two
-/// bytes per label, a table takes at most 128 KiB.
+/// Maximum range of labels for a lookup table. A hash map replaces the table for a larger range. At
+/// two bytes per label, a table takes at most 128 KiB.
 const LARGEST_TABLE: i64 = 1 << 16;
 
 /// Maps the value of a voxel to its class.
 #[derive(Clone, Debug)]
 pub enum Rule {
-    /// Class 1 above the value.
+    /// Class 1 for values above the given value.
     Above(f64),
-    /// Class 1 below the value.
+    /// Class 1 for values below the given value.
     Below(f64),
-    /// A table of classes, starting at the given label. Labels beyond it are [`OUTSIDE`].
+    /// A table of classes that starts at the given label. Labels outside the table are [`OUTSIDE`].
     Table(i64, Vec<u16>),
-    /// A hash map of classes, for labels that are far apart. Other labels are [`OUTSIDE`].
+    /// A hash map of classes for labels with a large range. All other labels are [`OUTSIDE`].
     Search(HashMap<i64, u16>),
 }
 
 impl Rule {
-    /// Class 1 for each of these labels.
+    /// Returns the rule that assigns class 1 to each of these labels.
     pub fn any_of(labels: &[i64]) -> Self {
         Self::with(labels, |_| 1)
     }
 
-    /// Class n for the n-th of these labels, counted from 1; at most [`MOST_CLASSES`] labels.
+    /// Returns the rule that assigns class n to the n-th of these labels, counted from 1. There may
+    /// be at most [`MOST_CLASSES`] labels.
     pub fn each_of(labels: &[i64]) -> Self {
         Self::with(labels, |n| n as u16 + 1)
     }
@@ -72,28 +73,28 @@ impl Rule {
 }
 
 /// The classes of a volume's voxels. Where layers overlap, the last layer with a class other than
-/// [`OUTSIDE`] counts.
+/// [`OUTSIDE`] determines the class.
 #[derive(Clone, Debug)]
 pub struct Classes<'a> {
     /// Grid of the voxels.
     pub geometry: &'a Geometry,
     layers: Vec<Layer<'a>>,
-    /// Number of classes besides [`OUTSIDE`].
+    /// Number of classes, excluding [`OUTSIDE`].
     pub count: usize,
 }
 
-/// One layer: its voxels and the rule for their values.
+/// One layer: its voxels, and the rule that maps values to classes.
 #[derive(Clone, Debug)]
 struct Layer<'a> {
     voxels: &'a Voxels,
     rule: Rule,
-    /// The class of each byte value: a faster lookup for 8-bit voxels, the usual type of large
-    /// label maps.
+    /// Class of each byte value. The table speeds up the lookup for 8-bit voxels, the usual type of
+    /// large label maps.
     of_byte: [u16; 256],
 }
 
 impl<'a> Classes<'a> {
-    /// The classes 1 to `count` of the voxels of some layers.
+    /// Creates the classes 1 to `count` from the voxels and rules of some layers.
     pub fn new(geometry: &'a Geometry, layers: Vec<(&'a Voxels, Rule)>, count: usize) -> Self {
         let layer = |(voxels, rule): (&'a Voxels, Rule)| {
             let of_byte = std::array::from_fn(|byte| rule.of_label(byte as i64));
@@ -132,7 +133,7 @@ impl<'a> Classes<'a> {
         }
     }
 
-    /// The class of a voxel.
+    /// Returns the class of a voxel.
     pub fn at(&self, [i, j, k]: [usize; 3]) -> u16 {
         let n = self.geometry.linear(i, j, k);
         let of = |Layer { voxels, rule, of_byte }: &Layer<'_>| match voxels {
@@ -151,7 +152,7 @@ impl<'a> Classes<'a> {
         found.find(|class| *class != OUTSIDE).unwrap_or(OUTSIDE)
     }
 
-    /// Number of voxels of each class, [`OUTSIDE`] first.
+    /// Returns the number of voxels of each class, starting with [`OUTSIDE`].
     pub fn counts(&self) -> Vec<usize> {
         let [nx, ny, nz] = self.geometry.size;
         let slice = |k: usize| {
@@ -172,7 +173,8 @@ impl<'a> Classes<'a> {
     }
 }
 
-/// Writes the classes of the values to the row, except where the class is [`OUTSIDE`].
+/// Writes the classes of the values to the row. Leaves the row unchanged where the class is
+/// [`OUTSIDE`].
 fn put<T: Copy>(values: &[T], row: &mut [u16], class: impl Fn(T) -> u16) {
     for (row, &value) in row.iter_mut().zip(values) {
         let found = class(value);

@@ -1,10 +1,10 @@
 //! Predicts the cost of meshing an object from its voxels: vertices, processor time and memory.
 //!
-//! `sizefield` sets the edge length h from local feature size and curvature, and grades it
-//! (`sizefield --help`). The mean curvature and the thickness at sampled faces
-//! ([`crate::boundary`]) give a rough h there. The effect of gradation and of other features of the
-//! surface is a factor that was fitted to the shared volumes. Each constant has its measurement or
-//! its source beside it.
+//! `sizefield` computes the edge length h from local feature size and curvature, and limits its
+//! gradient (`sizefield --help`). The mean curvature and the thickness at sampled faces
+//! ([`crate::boundary`]) give a rough estimate of h. A factor fitted to the shared volumes accounts
+//! for the gradient limit and for other features of the surface. The measurement or source of each
+//! constant is stated in its comment.
 
 use crate::boundary::{BALL, Boundary, Place};
 use crate::kind::Kind;
@@ -12,64 +12,68 @@ use isoparticles_field::spline::ROOM;
 use isoparticles_volume::Geometry;
 use serde::Serialize;
 
-/// Edge length over the radius of mean curvature. A grid search over this constant,
-/// [`EDGE_OVER_THICKNESS`], [`STAIRCASE`] and [`BALL`] minimises the scatter between predicted and
+/// Ratio of the edge length to the radius of mean curvature. A grid search over this constant,
+/// [`EDGE_OVER_THICKNESS`], [`STAIRCASE`] and [`BALL`] minimised the scatter between predicted and
 /// actual vertex counts of fourteen surfaces; a factor of 1.3 remains.
 /// `stages/distfield/benches/predicted.py` lists the surfaces, compares the counts and prints the
 /// gradation factors below.
 const EDGE_OVER_RADIUS: f64 = 0.30;
 
-/// Edge length over the thickness, from the same search.
+/// Ratio of the edge length to the thickness, from the same search as [`EDGE_OVER_RADIUS`].
 const EDGE_OVER_THICKNESS: f64 = 0.20;
 
-/// Imbalance of the ball that the staircase of voxels leaves on a plane, root mean square; from the
-/// same search.
+/// Root mean square of the imbalance that the staircase of voxels causes on a plane, from the same
+/// search as [`EDGE_OVER_RADIUS`].
 const STAIRCASE: f64 = 0.06;
 
-/// Default minimum h of `sizefield --quality medium`, in mean voxel spacings.
+/// Default minimum h of `sizefield --quality medium`, in units of the mean voxel spacing.
 const SMALLEST_VOXELS: f64 = 0.75;
 
-/// Default maximum h of `sizefield --quality medium`, in diagonals of the object's bounding box.
+/// Default maximum h of `sizefield --quality medium`, as a share of the diagonal of the object's
+/// bounding box.
 const LARGEST_DIAGONALS: f64 = 0.1;
 
-/// Actual vertex count over the count from h at the sampled faces, for label maps: gradation
-/// spreads small h to its surroundings. The value makes the mean logarithm of the ratio zero
-/// (`predicted.py`).
+/// Ratio of the actual vertex count to the count from h at the sampled faces, for label maps. The
+/// gradient limit spreads small h to nearby regions. With this value, the mean logarithm of the
+/// ratio is zero (`predicted.py`).
 const GRADATION_LABELS: f64 = 1.82;
 
-/// The same for scans. Their surface is not smoothed, and it can pass between voxel centres without
-/// separating any, where there is no face to count.
+/// Ratio of the actual vertex count to the count from h at the sampled faces, for scans. The
+/// surface of a scan is not smoothed. It can also pass between voxel centres without separating any
+/// of them, so that there is no face to count.
 const GRADATION_SCAN: f64 = 2.22;
 
-/// Factor, up or down, within which the actual vertex count is expected. All of the fourteen
-/// surfaces except the smallest are within 1.43.
+/// Expected maximum ratio between the predicted and the actual vertex count, in either direction.
+/// For all of the fourteen surfaces except the smallest, the ratio is within 1.43.
 pub const UNCERTAINTY: f64 = 1.5;
 
-/// Minimum number of vertices of a part with default sizes: `MIN_PARTICLES` of `sizefield`.
+/// Minimum number of vertices of a part with default sizes; equal to `MIN_PARTICLES` of
+/// `sizefield`.
 const SPECK_VERTICES: f64 = 32.0;
 
-/// Minimum number of vertices of a part for any size: `COMPONENT_MINIMUM` of `seed`.
+/// Minimum number of vertices of a part with any size; equal to `COMPONENT_MINIMUM` of `seed`.
 const FEWEST_VERTICES: f64 = 12.0;
 
-/// Cost of a group of stages: a fixed amount, plus amounts per node of the padded grid, per face
+/// Cost of a group of stages: a fixed amount, and amounts per node of the padded grid, per face
 /// between voxels and per vertex.
 struct Rates {
     stage: &'static str,
-    /// Processor seconds: fixed, then per million nodes, faces and vertices.
+    /// Processor seconds: fixed, and per million nodes, faces and vertices.
     seconds: [f64; 4],
-    /// Bytes: fixed, then per node, face and vertex. One entry for each program that may need the
-    /// most memory of the group; the maximum counts.
+    /// Bytes: fixed, and per node, face and vertex. The list has an entry for each program that may
+    /// need the most memory of the group. The prediction is the maximum over the entries.
     bytes: &'static [[f64; 4]],
 }
 
-/// Measured with `python stages/distfield/benches/costs.py`: seven phantoms on two cores of an EPYC
-/// that ran other work as well. The rates meet the memory within about a fifth, and the time within
-/// about a third. Exceptions are the particles of the noise phantom (11.3 s measured, 4.3 s
-/// predicted, because they run all passes) and those of the coarse ball.
+/// Measured with `python stages/distfield/benches/costs.py` on seven phantoms, with two cores of an
+/// EPYC that also ran other work. The predicted memory is within about a fifth of the measurements,
+/// and the time within about a third. There are two exceptions: the particles of the noise phantom
+/// (11.3 s measured, 4.3 s predicted, because they run all passes) and the particles of the coarse
+/// ball.
 ///
-/// - `fields`: either distfield needs the most memory, per node, or sizefield, per vertex. The
-///   latter needs 12 bytes per node for F, its coefficients and h, and 820 to 1,160 per vertex on
-///   eight shared volumes (`costs.py --volumes`; 551 on `heart_ct`).
+/// - `fields`: either distfield needs the most memory, per node, or sizefield, per vertex.
+///   `sizefield` needs 12 bytes per node for F, its coefficients and h, and 820 to 1,160 bytes per
+///   vertex on eight shared volumes (`costs.py --volumes`; 551 on `heart_ct`).
 /// - `triangles`: bytes per vertex of `thorax_ct_native_u8`.
 /// - `tetrahedra`: elapsed seconds of the torso's lungs and ribs, 11.7 for 36,514 vertices and 19.5
 ///   for 99,084. Memory of `heart` and `ribs`, 896 MiB for 55,626 vertices and 2,050 MiB for
@@ -85,33 +89,34 @@ const RATES: [Rates; 4] = [
     Rates { stage: "tetrahedra", seconds: [7.0, 0.0, 0.0, 125.0], bytes: &[[6.3e8, 0.0, 0.0, 5100.0]] },
 ];
 
-/// Memory of distfield per node of the padded grid, without its input, bytes. Measured on the whole
-/// grid of 512^3 voxels: 5.98 for labels, 5.16 for scalars (`docs/developer/performance.md`,
+/// Memory of distfield in bytes per node of the padded grid, without its input. Measured on the
+/// whole grid of 512^3 voxels: 5.98 for labels, 5.16 for scalars (`docs/developer/performance.md`,
 /// "Memory").
 const DISTFIELD_BYTES: f64 = 6.0;
 
-/// Constant edge lengths for which vertices are predicted as well, in mean voxels.
+/// Constant edge lengths, in mean voxels, for which the number of vertices is also predicted.
 const SIZES: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
 
 /// Predicted cost of meshing an object.
 #[derive(Clone, Debug, Serialize)]
 pub struct Cost {
-    /// Area of the object's surface, mm^2.
+    /// Area of the object's surface in mm^2.
     pub area: f64,
     /// Number of vertices with default sizes.
     pub vertices: usize,
-    /// Expected minimum and maximum of `vertices`: a factor of [`UNCERTAINTY`] down and up.
+    /// Expected minimum and maximum of `vertices`: `vertices` divided and multiplied by
+    /// [`UNCERTAINTY`].
     pub vertices_range: [usize; 2],
-    /// Number of vertices with a constant edge length, for several lengths.
+    /// Number of vertices for several constant edge lengths.
     pub uniform: Vec<Uniform>,
     /// Time and memory of the stages with default sizes.
     pub stages: Vec<StageCost>,
 }
 
-/// A constant edge length.
+/// A constant edge length and the predicted number of vertices.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Uniform {
-    /// The edge length, mm.
+    /// Edge length in mm.
     pub size: f64,
     /// Number of vertices.
     pub vertices: usize,
@@ -123,14 +128,15 @@ pub struct StageCost {
     /// Name of the group: `fields` (distfield, sizefield and seed), `particles`, `triangles`
     /// (reconstruct) or `tetrahedra` (tetmesh-check).
     pub stage: &'static str,
-    /// Processor time, seconds, summed over all threads. Elapsed time for `tetrahedra`, which use
-    /// one thread.
+    /// Processor time in seconds, summed over all threads. For `tetrahedra`, which uses one thread,
+    /// this is the elapsed time.
     pub seconds: f64,
-    /// Peak memory, bytes.
+    /// Peak memory in bytes.
     pub bytes: f64,
 }
 
-/// Predicts the cost of an object with this boundary and number of connected parts (1 if unknown).
+/// Predicts the cost of an object from its boundary and its number of connected parts (1 if
+/// unknown).
 pub fn cost(boundary: &Boundary, parts: Option<usize>, geometry: &Geometry, kind: Kind) -> Cost {
     let area = boundary.area(geometry);
     let parts = parts.unwrap_or(1) as f64;
@@ -160,8 +166,8 @@ pub fn cost(boundary: &Boundary, parts: Option<usize>, geometry: &Geometry, kind
     }
 }
 
-/// Number of nodes of the grid of F: the object's bounding box with [`ROOM`] voxels on each face,
-/// clipped to the volume, and five more on each face.
+/// Returns the number of nodes of the grid of F. The grid covers the object's bounding box with
+/// [`ROOM`] voxels on each side, clipped to the volume, and five more voxels on each side.
 fn nodes(boundary: &Boundary, geometry: &Geometry) -> f64 {
     let along = |axis: usize| {
         let voxels = boundary.extent()[axis] / geometry.spacing[axis] + 1.0 + 2.0 * ROOM as f64;
@@ -170,7 +176,7 @@ fn nodes(boundary: &Boundary, geometry: &Geometry) -> f64 {
     (0..3).map(along).product()
 }
 
-/// Predicts the number of vertices with default sizes, from h at the sampled faces.
+/// Predicts the number of vertices with default sizes from h at the sampled faces.
 pub fn default_vertices(boundary: &Boundary, geometry: &Geometry, kind: Kind) -> f64 {
     let voxel = geometry.mean_spacing();
     let smallest = SMALLEST_VOXELS * voxel;
@@ -188,12 +194,13 @@ pub fn default_vertices(boundary: &Boundary, geometry: &Geometry, kind: Kind) ->
     gradation * boundary.sample.iter().map(count).sum::<f64>()
 }
 
-/// Vertices per mm^2 of a lattice of equilateral triangles with edges of `size` mm.
+/// Returns the number of vertices per mm^2 of a lattice of equilateral triangles with edges of
+/// `size` mm.
 fn lattice_density(size: f64) -> f64 {
     2.0 / (3f64.sqrt() * size * size)
 }
 
-/// Rounds to two significant digits, the accuracy of the predictions.
+/// Rounds a value to two significant digits, the accuracy of the predictions.
 pub fn two_digits(value: f64) -> f64 {
     if value <= 0.0 {
         return 0.0;
@@ -202,7 +209,8 @@ pub fn two_digits(value: f64) -> f64 {
     (value / unit).round() * unit
 }
 
-/// Peak memory of distfield without its input, bytes, for a padded grid of `nodes` nodes.
+/// Returns the peak memory of distfield in bytes, without its input, for a padded grid of `nodes`
+/// nodes.
 pub fn distfield_bytes(nodes: usize) -> f64 {
     DISTFIELD_BYTES * nodes as f64
 }

@@ -1,10 +1,10 @@
-//! Judges whether a volume is a scan or a label map.
+//! Determines whether a volume is a scan or a label map.
 //!
-//! A label map consists of regions of constant value, so along an axis one change of value rarely
-//! follows directly on another. In a scan, values change from voxel to voxel because of noise and
-//! blurred edges, even if large parts are saturated or padded. The number of distinct values is a
-//! weaker criterion: an 8-bit scan has 256, and a parcellation can have more. A scan with few
-//! levels also has regions of constant value, but each region borders on regions of the next level.
+//! A label map consists of regions of constant value. Two consecutive changes of value along an
+//! axis are therefore rare. In a scan, noise and blurred edges change the value from voxel to
+//! voxel, even if large parts are saturated or padded. The number of distinct values is a weaker
+//! criterion: an 8-bit scan has 256, and a parcellation can have more. A scan with few levels also
+//! has regions of constant value, but each region borders on regions of the next level.
 
 use crate::survey::{Survey, UNCLEAR};
 use serde::Serialize;
@@ -28,10 +28,10 @@ impl std::fmt::Display for Kind {
     }
 }
 
-/// Values of the option `--kind`.
+/// Possible values of the option `--kind`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum KindChoice {
-    /// Judged from the values.
+    /// The kind is determined from the values.
     Auto,
     /// A scan: measured values.
     Scan,
@@ -40,7 +40,7 @@ pub enum KindChoice {
 }
 
 impl KindChoice {
-    /// The given kind; `None` for `auto`.
+    /// Returns the kind that the user specified, or `None` for `auto`.
     #[must_use]
     pub fn given(self) -> Option<Kind> {
         match self {
@@ -51,38 +51,38 @@ impl KindChoice {
     }
 }
 
-/// The judged kind of a volume.
+/// The kind of a volume, as determined from its values.
 #[derive(Clone, Debug, Serialize)]
 pub struct Judgement {
-    /// Scan or labels.
+    /// The kind: scan or labels.
     pub kind: Kind,
     /// Whether the kind is certain enough to refuse options for the other kind.
     pub certain: bool,
-    /// Reason, in words.
+    /// Reason for the decision, in words.
     pub reason: String,
 }
 
-/// Share of changes that go to the next occurring value (`steps` / `jumps`) above which a volume is
-/// a scan with few levels: there, consecutive levels touch in space. The share is at least 0.54 for
-/// scans in 8 to 128 levels, and at most 0.3 for label maps with more than 8 labels
-/// (`isoparticles-volume info --json -`).
+/// Minimum share of changes to the next occurring value (`steps` / `jumps`) for a scan with few
+/// levels, in which consecutive levels touch in space. The share is at least 0.54 for scans in 8 to
+/// 128 levels. It is at most 0.3 for label maps with more than 8 labels (`isoparticles-volume info
+/// --json -`).
 const STEPS_ABOVE: f64 = 0.5;
 
-/// Minimum number of distinct values for that test. With three labels, two of three pairs are
-/// consecutive, and nested layers are often numbered from the outside in.
+/// Minimum number of distinct values for the test with [`STEPS_ABOVE`]. With three labels, two of
+/// three pairs are consecutive, and nested layers are often numbered from the outside in.
 const FEWEST_LEVELS: usize = 8;
 
-/// Maximum number of distinct values of a label map for a certain judgement. The finest brain
-/// atlases have some hundreds of labels. More values in large regions can also be a scan that was
-/// enlarged by repeating voxels.
+/// Maximum number of distinct values for which a label map is certain. The finest brain atlases
+/// have a few hundred labels. A volume with more values in large regions can also be a scan that
+/// was enlarged by repeating voxels.
 const MANY_LABELS: usize = 1000;
 
-/// Minimum number of changes of value for a certain judgement. With fewer, the shares are left to
-/// chance.
+/// Minimum number of changes of value for which the kind is certain. With fewer changes, random
+/// variation dominates the shares.
 const FEW_JUMPS: usize = 100;
 
-/// Judges the kind of a volume. `named` is the number of labels that have a name in the file; a
-/// file with names is a label map.
+/// Determines the kind of a volume. `named` is the number of labels that have a name in the file. A
+/// file with label names is a label map.
 pub fn judge(survey: &Survey, named: usize) -> Judgement {
     let is = |kind, certain, reason: String| Judgement { kind, certain, reason };
     if named > 0 {
@@ -144,12 +144,12 @@ mod tests {
         judge(&Survey::of(&Voxels::I16(image.data), &geometry), 0)
     }
 
-    /// Distance from the middle of the volume, in voxels.
+    /// Returns the distance from the middle of the volume, in voxels.
     fn radius(p: DVec3) -> f64 {
         p.distance(DVec3::new(23.3, 21.6, 19.8))
     }
 
-    /// Random number with mean 0 and standard deviation 1.
+    /// Returns a random number with mean 0 and standard deviation 1.
     fn noise(n: u64) -> f64 {
         (0..4).map(|stream| uniform(3, stream, n) - 0.5).sum::<f64>() * 3f64.sqrt()
     }
@@ -173,7 +173,7 @@ mod tests {
         ];
         for (name, judgement) in scans {
             assert_eq!(judgement.kind, Kind::Scan, "{name}: {judgement:?}");
-            // with ten values, most of them clipped at 0, the kind is not certain
+            // with ten values, most of them clipped to 0, the kind is not certain
             assert!(judgement.certain || name == "eight bits, dark", "{name}: {judgement:?}");
         }
     }
@@ -220,7 +220,7 @@ mod tests {
         ];
         for (name, judgement) in labels {
             assert_eq!(judgement.kind, Kind::Labels, "{name}: {judgement:?}");
-            // sheets and specks one voxel thin can make the kind uncertain, but not wrong
+            // layers and specks one voxel thick can make the kind uncertain, but not wrong
             assert!(judgement.certain || name.contains("thin") || name.contains("specks"), "{name}: {judgement:?}");
         }
     }

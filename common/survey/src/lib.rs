@@ -1,12 +1,12 @@
 //! Describes a volume: size, orientation, kind (scan or labels), values, labels, and the predicted
 //! cost of a mesh. `isoparticles-volume info` prints the description. `distfield` uses the same
-//! judgement of the kind to refuse labels of a scan and iso values of a label map.
+//! test to refuse labels for a scan and iso values for a label map.
 //!
-//! [`survey`] reads the values once, and [`kind`] judges the kind from the result. [`selection`]
-//! resolves the labels that a user names. [`classes`] assigns the voxels to objects, [`boundary`]
-//! measures their surfaces, [`mod@parts`] counts their connected parts, and [`mod@cost`] predicts
-//! vertices, time and memory. [`thresholds`] proposes iso values, [`orientation`] names the axes,
-//! and [`text`] formats the description.
+//! [`survey`] computes statistics of the values in one pass, and [`kind`] determines the kind from
+//! them. [`selection`] resolves the labels that a user specifies. [`classes`] assigns the voxels to
+//! objects, [`boundary`] measures their surfaces, [`mod@parts`] counts their connected parts, and
+//! [`mod@cost`] predicts vertices, time and memory. [`thresholds`] proposes iso values,
+//! [`orientation`] names the axes, and [`text`] formats the description.
 
 pub mod boundary;
 pub mod classes;
@@ -33,7 +33,7 @@ use serde::Serialize;
 use survey::Survey;
 use thresholds::{IsoValue, is_hounsfield, iso_values};
 
-/// Side of the iso value that the object is on.
+/// Side of the iso value that is inside the object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Inside {
     /// Values above the iso value.
@@ -42,24 +42,25 @@ pub enum Inside {
     Below,
 }
 
-/// Number of faces sampled to predict the cost of an object. The vertex count then scatters by 2 %.
+/// Number of faces sampled to predict the cost of an object. With this number, the predicted vertex
+/// count varies by 2 %.
 const SAMPLE: usize = 6000;
 
-/// Number of faces sampled for the label table, all labels together.
+/// Total number of faces sampled for the label table.
 const TABLE_SAMPLE: usize = 200_000;
 
-/// Minimum and maximum number of faces sampled per label of the table. The maximum saves time with
-/// few labels, and the minimum limits the scatter with many.
+/// Minimum and maximum number of faces sampled per label of the table. The maximum saves time if
+/// there are few labels, and the minimum limits the random variation if there are many.
 const LABEL_SAMPLE: std::ops::RangeInclusive<usize> = 100..=2000;
 
-/// What the user specified about the volume.
+/// Options that the user specified for the volume.
 #[derive(Clone, Debug, Default)]
 pub struct Wishes {
     /// Labels whose union is the object.
     pub labels: Option<Vec<LayerLabel>>,
-    /// Iso value of the object, and the side that the object is on.
+    /// Iso value of the object, and the side of it that is inside.
     pub iso: Option<(f64, Inside)>,
-    /// Kind of the volume, which replaces the judgement.
+    /// Kind of the volume, which overrides the automatic decision.
     pub kind: Option<Kind>,
 }
 
@@ -72,11 +73,11 @@ pub struct VolumeInfo {
     pub version: u32,
     /// Number of voxels along each axis.
     pub size: [usize; 3],
-    /// Distance between voxel centres along each axis, mm.
+    /// Distance between voxel centres along each axis in mm.
     pub spacing: [f64; 3],
-    /// Edge lengths of the box of all voxels, mm.
+    /// Edge lengths of the box around all voxels in mm.
     pub extent: [f64; 3],
-    /// World position of the centre of the first voxel, mm.
+    /// World position of the centre of the first voxel in mm.
     pub origin: [f64; 3],
     /// World frame of `origin`.
     pub space: Space,
@@ -97,25 +98,26 @@ pub struct VolumeInfo {
     pub distinct: Option<usize>,
     /// All labels except 0; empty for a scan.
     pub labels: Vec<LabelInfo>,
-    /// Objects that could be meshed: the object that the user specified, otherwise all candidates.
+    /// Objects that could be meshed: the object that the user specified, or otherwise all
+    /// candidates.
     pub objects: Vec<Object>,
-    /// Remarks: assumptions of the reader, NaN among labels, shear.
+    /// Remarks on assumptions of the reader, NaN among labels, and shear.
     pub remarks: Vec<String>,
 }
 
 /// One label.
 #[derive(Clone, Debug, Serialize)]
 pub struct LabelInfo {
-    /// Layer and number.
+    /// Layer and number of the label.
     #[serde(flatten)]
     pub at: LayerLabel,
-    /// Name, if the file has one.
+    /// Name of the label, if the file contains one.
     pub name: Option<String>,
-    /// Number of voxels.
+    /// Number of voxels with this label.
     pub voxels: usize,
-    /// Volume of these voxels, mm^3.
+    /// Volume of these voxels in mm^3.
     pub volume: f64,
-    /// Connected parts; `None` if the volume is too noisy to count them.
+    /// Connected parts of the label; `None` if the volume is too noisy to count them.
     pub parts: Option<Parts>,
     /// Predicted number of vertices of a mesh of this label alone, with default sizes.
     pub vertices: usize,
@@ -128,23 +130,24 @@ pub struct Object {
     pub what: String,
     /// The variables of `make` that select the object.
     pub options: String,
-    /// Why the object is proposed, in words.
+    /// Reason for proposing the object, in words.
     pub why: String,
-    /// Number of voxels inside.
+    /// Number of voxels inside the object.
     pub voxels: usize,
-    /// Volume of these voxels, mm^3.
+    /// Volume of these voxels in mm^3.
     pub volume: f64,
-    /// Connected parts; `None` if the volume is too noisy to count them.
+    /// Connected parts of the object; `None` if the volume is too noisy to count them.
     pub parts: Option<Parts>,
     /// Predicted cost of a mesh; `None` if no voxel is inside.
     pub cost: Option<Cost>,
 }
 
-/// Describes a volume. The cost is predicted for the object in `wishes`, otherwise for the
+/// Describes a volume. The cost is predicted for the object in `wishes`, or otherwise for the
 /// candidates.
 ///
 /// # Errors
-/// When interrupted, and when the kind is labels and a value other than NaN is not an integer.
+/// If the run is interrupted, or if the kind is labels and a value other than NaN is not an
+/// integer.
 pub fn examine(volume: &Volume, wishes: &Wishes, monitor: &dyn Monitor) -> Result<VolumeInfo> {
     let geometry = &volume.geometry;
     let shear = Shear::of(geometry);
@@ -197,8 +200,8 @@ pub fn examine(volume: &Volume, wishes: &Wishes, monitor: &dyn Monitor) -> Resul
     })
 }
 
-/// The classes of a sheared volume, resampled to the orthonormal grid of `shear`. Voxels beyond the
-/// volume are [`OUTSIDE`].
+/// Returns the classes of a sheared volume, resampled to the orthonormal grid of `shear`. Voxels
+/// beyond the volume are [`OUTSIDE`].
 fn moved(classes: &Classes<'_>, shear: &Shear) -> Voxels {
     let [nx, ny, _] = classes.geometry.size;
     let mut numbers = vec![OUTSIDE; classes.geometry.voxel_count()];
@@ -206,8 +209,9 @@ fn moved(classes: &Classes<'_>, shear: &Shear) -> Voxels {
     shear.move_labels(&Voxels::U16(numbers), Some(OUTSIDE.into()))
 }
 
-/// The classes on the orthonormal grid of a sheared volume, from the result of [`moved`]; otherwise
-/// `classes`. Areas and volumes are measured on orthonormal axes.
+/// Returns the classes on the orthonormal grid of a sheared volume, from the result of [`moved`].
+/// Returns `classes` if the volume is not sheared. Areas and volumes are measured on orthonormal
+/// axes.
 fn unsheared<'a>(classes: Classes<'a>, moved: Option<(&'a Shear, &'a Voxels)>) -> Classes<'a> {
     let Some((shear, voxels)) = moved else { return classes };
     let numbers: Vec<i64> = (1..=classes.count as i64).collect();
@@ -218,7 +222,7 @@ fn volume_of(voxels: usize, geometry: &Geometry) -> f64 {
     voxels as f64 * geometry.spacing.element_product()
 }
 
-/// Describes all labels except 0, layer by layer; at most [`MOST_CLASSES`] of each layer.
+/// Describes all labels except 0, layer by layer, with at most [`MOST_CLASSES`] labels per layer.
 fn label_table(volume: &Volume, shear: Option<&Shear>) -> Result<Vec<LabelInfo>> {
     let mut table = Vec::new();
     for (layer, voxels) in volume.layers().enumerate() {
@@ -248,12 +252,12 @@ fn label_table(volume: &Volume, shear: Option<&Shear>) -> Result<Vec<LabelInfo>>
     Ok(table)
 }
 
-/// Description of an object, `make` variables, reason, and the layers with the rules that define
-/// it.
+/// Description of an object, the `make` variables that select it, the reason for proposing it, and
+/// the layers with the rules that define it.
 type Candidate<'a> = (String, String, String, Vec<(&'a Voxels, Rule)>);
 
-/// The object in `wishes`; otherwise the proposed iso values of a scan, or the union of all labels
-/// except 0.
+/// Returns the object in `wishes`. If there is none, returns the proposed iso values of a scan, or
+/// the union of all labels except 0.
 fn candidates<'a>(
     volume: &'a Volume,
     wishes: &Wishes,

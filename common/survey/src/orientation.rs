@@ -1,4 +1,4 @@
-//! Names the directions of a volume's axes.
+//! Describes the directions of a volume's axes.
 
 use glam::DVec3;
 use isoparticles_volume::{Geometry, Space};
@@ -7,13 +7,13 @@ use serde::Serialize;
 /// Orientation of a grid in the world.
 #[derive(Clone, Debug, Serialize)]
 pub struct Orientation {
-    /// Direction of each axis from its first voxel to its last: for example `right to left`, or
-    /// `+x` if the file names no anatomical space.
+    /// Direction of each axis from its first voxel to its last, for example `right to left`, or
+    /// `+x` if the file does not specify an anatomical space.
     pub axes: [String; 3],
-    /// Initials of the ends that the axes point to, for example `LPS`; `None` if the file names no
-    /// anatomical space.
+    /// Initials of the directions in which the axes point, for example `LPS`. `None` if the file
+    /// does not specify an anatomical space.
     pub letters: Option<String>,
-    /// Maximum angle between a grid axis and the nearest world axis, degrees.
+    /// Maximum angle between a grid axis and the nearest world axis, in degrees.
     pub oblique_degrees: f64,
     /// Whether the transformation from grid to world includes a reflection.
     pub left_handed: bool,
@@ -25,7 +25,7 @@ pub struct Orientation {
 const ENDS: [[&str; 2]; 3] = [["right", "left"], ["anterior", "posterior"], ["inferior", "superior"]];
 
 impl Orientation {
-    /// The orientation of a grid.
+    /// Determines the orientation of a grid.
     pub fn of(geometry: &Geometry) -> Self {
         let directions = [0, 1, 2].map(|axis| geometry.directions.col(axis));
         let nearest = directions.map(nearest_axis);
@@ -69,7 +69,7 @@ mod tests {
         assert_eq!(plain.axes, ["right to left", "anterior to posterior", "inferior to superior"]);
         assert_eq!((plain.letters.as_deref(), plain.left_handed, plain.oblique_degrees), (Some("LPS"), false, 0.0));
 
-        // right, anterior, inferior; rotated by 20 degrees about the body's axis
+        // axes towards right, anterior and inferior, rotated by 20 degrees about the z axis
         let (sine, cosine) = 20f64.to_radians().sin_cos();
         let directions = DMat3::from_cols(DVec3::new(-cosine, -sine, 0.0), DVec3::new(sine, -cosine, 0.0), -DVec3::Z);
         let turned = Orientation::of(&Geometry { directions, ..geometry.clone() });

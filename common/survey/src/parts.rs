@@ -1,11 +1,11 @@
-//! Counts the connected parts of each class. Voxels are connected through faces.
+//! Counts the connected parts of each class. Voxels that share a face are connected.
 
 use crate::classes::{Classes, OUTSIDE};
 use isoparticles_mesh::components::DisjointSets;
 use serde::Serialize;
 
-/// Maximum number of runs along x: 288 MiB at 18 bytes per run. A volume with more is noise, and
-/// its parts are specks.
+/// Maximum number of runs along x, which take 288 MiB at 18 bytes per run. A volume with more runs
+/// is noise, and its parts are specks.
 const MOST_RUNS: usize = 1 << 24;
 
 /// Connected parts of one class.
@@ -13,11 +13,12 @@ const MOST_RUNS: usize = 1 << 24;
 pub struct Parts {
     /// Number of parts.
     pub count: usize,
-    /// Number of voxels of the largest part.
+    /// Number of voxels in the largest part.
     pub largest: usize,
 }
 
-/// Consecutive voxels of one class along x, from `first` to before `end`.
+/// A run of consecutive voxels of one class along x, from index `first` up to, but not including,
+/// `end`.
 struct Run {
     class: u16,
     first: usize,
@@ -25,7 +26,8 @@ struct Run {
     number: u32,
 }
 
-/// The parts of each class from 1 on; `None` if the volume has more than `MOST_RUNS` runs.
+/// Returns the parts of each class except [`OUTSIDE`], or `None` if the volume has more than
+/// `MOST_RUNS` runs.
 pub fn parts(classes: &Classes<'_>) -> Option<Vec<Parts>> {
     let [nx, ny, nz] = classes.geometry.size;
     let mut row = vec![OUTSIDE; nx];
@@ -41,7 +43,8 @@ pub fn parts(classes: &Classes<'_>) -> Option<Vec<Parts>> {
             first = end;
         }
     };
-    // count the runs; then join each with those it touches in the previous row and slice
+    // count the runs, then join each run with the runs that it touches in the previous row and
+    // slice
     let (mut current, mut total) = (Vec::new(), 0);
     for (j, k) in rows(ny, nz) {
         copy_runs(j, k, 0, &mut current);
@@ -81,7 +84,7 @@ fn rows(ny: usize, nz: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..nz).flat_map(move |k| (0..ny).map(move |j| (j, k)))
 }
 
-/// Joins runs of one class that overlap in two adjacent rows.
+/// Joins the runs of two adjacent rows that have the same class and overlap.
 fn join_touching(a: &[Run], b: &[Run], sets: &mut DisjointSets) {
     let (mut m, mut n) = (0, 0);
     while m < a.len() && n < b.len() {
@@ -101,7 +104,7 @@ mod tests {
     use isoparticles_field::random::uniform;
     use isoparticles_volume::{Geometry, Image, Voxels};
 
-    /// The parts by flood fill.
+    /// Computes the parts by flood fill.
     fn flooded(image: &Image<u8>, label: u8) -> Parts {
         let [nx, ny, nz] = image.geometry.size;
         let mut seen = vec![false; image.data.len()];

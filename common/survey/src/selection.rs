@@ -7,7 +7,8 @@ use std::str::FromStr;
 /// Maximum number of labels listed in an error message.
 const MOST_LISTED: usize = 40;
 
-/// A choice of labels; the volume resolves it.
+/// A selection of labels, as specified by the user. [`Selection::resolve`] finds the labels in a
+/// volume.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Selection {
     text: String,
@@ -39,18 +40,18 @@ enum Item {
     Name(String),
 }
 
-/// Labels as JSON for the output file: plain numbers if the volume has one layer, otherwise with
-/// layers.
+/// Returns the labels as JSON for the output file: plain numbers if the volume has one layer, or
+/// otherwise pairs of layer and label.
 #[must_use]
 pub fn noted(labels: &[LayerLabel], volume: &Volume) -> serde_json::Value {
     if volume.layer_count() == 1 { labels.iter().map(|at| at.label).collect() } else { serde_json::json!(labels) }
 }
 
 impl Selection {
-    /// The selected labels, in the order of the selection, each once.
+    /// Returns the selected labels in the order of the selection, without duplicates.
     ///
     /// # Errors
-    /// When a label, range or name is not in the volume, and when a voxel value is not a label.
+    /// If a label, range or name is not in the volume, or if a voxel value is not a label.
     pub fn resolve(&self, volume: &Volume) -> Result<Vec<LayerLabel>> {
         let present = volume.label_set()?;
         let mut chosen: Vec<LayerLabel> = Vec::new();
@@ -79,8 +80,8 @@ impl Selection {
         if missing.is_empty() { Ok(chosen) } else { Err(missing_error(&missing, volume, &present)) }
     }
 
-    /// Splits the selection at commas. A piece that is not a name in the file is split at blanks,
-    /// if all its words are numbers, ranges, `all` or names in the file.
+    /// Splits the selection at commas. A piece that is not a name in the file is also split at
+    /// spaces if all its words are numbers, ranges, `all` or names in the file.
     fn items(&self, volume: &Volume) -> Vec<Item> {
         let is_name = |text: &str| {
             let lower = text.to_lowercase();
@@ -104,7 +105,7 @@ impl Selection {
     }
 }
 
-/// Parses a word as a number, a range, `all`, or otherwise a name.
+/// Parses a word as a number, a range or `all`. Any other word is a name.
 fn item(word: &str) -> Item {
     if word.eq_ignore_ascii_case("all") {
         return Item::All;
@@ -154,7 +155,7 @@ fn missing_error(missing: &[Item], volume: &Volume, present: &[LayerLabel]) -> E
     no_voxel(&told.join(", "), volume, present)
 }
 
-/// The error for labels, given as text, that no voxel has.
+/// Returns the error for labels that no voxel has. `labels` is the string given by the user.
 pub fn no_voxel(labels: &str, volume: &Volume, present: &[LayerLabel]) -> Error {
     Error::input(
         format!("no voxel has the label {labels}"),
@@ -163,7 +164,7 @@ pub fn no_voxel(labels: &str, volume: &Volume, present: &[LayerLabel]) -> Error 
     )
 }
 
-/// Labels with their names, as text.
+/// Formats labels and their names as a string.
 pub fn listed(volume: &Volume, present: &[LayerLabel]) -> String {
     let of = |at: &LayerLabel| {
         let layer = if volume.layer_count() > 1 { format!(" of layer {}", at.layer) } else { String::new() };
@@ -179,7 +180,8 @@ pub fn listed(volume: &Volume, present: &[LayerLabel]) -> String {
     shown.join(", ")
 }
 
-/// Edit distance of two words (Levenshtein): letters to insert, delete or replace.
+/// Computes the edit distance of two words (Levenshtein): the number of letters to insert, delete
+/// or replace.
 fn distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();

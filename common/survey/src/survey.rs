@@ -1,13 +1,13 @@
-//! Statistics of all voxels of a volume: range, number of voxels of each value, histogram, and how
-//! the values change along the axes.
+//! Statistics of all voxels of a volume: range, number of voxels of each value, histogram, and
+//! changes of value along the axes.
 
 use isoparticles_volume::{Geometry, Voxels};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::HashMap;
 
-/// Maximum number of distinct integers that are counted individually. With more, there is only the
-/// histogram.
+/// Maximum number of distinct integers that are counted individually. If there are more, only the
+/// histogram is computed.
 const MOST_DISTINCT: usize = 1 << 16;
 
 /// Maximum number of bins of the histogram.
@@ -16,16 +16,17 @@ const BINS: usize = 256;
 /// Number of voxels per task.
 const CHUNK: usize = 1 << 20;
 
-/// Shares of double jumps (`double_jumps` / `jumps`) that do not decide between scan and label map.
-/// Lower shares are label maps, higher ones scans. The label maps of the shared volumes have at
-/// most 0.28 (`brain_parcellation`), the scans at least 0.91 (`thorax_ct_native_u8`). Scans in 8 to
-/// 64 levels have 0.30 to 0.83. Measured with `isoparticles-volume info VOLUME --json -`.
+/// Shares of double jumps (`double_jumps` / `jumps`) that do not distinguish between scans and
+/// label maps. Lower shares indicate a label map, and higher shares a scan. Among the shared
+/// volumes, the share is at most 0.28 for label maps (`brain_parcellation`) and at least 0.91 for
+/// scans (`thorax_ct_native_u8`). It is 0.30 to 0.83 for scans in 8 to 64 levels. Measured with
+/// `isoparticles-volume info VOLUME --json -`.
 pub const UNCLEAR: std::ops::Range<f64> = 0.29..0.75;
 
 /// Statistics of the voxels.
 #[derive(Clone, Debug, Serialize)]
 pub struct Survey {
-    /// Minimum and maximum finite value; `None` if no value is finite.
+    /// Minimum and maximum of the finite values; `None` if no value is finite.
     pub range: Option<[f64; 2]>,
     /// Number of NaN and infinite values.
     pub non_finite: usize,
@@ -33,16 +34,19 @@ pub struct Survey {
     pub nan: usize,
     /// Number of finite values that are not integers.
     pub fractions: usize,
-    /// Each value except NaN with its number of voxels, in ascending order. `None` if some are not
-    /// integers, all are NaN, or there are too many.
+    /// Each value except NaN with its number of voxels, in ascending order. `None` if a finite
+    /// value is not an integer, if all values are NaN, or if there are too many distinct values.
     #[serde(skip)]
     pub values: Option<Vec<(i64, usize)>>,
-    /// Number of jumps: of three consecutive voxels along an axis, the last two differ.
+    /// Number of jumps. A jump is a triple of consecutive voxels along an axis whose last two
+    /// voxels differ.
     pub jumps: usize,
-    /// Number of double jumps: the first two of the three voxels differ as well.
+    /// Number of double jumps. A double jump is a jump in which the first two voxels differ as
+    /// well.
     pub double_jumps: usize,
-    /// Number of jumps between two values with no other occurring value between them. Counted only
-    /// if the share of double jumps is in [`UNCLEAR`], otherwise 0.
+    /// Number of steps. A step is a jump between two values with no other occurring value between
+    /// them. Steps are counted only if the share of double jumps is in [`UNCLEAR`]; otherwise, this
+    /// is 0.
     pub steps: usize,
     /// Histogram of the finite values.
     pub histogram: Histogram,
@@ -68,21 +72,21 @@ impl Survey {
         each!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64)
     }
 
-    /// Number of distinct values, if they were counted. NaN counts as 0, the background of label
-    /// maps.
+    /// Returns the number of distinct values, if they were counted. NaN counts as 0, the background
+    /// of label maps.
     pub fn distinct(&self) -> Option<usize> {
         let values = self.values.as_ref()?;
         let has_zero = self.nan == 0 || values.iter().any(|(value, _)| *value == 0);
         Some(values.len() + usize::from(!has_zero))
     }
 
-    /// Share of jumps that are double: near 1 if every voxel differs from its neighbours, near 0
-    /// for regions of constant value.
+    /// Returns the share of jumps that are double jumps. It is near 1 if every voxel differs from
+    /// its neighbours, and near 0 for regions of constant value.
     pub fn double_share(&self) -> f64 {
         self.double_jumps as f64 / self.jumps.max(1) as f64
     }
 
-    /// Share of jumps that go to the next occurring value: near 1 for values in levels.
+    /// Returns the share of jumps that are steps. It is near 1 for a scan with few levels.
     pub fn step_share(&self) -> f64 {
         self.steps as f64 / self.jumps.max(1) as f64
     }
@@ -90,11 +94,11 @@ impl Survey {
 
 /// A voxel value.
 trait Cell: Copy + Send + Sync {
-    /// Whether two values are equal; NaN equals NaN.
+    /// Returns whether two values are equal. NaN equals NaN.
     fn same(self, other: Self) -> bool;
-    /// The value as f64; integers beyond 2^53 are rounded.
+    /// Returns the value as f64. Integers beyond 2^53 are rounded.
     fn double(self) -> f64;
-    /// The value as an integer; `None` if it is not one, or does not fit.
+    /// Returns the value as an integer, or `None` if the value is not an integer or does not fit.
     fn whole(self) -> Option<i64>;
 }
 
@@ -130,7 +134,7 @@ macro_rules! float_cell {
 }
 float_cell!(f32, f64);
 
-/// Statistics that are gathered slice by slice.
+/// Statistics of one slice, which are combined over all slices.
 #[derive(Clone, Copy)]
 struct Slice {
     low: f64,
@@ -218,7 +222,7 @@ fn survey<T: Cell>(values: &[T], size: [usize; 3]) -> Survey {
 }
 
 /// Visits all triples of consecutive voxels along each axis whose last voxel is in slice `k`.
-/// `visit` gets the rows of the first, second and third voxels.
+/// `visit` receives the rows of the first, second and third voxels.
 fn each_triple<T>(values: &[T], [nx, ny, _]: [usize; 3], k: usize, mut visit: impl FnMut(&[T], &[T], &[T])) {
     let row = |j: usize, k: usize| &values[(k * ny + j) * nx..][..nx];
     for j in 0..ny {
@@ -235,7 +239,7 @@ fn each_triple<T>(values: &[T], [nx, ny, _]: [usize; 3], k: usize, mut visit: im
     }
 }
 
-/// Number of triples whose second and third voxel have values that are consecutive in `counted`.
+/// Counts the triples whose second and third voxels have values that are consecutive in `counted`.
 fn steps<T: Cell>(values: &[T], size: [usize; 3], counted: &[(i64, usize)]) -> usize {
     let rank =
         |value: T| value.whole().and_then(|value| counted.binary_search_by_key(&value, |(value, _)| *value).ok());
@@ -250,7 +254,8 @@ fn steps<T: Cell>(values: &[T], size: [usize; 3], counted: &[(i64, usize)]) -> u
     (0..size[2]).into_par_iter().map(of_slice).sum()
 }
 
-/// Number of voxels of each value, if all are integers or NaN; `None` if there are too many values.
+/// Counts the voxels of each value if all values are integers or NaN. Returns `None` if there are
+/// too many distinct values.
 fn count_whole<T: Cell>(values: &[T], [low, high]: [f64; 2]) -> Option<Vec<(i64, usize)>> {
     if high - low < MOST_DISTINCT as f64 {
         let first = low as i64;
@@ -292,7 +297,7 @@ fn count_whole<T: Cell>(values: &[T], [low, high]: [f64; 2]) -> Option<Vec<(i64,
 fn histogram<T: Cell>(values: &[T], [low, high]: [f64; 2], counted: Option<&[(i64, usize)]>) -> Histogram {
     let narrow = counted.is_some() && high - low < BINS as f64;
     let bins = if narrow { (high - low) as usize + 1 } else { BINS };
-    // a bin for each integer has width 1
+    // if every integer has its own bin, the bin width is 1
     let width = if narrow { 1.0 } else { ((high - low) / bins as f64).max(f64::MIN_POSITIVE) };
     let bin = |value: f64| (((value - low) / width) as usize).min(bins - 1);
     let counts = match counted {
@@ -338,7 +343,7 @@ mod tests {
             assert_eq!(survey.range, Some([-3.0, 1e6]));
             assert_eq!(survey.values, Some(vec![(-3, 6), (7, 12), (1_000_000, 6)]));
             assert_eq!(survey.histogram.counts.iter().sum::<usize>(), 24);
-            // each voxel differs from the next along x (two triples per row), none along y and z
+            // each voxel differs from the next along x (two triples per row), but not along y and z
             assert_eq!((survey.jumps, survey.double_jumps, survey.steps), (12, 12, 0));
         }
         let narrow = Survey::of(&Voxels::I8(numbers.iter().map(|&n| n.min(9) as i8).collect()), &geometry);

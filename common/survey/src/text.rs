@@ -1,4 +1,4 @@
-//! Formats the description of a volume as the text that `isoparticles-volume info` prints.
+//! Formats the description of a volume as `isoparticles-volume info` prints it.
 
 use crate::boundary::BALL;
 use crate::cost::{Cost, UNCERTAINTY};
@@ -10,14 +10,14 @@ use std::fmt::Write;
 /// Maximum number of rows of the histogram.
 const ROWS: usize = 16;
 
-/// Length of the longest bar, characters.
+/// Length of the longest bar, in characters.
 const BAR: f64 = 40.0;
 
-/// Maximum number of labels listed; the largest ones are kept.
+/// Maximum number of labels that are listed. The largest labels are listed.
 const MOST_LABELS: usize = 40;
 
 impl VolumeInfo {
-    /// The description of the volume called `name`, as lines of text.
+    /// Formats the description of the volume called `name`. The string has several lines.
     pub fn text(&self, name: &str) -> String {
         // writing into a String cannot fail
         let mut out = String::new();
@@ -178,7 +178,7 @@ fn two(value: f64) -> f64 {
     crate::cost::two_digits(value)
 }
 
-/// A number with up to six significant digits, without trailing zeros.
+/// Formats a number with up to six significant digits, without trailing zeros.
 fn short(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value}");
@@ -188,7 +188,7 @@ fn short(value: f64) -> String {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
-/// An integer with commas between thousands.
+/// Formats an integer with commas between groups of three digits.
 fn grouped(value: usize) -> String {
     let digits = value.to_string();
     let mut out = String::new();

@@ -10,10 +10,10 @@ use serde::Serialize;
 pub struct IsoValue {
     /// The value.
     pub iso: f64,
-    /// The side that the object is on.
+    /// The side of the iso value that is inside the object.
     #[serde(serialize_with = "side")]
     pub inside: Inside,
-    /// Reason, in words.
+    /// Reason for the proposal, in words.
     pub why: String,
 }
 
@@ -24,21 +24,22 @@ fn side<S: serde::Serializer>(inside: &Inside, serializer: S) -> Result<S::Ok, S
     })
 }
 
-/// Values look like Hounsfield units if the minimum is below this (air), the maximum is above
+/// In Hounsfield units, the minimum value is below this threshold (air). The maximum is above
 /// [`BONE_ABOVE`], and nearly all values are within [`SCANNER`].
 const AIR_BELOW: f64 = -800.0;
 
-/// The maximum of Hounsfield units is above this (bone).
+/// In Hounsfield units, the maximum value is above this threshold (bone).
 const BONE_ABOVE: f64 = 200.0;
 
-/// Values that scanners write: from -1024 for air, with padding down to -3024 (GE: -2000, 3D
-/// Slicer: -3024), to 3071 for metal at 12 bits. The minimum of Hounsfield units is in this range.
+/// Range of values that scanners write: from -1024 for air, with padding down to -3024 (GE: -2000,
+/// 3D Slicer: -3024), to 3071 for metal at 12 bits. In Hounsfield units, the minimum value is in
+/// this range.
 const SCANNER: [f64; 2] = [-3100.0, 3100.0];
 
-/// Minimum share of voxels within [`SCANNER`].
+/// Minimum share of voxels within [`SCANNER`] for Hounsfield units.
 const SHARE_WITHIN: f64 = 0.99;
 
-/// Iso values for CT: textbook values, half-way between the tissues that they separate.
+/// Iso values for CT: textbook values half-way between the tissues that they separate.
 const LEVELS: [(f64, Inside, &str); 4] = [
     (200.0, Inside::Above, "Hounsfield: bone, and blood with contrast agent"),
     (-300.0, Inside::Above, "Hounsfield: the body, to its skin"),
@@ -46,11 +47,12 @@ const LEVELS: [(f64, Inside, &str); 4] = [
     (700.0, Inside::Above, "Hounsfield: compact bone and teeth"),
 ];
 
-/// Share of voxels above which the most frequent bin counts as padding or saturation, which the
-/// thresholds ignore. Other values of a scan hold a few per cent each.
+/// If the share of voxels in the most frequent bin exceeds this value, the bin is treated as
+/// padding or saturation. The thresholds ignore this bin. Each of the other values of a scan occurs
+/// in a few per cent of the voxels.
 const PADDING_SHARE: f64 = 0.25;
 
-/// Whether the values look like Hounsfield units.
+/// Returns whether the values look like Hounsfield units.
 pub fn is_hounsfield(survey: &Survey) -> bool {
     let Some([low, high]) = survey.range else { return false };
     let Histogram { counts, .. } = &survey.histogram;
@@ -62,8 +64,8 @@ pub fn is_hounsfield(survey: &Survey) -> bool {
     low < AIR_BELOW && high > BONE_ABOVE && low >= SCANNER[0] && within as f64 >= SHARE_WITHIN * total as f64
 }
 
-/// The iso values proposed for a scan. A value within 1 % of the range of an earlier one is left
-/// out.
+/// Returns the iso values proposed for a scan. A value is omitted if its distance from an earlier
+/// value is at most 1 % of the range of the scan.
 pub fn iso_values(survey: &Survey) -> Vec<IsoValue> {
     let Some([low, high]) = survey.range.filter(|[low, high]| low < high) else { return Vec::new() };
     let mut found: Vec<IsoValue> = Vec::new();
@@ -91,19 +93,19 @@ pub fn iso_values(survey: &Survey) -> Vec<IsoValue> {
 }
 
 impl Histogram {
-    /// Centre of a bin.
+    /// Returns the centre of a bin.
     pub fn middle(&self, bin: usize) -> f64 {
         self.low + (bin as f64 + 0.5) * self.width
     }
 
-    /// Lower bound of a bin, rounded to the decimal place of the bin width.
+    /// Returns the lower bound of a bin, rounded to the decimal place of the bin width.
     fn round(&self, bin: usize) -> f64 {
         let unit = 10f64.powf(self.width.log10().floor());
         ((self.low + bin as f64 * self.width) / unit).round() * unit
     }
 
-    /// The histogram without the bin of the padding, and the lower bound of that bin; `None` if
-    /// there is no padding.
+    /// Returns the histogram without the padding bin, and the lower bound of that bin. The lower
+    /// bound is `None` if there is no padding.
     fn without_padding(&self) -> (Self, Option<f64>) {
         let total: usize = self.counts.iter().sum();
         let padding = (0..self.counts.len())
@@ -116,7 +118,8 @@ impl Histogram {
         (rest, padding.map(|bin| self.low + bin as f64 * self.width))
     }
 
-    /// Count of the values in all bins below each bin, and sum of their bin numbers.
+    /// Returns, for each bin, the number of values in all lower bins and the sum of their bin
+    /// numbers.
     fn sums(&self) -> Vec<[f64; 2]> {
         let mut sums = vec![[0.0, 0.0]];
         for (n, &count) in self.counts.iter().enumerate() {
@@ -127,14 +130,16 @@ impl Histogram {
     }
 }
 
-/// Squared sum over count of the bins from `a` to below `b`. The between-class variance is the sum
-/// of these over the classes, up to constants (Otsu 1979).
+/// Returns the squared sum of the bin numbers divided by the count, for the bins from `a` up to,
+/// but not including, `b`. The sum of these values over all classes is the between-class variance,
+/// up to constants (Otsu 1979).
 fn weight(sums: &[[f64; 2]], a: usize, b: usize) -> f64 {
     let (count, sum) = (sums[b][0] - sums[a][0], sums[b][1] - sums[a][1]);
     if count > 0.0 { sum * sum / count } else { f64::NEG_INFINITY }
 }
 
-/// The first bin of the upper of two classes; the middle of the gap if empty bins separate them.
+/// Returns the first bin of the upper of two classes. If empty bins separate the classes, returns
+/// the middle of the gap.
 fn otsu(histogram: &Histogram) -> Option<usize> {
     let sums = histogram.sums();
     let end = histogram.counts.len();
@@ -142,7 +147,7 @@ fn otsu(histogram: &Histogram) -> Option<usize> {
     best((1..end).map(|bin| (bin, of(bin))))
 }
 
-/// The first bins of the middle and the upper of three classes.
+/// Returns the first bins of the middle class and of the upper class of three classes.
 fn otsu_two(histogram: &Histogram) -> Option<[usize; 2]> {
     let sums = histogram.sums();
     let end = histogram.counts.len();
@@ -152,8 +157,8 @@ fn otsu_two(histogram: &Histogram) -> Option<[usize; 2]> {
     Some([lower, upper(lower)?])
 }
 
-/// The place of the maximum value. If several places have it, as for empty bins, the middle between
-/// the first and the last.
+/// Returns the position of the maximum value. If the maximum occurs at several positions, as with
+/// empty bins, returns the middle between the first and the last of them.
 fn best(values: impl Iterator<Item = (usize, f64)>) -> Option<usize> {
     let mut found: Option<(usize, usize, f64)> = None;
     for (place, value) in values.filter(|(_, value)| value.is_finite()) {
@@ -179,7 +184,7 @@ mod tests {
 
     #[test]
     fn modes_are_parted_and_padding_is_left_out() {
-        // padding, and modes around 40, 120 and 200
+        // padding, and peaks around 40, 120 and 200
         let values: Vec<i16> = (0..4000)
             .map(|n| if n % 2 == 0 { 0 } else { [40, 120, 200][n / 2 % 3] + (n as i16 / 6 * 7) % 11 - 5 })
             .collect();

@@ -1,4 +1,4 @@
-//! The judgement of every shared volume.
+//! Checks the kind that is determined for every shared volume.
 
 use isoparticles_survey::kind::judge;
 use isoparticles_survey::survey::Survey;
@@ -6,7 +6,7 @@ use isoparticles_tests::skip::real_volume;
 
 #[test]
 fn every_shared_volume_is_judged_right() {
-    // lungs_label_big is left out: 165 million voxels
+    // lungs_label_big is excluded because it has 165 million voxels
     for (name, kind) in [
         ("brain_parcellation", "labels"),
         ("frog_tissue_labels", "labels"),

@@ -1,5 +1,5 @@
-//! Finds the other files that belong to a volume's header, so that callers notice when one of them
-//! changes.
+//! Finds the additional files that belong to a volume's header, so that callers can detect changes
+//! in any of them.
 
 use crate::error::{Error, Result};
 use crate::voxel_data::DataFiles;
@@ -8,8 +8,9 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
-/// The files that hold the voxels of a detached NRRD or MetaImage header, in order, or the other
-/// file of a NIfTI pair. Empty for any other file.
+/// Returns the additional files of a volume. For a detached NRRD or MetaImage header, these are the
+/// files that contain the voxels, in order. For one file of a NIfTI pair, it is the other file. For
+/// any other file, the list is empty.
 ///
 /// # Errors
 /// If the header cannot be read.

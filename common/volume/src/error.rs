@@ -3,15 +3,15 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// An error of a volume. The text names the file, the value and the place, [`Error::reason`] states
-/// why it matters, and [`Error::remedy`] what to do.
+/// An error related to a volume. The error message identifies the file or the invalid value.
+/// [`Error::reason`] explains why the problem matters, and [`Error::remedy`] how to solve it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// The file cannot be read or written, is damaged, or violates its format.
     #[error(transparent)]
     File(#[from] isoparticles_file::error::Error),
-    /// The file has a known format that is not a volume.
+    /// The file has a known format, but is not a volume.
     #[error("{}: is {content}", path.display())]
     NotAVolume {
         /// The file.
@@ -19,7 +19,7 @@ pub enum Error {
         /// The contents of the file.
         content: Content,
     },
-    /// The number of matching series in the folder is not one.
+    /// The folder contains no matching series, or several.
     #[error("{}: {}", path.display(), match wanted {
         None => format!("contains {matching} series"),
         Some(wanted) if *matching == 0 => format!("contains no series '{wanted}'"),
@@ -41,34 +41,34 @@ pub enum Error {
         /// The value.
         value: String,
     },
-    /// No segment has this name.
+    /// No segment has the requested name.
     #[error("no segment is called '{name}'")]
     SegmentMissing {
-        /// The name.
+        /// The requested name.
         name: String,
-        /// The existing segments, as text; empty if the file names none.
+        /// The existing segments as a string, or an empty string if the file contains no names.
         present: String,
     },
-    /// Several segments have this name.
+    /// Several segments have the requested name.
     #[error("{count} segments are called '{name}'")]
     SegmentAmbiguous {
-        /// The name.
+        /// The requested name.
         name: String,
         /// Number of segments with this name.
         count: usize,
-        /// These segments, as text.
+        /// The segments with this name, as a string.
         present: String,
     },
-    /// Several layers hold the label.
+    /// Several layers contain the label.
     #[error("{found} of the {layers} layers contain the label {label}")]
     LabelAmbiguous {
         /// The label.
         label: i64,
-        /// Number of layers that hold it.
+        /// Number of layers that contain the label.
         found: usize,
-        /// Number of all layers.
+        /// Total number of layers.
         layers: usize,
-        /// The segments with this label, as text.
+        /// The segments with this label, as a string.
         present: String,
     },
 }
@@ -76,11 +76,11 @@ pub enum Error {
 /// The contents of a file that is not a volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Content {
-    /// Initial particles, written by `seed`.
+    /// Initial particles written by `seed`.
     Seeds,
-    /// Settled particles, written by `particles`.
+    /// Final particles written by `particles`.
     Particles,
-    /// A checkpoint, written by `particles`.
+    /// A checkpoint written by `particles`.
     Checkpoint,
     /// Polygons in VTK's XML format.
     SurfaceVtk,
@@ -88,13 +88,13 @@ pub enum Content {
     TetrahedraVtk,
     /// VTK's legacy format.
     LegacyVtk,
-    /// A surface or points in the PLY format.
+    /// A surface or point cloud in the PLY format.
     SurfacePly,
     /// A surface in the STL format.
     SurfaceStl,
     /// A surface in the OBJ format.
     SurfaceObj,
-    /// One file of a DICOM series.
+    /// A single file of a DICOM series.
     DicomSlice,
 }
 
@@ -115,11 +115,11 @@ impl fmt::Display for Content {
     }
 }
 
-/// Result of an operation on a volume.
+/// The result of an operation on a volume.
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// Why the error matters.
+    /// Returns an explanation of why the error matters.
     pub fn reason(&self) -> String {
         let reason = match self {
             Self::File(error) => return error.reason(),
@@ -136,7 +136,7 @@ impl Error {
         reason.to_owned()
     }
 
-    /// What to do about the error.
+    /// Returns instructions for solving the problem.
     pub fn remedy(&self) -> String {
         match self {
             Self::File(error) => error.remedy(),
@@ -161,13 +161,14 @@ impl Error {
         }
     }
 
-    /// An operating-system error; `doing` is the failed operation, such as "read".
+    /// Creates an error reported by the operating system. `doing` is the failed operation, such as
+    /// "read".
     pub(crate) fn file(path: &Path, doing: &str, source: std::io::Error, remedy: impl Into<String>) -> Self {
         isoparticles_file::error::Error::system(path, doing, source, remedy).into()
     }
 }
 
-/// An error in the contents of a file.
+/// Creates an error about the contents of a file.
 pub(crate) fn bad(
     path: &Path,
     problem: impl fmt::Display,

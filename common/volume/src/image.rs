@@ -4,24 +4,24 @@ use crate::geometry::Geometry;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Values on a regular grid, x fastest.
+/// Values on a regular grid. The x axis varies fastest.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image<T> {
     /// Grid of the voxels.
     pub geometry: Geometry,
-    /// One value per voxel, x fastest.
+    /// One value per voxel. The x axis varies fastest.
     pub data: Vec<T>,
 }
 
 impl<T: Copy + Send + Sync> Image<T> {
-    /// An image filled with one value.
+    /// Creates an image with the same value in all voxels.
     pub fn filled(geometry: Geometry, value: T) -> Self {
-        // on all threads, because the first access to new memory is slow
+        // uses all threads, because the first access to new memory is slow
         let data = (0..geometry.voxel_count()).into_par_iter().map(|_| value).collect();
         Self { geometry, data }
     }
 
-    /// Samples a function of the position in the grid frame (mm) at every voxel centre.
+    /// Evaluates a function of the grid position (mm) at every voxel centre.
     pub fn sampled(geometry: Geometry, f: impl Fn(DVec3) -> T) -> Self {
         let [nx, ny, nz] = geometry.size;
         let mut data = Vec::with_capacity(geometry.voxel_count());
@@ -33,15 +33,15 @@ impl<T: Copy + Send + Sync> Image<T> {
         Self { geometry, data }
     }
 
-    /// Value of a voxel.
+    /// Returns the value of a voxel.
     pub fn at(&self, i: usize, j: usize, k: usize) -> T {
         self.data[self.geometry.linear(i, j, k)]
     }
 }
 
-/// Reverses the order of slices of `length` values, but not the values within a slice. A consumer
-/// that starts with the first slice then takes slices from the end, where a vector can release
-/// memory.
+/// Reverses the order of slices of `length` values, but not the order within a slice. A consumer
+/// that starts with the first slice can then take slices from the end of a vector, which lets the
+/// vector release memory.
 pub fn reverse_slices<T>(values: &mut [T], length: usize) {
     let count = values.len() / length;
     for n in 0..count / 2 {

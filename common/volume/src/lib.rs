@@ -1,12 +1,12 @@
-//! Medical volumes: voxels of their original type on a grid with a position in the world.
+//! Medical volumes: voxels in their original number type, on a grid with a position in the world.
 //!
 //! [`read_volume`] reads NRRD, 3D Slicer segmentations, NIfTI, MetaImage, VTK images and folders of
-//! DICOM slices. Lengths are in physical units (mm). Positions are in the *grid frame* (index times
-//! spacing, axis-aligned, right-handed) unless stated otherwise. [`Geometry`] converts them to the
-//! world.
+//! DICOM slices. Lengths are in mm. Unless stated otherwise, positions are in the *grid frame*
+//! (index times spacing, axis-aligned, right-handed). [`Geometry`] converts them to the world
+//! frame.
 //!
-//! [`vtk_xml`] reads and writes VTK XML files of any kind, and [`vti`] reads and writes the images
-//! among them. Other crates build their file formats on these two.
+//! [`vtk_xml`] reads and writes VTK XML files of any kind, and [`vti`] reads and writes VTK images.
+//! Other crates build their file formats on these two modules.
 //!
 //! ```
 //! use glam::DVec3;

@@ -6,7 +6,8 @@ use crate::geometry::{Geometry, Space};
 use glam::{DMat3, DVec3};
 use std::path::Path;
 
-/// Number of voxels for the sizes of a header. Fails if a size is zero or the product overflows.
+/// Returns the number of voxels for the sizes in a header. Fails if a size is zero or if the
+/// product overflows.
 pub(crate) fn voxel_count(path: &Path, size: [usize; 3]) -> Result<usize> {
     if size.contains(&0) {
         return Err(bad(path, format!("a size is zero: {size:?}"), "there are no voxels", "write the file again"));
@@ -17,9 +18,11 @@ pub(crate) fn voxel_count(path: &Path, size: [usize; 3]) -> Result<usize> {
     })
 }
 
-/// A geometry from the world vectors between neighbouring voxels along the three axes. Fails if a
-/// spacing is not between 1e-9 and 1e6 mm, if the origin is not finite or beyond 1e9 mm, or if the
-/// axes are (nearly) coplanar.
+/// Creates a geometry from the world vectors between neighbouring voxels along the three axes.
+///
+/// # Errors
+/// If a spacing is not between 1e-9 and 1e6 mm, if a coordinate of the origin is not finite or
+/// exceeds 1e9 mm, or if the axes are (nearly) coplanar.
 pub(crate) fn geometry_from_steps(
     path: &Path,
     size: [usize; 3],

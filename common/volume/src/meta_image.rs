@@ -1,9 +1,9 @@
-//! Reads MetaImage (`.mha`, or `.mhd` with separate data files), the format of ITK. Its world frame
-//! is LPS.
+//! Reads the MetaImage format of ITK: `.mha` files, and `.mhd` files with separate data files. The
+//! world frame is LPS.
 //!
-//! Fields are interpreted as in ITK. `TransformMatrix` holds the directions of the axes, one after
-//! another, and `Offset` the centre of the first voxel. `AnatomicalOrientation` is redundant, and
-//! `CenterOfRotation` does not affect the grid.
+//! Fields are interpreted as in ITK. `TransformMatrix` contains the axis directions, one after
+//! another, and `Offset` is the centre of the first voxel. `AnatomicalOrientation` is redundant,
+//! and `CenterOfRotation` does not affect the grid. Both are ignored.
 
 use crate::error::bad;
 use crate::error::{Error, Result};
@@ -19,16 +19,17 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
-/// Maximum header size in bytes; a list of 100,000 file names fits.
+/// Maximum header size in bytes, which is sufficient for a list of 100,000 file names.
 const MOST_HEADER_BYTES: u64 = 16 << 20;
 
-/// Maximum number of dimensions; the limit of MetaIO is 10.
+/// Maximum number of dimensions, as in MetaIO.
 const MOST_DIMENSIONS: usize = 10;
 
-/// Fields that a header may start with. ITK starts with the first; other programs omit it.
+/// Possible first fields of a header. ITK always writes `ObjectType` first; other programs may omit
+/// it.
 const FIRST_FIELDS: [&str; 3] = ["ObjectType", "NDims", "Comment"];
 
-/// Whether a file with these first bytes is a MetaImage.
+/// Returns whether a file that starts with these bytes is a MetaImage.
 pub(crate) fn is_meta_image(start: &[u8]) -> bool {
     FIRST_FIELDS.iter().any(|field| {
         let rest = start.strip_prefix(field.as_bytes());
@@ -49,7 +50,7 @@ pub(crate) fn read_meta_image(path: &Path) -> Result<Volume> {
     Ok(Volume { remarks, ..Volume::new(geometry, voxels) })
 }
 
-/// The data files that the header names.
+/// Returns the data files that the header lists.
 pub(crate) fn data_files(path: &Path, reader: &mut impl BufRead) -> Result<DataFiles> {
     Header::read(path, reader)?.files()
 }
@@ -57,15 +58,15 @@ pub(crate) fn data_files(path: &Path, reader: &mut impl BufRead) -> Result<DataF
 /// The fields of a header.
 struct Header<'a> {
     path: &'a Path,
-    /// Values by field name; names are case-sensitive.
+    /// Values by field name. Field names are case-sensitive.
     fields: BTreeMap<String, String>,
     /// The lines after `ElementDataFile = LIST`.
     list: Vec<String>,
 }
 
 impl<'a> Header<'a> {
-    /// Reads the header. The reader then stands after `ElementDataFile`, which is always the last
-    /// field.
+    /// Reads the header. Afterwards, the reader is positioned at the end of the header, whose last
+    /// field is `ElementDataFile`.
     fn read(path: &'a Path, reader: &mut impl BufRead) -> Result<Self> {
         let mut header = Self { path, fields: BTreeMap::new(), list: Vec::new() };
         let mut reader = Read::take(reader, MOST_HEADER_BYTES);
@@ -106,7 +107,7 @@ impl<'a> Header<'a> {
         self.fields.get(name).map(String::as_str)
     }
 
-    /// The first of several fields that is present, with its value.
+    /// Returns the name and value of the first of several fields that is present.
     fn first_of(&self, names: &[&'static str]) -> Option<(&'static str, &str)> {
         names.iter().find_map(|&name| self.field(name).map(|text| (name, text)))
     }
@@ -127,7 +128,7 @@ impl<'a> Header<'a> {
         })
     }
 
-    /// A boolean field; false if it is missing.
+    /// Returns the value of a boolean field, or false if the field is missing.
     fn is(&self, name: &str) -> Result<bool> {
         match self.field(name).map(str::to_lowercase).as_deref() {
             None => Ok(false),
@@ -137,7 +138,7 @@ impl<'a> Header<'a> {
         }
     }
 
-    /// The `count` numbers of a field.
+    /// Returns the `count` numbers of a field.
     fn numbers<T: std::str::FromStr>(&self, name: &str, count: usize) -> Result<Vec<T>> {
         let words = self.field(name).unwrap_or("").split_whitespace();
         let numbers: Option<Vec<T>> = words.map(|word| word.parse().ok()).collect();
@@ -167,7 +168,7 @@ impl<'a> Header<'a> {
             return Err(self.no_volume(dimension));
         }
         let sizes = self.numbers::<usize>("DimSize", dimension)?;
-        // a series in time with a single volume is accepted
+        // accepts a time series that contains a single volume
         if sizes[3..].iter().any(|&n| n != 1) {
             return Err(self.no_volume(dimension));
         }
@@ -219,7 +220,7 @@ impl<'a> Header<'a> {
         };
         let order = self.first_of(&["BinaryDataByteOrderMSB", "ElementByteOrderMSB"]);
         let is_big = order.map_or(Ok(false), |(name, _)| self.is(name))?;
-        // as in NRRD, -1 means that the voxels end at the end of the file
+        // as in NRRD, -1 means that the voxels extend to the end of the file
         let byte_skip =
             self.field("HeaderSize").map_or(Ok(0), |text| text.parse().map_err(|_| self.error("HeaderSize")))?;
         if byte_skip < -1 {
@@ -229,14 +230,14 @@ impl<'a> Header<'a> {
         Ok(Layout { scalar, coding, endian, line_skip: 0, byte_skip, files: self.files()? })
     }
 
-    /// The number of slices: the third number of `DimSize`.
+    /// Returns the number of slices, which is the third number of `DimSize`.
     fn slices(&self) -> Result<usize> {
         let words = self.field("DimSize").unwrap_or("").split_whitespace();
         { words }.nth(2).and_then(|word| word.parse().ok()).ok_or_else(|| self.error("DimSize"))
     }
 
-    /// Resolves `ElementDataFile`: `LOCAL`, a file name, `LIST [dimension]`, or `pattern first last
-    /// step`.
+    /// Returns the data files that `ElementDataFile` specifies: `LOCAL`, a file name, `LIST
+    /// [dimension]`, or `pattern first last step`.
     fn files(&self) -> Result<DataFiles> {
         let field = self.need("ElementDataFile")?;
         let words: Vec<&str> = field.split_whitespace().collect();
@@ -273,7 +274,7 @@ impl<'a> Header<'a> {
     }
 }
 
-/// MetaIO's type names; its `LONG` always has 32 bits.
+/// Converts a type name of MetaIO to a scalar type. MetaIO's `LONG` always has 32 bits.
 fn scalar_type(name: &str) -> Option<ScalarType> {
     Some(match name {
         "MET_CHAR" => ScalarType::I8,

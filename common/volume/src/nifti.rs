@@ -1,8 +1,8 @@
-//! Reads NIfTI-1 volumes (`.nii`, `.nii.gz`, pairs of `.hdr` and `.img`), the format of
-//! neuroimaging. Its world frame is RAS, which is converted to LPS here.
+//! Reads NIfTI-1 volumes, the format of neuroimaging: `.nii`, `.nii.gz`, and pairs of `.hdr` and
+//! `.img` files. The RAS world frame of NIfTI is converted to LPS.
 //!
-//! The `nifti` crate reads the header. This module reads the voxels itself, so that memory grows
-//! only with the data that is present.
+//! The `nifti` crate parses the header. This module reads the voxels itself, so that it allocates
+//! memory only for data that is present in the file.
 
 mod names;
 
@@ -23,17 +23,17 @@ use std::path::{Path, PathBuf};
 /// Size of a NIfTI-1 header in bytes.
 const HEADER_BYTES: u64 = 348;
 
-/// Default offset of the voxels in a single file: the header and four bytes that tell whether
-/// extensions follow.
+/// Default byte offset of the voxels in a single file: the header and four bytes that indicate
+/// whether extensions follow.
 const FIRST_VOXEL: u64 = 352;
 
-/// Whether an uncompressed file with these first bytes has a NIfTI header.
+/// Returns whether an uncompressed file that starts with these bytes has a NIfTI header.
 pub(crate) fn is_nifti(start: &[u8]) -> bool {
-    // the header starts with its own size: 348 (NIfTI-1) or 540 (NIfTI-2), in the file's byte order
+    // the header starts with its size, 348 (NIfTI-1) or 540 (NIfTI-2), in the file's byte order
     matches!(start.get(..4), Some([0x5c, 1, 0, 0] | [0, 0, 1, 0x5c] | [0x1c, 2, 0, 0] | [0, 0, 2, 0x1c]))
 }
 
-/// Whether a file with the first bytes `start` is a NIfTI file compressed with gzip.
+/// Returns whether a file that starts with the bytes `start` is a NIfTI file compressed with gzip.
 pub(crate) fn is_compressed_nifti(path: &Path, start: &[u8]) -> bool {
     let first = || -> io::Result<[u8; 4]> {
         let mut first = [0; 4];
@@ -43,8 +43,8 @@ pub(crate) fn is_compressed_nifti(path: &Path, start: &[u8]) -> bool {
     start.starts_with(&[0x1f, 0x8b]) && first().is_ok_and(|first| is_nifti(&first))
 }
 
-/// The other file of a pair: the `.img` file of voxels for a `.hdr` header, or the header for the
-/// voxels. `None` if there is no such file.
+/// Returns the other file of a pair: the voxel file (`.img`) of a header (`.hdr`), or the header of
+/// a voxel file. Returns `None` if there is no such file.
 pub(crate) fn partner(path: &Path) -> Option<PathBuf> {
     let name = path.file_name()?.to_str()?;
     let plain = name.strip_suffix(".gz").unwrap_or(name);
@@ -56,7 +56,7 @@ pub(crate) fn partner(path: &Path) -> Option<PathBuf> {
     beside.into_iter().find(|path| path.is_file())
 }
 
-/// The bytes of a file; gzip is decompressed.
+/// Opens a file for reading and decompresses it if it is compressed with gzip.
 fn open(path: &Path) -> io::Result<Stream<BufReader<File>>> {
     let mut file = BufReader::with_capacity(1 << 17, File::open(path)?);
     let is_compressed = file.fill_buf()?.starts_with(&[0x1f, 0x8b]);
@@ -109,7 +109,7 @@ pub(crate) fn read_nifti(path: &Path) -> Result<Volume> {
     Ok(Volume { segments, remarks, ..Volume::new(geometry, voxels) })
 }
 
-/// The magic number at the end of the header of a pair.
+/// The magic number at the end of the header if the voxels are in a separate file.
 const PAIR: &[u8; 4] = b"ni1\0";
 
 fn header(path: &Path, start: &[u8]) -> Result<NiftiHeader> {
@@ -129,7 +129,7 @@ fn header(path: &Path, start: &[u8]) -> Result<NiftiHeader> {
         .map_err(|error| bad(path, format!("has no NIfTI-1 header: {error}"), "it is damaged or not NIfTI", next))
 }
 
-/// The voxel file of a separate header.
+/// Returns the voxel file that belongs to a separate header.
 fn voxels_beside(path: &Path) -> Result<PathBuf> {
     partner(path).ok_or_else(|| {
         bad(
@@ -169,8 +169,8 @@ fn scalar_type(path: &Path, header: &NiftiHeader) -> Result<ScalarType> {
     })
 }
 
-/// Geometry in LPS and mm, from the sform if there is one, else from the qform, else from the voxel
-/// spacings.
+/// Returns the geometry in LPS and mm. It is computed from the sform if the header contains a valid
+/// one, otherwise from the qform, otherwise from the voxel spacings.
 fn geometry(path: &Path, header: &NiftiHeader) -> Result<(Geometry, Vec<String>)> {
     let dimension = usize::from(header.dim[0]);
     if !(1..=7).contains(&dimension) {
@@ -226,7 +226,7 @@ fn pixel_spacing(header: &NiftiHeader) -> DVec3 {
     DVec3::new(header.pixdim[1].into(), header.pixdim[2].into(), header.pixdim[3].into())
 }
 
-/// Vectors between voxels, and the origin, from the three rows of the sform.
+/// Returns the vectors between neighbouring voxels, the origin and the space from the sform.
 fn sform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     let row = |row: [f32; 4]| row.map(f64::from);
     let (x, y, z) = (row(header.srow_x), row(header.srow_y), row(header.srow_z));
@@ -234,11 +234,11 @@ fn sform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     (DMat3::from_cols(column(0), column(1), column(2)), column(3), Space::Lps)
 }
 
-/// Vectors between voxels, and the origin, from the quaternion of the qform.
+/// Returns the vectors between neighbouring voxels, the origin and the space from the qform.
 fn qform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     let vector = DVec3::new(header.quatern_b.into(), header.quatern_c.into(), header.quatern_d.into());
-    // The first component is not stored. Rounding may make the other three slightly longer than
-    // one.
+    // The first component of the quaternion is not stored. The length of the other three may exceed
+    // one because of rounding.
     let quaternion = DQuat::from_xyzw(vector.x, vector.y, vector.z, (1.0 - vector.length_squared()).max(0.0).sqrt());
     let rotation = DMat3::from_quat(quaternion.normalize());
     let mut spacing = pixel_spacing(header);
@@ -249,11 +249,12 @@ fn qform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     (rotation * DMat3::from_diagonal(spacing), origin, Space::Lps)
 }
 
-/// Maximum number of bytes of extensions that are read: names of 65,535 labels with 250 bytes each.
+/// Maximum number of bytes of extensions that are read. This is sufficient for the names of 65,535
+/// labels with 250 bytes per name.
 const MOST_EXTENSIONS: u64 = 1 << 24;
 
-/// Skips the `skip` bytes between header and voxels. Returns the extensions there, up to
-/// [`MOST_EXTENSIONS`] bytes.
+/// Skips the `skip` bytes between the header and the voxels. Returns the first [`MOST_EXTENSIONS`]
+/// of these bytes, which contain the extensions.
 fn skip_to_voxels(reader: &mut dyn Read, skip: f64) -> io::Result<Vec<u8>> {
     if !(0.0..1e9).contains(&skip) {
         return Err(io::Error::new(io::ErrorKind::InvalidData, "the voxels start inside the header"));
@@ -265,7 +266,8 @@ fn skip_to_voxels(reader: &mut dyn Read, skip: f64) -> io::Result<Vec<u8>> {
     if reader.limit() > 0 { Err(io::ErrorKind::UnexpectedEof.into()) } else { Ok(between) }
 }
 
-/// Applies the slope and intercept of the header, if they change anything.
+/// Applies the slope and intercept of the header. Values remain unchanged if the slope is zero, if
+/// either number is not finite, or if the transformation is the identity.
 fn scaled(voxels: Voxels, slope: f32, intercept: f32, remarks: &mut Vec<String>) -> Voxels {
     let plain = slope == 0.0 || !slope.is_finite() || !intercept.is_finite() || (slope == 1.0 && intercept == 0.0);
     if plain {
@@ -274,7 +276,7 @@ fn scaled(voxels: Voxels, slope: f32, intercept: f32, remarks: &mut Vec<String>)
     remarks.push(format!("values are computed as stored value * {slope} + {intercept}, as given in the header"));
     let (slope, intercept) = (f64::from(slope), f64::from(intercept));
     match voxels.scalar_type() {
-        // single precision takes half the memory and keeps all digits of these types
+        // single precision halves the memory and preserves the full precision of these types
         ScalarType::I8 | ScalarType::U8 | ScalarType::I16 | ScalarType::U16 | ScalarType::F32 => {
             Voxels::F32(voxels.to_f32().into_iter().map(|x| (f64::from(x) * slope + intercept) as f32).collect())
         }

@@ -1,5 +1,5 @@
-//! Reads volumes of all formats. The first bytes of a file decide its format; the file name is used
-//! only if they do not.
+//! Reads volumes in all supported formats. The format is detected from the first bytes of a file.
+//! The file name is used only if these bytes are not sufficient.
 
 use crate::error::bad;
 use crate::error::{Content, Error, Result};
@@ -8,19 +8,19 @@ use crate::{dicom, meta_image, nifti, nrrd, vti};
 use std::io::Read;
 use std::path::Path;
 
-/// Number of bytes that decide the format: beyond the 128-byte preamble of DICOM, and far enough
-/// into an XML file.
+/// Number of bytes used to detect the format. This covers the 128-byte preamble of DICOM and the
+/// first elements of an XML file.
 const START_BYTES: u64 = 512;
 
-/// Options of reading a volume.
+/// Options for reading a volume.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ReadOptions<'a> {
-    /// The series in a folder of DICOM files: description, number or UID. Not needed if there is
-    /// only one.
+    /// Description, number or UID of the series to read from a folder of DICOM files. Required only
+    /// if the folder contains several series.
     pub series: Option<&'a str>,
 }
 
-/// The formats of volumes.
+/// The supported formats of volume files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Format {
     Nrrd,
@@ -29,25 +29,26 @@ enum Format {
     VtkImage,
 }
 
-/// Reads a volume: NRRD, 3D Slicer segmentation, MetaImage, NIfTI, VTK image, or a folder of DICOM
-/// slices.
+/// Reads a volume from an NRRD file, a 3D Slicer segmentation, a MetaImage, a NIfTI file, a VTK
+/// image, or a folder of DICOM slices.
 ///
 /// # Errors
-/// If the file cannot be read, is not a volume with one number per voxel, is damaged or cut short,
+/// If the file cannot be read, is not a volume with one number per voxel, is damaged or truncated,
 /// or does not fit in memory.
 pub fn read_volume(path: &Path) -> Result<Volume> {
     read_volume_with(path, &ReadOptions::default())
 }
 
-/// As [`read_volume`], with options.
+/// Reads a volume like [`read_volume`], with options.
 ///
 /// # Errors
-/// As [`read_volume`]. Also if the requested series does not exist, or if the file has no series.
+/// If [`read_volume`] would fail, if the requested series does not exist, or if a series is
+/// requested from a file.
 pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     if path.is_dir() {
         return dicom::read_folder(path, options.series);
     }
-    // a pair of files is read by its header
+    // if the file belongs to a pair, read the header first
     let header = nifti::partner(path).filter(|other| other.to_string_lossy().trim_end_matches(".gz").ends_with(".hdr"));
     let path = header.as_deref().unwrap_or(path);
     let start = start(path)?;
@@ -79,7 +80,7 @@ fn start(path: &Path) -> Result<Vec<u8>> {
     Ok(start)
 }
 
-/// The format of a file. Fails if it is not a volume.
+/// Detects the format of a file. Fails if the file is not a volume.
 fn format(path: &Path, start: &[u8]) -> Result<Format> {
     let name = path.to_string_lossy().to_lowercase();
     let ends = |endings: &[&str]| endings.iter().any(|ending| name.ends_with(ending));
@@ -119,7 +120,7 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     ))
 }
 
-/// The contents of a file that has a known format but is not a volume.
+/// Detects the contents of a file that has a known format but is not a volume.
 fn no_volume(start: &[u8], ends: &impl Fn(&[&str]) -> bool) -> Option<Content> {
     let has = |word: &[u8]| start.windows(word.len()).any(|window| window == word);
     if dicom::is_dicom(start) {

@@ -1,23 +1,23 @@
-//! Names of labels, and the layers that let segments overlap.
+//! Names of labels, and layers for overlapping segments.
 //!
-//! 3D Slicer writes overlapping segments into several layers: label volumes on the same grid. A
-//! label is then unique only within its layer, so [`LayerLabel`] holds both. Most volumes have a
-//! single layer.
+//! 3D Slicer stores overlapping segments in several layers, which are label volumes on the same
+//! grid. A label is then unique only within its layer, so [`LayerLabel`] contains both the label
+//! and the layer. Most volumes have a single layer.
 
 use crate::error::{Error, Result};
 use crate::volume::Volume;
 use crate::voxels::Voxels;
 use serde::{Deserialize, Serialize};
 
-/// Maximum number of names that an error message lists.
+/// Maximum number of segments that an error message lists.
 const MOST_LISTED: usize = 40;
 
 /// A label and its layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct LayerLabel {
-    /// The layer, counted from 0.
+    /// Index of the layer, starting at 0.
     pub layer: usize,
-    /// The label: a voxel value in that layer.
+    /// The label, which is a voxel value in that layer.
     pub label: i64,
 }
 
@@ -32,29 +32,31 @@ pub struct Segment {
 }
 
 impl Volume {
-    /// Number of layers, at least 1.
+    /// Returns the number of layers, which is at least 1.
     pub fn layer_count(&self) -> usize {
         1 + self.more_layers.len()
     }
 
-    /// The layers in order; the first one is [`Volume::voxels`].
+    /// Returns the layers in order. The first layer is [`Volume::voxels`].
     pub fn layers(&self) -> impl Iterator<Item = &Voxels> {
         std::iter::once(&self.voxels).chain(&self.more_layers)
     }
 
-    /// A remark on the treatment of NaN labels, if there are any.
+    /// Returns a remark on the treatment of NaN voxels, if there are any.
     pub fn nan_remark(&self) -> Option<String> {
         let count: usize = self.layers().map(Voxels::nan_count).sum();
         (count > 0).then(|| format!("{count} voxels are NaN and are treated as background (label 0)"))
     }
 
-    /// The name of a label, if the file contains one.
+    /// Returns the name of a label, if the file contains one.
     pub fn name_of(&self, at: LayerLabel) -> Option<&str> {
         self.segments.iter().find(|segment| segment.at == at).map(|segment| segment.name.as_str())
     }
 
-    /// All labels with their layers, in ascending order; NaN counts as 0. Fails if any other value
-    /// is not an integer.
+    /// Returns all labels and their layers in ascending order. NaN counts as label 0.
+    ///
+    /// # Errors
+    /// If a value is neither an integer nor NaN.
     pub fn label_set(&self) -> Result<Vec<LayerLabel>> {
         let mut all = Vec::new();
         for (layer, voxels) in self.layers().enumerate() {
@@ -63,11 +65,10 @@ impl Volume {
         Ok(all)
     }
 
-    /// The segment with a name. If there is no exact match, upper and lower case are not
-    /// distinguished.
+    /// Finds the segment called `name`. If there is no exact match, the search ignores case.
     ///
     /// # Errors
-    /// If no segment or more than one matches; the error lists the candidates.
+    /// If no segment or several segments match. The error lists the candidates.
     pub fn segment_named(&self, name: &str) -> Result<LayerLabel> {
         let exact: Vec<&Segment> = self.segments.iter().filter(|segment| segment.name == name).collect();
         let found = if exact.is_empty() {
@@ -87,12 +88,11 @@ impl Volume {
         }
     }
 
-    /// The layer of a label that is given by its number. A label that does not occur is assigned to
-    /// the first layer.
+    /// Finds the layer that contains a label. If no layer contains it, returns the first layer.
     ///
     /// # Errors
-    /// If several layers contain the label, so that the number is ambiguous, or if a value is not a
-    /// label.
+    /// If several layers contain the label, or if the volume has several layers and a value is not
+    /// a label.
     pub fn label_numbered(&self, label: i64) -> Result<LayerLabel> {
         if self.more_layers.is_empty() {
             return Ok(LayerLabel { layer: 0, label });
@@ -114,7 +114,7 @@ impl Volume {
         }
     }
 
-    /// Marks the voxels that have one of the labels in any layer.
+    /// Marks the voxels that have any of the labels in the layer of that label.
     pub fn label_mask(&self, labels: &[LayerLabel]) -> Vec<bool> {
         let of_layer =
             |layer: usize| -> Vec<i64> { labels.iter().filter(|at| at.layer == layer).map(|at| at.label).collect() };
@@ -128,7 +128,7 @@ impl Volume {
         mask
     }
 
-    /// Lists segments with their labels, for a message.
+    /// Lists segments and their labels for a message.
     fn listed<'a>(&self, segments: impl IntoIterator<Item = &'a Segment>) -> String {
         let of = |segment: &Segment| match self.more_layers.is_empty() {
             true => format!("'{}' ({})", segment.name, segment.at.label),
@@ -148,7 +148,8 @@ mod tests {
     use crate::geometry::Geometry;
     use glam::DVec3;
 
-    /// Two layers: lung (1) and heart (2), and a vessel (1) that overlaps both.
+    /// Creates a volume with two layers. The first contains a lung (1) and a heart (2), and the
+    /// second a vessel (1) that overlaps both.
     fn overlapping() -> Volume {
         let segment = |name: &str, layer, label| Segment { name: name.to_owned(), at: LayerLabel { layer, label } };
         Volume {

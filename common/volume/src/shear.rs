@@ -1,9 +1,9 @@
 //! Resamples a volume from a sheared grid (gantry tilt, sform with shear) to an orthonormal grid.
 //!
-//! The new axes result from Gram-Schmidt: x is kept, y stays in the slice plane, and z is its
-//! normal. Slices remain slices, so at most two one-dimensional passes suffice. The first shifts
-//! each slice along y, and the second shifts each row along x. The volume of a voxel does not
-//! change.
+//! The new axes result from Gram-Schmidt orthogonalization: x is unchanged, y lies in the slice
+//! plane, and z is the slice normal. Slices remain slices, so at most two one-dimensional passes
+//! are needed. The first pass shifts each slice along y, and the second shifts each row along x.
+//! The volume of a voxel does not change.
 //!
 //! [`Shear::interpolate`] resamples measured values with the cubic kernel of Keys (1981), and
 //! [`Shear::move_labels`] resamples labels.
@@ -15,36 +15,37 @@ use crate::voxels::Voxels;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-/// Shear that shifts the far end of the volume by less than this is ignored, in voxels. Headers
-/// hold rounded directions: an error of 1e-4 over 500 voxels is half of this.
+/// Minimum shift in voxels at the far end of the volume; a smaller shear is ignored. The directions
+/// in headers are rounded: an error of 1e-4 over 500 voxels causes half of this shift.
 const IGNORED_SHIFT: f64 = 0.1;
 
-/// The transformation from a sheared grid to an orthonormal grid that covers it.
+/// A transformation from a sheared grid to an orthonormal grid that covers the sheared grid.
 #[derive(Clone, Debug)]
 pub struct Shear {
     /// The orthonormal grid.
     pub geometry: Geometry,
-    /// Maximum deviation of the angle between two old axes from a right angle, degrees.
+    /// Maximum deviation in degrees of the angle between two old axes from a right angle.
     pub degrees: f64,
     passes: Vec<Pass>,
 }
 
-/// Shifts the rows along one axis.
+/// A pass that shifts rows along one axis.
 #[derive(Clone, Copy, Debug)]
 struct Pass {
-    /// The axis, 0 or 1.
+    /// The axis of the rows: 0 or 1.
     axis: usize,
     /// Grid size before and after the pass.
     from: [usize; 3],
     to: [usize; 3],
-    /// Shift of row `o` of slice `k` in voxels: `start + per_row * o + per_slice * k`.
+    /// Shift in voxels of row `o` in slice `k`: `start + per_row * o + per_slice * k`.
     start: f64,
     per_row: f64,
     per_slice: f64,
 }
 
 impl Shear {
-    /// The transformation of a grid; `None` if the grid is orthonormal within `IGNORED_SHIFT`.
+    /// Computes the transformation of a grid. Returns `None` if the grid is orthonormal within
+    /// `IGNORED_SHIFT`.
     pub fn of(geometry: &Geometry) -> Option<Self> {
         let [d0, d1, d2] = [0, 1, 2].map(|axis| geometry.directions.col(axis));
         let x = d0.normalize();
@@ -55,7 +56,7 @@ impl Shear {
         let [nx, ny, nz] = geometry.size;
         let kept =
             |shift: f64, count: usize| if shift.abs() * (count as f64 - 1.0) < IGNORED_SHIFT { 0.0 } else { shift };
-        // shifts in voxels: x per row, x per slice, y per slice
+        // shifts in voxels: along x per row, along x per slice, along y per slice
         let xy = kept(geometry.spacing.y * d1.dot(x) / spacing.x, ny);
         let xz = kept(geometry.spacing.z * d2.dot(x) / spacing.x, nz);
         let yz = kept(geometry.spacing.z * d2.dot(y) / spacing.y, nz);
@@ -70,7 +71,7 @@ impl Shear {
         let between = [nx, ny + (high_y - low_y) as usize, nz];
         let size = [nx + (high_x - low_x) as usize, between[1], nz];
         let along_y = Pass { axis: 1, from: geometry.size, to: between, start: -low_y, per_row: 0.0, per_slice: yz };
-        // before the first pass, a row was at row + low_y - yz * slice
+        // the position of `row` before the first pass is row + low_y - yz * slice
         let along_x =
             Pass { axis: 0, from: between, to: size, start: xy * low_y - low_x, per_row: xy, per_slice: xz - xy * yz };
         let passes = [(along_y, yz != 0.0), (along_x, xy != 0.0 || xz != 0.0)];
@@ -100,27 +101,27 @@ impl Shear {
     }
 
     /// Resamples values to the orthonormal grid by cubic interpolation within the slices. Outside
-    /// the volume, the value is `beyond` of the nearest voxel.
+    /// the volume, the value is `beyond(v)`, where v is the value of the nearest voxel in the row.
     pub fn interpolate(&self, voxels: &Voxels, beyond: impl Fn(f32) -> f32 + Sync) -> Vec<f32> {
         self.passes.iter().fold(voxels.to_f32(), |values, pass| pass.interpolate(&values, &beyond))
     }
 }
 
 impl Pass {
-    /// The source of the voxels of a row, as `(first, part)`. Voxel n lies between the old voxels
-    /// `n - first` and `n - first + 1`, at the fraction `part` of the way.
+    /// Returns the source position of the voxels in a row as `(first, part)`. Voxel n lies between
+    /// the old voxels `n - first` and `n - first + 1`, at the fraction `part` of the distance.
     fn shift(&self, row: isize, slice: isize) -> (isize, f64) {
         let shift = snapped(self.start + self.per_row * row as f64 + self.per_slice * slice as f64);
         let first = shift.ceil();
         (first as isize, first - shift)
     }
 
-    /// Number of rows in a slice.
+    /// Returns the number of rows per slice.
     fn rows(&self) -> usize {
         self.from[1 - self.axis]
     }
 
-    /// Index of a voxel in a grid of `size`, given its position in its row, its row and its slice.
+    /// Returns the index of voxel `n` of a row in slice `k` of a grid of `size` voxels.
     #[inline]
     fn linear(&self, size: [usize; 3], n: usize, row: usize, k: usize) -> usize {
         let (i, j) = if self.axis == 0 { (n, row) } else { (row, n) };
@@ -152,15 +153,16 @@ impl Pass {
     }
 }
 
-/// A shift in voxels, rounded to an integer if it is within 1e-6 of it.
+/// Rounds a shift in voxels to an integer if the difference is less than 1e-6.
 fn snapped(shift: f64) -> f64 {
     if (shift - shift.round()).abs() < 1e-6 { shift.round() } else { shift }
 }
 
-/// Weights of the voxels -1, 0, 1 and 2 at a position t from 0 to 1: the cubic convolution of Keys
-/// (1981) with a = -1/2. It is exact for polynomials of second degree. Measured on the scan of a
-/// ball of 14 mm (point spread 0.8 mm, voxels of 1 mm sheared by 30 degrees): F = 0 encloses
-/// 11,454 mm^3 with it, 11,446 mm^3 with linear interpolation, and 11,456 mm^3 unsheared.
+/// Returns the weights of the voxels -1, 0, 1 and 2 for interpolation at a position t from 0 to 1.
+/// The kernel is the cubic convolution of Keys (1981) with a = -1/2, which is exact for polynomials
+/// of second degree. Measured on a scan of a 14 mm ball (point spread 0.8 mm, 1 mm voxels sheared
+/// by 30 degrees), F = 0 encloses 11,454 mm^3. Linear interpolation gives 11,446 mm^3, and the
+/// unsheared grid 11,456 mm^3.
 fn keys(t: f64) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [-0.5 * t + t2 - 0.5 * t3, 1.0 - 2.5 * t2 + 1.5 * t3, 0.5 * t + 2.0 * t2 - 1.5 * t3, 0.5 * (t3 - t2)]

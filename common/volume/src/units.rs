@@ -1,16 +1,16 @@
-//! Units of length in the headers of volumes.
+//! Units of length in volume headers.
 
-/// The length of a unit in mm; `None` if the word is not a unit of length.
+/// Returns the length of a unit in mm, or `None` if `name` is not a unit of length.
 pub(crate) fn millimetres(name: &str) -> Option<f64> {
     let name = name.trim().to_lowercase().replace("metre", "meter");
-    // accept plurals of words, but not of symbols: ms are milliseconds
+    // accept the plurals of words but not of symbols, because `ms` means milliseconds
     let stem = if name.chars().count() > 3 { name.trim_end_matches('s') } else { &name };
     Some(match stem {
         "mm" | "millimeter" => 1.0,
         "cm" | "centimeter" => 10.0,
         "dm" | "decimeter" => 100.0,
         "m" | "meter" => 1000.0,
-        // micro is U+00B5 or U+03BC; a Latin-1 file read as UTF-8 gives U+FFFD
+        // the micro sign is U+00B5 or U+03BC; decoding Latin-1 as UTF-8 gives U+FFFD
         "um" | "\u{b5}m" | "\u{3bc}m" | "\u{fffd}m" | "micron" | "micrometer" => 1e-3,
         "nm" | "nanometer" => 1e-6,
         "in" | "inch" | "inche" => 25.4,

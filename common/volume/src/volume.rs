@@ -1,33 +1,33 @@
-//! Volumes as read from a file: voxels of their original type on a grid.
+//! Volumes as read from files: voxels in their original number type, on a grid.
 
 use crate::geometry::Geometry;
 use crate::segments::Segment;
 use crate::voxels::Voxels;
 
-/// A volume, x fastest, with its geometry.
+/// A volume with its geometry. The x axis varies fastest.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Volume {
     /// Grid of the voxels.
     pub geometry: Geometry,
-    /// Voxel values; those of the first layer if there are several.
+    /// Voxel values of the first layer.
     pub voxels: Voxels,
-    /// The other layers, on the same grid, for segments that overlap. Only 3D Slicer's `.seg.nrrd`
-    /// and `.vti` files made from it have such layers.
+    /// The other layers, which are on the same grid and contain overlapping segments. Only
+    /// `.seg.nrrd` files of 3D Slicer and `.vti` files converted from them have such layers.
     pub more_layers: Vec<Voxels>,
-    /// The named labels, in the order of the file.
+    /// The named labels, in the same order as in the file.
     pub segments: Vec<Segment>,
-    /// Assumptions of the reader, as text for the user.
+    /// Messages to the user about assumptions of the reader.
     pub remarks: Vec<String>,
 }
 
 impl Volume {
-    /// A volume with one layer and without names and remarks. `voxels` has one value per voxel of
-    /// `geometry`.
+    /// Creates a volume with one layer, without names or remarks. `voxels` must contain one value
+    /// per voxel of `geometry`.
     pub fn new(geometry: Geometry, voxels: Voxels) -> Self {
         Self { geometry, voxels, more_layers: Vec::new(), segments: Vec::new(), remarks: Vec::new() }
     }
 
-    /// Crops all layers in place to the box of `size` voxels that starts at the voxel `first`.
+    /// Crops all layers in place to the box of `size` voxels whose first voxel is `first`.
     pub fn crop(&mut self, first: [usize; 3], size: [usize; 3]) {
         let whole = self.geometry.size;
         for voxels in std::iter::once(&mut self.voxels).chain(&mut self.more_layers) {

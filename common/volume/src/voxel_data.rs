@@ -1,5 +1,5 @@
-//! Reads the voxels that a text header (NRRD, MetaImage) describes: attached or in separate data
-//! files, in one of six encodings.
+//! Reads the voxels described by a text header (NRRD or MetaImage). The voxels are attached to the
+//! header or stored in separate data files, in one of six encodings.
 
 mod stream;
 
@@ -27,11 +27,11 @@ pub(crate) enum Coding {
 pub(crate) enum DataFiles {
     /// After the header, in the same file.
     Attached,
-    /// In these files, in order. Names are relative to the folder of the header.
+    /// In these files, in order. File names are relative to the folder of the header.
     Named(Vec<String>),
 }
 
-/// One line of a header without its line end; `None` at the end of the file.
+/// Reads a header line and removes its line ending. Returns `None` at the end of the file.
 pub(crate) fn read_line(path: &Path, reader: &mut impl BufRead) -> Result<Option<String>> {
     let mut line = Vec::new();
     reader
@@ -46,21 +46,21 @@ pub(crate) fn read_line(path: &Path, reader: &mut impl BufRead) -> Result<Option
     Ok(Some(String::from_utf8_lossy(&line).into_owned()))
 }
 
-/// The layout of the voxel data, as described by a header.
+/// The layout of the voxel data according to a header.
 #[derive(Clone, Debug)]
 pub(crate) struct Layout {
     pub(crate) scalar: ScalarType,
     pub(crate) coding: Coding,
     pub(crate) endian: Option<Endian>,
     pub(crate) line_skip: u64,
-    /// Number of decoded bytes before the first voxel. Negative numbers count from the end: -1 if
-    /// the voxels end with the data, -n if n - 1 bytes follow them.
+    /// Number of decoded bytes before the first voxel. A negative number -n is relative to the end
+    /// of the data: n - 1 bytes follow the last voxel.
     pub(crate) byte_skip: i64,
     pub(crate) files: DataFiles,
 }
 
-/// Reads `count` voxels. The reader `attached` stands right after the header. Bytes after the end
-/// of compressed data give a remark.
+/// Reads `count` voxels. The reader `attached` must be positioned right after the header. If bytes
+/// follow the end of compressed data, adds a remark.
 pub(crate) fn read_voxels(
     path: &Path,
     layout: &Layout,
@@ -118,7 +118,7 @@ pub(crate) fn read_voxels(
     }
 }
 
-/// Reads the voxels of one file, from the current position of the reader.
+/// Reads the voxels of one file, starting at the current position of the reader.
 fn read_part(
     path: &Path,
     layout: &Layout,
@@ -134,13 +134,13 @@ fn read_part(
     Ok(voxels)
 }
 
-/// The remark on a file with more data than its voxels.
+/// Returns the remark for a file that contains data after the last voxel.
 pub(crate) fn goes_on_remark(path: &Path) -> String {
     format!("{} has data after the last voxel, which is ignored", path.display())
 }
 
-/// The voxels, and whether bytes follow the end of compressed data. Fails if there is more data
-/// than voxels.
+/// Reads the voxels. Also returns whether bytes follow the end of compressed data. Fails if decoded
+/// data follows the last voxel, unless the byte skip is negative.
 fn read_values(reader: &mut BufReader<File>, layout: &Layout, count: usize) -> io::Result<(Voxels, bool)> {
     skip_lines(reader, layout.line_skip)?;
     if layout.coding == Coding::Text {
@@ -150,7 +150,7 @@ fn read_values(reader: &mut BufReader<File>, layout: &Layout, count: usize) -> i
     let start = reader.stream_position()?;
     let mut skip = layout.byte_skip.unsigned_abs();
     if layout.byte_skip < 0 {
-        // the length is known only after decoding everything
+        // the length is known only after decoding all data
         let length = io::copy(&mut Stream::new(&mut *reader, layout.coding), &mut io::sink())?;
         let needed = (count as u64).saturating_mul(layout.scalar.bytes() as u64).saturating_add(skip - 1);
         skip = length.checked_sub(needed).ok_or_else(|| {
@@ -169,7 +169,7 @@ fn read_values(reader: &mut BufReader<File>, layout: &Layout, count: usize) -> i
     Ok((voxels, stream.leaves_bytes()?))
 }
 
-/// Describes an error of the data.
+/// Converts an error in reading the data to a message for the user.
 fn data_error(path: &Path, layout: &Layout, count: usize, error: io::Error) -> Error {
     let promised = format!("the header declares {count} voxels of type {} in this file", layout.scalar.name());
     match error.kind() {
@@ -206,14 +206,14 @@ fn skip_bytes(reader: &mut impl Read, bytes: u64) -> io::Result<()> {
     Err(io::Error::new(ErrorKind::UnexpectedEof, "it ends within the bytes to skip"))
 }
 
-/// Reads numbers in text, separated by white space or commas.
+/// Reads numbers from text, separated by white space or commas.
 fn read_text(reader: &mut impl BufRead, scalar: ScalarType, count: usize) -> io::Result<Voxels> {
     let mut voxels = Voxels::empty(scalar);
     let mut line = Vec::new();
     loop {
         line.clear();
-        // A very long line is read in pieces. Each piece extends to the next separator, so numbers
-        // are never cut.
+        // A long line is read in parts. Each part is extended to the next separator, so that no
+        // number is split.
         Read::take(&mut *reader, 1 << 16).read_until(b'\n', &mut line)?;
         if line.len() == 1 << 16 {
             while let Some(&byte) = reader.fill_buf()?.first() {
@@ -250,8 +250,8 @@ fn is_separator(byte: u8) -> bool {
     byte.is_ascii_whitespace() || byte == b','
 }
 
-/// The file names of a `printf` pattern with one integer from `low` to `high`. `None` if the
-/// pattern or range is invalid.
+/// Returns the file names that a `printf` pattern with one integer gives for the numbers from `low`
+/// to `high`. Returns `None` if the pattern or the range is invalid.
 pub(crate) fn numbered_names(format: &str, low: i64, high: i64, step: i64) -> Option<Vec<String>> {
     let (prefix, rest) = format.split_once('%')?;
     let end = rest.find(|c: char| !c.is_ascii_digit())?;

@@ -1,4 +1,4 @@
-//! Voxel values of ten scalar types, and their encoding as bytes.
+//! Voxel values in ten scalar types, and their conversion from and to bytes.
 
 mod coded;
 
@@ -12,7 +12,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::Path;
 
-/// Type of a voxel.
+/// Scalar type of a voxel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ScalarType {
     /// Signed 8-bit integer.
@@ -71,11 +71,11 @@ pub enum Voxels {
     F64(Vec<f64>),
 }
 
-/// Number of bytes read at a time, by each thread if there are several. Opening the file again for
-/// each chunk takes about 1 % of the time to read it.
+/// Number of bytes that each thread reads at a time. Reopening the file for each chunk takes about
+/// 1 % of the reading time.
 const CHUNK: usize = 1 << 20;
 
-/// Evaluates an expression on the inner vector, for any type.
+/// Evaluates an expression with the inner vector of any variant.
 macro_rules! each_type {
     ($voxels:expr, $values:ident => $body:expr) => {
         match $voxels {
@@ -111,7 +111,7 @@ macro_rules! with_type {
 }
 
 impl ScalarType {
-    /// Size of one value in bytes.
+    /// Returns the size of a value in bytes.
     pub fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -121,7 +121,7 @@ impl ScalarType {
         }
     }
 
-    /// Name of the type as in NRRD and numpy, such as `int16`.
+    /// Returns the name of the type in NRRD and NumPy, such as `int16`.
     pub fn name(self) -> &'static str {
         match self {
             Self::I8 => "int8",
@@ -138,14 +138,15 @@ impl ScalarType {
     }
 }
 
-/// The error for a file that ends after `found` of `count` values.
+/// Creates the error for a file that ends after `found` of `count` values.
 fn ends_early(found: usize, count: usize) -> std::io::Error {
     std::io::Error::new(std::io::ErrorKind::UnexpectedEof, format!("it ends after {found} of {count} values"))
 }
 
-/// A Rust number that [`Voxels`] can hold.
+/// A Rust number type that [`Voxels`] can contain.
 trait Number: Copy {
-    /// The value as a label: integers unchanged, NaN as 0; `None` for other values.
+    /// Converts the value to a label. Integers are unchanged, and NaN becomes 0. Returns `None` for
+    /// any other value.
     fn to_label(self) -> Option<i64>;
     fn single(self) -> f32;
     fn double(self) -> f64;
@@ -170,8 +171,8 @@ macro_rules! integer_number {
 }
 integer_number!(i8, u8, i16, u16, i32, u32, i64, u64);
 
-/// Integers up to 2^53. Larger values are not labels, because floats cannot represent all integers
-/// beyond.
+/// Converts a value to an integer. Returns `None` unless the value is an integer with a magnitude
+/// of at most 2^53, because larger floating-point numbers cannot represent all integers.
 fn whole_number(value: f64) -> Option<i64> {
     (value.fract() == 0.0 && value.abs() <= 9_007_199_254_740_992.0).then_some(value as i64)
 }
@@ -208,7 +209,7 @@ impl Number for f64 {
 }
 
 impl Voxels {
-    /// Type of the values.
+    /// Returns the scalar type of the values.
     pub fn scalar_type(&self) -> ScalarType {
         match self {
             Self::I8(_) => ScalarType::I8,
@@ -224,39 +225,39 @@ impl Voxels {
         }
     }
 
-    /// Name of the type, such as `int16`.
+    /// Returns the name of the scalar type, such as `int16`.
     pub fn type_name(&self) -> &'static str {
         self.scalar_type().name()
     }
 
-    /// Number of values.
+    /// Returns the number of values.
     pub fn len(&self) -> usize {
         each_type!(self, values => values.len())
     }
 
-    /// Whether there are no values.
+    /// Returns whether there are no values.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// The values as 32-bit floating-point numbers (integers beyond 2^24 are rounded).
+    /// Converts the values to 32-bit floating-point numbers. Integers above 2^24 are rounded.
     pub fn to_f32(&self) -> Vec<f32> {
         each_type!(self, values => values.iter().map(|&value| value.single()).collect())
     }
 
-    /// Writes the values from index `first` as 32-bit floating-point numbers until `to` is full.
-    /// Integers beyond 2^24 are rounded.
+    /// Fills `to` with the values starting at index `first`, converted to 32-bit floating-point
+    /// numbers. Integers above 2^24 are rounded.
     pub fn copy_as_f32(&self, first: usize, to: &mut [f32]) {
         let range = first..first + to.len();
         each_type!(self, values => to.iter_mut().zip(&values[range]).for_each(|(to, &value)| *to = value.single()));
     }
 
-    /// The values as 64-bit floating-point numbers (integers beyond 2^53 are rounded).
+    /// Converts the values to 64-bit floating-point numbers. Integers above 2^53 are rounded.
     pub fn to_f64(&self) -> Vec<f64> {
         each_type!(self, values => values.iter().map(|&value| value.double()).collect())
     }
 
-    /// Minimum and maximum of the finite values; `None` if no value is finite.
+    /// Returns the minimum and maximum of the finite values, or `None` if no value is finite.
     pub fn range(&self) -> Option<(f64, f64)> {
         let (low, high) = each_type!(self, values => values
             .iter()
@@ -266,7 +267,7 @@ impl Voxels {
         (low <= high).then_some((low, high))
     }
 
-    /// Number of NaN values; as labels, they are background.
+    /// Returns the number of NaN values. If the values are labels, NaN counts as background.
     pub fn nan_count(&self) -> usize {
         match self {
             Self::F32(values) => values.par_iter().filter(|value| value.is_nan()).count(),
@@ -275,13 +276,15 @@ impl Voxels {
         }
     }
 
-    /// The distinct values in ascending order; NaN counts as 0. Fails if any other value is not an
-    /// integer.
+    /// Returns the distinct values in ascending order. NaN counts as 0.
+    ///
+    /// # Errors
+    /// If a value is neither an integer nor NaN.
     pub fn label_set(&self) -> Result<Vec<i64>> {
         each_type!(self, values => distinct(values)).map_err(|value| Error::NotALabel { value })
     }
 
-    /// Marks the values that are one of the labels.
+    /// Marks the values that equal any of the labels.
     pub fn label_mask(&self, labels: &[i64]) -> Vec<bool> {
         each_type!(self, values => values
             .par_iter()
@@ -289,7 +292,8 @@ impl Voxels {
             .collect())
     }
 
-    /// Visits the label of each value in order; `None` for a value that is not an integer.
+    /// Calls `visit` with the label of each value in order. The label is `None` if the value is not
+    /// an integer.
     pub fn each_label(&self, mut visit: impl FnMut(Option<i64>)) {
         each_type!(self, values => values.iter().for_each(|&value| visit(Number::to_label(value))));
     }
@@ -299,11 +303,11 @@ impl Voxels {
         each_type!(self, values => reverse_slices(values, length));
     }
 
-    /// Positions of the first and last value in `range` whose label satisfies `wanted`, counted
-    /// from the start of the range. `None` if there is none.
+    /// Returns the positions of the first and last value in `range` whose label satisfies `wanted`,
+    /// relative to the start of the range. Returns `None` if there is no such value.
     pub fn ends_of_labels(&self, range: Range<usize>, wanted: impl Fn(i64) -> bool) -> Option<(usize, usize)> {
         each_type!(self, values => {
-            // labels come in long runs
+            // equal labels usually form long runs
             let runs = || values[range.clone()].chunk_by(|a, b| a == b);
             let is_other = |run: &&[_]| !Number::to_label(run[0]).is_some_and(&wanted);
             let before: usize = runs().take_while(is_other).map(<[_]>::len).sum();
@@ -312,8 +316,9 @@ impl Voxels {
         })
     }
 
-    /// Positions of the first and last value in `range` that satisfies `wanted` as a 32-bit
-    /// floating-point number, counted from the start of the range. `None` if there is none.
+    /// Returns the positions of the first and last value in `range` that satisfies `wanted` after
+    /// conversion to a 32-bit floating-point number. The positions are relative to the start of the
+    /// range. Returns `None` if there is no such value.
     pub fn ends_of_values(&self, range: Range<usize>, wanted: impl Fn(f32) -> bool) -> Option<(usize, usize)> {
         each_type!(self, values => {
             let values = &values[range];
@@ -322,8 +327,8 @@ impl Voxels {
         })
     }
 
-    /// Crops a grid of `size` voxels (x fastest) in place to the box of `to` voxels that starts at
-    /// the voxel `first`. Releases the remaining memory.
+    /// Crops a grid of `size` voxels (x fastest) in place to the box of `to` voxels whose first
+    /// voxel is `first`. Releases the unused memory.
     pub fn crop(&mut self, size: [usize; 3], first: [usize; 3], to: [usize; 3]) {
         each_type!(self, values => {
             for row in 0..to[1] * to[2] {
@@ -335,7 +340,7 @@ impl Voxels {
         self.truncate(to.iter().product());
     }
 
-    /// Keeps the first `count` values and releases the remaining memory.
+    /// Keeps the first `count` values and releases the unused memory.
     pub fn truncate(&mut self, count: usize) {
         each_type!(self, values => {
             values.truncate(count);
@@ -343,8 +348,8 @@ impl Voxels {
         });
     }
 
-    /// Reads `count` values. Memory grows with the data that is present, not with what a header
-    /// promises.
+    /// Reads `count` values. Allocates memory as data arrives, so that a wrong header cannot cause
+    /// a large allocation.
     pub fn read_from(reader: &mut dyn Read, scalar: ScalarType, endian: Endian, count: usize) -> std::io::Result<Self> {
         with_type!(scalar, Value, variant => {
             let mut values: Vec<Value> = Vec::new();
@@ -363,8 +368,8 @@ impl Voxels {
         })
     }
 
-    /// Reads `count` values of a file from byte `start`, on all threads. As in [`Self::read_from`],
-    /// no memory is allocated for missing data.
+    /// Reads `count` values from a file, starting at byte `start`, on all threads. Like
+    /// [`Self::read_from`], does not allocate memory for missing data.
     pub fn read_file(
         path: &Path,
         start: u64,
@@ -390,12 +395,12 @@ impl Voxels {
         })
     }
 
-    /// An empty vector of a type.
+    /// Creates an empty vector of a scalar type.
     pub fn empty(scalar: ScalarType) -> Self {
         with_type!(scalar, Value, variant => variant(Vec::<Value>::new()))
     }
 
-    /// Appends the values of another vector of the same type. Values of another type are ignored.
+    /// Appends the values of another vector of the same type. Does nothing if the types differ.
     pub fn append(&mut self, other: Self) {
         macro_rules! arms {
             ($($variant:ident),*) => {
@@ -408,12 +413,12 @@ impl Voxels {
         arms!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64);
     }
 
-    /// Appends numbers, converted to this type.
+    /// Appends numbers after conversion to this type.
     pub fn extend_from_f64(&mut self, numbers: Vec<f64>) {
         each_type!(self, values => numbers.into_iter().for_each(|number| values.push(Number::rounded(number))));
     }
 
-    /// Splits values into `layers` layers that are interleaved in runs of `run` values.
+    /// Separates values into `layers` layers, which are interleaved in runs of `run` values.
     pub fn part(self, run: usize, layers: usize) -> Vec<Self> {
         macro_rules! arms {
             ($($variant:ident),*) => {
@@ -430,8 +435,8 @@ impl Voxels {
         arms!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64)
     }
 
-    /// Appends a value given as text; false if it does not fit the type. Integers may be written as
-    /// `3.0`.
+    /// Parses a value and appends it. Returns false if the string is not a number of this type.
+    /// Integers may be written as `3.0`.
     pub fn push_text(&mut self, text: &str) -> bool {
         each_type!(self, values => {
             let parsed = text.parse().ok().or_else(|| whole_number(text.parse().ok()?)?.to_string().parse().ok());
@@ -439,7 +444,7 @@ impl Voxels {
         })
     }
 
-    /// Writes the values as bytes.
+    /// Writes the values as bytes in the given byte order.
     pub fn write_to(&self, writer: &mut dyn std::io::Write, endian: Endian) -> std::io::Result<()> {
         each_type!(self, values => {
             let mut buffer = Vec::with_capacity(1 << 16);
@@ -458,7 +463,7 @@ impl Voxels {
     }
 }
 
-/// Reads until `bytes` is full or the data ends; returns the number of bytes read.
+/// Reads until `bytes` is full or the data ends. Returns the number of bytes read.
 fn fill(reader: &mut dyn Read, bytes: &mut [u8]) -> std::io::Result<usize> {
     let mut got = 0;
     while got < bytes.len() {
@@ -472,10 +477,10 @@ fn fill(reader: &mut dyn Read, bytes: &mut [u8]) -> std::io::Result<usize> {
     Ok(got)
 }
 
-/// The distinct labels, or the first value that is not a label.
+/// Returns the distinct labels, or the first value that is not a label as an error.
 fn distinct<T: Number + PartialEq + std::fmt::Display + Sync>(values: &[T]) -> std::result::Result<Vec<i64>, String> {
     let of_part = |values: &[T]| {
-        // labels come in long runs
+        // equal labels usually form long runs
         let runs = values.chunk_by(|a, b| a == b).map(|run| run[0]);
         runs.map(|value| value.to_label().ok_or_else(|| value.to_string())).collect()
     };

@@ -1,4 +1,5 @@
-//! Reads and writes VTK image files (`.vti`): a regular grid with a position in the world.
+//! Reads and writes VTK image files (`.vti`), which contain a regular grid with a position in the
+//! world.
 
 use crate::error::Result;
 use crate::error::bad;
@@ -13,7 +14,7 @@ use isoparticles_file::history::History;
 use isoparticles_file::output::write_atomically;
 use std::path::Path;
 
-/// Opens the `ImageData` element for a geometry.
+/// Opens the `ImageData` element with the attributes of a geometry.
 pub fn open_image(document: &mut Document<'_>, geometry: &Geometry) {
     let [nx, ny, nz] = geometry.size.map(|n| n.saturating_sub(1));
     let extent = format!("0 {nx} 0 {ny} 0 {nz}");
@@ -29,14 +30,14 @@ pub fn open_image(document: &mut Document<'_>, geometry: &Geometry) {
     document.open("ImageData", &attributes);
 }
 
-/// The extent of the single piece of an image, as an attribute value.
+/// Returns the extent of the single piece of an image as an attribute value.
 pub fn piece_extent(geometry: &Geometry) -> String {
     let [nx, ny, nz] = geometry.size.map(|n| n.saturating_sub(1));
     format!("0 {nx} 0 {ny} 0 {nz}")
 }
 
-/// Geometry of an image. The exact geometry in the field data is used if it agrees with VTK's
-/// attributes; otherwise, only its space is used.
+/// Reads the geometry of an image. If the exact geometry in the field data agrees with VTK's
+/// attributes, it is returned. Otherwise, only the space is taken from the field data.
 pub fn geometry(path: &Path, file: &VtkFile) -> Result<Geometry> {
     let image = file.data_set("ImageData")?;
     let numbers = |name: &str, default: &[f64]| -> Result<Vec<f64>> {
@@ -61,7 +62,7 @@ pub fn geometry(path: &Path, file: &VtkFile) -> Result<Geometry> {
     }
     let size = [0, 1, 2].map(|axis| {
         let samples = extent[2 * axis + 1] - extent[2 * axis] + 1.0;
-        // the conversion saturates, and NaN gives zero
+        // the conversion to `usize` saturates and maps NaN to zero
         samples as usize
     });
     voxel_count(path, size)?;
@@ -82,8 +83,8 @@ pub fn geometry(path: &Path, file: &VtkFile) -> Result<Geometry> {
     })
 }
 
-/// Whether two geometries have the same voxels in the same places, within 1e-4 of the minimum
-/// spacing.
+/// Returns whether two geometries have the same size and the same voxel positions, with a tolerance
+/// of 1e-4 times the minimum spacing.
 pub fn same_grid(a: &Geometry, b: &Geometry) -> bool {
     let tolerance = 1e-4 * a.min_spacing();
     let corner = |g: &Geometry| g.grid_to_world(g.upper_corner());
@@ -100,15 +101,15 @@ pub fn same_grid(a: &Geometry, b: &Geometry) -> bool {
 
 /// Kind of the files that [`write_volume`] writes.
 const KIND: &str = "volume";
-/// Version of the layout.
+/// Version of the file layout.
 const VERSION: u32 = 1;
 
-/// Name of the point array of a layer.
+/// Returns the name of the point array that contains a layer.
 fn layer_name(layer: usize) -> String {
     if layer == 0 { "values".to_owned() } else { format!("values_of_layer_{layer}") }
 }
 
-/// Writes a volume in its original type, with all layers and segment names.
+/// Writes a volume in its original number type, including all layers and segment names.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -125,7 +126,8 @@ pub fn write_volume(path: &Path, volume: &Volume, history: &History) -> Result<(
     Ok(write_atomically(path, |file| document.write(file))?)
 }
 
-/// The scalar array of point or cell data: the active one, or the only one.
+/// Returns the scalar array of point or cell data: the active array, or the only array if none is
+/// active.
 fn scalars(arrays: Option<&Element>) -> Option<&Element> {
     let arrays = arrays?;
     let active = arrays.attribute("Scalars").and_then(|name| arrays.array(name));
@@ -134,7 +136,7 @@ fn scalars(arrays: Option<&Element>) -> Option<&Element> {
     active.or(only).filter(|array| VtkFile::components(array) == 1)
 }
 
-/// The grid of the cell centres of an image, given the grid of its points.
+/// Returns the grid of the cell centres, given the grid of the points.
 fn cell_centres(path: &Path, points: &Geometry) -> Result<Geometry> {
     let size = points.size.map(|n| n - 1);
     let steps = [0, 1, 2].map(|axis| points.directions.col(axis) * points.spacing[axis]);
@@ -155,9 +157,8 @@ fn check_not_flat(path: &Path, size: [usize; 3]) -> Result<()> {
     ))
 }
 
-/// Reads an image with one number per voxel as a volume. Uses the active scalars or the only array,
-/// of the points or else of the cells. Also reads the layers and names that [`write_volume`]
-/// writes.
+/// Reads an image with one number per voxel as a volume. Point data takes precedence over cell
+/// data. Also reads the layers and names of files written by [`write_volume`].
 pub(crate) fn read_vti(path: &Path) -> Result<Volume> {
     let file = VtkFile::open(path)?;
     let mut geometry = geometry(path, &file)?;
@@ -225,11 +226,12 @@ mod tests {
             let volume = read_volume(&path).expect("read");
             assert_eq!(volume.voxels, Voxels::U8((1..13).collect()));
             assert_eq!((volume.geometry.size, volume.geometry.spacing), ([2, 3, 2], DVec3::new(2.0, 1.0, 4.0)));
-            // the first point is one step along x from the origin; the directions map x to y
+            // the first point is one step along x from the origin, and the x axis points along
+            // world y
             assert!(volume.geometry.origin.abs_diff_eq(DVec3::new(9.5, 3.0, 2.0), 1e-12), "{}", volume.geometry.origin);
             assert!(volume.remarks[0].contains("cell data"), "{:?}", volume.remarks);
         }
-        // an array on the points takes precedence
+        // point data takes precedence
         let points =
             format!("<PointData>{}</PointData><CellData>{}</CellData>", array("p", "1 2 3 4 5 6 7 8"), array("c", "9"));
         write("0 1 0 1 0 1", &points);

@@ -1,9 +1,9 @@
-//! Reads and writes the subset of VTK's XML files that this project needs: a single piece, point
+//! Reads and writes the subset of VTK's XML formats that this project needs: a single piece, point
 //! and cell arrays, and field data.
 //!
-//! Files are written with raw appended data, which VTK, ParaView and pyvista read and which is
-//! exact. All variants that these programs write are read: ASCII, base64 and raw; uncompressed or
-//! zlib; both byte orders; 32- and 64-bit headers.
+//! Files are written with raw appended data, which preserves all values exactly and can be read by
+//! VTK, ParaView and PyVista. The reader supports all variants that these programs write: ASCII,
+//! base64 and raw data; no compression or zlib; both byte orders; 32- and 64-bit headers.
 
 mod decode;
 mod element;
@@ -14,7 +14,7 @@ pub use write::{Document, Payload, ascii_json};
 
 use crate::voxels::ScalarType;
 
-/// VTK's name of a scalar type.
+/// Returns VTK's name of a scalar type.
 fn vtk_name(scalar: ScalarType) -> &'static str {
     match scalar {
         ScalarType::I8 => "Int8",
@@ -30,7 +30,7 @@ fn vtk_name(scalar: ScalarType) -> &'static str {
     }
 }
 
-/// The scalar type with a VTK name.
+/// Returns the scalar type that has the given VTK name.
 fn scalar_of(name: &str) -> Option<ScalarType> {
     use ScalarType::{F32, F64, I8, I16, I32, I64, U8, U16, U32, U64};
     [I8, U8, I16, U16, I32, U32, I64, U64, F32, F64].into_iter().find(|&scalar| vtk_name(scalar) == name)

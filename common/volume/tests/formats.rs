@@ -1,6 +1,6 @@
-//! Compares the readers with other programs. pynrrd, SimpleITK, Teem's unu, nibabel, pydicom and
-//! VTK made all fixtures in `tests/data` and their expected values (see
-//! `tests/data/make_fixtures.py`).
+//! Compares the readers with other programs. All fixtures in `tests/data` and their expected values
+//! were created with pynrrd, SimpleITK, Teem's unu, nibabel, pydicom and VTK; see
+//! `tests/data/make_fixtures.py`.
 
 use glam::DVec3;
 use isoparticles_volume::{Content, Error, LayerLabel, Volume, Voxels, read_volume};
@@ -15,14 +15,14 @@ fn expected() -> Value {
     serde_json::from_slice(&std::fs::read(data().join("expected.json")).expect("expected.json")).expect("JSON")
 }
 
-/// World positions of the first voxel, and of the last voxel along each axis.
+/// Returns the world positions of the first voxel and of the last voxel along each axis.
 fn positions(volume: &Volume) -> [DVec3; 4] {
     let geometry = &volume.geometry;
     let end = geometry.upper_corner();
     [DVec3::ZERO, DVec3::X * end.x, DVec3::Y * end.y, DVec3::Z * end.z].map(|grid| geometry.grid_to_world(grid))
 }
 
-/// Whether the values equal the given texts exactly.
+/// Returns whether the values exactly equal the numbers in the given strings.
 fn same_values(voxels: &Voxels, texts: &[String]) -> bool {
     fn whole<T: ToString>(values: &[T], texts: &[String]) -> bool {
         values.iter().map(T::to_string).eq(texts.iter().cloned())
@@ -53,7 +53,8 @@ fn other_programs_see_the_same_voxels_in_the_same_places() {
         let texts: Vec<String> = serde_json::from_value(told["values"].clone()).expect("texts");
         assert!(same_values(&volume.voxels, &texts), "{file}: {:?}", volume.voxels);
         let places: [[f64; 3]; 4] = serde_json::from_value(told["positions"].clone()).expect("positions");
-        // NIfTI stores its geometry in 32-bit numbers, and VTK its origin with similar precision.
+        // NIfTI stores its geometry in 32-bit numbers, and VTK stores its origin with similar
+        // precision.
         let tolerance = if file.starts_with("nrrd") { 1e-10 } else { 1e-5 };
         for (ours, theirs) in positions(&volume).iter().zip(places) {
             let theirs = DVec3::from_array(theirs);
@@ -72,7 +73,7 @@ fn segments_have_names_and_layers() {
     let two = read("two_layers.seg.nrrd");
     assert_eq!((two.layer_count(), two.segments.len()), (2, 3));
     assert_eq!(two.segment_named("vessel").expect("there"), LayerLabel { layer: 1, label: 1 });
-    // the second layer is the first one rotated by five voxels in numpy's order, with z fastest
+    // In NumPy's order (z fastest), the second layer is the first layer rotated by five voxels.
     let in_numpy =
         |mask: Vec<bool>| -> Vec<bool> { (0..24).map(|n| mask[(n % 2) * 12 + (n / 2 % 4) * 3 + n / 8]).collect() };
     let lung = in_numpy(one.label_mask(&[LayerLabel { layer: 0, label: 1 }]));
@@ -82,7 +83,7 @@ fn segments_have_names_and_layers() {
     assert!(two.label_numbered(1).is_err() && two.label_numbered(2).is_err());
 }
 
-/// The error for a mesh or particle file names its contents.
+/// The error for a mesh or particle file describes its contents.
 #[test]
 fn what_is_no_volume_is_told_by_what_it_is() {
     let folder = tempfile::tempdir().expect("folder");

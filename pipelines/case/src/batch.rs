@@ -1,9 +1,9 @@
 //! Runs many cases from a list: a CSV file with one column per key and one row per case.
 //!
-//! Each row runs in a separate process of this program with its own log, so a crash affects no
-//! other row. A row that fails is reported, and the next one starts. Valid results of earlier runs
-//! are kept, so a batch that was stopped resumes where it ended. Outputs are `OUT/batch.csv` with
-//! one line per row, and an index over all cases.
+//! Each row runs in a separate process of this program with its own log, so a crash does not affect
+//! other rows. A row that fails is reported, and the next row starts. Valid results of earlier runs
+//! are kept, so a batch that was stopped resumes where it ended. The outputs are `OUT/batch.csv`,
+//! which has one line per row, and an index of all cases.
 
 use crate::check::Answers;
 use crate::folder::CaseFolder;
@@ -21,10 +21,11 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Folder in OUT for the logs of the rows. No case can have this name ([`crate::name::check`]).
+/// Folder in OUT that contains the logs of the rows. No case can have this name
+/// ([`crate::name::check`]).
 pub(crate) const LOGS: &str = ".batch";
 
-/// Lines that start with this character are comments.
+/// First character of comment lines.
 const COMMENT: char = '#';
 
 /// Keys that apply to the whole batch and cannot be columns.
@@ -35,20 +36,21 @@ const FOR_ALL: [&str; 3] = ["CASE", "OUT", "VERBOSITY"];
 pub struct Batch<'a> {
     /// Path of the CSV file.
     pub list: &'a Path,
-    /// `KEY=VALUE` for all rows; a row's own cells take precedence.
+    /// `KEY=VALUE` settings for all rows. The cells of a row take precedence.
     pub common: &'a [String],
-    /// Variable names of the caller besides the keys; a misspelled key may be near one of them.
+    /// Other variable names of the caller, which are also suggested for a misspelled key.
     pub known: &'a [String],
-    /// Goal of this program up to which each case is made.
+    /// Goal up to which each case is made.
     pub goal: &'a str,
-    /// Time limit of each case. After it the case is interrupted, and the next batch resumes it.
+    /// Time limit of each case. A case that exceeds it is interrupted, and the next batch resumes
+    /// the case.
     pub limit: Option<Duration>,
 }
 
 /// Parses a time limit.
 ///
 /// # Errors
-/// When the text is not a duration with a unit.
+/// If `text` is not a duration with a unit.
 pub fn time_limit(text: &str) -> Result<Duration> {
     humantime::parse_duration(text).map_err(|error| {
         Error::input(
@@ -62,18 +64,18 @@ pub fn time_limit(text: &str) -> Result<Duration> {
 /// A row of the list.
 #[derive(Debug)]
 pub(crate) struct Row {
-    /// Line number in the file, from 1.
+    /// Line number in the file, starting at 1.
     pub line: u64,
-    /// `KEY=VALUE` of each non-empty cell.
+    /// `KEY=VALUE` setting of each non-empty cell.
     pub cells: Vec<String>,
     /// Name of the results, or `line N` if the name is unknown.
     pub name: String,
-    /// The case, or the error that prevents it, if it is known before any work.
+    /// The case, or an error found before any work starts.
     pub case: Result<Case>,
 }
 
 impl Row {
-    /// Path of the volume, if the row is valid and not a phantom.
+    /// Returns the path of the volume if the row is valid and not a phantom.
     pub(crate) fn input(&self) -> Option<&Path> {
         match &self.case {
             Ok(Case { volume: Volume::At(path), .. }) => Some(path),
@@ -87,7 +89,7 @@ impl Row {
 pub struct Ending {
     /// Name of the case.
     pub name: String,
-    /// Line in the list, from 1.
+    /// Line number in the list, starting at 1.
     pub line: u64,
     /// `passed`, `warning`, `failed`, `error`, `interrupted`, or `out of time`.
     pub verdict: String,
@@ -101,12 +103,12 @@ pub struct Ending {
     pub next: String,
     /// Path of the volume.
     pub input: String,
-    /// File with the output of its programs; empty if nothing ran.
+    /// File that contains the output of the row's programs; empty if nothing ran.
     pub log: String,
 }
 
 impl Ending {
-    /// Outcome of a row for which nothing has run.
+    /// Returns the outcome of a row for which nothing has run.
     pub(crate) fn of_nothing(row: &Row) -> Self {
         Self {
             name: row.name.clone(),
@@ -121,7 +123,7 @@ impl Ending {
         }
     }
 
-    /// Whether the case is made and every check passed.
+    /// Returns whether the case was made and every check passed.
     #[must_use]
     pub fn is_fit(&self) -> bool {
         ["passed", "warning"].contains(&self.verdict.as_str())
@@ -129,12 +131,12 @@ impl Ending {
 }
 
 impl Batch<'_> {
-    /// Runs every row of the list and updates `OUT/batch.csv` after each. A row that fails does not
-    /// stop the others.
+    /// Runs every row of the list and updates `OUT/batch.csv` after each row. A row that fails does
+    /// not stop the other rows.
     ///
     /// # Errors
-    /// When the list is invalid: it is unreadable, a column is not a key, or two rows have one
-    /// name. Nothing has run then. Also when the summary or a log cannot be written.
+    /// If the list is unreadable, a column is not a key, or two rows have the same name; no row has
+    /// run in these cases. Also if the summary or a log cannot be written.
     pub fn make(&self, programs: &Programs) -> Result<Vec<Ending>> {
         let settings = Settings::read(&[], self.common, None, self.known)?;
         let out = out(&settings);
@@ -159,10 +161,10 @@ impl Batch<'_> {
         Ok(endings)
     }
 
-    /// Writes the index over all cases in OUT and the rows that could not start.
+    /// Writes the index of all cases in OUT and of the rows that could not start.
     ///
     /// # Errors
-    /// When there are no cases, or the index program fails.
+    /// If there are no cases, or the index program fails.
     pub fn index(&self, programs: &Programs) -> Result<PathBuf> {
         let out = out(&Settings::read(&[], self.common, None, self.known)?);
         let refused = std::fs::read_dir(out.join(LOGS)).into_iter().flatten().flatten().map(|entry| entry.path());
@@ -172,7 +174,7 @@ impl Batch<'_> {
         index::write(&out, refused, programs)
     }
 
-    /// The rows of the list, after the stages have checked the options of each.
+    /// Returns the rows of the list after the stages have checked the options of each row.
     pub(crate) fn checked(&self, programs: &Programs) -> Result<Vec<Row>> {
         let mut rows = self.read()?;
         let goal = stage_of_goal(self.goal).unwrap_or_default();
@@ -253,7 +255,7 @@ impl Batch<'_> {
         };
         let cells: Vec<String> = cells.filter(|(_, value)| !value.is_empty()).map(cell).collect();
         let settings = Settings::read_row(&cells, line, self.common, self.known);
-        // A valid name is used even if another cell is wrong.
+        // A valid name is used even if another cell is invalid.
         let named = cells.iter().find_map(|cell| cell.strip_prefix("NAME=")).map(str::to_owned);
         let unnamed = || named.unwrap_or_else(|| format!("line {line}"));
         match settings.and_then(Case::new) {
@@ -285,7 +287,7 @@ impl Batch<'_> {
                     Ended::Signal(_) => None,
                 };
                 ending.exit_code = code;
-                // A run that was killed could not record that itself.
+                // A killed run cannot record that it was killed.
                 folder.settle()?;
                 let after = std::fs::read(folder.status_path()).ok();
                 let status = Status::read(&folder.status_path());
@@ -314,7 +316,7 @@ impl Batch<'_> {
         Ok(ending)
     }
 
-    /// Command line of this program for a goal over a row.
+    /// Returns the arguments with which this program makes a row up to `goal`.
     pub(crate) fn arguments(&self, goal: &str, row: &Row, programs: &Programs) -> Vec<OsString> {
         let mut arguments: Vec<OsString> = vec![goal.into()];
         arguments.extend(row.cells.iter().map(OsString::from));
@@ -334,25 +336,26 @@ impl Batch<'_> {
     }
 }
 
-/// The text with LF at the end of each line and without a byte order mark.
+/// Returns `text` with LF line endings and without a byte order mark.
 fn with_plain_lines(text: &str) -> String {
     text.trim_start_matches('\u{feff}').replace("\r\n", "\n").replace('\r', "\n")
 }
 
-/// Line number, from 1, of the record that the CSV reader places at `byte`. The reader skips empty
-/// lines and comments.
+/// Returns the line number, starting at 1, of the record that the CSV reader reports at `byte`. The
+/// reader skips empty lines and comments, so the record may start after `byte`.
 fn line_of(text: &str, byte: usize) -> u64 {
     let lines = text[byte..].split('\n');
     let skipped = lines.take_while(|line| line.is_empty() || line.starts_with(COMMENT)).count();
     (1 + text[..byte].matches('\n').count() + skipped) as u64
 }
 
-/// Keys that may be columns of a list.
+/// Returns the keys that may be columns of a list.
 pub fn columns() -> impl Iterator<Item = &'static str> {
     KEYS.iter().map(|key| key.name).filter(|name| !FOR_ALL.contains(name))
 }
 
-/// Exit code of a batch: 0 if every row is fit, 1 if one is not, 130 after an interrupt.
+/// Returns the exit code of a batch: 0 if every row is fit, 1 if any row is not fit, 130 after an
+/// interrupt.
 #[must_use]
 pub fn exit_code(endings: &[Ending]) -> u8 {
     if program::stop_requested() {
@@ -361,7 +364,7 @@ pub fn exit_code(endings: &[Ending]) -> u8 {
     u8::from(!endings.iter().all(Ending::is_fit))
 }
 
-/// Summary for the end of the terminal output.
+/// Returns the summary for the end of the terminal output.
 #[must_use]
 pub fn closing(endings: &[Ending]) -> String {
     let fit = endings.iter().filter(|ending| ending.is_fit()).count();
@@ -391,13 +394,13 @@ fn tell(ending: &Ending, position: usize, total: usize) {
     println!("[{position}/{total}] {:<24} {:<12} {:>7.1} s", ending.name, ending.verdict, ending.seconds);
 }
 
-/// A verdict in the spelling of the status file.
+/// Returns a verdict in the spelling of the status file.
 pub(crate) fn word(verdict: Verdict) -> String {
     let value = serde_json::to_value(verdict).unwrap_or_default();
     value.as_str().unwrap_or_default().to_owned()
 }
 
-/// Status, for the index, of a row that could not start.
+/// Returns a status for the index that describes a row that could not start.
 pub(crate) fn refused_status(row: &Row, error: &Problem) -> Status {
     let stage = Stage { error: Some(error.clone()), ..Stage::nothing("distfield", State::Error) };
     Status {
@@ -420,7 +423,7 @@ pub(crate) fn refused_status(row: &Row, error: &Problem) -> Status {
     }
 }
 
-/// The last three-part error in a log.
+/// Returns the last three-part error in a log file.
 pub(crate) fn last_error_in(log: &Path) -> Problem {
     last_error(&std::fs::read_to_string(log).unwrap_or_default()).unwrap_or_else(|| Problem {
         what: "ended without an error message".to_owned(),
@@ -429,7 +432,7 @@ pub(crate) fn last_error_in(log: &Path) -> Problem {
     })
 }
 
-/// The last three-part error in the output of a program.
+/// Returns the last three-part error in the output of a program.
 pub(crate) fn last_error(text: &str) -> Option<Problem> {
     let lines: Vec<&str> = text.lines().collect();
     let at = lines.iter().rposition(|line| line.starts_with("error: "))?;
@@ -439,7 +442,7 @@ pub(crate) fn last_error(text: &str) -> Option<Problem> {
     Some(Problem { what: part("error: "), why: part("why it matters: "), next: part("what to do: ") })
 }
 
-/// Writes the summary: one CSV line per row.
+/// Writes the summary with one CSV line per row.
 pub(crate) fn write_summary(path: &Path, endings: &[Ending]) -> Result<()> {
     write_atomically(path, |file| {
         let mut writer = csv::Writer::from_writer(file);
@@ -452,7 +455,7 @@ pub(crate) fn write_summary(path: &Path, endings: &[Ending]) -> Result<()> {
 mod tests {
     use super::*;
 
-    /// Line and name of each row of a list, or the error.
+    /// Returns the line number and name of each row of a list, or the error.
     fn lines(list: &str) -> Result<Vec<(u64, String)>> {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("cases.csv");

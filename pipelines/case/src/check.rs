@@ -17,10 +17,10 @@ use std::path::{Path, PathBuf};
 /// volume's content is ignored here: the run then reports it on the page of the case.
 ///
 /// # Errors
-/// The error of the first stage that rejects its command line.
+/// If a stage rejects its command line.
 pub fn planned(stages: &[Planned], case: &Case, before: Option<&Status>) -> Result<()> {
     let made = |stage: &str| !stages.iter().any(|planned| planned.name() == stage);
-    // This run makes the phantom again, perhaps with other options.
+    // This run makes the phantom again, possibly with other options.
     let volume = matches!(case.volume, Volume::At(_)) || made("phantom");
     let materials = if made("distfield") { materials_made(&case.folder) } else { None };
     let mut known = Known { materials, volume };
@@ -35,7 +35,7 @@ pub fn planned(stages: &[Planned], case: &Case, before: Option<&Status>) -> Resu
     Ok(())
 }
 
-/// Names of the materials in the report of `distfield`.
+/// Returns the names of the materials in the report of `distfield`.
 fn materials_made(folder: &CaseFolder) -> Option<Vec<String>> {
     let text = std::fs::read(folder.path.join(report_name("distfield"))).ok()?;
     let report: serde_json::Value = serde_json::from_slice(&text).ok()?;
@@ -43,15 +43,16 @@ fn materials_made(folder: &CaseFolder) -> Option<Vec<String>> {
     table.iter().map(|material| material["name"].as_str().map(str::to_owned)).collect()
 }
 
-/// Cached answers of the stages by command line; the cases of a list differ in few options.
+/// Answers of the stages, cached by command line because the cases of a list differ in few options.
 #[derive(Default)]
 pub struct Answers(BTreeMap<(PathBuf, Vec<OsString>, String), Result<Known>>);
 
 impl Answers {
-    /// Checks the options of a case for the stages up to `goal`, without its volume and its folder.
+    /// Checks the options of a case for the stages up to `goal`. The check does not depend on the
+    /// volume or the folder of the case.
     ///
     /// # Errors
-    /// The error of the first stage that rejects its options.
+    /// If a stage rejects its options.
     pub fn check(&mut self, case: &Case, goal: &str, programs: &Programs) -> Result<()> {
         // A fixed folder instead of the case's own, so that equal options give equal command lines.
         let folder = CaseFolder::new(Path::new("OUT"), "NAME");
@@ -75,7 +76,8 @@ impl Answers {
     }
 }
 
-/// Runs `--check-options` of one stage; returns what the next stage may know about the case.
+/// Runs one stage with `--check-options`. Returns the facts about the case that are known to the
+/// next stage.
 fn ask(stage: &str, program: &Path, arguments: &[OsString], known: &Known) -> Result<Known> {
     let mut words = vec![CHECK_OPTIONS.into(), serde_json::json!(known).to_string().into()];
     words.extend_from_slice(arguments);

@@ -1,9 +1,9 @@
-//! Prepares a list of cases for a job scheduler: the command of every row and stage, and how each
-//! row ended.
+//! Prepares a list of cases for a job scheduler: describes the command of every row and stage, and
+//! collects how each row ended.
 //!
-//! [`crate::batch`] parses the list, so it has the same meaning here. A scheduler
-//! (`pipelines/Snakefile`) decides when and where each stage of a row runs. The status of the case
-//! records the outcome.
+//! [`crate::batch`] parses the list, so lists have the same meaning for a scheduler and for a
+//! batch. A scheduler (`pipelines/Snakefile`) decides when and where each stage of a row runs. The
+//! status of the case records the outcome.
 
 use crate::batch::{self, Batch, Ending, LOGS, Row};
 use crate::folder::{CaseFolder, PAGE, STAGES};
@@ -28,11 +28,11 @@ pub const FOLDER: &str = ".cluster";
 struct Told {
     name: String,
     line: u64,
-    /// The settings of the row, including those given beside the list.
+    /// Settings of the row, including settings from the command line.
     settings: BTreeMap<String, String>,
-    /// Command that predicts the cost of a mesh; `None` for a phantom or a missing volume.
+    /// Command that predicts the cost of the mesh; `None` for a phantom or a missing volume.
     info: Option<Vec<String>>,
-    /// Why the row cannot be made, if it cannot.
+    /// Error of a row that cannot be made.
     error: Option<Problem>,
     stages: Vec<ToldStage>,
     /// Command that makes the page about the case.
@@ -44,9 +44,9 @@ struct Told {
 #[derive(Debug, Serialize)]
 struct ToldStage {
     stage: &'static str,
-    /// Files that the stage reads besides the results of earlier stages.
+    /// Files that the stage reads, apart from the results of earlier stages.
     inputs: Vec<PathBuf>,
-    /// What else its result depends on: its options and the hash of its program.
+    /// Options of the stage and the hash of its program, on which the result also depends.
     depends: Vec<String>,
     command: Vec<String>,
 }
@@ -54,11 +54,11 @@ struct ToldStage {
 /// Describes each row of a list in one line of JSON.
 ///
 /// Also removes the scheduler's marks (`OUT/.cluster/made/NAME/STAGE`) of results that are missing
-/// or were made with other settings. The scheduler tracks marks because it would change the
-/// modification time of any result that it tracked.
+/// or were made with other settings. The scheduler tracks marks instead of results, because it
+/// changes the modification time of the files that it tracks.
 ///
 /// # Errors
-/// When the list is invalid, as for [`Batch::make`].
+/// If the list is invalid; see [`Batch::make`].
 pub fn rows(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<String>> {
     let this = std::env::current_exe().map_err(|error| {
         Error::input(format!("{error}"), "each stage runs this program", "start it with its full path")
@@ -131,7 +131,8 @@ fn forget_marks(case: &Case, out: &Path, stages: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// Whether the result of a stage is intact and was made with the current settings of the row.
+/// Returns whether the result of a stage is intact and was made with the current settings of the
+/// row.
 fn holds(status: &Status, case: &Case, stage: &str) -> bool {
     let made = status.stage(stage).is_some_and(|it| it.state == State::Done && case.folder.is_intact(it));
     let then: Vec<String> = status.parameters.iter().map(|(key, value)| format!("{key}={value}")).collect();
@@ -139,7 +140,8 @@ fn holds(status: &Status, case: &Case, stage: &str) -> bool {
     made && Settings::read(&then, &[], None, &[]).is_ok_and(|then| same(&then))
 }
 
-/// Stages that the cases of a list run; a phantom is made together with `distfield`.
+/// Returns the stages that the cases of a list run. The stage `phantom` is omitted, because a
+/// phantom is made together with `distfield`.
 fn wanted(batch: &Batch<'_>) -> Vec<&'static str> {
     let last = stage_of_goal(batch.goal).unwrap_or("tetmesh-check");
     let stages: Vec<&str> = STAGES.iter().map(|it| it.stage).filter(|stage| *stage != "phantom").collect();
@@ -147,7 +149,7 @@ fn wanted(batch: &Batch<'_>) -> Vec<&'static str> {
     stages[..end].to_vec()
 }
 
-/// Command that predicts the cost of a mesh of a volume.
+/// Returns the command that predicts the cost of a mesh of a volume.
 fn info(row: &Row, volume: &Path, out: &Path, programs: &Programs) -> Vec<String> {
     let output = out.join(FOLDER).join("info").join(format!("{}.json", row.name));
     let program = programs.bin.join("isoparticles-volume").into_os_string();
@@ -178,10 +180,10 @@ fn text(word: OsString) -> String {
     word.to_string_lossy().into_owned()
 }
 
-/// Collects the outcome of each row from its status file and logs; writes `OUT/batch.csv`.
+/// Collects the outcome of each row from its status file and logs, and writes `OUT/batch.csv`.
 ///
 /// # Errors
-/// When the list is invalid, or the summary cannot be written.
+/// If the list is invalid, or the summary cannot be written.
 pub fn summary(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<Ending>> {
     let out = out(&Settings::read(&[], batch.common, None, batch.known)?);
     let rows = batch.checked(programs)?;
@@ -194,7 +196,7 @@ pub fn summary(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<Ending>> {
     Ok(endings)
 }
 
-/// Outcome of a row.
+/// Returns the outcome of a row.
 fn ending(batch: &Batch<'_>, row: &Row, out: &Path) -> Result<Ending> {
     let mut ending = Ending::of_nothing(row);
     let folder = CaseFolder::new(out, &row.name);
@@ -238,13 +240,13 @@ fn ending(batch: &Batch<'_>, row: &Row, out: &Path) -> Result<Ending> {
     Ok(ending)
 }
 
-/// Whether a status belongs to the row in its current form, not to an earlier version of the row.
+/// Returns whether a status belongs to the current version of the row, not to an earlier version.
 fn is_of(status: &Status, case: &Case) -> bool {
     let same_volume = match &case.volume {
         Volume::Phantom => true,
         Volume::At(path) => match (status.volume(), path.canonicalize()) {
             (Some(volume), Ok(path)) => volume.path == path,
-            // A run that was stopped at once records no volume.
+            // A run that was stopped immediately records no volume.
             (volume, _) => volume.is_none(),
         },
     };
@@ -260,7 +262,7 @@ fn tell(ending: &mut Ending, status: &Status, stopped: Option<&str>) {
     ending.next = errors.map(|error| error.next.clone()).next().unwrap_or_default();
     match stopped {
         None => ending.exit_code = Some(verdict::exit_code(status).into()),
-        // The last run succeeded but had a nearer goal than the list.
+        // The last run succeeded, but its goal comes before the goal of the list.
         Some(stage) if ending.is_fit() => {
             ending.verdict = batch::word(Verdict::Interrupted);
             ending.headline = format!("{stage} has no result yet, or its result was removed.");
@@ -275,11 +277,11 @@ fn tell(ending: &mut Ending, status: &Status, stopped: Option<&str>) {
     }
 }
 
-/// The status of a case if `stage` ended with failed checks, else `None`. Such a stage would fail
-/// again with the same settings.
+/// Returns the status of a case if `stage` ended with failed checks, or else `None`. Such a stage
+/// would fail again with the same settings.
 ///
 /// # Errors
-/// When the status cannot be corrected.
+/// If the status cannot be corrected.
 pub fn failed_before(case: &Case, stage: &str) -> Result<Option<Status>> {
     let status = case.folder.settle()?.filter(|status| is_of(status, case));
     let failed =
@@ -297,7 +299,7 @@ pub fn failed_before(case: &Case, stage: &str) -> Result<Option<Status>> {
 mod tests {
     use super::*;
 
-    /// Runs `test` on a batch whose list is in a temporary folder.
+    /// Runs `test` on a batch with its list in a temporary folder.
     fn with_list<T>(list: &str, test: impl FnOnce(&Batch<'_>, &Path) -> T) -> T {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("cases.csv");

@@ -9,22 +9,23 @@ use std::path::{Path, PathBuf};
 /// A folder that holds the results of one case.
 #[derive(Debug)]
 pub struct CaseFolder {
-    /// OUT/NAME.
+    /// Path of the folder, OUT/NAME.
     pub path: PathBuf,
-    /// NAME.
+    /// Name of the case.
     pub name: String,
 }
 
-/// The files of a stage in the folder of a case, and which of them are kept when it fails.
+/// Files of a stage in the folder of a case, and the endings of those that are kept if the stage
+/// fails.
 #[derive(Clone, Copy, Debug)]
 pub struct Belongings {
     /// Name of the stage.
     pub stage: &'static str,
-    /// The output is the file NAME with this ending.
+    /// Ending of the output file, NAME.ENDING.
     pub output: &'static str,
-    /// Files named NAME.STEM and NAME.STEM.* belong to it.
+    /// Stems of the stage's files, which are called NAME.STEM or NAME.STEM.*.
     pub stems: &'static [&'static str],
-    /// Subfolders of the case's folder that belong to it.
+    /// Subfolders of the case's folder that belong to the stage.
     pub folders: &'static [&'static str],
     /// Endings of results that are renamed with `.failed` when a check fails.
     pub set_aside: &'static [&'static str],
@@ -32,7 +33,7 @@ pub struct Belongings {
     pub explains: &'static [&'static str],
 }
 
-/// All stages in order. The page belongs to none of them.
+/// All stages in the order in which they run. The page of the case does not belong to any stage.
 pub const STAGES: [Belongings; 7] = [
     Belongings {
         stage: "phantom",
@@ -94,7 +95,7 @@ pub const STAGES: [Belongings; 7] = [
 
 /// Ending of the checkpoint from which a stopped run of `particles` resumes.
 pub const CHECKPOINT: &str = "checkpoint.bin";
-/// Ending of the report of `tetmesh-check`, which is also a result.
+/// Ending of the report of `tetmesh-check`. This report is also a result.
 pub const REPORT: &str = "report.json";
 /// Ending of the page about the case.
 pub const PAGE: &str = "report.html";
@@ -103,57 +104,58 @@ pub const REPORTS: &str = "reports";
 /// Folder of the pictures, within the folder of the case.
 pub const PICTURES: &str = "pictures";
 const LOCK: &str = ".lock";
-/// Names of unfinished files start with the first text and contain the second
+/// Names of unfinished files start with the first string and contain the second
 /// (`common/file/src/output.rs`, `files.py` of tetmesh-check).
 const PARTIAL: (&str, &str) = (".isoparticles-", ".partial");
 
-/// The files of a stage.
+/// Returns the files of the stage called `stage`.
 ///
 /// # Panics
-/// When there is no such stage.
+/// Panics if there is no such stage.
 #[must_use]
 pub fn belongings(stage: &str) -> &'static Belongings {
     STAGES.iter().find(|known| known.stage == stage).expect("a stage of the table")
 }
 
-/// Held while a run works in a folder. The system releases it when the process ends, in any way.
+/// Lock that a run holds while it works in a folder. The operating system releases it when the
+/// process ends for any reason.
 #[derive(Debug)]
 pub struct Lock {
     _file: File,
-    /// Whether the file system supports locks, so that no other run can hold this one.
+    /// Whether the file system supports locks, so that no other run can hold this lock.
     certain: bool,
 }
 
 impl CaseFolder {
-    /// The folder of a case; creates nothing.
+    /// Returns the folder of a case. Creates nothing on disk.
     #[must_use]
     pub fn new(out: &Path, name: &str) -> Self {
         Self { path: out.join(name), name: name.to_owned() }
     }
 
-    /// Name of a file of the case, by its ending.
+    /// Returns the name of the case's file with this ending.
     #[must_use]
     pub fn file_name(&self, ending: &str) -> String {
         format!("{}.{ending}", self.name)
     }
 
-    /// Path of a file of the case, by its ending.
+    /// Returns the path of the case's file with this ending.
     #[must_use]
     pub fn file(&self, ending: &str) -> PathBuf {
         self.path.join(self.file_name(ending))
     }
 
-    /// Path of the status file.
+    /// Returns the path of the status file.
     #[must_use]
     pub fn status_path(&self) -> PathBuf {
         self.file("status.json")
     }
 
-    /// Creates the folder and takes the lock. The holder is the only writer, so unfinished files of
-    /// killed programs are then removed.
+    /// Creates the folder, takes the lock and removes unfinished files of killed programs. This is
+    /// safe because the lock's holder is the only writer.
     ///
     /// # Errors
-    /// When the folder cannot be created, or another run works in it.
+    /// If the folder cannot be created, or another run works in it.
     pub fn lock(&self) -> Result<Lock> {
         std::fs::create_dir_all(self.path.join(REPORTS)).map_err(|error| {
             Error::file(&self.path, "create the folder", &error, "check OUT, its permissions and the free disk space")
@@ -171,7 +173,7 @@ impl CaseFolder {
         Ok(lock)
     }
 
-    /// Removes unfinished files. One that cannot be removed does no harm.
+    /// Removes unfinished files. Files that cannot be removed are left; they do no harm.
     fn remove_partial(&self) {
         let folders = [self.path.clone(), self.path.join(REPORTS), self.path.join(PICTURES)];
         for entry in folders.iter().filter_map(|folder| std::fs::read_dir(folder).ok()).flatten().flatten() {
@@ -183,7 +185,7 @@ impl CaseFolder {
         }
     }
 
-    /// Takes the lock of an existing folder; `None` when another run holds it.
+    /// Takes the lock of an existing folder. Returns `None` if another run holds it.
     fn try_lock(&self) -> Result<Option<Lock>> {
         let path = self.path.join(LOCK);
         let file = File::options().create(true).truncate(false).write(true).open(&path);
@@ -196,11 +198,11 @@ impl CaseFolder {
         }
     }
 
-    /// Reads the status, and marks it interrupted if its run was killed. `None` if there is no
-    /// readable status. The status of a run in progress stays unchanged.
+    /// Reads the status and marks it as interrupted if its run was killed. Returns `None` if there
+    /// is no readable status. The status of a run in progress stays unchanged.
     ///
     /// # Errors
-    /// When the corrected status cannot be written.
+    /// If the corrected status cannot be written.
     pub fn settle(&self) -> Result<Option<Status>> {
         let path = self.status_path();
         let Some(status) = Status::read(&path) else { return Ok(None) };
@@ -213,7 +215,8 @@ impl CaseFolder {
         Ok(Some(status))
     }
 
-    /// Sorted names of the files that belong to a stage, including those in its subfolders.
+    /// Returns the sorted names of the files that belong to a stage, including files in its
+    /// subfolders.
     #[must_use]
     pub fn files_of(&self, stage: &Belongings) -> Vec<String> {
         let mut files: Vec<String> = self.listing("").into_iter().filter(|name| self.owns(stage, name)).collect();
@@ -224,14 +227,14 @@ impl CaseFolder {
         files
     }
 
-    /// Whether a file with this name belongs to a stage.
+    /// Returns whether a file with this name belongs to a stage.
     fn owns(&self, stage: &Belongings, name: &str) -> bool {
         let Some(rest) = name.strip_prefix(&self.name).and_then(|rest| rest.strip_prefix('.')) else { return false };
         let starts = |stem: &str| rest.strip_prefix(stem).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
         rest != PAGE && stage.stems.iter().any(|stem| starts(stem))
     }
 
-    /// Names of the files in a subfolder, relative to the folder of the case.
+    /// Returns the names of the files in a subfolder, relative to the folder of the case.
     fn listing(&self, folder: &str) -> Vec<String> {
         let Ok(entries) = std::fs::read_dir(self.path.join(folder)) else { return Vec::new() };
         let prefix = if folder.is_empty() { String::new() } else { format!("{folder}/") };
@@ -239,19 +242,19 @@ impl CaseFolder {
         files.map(|entry| format!("{prefix}{}", entry.file_name().to_string_lossy())).collect()
     }
 
-    /// Whether a name is one of a stage's fixed file names, with or without `.failed`.
+    /// Returns whether a name is one of a stage's fixed file names, with or without `.failed`.
     #[must_use]
     pub fn is_usual(&self, stage: &Belongings, name: &str) -> bool {
         let usual = std::iter::once(&stage.output).chain(stage.set_aside).chain(stage.explains);
         usual.into_iter().any(|ending| name == self.file_name(ending) || name == self.file_name(&failed(ending)))
     }
 
-    /// Removes what a stage made, except files with the endings in `keep`. Removed are files with
-    /// fixed names, files in the status, and all files of its stems if it was killed. Other files
-    /// belong to the user and stay.
+    /// Removes the files that a stage made, except files with the endings in `keep`. These are
+    /// files with fixed names, files listed in the status and, if the stage was killed, all files
+    /// with its stems. Other files belong to the user and stay.
     ///
     /// # Errors
-    /// When a file cannot be removed.
+    /// If a file cannot be removed.
     pub fn remove_files_of(&self, stage: &Belongings, earlier: Option<&Stage>, keep: &[&str]) -> Result<()> {
         for name in self.made_before(stage, earlier) {
             if !keep.iter().any(|ending| name == self.file_name(ending)) {
@@ -259,13 +262,13 @@ impl CaseFolder {
             }
         }
         for folder in stage.folders {
-            // Fails if the folder holds other files; these stay.
+            // Fails if the folder contains other files. These files stay.
             let _ = std::fs::remove_dir(self.path.join(folder));
         }
         self.remove(&report_name(stage.stage))
     }
 
-    /// Names of the files that a stage made in an earlier run.
+    /// Returns the names of the files that a stage made in an earlier run.
     #[must_use]
     pub fn made_before(&self, stage: &Belongings, earlier: Option<&Stage>) -> Vec<String> {
         let killed = earlier.is_some_and(|stage| matches!(stage.state, State::Running | State::Interrupted));
@@ -278,7 +281,7 @@ impl CaseFolder {
     /// Removes a file if it exists.
     ///
     /// # Errors
-    /// When it exists and cannot be removed.
+    /// If the file exists and cannot be removed.
     pub fn remove(&self, name: &str) -> Result<()> {
         let path = self.path.join(name);
         match std::fs::remove_file(&path) {
@@ -292,12 +295,12 @@ impl CaseFolder {
         }
     }
 
-    /// Renames the results of a failed stage with `.failed`, keeps pictures and explaining files,
-    /// and removes the rest. Files in `others` existed before the run and stay. Returns the names
-    /// of the kept files.
+    /// Inserts `.failed` into the names of a failed stage's results, keeps its pictures and the
+    /// files that explain the failure, and removes its other files. Files in `others` existed
+    /// before the run and stay. Returns the names of the kept files.
     ///
     /// # Errors
-    /// When a file cannot be renamed or removed.
+    /// If a file cannot be renamed or removed.
     pub fn set_aside(&self, stage: &Belongings, others: &[String]) -> Result<Vec<String>> {
         let mut kept = Vec::new();
         for name in self.files_of(stage).into_iter().filter(|name| !others.contains(name)) {
@@ -318,23 +321,23 @@ impl CaseFolder {
         Ok(kept)
     }
 
-    /// Sizes and modification times of files, by name, to detect later changes.
+    /// Returns the size and modification time of each file, by name, to detect later changes.
     #[must_use]
     pub fn identities(&self, names: &[String]) -> std::collections::BTreeMap<String, Identity> {
         names.iter().filter_map(|name| Some((name.clone(), Identity::of(&self.path.join(name))?))).collect()
     }
 
-    /// Whether every output of a stage is unchanged since the stage wrote it.
+    /// Returns whether every output of a stage is unchanged since the stage wrote it.
     #[must_use]
     pub fn is_intact(&self, stage: &Stage) -> bool {
         let same = |(name, identity): (&String, &Identity)| Identity::of(&self.path.join(name)) == Some(*identity);
         stage.identities.len() == stage.outputs.len() && stage.identities.iter().all(same)
     }
 
-    /// Removes the whole folder; `false` if it does not exist.
+    /// Removes the whole folder. Returns `false` if it does not exist.
     ///
     /// # Errors
-    /// When it is not the folder of a case, another run works in it, or it cannot be removed.
+    /// If the folder is not that of a case, another run works in it, or it cannot be removed.
     pub fn clean(&self) -> Result<bool> {
         if !self.path.exists() {
             return Ok(false);
@@ -354,18 +357,19 @@ impl CaseFolder {
     }
 }
 
-/// Ending of a result that is kept after a failed check: `volume.vtu` becomes `volume.failed.vtu`.
+/// Returns the ending of a result that is kept after a failed check: `volume.vtu` becomes
+/// `volume.failed.vtu`.
 fn failed(ending: &str) -> String {
     ending.rsplit_once('.').map_or_else(|| format!("{ending}.failed"), |(stem, kind)| format!("{stem}.failed.{kind}"))
 }
 
-/// Path of a stage's report relative to the folder of the case.
+/// Returns the path of a stage's report, relative to the folder of the case.
 #[must_use]
 pub fn report_name(stage: &str) -> String {
     format!("{REPORTS}/{stage}.json")
 }
 
-/// Corrects the status of a killed run: running stages become interrupted.
+/// Corrects the status of a killed run by marking its running stages as interrupted.
 fn interrupted(mut status: Status) -> Status {
     let mut at = String::from("before its first stage");
     for stage in status.stages.iter_mut().filter(|stage| stage.state == State::Running) {

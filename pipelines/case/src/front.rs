@@ -1,5 +1,5 @@
-//! The command `isoparticles` of the wheel as a clap command, for shell completions and man pages.
-//! The command itself is in pipelines/wheel; a test there compares the two.
+//! Describes the command `isoparticles` of the wheel as a clap command, for shell completions and
+//! man pages. The command itself is in pipelines/wheel, where a test compares the two.
 
 use crate::keys::{Form, KEYS, Key};
 use clap::builder::PossibleValuesParser;
@@ -8,7 +8,7 @@ use isoparticles_stage::cli::shell::CommandLine;
 use isoparticles_stage::error::{Error, Result};
 use std::path::Path;
 
-/// The stages with their inputs and results.
+/// Names of the stages, with a description of their inputs and results.
 const STAGES: [(&str, &str); 6] = [
     ("distfield", "Compute the signed distance field F of a volume"),
     ("sizefield", "Compute the target edge length h from F"),
@@ -18,10 +18,10 @@ const STAGES: [(&str, &str); 6] = [
     ("tetmesh-check", "Fill the triangles with tetrahedra, check them and solve test problems"),
 ];
 
-/// Reads the command line that a stage described with `--command-line`.
+/// Reads the description of a stage's command line that the stage writes with `--command-line`.
 ///
 /// # Errors
-/// When the file cannot be read or does not hold a command line.
+/// If the file cannot be read or does not contain a command line.
 pub fn stage(path: &Path) -> Result<CommandLine> {
     let text =
         std::fs::read(path).map_err(|error| Error::file(path, "read", &error, "write it with STAGE --command-line"))?;
@@ -35,8 +35,8 @@ pub fn stage(path: &Path) -> Result<CommandLine> {
     })
 }
 
-/// The command line of `isoparticles`, for completions and man pages. The stages in `known` are
-/// complete; the others accept any arguments.
+/// Returns the command line of `isoparticles` for completions and man pages. The stages in `known`
+/// have all their options; other stages accept any arguments.
 #[must_use]
 pub fn command(known: &[CommandLine]) -> Command {
     let options = || KEYS.iter().filter(|key| !["CASE", "INPUT"].contains(&key.name)).map(option);
@@ -93,9 +93,10 @@ fn long(key: &Key) -> String {
     key.name.to_lowercase().replace('_', "-")
 }
 
-/// A key as an option: `MIN_SIZE` is `--min-size`.
+/// Converts a key into an option: `MIN_SIZE` becomes `--min-size`.
 fn option(key: &Key) -> Arg {
-    // clap needs names with a static lifetime; the program ends after it has printed them.
+    // clap needs names with a static lifetime. The leak is harmless because the program ends after
+    // printing.
     let arg = Arg::new(key.name).long(&*long(key).leak()).value_name(key.name).allow_hyphen_values(true).help(key.what);
     let arg = if key.name == "OUT" { arg.short('o').value_hint(ValueHint::DirPath) } else { arg };
     match key.form {

@@ -1,4 +1,4 @@
-//! The index over all cases in a folder, made from their status files.
+//! Makes the index of all cases in a folder from their status files.
 
 use crate::folder::CaseFolder;
 use crate::program::{self, Ended};
@@ -7,11 +7,11 @@ use isoparticles_stage::error::{Error, Result};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Status files of the cases in a folder, sorted by name. Killed runs are marked as interrupted
-/// first.
+/// Returns the status files of the cases in a folder, sorted by name, after marking killed runs as
+/// interrupted.
 ///
 /// # Errors
-/// When there is none, or a status cannot be corrected.
+/// If there is no status file, or a status cannot be corrected.
 pub fn status_files(out: &Path) -> Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(out).into_iter().flatten().flatten();
     let mut names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
@@ -33,11 +33,10 @@ pub fn status_files(out: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Writes `index.html`, with `index.csv` beside it, over the cases in a folder and the status files
-/// in `more`.
+/// Writes `index.html` and `index.csv` for the cases in a folder and the status files in `more`.
 ///
 /// # Errors
-/// When there are no cases, or the index program fails.
+/// If there are no cases, or the index program fails.
 pub fn write(out: &Path, more: Vec<PathBuf>, programs: &Programs) -> Result<PathBuf> {
     let index = out.join("index.html");
     let cases = match status_files(out) {

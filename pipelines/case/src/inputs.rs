@@ -1,5 +1,5 @@
-//! The files that a case depends on: its volume, the data files of the volume, and every file that
-//! an option names.
+//! Finds the files that a case depends on: its volume, the data files of the volume, and every file
+//! in the value of an option.
 
 use crate::settings::Settings;
 use crate::status::{Identity, Input, Status};
@@ -10,17 +10,17 @@ use std::path::{Path, PathBuf};
 
 /// Role of the volume itself.
 pub const VOLUME: &str = "volume";
-/// Role of the files that a detached header names.
+/// Role of the data files to which a detached header refers.
 const VOLUME_DATA: &str = "data of the volume";
 
-/// Options of a stage whose value is an output file.
+/// Options of a stage that take the path of an output.
 const WRITTEN: [&str; 8] = ["-o", "--output", "--report", "--log", "--checkpoint", "--pictures", "--json", "--truth"];
 
-/// The volume and its data files in their current state. The hash of a file that is unchanged since
-/// `before` is reused.
+/// Returns the volume and its data files in their current state. The hash of a file that is
+/// unchanged since `before` is reused.
 ///
 /// # Errors
-/// When a file cannot be read.
+/// If a file cannot be read.
 pub fn of_volume(volume: &Path, before: Option<&Status>) -> Result<Vec<Input>> {
     let mut inputs = vec![input(VOLUME, volume, before)?];
     if volume.is_file() {
@@ -32,10 +32,11 @@ pub fn of_volume(volume: &Path, before: Option<&Status>) -> Result<Vec<Input>> {
     Ok(inputs)
 }
 
-/// The files named in the options of a key such as `DISTFIELD_OPTIONS`, with their data files.
+/// Returns the files that occur in the options of a key such as `DISTFIELD_OPTIONS`, with their
+/// data files.
 ///
 /// # Errors
-/// When a file cannot be read.
+/// If a file cannot be read.
 pub fn named_in(settings: &Settings, key: &str, before: Option<&Status>) -> Result<Vec<Input>> {
     let role = format!("named in {key}");
     let mut inputs = Vec::new();
@@ -48,7 +49,8 @@ pub fn named_in(settings: &Settings, key: &str, before: Option<&Status>) -> Resu
     Ok(inputs)
 }
 
-/// Paths of the volume and its data files, without hashes; empty if the volume is missing.
+/// Returns the paths of the volume and its data files, without hashes; empty if the volume is
+/// missing.
 #[must_use]
 pub fn paths_of_volume(volume: &Path) -> Vec<PathBuf> {
     if !volume.exists() {
@@ -58,14 +60,14 @@ pub fn paths_of_volume(volume: &Path) -> Vec<PathBuf> {
     std::iter::once(volume.to_path_buf()).chain(data.into_iter().filter(|path| path.is_file())).collect()
 }
 
-/// Paths of the files named in the options of a key, with their data files, without hashes.
+/// Returns the paths of the files in the options of a key and of their data files, without hashes.
 #[must_use]
 pub fn paths_named_in(settings: &Settings, key: &str) -> Vec<PathBuf> {
     files_in_words(&settings.words(key)).iter().flat_map(|path| paths_of_volume(path)).collect()
 }
 
-/// Every existing file or folder that a word names, as a whole or in a part between `=`, `:` and
-/// `,`.
+/// Returns every existing file or folder whose path is a word, or a part of a word between `=`, `:`
+/// and `,`.
 fn files_in_words(words: &[String]) -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> = Vec::new();
     let mut option = "";
@@ -80,7 +82,8 @@ fn files_in_words(words: &[String]) -> Vec<PathBuf> {
             continue;
         }
         for path in parts(value).map(PathBuf::from) {
-            // Folders count only for options that take a volume, which may be a folder of slices.
+            // A folder counts only for options that take a volume, because a volume may be a folder
+            // of slices.
             let counts = path.is_file() || (name.ends_with("-volume") && path.is_dir());
             if counts && !found.contains(&path) {
                 found.push(path);
@@ -90,7 +93,8 @@ fn files_in_words(words: &[String]) -> Vec<PathBuf> {
     found
 }
 
-/// The word and each of its parts that starts and ends at a separator or an end of the word.
+/// Returns the word and each of its parts that starts and ends at a separator or at an end of the
+/// word.
 fn parts(word: &str) -> impl Iterator<Item = &str> {
     let cut = |c: char| matches!(c, '=' | ':' | ',');
     let starts = std::iter::once(0).chain(word.match_indices(cut).map(|(at, separator)| at + separator.len()));
@@ -102,7 +106,8 @@ fn parts(word: &str) -> impl Iterator<Item = &str> {
     pairs.map(|(start, end)| &word[start..end])
 }
 
-/// Current size, time and hash of a file or folder; the hash of an unchanged file is reused.
+/// Returns the current size, modification time and hash of a file or folder. The hash of an
+/// unchanged file is reused.
 fn input(role: &str, path: &Path, before: Option<&Status>) -> Result<Input> {
     let unreadable = |error: &std::io::Error| Error::file(path, "read", error, "check its name and permissions");
     let path = path.canonicalize().map_err(|error| unreadable(&error))?;
@@ -129,14 +134,15 @@ fn input(role: &str, path: &Path, before: Option<&Status>) -> Result<Input> {
     Ok(Input { role, path, bytes, hash, modified })
 }
 
-/// BLAKE3 hash of a file's bytes, in hexadecimal.
+/// Returns the BLAKE3 hash of a file's bytes, in hexadecimal.
 pub(crate) fn hash_file(path: &Path) -> std::io::Result<String> {
     let mut hasher = blake3::Hasher::new();
     hasher.update_reader(std::fs::File::open(path)?)?;
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// Total bytes of the files under a folder, and the hash of their names and contents.
+/// Returns the total size in bytes of the files under a folder, and the hash of their names and
+/// contents.
 fn hash_folder(folder: &Path) -> std::io::Result<(u64, String)> {
     let (mut hasher, mut bytes) = (blake3::Hasher::new(), 0);
     let mut folders = vec![folder.to_path_buf()];
@@ -162,7 +168,7 @@ fn hash_folder(folder: &Path) -> std::io::Result<(u64, String)> {
     Ok((bytes, hasher.finalize().to_hex().to_string()))
 }
 
-/// Hash of the files of a program, in hexadecimal; a missing file counts as empty.
+/// Returns the hash of the files of a program, in hexadecimal. A missing file counts as empty.
 pub(crate) fn hash_program(files: &[PathBuf]) -> String {
     let mut hasher = blake3::Hasher::new();
     for file in files {

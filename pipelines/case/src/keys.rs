@@ -1,12 +1,12 @@
-//! The keys that a user or a case file may set: what each means, and how its value is checked
-//! before any work.
+//! Defines the keys that a user or a case file may set: their meaning, and how their values are
+//! checked before any work starts.
 
 use isoparticles_stage::error::{Error, Result};
 
-/// How a value is checked.
+/// Form of a value, which is checked before any work starts.
 #[derive(Clone, Copy, Debug)]
 pub enum Form {
-    /// Any text; the stage that takes it checks it.
+    /// Any string. The stage that uses the string checks it.
     Text,
     /// Options of a program, split into words as in a shell.
     Words,
@@ -14,9 +14,9 @@ pub enum Form {
     Number,
     /// A finite number above 0.
     Positive,
-    /// A finite number, at least 0.
+    /// A finite number that is 0 or more.
     NotNegative,
-    /// A whole number, at least this one.
+    /// A whole number that is not below this minimum.
     Whole(u64),
     /// One of these words.
     OneOf(&'static [&'static str]),
@@ -25,9 +25,9 @@ pub enum Form {
 /// One key.
 #[derive(Clone, Copy, Debug)]
 pub struct Key {
-    /// Name, as on the command line and in a case file.
+    /// Name on the command line and in a case file.
     pub name: &'static str,
-    /// How its value is checked.
+    /// Form of the value.
     pub form: Form,
     /// Short description with the unit.
     pub what: &'static str,
@@ -82,14 +82,15 @@ pub const KEYS: [Key; 33] = [
     key("HXT", Form::OneOf(&["yes", "no"]), "whether Gmsh may fill large surfaces"),
 ];
 
-/// Keys that change no result: they rerun no stage and are not parameters of the status.
+/// Keys that do not change results. They do not cause a stage to run again and are not among the
+/// parameters in the status.
 pub const WITHOUT_EFFECT: [&str; 5] = ["CASE", "OUT", "THREADS", "VERBOSITY", "MAX_MEMORY"];
 
-/// The key with a name. An unknown name gives an error with the nearest of the keys and the `other`
-/// names of the caller.
+/// Returns the key called `name`. For an unknown name, the error suggests the most similar key or
+/// name of the caller in `other`.
 ///
 /// # Errors
-/// When there is no such key.
+/// If there is no such key.
 pub fn find(name: &str, other: &[String], set_by: &str) -> Result<&'static Key> {
     if let Some(key) = KEYS.iter().find(|key| key.name == name) {
         return Ok(key);
@@ -103,11 +104,12 @@ pub fn find(name: &str, other: &[String], set_by: &str) -> Result<&'static Key> 
     ))
 }
 
-/// The candidate with the fewest edits from `name`, if it is near enough to be a typing error.
+/// Returns the candidate with the smallest edit distance from `name`, if `name` may be a
+/// misspelling of it.
 pub fn nearest<'a>(name: &str, candidates: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     let name = name.to_uppercase();
     let distance = |candidate: &str| strsim::damerau_levenshtein(&name, candidate);
-    // A third of the letters may be wrong, and at least one.
+    // A third of the letters may be wrong, but at least one letter.
     let most = (name.chars().count() / 3).max(1);
     candidates.map(|candidate| (distance(candidate), candidate)).min().filter(|(d, _)| *d <= most).map(|(_, c)| c)
 }
@@ -115,7 +117,7 @@ pub fn nearest<'a>(name: &str, candidates: impl Iterator<Item = &'a str>) -> Opt
 /// Checks the value of a key.
 ///
 /// # Errors
-/// When the value does not have the form of the key.
+/// If the value does not have the form of the key.
 pub fn check(key: &Key, value: &str, set_by: &str) -> Result<()> {
     let must = match key.form {
         Form::Text => None,

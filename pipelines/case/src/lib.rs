@@ -1,11 +1,11 @@
-//! Keeps track of a case: its volume, its settings, which stage made which file, and what must be
-//! made again.
+//! Keeps track of a case: its volume, its settings, the stage that made each file, and the results
+//! that must be made again.
 //!
-//! A case is a chain of stages over one volume; its results are in the folder OUT/NAME.
-//! [`run::make`] compares what each result depends on (options, program, files, earlier stages)
-//! with the status of the last run. It removes results that are out of date, runs the stages from
-//! there on, and updates [`status::Status`] at each step. So every result in the folder was made or
-//! confirmed by the last run. The Makefile calls the program of this crate.
+//! A case is a sequence of stages that process one volume. The results are in the folder OUT/NAME.
+//! [`run::make`] compares the options, program, files and earlier stages that each result depends
+//! on with the status of the last run. It removes results that are out of date, runs the stages
+//! that make them, and updates [`status::Status`] at each step. So every result in the folder was
+//! made or confirmed by the last run. The Makefile calls the program of this crate.
 
 pub mod batch;
 pub mod check;

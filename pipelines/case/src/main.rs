@@ -16,12 +16,13 @@ use std::process::ExitCode;
 /// Make a case: run the stages whose results are missing or out of date, and record the state in
 /// OUT/NAME/NAME.status.json.
 ///
-/// Goals: distfield, sizefield, seed, particles, surface and mesh run the stages up to that one.
-/// Others are page, verdict, info, clean, index, and keys, which lists what may be set, one key per
-/// line. batch makes every row of a list. For a scheduler, rows prints the commands of a list, one
-/// line of JSON per row, and summary collects the outcomes and writes the index. Exit codes: 0 made
-/// and every check passed; 1 made, but a check failed; 2 bad usage or input; 3 no usable GPU; 130
-/// interrupted. A batch ends with 1 if any row did not end with 0.
+/// Goals: distfield, sizefield, seed, particles, surface and mesh run the stages up to the named
+/// result. The other goals are page, verdict, info, clean, index, and keys, which lists the
+/// settings, one key per line. batch makes every row of a list. For a scheduler, rows prints the
+/// commands of a list, one line of JSON per row, and summary collects the outcomes and writes the
+/// index. Exit codes: 0 the result was made and every check passed; 1 the result was made, but a
+/// check failed; 2 bad usage or input; 3 no usable GPU; 130 interrupted. The exit code of a batch
+/// is 1 if any row did not end with 0.
 ///
 /// Example: isoparticles-case mesh INPUT=heart.nrrd LABELS=1 SIZE=2.5
 #[derive(Debug, Parser)]
@@ -35,43 +36,44 @@ struct Arguments {
     /// Name of the case file that the --preset values come from.
     #[arg(long, value_name = "NAME")]
     case_file: Option<String>,
-    /// Settings of the case file; those of the user take precedence.
+    /// Settings of the case file. Settings of the user take precedence.
     #[arg(long, value_name = "KEY=VALUE", allow_hyphen_values = true)]
     preset: Vec<String>,
-    /// Variable names of the caller besides the keys, for "did you mean".
+    /// Other variable names of the caller, for "did you mean" suggestions.
     #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ' ')]
     known: Vec<String>,
     /// List of a batch: a CSV file with one column per key. INPUT is relative to the list's folder.
-    /// Settings given beside the list apply to rows that do not set them.
+    /// Settings on the command line apply to rows that do not set them.
     #[arg(long, value_name = "FILE.csv")]
     list: Option<PathBuf>,
     /// Goal up to which a batch makes each case.
     #[arg(long, value_name = "GOAL", default_value = "mesh")]
     as_far_as: String,
-    /// Time limit of each case of a batch, such as 90s, 30m or 2h. After it the case is stopped;
-    /// the next batch resumes it.
+    /// Time limit of each case of a batch, such as 90s, 30m or 2h. A case that exceeds it is
+    /// stopped; the next batch resumes the case.
     #[arg(long, value_name = "TIME")]
     time_limit: Option<String>,
     /// Folder of the stage programs.
     #[arg(long, value_name = "DIR", default_value = "target/release")]
     bin: PathBuf,
-    /// This is a retry: a stage whose checks failed would fail again, so it does not run.
+    /// Retry: skip a stage whose checks have failed, because it would fail again.
     #[arg(long)]
     retry: bool,
-    /// The program tetmesh-check; its page and index programs are in the same folder.
+    /// Path of the program tetmesh-check. Its page and index programs must be in the same folder.
     #[arg(long, value_name = "PROGRAM", default_value = ".venv/bin/tetmesh-check")]
     tetmesh_check: PathBuf,
-    /// Files that make up tetmesh-check, if the program file does not contain all of it. If their
-    /// content changes, the tetrahedra are made again.
+    /// Files that tetmesh-check consists of, if the program file does not contain everything. If
+    /// their content changes, the tetrahedra are made again.
     #[arg(long, value_name = "FILE", num_args = 0..)]
     tetmesh_files: Vec<PathBuf>,
-    /// Files that make up the page. If their content changes, the page is made again.
+    /// Files that the page program consists of. If their content changes, the page is made again.
     #[arg(long, value_name = "FILE", num_args = 0..)]
     page_files: Vec<PathBuf>,
 }
 
 fn main() -> ExitCode {
-    // Users call `isoparticles`, not this program: completions and man pages describe that command.
+    // Users call `isoparticles`, not this program, so completions and man pages describe that
+    // command.
     if let Some(code) = told() {
         return code;
     }
@@ -92,8 +94,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// Prints completions or a man page if requested. The words after `--command-lines` are files with
-/// the output of `STAGE --command-line`.
+/// Prints completions or a man page if requested. The words after `--command-lines` are files that
+/// contain the output of `STAGE --command-line`.
 fn told() -> Option<ExitCode> {
     let words: Vec<String> = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
     let mut parts = words.splitn(2, |word| word == "--command-lines");
@@ -164,7 +166,7 @@ fn go(arguments: Arguments) -> Result<u8> {
         "clean" => clean(&settings),
         "verdict" => {
             let folder = named(&settings)?;
-            // The exit code is 0 whatever the verdict is.
+            // The exit code is 0 for every verdict.
             print!("{}", verdict::closing(&folder, &run::status_of(&folder)?));
             Ok(0)
         }
@@ -187,7 +189,7 @@ fn go(arguments: Arguments) -> Result<u8> {
     }
 }
 
-/// The last stage of a goal.
+/// Returns the last stage of a goal.
 fn stage_named(goal: &str) -> Result<&'static str> {
     stage_of_goal(goal).ok_or_else(|| {
         Error::input(
@@ -198,7 +200,7 @@ fn stage_named(goal: &str) -> Result<&'static str> {
     })
 }
 
-/// Prints how the cases of a list ended and writes the index over them. Returns the exit code.
+/// Prints how the cases of a list ended and writes their index. Returns the exit code.
 fn close_batch(batch: &Batch<'_>, endings: &[Ending], programs: &Programs) -> Result<u8> {
     let code = batch::exit_code(endings);
     program::note_stop();
@@ -211,7 +213,8 @@ fn close_batch(batch: &Batch<'_>, endings: &[Ending], programs: &Programs) -> Re
     Ok(code)
 }
 
-/// The folder of a case by NAME or case file, or else the one that making the case would use.
+/// Returns the folder of the case with the name NAME or the name of the case file. Without either,
+/// returns the folder in which the case would be made.
 fn named(settings: &Settings) -> Result<CaseFolder> {
     match settings.get("NAME").or(settings.case_file()) {
         Some(name) => {

@@ -1,15 +1,15 @@
-//! The name of a case, derived from its volume.
+//! Derives the name of a case from its volume.
 
 use isoparticles_stage::error::{Error, Result};
 use std::path::Path;
 
-/// Endings that describe the file type and are removed from the name, longer ones first.
+/// Endings that describe the file type and are removed from the name. Longer endings come first.
 const ENDINGS: [&str; 9] = [".seg.nrrd", ".nii.gz", ".nrrd", ".nhdr", ".nii", ".mha", ".mhd", ".vti", ".dcm"];
 
-/// Name of the results of a volume: its file or folder name without a known ending.
+/// Returns the name of a volume's results: the file or folder name without a known ending.
 ///
 /// # Errors
-/// When the rest cannot name a folder.
+/// If the remaining name is not a valid folder name.
 pub fn of_volume(path: &Path) -> Result<String> {
     // `..` and `.` have no file name until they are resolved.
     let path = if path.file_name().is_some() { path.to_path_buf() } else { path.canonicalize().unwrap_or_default() };
@@ -21,10 +21,10 @@ pub fn of_volume(path: &Path) -> Result<String> {
     Ok(name.to_owned())
 }
 
-/// Checks that a name can be that of a folder in OUT.
+/// Checks that a name is valid for a folder in OUT.
 ///
 /// # Errors
-/// When it is empty, hidden, starts with `-`, or contains a path separator or a line break.
+/// If the name is empty, hidden, starts with `-`, or contains a path separator or a line break.
 pub fn check(name: &str) -> Result<()> {
     if name.is_empty() || name.starts_with(['.', '-']) || name.contains(['/', '\\', '\n']) {
         return Err(Error::input(

@@ -9,28 +9,30 @@ use std::sync::Once;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-/// The command that takes a goal, for messages: the value of ISOPARTICLES_FRONT, or `make`.
+/// Returns the name of the user's command for messages: the value of ISOPARTICLES_FRONT, or else
+/// `make`.
 #[must_use]
 pub fn front() -> String {
     std::env::var("ISOPARTICLES_FRONT").unwrap_or_else(|_| "make".to_owned())
 }
 
-/// Time for a program to write its last checkpoint after an interrupt. A checkpoint of a million
-/// particles takes seconds.
+/// Time that a program gets to write its last checkpoint after an interrupt. Writing a checkpoint
+/// of a million particles takes seconds.
 const GRACE: Duration = Duration::from_secs(60);
 /// Interval between checks on a program with a time limit.
 const POLL: Duration = Duration::from_millis(50);
 
-/// Process id of the running program, 0 if there is none.
+/// Process ID of the running program; 0 if no program is running.
 static RUNNING: AtomicU32 = AtomicU32::new(0);
 static REQUESTED: AtomicBool = AtomicBool::new(false);
 static INSTALL: Once = Once::new();
 
-/// Installs a handler for SIGINT, SIGTERM and SIGHUP. It interrupts the running program; this
-/// program ends after it.
+/// Installs a handler for SIGINT, SIGTERM and SIGHUP. The handler interrupts the running program,
+/// and this program exits afterwards.
 pub fn listen() {
     INSTALL.call_once(|| {
-        // Without a handler this program ends at once, and the next run reports that it was killed.
+        // Without a handler, a signal ends this program immediately, and the next run reports that
+        // it was killed.
         let _ = ctrlc::set_handler(|| {
             REQUESTED.store(true, Ordering::SeqCst);
             interrupt(RUNNING.load(Ordering::SeqCst));
@@ -38,13 +40,14 @@ pub fn listen() {
     });
 }
 
-/// Whether the user has requested a stop.
+/// Returns whether the user has requested a stop.
 #[must_use]
 pub fn stop_requested() -> bool {
     REQUESTED.load(Ordering::SeqCst)
 }
 
-/// Clears the stop request so that the remaining work runs; another request stops that, too.
+/// Clears the stop request so that the remaining work runs. Another stop request ends the remaining
+/// work, too.
 pub fn note_stop() {
     REQUESTED.store(false, Ordering::SeqCst);
 }
@@ -52,28 +55,28 @@ pub fn note_stop() {
 /// How a program ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ended {
-    /// With this exit code.
+    /// The program ended with this exit code.
     Code(i32),
-    /// By this signal; 0 if the system does not report its number.
+    /// This signal ended the program; 0 if the system does not report the signal number.
     Signal(i32),
 }
 
-/// Runs a program to its end, with its output on this terminal.
+/// Runs a program to its end. Its output goes to this terminal.
 ///
 /// # Errors
-/// When it cannot be started.
+/// If the program cannot be started.
 pub fn run(program: &Path, arguments: &[OsString]) -> Result<Ended> {
     let mut command = Command::new(program);
     command.args(arguments);
     Ok(run_command(command, None)?.0)
 }
 
-/// Runs a program to its end, with its output in a file; returns also whether the time limit was
-/// exceeded. After the limit the program is interrupted, a minute later again, and another minute
-/// later killed.
+/// Runs a program to its end and writes its output to a file. Also returns whether the time limit
+/// was exceeded. At the limit, the program is interrupted; it is interrupted again after a minute,
+/// and killed after another minute.
 ///
 /// # Errors
-/// When it cannot be started.
+/// If the program cannot be started.
 pub fn run_logged(program: &Path, arguments: &[OsString], log: File, limit: Option<Duration>) -> Result<(Ended, bool)> {
     let mut command = Command::new(program);
     let errors = log.try_clone().map_err(|error| {
@@ -90,7 +93,7 @@ pub fn run_logged(program: &Path, arguments: &[OsString], log: File, limit: Opti
 /// Runs a program to its end and returns its output.
 ///
 /// # Errors
-/// When it cannot be started.
+/// If the program cannot be started.
 pub fn output(program: &Path, arguments: &[OsString]) -> Result<Output> {
     let mut command = Command::new(program);
     command.args(arguments).stdin(std::process::Stdio::null());
@@ -109,7 +112,7 @@ fn run_command(mut command: Command, limit: Option<Duration>) -> Result<(Ended, 
     command.stdin(std::process::Stdio::null());
     #[cfg(unix)]
     {
-        // A separate process group: Ctrl-C reaches the program only through this one, and only
+        // In a separate process group, the program receives Ctrl-C only from this process, and only
         // once. A second signal would end it without its last checkpoint.
         use std::os::unix::process::CommandExt;
         command.process_group(0);
@@ -131,8 +134,8 @@ fn run_command(mut command: Command, limit: Option<Duration>) -> Result<(Ended, 
     Ok((ended(status), out_of_time))
 }
 
-/// Waits for the end; interrupts and finally kills the program after `limit`. The flag says whether
-/// that happened.
+/// Waits for a program to end. After `limit`, interrupts and finally kills the program. The
+/// returned flag is `true` if the limit was exceeded.
 fn wait(child: &mut Child, limit: Option<Duration>) -> std::io::Result<(ExitStatus, bool)> {
     let Some(limit) = limit else { return Ok((child.wait()?, false)) };
     let started = Instant::now();

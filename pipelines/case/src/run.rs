@@ -1,5 +1,5 @@
-//! Makes a case: finds the stages that have to run, removes results that are out of date, runs the
-//! stages and updates the status.
+//! Makes a case. It finds the stages that have to run, removes results that are out of date, runs
+//! the stages and updates the status.
 
 use crate::folder::{Belongings, CHECKPOINT, CaseFolder, PAGE, STAGES, belongings, report_name};
 use crate::inputs::{self, VOLUME, hash_program};
@@ -14,7 +14,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// One case, as its settings describe it; no file has been read.
+/// One case as described by its settings. No file has been read yet.
 #[derive(Debug)]
 pub struct Case {
     /// Folder of the results.
@@ -26,10 +26,10 @@ pub struct Case {
 }
 
 impl Case {
-    /// The case that the settings describe.
+    /// Returns the case that the settings describe.
     ///
     /// # Errors
-    /// When there is no volume, or nothing that could name the results.
+    /// If the settings specify no volume, or nothing from which to name the results.
     pub fn new(settings: Settings) -> Result<Self> {
         let volume = match (settings.get("PHANTOM"), settings.get("INPUT")) {
             (Some(_), _) => Volume::Phantom,
@@ -52,10 +52,10 @@ impl Case {
         Ok(Self { folder, volume, settings })
     }
 
-    /// Checks what can be checked before any work.
+    /// Checks the settings before any work starts.
     ///
     /// # Errors
-    /// When the volume is missing, when none of ISO, LABELS and MATERIALS is set, or when INSIDE is
+    /// If the volume is missing, when none of ISO, LABELS and MATERIALS is set, or when INSIDE is
     /// combined with labels.
     pub fn check(&self) -> Result<()> {
         if let Volume::At(path) = &self.volume
@@ -89,17 +89,17 @@ impl Case {
     }
 }
 
-/// The folder of the results.
+/// Returns the folder OUT, which contains the folders of all cases.
 #[must_use]
 pub fn out(settings: &Settings) -> PathBuf {
     PathBuf::from(settings.get("OUT").unwrap_or("out"))
 }
 
-/// Makes a case up to the stage `goal`. The returned status records the outcome, also of a failed
-/// stage.
+/// Makes a case up to the stage `goal`. The returned status records the outcome, even if a stage
+/// failed.
 ///
 /// # Errors
-/// When the run cannot start; results of an earlier run are untouched then. Also when a file of the
+/// If the run cannot start; the results of an earlier run are then unchanged. Also if a file of the
 /// case cannot be written or removed.
 pub fn make(case: &Case, goal: &str, programs: &Programs) -> Result<Status> {
     case.check()?;
@@ -123,8 +123,8 @@ pub fn make(case: &Case, goal: &str, programs: &Programs) -> Result<Status> {
     Ok(run.status)
 }
 
-/// Positions of the stages that have to run: from the first one without a valid result up to the
-/// goal.
+/// Returns the indices of the stages that have to run: from the first stage without a valid result
+/// up to the goal.
 fn to_run(folder: &CaseFolder, goal: &str, plan: &Plan, before: Option<&Status>) -> Range<usize> {
     let holds = |planned: &Planned| {
         let earlier = before.and_then(|status| status.stage(planned.name()));
@@ -135,7 +135,7 @@ fn to_run(folder: &CaseFolder, goal: &str, plan: &Plan, before: Option<&Status>)
     first..goal.map_or(plan.stages.len(), |position| position + 1)
 }
 
-/// Refuses to replace the results of one volume with those of another.
+/// Refuses to replace the results of one volume with the results of another volume.
 fn refuse_another_volume(case: &Case, before: &Status, plan: &Plan) -> Result<()> {
     let described = |input: Option<&Input>| input.map_or("a phantom".to_owned(), |it| it.path.display().to_string());
     let then = before.volume().filter(|_| before.stage("phantom").is_none());
@@ -168,12 +168,12 @@ struct Run<'a> {
     case: &'a Case,
     plan: Plan,
     status: Status,
-    /// Positions of the stages to run; empty if all results are valid.
+    /// Indices of the stages to run; empty if all results are valid.
     to_run: Range<usize>,
 }
 
 impl<'a> Run<'a> {
-    /// Finds the valid results, marks the others stale and removes them.
+    /// Starts a run: keeps the valid results, marks the other results as stale and removes them.
     fn begin(case: &'a Case, goal: &str, to_run: Range<usize>, plan: Plan, before: Option<Status>) -> Result<Self> {
         let folder = &case.folder;
         let earlier = |planned: &Planned| before.as_ref().and_then(|status| status.stage(planned.name()));
@@ -213,14 +213,14 @@ impl<'a> Run<'a> {
         Ok(run)
     }
 
-    /// Removes the results of the stages from the next one on. The checkpoint of `particles` stays
-    /// if the stage has the same key.
+    /// Removes the results of all stages that have no valid result. If `checkpoint` is true, the
+    /// checkpoint of `particles` and its log stay.
     fn remove_stale(&mut self, before: Option<&Status>, checkpoint: bool) -> Result<()> {
         let folder = &self.case.folder;
         let earlier = |stage: &Belongings| before.and_then(|status| status.stage(stage.stage));
         let holds = |stage: &Belongings| {
             self.status.stage(stage.stage).is_some_and(|stage| stage.state == State::Done)
-                // A volume beside the results may be the user's own.
+                // A volume in the folder of the results may belong to the user.
                 || (stage.stage == "phantom" && self.case.volume != Volume::Phantom)
         };
         let stale: Vec<&Belongings> = STAGES.iter().filter(|stage| !holds(stage)).collect();
@@ -241,7 +241,7 @@ impl<'a> Run<'a> {
         self.status.write(&self.case.folder.status_path())
     }
 
-    /// Runs the stages that have to run, until one does not succeed.
+    /// Runs the stages that have to run, and stops after a stage that does not succeed.
     fn go(&mut self) -> Result<()> {
         let confirmed: Vec<&str> = self.plan.stages[..self.to_run.start].iter().map(Planned::name).collect();
         if !confirmed.is_empty() {
@@ -271,9 +271,9 @@ impl<'a> Run<'a> {
         self.status.stages[position] = stage.clone();
         self.write()?;
         say(&command);
-        // Files that exist now belong to the user and stay. Exceptions are the stage's fixed names:
-        // a checkpoint and its log, from which a stopped run resumes, and late output of a killed
-        // run.
+        // Files that exist now belong to the user and stay. Files with the stage's fixed names are
+        // exceptions: a checkpoint and its log, from which a stopped run resumes, and late output
+        // of a killed run.
         let mut others = folder.files_of(planned.belongings);
         others.retain(|name| !folder.is_usual(planned.belongings, name));
         let started = Instant::now();
@@ -322,7 +322,7 @@ impl<'a> Run<'a> {
         let page = folder.file(PAGE);
         let told = (&self.status.verdict, &self.status.stages, &self.status.parameters, &self.status.inputs);
         let told = serde_json::to_string(&told).unwrap_or_default() + &hash_program(&programs.page_files);
-        // The page does not depend on which run made a result.
+        // The page must not depend on which run made a result.
         let told = told.replace("\"made\":true", "\"made\":false");
         let key = blake3::hash(told.as_bytes()).to_hex().to_string();
         if key == self.status.page_key && self.status.page.is_some() && page.exists() {
@@ -333,10 +333,11 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Makes the page of a status if its program is installed, and writes the status that names it.
+/// Makes the page of a status if the page program is installed, and writes the status, which
+/// contains the name of the page.
 ///
 /// # Errors
-/// When the status cannot be written, or an old page cannot be removed.
+/// If the status cannot be written, or an old page cannot be removed.
 pub fn make_page(folder: &CaseFolder, status: &mut Status, programs: &Programs) -> Result<()> {
     let (program, page) = (programs.page(), folder.file_name(PAGE));
     folder.remove(&page)?;
@@ -358,8 +359,8 @@ pub fn make_page(folder: &CaseFolder, status: &mut Status, programs: &Programs) 
     Ok(())
 }
 
-/// Path of the report that a stage left. That of `tetmesh-check` is a result; a copy goes to the
-/// folder of reports.
+/// Returns the path of the report that a stage left. The report of `tetmesh-check` is a result, so
+/// only a copy of it is written to the folder of reports.
 fn report_left(folder: &CaseFolder, planned: &Planned, stage: &Stage) -> Option<String> {
     let name = planned.report.clone()?;
     let common = report_name(planned.name());
@@ -367,8 +368,8 @@ fn report_left(folder: &CaseFolder, planned: &Planned, stage: &Stage) -> Option<
         return folder.path.join(&name).is_file().then_some(name);
     }
     let left = stage.outputs.iter().chain(&stage.kept).find(|file| file.ends_with(".json"))?;
-    // The copy lets programs compare the reports of all stages in one folder. The result does not
-    // need it.
+    // The copy lets programs find the reports of all stages in one folder. The result does not
+    // depend on the copy, so errors are ignored.
     let _ = std::fs::copy(folder.path.join(left), folder.path.join(common));
     Some(left.clone())
 }
@@ -446,7 +447,7 @@ fn complain(text: &str) {
     let _ = writeln!(std::io::stderr(), "{text}");
 }
 
-/// The last stage of a goal.
+/// Returns the last stage of a goal.
 #[must_use]
 pub fn stage_of_goal(goal: &str) -> Option<&'static str> {
     match goal {
@@ -456,7 +457,7 @@ pub fn stage_of_goal(goal: &str) -> Option<&'static str> {
     }
 }
 
-/// The goal that ends with a stage, in the user's terms.
+/// Returns the goal, as the user writes it, that ends with a stage.
 pub(crate) fn goal_of_stage(stage: &str) -> &str {
     match stage {
         "tetmesh-check" => "mesh",
@@ -468,7 +469,7 @@ pub(crate) fn goal_of_stage(stage: &str) -> &str {
 /// Makes the page of a case from its current status.
 ///
 /// # Errors
-/// When there is no status, or a run is in progress.
+/// If there is no status, or a run is in progress.
 pub fn page(folder: &CaseFolder, programs: &Programs) -> Result<Status> {
     let mut status = status_of(folder)?;
     let _lock = folder.lock()?;
@@ -476,10 +477,10 @@ pub fn page(folder: &CaseFolder, programs: &Programs) -> Result<Status> {
     Ok(status)
 }
 
-/// The status of a case from an earlier run.
+/// Returns the status of a case from an earlier run.
 ///
 /// # Errors
-/// When there is none.
+/// If there is no status.
 pub fn status_of(folder: &CaseFolder) -> Result<Status> {
     folder.settle()?.ok_or_else(|| {
         Error::input(
@@ -490,7 +491,7 @@ pub fn status_of(folder: &CaseFolder) -> Result<Status> {
     })
 }
 
-/// Path of a stage's output in the folder of the case.
+/// Returns the path of a stage's output in the folder of the case.
 #[must_use]
 pub fn output_of(folder: &CaseFolder, stage: &str) -> PathBuf {
     folder.file(belongings(stage).output)

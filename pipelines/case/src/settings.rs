@@ -1,10 +1,11 @@
-//! The settings of a case: who set each key, and which settings take precedence.
+//! Collects the settings of a case from the user and the case file, and decides which settings take
+//! precedence.
 
 use crate::keys::{self, KEYS};
 use isoparticles_stage::error::{Error, Result};
 use std::collections::BTreeMap;
 
-/// Who set a key.
+/// Source of a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum By {
     /// The user, on the command line.
@@ -18,11 +19,11 @@ pub enum By {
 pub struct Settings {
     values: BTreeMap<&'static str, (String, By)>,
     case_file: Option<String>,
-    /// Where the user's settings come from, for messages.
+    /// Description of the source of the user's settings, for messages.
     by_user: String,
 }
 
-/// Pairs of keys that exclude each other, and why.
+/// Pairs of keys that exclude each other, with the reason.
 const EXCLUSIVE: [(&str, &str, &str); 11] = [
     ("INPUT", "PHANTOM", "a case has one volume: a file or a phantom"),
     ("ISO", "LABELS", "a volume is meshed either as a scan or as a label map"),
@@ -54,18 +55,18 @@ impl Settings {
     /// unsets a key.
     ///
     /// # Errors
-    /// An unknown key (the message names the nearest of the keys and `known`), a value of the wrong
-    /// form, or two keys from one source that exclude each other.
+    /// If a key is unknown (the message suggests the most similar key or name in `known`), a value
+    /// has the wrong form, or two keys from one source exclude each other.
     pub fn read(user: &[String], case: &[String], case_file: Option<&str>, known: &[String]) -> Result<Self> {
         let by_user = "on the command line".to_owned();
         Self { case_file: case_file.map(str::to_owned), by_user, ..Self::default() }.filled(user, case, known)
     }
 
-    /// Like [`Settings::read`], but the user's assignments come from a row of a list. `common`
-    /// applies to all rows; the row takes precedence.
+    /// Reads settings like [`Settings::read`], but takes the user's assignments from a row of a
+    /// list. `common` applies to all rows; the row takes precedence.
     ///
     /// # Errors
-    /// As [`Settings::read`].
+    /// If [`Settings::read`] would return an error for these settings.
     pub fn read_row(row: &[String], line: u64, common: &[String], known: &[String]) -> Result<Self> {
         Self { by_user: format!("line {line} of the list"), ..Self::default() }.filled(row, common, known)
     }
@@ -94,23 +95,23 @@ impl Settings {
         Ok(self)
     }
 
-    /// The value of a key, if it is set and was not dropped.
+    /// Returns the value of a key if the key is set and was not dropped.
     pub fn get(&self, key: &str) -> Option<&str> {
         self.values.get(key).map(|(value, _)| value.as_str())
     }
 
-    /// The words of a value that is a list of options.
+    /// Returns the words of a value that is a list of options.
     pub fn words(&self, key: &str) -> Vec<String> {
         // `keys::check` has verified the quotes.
         self.get(key).and_then(shlex::split).unwrap_or_default()
     }
 
-    /// Name of the case file, without its ending.
+    /// Returns the name of the case file without its ending.
     pub fn case_file(&self) -> Option<&str> {
         self.case_file.as_deref()
     }
 
-    /// The settings that may change a result, for the status.
+    /// Returns the settings that may change a result. The status stores them.
     pub fn parameters(&self) -> BTreeMap<String, String> {
         let told = KEYS.iter().filter(|key| !keys::WITHOUT_EFFECT.contains(&key.name));
         told.filter_map(|key| Some((key.name.to_owned(), self.get(key.name)?.to_owned()))).collect()
@@ -120,7 +121,7 @@ impl Settings {
         self.values.get(key).map(|(_, by)| *by)
     }
 
-    /// Where a setting comes from, for messages.
+    /// Describes the source of a setting for messages.
     fn hand(&self, by: By) -> String {
         match (by, &self.case_file) {
             (By::User, _) => self.by_user.clone(),

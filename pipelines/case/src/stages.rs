@@ -1,4 +1,5 @@
-//! The command lines of a case's stages, and the hashes that decide which stages have to run again.
+//! Plans the stages of a case: their command lines, and the hashes that decide which stages have to
+//! run again.
 
 use crate::folder::{Belongings, CHECKPOINT, CaseFolder, PICTURES, REPORT, STAGES, report_name};
 use crate::inputs::{self, hash_program};
@@ -15,20 +16,21 @@ pub struct Programs {
     pub bin: PathBuf,
     /// `tetmesh-check`; its page and index programs are in the same folder.
     pub tetmesh_check: PathBuf,
-    /// Files that make up `tetmesh-check`: if their content changes, the tetrahedra are made again.
+    /// Files that `tetmesh-check` consists of. If their content changes, the tetrahedra are made
+    /// again.
     pub tetmesh_files: Vec<PathBuf>,
-    /// Files that make up the page.
+    /// Files that the page program consists of.
     pub page_files: Vec<PathBuf>,
 }
 
 impl Programs {
-    /// The program that makes a page.
+    /// Returns the program that makes a page.
     #[must_use]
     pub fn page(&self) -> PathBuf {
         self.beside("-page")
     }
 
-    /// The program that makes the index.
+    /// Returns the program that makes the index.
     #[must_use]
     pub fn index(&self) -> PathBuf {
         self.beside("-index")
@@ -44,9 +46,9 @@ impl Programs {
 /// The volume of a case.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Volume {
-    /// A file or a folder.
+    /// A file or folder at this path.
     At(PathBuf),
-    /// Made by the program `phantom`.
+    /// A volume that the program `phantom` makes.
     Phantom,
 }
 
@@ -57,22 +59,22 @@ pub struct Planned {
     pub belongings: &'static Belongings,
     /// The program.
     pub program: PathBuf,
-    /// Its arguments.
+    /// Arguments of the program.
     pub arguments: Vec<OsString>,
-    /// Path of its report within the folder; `None` for the phantom.
+    /// Path of the report, relative to the folder of the case; `None` for the phantom.
     pub report: Option<String>,
-    /// Hash of everything that its result depends on, including earlier stages.
+    /// Hash of everything that the result depends on, including earlier stages.
     pub key: String,
 }
 
 impl Planned {
-    /// Name of the stage.
+    /// Returns the name of the stage.
     #[must_use]
     pub fn name(&self) -> &'static str {
         self.belongings.stage
     }
 
-    /// The command line, quoted for a shell.
+    /// Returns the command line, quoted for a shell.
     #[must_use]
     pub fn command_line(&self) -> String {
         let words = std::iter::once(self.program.as_os_str()).chain(self.arguments.iter().map(OsString::as_os_str));
@@ -84,7 +86,7 @@ impl Planned {
     }
 }
 
-/// All stages of a case in order, and the files that they depend on.
+/// All stages of a case in order, and the files that the stages depend on.
 #[derive(Debug)]
 pub struct Plan {
     /// The stages; `phantom` comes first if the case makes its volume.
@@ -96,7 +98,7 @@ pub struct Plan {
 /// Plans the stages of a case.
 ///
 /// # Errors
-/// When a file that it depends on cannot be read, or is one of its own results.
+/// If a file that the case depends on cannot be read, or is one of the case's own results.
 pub fn plan(
     folder: &CaseFolder,
     settings: &Settings,
@@ -119,7 +121,7 @@ pub fn plan(
         let options = options(name, settings);
         let hxt = hxt(name, settings);
         let (program, files) = program_of(name, programs);
-        // A file counts by its content and its extension, not by its path.
+        // The key depends on the content and extension of a file, not on its path.
         let contents: Vec<_> = inputs.iter().map(|input| (&input.hash, input.path.extension())).collect();
         let text = format!("{name}\n{options:?}\n{hxt:?}\n{contents:?}\n{}\n{earlier}", hash_program(&files));
         let key = blake3::hash(text.as_bytes()).to_hex().to_string();
@@ -132,8 +134,8 @@ pub fn plan(
     Ok(plan)
 }
 
-/// Settings that may change the result of a stage, apart from input files and earlier stages. The
-/// options of a phantom count for `distfield`.
+/// Returns the settings that may change the result of a stage, apart from input files and earlier
+/// stages. The options of a phantom count as settings of `distfield`.
 #[must_use]
 pub fn depends_on(stage: &str, settings: &Settings) -> Vec<String> {
     let mut words = if stage == "distfield" { settings.words("PHANTOM") } else { Vec::new() };
@@ -142,12 +144,13 @@ pub fn depends_on(stage: &str, settings: &Settings) -> Vec<String> {
     words
 }
 
-/// The HXT setting of `tetmesh-check`: without Gmsh, the same options give other tetrahedra.
+/// Returns the HXT setting if `stage` is `tetmesh-check`. Without Gmsh, the same options give
+/// different tetrahedra.
 fn hxt<'a>(stage: &str, settings: &'a Settings) -> Option<&'a str> {
     settings.get("HXT").filter(|_| stage == "tetmesh-check")
 }
 
-/// The program of a stage, and the files that make it up.
+/// Returns the program of a stage, and the files that the program consists of.
 #[must_use]
 pub fn program_of(stage: &str, programs: &Programs) -> (PathBuf, Vec<PathBuf>) {
     match stage {
@@ -156,7 +159,7 @@ pub fn program_of(stage: &str, programs: &Programs) -> (PathBuf, Vec<PathBuf>) {
     }
 }
 
-/// The program of a stage and its command line, for a volume in the folder of the case.
+/// Returns the program of a stage and its arguments, for a volume in the folder of the case.
 #[must_use]
 pub fn command_of(
     stage: &str,
@@ -168,7 +171,7 @@ pub fn command_of(
     (program_of(stage, programs).0, words)
 }
 
-/// The key that holds further options of a stage.
+/// Returns the key for further options of a stage.
 pub(crate) fn options_key(stage: &str) -> &'static str {
     match stage {
         "phantom" => "PHANTOM",
@@ -181,7 +184,8 @@ pub(crate) fn options_key(stage: &str) -> &'static str {
     }
 }
 
-/// The options of a stage, each with the key that sets it. Unset keys keep the stage's default.
+/// Returns the options of a stage, each with the key that sets the option. Without a value, the
+/// stage uses its default.
 fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
     match stage {
         "distfield" => &[
@@ -207,8 +211,8 @@ fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
     }
 }
 
-/// Options of `distfield` that set the amount of detail, with their keys. The first key that is set
-/// applies.
+/// Options of `distfield` that set the amount of detail, with their keys. Only the first key that
+/// is set is used.
 const SCALE_BY_KEY: [(&str, &str); 4] = [
     ("--scale", "SCALE"),
     ("--scale-for-size", "SIZE"),
@@ -216,14 +220,14 @@ const SCALE_BY_KEY: [(&str, &str); 4] = [
     ("--quality", "QUALITY"),
 ];
 
-/// `lungs:2,heart:1+4` as options of `distfield`. A name without labels is one that the file
-/// defines, or `all`.
+/// Converts a value such as `lungs:2,heart:1+4` into options of `distfield`. A name without labels
+/// is either defined in the file or `all`.
 fn materials(choice: &str) -> impl Iterator<Item = String> {
     let named = choice.split(',').map(str::trim).filter(|one| !one.is_empty());
     named.flat_map(|one| ["--material".to_owned(), one.replacen(':', "=", 1)])
 }
 
-/// Arguments of a stage that may change its result.
+/// Returns the arguments of a stage that may change its result.
 fn options(stage: &str, settings: &Settings) -> Vec<String> {
     let mut words = Vec::new();
     let mut add = |(option, key): &(&str, &str)| {
@@ -235,7 +239,7 @@ fn options(stage: &str, settings: &Settings) -> Vec<String> {
         add(pair);
     }
     let more = settings.words(options_key(stage));
-    // A scale among the further options takes precedence.
+    // A scale in the further options takes precedence.
     let chosen = more.iter().any(|word| word.starts_with("--scale") || word.starts_with("--quality"));
     if stage == "distfield" && !chosen {
         SCALE_BY_KEY.iter().any(add);
@@ -250,7 +254,7 @@ fn options(stage: &str, settings: &Settings) -> Vec<String> {
     words
 }
 
-/// The whole command line of a stage, and the path of its report.
+/// Returns the complete arguments of a stage, and the path of its report.
 fn arguments(
     stage: &str,
     folder: &CaseFolder,
@@ -304,7 +308,8 @@ fn arguments(
     (words, Some(report))
 }
 
-/// Refuses inputs that are results of the same case: they would be removed before they are read.
+/// Refuses inputs that are results of the same case, because they would be removed before they are
+/// read.
 fn refuse_own_results(folder: &CaseFolder, inputs: &[Input]) -> Result<()> {
     let Ok(path) = folder.path.canonicalize() else { return Ok(()) };
     let own = |input: &&Input| {

@@ -1,5 +1,5 @@
-//! `NAME.status.json`: the state of a case, from which its page and the index are made
-//! (docs/developer/formats.md).
+//! Reads and writes `NAME.status.json`, the state of a case. The page of the case and the index are
+//! made from it (docs/developer/formats.md).
 
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::output::write_atomically;
@@ -16,15 +16,15 @@ pub const VERSION: u32 = 1;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
-    /// Everything requested is made, and every check passed.
+    /// All requested results exist, and every check passed.
     Passed,
-    /// As `Passed`, with warnings.
+    /// Like `Passed`, but with warnings.
     Warning,
     /// A check failed.
     Failed,
     /// A stage could not do its work.
     Error,
-    /// Stopped before the end.
+    /// The run was stopped before its end.
     Interrupted,
     /// A run is in progress (or was killed: see [`crate::folder::CaseFolder::settle`]).
     Running,
@@ -34,34 +34,34 @@ pub enum Verdict {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum State {
-    /// Its output exists and its checks passed.
+    /// The output exists, and all checks passed.
     Done,
-    /// Its output was made, but a check failed.
+    /// The output was made, but a check failed.
     Failed,
-    /// It could not do its work.
+    /// The stage could not do its work.
     Error,
-    /// It was stopped.
+    /// The stage was stopped.
     Interrupted,
-    /// It is running.
+    /// The stage is running.
     Running,
     /// An earlier result was out of date and was removed.
     Stale,
-    /// It has not been run.
+    /// The stage has not been run.
     #[serde(rename = "not reached")]
     NotReached,
 }
 
-/// Size and modification time of a file, which show whether it has changed.
+/// Size and modification time of a file, used to detect changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
     /// Length in bytes.
     pub bytes: u64,
-    /// Last modification, nanoseconds since 1970.
+    /// Time of the last modification in nanoseconds since 1970.
     pub modified: u64,
 }
 
 impl Identity {
-    /// The identity of a file; `None` if there is no such file.
+    /// Returns the identity of a file, or `None` if there is no such file.
     pub fn of(path: &Path) -> Option<Self> {
         let metadata = std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file)?;
         let modified = metadata.modified().ok()?.duration_since(std::time::UNIX_EPOCH).ok()?;
@@ -78,13 +78,13 @@ pub struct Input {
     pub path: PathBuf,
     /// Length in bytes; for a folder, the sum over its files.
     pub bytes: u64,
-    /// BLAKE3 hash of the content; for a folder, of the names and hashes of its files.
+    /// BLAKE3 hash of the content; for a folder, hash of the names and hashes of its files.
     pub hash: String,
-    /// Last modification, nanoseconds since 1970; 0 for a folder.
+    /// Time of the last modification in nanoseconds since 1970; 0 for a folder.
     pub modified: u64,
 }
 
-/// An error in three parts.
+/// An error message in three parts.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Problem {
     /// What happened.
@@ -100,36 +100,37 @@ pub struct Problem {
 pub struct Stage {
     /// Name of the stage.
     pub stage: String,
-    /// Its state.
+    /// State of the stage.
     pub state: State,
-    /// Whether the last run made it; `false` if that run only confirmed an earlier result.
+    /// Whether the last run made the result; `false` if that run only confirmed an earlier result.
     pub made: bool,
-    /// Exit code; `None` if a signal ended it or it never ran.
+    /// Exit code; `None` if a signal ended the program or the stage never ran.
     pub exit_code: Option<i32>,
     /// Duration in seconds.
     pub seconds: Option<f64>,
     /// The command line, quoted for a shell.
     pub command: Option<String>,
-    /// Its report, if there is one. File names are relative to the folder of the case.
+    /// Name of the report, if there is one. This and all other file names are relative to the
+    /// folder of the case.
     pub report: Option<String>,
-    /// The files that it made.
+    /// Files that the stage made.
     pub outputs: Vec<String>,
-    /// Files that a failed stage left for inspection; no later stage reads them.
+    /// Files that the stage left for inspection when it failed. No later stage reads them.
     pub kept: Vec<String>,
-    /// Its warnings.
+    /// Warnings of the stage.
     pub warnings: Vec<String>,
     /// The checks that failed.
     pub failed_checks: Vec<String>,
-    /// The error that ended it.
+    /// The error that ended the stage.
     pub error: Option<Problem>,
-    /// Hash of everything that the result depends on; the stage runs again when it changes.
+    /// Hash of everything that the result depends on. The stage runs again if the hash changes.
     pub key: String,
-    /// Sizes and times of the outputs by name, to detect changes.
+    /// Sizes and modification times of the outputs, by file name, to detect changes.
     pub identities: BTreeMap<String, Identity>,
 }
 
 impl Stage {
-    /// A stage without results.
+    /// Returns a stage without results.
     pub fn nothing(stage: &str, state: State) -> Self {
         Self {
             stage: stage.to_owned(),
@@ -150,12 +151,12 @@ impl Stage {
     }
 }
 
-/// The whole file.
+/// Content of the status file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Status {
-    /// [`FORMAT`].
+    /// Always [`FORMAT`].
     pub format: String,
-    /// [`VERSION`].
+    /// Always [`VERSION`].
     pub version: u32,
     /// Name of the case.
     pub name: String,
@@ -163,22 +164,23 @@ pub struct Status {
     pub goal: String,
     /// State of the case.
     pub verdict: Verdict,
-    /// The same in one sentence.
+    /// State of the case in one sentence.
     pub headline: String,
     /// The files that the case depends on.
     pub inputs: Vec<Input>,
-    /// Settings of the user and the case file.
+    /// Settings from the user and the case file.
     pub parameters: BTreeMap<String, String>,
     /// The stages in order; `phantom` comes first if the case makes its volume.
     pub stages: Vec<Stage>,
-    /// The page about the case, if it was made.
+    /// File name of the page about the case, if it was made.
     pub page: Option<String>,
     /// Hash of everything that the page depends on.
     pub page_key: String,
 }
 
 impl Status {
-    /// Reads a status; `None` if there is none or its format or version is unknown.
+    /// Reads a status. Returns `None` if the file cannot be read or its format or version is
+    /// unknown.
     pub fn read(path: &Path) -> Option<Self> {
         let status: Self = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
         (status.format == FORMAT && status.version == VERSION).then_some(status)
@@ -187,7 +189,7 @@ impl Status {
     /// Writes the file atomically.
     ///
     /// # Errors
-    /// When the file cannot be written.
+    /// If the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let text = serde_json::to_string_pretty(self).map_err(|error| {
             Error::input(
@@ -199,12 +201,13 @@ impl Status {
         write_atomically(path, |file| writeln!(file, "{text}"))
     }
 
-    /// A stage by name.
+    /// Returns the stage called `name`, if there is one.
     pub fn stage(&self, name: &str) -> Option<&Stage> {
         self.stages.iter().find(|stage| stage.stage == name)
     }
 
-    /// The entry of the volume itself; `None` for a phantom that is not made yet.
+    /// Returns the input entry of the volume itself, or `None` for a phantom that has not been made
+    /// yet.
     pub fn volume(&self) -> Option<&Input> {
         self.inputs.iter().find(|input| input.role == crate::inputs::VOLUME)
     }

@@ -1,11 +1,11 @@
-//! Derives the verdict, its sentence and the closing terminal lines from a status.
+//! Derives the verdict, a sentence that explains it, and the closing terminal lines from a status.
 
 use crate::folder::CaseFolder;
 use crate::status::{Stage, State, Status, Verdict};
 use isoparticles_stage::cli::FIT_BUT_FOR;
 use std::fmt::Write;
 
-/// The verdict over the stages of a status, with a sentence about it.
+/// Returns the verdict on the stages of a status, and a sentence that explains the verdict.
 #[must_use]
 pub fn of(status: &Status) -> (Verdict, String) {
     let stages = &status.stages;
@@ -51,7 +51,7 @@ fn failed(stage: &Stage) -> String {
     }
 }
 
-/// The closing lines on the terminal: results, failures, warnings, status and page.
+/// Returns the closing lines for the terminal: results, failures, warnings, status and page.
 #[must_use]
 pub fn closing(folder: &CaseFolder, status: &Status) -> String {
     let word = match status.verdict {
@@ -97,7 +97,8 @@ pub fn closing(folder: &CaseFolder, status: &Status) -> String {
     text
 }
 
-/// Exit code: 0 passed, 1 a check failed, 2 an error, 3 no usable GPU, 130 interrupted or running.
+/// Returns the exit code: 0 passed, 1 a check failed, 2 an error, 3 no usable GPU, 130 interrupted
+/// or running.
 #[must_use]
 pub fn exit_code(status: &Status) -> u8 {
     match status.verdict {

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 ///
 /// Prints size, orientation, kind (scan or labels), values, labels with their volumes, and proposed
 /// iso values. Predicts vertices, time and memory for the object of --iso or --labels; without
-/// either, for the union of all labels or for each proposed iso value.
+/// these options, for the union of all labels or for each proposed iso value.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
@@ -24,18 +24,18 @@ pub(crate) struct Args {
     /// Write the description as JSON to this file; `-` writes it to stdout instead of the text
     #[arg(long, value_name = "FILE.json|-", help_heading = FILES)]
     json: Option<PathBuf>,
-    /// Iso value of the object, in the unit of the volume; the object is above it, or below it with
-    /// --inside below
+    /// Iso value of the object, in the unit of the volume; the object lies above the iso value, or
+    /// below it with --inside below
     #[arg(long, value_name = "V", allow_negative_numbers = true, conflicts_with = "labels", help_heading = METHOD)]
     iso: Option<f64>,
-    /// Side of the iso value that the object is on
+    /// Side of the iso value that contains the object
     #[arg(long, value_enum, value_name = "SIDE", default_value_t = Inside::Above, help_heading = METHOD)]
     inside: Inside,
     /// Labels whose union is the object, separated by commas or spaces: numbers, ranges such as
     /// 2..5, all (every label except 0), or names from the file
     #[arg(long, value_name = "A,B", allow_hyphen_values = true, help_heading = METHOD)]
     labels: Option<Selection>,
-    /// Kind of the volume; auto judges it from the values
+    /// Kind of the volume; auto detects the kind from the values
     #[arg(long, value_enum, value_name = "KIND", default_value_t = KindChoice::Auto, help_heading = METHOD)]
     kind: KindChoice,
     #[command(flatten)]
@@ -43,7 +43,7 @@ pub(crate) struct Args {
 }
 
 impl Args {
-    /// The JSON file, unless it is stdout.
+    /// Returns the JSON file, unless the JSON goes to stdout.
     pub(crate) fn json_file(&self) -> Option<&Path> {
         self.json.as_deref().filter(|path| *path != Path::new("-"))
     }
@@ -75,7 +75,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<()> {
     print(&info.text(&args.input.path.display().to_string()))
 }
 
-/// Writes to stdout; a closed pipe is not an error.
+/// Writes to stdout. A closed pipe is not an error.
 fn print(text: &str) -> Result<()> {
     match std::io::stdout().write_all(text.as_bytes()) {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {

@@ -1,5 +1,5 @@
-//! The `isoparticles-volume` program: `info` describes a volume and predicts what a mesh of it
-//! costs, `convert` writes it as a VTK image.
+//! The `isoparticles-volume` program: `info` describes a volume and predicts the cost of meshing
+//! it, and `convert` writes the volume as a VTK image.
 
 mod convert;
 mod info;
@@ -37,7 +37,7 @@ struct Input {
     /// .mhd), VTK image (.vti), or a folder of DICOM slices
     #[arg(value_name = "VOLUME", help_heading = FILES)]
     path: PathBuf,
-    /// Series to read if the folder has several: its description, number or UID
+    /// Series to read if the folder contains several: description, number or UID of the series
     #[arg(long, value_name = "NAME", help_heading = FILES)]
     series: Option<String>,
 }

@@ -1,4 +1,4 @@
-//! The program on small volumes: what `info` prints, and what `convert` writes.
+//! Tests the program on small volumes: the output of `info` and of `convert`.
 
 use glam::{DMat3, DVec3};
 use isoparticles_volume::nrrd::{Encoding, write_nrrd};
@@ -13,7 +13,7 @@ fn program(folder: &Path, words: &[&str]) -> Output {
     run.expect("the program runs")
 }
 
-/// A folder with the volume `v.nrrd`.
+/// A temporary folder that contains the volume `v.nrrd`.
 struct Case(tempfile::TempDir);
 
 impl Case {
@@ -23,7 +23,8 @@ impl Case {
         Self(folder)
     }
 
-    /// A case whose voxels are `value` of the distance from the centre (mm) and the voxel's index.
+    /// Creates a case in which each voxel is `value` of its distance from the centre (mm) and its
+    /// index.
     fn of(value: impl Fn(f64, usize) -> f32) -> Self {
         let mut geometry = Geometry::axis_aligned([36, 34, 18], DVec3::new(1.0, 1.0, 2.0));
         geometry.space = Space::Lps;
@@ -33,7 +34,8 @@ impl Case {
         Self::new(&geometry, &Voxels::F32(values))
     }
 
-    /// A scan: a ball with a radius of 12 mm at iso value 100, with a blurred edge and noise.
+    /// Creates a scan: a ball with a radius of 12 mm at iso value 100, with a blurred edge and
+    /// noise.
     fn scan() -> Self {
         Self::of(|radius, n| {
             let noise = ((n * 7919) % 31) as f64 - 15.0;
@@ -41,8 +43,8 @@ impl Case {
         })
     }
 
-    /// A label map: a ball of label 3 in a shell of label 2, one voxel of label 9, otherwise
-    /// `background`.
+    /// Creates a label map: a ball of label 3 in a shell of label 2, one voxel of label 9, and
+    /// `background` elsewhere.
     fn labels(background: f32) -> Self {
         Self::of(|radius, n| match radius {
             _ if n == 0 => 9.0,

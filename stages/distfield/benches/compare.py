@@ -9,12 +9,13 @@ Prints a markdown table.
 
 The objects are a ball and a torus with known distances, each as a scalar volume (with a scanner's
 edge) and as binary labels. Every method runs in a separate process. Time excludes reading and
-writing; memory is the peak of the process.
+writing; memory is the peak memory of the process.
 
-Errors are in voxels, against the exact distance: of the zero set (linear on grid edges, root mean
-square), of F within 2.5 voxels of the surface (root mean square and maximum), and of F anywhere
-(maximum). AntiAliasBinary computes distances in three layers only, so the last figure does not
-apply to it. SignedMaurer takes the centres of the object's boundary voxels as the surface.
+Errors are in voxels, relative to the exact distance: the error of the zero set (linear on grid
+edges, root mean square), the error of F within 2.5 voxels of the surface (root mean square and
+maximum), and the error of F anywhere (maximum). AntiAliasBinary computes distances in only three
+layers, so the last error does not apply to it. SignedMaurer treats the centres of the object's
+boundary voxels as the surface.
 """
 
 import argparse
@@ -28,12 +29,12 @@ import time
 
 import numpy as np
 
-EDGE = 2.0  # half-width of the edge of scalar volumes, voxels
-BAND = 2.5  # voxels
+EDGE = 2.0  # half-width in voxels of the edge of scalar volumes
+BAND = 2.5  # half-width in voxels of the band around the surface
 
 
 def truth(shape, size):
-    """Signed distance in voxels, negative inside: an array of shape (z, y, x)."""
+    """Returns the signed distance in voxels, negative inside, as an array of shape (z, y, x)."""
     z, y, x = np.meshgrid(*[np.arange(size, dtype=np.float64)] * 3, indexing="ij")
     centre = 0.5 * (size - 1) + np.array([0.137, 0.291, -0.173])
     x, y, z = x - centre[0], y - centre[1], z - centre[2]
@@ -43,7 +44,7 @@ def truth(shape, size):
 
 
 def values(kind, distance):
-    """The input volume of the methods; the object is above 0.5."""
+    """Returns the input volume of the methods. The object is where the volume exceeds 0.5."""
     if kind == "labels":
         return (distance < 0).astype(np.uint8)
     return (0.5 * (1 - np.tanh(distance / EDGE))).astype(np.float32)
@@ -58,7 +59,7 @@ def write_nrrd(path, volume):
 
 
 def read_vti(path):
-    """The distances in a field file of distfield: an array of shape (z, y, x), margin included."""
+    """Returns the distances in a distfield file as an array of shape (z, y, x), with the margin."""
     with open(path, "rb") as file:
         data = file.read()
     start = data.index(b"<AppendedData")
@@ -73,12 +74,12 @@ def read_vti(path):
 
 
 def compute(method, volume, threads):
-    """Signed distance by another program (voxels), and its time in seconds."""
+    """Returns the signed distance (voxels) computed by another program, and the time in seconds."""
     if method == "scikit-fmm":
         import skfmm
 
         start = time.perf_counter()
-        # the level 0.5 lies on the face between voxels 0 and 1, as on a scanner's edge
+        # the level 0.5 lies on the face between voxels of value 0 and 1, as on a scanner's edge
         return skfmm.distance(0.5 - volume.astype(np.float64), dx=1.0), time.perf_counter() - start
     import SimpleITK as sitk
 
@@ -93,7 +94,7 @@ def compute(method, volume, threads):
 
 
 def errors(field, distance):
-    """Errors in voxels: rms of the zero set; rms and maximum of F in the band; maximum of F."""
+    """Returns errors in voxels: zero set (rms), F in the band (rms, maximum), F (maximum)."""
     squares, count = 0.0, 0
     for axis in range(3):
         low, high = [np.moveaxis(field, axis, 0)[s] for s in (slice(None, -1), slice(1, None))]
@@ -109,7 +110,7 @@ def errors(field, distance):
 
 
 def peak_memory():
-    """Peak memory of this process, bytes (Linux); distfield reports the same quantity."""
+    """Returns the peak memory of this process in bytes (Linux), as distfield reports it."""
     with open("/proc/self/status") as file:
         return 1024 * int(re.search(r"VmHWM:\s+(\d+)", file.read()).group(1))
 

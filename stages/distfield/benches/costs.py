@@ -2,13 +2,13 @@
 
     python stages/distfield/benches/costs.py [--bin target/release] [--volumes VOLUME;OPTION ...]
 
-With --volumes it prints one table row per volume: the predictions of `isoparticles-volume info`
+With --volumes, it prints one table row per volume: the predictions of `isoparticles-volume info`
 and, in brackets, the measured values.
 
-Without --volumes it prints one line per phantom and group of stages: nodes of the padded grid,
-faces between voxels, vertices, processor seconds (user and system) and peak memory. The rates
-follow, by least squares of relative errors over the phantoms: seconds per million nodes, faces and
-vertices, and bytes for each.
+Without --volumes, it prints one line per phantom and group of stages: nodes of the padded grid,
+faces between voxels, vertices, processor seconds (user and system) and peak memory. It then prints
+the rates, fitted by least squares of the relative errors over the phantoms: seconds per million
+nodes, faces and vertices, and bytes per node, face and vertex.
 
 Needs numpy. Run it on an otherwise idle machine.
 """
@@ -35,7 +35,7 @@ GROUPS = {"fields": (1, 1, 0), "particles": (1, 0, 1), "triangles": (1, 0, 1)}
 
 
 def measured(command: list[str]) -> tuple[float, int]:
-    """Processor seconds and peak memory (bytes) of a program.
+    """Returns the processor seconds and the peak memory (bytes) of a program.
 
     Exit code 1 (a failed check) is accepted.
     """
@@ -48,7 +48,7 @@ def measured(command: list[str]) -> tuple[float, int]:
 
 
 def predicted(binaries: Path, volume: Path, option: str) -> dict:
-    """The JSON of `isoparticles-volume info` for a volume and one object in it."""
+    """Returns the JSON of `isoparticles-volume info` for one object of a volume."""
     told = subprocess.run(
         [binaries / "isoparticles-volume", "info", volume, "--json", "-", "-q", option], check=True, capture_output=True
     )
@@ -56,7 +56,7 @@ def predicted(binaries: Path, volume: Path, option: str) -> dict:
 
 
 def run(binaries: Path, folder: Path, volume: Path, option: str, sizes: str) -> tuple[dict, dict[str, list[float]]]:
-    """The prediction, and by group: nodes, faces, vertices, processor seconds, peak bytes."""
+    """Returns the prediction and, by group: nodes, faces, vertices, processor seconds, bytes."""
     f, s, seeds, p, mesh = (folder / name for name in ("f.vti", "s.vti", "seeds.bin", "p.bin", "m.vtp"))
     report = folder / "r.json"
     info = predicted(binaries, volume, option)
@@ -87,7 +87,7 @@ def run(binaries: Path, folder: Path, volume: Path, option: str, sizes: str) -> 
 
 
 def row(binaries: Path, volume: Path, option: str) -> str:
-    """A table row of predicted and measured values for one object of a volume."""
+    """Returns a table row of predicted and measured values for one object of a volume."""
     with tempfile.TemporaryDirectory() as folder:
         info, found = run(binaries, Path(folder), volume, option, "")
     cost = info["objects"][0]["cost"]

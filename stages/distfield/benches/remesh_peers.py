@@ -1,17 +1,17 @@
-"""Remesh a surface with another program to a given number of vertices.
+"""Remeshes a surface with another program to a given number of vertices.
 
     python remesh_peers.py PROGRAM JOB.npz RESULT.npz
 
-scale.py calls this with an interpreter that has the packages of peers.lock.
+scale.py runs this script with an interpreter that has the packages of peers.lock.
 
 PROGRAM is botsch (gpytoolbox), cgal (isotropic remeshing, by compas_cgal), mmg (mmgpy), pymeshlab
 (isotropic explicit remeshing), instant-meshes (pyinstantmeshes), acvd (pyacvd), or none, which
-returns the surface unchanged. Programs use their defaults except as noted at the functions below.
+returns the surface unchanged. Programs use their defaults except as noted in the functions below.
 
-JOB has the arrays ``points, triangles, vertices``. RESULT has ``points, triangles``, the
+JOB contains the arrays ``points, triangles, vertices``. RESULT contains ``points, triangles``, the
 ``seconds`` of the last try, and ``bytes``, the peak memory of this process. The edge length is
-uniform. It is adjusted until the number of vertices is within 3 % of the goal, in at most six
-tries.
+uniform. It is adjusted in at most six tries, until the number of vertices is within 3 % of the
+goal.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ CLOSE = 0.03
 
 
 def botsch(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Botsch and Kobbelt's remeshing, ten iterations, with projection."""
+    """Remeshes by the method of Botsch and Kobbelt, with ten iterations and projection."""
     from gpytoolbox import remesh_botsch
 
     return remesh_botsch(points, triangles.astype(np.int32), ITERATIONS, length, True)
 
 
 def cgal(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """CGAL's isotropic remeshing, ten iterations."""
+    """Remeshes by CGAL's isotropic remeshing, with ten iterations."""
     from compas_cgal.meshing import trimesh_remesh
 
     return trimesh_remesh((points, triangles), length, ITERATIONS)
 
 
 def mmg(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """MMGS with a uniform size.
+    """Remeshes by MMGS with a uniform size.
 
     The tolerance ``hausd`` is one edge length, because the default refines by curvature. The ridge
     angle is 180 degrees, because blurred labels have no ridges.
@@ -56,7 +56,7 @@ def mmg(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.nd
 
 
 def pymeshlab(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """MeshLab's isotropic explicit remeshing, ten iterations, without feature lines."""
+    """Remeshes by MeshLab's isotropic explicit remeshing: ten iterations, no feature lines."""
     from pymeshlab import Mesh, MeshSet, PureValue
 
     meshes = MeshSet(verbose=False)
@@ -67,7 +67,7 @@ def pymeshlab(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple
 
 
 def instant_meshes(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Instant Meshes: triangles, extrinsic, deterministic."""
+    """Remeshes by Instant Meshes: triangles, extrinsic, deterministic."""
     from pyinstantmeshes import remesh
 
     return remesh(
@@ -77,7 +77,7 @@ def instant_meshes(points: np.ndarray, triangles: np.ndarray, length: float) -> 
 
 
 def acvd(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Voronoi clusters of the surface, which is subdivided until a cluster has twelve vertices."""
+    """Remeshes by Voronoi clusters, after subdivision to at least twelve vertices per cluster."""
     import pyvista as pv
     from pyacvd import Clustering
 
@@ -108,7 +108,7 @@ def main() -> None:
         points, triangles, wanted = job["points"].astype(np.float64), job["triangles"], int(job["vertices"])
     corners = points[triangles]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-    # for two equilateral triangles per vertex
+    # edge length for two equilateral triangles per vertex
     length = float(np.sqrt(area / wanted * 2.0 / np.sqrt(3.0)))
     for _ in range(TRIES):
         started = time.monotonic()

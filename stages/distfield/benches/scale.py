@@ -3,36 +3,38 @@
     scale.py @solid.txt @thin.txt [--vertices 1000 5000 20000 75000] [--backend gpu]
         [--no-distances] [--tetrahedra .venv/bin/tetmesh-check] [--peers .venv-bench/bin/python]
 
-CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]. @FILE inserts the lines of a file,
-without those that start with # (solid.txt and thin.txt in this folder). $NAME inserts an
-environment variable (DATA is the folder of the real volumes). Run it with the Python of `make env`;
-with --no-distances any Python 3.11 suffices.
+CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]. @FILE inserts the lines of a file (for
+example solid.txt and thin.txt in this folder), except lines that start with #. $NAME inserts an
+environment variable (DATA is the folder of the real volumes). Run the script with the Python of
+`make env`; with --no-distances any Python 3.11 suffices.
 
-Rows of isoparticles: one run from the volume to the checked surface. "components" counts the
-components of the mesh, followed by the changes to those of the data. "s" is the time from the
-volume and, in brackets, from the smoothed field. With --tetrahedra, tetmesh-check meshes the
-surface with all its default checks; the column has the number of tetrahedra and the exit code.
+Rows of isoparticles: one run from the volume to the checked surface. "components" is the number of
+components of the mesh, followed by the changes to the components of the data. "s" is the time from
+the volume and, in brackets, from the smoothed field. With --tetrahedra, tetmesh-check fills the
+surface with tetrahedra and runs all its default checks; the column contains the number of
+tetrahedra and the exit code.
 
 Rows of other remeshers (--programs), with --peers PYTHON (an interpreter with the packages of
-peers.lock, which `make bench-scale` creates): each remeshes the marching-cubes surface of the same
-smoothed field to the same number of vertices within 3 %. Their seconds cover marching cubes and the
-last try. Their angles, ratios and volumes are computed here; those of isoparticles come from the
-report. "crossing" counts pairs of intersecting triangles. Marching cubes and surface nets have the
-number of vertices that the grid gives.
+peers.lock, which `make bench-scale` creates): each program remeshes the marching-cubes surface of
+the same smoothed field to the same number of vertices within 3 %. The seconds cover marching cubes
+and the last try. The angles, ratios and volumes of these meshes are computed here; those of
+isoparticles come from the report. "crossing" is the number of pairs of intersecting triangles. For
+marching cubes and surface nets, the grid determines the number of vertices.
 
-A case whose options include --scale keeps that scale for all vertex counts, and distances are
-measured from the zero set of its field (@remeshers.txt).
+If the options of a case include --scale, all vertex counts use that scale, and distances are
+measured from the zero set of the field at that scale (@remeshers.txt).
 
 With --as-given, scale and edge length come from the options of the case (@peers.txt: `make
-bench-peers`), and the peers start from the label map: VTK reads it, the label's indicator is
+bench-peers`), and the peers start from the label map: VTK reads it, the indicator of the label is
 blurred by a Gaussian of half the scale, marching cubes runs at level 0.5, and the last try follows.
-Seconds then run from the volume to the triangles. Those of isoparticles include reading and writing
-and are followed by those of each stage.
+The seconds then cover the time from the volume to the triangles. The seconds of isoparticles
+include reading and writing, and are followed by the seconds of each stage.
 
-"distance" is that of the mesh's vertices and centroids from the surface at scale 0, which keeps
-every voxel centre on its side: mean, 99th percentile and maximum, mm. "lost" is the distance of
-that surface from the smoothed one: 99th percentile and maximum, mm; it is large where parts
-vanished. "volume" is that of the mesh relative to that of the voxels.
+"distance" is the distance of the mesh's vertices and centroids from the surface at scale 0, which
+keeps every voxel centre on its side: mean, 99th percentile and maximum, mm. "lost" is the distance
+of the surface at scale 0 from the smoothed surface: 99th percentile and maximum, mm; it is large
+where parts vanished. "volume" is the relative difference between the volume of the mesh and that of
+the voxels, %.
 """
 
 from __future__ import annotations
@@ -52,7 +54,7 @@ if TYPE_CHECKING:
 
 
 class RefusedError(Exception):
-    """A stage failed without output; the message is its error."""
+    """A stage failed without output. The message is the error of the stage."""
 
 
 @dataclass
@@ -76,7 +78,7 @@ class Case:
     def run(
         self, key: str, program: str, *arguments: str, program_file: Path | None = None
     ) -> tuple[int, dict[str, Any]]:
-        """Runs a stage; returns its exit code and report."""
+        """Runs a stage. Returns its exit code and its report."""
         report = self.work / f"{self.name}.{key}.{program}.json"
         command = [str(program_file or self.programs / program), *arguments, "--force", "-q", "--report", str(report)]
         done = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
@@ -85,11 +87,11 @@ class Case:
         return done.returncode, json.loads(report.read_text(encoding="utf-8"))
 
     def file(self, key: str, ending: str) -> str:
-        """Path of an output file of a run."""
+        """Returns the path of an output file of a run."""
         return str(self.work / f"{self.name}.{key}.{ending}")
 
     def exact(self) -> pv.ImageData:
-        """Distance field of the case's distfield options (at scale 0 without a --scale)."""
+        """Returns the distance field of the case's options (at scale 0 without a --scale)."""
         path = self.file("exact", "distfield.vti")
         if not Path(path).exists():
             self.run("exact", "distfield", self.volume, *self.distfield, "-o", path)
@@ -99,7 +101,7 @@ class Case:
 
 
 def sample(field: pv.ImageData, points: np.ndarray) -> np.ndarray:
-    """Trilinear values (mm) of a distance field at points in the world."""
+    """Returns trilinear values (mm) of a distance field at points in the world."""
     import numpy as np
     from scipy.ndimage import map_coordinates
 
@@ -110,7 +112,7 @@ def sample(field: pv.ImageData, points: np.ndarray) -> np.ndarray:
 
 
 def exact_surface(field: pv.ImageData) -> np.ndarray:
-    """Vertices of the zero set of a distance field, in the world."""
+    """Returns the vertices of the zero set of a distance field, in the world."""
     import numpy as np
 
     contour = field.contour([0.0], scalars="signed_distance")
@@ -118,7 +120,7 @@ def exact_surface(field: pv.ImageData) -> np.ndarray:
 
 
 def distances(case: Case, surface: str, distfield: str) -> tuple[str, str]:
-    """Distances (mm) of a mesh from the surface at scale 0, and of that from the smoothed one."""
+    """Returns distances (mm): mesh to surface at scale 0, and this surface to the smoothed one."""
     import numpy as np
     import pyvista as pv
 
@@ -145,7 +147,7 @@ class Mesh:
 
 
 def measured(points: np.ndarray, triangles: np.ndarray) -> Mesh:
-    """Measures a mesh of another program; the radius ratio is 2 * inradius / circumradius."""
+    """Measures a mesh of another program. The radius ratio is 2 * inradius / circumradius."""
     import numpy as np
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -177,7 +179,7 @@ def measured(points: np.ndarray, triangles: np.ndarray) -> Mesh:
 
 
 def line(case: Case, vertices: int, program: str, mesh: Mesh, before: float, cells: dict[str, str]) -> str:
-    """One row of the table."""
+    """Returns one row of the table."""
     columns = [
         case.name,
         f"{vertices:,}" if vertices else "as given",
@@ -200,7 +202,7 @@ def line(case: Case, vertices: int, program: str, mesh: Mesh, before: float, cel
 
 
 def row(case: Case, vertices: int) -> tuple[str, float, int]:
-    """Row of isoparticles, the volume of the voxels (mm^3) and the number of vertices.
+    """Returns the row of isoparticles, the volume of the voxels (mm^3) and the vertex count.
 
     With 0 vertices, scale and edge length come from the options of the case.
     """
@@ -254,7 +256,7 @@ def row(case: Case, vertices: int) -> tuple[str, float, int]:
 
 
 def tetrahedra(case: Case, key: str, surface: str, sizefield: str) -> str:
-    """Number of tetrahedra that tetmesh-check makes of a surface, and its exit code."""
+    """Returns the number of tetrahedra of tetmesh-check for a surface, and its exit code."""
     if case.tetmesh_check is None:
         return "-"
     volume = case.file(key, "volume.vtu")
@@ -265,7 +267,7 @@ def tetrahedra(case: Case, key: str, surface: str, sizefield: str) -> str:
 
 
 def blurred(case: Case) -> pv.ImageData:
-    """One minus the label's blurred indicator, padded by one voxel.
+    """Returns one minus the blurred indicator of the label, padded by one voxel.
 
     The standard deviation of the Gaussian is half the scale.
     """
@@ -280,13 +282,13 @@ def blurred(case: Case) -> pv.ImageData:
     indicator = gaussian_filter(np.pad(values == label, 1).astype(np.float32), sigma)
     origin = np.array(volume.origin) - volume.spacing
     made = pv.ImageData(dimensions=indicator.shape[::-1], spacing=volume.spacing, origin=origin)
-    # larger outside, as a distance field
+    # larger outside, like a distance field
     made["outside"] = 1.0 - indicator.ravel()
     return made
 
 
 def peer_row(case: Case, vertices: int, ours: int, before: float, program: str) -> str:
-    """Row of another remesher on the same smoothed field, with `ours` vertices within 3 %."""
+    """Returns the row of another remesher for the same field, with `ours` vertices within 3 %."""
     import numpy as np
     import pyvista as pv
 
@@ -333,7 +335,7 @@ def peer_row(case: Case, vertices: int, ours: int, before: float, program: str) 
 
 
 def nets(field: pv.ImageData, level: float) -> pv.PolyData:
-    """VTK's surface nets of the region below a level, with its default smoothing."""
+    """Returns VTK's surface nets of the region below a level, with the default smoothing."""
     import numpy as np
     import pyvista as pv
 
@@ -344,7 +346,7 @@ def nets(field: pv.ImageData, level: float) -> pv.PolyData:
 
 
 AS_THEY_ARE = ("marching-cubes", "surface-nets")
-"""Methods whose number of vertices is given by the grid."""
+"""Methods for which the grid determines the number of vertices."""
 PEERS = {
     "marching-cubes": "marching cubes (VTK)",
     "surface-nets": "surface nets (VTK)",
@@ -358,7 +360,7 @@ PEERS = {
 
 
 def main() -> None:
-    """Reads the command line and prints the table."""
+    """Parses the command line and prints the table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, fromfile_prefix_chars="@"
     )
@@ -383,7 +385,7 @@ def main() -> None:
         "| object | asked for | program | scale, mm | vertices | exit code | radius ratio, mean / smallest | angles, degrees | distance, mm"
         " | lost, mm | volume, % | components | crossing | tetrahedra | s | MiB |\n" + "|---" * 16 + "|"
     )
-    # case files have comment lines
+    # case files contain comment lines
     for text in (text for text in arguments.cases if not text.startswith("#")):
         name, _, rest = text.partition("=")
         volume, distfield, sizefield = [*os.path.expandvars(rest).split(";"), ""][:3]

@@ -1,13 +1,13 @@
 //! Bit sets over the nodes of a grid, and rank queries on them.
 //!
-//! [`Bits`] holds one bit per node (x fastest) and offers the neighbourhood tests that contacts and
-//! band searches need. [`Numbering`] counts the nodes of a set before a given node, so that values
+//! [`Bits`] stores one bit per node (x fastest) and provides the neighbourhood tests for contacts
+//! and band searches. [`Numbering`] counts the nodes of a set before a given node, so that values
 //! at the nodes of the set fit in a compact array.
 
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Nodes per parallel task; a multiple of 64, so that tasks own whole words.
+/// Number of nodes per parallel task: a multiple of 64, so that each task owns whole words.
 const CHUNK: usize = 1 << 14;
 
 /// A set of nodes.
@@ -17,7 +17,7 @@ pub struct Bits {
 }
 
 impl Bits {
-    /// The nodes n of the first `count` nodes for which `holds(n)` is true.
+    /// Returns the set of the nodes n < `count` for which `holds(n)` is true.
     pub fn of(count: usize, holds: impl Fn(usize) -> bool + Sync) -> Self {
         let mut words = vec![0u64; count.div_ceil(64)];
         words.par_chunks_mut(CHUNK / 64).enumerate().for_each(|(chunk, words)| {
@@ -31,12 +31,12 @@ impl Bits {
         Self { words }
     }
 
-    /// An empty set over the first `count` nodes.
+    /// Returns an empty set over the first `count` nodes.
     pub fn none(count: usize) -> Self {
         Self { words: vec![0; count.div_ceil(64)] }
     }
 
-    /// Whether a node is in the set.
+    /// Returns whether a node is in the set.
     #[inline(always)]
     pub fn holds(&self, node: usize) -> bool {
         self.words[node / 64] >> (node % 64) & 1 == 1
@@ -52,10 +52,10 @@ impl Bits {
         }
     }
 
-    /// The union of four copies of the set, each shifted up by one of `numbers`. No shifted node
-    /// may lie beyond the grid.
+    /// Returns the union of four copies of the set, each shifted up by one of `numbers`. No shifted
+    /// node may lie beyond the grid.
     pub fn moved(&self, numbers: [usize; 4]) -> Self {
-        // words before the first one are empty
+        // words before the first word are empty
         let before = |word: usize, back: usize| word.checked_sub(back).map_or(0, |word| self.words[word]);
         let mut words = vec![0; self.words.len()];
         words.par_chunks_mut(CHUNK / 64).enumerate().for_each(|(chunk, words)| {
@@ -70,18 +70,19 @@ impl Bits {
         Self { words }
     }
 
-    /// The 64 bits from node `first` on. Words outside the set read as `beyond`.
+    /// Returns the 64 bits from node `first` on. Words outside the set have the value `beyond`.
     fn word(&self, first: isize, beyond: u64) -> u64 {
         let (at, up) = (first.div_euclid(64), first.rem_euclid(64) as u32);
         let word = |at: isize| usize::try_from(at).ok().and_then(|at| self.words.get(at)).copied().unwrap_or(beyond);
         word(at) >> up | word(at + 1).checked_shl(64 - up).unwrap_or(0)
     }
 
-    /// The nodes whose neighbourhood of 27 nodes (the node itself included) is mixed: at least one
-    /// node is in the set and at least one is not. The arguments are the strides along x, y and z.
+    /// Returns the nodes whose neighbourhood of 27 nodes (including the node itself) is mixed: at
+    /// least one node is in the set and at least one is not. The arguments are the strides along x,
+    /// y and z.
     ///
-    /// Rows are taken as contiguous: the node after the end of a row is the start of the next row.
-    /// Bits after the last node may be set as well.
+    /// Rows are treated as contiguous: the node after the end of a row is the start of the next
+    /// row. Bits after the last node may also be set.
     pub fn near_the_rest(&self, [along, row, slice]: [usize; 3]) -> Self {
         let signed = |step: usize, n: isize| step as isize * n;
         let steps: Vec<isize> =
@@ -95,8 +96,8 @@ impl Bits {
     }
 
     /// Visits the nodes of a range that start an alternating face: both nodes one step away are on
-    /// the other side, and the node both steps away is on the side of the first. There two parts
-    /// touch along an edge. The steps must be along axes and stay on the grid.
+    /// the other side, and the node both steps away is on the same side as the first. Two parts
+    /// touch along an edge there. The steps must be along axes and stay on the grid.
     pub fn each_alternating(&self, range: Range<usize>, [one, other]: [usize; 2], mut visit: impl FnMut(usize)) {
         for first in range.clone().step_by(64) {
             let [own, a, b, both] = [0, one, other, one + other].map(|step| self.word((first + step) as isize, 0));
@@ -112,13 +113,13 @@ impl Bits {
         }
     }
 
-    /// Number of nodes in the set.
+    /// Returns the number of nodes in the set.
     pub fn count(&self) -> usize {
         ones(&self.words)
     }
 }
 
-/// Number of bits set.
+/// Returns the number of set bits.
 fn ones(words: &[u64]) -> usize {
     words.iter().map(|word| word.count_ones() as usize).sum()
 }
@@ -147,7 +148,8 @@ impl Numbering {
         Self { bits, before, count }
     }
 
-    /// Number of nodes of the set below `node`. For a node of the set this is its number.
+    /// Returns the number of nodes of the set below `node`. For a node of the set, this is its
+    /// number.
     pub fn number(&self, node: usize) -> usize {
         let word = node / 64;
         if word == self.bits.words.len() {
@@ -158,7 +160,7 @@ impl Numbering {
         self.before[block] + ones(&self.bits.words[block * BLOCK..word]) + below.count_ones() as usize
     }
 
-    /// The number of a node, or `None` if it is not in the set.
+    /// Returns the number of a node, or `None` if the node is not in the set.
     pub fn find(&self, node: usize) -> Option<usize> {
         self.bits.holds(node).then(|| self.number(node))
     }
@@ -208,7 +210,7 @@ mod tests {
         let size = [13usize, 12, 11];
         let steps = [1, size[0], size[0] * size[1]];
         let count = steps[2] * size[2];
-        // the outer two layers are empty, so that no row continues in the next one
+        // the outer two layers are empty, so that no row continues in the next row
         let is_inner = |n: usize| (0..3).all(|a| (2..size[a] - 2).contains(&(n / steps[a] % size[a])));
         let bits = Bits::of(count, |n| is_inner(n) && isoparticles_field::random::uniform(5, 0, n as u64) < 0.5);
         let near = bits.near_the_rest(steps);

@@ -1,7 +1,7 @@
-//! Closes the object at the border of the volume: intersection of its signed distance with the box
+//! Closes the object at the border of the volume by intersecting its signed distance with the box
 //! of the voxels, with rounded edges.
 //!
-//! The box reaches half a voxel beyond the outermost voxel centres, and the edges have a fillet of
+//! The box extends half a voxel beyond the outermost voxel centres, and its edges have a fillet of
 //! half a voxel. The surface between voxel centres is therefore unchanged.
 
 use glam::DVec3;
@@ -17,8 +17,9 @@ pub struct BorderBox {
 }
 
 impl BorderBox {
-    /// The box of an input whose grid, with `margin` more voxels on each face, is `padded`. The box
-    /// is unbounded across the faces that are not `closed` (two per axis, low face first).
+    /// Returns the box of an input. `padded` is the grid of the input with `margin` more voxels on
+    /// each face. The box is unbounded across the faces that are not `closed` (two per axis, low
+    /// face first).
     pub fn new(padded: &Geometry, margin: usize, closed: [[bool; 2]; 3]) -> Self {
         let first = padded.index_to_grid(DVec3::splat(margin as f64 - 0.5));
         let mut low = first;
@@ -31,8 +32,8 @@ impl BorderBox {
         Self { low, high, radius: 0.5 * padded.min_spacing(), reach: padded.spacing.max_element() }
     }
 
-    /// Signed distance (mm) and gradient of the intersection of the object with the box. `value`
-    /// and `gradient` are those of the object at the point `grid`.
+    /// Returns the signed distance (mm) and the gradient of the intersection of the object with the
+    /// box. `value` and `gradient` are those of the object at the point `grid`.
     pub fn intersect(&self, grid: DVec3, value: f64, gradient: DVec3) -> (f64, DVec3) {
         let (below, above) = (self.low - grid, grid - self.high);
         let mut result = (value, gradient);
@@ -43,18 +44,19 @@ impl BorderBox {
         result
     }
 
-    /// Whether a point is more than three voxels (maximum spacing) inside the box. The box then
-    /// changes neither the surface there nor that in the neighbouring cells.
+    /// Returns whether a point is more than three voxels (of the maximum spacing) inside the box.
+    /// The box then leaves the surface unchanged, both there and in the neighbouring cells.
     pub fn is_deep(&self, grid: DVec3) -> bool {
         (self.low - grid).max(grid - self.high).max_element() < -3.0 * self.reach
     }
 
-    /// Whether the box leaves the surface at a point unchanged.
+    /// Returns whether the box leaves the surface at a point unchanged.
     pub fn leaves(&self, grid: DVec3) -> bool {
         (self.low - grid).max(grid - self.high).max_element() <= -self.radius
     }
 
-    /// Maximum of two signed distances, with a circular fillet where both exceed minus the radius.
+    /// Returns the maximum of two signed distances, with a circular fillet where both exceed minus
+    /// the radius.
     fn rounded_maximum(&self, a: (f64, DVec3), b: (f64, DVec3)) -> (f64, DVec3) {
         let (u, v) = (a.0 + self.radius, b.0 + self.radius);
         if u > 0.0 && v > 0.0 {
@@ -81,10 +83,10 @@ mod tests {
         let (value, direction) = border.intersect(first, 0.0, gradient);
         assert_eq!(value, 0.0);
         assert_eq!(direction, gradient);
-        // deep inside the object the face of the box is the surface
+        // deep inside the object, the face of the box is the surface
         let (value, direction) = border.intersect(first - DVec3::X * 0.35, -5.0, gradient);
         assert!(value.abs() < 1e-12 && direction == -DVec3::X);
-        // beyond a right-angled edge the distance is that to the fillet
+        // beyond a right-angled edge, the distance is measured to the fillet
         let corner = DVec3::new(border.low.x - 1.0, border.low.y - 1.0, 20.0);
         let (value, _) = border.intersect(corner, -9.0, gradient);
         let r = 0.35;

@@ -1,8 +1,9 @@
-//! What `--scale` changes: volume, voxel centres that change side and their depth, and parts that
-//! vanish, break, merge, lose thin ends or have gaps filled.
+//! Measures the changes due to `--scale`: volume, voxel centres that change side and their depth,
+//! and parts that vanish, break, merge, lose thin ends or have gaps filled.
 //!
-//! Input: the occupancy before smoothing and the level set after it, on one grid. Output:
-//! [`Changes`], with the position of each event. Parts are sets of voxels connected through faces.
+//! The input is the occupancy before smoothing and the level set after smoothing, on one grid. The
+//! output is [`Changes`], with the position of each event. Parts are sets of voxels connected
+//! through faces.
 
 use crate::bits::Bits;
 use crate::keep::parts_of_runs;
@@ -15,28 +16,29 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Events listed in the report, for each kind. All events are counted.
+/// Maximum number of events of each kind listed in the report. All events are counted.
 const LISTED: usize = 20;
 
-/// Level of removed parts: at most minus this value.
+/// The level of removed parts is at most minus this value.
 const CLEARLY_OUTSIDE: f32 = 0.05;
 
-/// Losses below this share of the original volume are reported as specks.
+/// Losses below this fraction of the original volume are reported as specks.
 pub const SPECKS: f64 = 1e-3;
 
 /// What happened to a part of the object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
-    /// A part is in several pieces.
+    /// A part is split into several pieces.
     Broken,
-    /// A part is gone.
+    /// A part has vanished.
     Gone,
-    /// Several parts are merged.
+    /// Several parts have merged.
     Joined,
-    /// A piece of a part that reached farther from the rest than the scale is gone.
+    /// A piece of a part that extended farther than the scale from the rest of the part has
+    /// vanished.
     Shortened,
-    /// A gap deeper than the scale is filled.
+    /// A gap deeper than the scale has been filled.
     Filled,
 }
 
@@ -45,17 +47,17 @@ pub enum Kind {
 pub struct Event {
     /// The kind of change.
     pub kind: Kind,
-    /// Volume by voxel count, mm^3: of the voxels lost or filled, of the part that broke, or of the
-    /// merged part. For shortened ends and filled gaps, only voxels deeper than half the scale
-    /// count.
+    /// Volume in mm^3, by voxel count. Gone, shortened, filled: the voxels lost or filled. Broken:
+    /// the part that broke. Joined: the merged part. For shortened ends and filled gaps, only
+    /// voxels deeper than half the scale count.
     pub volume: f64,
-    /// Mean of the voxel centres, in the world, mm.
+    /// Mean of the voxel centres in world coordinates, mm.
     pub place: [f64; 3],
     /// Number of pieces of a broken part, or of parts that merged; otherwise 1.
     pub pieces: usize,
 }
 
-/// Distances of changed voxel centres from the original voxel surface (voxel faces), mm.
+/// Distances of changed voxel centres from the original voxel surface (voxel faces), in mm.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Depth {
     /// Mean.
@@ -73,7 +75,7 @@ pub struct Changes {
     pub volume_before: f64,
     /// Number of voxel centres that changed side.
     pub voxels_changed: usize,
-    /// Distances of these centres from the original surface.
+    /// Distances of these voxel centres from the original surface.
     pub depth: Depth,
     /// Number of parts before and after; voxels are connected through faces.
     pub components: [usize; 2],
@@ -84,15 +86,15 @@ pub struct Changes {
     pub counts: BTreeMap<Kind, usize>,
     /// Total volume of the events of each kind, mm^3.
     pub volumes: BTreeMap<Kind, f64>,
-    /// The events of largest volume, at most 20 of each kind.
+    /// The events with the largest volumes, at most 20 of each kind.
     pub events: Vec<Event>,
 }
 
 /// Removes the parts of `level > 0` whose volume (voxel count, mm^3) is below `smallest`. If all
-/// parts are smaller, none is removed.
+/// parts are smaller, no part is removed.
 ///
 /// # Errors
-/// When there are too many runs of voxels to label the parts.
+/// If there are too many runs of voxels to label the parts.
 pub fn remove_crumbs(level: &mut [f32], geometry: &Geometry, smallest: f64) -> Result<()> {
     let inside = Runs::of(geometry.size, |n| level[n] > 0.0);
     let part = parts_of_runs(&inside, geometry.size, &[])?;
@@ -113,12 +115,12 @@ pub fn remove_crumbs(level: &mut [f32], geometry: &Geometry, smallest: f64) -> R
 }
 
 impl Changes {
-    /// Compares the occupancy before smoothing with `level > 0`. Returns `None` if `level` is
-    /// positive nowhere. `volume` is that of the whole object before smoothing (mm^3), `scale` the
-    /// scale (mm).
+    /// Compares the occupancy before smoothing with `level > 0`. Returns `None` if no level is
+    /// positive. `volume` is the volume of the whole object before smoothing (mm^3), and `scale` is
+    /// the scale (mm).
     ///
     /// # Errors
-    /// When there are too many runs of voxels to label the parts.
+    /// If there are too many runs of voxels to label the parts.
     pub fn between(before: &Occupancy, level: &[f32], volume: f64, scale: f64) -> Result<Option<Self>> {
         let geometry = &before.geometry;
         let count = level.len();
@@ -157,24 +159,24 @@ impl Changes {
         }))
     }
 
-    /// Number of events of a kind.
+    /// Returns the number of events of a kind.
     pub fn count(&self, kind: Kind) -> usize {
         self.counts.get(&kind).copied().unwrap_or(0)
     }
 
-    /// Total volume of vanished parts and lost thin ends, mm^3.
+    /// Returns the total volume of vanished parts and lost thin ends, mm^3.
     pub fn lost(&self) -> f64 {
         [Kind::Gone, Kind::Shortened].iter().filter_map(|kind| self.volumes.get(kind)).sum()
     }
 }
 
-/// x, y and z index of a voxel.
+/// Returns the x, y and z indices of a voxel.
 fn index(size: [usize; 3], n: usize) -> [usize; 3] {
     [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])]
 }
 
-/// Distance (mm) from the centre of voxel `n` to the nearest voxel on the other side, measured to
-/// the box of that voxel. Searches cubic shells of growing radius.
+/// Returns the distance (mm) from the centre of voxel `n` to the nearest voxel on the other side,
+/// measured to the box of that voxel. Searches cubic shells of growing radius.
 fn depth(old: &Bits, geometry: &Geometry, n: usize) -> f64 {
     let (size, spacing) = (geometry.size, geometry.spacing);
     let (at, side) = (index(size, n), old.holds(n));
@@ -186,7 +188,7 @@ fn depth(old: &Bits, geometry: &Geometry, n: usize) -> f64 {
             for j in span(1) {
                 let is_shell = k.abs_diff(at[2]) == reach || j.abs_diff(at[1]) == reach;
                 let step = if is_shell { 1 } else { 2 * reach };
-                // inside the shell only the two end voxels of a row are new
+                // in rows through the interior of the shell, only the two end voxels are new
                 let first = if is_shell { *span(0).start() as isize } else { at[0] as isize - reach as isize };
                 for i in (first..=*span(0).end() as isize).step_by(step).filter(|&i| i >= 0) {
                     let near = [i as usize, j, k];
@@ -228,7 +230,7 @@ impl Sum {
     }
 }
 
-/// The connected parts of a set, each named by its first run, with their sums.
+/// The connected parts of a set, with their sums. Each part is identified by its first run.
 struct Parts {
     runs: Runs,
     part: Vec<u32>,
@@ -248,7 +250,8 @@ impl Parts {
     }
 }
 
-/// Events for parts that vanished, broke or merged, and the number of parts before and after.
+/// Returns events for parts that vanished, broke or merged, and the number of parts before and
+/// after.
 fn compare_parts(old: &Bits, new: &Bits, geometry: &Geometry) -> Result<(Vec<Event>, [usize; 2])> {
     let [_, ny, nz] = geometry.size;
     let (before, after) = (Parts::of(old, geometry.size)?, Parts::of(new, geometry.size)?);
@@ -278,10 +281,10 @@ fn compare_parts(old: &Bits, new: &Bits, geometry: &Geometry) -> Result<(Vec<Eve
     Ok((events, [before.sums.len(), after.sums.len()]))
 }
 
-/// Regions of `from` without `kept` that reach farther than `scale` (mm) from `kept`. Distance
-/// counts steps between face neighbours within the region, at the mean spacing. The volume of an
-/// event is that of the voxels farther than half the scale. Parts with no voxel in `kept` are left
-/// out.
+/// Returns events for the regions of `from` outside `kept` that extend farther than `scale` (mm)
+/// from `kept`. The distance counts steps between face neighbours within the region, at the mean
+/// spacing. The volume of an event includes only voxels farther away than half the scale. Regions
+/// without a face neighbour in `kept` are excluded.
 fn reaching_out(from: &Bits, kept: &Bits, geometry: &Geometry, scale: f64, kind: Kind) -> Result<Vec<Event>> {
     let size = geometry.size;
     let gone = Runs::of(size, |n| from.holds(n) && !kept.holds(n));
@@ -334,8 +337,8 @@ fn reaching_out(from: &Bits, kept: &Bits, geometry: &Geometry, scale: f64, kind:
     Ok(far.values().filter(|(_, reaches)| *reaches).map(|(sum, _)| sum.event(kind, 1, geometry)).collect())
 }
 
-/// Euler characteristic of the cubical complex on the inside voxel centres: vertices - edges +
-/// squares - cubes.
+/// Computes the Euler characteristic of the cubical complex on the inside voxel centres: vertices -
+/// edges + squares - cubes.
 fn euler(inside: &Bits, size: [usize; 3]) -> i64 {
     let [nx, ny, nz] = size;
     let slices = (0..nz).into_par_iter().map(|k| {

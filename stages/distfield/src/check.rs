@@ -1,5 +1,5 @@
-//! Checks that need no computation: options that conflict, and, if the volume can be read, labels,
-//! names and iso values that it does not contain.
+//! Checks that need no computation: conflicting options and, if the volume can be read, labels,
+//! names and iso values that the volume does not contain.
 
 use crate::choose::Object;
 use crate::input::check_kind;
@@ -14,8 +14,8 @@ use isoparticles_volume::{ReadOptions, read_volume_with};
 /// Checks the options and adds the names of the materials to `known`.
 ///
 /// # Errors
-/// When `--material` is combined with an option it does not support; when the volume cannot be
-/// read; when labels, names, materials or the iso value are not in the volume.
+/// If `--material` is combined with an unsupported option; if the volume cannot be read; or if
+/// labels, names, materials or the iso value are not in the volume.
 pub(crate) fn check(args: &Args, known: Known) -> Result<Known> {
     if !args.material.is_empty() {
         check_options(args)?;

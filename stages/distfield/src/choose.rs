@@ -1,5 +1,5 @@
-//! Choice of the smoothing scale: `--scale`, the options that derive it from an edge length, a
-//! vertex count or a quality, and the messages about what the scale changed.
+//! Chooses the smoothing scale: `--scale`, the options that derive the scale from an edge length, a
+//! vertex count or a quality, and the messages about the changes due to the scale.
 //!
 //! The scale is twice the standard deviation of the Gaussian, in mm. Scale 0 means no smoothing.
 
@@ -20,20 +20,20 @@ use isoparticles_volume::{Geometry, Image, LayerLabel, Volume};
 use serde_json::{Value, json};
 use std::f64::consts::PI;
 
-/// Options that set how much of the data the surface keeps.
+/// Options that set how much detail of the data the surface keeps.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct ScaleArgs {
-    /// Smooth away details smaller than this length, mm. Smooths by a Gaussian with a standard
-    /// deviation of half this length and keeps the local volume. With 0, every voxel centre of a
-    /// label map keeps its side, and a scalar volume keeps its isosurface. Changes are reported
-    /// [default: 0]
+    /// Smooth away details smaller than this length, mm. The Gaussian has a standard deviation of
+    /// half this length, and the local volume is preserved. With 0, every voxel centre of a label
+    /// map keeps its side, and a scalar volume keeps its isosurface. Changes are reported [default:
+    /// 0]
     #[arg(long, value_name = "MM", value_parser = not_negative, help_heading = METHOD)]
     pub scale: Option<f64>,
-    /// Choose the scale for a mesh of this edge length, mm: 1.6 times the edge length if that
-    /// exceeds 0.75 voxel (voxel steps would show), otherwise 0
+    /// Choose the scale for a mesh of this edge length, mm: 1.6 times the edge length if the edge
+    /// length exceeds 0.75 voxel (voxel steps would show), otherwise 0
     #[arg(long, value_name = "MM", value_parser = positive, conflicts_with = "scale", help_heading = METHOD)]
     pub scale_for_size: Option<f64>,
-    /// Choose the scale for a mesh of this number of vertices
+    /// Choose the scale for a mesh with this number of vertices
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), conflicts_with_all = ["scale", "scale_for_size"],
         help_heading = METHOD)]
     pub scale_for_vertices: Option<u64>,
@@ -41,29 +41,29 @@ pub struct ScaleArgs {
     /// scale above 0; `medium` and `fine` give 0
     #[arg(long, value_enum, value_name = "HOW", conflicts_with_all = ["scale", "scale_for_size", "scale_for_vertices"], help_heading = METHOD)]
     pub quality: Option<Quality>,
-    /// Keep parts and gaps too thin for a mesh of the scale's edge length; such places need a
-    /// smaller h
+    /// Keep parts and gaps that are too thin for a mesh of the scale's edge length; such parts and
+    /// gaps need a smaller h
     #[arg(long, help_heading = METHOD)]
     pub keep_thin: bool,
 }
 
-/// Maximum edge length, in voxels (mean spacing), of a mesh that follows the voxel steps well.
-/// Longer edges need smoothing. Mean / minimum radius ratio on `heart_label`: at 0.65 voxel 0.984 /
-/// 0.69 without a scale and 0.984 / 0.63 with one; at 1.25 voxels 0.955 / 0.55 and 0.984 / 0.71. On
-/// `tooth_ct` with a scale, at 0.8 voxel: 0.988 / 0.83.
+/// Maximum edge length, in units of the mean voxel spacing, of a mesh that follows the voxel steps
+/// well. Longer edges need smoothing. Mean / minimum radius ratio on `heart_label`: at 0.65 voxel,
+/// 0.984 / 0.69 without a scale and 0.984 / 0.63 with a scale; at 1.25 voxels, 0.955 / 0.55 without
+/// and 0.984 / 0.71 with a scale. On `tooth_ct` with a scale, at 0.8 voxel: 0.988 / 0.83.
 const FINE_ENOUGH: f64 = 0.75;
 
 /// A scale and the reason for it.
 pub struct Choice {
-    /// The scale, mm; 0 for none.
+    /// The scale in mm; 0 means no smoothing.
     pub length: f64,
-    /// The reason, as text for the user.
+    /// The reason, as a message for the user.
     pub reason: String,
 }
 
 impl Choice {
-    /// The scale for an edge length (mm). `whose` describes the length in the reason; `voxel` is
-    /// the mean spacing (mm).
+    /// Chooses the scale for an edge length (mm). `whose` describes the edge length in the reason;
+    /// `voxel` is the mean spacing (mm).
     fn for_length(length: f64, whose: &str, voxel: f64) -> Self {
         let limit = format!("{FINE_ENOUGH} times the voxel size of {voxel:.4} mm");
         if length > FINE_ENOUGH * voxel {
@@ -84,11 +84,11 @@ pub enum Object {
 }
 
 impl Object {
-    /// The bounding box of the object's voxels, `None` if no voxel is inside. Returns the volume as
-    /// well.
+    /// Returns the volume and the bounding box of the object's voxels. The box is `None` if no
+    /// voxel is inside.
     ///
     /// # Errors
-    /// For a scalar volume, when its voxels or the iso value give no surface.
+    /// If the object is defined by an iso value and the volume has no surface for it.
     pub fn locate(&self, volume: Volume) -> Result<(Volume, Option<VoxelBox>)> {
         match self {
             Self::Labels(labels) => {
@@ -117,14 +117,14 @@ impl ScaleArgs {
         }
     }
 
-    /// Whether the options can give a scale above 0.
+    /// Returns whether the options can give a scale above 0.
     pub(crate) fn is_given(&self) -> bool {
         let chosen = self.scale_for_size.is_some() || self.scale_for_vertices.is_some() || self.quality.is_some();
         self.scale.is_some_and(|scale| scale > 0.0) || chosen
     }
 
-    /// The scale from an edge length, a quality or `--scale`. `None` for `--scale-for-vertices`,
-    /// which needs the area of the object.
+    /// Returns the scale from an edge length, a quality or `--scale`. Returns `None` for
+    /// `--scale-for-vertices`, which needs the area of the object.
     pub(crate) fn choose_by_length(&self, geometry: &Geometry) -> Option<Choice> {
         let voxel = geometry.mean_spacing();
         if let Some(size) = self.scale_for_size {
@@ -139,12 +139,12 @@ impl ScaleArgs {
         self.scale_for_vertices.is_none().then_some(given)
     }
 
-    /// The scale for `--scale-for-vertices`. `edge_length` returns the edge length (mm) for a
-    /// number of vertices; its second argument says whether thin parts are kept. `volume` is the
-    /// volume of the object, mm^3.
+    /// Chooses the scale for `--scale-for-vertices`. `edge_length` returns the edge length (mm) for
+    /// a number of vertices; its second argument states whether thin parts are kept. `volume` is
+    /// the volume of the object, mm^3.
     ///
     /// # Errors
-    /// When the edge length cannot be found, and when nothing is left of the object.
+    /// If the edge length cannot be found, or if nothing is left of the object.
     pub(crate) fn choose_by_area(
         &self,
         geometry: &Geometry,
@@ -159,7 +159,7 @@ impl ScaleArgs {
     }
 }
 
-/// The error for a scale that leaves nothing of an object of `volume` mm^3.
+/// Returns the error for a scale that leaves nothing of an object of `volume` mm^3.
 fn nothing_left(by: &str, volume: f64) -> Error {
     // surface area of a ball of that volume
     let area = (36.0 * PI * volume * volume).cbrt();
@@ -174,11 +174,11 @@ fn nothing_left(by: &str, volume: f64) -> Error {
     )
 }
 
-/// Chooses the scale and reports it to the user. `None` means no smoothing. Returns the volume as
-/// well.
+/// Chooses the scale and reports it to the user. Returns the volume and the scale; `None` means no
+/// smoothing.
 ///
 /// # Errors
-/// When the scalar volume gives no surface, and when nothing is left of the object.
+/// If the scalar volume has no surface, or if nothing is left of the object.
 pub fn choose_scale(
     args: &ScaleArgs,
     volume: Volume,
@@ -206,10 +206,10 @@ pub fn choose_scale(
     Ok((volume, (choice.length > 0.0).then_some(choice)))
 }
 
-/// Smooths the object and computes F, with notes for the output file.
+/// Smooths the object and computes F. Also returns notes for the output file.
 ///
 /// # Errors
-/// When nothing is left of the object, and when the run is interrupted.
+/// If nothing is left of the object, or if the run is interrupted.
 pub fn extract_scaled(
     Choice { length, reason }: Choice,
     keep_thin: bool,
@@ -256,7 +256,7 @@ fn occupancy(volume: &Volume, object: &Object) -> Occupancy {
     }
 }
 
-/// Events named on the terminal, for each kind.
+/// Maximum number of events of each kind listed on the terminal.
 const NAMED: usize = 3;
 
 /// Reports the changes: a summary, and a message for each kind of event.

@@ -1,9 +1,9 @@
-//! Signed distance from closest points.
+//! Computes signed distances from closest points.
 //!
 //! Every node has a nearest surface sample ([`crate::nearest`]). Within a band around the surface,
 //! Newton's method finds the closest point on the zero set. Farther out, the surface near the
 //! sample is approximated to second order. If the foot of the node is too far from the sample for
-//! that, steps over the surface first find a nearer point.
+//! this approximation, steps along the surface first find a nearer point.
 
 use crate::bits::Bits;
 use crate::field::Source;
@@ -13,32 +13,32 @@ use glam::{DMat3, DVec3, Mat3, Vec3};
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
-/// Minimum determinant of the Hessian of half the squared distance, relative to that of a plane, at
-/// a closest point. Below it the node is near a focal point of the surface, where the second-order
-/// approximation fails.
+/// Minimum determinant of the Hessian of half the squared distance at a closest point, relative to
+/// that of a plane. Below this value, the node is near a focal point of the surface, where the
+/// second-order approximation fails.
 const LEAST_DETERMINANT: f32 = 0.01;
 
 /// Maximum number of steps from patch to patch towards the closest point.
 const MOST_WALKS: usize = 8;
 
-/// Maximum length of such a step, in voxels (minimum spacing).
+/// Maximum length of a step from patch to patch, in units of the minimum voxel spacing.
 const LONGEST_WALK: f32 = 2.0;
 
 /// Maximum distance between a sample and the foot of a node for the second-order approximation, in
-/// voxels (minimum spacing).
+/// units of the minimum voxel spacing.
 const PATCH_REACH: f64 = 1.5;
 
-/// Newton's method stops after a step this short, in voxels (minimum spacing). The remaining error
-/// is of the order of its square.
+/// Newton's method stops after a step of at most this length, in units of the minimum voxel
+/// spacing. The remaining error is of the order of this length squared.
 const LAST_STEP: f64 = 1e-3;
 
-/// Signed distance (mm) of every node to the surface of `source`, negative at the `inside` nodes.
-/// `samples` are dense samples of the surface.
+/// Computes the signed distance (mm) of every node to the surface of `source`, negative at the
+/// `inside` nodes. `samples` are dense samples of the surface.
 ///
-/// Within `band` mm, Newton's method finds the closest point. Beyond it, the distance is that to
-/// the second-order surface at the nearest sample. If that sample lies on the cap, steps along
-/// tangent planes find a nearer point instead. Distances are clamped to `limit` mm, which may be
-/// infinite and is at least `band`.
+/// Within `band` mm, Newton's method finds the closest point. Beyond the band, the distance is
+/// measured to the second-order surface at the nearest sample. If that sample lies on the cap,
+/// steps along tangent planes find a nearer point instead. Distances are clamped to `limit` mm,
+/// which may be infinite and is at least `band`.
 pub fn distance_to_zero_set(
     geometry: Geometry,
     inside: &Bits,
@@ -47,8 +47,8 @@ pub fn distance_to_zero_set(
     band: f64,
     limit: f64,
 ) -> Image<f32> {
-    // the zeroed allocation takes no memory until written, slab by slab, while the coarse grid of
-    // nearest samples shrinks
+    // The zeroed allocation takes no memory until it is written. It is written slab by slab, while
+    // the coarse grid of nearest samples shrinks.
     let mut data = vec![0.0; geometry.voxel_count()];
     let patches: Vec<Patch> = samples.par_iter().map(|&p| Patch::new(source, p)).collect();
     let surface = Surface { source, samples, patches, band, reach: PATCH_REACH * geometry.min_spacing() };
@@ -78,8 +78,8 @@ struct Surface<'a> {
 }
 
 impl Surface<'_> {
-    /// Distance (mm) of the node `at`, whose nearest sample is at the squared distance `squared`
-    /// (mm^2); infinite if the node has no sample.
+    /// Returns the distance (mm) of the node `at`, whose nearest sample is at the squared distance
+    /// `squared` (mm^2). Returns infinity if the node has no sample.
     fn distance(&self, geometry: &Geometry, slab: &Slab, at: [usize; 3], squared: f32) -> f32 {
         let mut sample = slab.sample[geometry.linear(at[0], at[1], at[2] - slab.first)];
         if sample == NONE {
@@ -110,7 +110,8 @@ impl Surface<'_> {
         distance as f32
     }
 
-    /// The sample nearest to a node, among its own and those of the 26 nodes around it.
+    /// Returns the sample nearest to a node, among its own sample and those of the 26 surrounding
+    /// nodes.
     fn nearest_around(&self, geometry: &Geometry, slab: &Slab, at: [usize; 3], node: DVec3) -> u32 {
         let range = |axis: usize| at[axis].saturating_sub(1)..(at[axis] + 2).min(geometry.size[axis]);
         let own = slab.sample[geometry.linear(at[0], at[1], at[2] - slab.first)];
@@ -136,8 +137,8 @@ impl Surface<'_> {
 struct Patch {
     /// Outward unit normal.
     normal: Vec3,
-    /// Curvature tensor (Goldman 2005), 1/mm: xx, yy, zz, xy, yz, zx. NaN where the border box cuts
-    /// the surface.
+    /// Curvature tensor (Goldman 2005) in 1/mm: xx, yy, zz, xy, yz, zx. NaN where the border box
+    /// cuts the surface.
     shape: [f32; 6],
 }
 
@@ -155,15 +156,16 @@ impl Patch {
         Self { normal: normal.as_vec3(), shape: [x.x, y.y, z.z, x.y, y.z, x.z] }
     }
 
-    /// The curvature tensor; `None` where it is not defined.
+    /// Returns the curvature tensor, or `None` where it is not defined.
     fn curvature(&self) -> Option<Mat3> {
         let [xx, yy, zz, xy, yz, zx] = self.shape;
         let shape = Mat3::from_cols(Vec3::new(xx, xy, zx), Vec3::new(xy, yy, yz), Vec3::new(zx, yz, zz));
         shape.is_finite().then_some(shape)
     }
 
-    /// Vector in the tangent plane from the patch's point to the foot of a node, given the vector
-    /// to the node. `None` where the surface bends so strongly that the point is not a closest one.
+    /// Returns the vector in the tangent plane from the patch's point to the foot of a node, given
+    /// the vector to the node. Returns `None` where the surface bends so strongly that the point is
+    /// not a closest point.
     ///
     /// With the node at height D above the tangent plane and offset t within it, the closest point
     /// of the surface -u.Su/2 is at u = (I + D S)^-1 t. S maps the tangent plane to itself, so the
@@ -180,9 +182,10 @@ impl Patch {
         is_minimum.then(|| (aside * (1.0 + trace) - shape * aside * height) / determinant)
     }
 
-    /// Distance (mm) of a node to the patch, given the vector from the patch's point to the node.
-    /// `None` where the foot u is undefined or farther than `reach` (mm) from the patch's point.
-    /// The squared distance to the foot is that to the patch's point minus t.u.
+    /// Returns the distance (mm) of a node to the patch, given the vector from the patch's point to
+    /// the node. Returns `None` where the foot u is undefined or farther than `reach` (mm) from the
+    /// patch's point. The squared distance to the foot is the squared distance to the patch's point
+    /// minus t.u.
     fn distance(&self, to_node: Vec3, reach: f32) -> Option<f32> {
         let foot = self.foot(to_node)?;
         let squared = (to_node.length_squared() - to_node.dot(foot)).max(0.0);
@@ -190,9 +193,9 @@ impl Patch {
     }
 }
 
-/// Distance (mm) of `node` to the surface, from an approximate closest point `start` whose patch
-/// does not contain the foot. Steps over the surface from patch to patch while the distance
-/// decreases.
+/// Returns the distance (mm) of `node` to the surface, from an approximate closest point `start`
+/// whose patch does not contain the foot. Steps over the surface from patch to patch while the
+/// distance decreases.
 fn walk(source: &Source, node: DVec3, start: DVec3, reach: f32) -> f64 {
     let voxel = source.spline.geometry().min_spacing();
     let (mut p, mut nearest) = (start, node.distance(start));
@@ -202,7 +205,7 @@ fn walk(source: &Source, node: DVec3, start: DVec3, reach: f32) -> f64 {
         if let Some(distance) = patch.distance(to_node, reach) {
             return nearest.min(distance.into());
         }
-        // if the point is not a closest one, take any descent direction
+        // if the point is not a closest point, use any descent direction
         let step = patch.foot(to_node).unwrap_or_else(|| to_node - patch.normal * to_node.dot(patch.normal));
         let Some(next) = project(source, p + step.clamp_length_max(LONGEST_WALK * voxel as f32).as_dvec3(), voxel)
         else {
@@ -217,8 +220,9 @@ fn walk(source: &Source, node: DVec3, start: DVec3, reach: f32) -> f64 {
     nearest
 }
 
-/// Distance (mm) of `node` to the surface, from a point `start` on the cap: moves along the tangent
-/// plane towards the foot of the node and back onto the surface, while the distance decreases.
+/// Returns the distance (mm) of `node` to the surface, from a point `start` on the cap. Moves along
+/// the tangent plane towards the foot of the node and back onto the surface, while the distance
+/// decreases.
 fn slide(source: &Source, node: DVec3, start: DVec3) -> f64 {
     let voxel = source.spline.geometry().min_spacing();
     let (mut p, mut best) = (start, node.distance(start));
@@ -237,10 +241,10 @@ fn slide(source: &Source, node: DVec3, start: DVec3) -> f64 {
     best
 }
 
-/// Distance (mm) of `node` to the zero set, from an approximate closest point `start`.
+/// Returns the distance (mm) of `node` to the zero set, from an approximate closest point `start`.
 ///
-/// Newton's method on the Lagrange conditions p - node + lambda grad f = 0, f(p) = 0. Returns
-/// `None` if it does not converge to a point nearer than `start`.
+/// Applies Newton's method to the Lagrange conditions p - node + lambda grad f = 0, f(p) = 0.
+/// Returns `None` if it does not converge to a point nearer than `start`.
 fn refine(source: &Source, node: DVec3, start: DVec3) -> Option<f64> {
     let spline = &source.spline;
     let voxel = spline.geometry().min_spacing();
@@ -277,7 +281,7 @@ fn refine(source: &Source, node: DVec3, start: DVec3) -> Option<f64> {
     None
 }
 
-/// Sylvester's criterion, with thresholds above zero to exclude nearly singular matrices.
+/// Applies Sylvester's criterion, with thresholds above zero to exclude nearly singular matrices.
 fn is_positive_definite(m: &DMat3) -> bool {
     let two = m.x_axis.x * m.y_axis.y - m.x_axis.y * m.y_axis.x;
     m.x_axis.x > 0.05 && two > 0.0025 && m.determinant() > 1e-4

@@ -1,6 +1,6 @@
-//! The box of voxels on which F is computed: the bounding box of the object with some room, clipped
-//! at the border of the volume. Later steps treat this box as the volume. Beyond a face of the box
-//! that is not a border of the volume there is only background.
+//! Determines the box of voxels on which F is computed: the bounding box of the object with some
+//! room, clipped at the border of the volume. Later steps treat this box as the volume. Beyond a
+//! face of the box that is not a border of the volume, there is only background.
 //!
 //! The room covers the voxels that F near the surface depends on, so that F there equals F on the
 //! whole volume to the accuracy given at `SPLINE_ROOM`.
@@ -19,8 +19,8 @@ pub enum Grid {
     Volume,
 }
 
-/// For each axis, whether the low and the high face of a box of voxels is a cut through the volume
-/// rather than a border of it.
+/// For each axis, whether the low and the high face of a voxel box are cuts through the volume
+/// rather than borders of the volume.
 pub type CutFaces = [[bool; 2]; 3];
 
 /// A box of voxels.
@@ -33,8 +33,8 @@ pub struct VoxelBox {
 }
 
 impl VoxelBox {
-    /// The bounding box of the voxels that `row` reports: the first and the last x index in row j +
-    /// size y * k, if any.
+    /// Returns the bounding box of the voxels that `row` reports. `row` returns the first and the
+    /// last x index in row j + size y * k, if any.
     pub fn of_rows(size: [usize; 3], row: impl Fn(usize) -> Option<(usize, usize)> + Sync) -> Option<Self> {
         let [_, ny, nz] = size;
         let rows = (0..ny * nz).into_par_iter().with_min_len(ny).filter_map(|at| {
@@ -45,7 +45,7 @@ impl VoxelBox {
         rows.reduce_with(Self::around)
     }
 
-    /// The bounding box of the voxels whose label satisfies `wanted`, over all layers.
+    /// Returns the bounding box of the voxels whose label satisfies `wanted`, over all layers.
     pub fn of_labels(volume: &Volume, wanted: impl Fn(LayerLabel) -> bool + Sync) -> Option<Self> {
         let size = volume.geometry.size;
         let layers = volume.layers().enumerate().filter_map(|(layer, voxels)| {
@@ -57,7 +57,7 @@ impl VoxelBox {
         layers.reduce(Self::around)
     }
 
-    /// The bounding box of two boxes.
+    /// Returns the bounding box of two boxes.
     pub fn around(self, other: Self) -> Self {
         Self {
             low: std::array::from_fn(|a| self.low[a].min(other.low[a])),
@@ -65,7 +65,7 @@ impl VoxelBox {
         }
     }
 
-    /// The box extended by `room` voxels on each face, clipped to a grid of `size` voxels.
+    /// Returns the box extended by `room` voxels on each face, clipped to a grid of `size` voxels.
     pub fn with_room(self, room: [usize; 3], size: [usize; 3]) -> Self {
         Self {
             low: std::array::from_fn(|a| self.low[a].saturating_sub(room[a])),
@@ -73,35 +73,36 @@ impl VoxelBox {
         }
     }
 
-    /// The box with its low corner moved down to a node of the far field's coarse grid, so that
-    /// this grid coincides with that of the whole volume. Otherwise F of `heart_label` within a
-    /// voxel of the surface differs by 8e-4 voxel (root mean square); with it, by 2e-5.
+    /// Returns the box with its low corner moved down to a node of the coarse grid of the far
+    /// field. The coarse grids of the box and of the whole volume then coincide. Otherwise F of
+    /// `heart_label` within a voxel of the surface would differ by 8e-4 voxel (root mean square)
+    /// instead of 2e-5 voxel.
     pub fn on_coarse_nodes(self) -> Self {
         Self { low: self.low.map(|n| n - n % STRIDE), ..self }
     }
 
-    /// Voxels along each axis.
+    /// Returns the number of voxels along each axis.
     pub fn size(&self) -> [usize; 3] {
         std::array::from_fn(|a| self.high[a] + 1 - self.low[a])
     }
 
-    /// The faces of the box that are not borders of a grid of `size` voxels.
+    /// Returns the faces of the box that are not borders of a grid of `size` voxels.
     pub fn cut_faces(&self, size: [usize; 3]) -> CutFaces {
         std::array::from_fn(|a| [self.low[a] > 0, self.high[a] + 1 < size[a]])
     }
 }
 
-/// Room around the voxels inside an iso value.
+/// Returns the room in voxels around the voxels inside an iso value.
 pub fn room_of_spline() -> [usize; 3] {
     [isoparticles_field::spline::ROOM; 3]
 }
 
-/// The faces cut by either of two successive crops, the second box lying in the first.
+/// Returns the faces cut by either of two successive crops, where the second box lies in the first.
 pub fn cut_in_turn(first: CutFaces, second: CutFaces) -> CutFaces {
     std::array::from_fn(|a| [first[a][0] || second[a][0], first[a][1] || second[a][1]])
 }
 
-/// Crops a volume to a box; returns the faces at which it was cut.
+/// Crops a volume to a box. Returns the faces where the volume was cut.
 pub fn crop(volume: &mut Volume, kept: VoxelBox) -> CutFaces {
     let whole = volume.geometry.size;
     volume.crop(kept.low, kept.size());

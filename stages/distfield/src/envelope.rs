@@ -1,20 +1,21 @@
-//! Nearest samples for all nodes of a grid, from samples known at some of them.
+//! Finds the nearest samples of all nodes of a grid, from samples known at some of the nodes.
 //!
-//! One axis after the other, every node takes the nearest of the samples on its line. Along a line
-//! the squared distance to a sample is a parabola, and the nearest samples form the lower envelope
-//! of the parabolas (Felzenszwalb and Huttenlocher 2012). The cost per node does not depend on the
-//! distance to the surface.
+//! The axes are processed one after the other: every node takes the nearest of the samples on its
+//! line. Along a line, the squared distance to a sample is a parabola, and the nearest samples form
+//! the lower envelope of the parabolas (Felzenszwalb and Huttenlocher 2012). The cost per node does
+//! not depend on the distance to the surface.
 
 use crate::nearest::NONE;
 use glam::Vec3;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// Replaces the sample number of every node (x fastest) by that of the nearest sample that any node
-/// has. If no node has one, all stay [`NONE`]. Samples are in the grid frame (mm).
+/// Replaces the sample number of every node (x fastest) with the number of the nearest sample
+/// stored at any node. If no node has a sample, all numbers stay [`NONE`]. Samples are in the grid
+/// frame (mm).
 ///
-/// The result is exact if every sample lies on the node that holds its number. Otherwise a nearer
-/// sample can be missed, by a distance of the order of the offsets.
+/// The result is exact if every sample lies on the node that stores its number. Otherwise a nearer
+/// sample can be missed, with a distance error of the order of the offsets.
 pub(crate) fn spread(geometry: &Geometry, samples: &[Vec3], sample: &mut [u32]) {
     let [nx, ny, _] = geometry.size;
     let spacing = geometry.spacing;
@@ -50,8 +51,8 @@ struct Parabola {
 }
 
 impl Parabola {
-    /// The parabola along the first of the axes, on the line at the positions `at` (mm) of the
-    /// other two.
+    /// Returns the parabola along the first of the three axes. `at` contains the positions (mm) of
+    /// the line along the other two axes.
     fn new(samples: &[Vec3], number: u32, [along, u, v]: [usize; 3], at: [f64; 2]) -> Self {
         let place = samples[number as usize].as_dvec3();
         Self { number, centre: place[along], least: (place[u] - at[0]).powi(2) + (place[v] - at[1]).powi(2) }
@@ -63,12 +64,12 @@ impl Parabola {
 struct Envelope {
     column: Vec<u32>,
     all: Vec<Parabola>,
-    /// The parabolas of the lower envelope, each with the position (mm) at which it begins.
+    /// The parabolas of the lower envelope, each with the position (mm) where it starts.
     lowest: Vec<(Parabola, f64)>,
 }
 
 impl Envelope {
-    /// Fills each column across the rows.
+    /// Applies [`Self::fill`] to each column across the rows.
     fn fill_across(&mut self, rows: &mut [&mut [u32]], spacing: f64, parabola: impl Fn(usize, u32) -> Parabola) {
         let width = rows.first().map_or(0, |row| row.len());
         let mut column = std::mem::take(&mut self.column);
@@ -81,7 +82,7 @@ impl Envelope {
         self.column = column;
     }
 
-    /// Replaces the numbers on a line by those of the nearest samples present on it.
+    /// Replaces the sample numbers on a line with those of the nearest samples on the line.
     fn fill(&mut self, line: &mut [u32], spacing: f64, parabola: impl Fn(u32) -> Parabola) {
         self.all.clear();
         let mut last = NONE;
@@ -91,7 +92,7 @@ impl Envelope {
                 last = number;
             }
         }
-        // centres may be out of order: a sample need not lie on the node that holds it
+        // centres may be out of order because a sample need not lie on the node that stores it
         if !self.all.is_sorted_by(|a, b| a.centre <= b.centre) {
             self.all.sort_by(|a, b| a.centre.total_cmp(&b.centre));
         }
@@ -121,8 +122,9 @@ impl Envelope {
     }
 }
 
-/// Position on the line at which the second parabola, whose centre is not smaller, becomes the
-/// lower one. With equal centres it is minus infinity (lower everywhere) or infinity (nowhere).
+/// Returns the position on the line where the second parabola becomes the lower one. The centre of
+/// the second parabola is not smaller than that of the first. With equal centres, returns minus
+/// infinity (lower everywhere) or infinity (lower nowhere).
 fn crossing(first: Parabola, second: Parabola) -> f64 {
     if first.centre == second.centre {
         return if second.least < first.least { f64::NEG_INFINITY } else { f64::INFINITY };
@@ -142,7 +144,7 @@ mod tests {
         // exact where samples lie on their nodes; otherwise within twice the offset
         for (n, count, off) in [(0u64, 1, 0.0), (1, 7, 0.0), (2, 60, 0.0), (3, 60, 0.1)] {
             let geometry = Geometry::axis_aligned([13, 9, 11], DVec3::new(1.0, 0.7, 1.6));
-            // at most one sample per node, so that none is lost
+            // at most one sample per node, so that no sample is lost
             let mut sample = vec![NONE; geometry.voxel_count()];
             let mut samples = Vec::new();
             for s in 0..count {

@@ -1,4 +1,4 @@
-//! From an implicit function to F: signed distance with a pinned zero set.
+//! Computes F from an implicit function: a signed distance with a pinned zero set.
 //!
 //! [`redistance`] samples the zero set of a source ([`crate::samples`]), measures the distance of
 //! every node to it ([`crate::closest`]), and changes the result so that the zero set of its cubic
@@ -24,25 +24,25 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Tolerance of the pinned zero set: root mean square of F at the samples, in voxels (mean
-/// spacing). It is a tenth of a remesher's deviation from its input triangles. Half of it halves
-/// the mean distance between the zero sets and doubles the steps: ribcage of `thorax_labels` with
-/// `--scale 3`, 0.0004 voxel in 138 steps (1.24 s) and 0.0007 in 60 (0.64 s); `tooth_ct` at 600,
-/// 0.0005 in 117 and 0.0009 in 54.
+/// Tolerance of the pinned zero set: root mean square of F at the samples, in units of the mean
+/// voxel spacing. It is a tenth of a remesher's deviation from its input triangles. Half this
+/// tolerance halves the mean distance between the zero sets and doubles the number of steps: for
+/// the ribcage of `thorax_labels` with `--scale 3`, 0.0004 voxel in 138 steps (1.24 s) instead of
+/// 0.0007 in 60 (0.64 s); for `tooth_ct` at 600, 0.0005 in 117 instead of 0.0009 in 54.
 const PINNED: f64 = 0.001;
 
 /// Maximum number of conjugate-gradient steps that pin the zero set. Smooth surfaces need about 10.
-/// Noise, where the surface folds within a voxel, uses all of them.
+/// Noisy surfaces that fold within a voxel use all of them.
 const MOST_PIN_STEPS: usize = 160;
 
-/// Half-width of the band in which Newton's method finds the closest points, in voxels (mean
-/// spacing). It is at least 1.5 times the maximum spacing.
+/// Half-width of the band where Newton's method finds the closest points, in units of the mean
+/// voxel spacing. The half-width used is at least 1.5 times the maximum spacing.
 const BAND: f64 = 4.0;
 
 /// Maximum number of points at which the zero sets of F and of its source are compared.
 const CHECKED_POINTS: usize = 200_000;
 
-/// The implicit function of the surface to re-distance; its values are used near the zero set only.
+/// The implicit function of the surface to re-distance. Its values are used only near the zero set.
 pub struct Source {
     /// The spline whose zero set is the surface, without the cut at the border.
     pub spline: BrickSpline,
@@ -50,8 +50,8 @@ pub struct Source {
     pub cap: Option<BorderBox>,
 }
 
-/// Distance between the zero sets of F and of its source, to first order (value over slope), in
-/// voxels (mean spacing).
+/// First-order distance (value over slope) between the zero sets of F and of its source, in units
+/// of the mean voxel spacing.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Shift {
     /// Mean over the surface.
@@ -68,11 +68,11 @@ pub struct Shift {
 pub struct Redistanced {
     /// Samples of the signed distance, mm, negative inside.
     pub field: Image<f32>,
-    /// Parts that were dropped before the counts below.
+    /// Parts that were dropped. The counts below exclude these parts.
     pub dropped: Dropped,
     /// Parts of the source after dropping, counted on the marching-cubes mesh of its nodes.
     pub parts_before: Parts,
-    /// Parts of F: counted on its marching-cubes mesh, with the volume enclosed by the spline.
+    /// Parts of F, counted on its marching-cubes mesh, with the volume enclosed by the spline.
     pub parts_after: Parts,
     /// Volume enclosed by each connected surface of F, mm^3, in descending order; negative for
     /// cavities. Empty if the surface leaves the grid.
@@ -86,26 +86,26 @@ pub struct Redistanced {
     pub undecided: usize,
     /// Report of the fit that pins the zero set.
     pub fit: FitReport,
-    /// For labels: number of voxel centres that F puts on the other side, without those of dropped
-    /// parts.
+    /// For labels: number of voxel centres that F puts on the other side, excluding those of
+    /// dropped parts.
     pub changed: Option<usize>,
 }
 
 /// Accuracy required of F.
 #[derive(Clone, Copy)]
 pub struct Demands {
-    /// Distance at which F is clamped, in voxels (mean spacing). At least the half-width of the
-    /// band is used.
+    /// Distance where F is clamped, in units of the mean voxel spacing. The clamping distance is at
+    /// least the half-width of the band.
     pub limit: f64,
-    /// Tolerance of the pinned zero set: root mean square of F at the samples, in voxels (mean
-    /// spacing).
+    /// Tolerance of the pinned zero set: root mean square of F at the samples, in units of the mean
+    /// voxel spacing.
     pub pinned: f64,
     /// Maximum number of conjugate-gradient steps that pin the zero set.
     pub pin_steps: usize,
 }
 
 impl Default for Demands {
-    /// Unclamped distances, `PINNED` and `MOST_PIN_STEPS`.
+    /// Returns unclamped distances, `PINNED` and `MOST_PIN_STEPS`.
     fn default() -> Self {
         Self { limit: f64::INFINITY, pinned: PINNED, pin_steps: MOST_PIN_STEPS }
     }
@@ -120,8 +120,8 @@ pub struct LeastDistances<At> {
 }
 
 impl Implicit for Source {
-    /// First-order distance to the surface (mm), cut at the border, and its gradient. Without a
-    /// box, value and gradient of the spline.
+    /// Returns the first-order distance to the surface (mm), cut at the border, and its gradient.
+    /// Without a box, returns the value and the gradient of the spline.
     #[inline(always)]
     fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         let (f, g) = self.spline.value_gradient(grid);
@@ -131,8 +131,8 @@ impl Implicit for Source {
     }
 }
 
-/// Value over slope. If the slope vanishes, a distance of 1e6 mm with the sign of the value; zero
-/// counts as outside.
+/// Returns the value over the slope. If the slope vanishes, returns 1e6 mm with the sign of the
+/// value; zero counts as outside.
 #[inline(always)]
 pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
     if slope > 1e-12 {
@@ -146,12 +146,12 @@ pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
 
 /// Computes F from a source.
 ///
-/// `nodes` are values of the source at the nodes; negative is inside, zero and positive outside.
-/// Marching cubes runs on them, and their memory is freed afterwards. The outermost `margin` nodes
-/// on each face lie beyond the input.
+/// `nodes` contains the values of the source at the nodes: negative inside, zero or positive
+/// outside. Marching cubes runs on these values, and their memory is freed afterwards. The
+/// outermost `margin` nodes on each face lie beyond the input.
 ///
 /// # Errors
-/// When the source has no zero set, no part is kept, or the run is interrupted.
+/// If the source has no zero set, no part is kept, or the run is interrupted.
 pub fn redistance(
     mut nodes: Image<f32>,
     source: &Source,
@@ -180,7 +180,7 @@ pub fn redistance(
     let samples = surface_samples(source, &nodes, &mesh);
     let parts_before = Parts::of(&mesh);
     drop(mesh);
-    // from here on only the signs are needed (a value of -0 is outside)
+    // only the signs are needed from here on (a value of -0 is outside)
     let inside = Bits::of(nodes.data.len(), |n| nodes.data[n] < 0.0);
     let geometry = nodes.geometry;
     drop(nodes.data);
@@ -227,7 +227,7 @@ pub fn redistance(
     })
 }
 
-/// Whether the object reaches the faces of the grid, as it can with an open border.
+/// Returns whether the object reaches the faces of the grid, which is possible with an open border.
 fn leaves_grid(field: &Image<f32>) -> bool {
     let [nx, ny, nz] = field.geometry.size;
     let on_face = |i: usize, n: usize| i == 0 || i + 1 == n;
@@ -237,8 +237,8 @@ fn leaves_grid(field: &Image<f32>) -> bool {
     })
 }
 
-/// Raises |F| at every node to its minimum, with the sign of the node's side. Returns how many
-/// nodes changed.
+/// Raises |F| at every node to its minimum, with the sign of the node's side. Returns the number of
+/// changed nodes.
 fn hold_nodes(field: &mut Image<f32>, inside: &Bits, least: &LeastDistances<impl Fn(usize) -> f32 + Sync>) -> usize {
     let moved = field.data.par_iter_mut().enumerate().map(|(n, f)| {
         let sign = if inside.holds(n) { -1.0 } else { 1.0 };
@@ -255,16 +255,16 @@ fn hold_nodes(field: &mut Image<f32>, inside: &Bits, least: &LeastDistances<impl
     moved.sum()
 }
 
-/// An edge midpoint of every triangle, or of every n-th one to stay within [`CHECKED_POINTS`]. The
-/// fit does not use these points.
+/// Returns an edge midpoint of every triangle, or of every n-th triangle to stay within
+/// [`CHECKED_POINTS`]. The fit does not use these points.
 fn checked_points(mesh: &TriangleMesh) -> Vec<DVec3> {
     let middle = |t: &[u32; 3]| 0.5 * (mesh.vertices[t[0] as usize] + mesh.vertices[t[1] as usize]);
     let every = mesh.triangles.len().div_ceil(CHECKED_POINTS).max(1);
     mesh.triangles.iter().step_by(every).map(middle).collect()
 }
 
-/// Distance between the zero set of a spline on a grid and that of the source, at the projections
-/// of `points` onto the former.
+/// Measures the distance between the zero set of a spline on a grid and that of the source, at the
+/// projections of `points` onto the zero set of the spline.
 fn measure_shift(source: &impl Implicit, spline: &BrickSpline, geometry: &Geometry, points: &[DVec3]) -> Shift {
     let voxel = geometry.mean_spacing();
     let own = |p: DVec3| spline.value_gradient(p);

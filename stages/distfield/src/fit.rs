@@ -1,13 +1,13 @@
-//! Pins the zero set of the spline through F on samples of the surface.
+//! Pins the zero set of the spline through F to samples of the surface.
 //!
 //! The spline through exact distances rings where the distance has a kink within a voxel or two of
-//! the surface (thin parts, noise), and its zero set moves. This module changes the spline
+//! the surface (thin parts, noise), which moves its zero set. This module changes the spline
 //! coefficients as little as possible, in the least-squares sense, such that F vanishes at the
 //! samples. It applies conjugate gradients to the normal equations (CGLS, Hestenes and Stiefel
 //! 1952), starting from zero change, with damping and a diagonal preconditioner.
 //!
-//! Vectors are in single precision, like F; the residual stays well above their rounding error.
-//! Sums over all samples are in double precision.
+//! Vectors use single precision, like F, because the residual stays well above the rounding error.
+//! Sums over all samples use double precision.
 
 use crate::bits::{Bits, Numbering};
 use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, prelude::*};
@@ -19,40 +19,44 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::ops::Range;
 
-/// Slices of cells per parallel task. Their samples read three more slices of coefficients, 2
-/// `SLAB` in all, so that every second task can run at the same time. With fewer slices such tasks
-/// would overlap; with more, a small volume gives too few tasks for all threads.
+/// Number of slices of cells per parallel task. The samples of a task depend on three more slices
+/// of coefficients, 2 `SLAB` in total, so every second task can run at the same time. With fewer
+/// slices, these tasks would overlap; with more slices, a small volume gives too few tasks for all
+/// threads.
 const SLAB: usize = 3;
 
-/// Slices of coefficients computed at a time.
+/// Number of slices of coefficients computed at a time.
 const GATHERED: usize = 32;
 
-/// Samples per partial sum. The size is fixed so that sums do not depend on the number of threads.
+/// Number of samples per partial sum. It is fixed so that sums do not depend on the number of
+/// threads.
 const CHUNK: usize = 4096;
 
-/// Weight of the squared change of the coefficients, relative to the mean weight that the samples
-/// give a coefficient.
+/// Weight of the squared change of the coefficients, relative to the mean diagonal entry of the
+/// normal matrix of the samples.
 ///
 /// Without damping, F shrinks towards zero where no spline vanishes at all samples, and changes
-/// sign in the corners of the volume. Measured for 0, 0.001 and 0.002: the maximum distance between
-/// the zero sets of a scan that fills the corners of 36^3 voxels is 0.49, 0.041 and 0.026 voxel;
-/// the 99th percentile on `heart_ct` at 250 is 0.049, 0.049 and 0.053 voxel.
+/// sign in the corners of the volume. With 0, 0.001 and 0.002, the maximum distance between the
+/// zero sets is 0.49, 0.041 and 0.026 voxel for a scan that fills the corners of 36^3 voxels; the
+/// 99th percentile is 0.049, 0.049 and 0.053 voxel for `heart_ct` at 250.
 const DAMPING: f64 = 0.001;
 
-/// The fit stops when the norm of the gradient falls below this share of its initial value.
+/// The fit stops when the norm of the gradient falls below this fraction of its initial value.
 const SOLVED: f64 = 0.001;
 
 /// A voxel cell that contains samples.
 struct Cell {
-    /// Numbers of the first coefficients of the 16 rows of four that the cell reads.
+    /// Numbers of the first coefficients of the 16 rows of four coefficients that the cell depends
+    /// on.
     rows: [u32; 16],
-    /// Index of the cell's first sample. The samples end where those of the next cell start.
+    /// Index of the cell's first sample. The cell's samples end at the first sample of the next
+    /// cell.
     first: u32,
 }
 
 /// The linear map from the coefficients near the surface to F at the samples.
 struct Sampling {
-    /// For each sample, the weights of the four coefficients along each axis; sorted by cell.
+    /// For each sample, the weights of the four coefficients along each axis. Sorted by cell.
     weights: Vec<[[f32; 4]; 3]>,
     slabs: Vec<Slab>,
     unknowns: usize,
@@ -62,12 +66,12 @@ struct Sampling {
 struct Slab {
     cells: Vec<Cell>,
     samples: Range<usize>,
-    /// Range of the coefficients that the samples read.
+    /// Range of the coefficients that the samples depend on.
     unknowns: Range<usize>,
 }
 
 impl Slab {
-    /// The cells with the ranges of their samples.
+    /// Returns the cells with the ranges of their samples.
     fn cells(&self) -> impl Iterator<Item = (&Cell, Range<usize>)> {
         let ends = self.cells.iter().skip(1).map(|next| next.first as usize).chain([self.samples.end]);
         self.cells.iter().zip(ends).map(|(cell, end)| (cell, cell.first as usize..end))
@@ -86,8 +90,8 @@ pub struct FitReport {
 }
 
 /// Changes the samples of `field` (signed distance, mm) near the surface so that the cubic spline
-/// through them vanishes at `samples`. Stops at a root mean square of `tolerance` mm or after
-/// `most_steps` steps.
+/// through them vanishes at `samples`. Stops when the root mean square of F at `samples` is at most
+/// `tolerance` mm, or after `most_steps` steps.
 pub fn pin_zero_set(field: &mut Image<f32>, samples: Vec<DVec3>, tolerance: f64, most_steps: usize) -> FitReport {
     let number = touched_coefficients(&field.geometry, &samples);
     if number.count == 0 {
@@ -138,9 +142,9 @@ pub fn pin_zero_set(field: &mut Image<f32>, samples: Vec<DVec3>, tolerance: f64,
     FitReport { before, after, steps }
 }
 
-/// The lowest node of the cell that contains a sample, and the position of the sample within the
-/// cell (0 to 1 along each axis). `None` near the faces of the grid, where the cell does not have
-/// four coefficients along each axis.
+/// Returns the lowest node of the cell that contains a sample, and the position of the sample
+/// within the cell (0 to 1 along each axis). Returns `None` near the faces of the grid, where the
+/// cell does not have four coefficients along each axis.
 fn cell(geometry: &Geometry, sample: DVec3) -> Option<(usize, DVec3)> {
     let index = geometry.grid_to_index(sample);
     let base = index.floor();
@@ -148,7 +152,7 @@ fn cell(geometry: &Geometry, sample: DVec3) -> Option<(usize, DVec3)> {
     inner.then(|| (geometry.linear(base.x as usize, base.y as usize, base.z as usize), index - base))
 }
 
-/// Numbers the coefficients that the samples read.
+/// Numbers the coefficients that the samples depend on.
 fn touched_coefficients(geometry: &Geometry, samples: &[DVec3]) -> Numbering {
     let [nx, ny, _] = geometry.size;
     let corners = samples.par_chunks(CHUNK).map(|samples| {
@@ -168,21 +172,21 @@ fn touched_coefficients(geometry: &Geometry, samples: &[DVec3]) -> Numbering {
     Numbering::new(touched.moved(four(1)).moved(four(nx)).moved(four(nx * ny)))
 }
 
-/// First node of the block of 4^3 coefficients that the spline reads in the cell with lowest node
-/// `at`.
+/// Returns the first node of the block of 4^3 coefficients that determine the spline in the cell
+/// with lowest node `at`.
 fn corner(at: usize, nx: usize, ny: usize) -> usize {
     at - 1 - nx - nx * ny
 }
 
-/// First nodes of the 16 rows of four coefficients that the spline reads in the cell with lowest
-/// node `at`.
+/// Returns the first nodes of the 16 rows of four coefficients that determine the spline in the
+/// cell with lowest node `at`.
 fn row_starts(at: usize, nx: usize, ny: usize) -> [usize; 16] {
     let corner = corner(at, nx, ny);
     std::array::from_fn(|n| corner + (n % 4) * nx + (n / 4) * nx * ny)
 }
 
-/// Cubic B-spline weights of four consecutive coefficients, at the position t (0 to 1) between the
-/// second and the third.
+/// Returns the cubic B-spline weights of four consecutive coefficients at position t (0 to 1)
+/// between the second and the third coefficient.
 #[inline(always)]
 fn weights_at(t: f32) -> [f32; 4] {
     let u = 1.0 - t;
@@ -264,8 +268,9 @@ impl Sampling {
         }
     }
 
-    /// Applies the transpose of [`Sampling::apply`], or of the map with all entries squared. Even
-    /// slabs come first, then odd ones, so that parallel tasks never write the same coefficient.
+    /// Applies the transpose of [`Sampling::apply`], or of the map with all entries squared.
+    /// Processes the even slabs before the odd slabs, so parallel tasks never write the same
+    /// coefficient.
     fn apply_transposed(&self, values: &[f32], coefficients: &mut [f32], squared: bool) {
         coefficients.par_chunks_mut(CHUNK).for_each(|part| part.fill(0.0));
         for parity in 0..2 {
@@ -337,13 +342,13 @@ fn twice<S: Simd>(simd: S, own: f32x4<S>) -> f32x8<S> {
     joined(simd, own, own)
 }
 
-/// One number in the four low lanes, another in the four high lanes.
+/// Fills the four low lanes with one number and the four high lanes with another.
 #[inline(always)]
 fn splats<S: Simd>(simd: S, low: f32, high: f32) -> f32x8<S> {
     joined(simd, f32x4::splat(simd, low), f32x4::splat(simd, high))
 }
 
-/// The spline coefficients of a field at the numbered nodes.
+/// Computes the spline coefficients of a field at the numbered nodes.
 fn gather(field: &Image<f32>, number: &Numbering) -> Vec<f32> {
     let [nx, ny, nz] = field.geometry.size;
     let plane = nx * ny;
@@ -360,7 +365,7 @@ fn gather(field: &Image<f32>, number: &Numbering) -> Vec<f32> {
     compact
 }
 
-/// Adds a change of spline coefficients to the samples of the field.
+/// Adds the effect of a change of spline coefficients to the samples of the field.
 fn add_change(field: &mut Image<f32>, number: &Numbering, change: &[f32]) {
     let [nx, ny, nz] = field.geometry.size;
     let node_weight = |offset: isize| if offset == 0 { 4.0 / 6.0 } else { 1.0 / 6.0 };
@@ -387,7 +392,7 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
     chunked_sum(a, b, |a, b| a * b)
 }
 
-/// Sum of the squares of `a`, each multiplied by its weight.
+/// Returns the weighted sum of the squares of `a`.
 fn weighted_norm(a: &[f32], weight: &[f32]) -> f64 {
     chunked_sum(a, weight, |a, w| a * a * w)
 }
@@ -408,7 +413,8 @@ mod tests {
     use super::*;
     use isoparticles_field::random::uniform;
 
-    /// The map of 500 samples in a grid of three slabs, with random coefficients and sample values.
+    /// Returns the map of 500 samples in a grid of three slabs, with random coefficients and sample
+    /// values.
     fn scene() -> (Sampling, Vec<f32>, Vec<f32>) {
         let geometry = Geometry::axis_aligned([9, 8, 9], DVec3::new(1.0, 0.5, 2.0));
         let random = |n: usize, k: u64| uniform(3, k, n as u64);

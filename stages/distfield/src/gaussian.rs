@@ -1,28 +1,28 @@
-//! Gaussian smoothing of an image, mirrored at the faces of the voxel box. The time does not depend
-//! on the width of the Gaussian.
+//! Smooths an image by a Gaussian, mirrored at the faces of the voxel box. The computing time does
+//! not depend on the width of the Gaussian.
 //!
 //! Along each axis, a box filter of fractional width is applied `BOXES` times (Gwosdek, Grewenig,
 //! Bruhn and Weickert, "Theoretical foundations of Gaussian convolution by extended box filtering",
 //! 2011). The result has exactly the variance of the Gaussian. The mirror lies half a voxel beyond
-//! the outermost voxel centres. It preserves constants, and surfaces that meet a face at a right
+//! the outermost voxel centres. It preserves constants and surfaces that meet a face at a right
 //! angle.
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-/// Box filters per Gaussian. With four, the smoothed edge of a half space deviates by at most 0.007
-/// from that of a Gaussian (`four_boxes_are_nearly_a_gaussian`).
+/// Number of box filters per Gaussian. With four, the smoothed edge of a half space deviates by at
+/// most 0.007 from that of a Gaussian (`four_boxes_are_nearly_a_gaussian`).
 const BOXES: usize = 4;
 const _: () = assert!(BOXES.is_multiple_of(2), "each box swaps a line and its room: the result would be in the room");
 
-/// Columns smoothed together, one per SIMD lane.
+/// Number of columns smoothed together, one per SIMD lane.
 const LANES: usize = 16;
 
-/// Rows along the second axis per parallel task when smoothing along the third axis.
+/// Number of rows along the second axis per parallel task when smoothing along the third axis.
 const ROWS: usize = 4;
 
-/// One box filter: weight `middle` for the sample and `reach` samples on each side, and weight
-/// `end` for the next sample on each side.
+/// A box filter with weight `middle` for the sample and for `reach` samples on each side, and
+/// weight `end` for the next sample on each side.
 #[derive(Clone, Copy, Debug)]
 struct ExtendedBox {
     reach: usize,
@@ -31,8 +31,8 @@ struct ExtendedBox {
 }
 
 impl ExtendedBox {
-    /// The box filter of which [`BOXES`] applications have the variance of a Gaussian with standard
-    /// deviation `sigma`, in voxels.
+    /// Returns the box filter for which [`BOXES`] applications have the variance of a Gaussian with
+    /// standard deviation `sigma`, in voxels.
     fn new(sigma: f64) -> Self {
         let variance = sigma * sigma / BOXES as f64;
         let reach = (0.5 * ((12.0 * variance + 1.0).sqrt() - 1.0)).floor().max(0.0);
@@ -47,9 +47,9 @@ impl ExtendedBox {
 type Line = Vec<[f64; LANES]>;
 
 /// Smooths the columns in `line` with the widest SIMD instructions available; `room` is work space.
-/// No operation is fused, so the result is the same on any instruction set.
+/// No operation is fused, so the result is the same on every instruction set.
 ///
-/// The result is zero wherever all values within reach of all boxes are zero. Only the stretches
+/// The result is zero wherever all values within reach of all boxes are zero. Only the stretches in
 /// between are processed, which are short when the values form a band around a surface.
 fn smooth_lines(line: &mut Line, room: &mut Line, kernel: ExtendedBox) {
     let reach = BOXES * (kernel.reach + 1);
@@ -58,7 +58,7 @@ fn smooth_lines(line: &mut Line, room: &mut Line, kernel: ExtendedBox) {
     while let Some(first) = line[from..].iter().position(|at| !is_zero(at)) {
         let first = from + first;
         let mut end = first + 1;
-        // extend to the first gap that neither side fills
+        // extend up to the first gap that is too wide for both sides to fill
         while let Some(next) = line[end..].iter().take(2 * reach).position(|at| !is_zero(at)) {
             end += next + 1;
         }
@@ -148,8 +148,8 @@ pub fn smooth(data: &mut [f32], size: [usize; 3], sigma: [f64; 3]) {
 mod tests {
     use super::*;
 
-    /// Smooths one voxel of value 1; returns the standard deviations of the result along the axes
-    /// and its sum.
+    /// Smooths a single voxel of value 1. Returns the standard deviations of the result along the
+    /// axes, and the sum of the result.
     fn spread(size: [usize; 3], sigma: [f64; 3]) -> ([f64; 3], f64) {
         let mut data = vec![0.0; size.iter().product()];
         let centre = size.map(|n| n / 2);
@@ -200,8 +200,8 @@ mod tests {
         for (sigma, gaps) in [(0.4, 3), (2.0, 7), (2.0, 40), (6.0, 90)] {
             let kernel = ExtendedBox::new(sigma);
             let mut line: Line = vec![[0.0; LANES]; 211];
-            // nonzero values at the border, adjacent, within and beyond each other's reach, in
-            // single lanes
+            // nonzero values at the border, adjacent values, and values within and beyond each
+            // other's reach, in single lanes
             for (n, at) in [0, 1, gaps, 2 * gaps + 1, 209 - gaps, 205].into_iter().enumerate() {
                 line[at][n % LANES] = 1.0 + n as f64;
             }
@@ -222,7 +222,7 @@ mod tests {
             smooth(&mut data, size, [3.0, 9.0, 0.4]);
             assert!(data.iter().all(|value| (value - 2.5).abs() < 1e-5));
         }
-        // a step along x that is the same at every y and z stays so
+        // a step along x that is the same at every y and z stays the same
         let size = [24, 6, 5];
         let mut data: Vec<f32> = (0..720).map(|n| if n % 24 < 11 { 1.0 } else { 0.0 }).collect();
         smooth(&mut data, size, [2.0; 3]);

@@ -1,5 +1,5 @@
-//! Checks of the input before any work: labels of a scan, an iso value of a label map, a field that
-//! exceeds the available memory.
+//! Checks the input before any work: rejects labels for a scan, an iso value for a label map, and a
+//! field that exceeds the available memory.
 
 use crate::run::Args;
 use isoparticles_stage::cli::Context;
@@ -9,12 +9,12 @@ use isoparticles_survey::kind::{Kind, KindChoice, judge};
 use isoparticles_survey::survey::Survey;
 use isoparticles_volume::Volume;
 
-/// Refuses labels of a scan and an iso value of a label map, unless `--kind` is given. Warns where
-/// the kind is uncertain, and for an iso value of a mask, where voxel centres next to the surface
-/// can change side. For labels it also warns of NaN voxels.
+/// Rejects labels for a scan and an iso value for a label map, unless `--kind` is given. Warns if
+/// the kind is uncertain, and for an iso value of a mask, because voxel centres next to the surface
+/// can change side. For labels, also warns about NaN voxels.
 ///
 /// # Errors
-/// When the kind of the volume is certain and does not match the option.
+/// If the kind of the volume is certain and does not match the option.
 pub fn check_kind(args: &Args, volume: &Volume, context: &Context) -> Result<()> {
     if args.iso.is_none() {
         volume.nan_remark().iter().for_each(|remark| context.warn(remark));
@@ -68,10 +68,10 @@ pub fn check_kind(args: &Args, volume: &Volume, context: &Context) -> Result<()>
     }
 }
 
-/// Refuses a field on `voxels` plus the margin if it needs more memory than is available.
+/// Rejects a field on `voxels` plus the margin if it needs more memory than is available.
 ///
 /// # Errors
-/// When the memory does not suffice; the message has the figure.
+/// If there is not enough memory. The message contains the required amount.
 pub fn check_room(args: &Args, voxels: [usize; 3], context: &Context) -> Result<()> {
     let [nx, ny, nz] = voxels.map(|n| n + 2 * usize::from(args.margin));
     // the memory of the volume itself is already in use

@@ -1,15 +1,15 @@
-//! Ambiguous faces: faces of four nodes whose opposite corners are on the same side, so that two
-//! parts of the object, or two gaps, touch along an edge only.
+//! Finds ambiguous faces: grid faces whose opposite corners are on the same side and whose adjacent
+//! corners are not. Two parts of the object, or two gaps, touch only along an edge there.
 //!
-//! The signs at the nodes do not say whether the parts are connected there. Marching cubes decides
-//! by the saddle of the face. [`make_agree`] changes F so that its saddles decide as those of its
-//! source. For labels, the level set follows a rule ([`crate::labels`]).
+//! The signs at the nodes do not determine whether the parts are connected there. Marching cubes
+//! decides by the saddle of the face. [`make_agree`] changes F so that its saddles give the same
+//! decisions as those of its source. For labels, the level set follows a rule ([`crate::labels`]).
 
 use isoparticles_field::marching_cubes::saddle_value;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
-/// An ambiguous face: four nodes of a grid face, opposite ones on the same side.
+/// An ambiguous face: four nodes of a grid face, with opposite nodes on the same side.
 #[derive(Clone, Copy, Debug)]
 pub struct Junction {
     /// The two nodes inside the object.
@@ -20,16 +20,16 @@ pub struct Junction {
     pub joined: bool,
 }
 
-/// In each pass the nodes of the pair to be connected are multiplied by this factor and the others
-/// divided by it. The 99th percentile of the shift of the zero set on `heart_ct` at 250 is 0.0526
-/// voxel with 1.02 and 0.0493 with 1.005.
+/// In each pass, the values at the two nodes to be connected are multiplied by this factor, and the
+/// values at the other two nodes are divided by it. The 99th percentile of the shift of the zero
+/// set on `heart_ct` at 250 is 0.0526 voxel with 1.02 and 0.0493 voxel with 1.005.
 const TIP_FACTOR: f32 = 1.005;
 
-/// Maximum number of passes over the faces; several are needed because faces share nodes.
+/// Maximum number of passes over the faces. Several passes are needed because faces share nodes.
 const MOST_PASSES: usize = 100;
 
-/// The ambiguous faces of an implicit function given at the nodes (negative inside), each decided
-/// by its saddle.
+/// Returns the ambiguous faces of an implicit function given at the nodes (negative inside). The
+/// saddle of each face decides whether its inside nodes are connected.
 pub fn junctions(nodes: &Image<f32>) -> Vec<Junction> {
     let [nx, ny, nz] = nodes.geometry.size;
     let (data, stride) = (&nodes.data, [1, nx, nx * ny]);

@@ -1,8 +1,9 @@
-//! Selection of the parts of the object to keep (`--keep`): all, the largest, or those above a
-//! volume.
+//! Selects the parts of the object to keep (`--keep`): all parts, the largest part, or parts of at
+//! least a given volume.
 //!
-//! Parts are connected as in marching cubes: nodes that share a grid edge, and opposite corners of
-//! a grid face that its saddle connects ([`crate::junctions`]).
+//! Parts are connected as in marching cubes: through nodes that share a grid edge, and through
+//! opposite corners of a grid face that are connected by the saddle of the face
+//! ([`crate::junctions`]).
 
 use crate::bits::Bits;
 use crate::junctions::Junction;
@@ -18,7 +19,7 @@ use std::str::FromStr;
 pub enum Keep {
     /// Every part.
     All,
-    /// The part of largest volume; of equal ones, the first in the volume.
+    /// The part with the largest volume; ties go to the first part in the volume.
     Largest,
     /// Parts of at least this volume, mm^3.
     Volume(f64),
@@ -50,24 +51,23 @@ impl std::fmt::Display for Keep {
 /// The parts that were dropped.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Dropped {
-    /// Number of parts.
+    /// Number of dropped parts.
     pub components: usize,
-    /// Their total volume by node count, mm^3.
+    /// Total volume of the dropped parts by node count, mm^3.
     pub volume: f64,
     /// Volume of the largest dropped part, mm^3.
     pub largest: f64,
-    /// The nodes of these parts; `None` if no part was dropped.
+    /// The nodes of the dropped parts; `None` if no part was dropped.
     #[serde(skip)]
     pub nodes: Option<Bits>,
 }
 
 /// Moves the nodes of dropped parts to the outside (`nodes` is negative inside). Nodes within
-/// `margin` of the grid's faces, which an open border adds, belong to parts but do not count
-/// towards their volume.
+/// `margin` of the faces of the grid, which an open border adds, belong to parts but are not
+/// included in the volumes of the parts.
 ///
 /// # Errors
-/// When no part is as large as required, or when there are too many runs of nodes to label the
-/// parts.
+/// If no part is large enough, or if there are too many runs of nodes to label the parts.
 pub fn drop_parts(nodes: &mut Image<f32>, margin: usize, junctions: &[Junction], keep: Keep) -> Result<Dropped> {
     if keep == Keep::All {
         return Ok(Dropped::default());
@@ -121,7 +121,7 @@ pub fn drop_parts(nodes: &mut Image<f32>, margin: usize, junctions: &[Junction],
     Ok(dropped)
 }
 
-/// For each run, the first run of its part.
+/// Returns, for each run, the first run of its part.
 pub(crate) fn parts_of_runs(inside: &Runs, size: [usize; 3], junctions: &[Junction]) -> Result<Vec<u32>> {
     let [_, ny, nz] = size;
     let Ok(count) = u32::try_from(inside.all().len()) else {

@@ -1,12 +1,12 @@
-//! Label maps: a smooth surface that keeps every voxel centre on its side and preserves the local
-//! volume.
+//! Computes F of label maps: a smooth surface that keeps every voxel centre on its side and
+//! preserves the local volume.
 //!
-//! The occupancy of the voxels, 0 or 1, is smoothed by a Gaussian of `SIGMA`, and a level set
-//! that preserves its volume is taken (`level.rs`). Correction sources keep every voxel centre on
-//! its side by a clearance. This replaces the constrained flow of Whitaker (2000), reference 19 of
-//! the paper.
+//! The occupancy of the voxels, 0 or 1, is smoothed by a Gaussian with standard deviation `SIGMA`,
+//! and a level set of the result preserves the volume (`level.rs`). Correction sources keep every
+//! voxel centre on its side, at a minimum distance from the surface. This replaces the constrained
+//! flow of Whitaker (2000), reference 19 of the paper.
 //!
-//! Parts that touch along an edge are connected; parts that touch at a corner only are not.
+//! Parts that touch along an edge are connected; parts that touch only at a corner are not.
 
 use crate::bits::Bits;
 use crate::crop::CutFaces;
@@ -22,63 +22,65 @@ use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
-/// Standard deviation of the Gaussian that smooths the staircase, in voxels along each axis. A ball
-/// of 20 voxels has a radius error of 0.06 voxel (root mean square) with 1.5 and of 0.065 with 1.3.
+/// Standard deviation, in voxels along each axis, of the Gaussian that smooths the staircase. A
+/// ball of 20 voxels has a radius error (root mean square) of 0.06 voxel with 1.5 and of 0.065
+/// voxel with 1.3.
 pub(crate) const SIGMA: DVec3 = DVec3::splat(1.5);
 
-/// Nodes around the labels on which the surface depends. With five, F equals that of the whole
-/// volume to 0.01 voxel (test `field_of_the_object_box_equals_field_of_the_whole_volume`);
-/// with four it does not.
+/// Number of nodes around the labels that the surface depends on. With five nodes, F equals that of
+/// the whole volume to 0.01 voxel (test
+/// `field_of_the_object_box_equals_field_of_the_whole_volume`); with four nodes it does not.
 pub(crate) const LABEL_ROOM: usize = 5;
 
-/// Voxels to keep around the labels in addition to the margin.
+/// Returns the number of voxels to keep around the labels in addition to the margin.
 pub(crate) fn room_of_labels(margin: usize) -> [usize; 3] {
     [LABEL_ROOM.saturating_sub(margin); 3]
 }
 
-/// Clearance of the level set over that of F. The level set meets its clearance to first order
-/// only. With a factor of 1, F would have to be raised at thousands of voxel centres of
+/// Ratio of the clearance of the level set to that of F. The level set meets its clearance only to
+/// first order. With a ratio of 1, F would have to be raised at thousands of voxel centres of
 /// `heart_label`, which moves its zero set.
 const CLEARANCE_FACTOR: f64 = 2.0;
 
-/// Options that turn labels into a surface.
+/// Options for computing a surface from labels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LabelOptions {
     /// Treatment of the object at the border of the volume.
     pub border: Border,
-    /// Voxels added on each face.
+    /// Number of voxels added on each face.
     pub margin: usize,
-    /// Faces of the grid that are cuts rather than borders of the volume; there an open border is
-    /// closed.
+    /// Faces of the grid that are cuts rather than borders of the volume. An open border is closed
+    /// at these faces.
     pub cut: CutFaces,
-    /// Minimum distance of the surface from voxel centres, in voxels (minimum spacing).
+    /// Minimum distance of the surface from voxel centres, in units of the minimum voxel spacing.
     pub clearance: f64,
     /// Parts of the object to keep.
     pub keep: Keep,
 }
 
-/// F of the union of some labels; `inside` is true at their voxels.
+/// Computes F of the union of several labels; `inside` is true at the voxels of the labels.
 ///
 /// # Errors
-/// When no voxel is inside, when all are and the border is open, when no part is kept, or when the
-/// run is interrupted.
+/// If no voxel is inside, if all voxels are inside and the border is open, if no part is kept, or
+/// if the run is interrupted.
 pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, monitor: &dyn Monitor) -> Result<Redistanced> {
     from_mask(Mask::from(inside), options, monitor)
 }
 
-/// F of a mask.
+/// Computes F of a mask.
 ///
 /// # Errors
-/// As [`from_labels`].
+/// See [`from_labels`].
 pub fn from_mask(inside: Mask, options: &LabelOptions, monitor: &dyn Monitor) -> Result<Redistanced> {
     from_mask_with(inside, |_| false, options, &Demands::default(), monitor)
 }
 
-/// F of a mask, at a given accuracy. Where two parts touch along an edge, `gives_way` is called
-/// with the two outside voxels at the edge; if it returns true, these are connected instead.
+/// Computes F of a mask with a given accuracy. Where two parts touch along an edge, `gives_way` is
+/// called with the two outside voxels at the edge. If it returns true, the outside voxels are
+/// connected instead of the parts.
 ///
 /// # Errors
-/// As [`from_labels`].
+/// See [`from_labels`].
 pub(crate) fn from_mask_with(
     mask: Mask,
     gives_way: impl Fn([usize; 2]) -> bool + Sync,
@@ -117,7 +119,7 @@ pub(crate) fn from_mask_with(
     Ok(result)
 }
 
-/// Number of voxel centres that F puts on the other side, without those of dropped parts.
+/// Returns the number of voxel centres that F puts on the other side, excluding dropped parts.
 fn changed_voxels(inside: &Bits, result: &Redistanced, margin: usize) -> usize {
     let Redistanced { field, dropped, .. } = result;
     let [px, py, pz] = field.geometry.size;

@@ -1,17 +1,17 @@
-//! A level set of the smoothed occupancy that preserves the local volume.
+//! Computes a level set of the smoothed occupancy that preserves the local volume.
 //!
-//! The occupancy of each voxel (its share that is inside, 0 to 1) is smoothed by a Gaussian. At
-//! level 1/2 planes stay in place, convex surfaces shrink, and thin parts vanish. The level
-//! therefore varies in space such that the volume within a window equals that of the occupancy. It
-//! starts as the mean of the smoothed occupancy on the voxel faces between inside and outside, and
-//! is then corrected by the difference of the volumes.
+//! The occupancy of a voxel is the fraction of its volume that is inside, 0 to 1. It is smoothed by
+//! a Gaussian. At a constant level of 1/2, planes stay in place, convex surfaces shrink, and thin
+//! parts vanish. The level therefore varies in space so that the volume within a window equals the
+//! volume of the occupancy. It starts as the mean of the smoothed occupancy on the voxel faces
+//! between inside and outside, and is then corrected by the difference between the two volumes.
 //!
-//! With a clearance, every voxel centre keeps its side: sources are added at violating centres and
-//! spread over their neighbours, so that the surface stays smooth there. Contacts are kept in the
-//! same way.
+//! With a clearance, every voxel centre stays on its side of the surface: sources are added at
+//! violating centres and spread over their neighbours, so the surface stays smooth there. Contacts
+//! are preserved in the same way.
 //!
-//! All lengths are in voxels along each axis. The staircase has the grid's spacing, so thick slices
-//! need a wider Gaussian in mm.
+//! All lengths are in voxels along each axis. The voxel staircase has the spacing of the grid, so
+//! thick slices need a wider Gaussian in mm.
 
 use crate::bits::Bits;
 use crate::gaussian::smooth;
@@ -25,36 +25,36 @@ use std::f64::consts::TAU;
 
 /// Parameters of the level set.
 pub(crate) struct Smoothing {
-    /// Standard deviations of the Gaussian along the axes, voxels.
+    /// Standard deviations of the Gaussian along the axes, in voxels.
     pub sigma: DVec3,
     /// Minimum distance of the level from 0 and from 1. Parts whose smoothed occupancy stays below
-    /// it vanish. With 0 the level is unbounded.
+    /// this value vanish. With 0, the level is unbounded.
     pub least_level: f64,
-    /// Distance to be kept from voxel centres; `None` lets centres change sides.
+    /// Constraints on the surface. With `None`, voxel centres may change sides.
     pub clearance: Option<Clearance>,
 }
 
 /// Constraints on the surface: its distance from voxel centres, and contacts.
 pub(crate) struct Clearance {
-    /// Minimum distance from every voxel centre, in voxels (minimum spacing).
+    /// Minimum distance from every voxel centre, in units of the minimum voxel spacing.
     pub distance: f64,
-    /// The contacts to keep.
+    /// The contacts to preserve.
     pub contacts: Vec<Contact>,
 }
 
-/// A point between voxel centres of both sides whose side is prescribed: the middle of a grid edge
-/// where two parts touch, or a grid corner that such edges share.
+/// A point surrounded by voxels of both sides whose own side is prescribed: the midpoint of a voxel
+/// edge where two parts touch, or a voxel corner shared by several such edges.
 pub(crate) struct Contact {
-    /// The lowest of the voxels around it.
+    /// The surrounding voxel with the lowest index.
     first: usize,
-    /// The axes along which these voxels are neighbours: two or three.
+    /// For each axis, whether the surrounding voxels differ along it. True for two or three axes.
     across: [bool; 3],
     /// Whether the point is inside.
     is_inside: bool,
 }
 
 impl Contact {
-    /// The voxels around the point: four or eight.
+    /// Returns the four or eight voxels around the point.
     fn voxels(&self, size: [usize; 3]) -> impl Iterator<Item = usize> {
         let (stride, across, first) = (strides(size), self.across, self.first);
         let axes = move |n: usize| (0..3).filter(move |axis| n >> axis & 1 == 1);
@@ -63,12 +63,12 @@ impl Contact {
     }
 }
 
-/// Index strides along the axes.
+/// Returns the index strides along the axes.
 fn strides([nx, ny, _]: [usize; 3]) -> [usize; 3] {
     [1, nx, nx * ny]
 }
 
-/// A level set on a grid of voxels, x fastest.
+/// A level set on a grid of voxels. Arrays are stored x fastest.
 pub(crate) struct LevelSet {
     /// The smoothed occupancy minus the level: positive inside.
     pub above: Vec<f32>,
@@ -76,29 +76,30 @@ pub(crate) struct LevelSet {
     pub level: Vec<f32>,
 }
 
-/// Standard deviations of the two windows, over that of the smoothing: for the initial level and
-/// for the volume. Wider windows leave flat faces less flat near their edges; narrower ones follow
-/// the staircase (tests `flat_faces_and_caps_stay_flat`, `a_binary_ball_becomes_round`).
+/// Standard deviations of the two averaging windows (for the initial level and for the volume),
+/// relative to that of the smoothing. Wider windows leave flat faces less flat near their edges;
+/// narrower windows follow the voxel staircase (tests `flat_faces_and_caps_stay_flat`,
+/// `a_binary_ball_becomes_round`).
 const WINDOWS: [f64; 2] = [1.33, 2.67];
 
-/// Rounds of source and volume corrections. After six rounds, plates, rods and shells have their
-/// volume (test `thin_layers_and_rods_keep_their_volume`). [`Sources::hold`] moves the centres that
-/// are still too near to the surface.
+/// Number of rounds of source and volume corrections. After six rounds, plates, rods and shells
+/// have their original volume (test `thin_layers_and_rods_keep_their_volume`). [`Sources::hold`]
+/// then corrects the centres that are still too close to the surface.
 const ROUNDS: usize = 6;
 
-/// Maximum change of the level in a round.
+/// Maximum change of the level per round.
 const LONGEST_STEP: f64 = 0.1;
 
-/// Added to the density of the surface, so that the step stays finite where there is no surface. A
-/// plane in the middle of the window has a density of 0.37.
+/// Added to the surface density so that the step stays finite where there is no surface. A plane
+/// through the middle of the window has a density of 0.37.
 const LEAST_DENSITY: f64 = 0.002;
 
-/// Minimum slope used for distances, over that of a plane. The slope vanishes in the middle of a
-/// thin part and of a contact.
+/// Minimum slope used to compute distances, relative to the slope at a plane. The actual slope
+/// vanishes in the middle of a thin part and of a contact.
 const LEAST_SLOPE: f64 = 0.15;
 
 /// Value, slopes and second differences along the axes at a voxel. Values are mirrored half a voxel
-/// beyond the faces of the grid.
+/// beyond the outermost voxel centres of the grid.
 #[derive(Clone, Copy)]
 struct Shape {
     own: f32,
@@ -106,12 +107,12 @@ struct Shape {
     bend: [f32; 3],
 }
 
-/// A row of values and the rows around it.
+/// A row of values and the neighbouring rows.
 struct Around<'a> {
     own: &'a [f32],
     y: [&'a [f32]; 2],
     z: [&'a [f32]; 2],
-    /// The rows that are neighbours along both y and z.
+    /// The rows that are offset along both y and z.
     yz: [[&'a [f32]; 2]; 2],
 }
 
@@ -139,7 +140,7 @@ impl<'a> Around<'a> {
         Shape { own, slope, bend }
     }
 
-    /// Mixed second differences: xy, yz, zx.
+    /// Computes the mixed second differences xy, yz and zx.
     #[inline(always)]
     fn mixed(&self, i: usize) -> [f32; 3] {
         let x = [i.saturating_sub(1), (i + 1).min(self.own.len() - 1)];
@@ -153,12 +154,12 @@ impl<'a> Around<'a> {
 }
 
 impl Shape {
-    /// Share of the voxel in which the value is above zero, and the derivative of this share by the
-    /// value.
+    /// Returns the fraction of the voxel in which the value is positive, and the derivative of this
+    /// fraction with respect to the value.
     ///
-    /// The voxel is divided into eight parts. In each, the value is taken as a plane that changes
-    /// by `width` across the part. `mixed` gives the mixed second differences; without them, the
-    /// volume of a rod of 2 by 2 voxels is off by 3 %.
+    /// The voxel is divided into eight parts. In each part, the value is approximated by a plane
+    /// that changes by `width` across the part. `mixed` supplies the mixed second differences;
+    /// without them, the volume of a rod of 2 by 2 voxels is off by 3 %.
     #[inline(always)]
     fn part_above(&self, mixed: impl FnOnce() -> [f32; 3]) -> (f32, f32) {
         let reach: f32 = (0..3).map(|a| 0.5 * (self.slope[a].abs() + self.bend[a].abs())).sum();
@@ -168,7 +169,7 @@ impl Shape {
         let [xy, yz, zx] = mixed();
         let across = [[0.0, xy, zx], [xy, 0.0, yz], [zx, yz, 0.0]];
         let (mut part, mut density) = (0.0, 0.0);
-        // mean of the value over a part of half a voxel, which differs from the value in its middle
+        // the mean over a part (half a voxel wide) differs from the value at the centre of the part
         let mean = self.own + self.bend.iter().sum::<f32>() / 96.0;
         for corner in 0..8 {
             let (mut value, mut width) = (mean, 1e-4);
@@ -186,7 +187,7 @@ impl Shape {
     }
 }
 
-/// The level set of an occupancy.
+/// Computes the level set of an occupancy.
 pub(crate) fn level_set(occupancy: &Occupancy, smoothing: &Smoothing) -> LevelSet {
     let mut work = Work::new(occupancy, smoothing);
     let mut sources = smoothing.clearance.as_ref().map(|clearance| Sources::new(occupancy, clearance));
@@ -222,8 +223,8 @@ impl<'a> Work<'a> {
         work
     }
 
-    /// Mean of the smoothed occupancy on the faces between voxels of different sides, within a
-    /// window; 0.5 where there are no such faces.
+    /// Returns the mean of the smoothed occupancy, within a window, on the faces between voxels of
+    /// different sides. Returns 0.5 where there are no such faces.
     fn first_level(&self) -> Blocks<f32> {
         let Self { occupancy, above, size, .. } = self;
         let [nx, ny, nz] = *size;
@@ -268,12 +269,12 @@ impl<'a> Work<'a> {
         self.raise_level(&steps);
     }
 
-    /// Slope of the smoothed occupancy at a plane, per voxel.
+    /// Returns the slope, per voxel, of the smoothed occupancy at a plane.
     fn plane_slope(&self) -> f64 {
         1.0 / (TAU.sqrt() * self.smoothing.sigma.max_element())
     }
 
-    /// Raises the level by interpolated block values, within its bounds.
+    /// Adds interpolated block values to the level and clamps the level to its bounds.
     fn raise_level(&mut self, steps: &Blocks<f32>) {
         let nx = self.size[0];
         let [least, most] = [self.smoothing.least_level as f32, 1.0 - self.smoothing.least_level as f32];
@@ -295,21 +296,21 @@ impl<'a> Work<'a> {
     }
 }
 
-/// Values on blocks of two voxels along each axis; windows are several voxels wide.
+/// Values on blocks of 2 x 2 x 2 voxels. Windows are several voxels wide, so blocks suffice.
 struct Blocks<T> {
-    /// Voxels along each axis.
+    /// Number of voxels along each axis.
     voxels: [usize; 3],
     values: Vec<T>,
 }
 
-/// Blocks along each axis.
+/// Returns the number of blocks along each axis.
 fn blocks_along(voxels: [usize; 3]) -> [usize; 3] {
     voxels.map(|n| n.div_ceil(2))
 }
 
 impl Blocks<[f32; 2]> {
-    /// Sums of two values per voxel. `values(row)` returns a function of the x index that gives
-    /// them.
+    /// Sums two values per voxel over each block. `values(row)` returns a function that maps the x
+    /// index to the two values.
     fn of<Row: Fn(usize) -> [f32; 2]>(voxels: [usize; 3], values: impl Fn(usize) -> Row + Sync) -> Self {
         let [nx, ny, nz] = voxels;
         let [bx, by, bz] = blocks_along(voxels);
@@ -330,8 +331,8 @@ impl Blocks<[f32; 2]> {
         Self { voxels, values: sums }
     }
 
-    /// Smooths both values by a Gaussian with standard deviations `sigma`, voxels. Binning into
-    /// blocks already adds a variance of 0.25.
+    /// Smooths both values by a Gaussian with standard deviations `sigma` in voxels. The summation
+    /// over blocks already adds a variance of 0.25.
     fn smooth(&mut self, sigma: DVec3) {
         let size = blocks_along(self.voxels);
         let sigma = sigma.to_array().map(|sigma| 0.5 * (sigma * sigma - 0.25).max(0.25).sqrt());
@@ -348,7 +349,7 @@ impl Blocks<[f32; 2]> {
 }
 
 impl Blocks<f32> {
-    /// The value at a voxel, by trilinear interpolation between block centres.
+    /// Returns the value at a voxel, interpolated trilinearly between block centres.
     #[inline(always)]
     fn at(&self, row: usize, i: usize) -> f32 {
         let ny = self.voxels[1];
@@ -375,17 +376,18 @@ fn share(occupancy: &Occupancy, voxel: usize) -> f32 {
 }
 
 /// Corrections to the level set near voxel centres that are on the wrong side of the surface or too
-/// near to it.
+/// close to it.
 struct Sources<'a> {
-    /// Voxels with a voxel of the other side among their 26 neighbours.
+    /// Voxels with at least one voxel of the other side among their 26 neighbours.
     near: Runs,
-    /// Source at each of these voxels, towards its own side; at least zero.
+    /// Strength of the source at each of these voxels: non-negative, directed towards the voxel's
+    /// side.
     added: Vec<f32>,
-    /// Minimum distance from the surface, mm.
+    /// Minimum distance of a voxel centre from the surface, mm.
     least: f32,
     contacts: &'a [Contact],
-    /// For the voxels of contacts: how much they must rise so that the value at the contact reaches
-    /// its minimum; negative if it exceeds it. Minus infinity at voxels without a contact.
+    /// For the voxels of contacts: the rise that brings the value at the contact to its minimum;
+    /// negative if the value exceeds the minimum. Minus infinity at voxels without a contact.
     short: Vec<f32>,
 }
 
@@ -400,14 +402,14 @@ impl<'a> Sources<'a> {
         Self { added: all(0.0), short: all(f32::NEG_INFINITY), near, least, contacts: &clearance.contacts }
     }
 
-    /// Slope (per mm) assumed where the actual slope is smaller: in the middle of thin parts and of
-    /// contacts.
+    /// Returns the slope (per mm) that is assumed where the actual slope is smaller, as in the
+    /// middle of thin parts and of contacts.
     fn least_slope(work: &Work) -> f64 {
         LEAST_SLOPE * work.plane_slope() / work.occupancy.geometry.spacing.max_element()
     }
 
-    /// Computes how much the voxels of each contact must rise for its minimum value, and stores the
-    /// maximum over the contacts of a voxel.
+    /// Computes how far the voxels of each contact must rise for the contact to reach its minimum
+    /// value. Stores the maximum over all contacts of a voxel.
     fn look_at_contacts(&mut self, work: &Work) {
         self.short.fill(f32::NEG_INFINITY);
         let wanted = self.least * Self::least_slope(work) as f32;
@@ -431,9 +433,9 @@ impl<'a> Sources<'a> {
         }
     }
 
-    /// Calls `each(number, voxel, lack)` for the near voxels of slice `k`. `number` counts them
-    /// within the slice. `lack` is how far the value falls short of that at the minimum distance;
-    /// positive if it is too small.
+    /// Calls `each(number, voxel, lack)` for the near voxels of slice `k`. `number` counts these
+    /// voxels within the slice. `lack` is the difference between the value at the minimum distance
+    /// and the actual value; it is positive if the actual value is too small.
     fn each_lack(&self, work: &Work, k: usize, mut each: impl FnMut(usize, usize, f32)) {
         let [nx, ny, _] = work.size;
         let spacing = work.occupancy.geometry.spacing;
@@ -457,8 +459,8 @@ impl<'a> Sources<'a> {
         }
     }
 
-    /// Adds sources at voxel centres that are too near to the surface, and reduces them at centres
-    /// that are farther away than required.
+    /// Adds sources at voxel centres that are too close to the surface, and weakens sources at
+    /// centres that are farther away than required.
     fn grow(&mut self, work: &mut Work) {
         self.look_at_contacts(work);
         let lacking = self.lacking(work);
@@ -471,7 +473,7 @@ impl<'a> Sources<'a> {
             .map(|(k, added)| {
                 let mut changes = Vec::new();
                 own.each_lack(work, k, |number, n, lack| {
-                    // how much unit sources at all violating voxels would raise this one
+                    // how far unit sources at all violating voxels would raise this voxel
                     let gain: f32 = near_pairs(n, work.size)
                         .filter(|&(near, _)| lacking.holds(near))
                         .map(|(_, weight)| weight)
@@ -493,7 +495,7 @@ impl<'a> Sources<'a> {
         });
     }
 
-    /// The voxels that are too near to the surface.
+    /// Returns the voxels whose centres are too close to the surface.
     fn lacking(&self, work: &Work) -> Bits {
         let slices = (0..work.size[2]).into_par_iter().map(|k| {
             let mut found = Vec::new();
@@ -511,7 +513,7 @@ impl<'a> Sources<'a> {
         lacking
     }
 
-    /// Moves the remaining violating voxel centres and contacts to their minimum distance. Also
+    /// Moves the values at the remaining violating voxel centres and contacts to the minimum. Also
     /// corrects centres on the wrong side that no source reaches.
     fn hold(&mut self, work: &mut Work) {
         let occupancy = work.occupancy;
@@ -543,27 +545,28 @@ impl<'a> Sources<'a> {
     }
 }
 
-/// How much the middle of an edge rises if the two voxels on its side rise by one: 0.5 from the
-/// mean, 0.4 from their second differences and -0.2 from those of the other two.
+/// Rise of the value at the midpoint of an edge if the two voxels on its side rise by one: 0.5 from
+/// the mean, 0.4 from the second differences of these two voxels and -0.2 from those of the other
+/// two voxels.
 const GAIN_AT_CONTACT: f32 = 0.7;
 
-/// Maximum number of passes that hold voxel centres and contacts. Neighbours change each other's
-/// slopes and second differences.
+/// Maximum number of passes that hold voxel centres and contacts. Several passes are needed because
+/// neighbours change each other's slopes and second differences.
 const HOLDS: usize = 6;
 
-/// Value given to a voxel on the wrong side that has no voxel of the other side beside it. Between
-/// specks a few voxels apart, the smoothed occupancy can exceed the level.
+/// Absolute value assigned to a voxel on the wrong side without a neighbouring voxel of the other
+/// side. Between specks a few voxels apart, the smoothed occupancy can exceed the level.
 const CLEAR_VALUE: f32 = 0.1;
 
-/// Kernel of a unit source by distance in voxels along one axis: a Gaussian with standard deviation
-/// 0.75. The weights of the three axes multiply.
+/// Kernel of a unit source along one axis, by distance in voxels: a Gaussian with a standard
+/// deviation of 0.75. The weights of the three axes are multiplied.
 const SPREAD: [f32; 3] = [0.532, 0.219, 0.015];
 
-/// How much a unit source raises its own voxel.
+/// Rise of a voxel due to a unit source at the voxel itself.
 const OWN_WEIGHT: f32 = SPREAD[0] * SPREAD[0] * SPREAD[0];
 
-/// A voxel and its 26 neighbours on the grid, each with the amount by which a unit source at
-/// `voxel` raises it.
+/// Returns a voxel and its 26 neighbours on the grid, each with its rise due to a unit source at
+/// `voxel`.
 fn near_pairs(voxel: usize, [nx, ny, nz]: [usize; 3]) -> impl Iterator<Item = (usize, f32)> {
     let at = [voxel % nx, voxel / nx % ny, voxel / (nx * ny)];
     (0..27).filter_map(move |n| {
@@ -574,8 +577,8 @@ fn near_pairs(voxel: usize, [nx, ny, nz]: [usize; 3]) -> impl Iterator<Item = (u
     })
 }
 
-/// The positions along an axis that a source raises, with their weights. Positions beyond the ends
-/// are mirrored.
+/// Returns the positions along an axis that a source raises, with their weights. Positions beyond
+/// the ends of the axis are mirrored.
 fn spread_along(at: usize, count: usize) -> [(usize, f32); 5] {
     std::array::from_fn(|n| {
         let to = (at + n).checked_sub(2).unwrap_or(1 - (at + n).min(1));
@@ -596,9 +599,9 @@ fn spread(sources: &[(usize, f32)], k: usize, [nx, ny, nz]: [usize; 3], slice: &
     }
 }
 
-/// The contacts of a mask. Inside parts are connected, unless `gives_way` is true for the two
-/// outside voxels at an edge. A grid corner shared by several contacts of the same side takes their
-/// side; without it, only a row of separate bridges would connect the parts.
+/// Finds the contacts of a mask. Inside parts are connected at a contact unless `gives_way` is true
+/// for the two outside voxels at the edge. A voxel corner shared by several contacts of the same
+/// side is put on that side; otherwise only a row of separate bridges would connect the parts.
 pub(crate) fn contacts(mask: &Mask, gives_way: impl Fn([usize; 2]) -> bool + Sync) -> Vec<Contact> {
     let size = mask.geometry.size;
     let [nx, ny, nz] = size;

@@ -1,15 +1,16 @@
-//! The `distfield` stage: computes the signed distance field F of section 3.1 of the paper (Kim,
-//! Chen and Hansen 2012) from a volume and an iso value, or from labels. F is negative inside, in
-//! mm. Between its samples, F is the cubic B-spline that interpolates them.
+//! The `distfield` stage computes the signed distance field F of section 3.1 of the paper (Kim,
+//! Chen and Hansen 2012) from a volume and an iso value, or from labels. F is in mm and negative
+//! inside. Between its samples, F is the interpolating cubic B-spline.
 //!
 //! [`mod@unshear`] resamples sheared volumes, and [`crop`] crops the volume to the object.
-//! [`scalar`] and [`labels`] define the surface; for labels and scales it is a level set of the
-//! smoothed occupancy ([`mask`], [`occupancy`], `level`). [`field`] computes the distances to the
-//! surface ([`samples`], [`nearest`], [`closest`]) and fits the zero set of the spline to it
-//! ([`fit`]). It connects ambiguous faces as the source does ([`junctions`]) and closes the object
-//! at the border ([`cap`]). [`keep`] drops parts, [`topology`] counts the parts of the result, and
-//! [`run`] is the program. [`materials`] computes one field for each of many materials. [`input`]
-//! refuses labels of a scan and iso values of a label map.
+//! [`scalar`] and [`labels`] define the surface; for labels and with a scale, the surface is a
+//! level set of the smoothed occupancy ([`mask`], [`occupancy`], `level`). [`field`] computes the
+//! distances to the surface ([`samples`], [`nearest`], [`closest`]) and fits the zero set of the
+//! spline to the surface ([`fit`]). It connects ambiguous faces in the same way as the source
+//! ([`junctions`]) and closes the object at the border ([`cap`]). [`keep`] drops parts,
+//! [`topology`] counts the parts of the result, and [`run`] is the program. [`materials`] computes
+//! one field for each of several materials. [`input`] rejects labels for a scan and iso values for
+//! a label map.
 
 pub mod bits;
 pub mod cap;

@@ -1,4 +1,4 @@
-//! Mask of a label map: the nodes inside the object, one bit each.
+//! Mask of a label map: one bit per node, set for nodes inside the object.
 
 use crate::bits::Bits;
 use crate::crop::CutFaces;
@@ -9,7 +9,7 @@ use isoparticles_volume::{Geometry, Image};
 pub struct Mask {
     /// The grid.
     pub geometry: Geometry,
-    /// The nodes inside.
+    /// The inside nodes.
     pub inside: Bits,
 }
 
@@ -20,8 +20,8 @@ impl From<&Image<bool>> for Mask {
 }
 
 impl Mask {
-    /// The mask with `margin` more nodes on each face. Beyond a face at which the volume was cut
-    /// they are outside; beyond the other faces they copy the nearest node.
+    /// Returns the mask with `margin` more nodes on each face. The new nodes are outside beyond a
+    /// face where the volume was cut; beyond the other faces they copy the nearest node.
     pub fn padded(&self, margin: usize, cut: CutFaces) -> Self {
         let [nx, ny, nz] = self.geometry.size;
         let geometry = self.geometry.padded(margin);

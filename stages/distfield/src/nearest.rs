@@ -1,12 +1,12 @@
-//! The nearest surface sample, or nearly the nearest, for every node: samples propagate from node
-//! to node (a vector distance transform after Danielsson 1980).
+//! Finds the nearest, or nearly the nearest, surface sample of every node. Samples propagate from
+//! node to node (a vector distance transform after Danielsson 1980).
 //!
-//! Far from the surface many samples are about equally near, each nearest to a region thinner than
-//! a voxel, and propagation in few steps becomes inaccurate. The far field therefore comes from a
-//! grid of every second node, whose nearest samples are found line by line (`envelope.rs`). Every
-//! node tests the samples of the coarse nodes around it. Nodes far away then take samples from the
-//! adjacent slices only. The fine grid is processed in slabs, so that only the coarse grid is in
-//! memory as a whole.
+//! Far from the surface, many samples are about equally near, each being the nearest in a region
+//! thinner than a voxel, and propagation in few steps becomes inaccurate. The far field is
+//! therefore computed on a grid of every second node, whose nearest samples are found line by line
+//! (`envelope.rs`). Every node tests the samples of the surrounding coarse nodes. Nodes far away
+//! then take samples only from the adjacent slices. The fine grid is processed in slabs, so only
+//! the coarse grid is in memory as a whole.
 
 use crate::envelope::spread;
 use glam::{DVec3, Vec3};
@@ -17,20 +17,21 @@ use std::ops::Range;
 /// Marks a node without a sample.
 pub const NONE: u32 = u32::MAX;
 
-/// Ratio of the spacings of the coarse grid and the grid, along each axis.
+/// Ratio of the coarse spacing to the fine spacing along each axis.
 pub(crate) const STRIDE: usize = 2;
 
-/// Nodes farther from the surface than `near` plus this many voxels (maximum spacing) take no
-/// samples from other nodes of their own slice. With `near` the half-width of the exact band of
-/// `crate::field` (4 voxels), that is twice the half-width. On three volumes, F within this
+/// Nodes farther from the surface than `near` plus this many voxels (of the maximum spacing) take
+/// no samples from other nodes of their own slice. If `near` is the half-width of the exact band of
+/// `crate::field` (4 voxels), the total is twice the half-width. On three volumes, F within this
 /// distance changed by 0.004 voxel (root mean square) when nodes beyond it took no samples from
 /// neighbours.
 const FAR_BEYOND: f64 = 4.0;
 
-/// Approximate number of nodes of a slab; it bounds the memory. Smaller grids are one slab.
+/// Approximate number of nodes of a slab, which bounds the memory. Smaller grids form a single
+/// slab.
 const SLAB: usize = 10 << 20;
 
-/// Minimum number of slices of a slab.
+/// Minimum number of slices in a slab.
 const LEAST_SLICES: usize = 8;
 
 /// The nearest samples of the nodes in a range of slices.
@@ -46,12 +47,12 @@ pub struct Slab {
 
 /// Computes the nearest sample of every node within `limit` mm of the surface, slab by slab from
 /// the first slice to the last. Nodes farther away get some sample or none. If the limit is
-/// infinite, samples up to `near` mm away are the nearest ones, and those farther away are nearly
-/// the nearest.
+/// infinite, samples up to `near` mm away are the nearest, and samples farther away are nearly the
+/// nearest.
 ///
 /// `values` has one entry per node. For each slab, `visit` receives the entries of the slab's own
-/// nodes, which hold the squared distances (mm^2) to their samples, infinite where there is none.
-/// Values that `visit` writes there stay.
+/// nodes. These entries contain the squared distances (mm^2) from the nodes to their samples, or
+/// infinity where there is no sample. Values that `visit` writes there are kept.
 pub fn nearest_samples(
     geometry: &Geometry,
     samples: &[DVec3],
@@ -115,27 +116,27 @@ struct Nearest<'a> {
 }
 
 impl Nearest<'_> {
-    /// Chunks of `length` nodes: slices of constant z, or rows along x.
+    /// Returns chunks of `length` nodes: slices of constant z, or rows along x.
     fn chunks(&mut self, length: usize) -> impl IndexedParallelIterator<Item = (&mut [u32], &mut [f32])> {
         self.sample.par_chunks_mut(length).zip(self.squared.par_chunks_mut(length))
     }
 }
 
-/// The nearest samples of the nodes of the coarse grid. Slices are stored from the last to the
-/// first, so that slices no longer needed are at the end and their memory can be freed.
+/// The nearest samples of the nodes of the coarse grid. Slices are stored from last to first.
+/// Slices that are no longer needed are then at the end, and their memory can be freed.
 struct Coarse {
     geometry: Geometry,
     sample: Vec<u32>,
 }
 
 impl Coarse {
-    /// The samples of the row at y index `j` and z index `k`.
+    /// Returns the samples of the row at y index `j` and z index `k`.
     fn row(&self, j: usize, k: usize) -> &[u32] {
         let [nx, ny, nz] = self.geometry.size;
         &self.sample[((nz - 1 - k) * ny + j) * nx..][..nx]
     }
 
-    /// Frees the slices that are not needed by nodes of the fine grid from slice `k` on.
+    /// Frees the slices that nodes of the fine grid from slice `k` on do not need.
     fn forget_below(&mut self, k: usize) {
         let [nx, ny, nz] = self.geometry.size;
         self.sample.truncate(nz.saturating_sub(k / STRIDE) * nx * ny);
@@ -149,17 +150,17 @@ struct BySlice {
     numbers: Vec<u32>,
 }
 
-/// A distance transform: samples that propagate over a grid or a slab of it.
+/// A distance transform that propagates samples over a grid or a slab of a grid.
 #[derive(Clone, Copy)]
 struct Transform<'a> {
     geometry: &'a Geometry,
-    /// Index in the whole grid of the first slice.
+    /// Index of the first slice in the whole grid.
     first: usize,
     samples: &'a [Vec3],
     /// Squared distance (mm^2) beyond which a node's sample does not propagate.
     limit: f32,
-    /// Squared distance (mm^2) beyond which a node takes no sample from its own slice: its sample
-    /// comes from the coarse grid.
+    /// Squared distance (mm^2) beyond which a node takes no sample from its own slice. Its sample
+    /// then comes from the coarse grid.
     far: f32,
 }
 
@@ -168,7 +169,7 @@ impl Transform<'_> {
         self.geometry.index_to_grid(DVec3::new(i as f64, j as f64, (self.first + k) as f64)).as_vec3()
     }
 
-    /// The nearest samples of the nodes of a coarse grid that covers the whole grid.
+    /// Computes the nearest samples of the nodes of a coarse grid that covers the whole grid.
     fn coarse(&self) -> Coarse {
         let geometry = Geometry {
             size: self.geometry.size.map(|n| (n - 1).div_ceil(STRIDE) + 1),
@@ -187,14 +188,14 @@ impl Transform<'_> {
         Coarse { geometry, sample }
     }
 
-    /// Lowest node, in the whole grid, of the cell that contains a sample.
+    /// Returns the lowest node, in the whole grid, of the cell that contains a sample.
     fn cell(&self, sample: Vec3) -> [usize; 3] {
         let index = sample * self.geometry.spacing.recip().as_vec3();
         [0, 1, 2].map(|a| index[a].max(0.0) as usize)
     }
 
-    /// Sample numbers sorted by the slice of their cell, ascending within a slice. Samples beyond
-    /// the last slice count to the last.
+    /// Sorts the sample numbers by the slice of their cell, ascending within a slice. Samples
+    /// beyond the last slice are assigned to the last slice.
     fn by_slice(&self) -> BySlice {
         let nz = self.geometry.size[2];
         let slice = |sample: Vec3| self.cell(sample)[2].min(nz - 1);
@@ -211,8 +212,9 @@ impl Transform<'_> {
         BySlice { start, numbers }
     }
 
-    /// Replaces a node's sample by that of another node if it is nearer. The two are usually the
-    /// same, so the node's position is computed only if they differ.
+    /// Replaces a node's sample with that of another node if the latter is nearer. Both nodes
+    /// usually have the same sample, so `place()` computes the node's position only if the samples
+    /// differ.
     #[inline(always)]
     fn take(&self, place: impl Fn() -> Vec3, own: &mut (u32, f32), other: (u32, f32)) {
         if other.0 == own.0 || other.0 == NONE || other.1 > self.limit {
@@ -237,7 +239,7 @@ impl Transform<'_> {
         });
     }
 
-    /// Offers every sample to the eight nodes of its cell.
+    /// Tests every sample at the eight nodes of its cell.
     fn offer_to_cells(&self, nearest: &mut Nearest, by_slice: &BySlice) {
         let [nx, ny, _] = self.geometry.size;
         nearest.chunks(nx * ny).enumerate().for_each(|(k, (sample, squared))| {
@@ -257,7 +259,7 @@ impl Transform<'_> {
         });
     }
 
-    /// Every node takes the nearest of the samples of the coarse nodes around it.
+    /// Tests the samples of the surrounding coarse nodes at every node.
     fn take_from_coarse(&self, nearest: &mut Nearest, coarse: &Coarse) {
         let [nx, ny, _] = self.geometry.size;
         let around = |n: usize| [n / STRIDE, n.div_ceil(STRIDE)];
@@ -278,7 +280,7 @@ impl Transform<'_> {
         });
     }
 
-    /// Propagates samples over the whole grid.
+    /// Propagates samples over the grid.
     fn hand_on(&self, nearest: &mut Nearest) {
         self.within_planes(nearest);
         self.between_planes(nearest, true);
@@ -296,7 +298,7 @@ impl Transform<'_> {
             for (j, before) in rows.chain(back) {
                 let mut ask = |i: usize, others: Range<usize>| {
                     let mut own = (sample[j * nx + i], squared[j * nx + i]);
-                    // a node without a sample is infinitely far
+                    // a node without a sample is at infinite distance but still needs a sample
                     if own.0 != NONE && own.1 > self.far {
                         return;
                     }

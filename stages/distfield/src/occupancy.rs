@@ -1,8 +1,8 @@
-//! Occupancy: the share of each voxel that is inside the object. It is 0 or 1 for labels, and a
+//! Occupancy: the fraction of each voxel that is inside the object. It is 0 or 1 for labels, and a
 //! first-order estimate for a scalar volume.
 //!
-//! A scale smooths the occupancy rather than the intensity. At scale 0 the surface is therefore the
-//! isosurface, regardless of values far above or below the iso value (metal, air), and labels and
+//! A scale smooths the occupancy rather than the intensity. At scale 0, the surface is therefore
+//! the isosurface, regardless of values far above or below the iso value (metal, air). Labels and
 //! scalar volumes are handled alike.
 
 use crate::Inside;
@@ -26,15 +26,16 @@ pub struct Occupancy {
 }
 
 impl Occupancy {
-    /// Occupancy of a mask, 0 or [`WHOLE`].
+    /// Returns the occupancy of a mask, 0 or [`WHOLE`].
     pub fn of_mask(mask: &Mask) -> Self {
         let mut shares = vec![0; mask.geometry.voxel_count()];
         shares.par_iter_mut().enumerate().for_each(|(n, share)| *share = if mask.inside.holds(n) { WHOLE } else { 0 });
         Self { geometry: mask.geometry.clone(), shares }
     }
 
-    /// Occupancy of one side of an iso value. A voxel whose centre is v above the iso value, and
-    /// across which the value changes by w, is above the iso value in the share 1/2 + v / w.
+    /// Estimates the occupancy of one side of an iso value. If the value exceeds the iso value by v
+    /// at the voxel centre and changes by w across the voxel, the fraction 1/2 + v / w of the voxel
+    /// is above the iso value.
     pub fn of_scalar(voxels: &Voxels, geometry: &Geometry, iso: f64, inside: Inside) -> Self {
         let [nx, ny, nz] = geometry.size;
         let plane = nx * ny;
@@ -67,19 +68,19 @@ impl Occupancy {
         Self { geometry: geometry.clone(), shares }
     }
 
-    /// Whether the centre of a voxel is inside.
+    /// Returns whether the centre of a voxel is inside.
     pub fn is_inside(&self, voxel: usize) -> bool {
         self.shares[voxel] >= CENTRE_INSIDE
     }
 
-    /// Volume inside, mm^3.
+    /// Returns the volume inside, mm^3.
     pub fn volume(&self) -> f64 {
         let sum: u64 = self.shares.par_iter().map(|&share| u64::from(share)).sum();
         sum as f64 / f64::from(WHOLE) * self.geometry.spacing.element_product()
     }
 
-    /// The occupancy on voxels twice as long along each axis. Those at the upper faces may reach
-    /// beyond the grid.
+    /// Returns the occupancy on voxels twice as long along each axis. Voxels at the upper faces may
+    /// extend beyond the grid.
     pub fn halved(&self) -> Self {
         let [nx, ny, nz] = self.geometry.size;
         let size = self.geometry.size.map(|n| n.div_ceil(2));
@@ -100,7 +101,7 @@ impl Occupancy {
         Self { geometry: Geometry { size, spacing: 2.0 * self.geometry.spacing, ..self.geometry.clone() }, shares }
     }
 
-    /// The bounding box of all voxels that are partly inside; `None` if there are none.
+    /// Returns the bounding box of all voxels that are partly inside, or `None` if there are none.
     pub fn extent(&self) -> Option<VoxelBox> {
         let nx = self.geometry.size[0];
         VoxelBox::of_rows(self.geometry.size, |row| {
@@ -111,13 +112,13 @@ impl Occupancy {
     }
 }
 
-/// Change of the value across its voxel, summed over the axes. All values are relative to the iso
-/// value; `neighbours` has two per axis.
+/// Returns the change of the value across its voxel, summed over the axes. All values are relative
+/// to the iso value; `neighbours` contains two values per axis.
 ///
 /// Along an axis with a neighbour beyond the surface, the change is the difference from that
-/// neighbour. Along the other axes it is the smaller difference, at most the maximum of the former,
-/// so that metal or air farther away has no effect. The result is 0 if no neighbour is beyond the
-/// surface.
+/// neighbour. Along the other axes, the change is the smaller difference, limited to the maximum
+/// change along the former axes, so that metal or air farther away has no effect. The result is 0
+/// if no neighbour is beyond the surface.
 fn change_across(own: f64, neighbours: &[[f64; 2]; 3]) -> f64 {
     let beyond = |pair: &[f64; 2]| {
         pair.iter().filter(|&&near| near * own <= 0.0).map(|near| (near - own).abs()).fold(0.0, f64::max)

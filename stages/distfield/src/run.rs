@@ -1,5 +1,5 @@
-//! The program: options, checks of the input, computation of F, report. [`materials::program`] does
-//! the same for many materials.
+//! The `distfield` program: options, input checks, computation of F, and report.
+//! [`materials::program`] handles several materials.
 
 use crate::choose::{Choice as ScaleChoice, Object, ScaleArgs, choose_scale, extract_scaled};
 use crate::crop::{CutFaces, Grid, VoxelBox, crop, room_of_spline};
@@ -25,12 +25,12 @@ use std::path::PathBuf;
 /// Computes the signed distance field F (mm) of an object, from a volume and an iso value or labels
 ///
 /// F is the implicit function of section 3.1 of the paper (Kim, Chen and Hansen 2012). The output
-/// holds samples of the signed distance to the surface, negative inside; F is the cubic B-spline
-/// that interpolates them. For a scalar volume, the surface is where the cubic B-spline through the
-/// voxels equals the iso value. For labels, it is a smooth surface that preserves the local volume
-/// and, without a scale, keeps every voxel centre on its side. The grid has the spacing of the
-/// input. It covers the object, or the volume with --grid volume, and --margin more voxels on each
-/// face.
+/// contains samples of the signed distance to the surface, negative inside; F is the cubic B-spline
+/// that interpolates these samples. For a scalar volume, the surface is where the cubic B-spline
+/// through the voxels equals the iso value. For labels, it is a smooth surface that preserves the
+/// local volume and, without a scale, keeps every voxel centre on its side. The grid has the
+/// spacing of the input. It covers the object (or the whole volume with --grid volume) and --margin
+/// more voxels on each face.
 #[derive(Clone, Debug, clap::Parser)]
 #[command(
     name = "distfield",
@@ -42,7 +42,7 @@ pub struct Args {
     /// .mhd), VTK image (.vti), or a folder of DICOM slices
     #[arg(value_name = "IN.nrrd", help_heading = FILES)]
     pub input: PathBuf,
-    /// Series to read if the folder has several: its description, number or UID
+    /// Series to read if the folder contains several: description, number or UID of the series
     #[arg(long, value_name = "NAME", help_heading = FILES)]
     pub series: Option<String>,
     /// VTK image file to write: the distance field F in mm, or one field per --material
@@ -58,17 +58,17 @@ pub struct Args {
         help_heading = METHOD
     )]
     pub iso: Option<f64>,
-    /// Side of the iso value that the object is on; below for the lungs in a CT, for example
+    /// Side of the iso value that contains the object; for example, below for the lungs in a CT
     #[arg(long, value_enum, value_name = "SIDE", default_value_t = Inside::Above, help_heading = METHOD)]
     pub inside: Inside,
     /// Labels whose union is the object, separated by commas or spaces: numbers, ranges such as
-    /// 2..5 (those of them that occur), all (every label except 0), or names from the file
+    /// 2..5 (only labels that occur), all (every label except 0), or names from the file
     #[arg(long, value_name = "A,B", allow_hyphen_values = true, help_heading = METHOD)]
     pub labels: Option<Selection>,
-    /// Make a material of these labels, such as lung=2+3; may be given several times. NAME alone
+    /// Define a material by its labels, such as lung=2+3; may be given several times. NAME alone
     /// means the label of that name in the file. all makes one material of each label except 0 that
-    /// no other --material names. Other labels belong to the material "outside". The output holds
-    /// one field for each material, the outside included
+    /// no other --material specifies. Other labels belong to the material "outside". The output
+    /// contains one field for each material, including the outside
     #[arg(
         long,
         value_name = "NAME=A+B",
@@ -77,35 +77,35 @@ pub struct Args {
         help_heading = METHOD
     )]
     pub material: Vec<Choice>,
-    /// With --material: give each component of fewer voxels than this, including components of the
-    /// outside, to the material with which it shares the most faces; 1 changes nothing. Changes are
-    /// reported
+    /// With --material: reassign each component of fewer voxels than this, including components of
+    /// the outside, to the material that shares the most faces with it; 1 changes nothing. Changes
+    /// are reported
     #[arg(long, value_name = "VOXELS", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..), requires = "material", help_heading = METHOD)]
     pub smallest_island: u32,
-    /// Kind of the volume. auto judges it from the values, and refuses labels of a scan and an iso
-    /// value of a label map; give scan or labels if the judgement is wrong
+    /// Kind of the volume. auto detects the kind from the values, and rejects labels for a scan and
+    /// an iso value for a label map; give scan or labels if the detection is wrong
     #[arg(long, value_enum, value_name = "KIND", default_value_t = KindChoice::Auto, help_heading = METHOD)]
     pub kind: KindChoice,
-    /// Treatment of the object at the border of the volume: cap closes it half a voxel beyond the
-    /// outermost voxel centres, with edges rounded by half a voxel; open continues the surface
-    /// straight, so that it leaves the volume
+    /// Treatment of the object at the border of the volume: cap closes the object half a voxel
+    /// beyond the outermost voxel centres, with edges rounded by half a voxel; open continues the
+    /// surface straight, so that it leaves the volume
     #[arg(long, value_enum, value_name = "HOW", default_value_t = Border::Cap, help_heading = METHOD)]
     pub border: Border,
-    /// Extent of the grid: object is the box of the object with the room on which F near the
-    /// surface depends; volume is the whole volume. The surface and its world coordinates are the
-    /// same
+    /// Extent of the grid: object is the bounding box of the object, enlarged by the voxels that F
+    /// near the surface depends on; volume is the whole volume. The surface and its world
+    /// coordinates are the same for both
     #[arg(long, value_enum, value_name = "WHICH", default_value_t = Grid::Object, help_heading = METHOD)]
     pub grid: Grid,
-    /// Parts of the object to keep: all, the largest only, or those of at least VOLUME mm^3.
+    /// Parts of the object to keep: all, only the largest, or those of at least VOLUME mm^3.
     /// Dropped parts are reported; cavities do not change
     #[arg(long, value_name = "all|largest|VOLUME", default_value_t = Keep::All, help_heading = METHOD)]
     pub keep: Keep,
-    /// Voxels added on each face of the grid, 3 to 64, as room for F around the surface
+    /// Number of voxels added on each face of the grid, 3 to 64, as room for F around the surface
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(3..=64), help_heading = METHOD)]
     pub margin: u16,
-    /// Labels without a scale: minimum distance of the surface from every voxel centre, in voxels
-    /// (minimum spacing), 0.01 to 0.15. It leaves room for the triangles, which deviate from the
-    /// curved surface
+    /// Labels without a scale: minimum distance of the surface from every voxel centre, in units of
+    /// the minimum voxel spacing, 0.01 to 0.15. The distance leaves room for the triangles, which
+    /// deviate from the curved surface
     #[arg(long, value_name = "VOXELS", default_value_t = 0.05, value_parser = clearance_in_range, help_heading = METHOD)]
     pub clearance: f64,
     /// The options of the scale.
@@ -123,25 +123,28 @@ fn clearance_in_range(text: &str) -> std::result::Result<f64, String> {
     }
 }
 
-/// Maximum clearance, in voxels. The level set keeps twice this distance, 0.3, and the surface of a
-/// layer one voxel thick is half a voxel from its voxel centres.
+/// Maximum clearance, in units of the minimum voxel spacing. The level set keeps twice this
+/// distance, 0.3, and the surface of a layer one voxel thick is half a voxel from its voxel
+/// centres.
 const MOST_CLEARANCE: f64 = 0.15;
 
-/// Maximum number of surfaces of F whose volumes the file and the report list.
+/// Maximum number of surfaces of F whose volumes are listed in the file and in the report.
 const LISTED_SURFACES: usize = 100;
 
-/// Distance between the zero sets of F and of its source above which the user is warned, in voxels:
-/// mean and 99th percentile.
+/// Limits of the distance between the zero sets of F and of its source, in voxels: mean and 99th
+/// percentile. The program prints a warning above either limit.
 const SHIFT_LIMITS: (f64, f64) = (0.03, 0.15);
 
-/// Relative change of the volume above which the user is warned, and above which a check fails.
-/// Layers one voxel thick change by up to 8 %, layers of two voxels by up to 3 % (test
-/// `thin_layers_and_rods_keep_their_volume`), specks of single voxels by up to 20 %.
+/// Limits of the relative change of the volume: a warning is printed above the first, and a check
+/// fails above the second. Layers one voxel thick change by up to 8 %, layers two voxels thick by
+/// up to 3 % (test `thin_layers_and_rods_keep_their_volume`), and specks of single voxels by up to
+/// 20 %.
 pub(crate) const VOLUME_LIMITS: (f64, f64) = (0.05, 0.25);
 
-/// The same with a scale above 0, which preserves the volume. Meshes of solid organs with 1,000
-/// vertices change by up to 2 %. A mesh whose volume changes by 10 % does not represent the object:
-/// ribs and trabecular bone at a few thousand vertices change by 20 to 42 %.
+/// Limits of the relative change of the volume with a scale above 0, which preserves the volume.
+/// Meshes of solid organs with 1,000 vertices change by up to 2 %. A mesh whose volume changes by
+/// 10 % does not represent the object: ribs and trabecular bone at a few thousand vertices change
+/// by 20 to 42 %.
 pub(crate) const SCALED_VOLUME_LIMITS: (f64, f64) = (0.02, 0.1);
 
 impl StageArgs for Args {
@@ -189,8 +192,8 @@ impl StageArgs for Args {
 /// Runs the stage.
 ///
 /// # Errors
-/// When the input has no such surface, the memory does not suffice, a file cannot be read or
-/// written, or the run is interrupted.
+/// If the input has no such surface, there is not enough memory, a file cannot be read or written,
+/// or the run is interrupted.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("read");
     let volume = read_volume_with(&args.input, &ReadOptions { series: args.series.as_deref() })?;
@@ -276,7 +279,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     Ok(Outcome::from_failed_checks(failed))
 }
 
-/// The metadata of the file: fields for later stages, and `notes` for people.
+/// Builds the metadata of the file: fields for later stages, and `notes` for people.
 fn distance_meta(object: &Object, border: Border, cap_planes: Vec<CapPlane>, notes: Value) -> DistanceMeta {
     let mut notes = match notes {
         Value::Object(notes) => notes,
@@ -301,24 +304,25 @@ fn distance_meta(object: &Object, border: Border, cap_planes: Vec<CapPlane>, not
     }
 }
 
-/// F, and the notes for its metadata.
+/// F and the notes for its metadata.
 type Extracted = (Redistanced, Value);
 
-/// Number of voxels to keep around the object, because F near its surface depends on them.
+/// Returns the number of voxels to keep around the object because F near the surface depends on
+/// them.
 fn room(margin: usize, geometry: &Geometry, object: &Object, scale: Option<&ScaleChoice>) -> [usize; 3] {
     match (scale, object) {
         (Some(scale), Object::Labels(_)) => room_round(0.5 * scale.length / geometry.spacing),
         (None, Object::Labels(_)) => room_of_labels(margin),
-        // voxels next to those inside are partly occupied as well
+        // voxels next to inside voxels are partly occupied, too
         (Some(scale), Object::Iso(..)) => room_round(0.5 * scale.length / geometry.spacing).map(|room| room + 1),
         (None, Object::Iso(..)) => room_of_spline(),
     }
 }
 
-/// Crops the volume to the grid that `--grid` selects, and returns the faces at which it was cut.
+/// Crops the volume to the grid that `--grid` selects. Returns the faces where the volume was cut.
 ///
 /// # Errors
-/// When F needs more memory than is available.
+/// If F needs more memory than is available.
 pub(crate) fn take_out(
     args: &Args,
     volume: &mut Volume,
@@ -332,7 +336,7 @@ pub(crate) fn take_out(
     Ok(kept.map_or_else(CutFaces::default, |kept| crop(volume, kept)))
 }
 
-/// Reports the number of nodes of the grid, and that of the whole volume.
+/// Reports the number of grid nodes of F and of the whole volume.
 pub(crate) fn tell_grid(whole: &Geometry, made: &Geometry, context: &Context) {
     let told = |[nx, ny, nz]: [usize; 3]| format!("{nx} x {ny} x {nz}");
     if whole.size == made.size {
@@ -379,11 +383,11 @@ fn extract_labels(
     Ok((result, meta))
 }
 
-/// The planes that close the object at the border of the volume, in the grid frame of F: axis (0 to
-/// 2), side, position in mm. `whole` is the grid of the volume.
+/// Returns the planes that close the object at the border of the volume, in the grid frame of F:
+/// axis (0 to 2), side, and position in mm. `whole` is the grid of the volume.
 fn cap_planes(field: &Image<f32>, whole: &Geometry) -> Vec<CapPlane> {
     let size = field.geometry.size;
-    // index of the volume's first voxel in the grid of F, by the world positions of both grids
+    // index of the volume's first voxel in the grid of F, from the world positions of both grids
     let first = field.geometry.grid_to_index(field.geometry.world_to_grid(whole.origin)).round();
     let mut planes = Vec::new();
     for axis in 0..3 {
@@ -406,8 +410,9 @@ fn cap_planes(field: &Image<f32>, whole: &Geometry) -> Vec<CapPlane> {
     planes
 }
 
-/// Relative difference between the volume enclosed by F = 0 and that of the kept voxels. `None` for
-/// an isosurface without a scale, or if an open border leaves the surface open.
+/// Returns the relative difference between the volume enclosed by F = 0 and the volume of the kept
+/// voxels. Returns `None` for an isosurface without a scale, or if an open border leaves the
+/// surface open.
 fn volume_change(result: &Redistanced, meta: &DistanceMeta) -> Option<f64> {
     if result.volumes.is_empty() {
         return None;
@@ -459,7 +464,7 @@ fn describe(result: &Redistanced, meta: &DistanceMeta, context: &Context) {
 
 /// Checks that components, cavities and the sides of voxel centres are preserved. Label surfaces
 /// guarantee this, so a difference is a failed check. An isosurface can fold within a voxel, where
-/// the number of parts depends on rounding; there a difference is a warning.
+/// the number of parts depends on rounding; a difference is then only a warning.
 fn failed_checks(result: &Redistanced, context: &Context) -> Vec<String> {
     let (before, after) = (result.parts_before, result.parts_after);
     let mut failed = Vec::new();

@@ -1,5 +1,5 @@
-//! Sets of nodes stored as runs along x. A band around a surface has a few runs per row, and values
-//! at its nodes need memory for the band only, not for the whole grid.
+//! Sets of nodes stored as runs along x. A band around a surface has few runs per row, and values
+//! at the nodes of the band need memory only for the band, not for the whole grid.
 
 use isoparticles_mesh::buckets::parts_mut;
 use rayon::prelude::*;
@@ -7,18 +7,18 @@ use rayon::prelude::*;
 /// Consecutive nodes of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Run {
-    /// x index of its first node.
+    /// x index of the first node.
     pub first: u32,
-    /// x index after its last node.
+    /// x index after the last node.
     pub end: u32,
-    /// Number of its first node, counting the nodes of all runs in ascending order.
+    /// Number of the first node, counting the nodes of all runs in ascending order.
     pub number: usize,
 }
 
-/// A set of nodes of a grid, as maximal runs.
+/// A set of grid nodes, stored as maximal runs.
 pub struct Runs {
     size: [usize; 3],
-    /// Index of the first run of each row, and the total number of runs.
+    /// Index of the first run of each row, followed by the total number of runs.
     start: Vec<usize>,
     runs: Vec<Run>,
     /// Number of nodes.
@@ -26,14 +26,14 @@ pub struct Runs {
 }
 
 impl Run {
-    /// x indices of its nodes.
+    /// Returns the x indices of the nodes in the run.
     pub fn columns(&self) -> std::ops::Range<usize> {
         self.first as usize..self.end as usize
     }
 }
 
 impl Runs {
-    /// The nodes for which `keep` holds.
+    /// Builds the set of nodes for which `keep` is true.
     pub fn of(size: [usize; 3], keep: impl Fn(usize) -> bool + Sync) -> Self {
         let nx = size[0];
         Self::of_rows(size, |row, spans| {
@@ -51,7 +51,8 @@ impl Runs {
         })
     }
 
-    /// Runs from the spans (first x index, index after the last) that `fill` adds for each row.
+    /// Builds runs from the spans (first x index, index after the last) that `fill` adds for each
+    /// row.
     fn of_rows(size: [usize; 3], fill: impl Fn(usize, &mut Vec<[u32; 2]>) + Sync) -> Self {
         let [_, ny, nz] = size;
         let slice = |k: usize| {
@@ -78,17 +79,17 @@ impl Runs {
         Self { size, start, runs, count }
     }
 
-    /// All runs, in ascending order.
+    /// Returns all runs in ascending order.
     pub fn all(&self) -> &[Run] {
         &self.runs
     }
 
-    /// Indices in [`Self::all`] of the runs of a row.
+    /// Returns the indices in [`Self::all`] of the runs of a row.
     pub fn of_row(&self, row: usize) -> std::ops::Range<usize> {
         self.start[row]..self.start[row + 1]
     }
 
-    /// The runs of a row.
+    /// Returns the runs of a row.
     pub fn row(&self, row: usize) -> &[Run] {
         &self.runs[self.of_row(row)]
     }
@@ -105,8 +106,8 @@ impl Runs {
         }
     }
 
-    /// Visits the pairs of a run in `row` and a run in `other` that share an x index, by their
-    /// indices in [`Self::all`].
+    /// Visits all pairs of a run in `row` and a run in `other` that share an x index. Runs are
+    /// identified by their indices in [`Self::all`].
     pub fn each_touching(&self, row: usize, other: usize, mut visit: impl FnMut(usize, usize)) {
         let (mut own, mut near) = (self.of_row(row), self.of_row(other));
         while !own.is_empty() && !near.is_empty() {
@@ -122,15 +123,15 @@ impl Runs {
         }
     }
 
-    /// Index in [`Self::all`] of the run that contains a node.
+    /// Returns the index in [`Self::all`] of the run that contains a node.
     pub fn find(&self, node: usize) -> Option<usize> {
         let (row, i) = (node / self.size[0], (node % self.size[0]) as u32);
         let at = self.start[row] + self.row(row).partition_point(|run| run.end <= i);
         (at < self.start[row + 1] && self.runs[at].first <= i).then_some(at)
     }
 
-    /// Number of a node, counting the nodes of all runs in ascending order; `None` if it is in no
-    /// run.
+    /// Returns the number of a node, counting the nodes of all runs in ascending order. Returns
+    /// `None` if no run contains the node.
     pub fn number(&self, node: usize) -> Option<usize> {
         let run = self.runs[self.find(node)?];
         Some(run.number + node % self.size[0] - run.first as usize)
@@ -150,7 +151,7 @@ mod tests {
 
     const SIZE: [usize; 3] = [23, 9, 7];
 
-    /// Random nodes, none on the faces of the grid.
+    /// Selects random nodes, none of them on the faces of the grid.
     fn is_in(n: usize) -> bool {
         let [nx, ny, nz] = SIZE;
         let at = [n % nx, n / nx % ny, n / (nx * ny)];

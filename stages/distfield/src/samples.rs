@@ -1,7 +1,7 @@
-//! Dense samples of the zero set of an implicit function: marching-cubes vertices and triangle
-//! centres, moved onto the zero set by Newton steps along the gradient (Eq. 5 of the paper, with
-//! the sign corrected). Distances are measured to these samples, and [`crate::fit`] pins the zero
-//! set of F on them.
+//! Computes dense samples of the zero set of an implicit function: marching-cubes vertices and
+//! triangle centres, moved onto the zero set by Newton steps along the gradient (Eq. 5 of the
+//! paper, with the sign corrected). Distances are measured to these samples, and [`crate::fit`]
+//! pins the zero set of F to them.
 
 use fearless_simd::{Level, dispatch};
 use glam::DVec3;
@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 /// An implicit function, negative inside.
 pub trait Implicit: Sync {
-    /// Value and gradient (per mm) at a position in the grid frame (mm).
+    /// Returns the value and the gradient (per mm) at a position in the grid frame (mm).
     fn value_gradient(&self, grid: DVec3) -> (f64, DVec3);
 }
 
@@ -22,29 +22,30 @@ impl<T: Fn(DVec3) -> (f64, DVec3) + Sync> Implicit for T {
     }
 }
 
-/// Samples per parallel task.
+/// Number of samples per parallel task.
 const CHUNK: usize = 256;
 
 /// Maximum number of Newton steps per sample.
 const STEPS: usize = 12;
 
-/// A sample is on the surface if its first-order distance |f| / slope is at most this, in voxels
-/// (minimum spacing).
+/// A sample is on the surface if its first-order distance |f| / slope is at most this value, in
+/// units of the minimum voxel spacing.
 const TOLERANCE: f64 = 1e-6;
 
-/// Maximum distance of a sample from its start on the marching-cubes mesh, in voxels (minimum
-/// spacing). Beyond it, the sample has moved to another part of the surface.
+/// Maximum distance of a sample from its start on the marching-cubes mesh, in units of the minimum
+/// voxel spacing. Beyond this distance, the sample has moved to another part of the surface.
 const REACH: f64 = 0.75;
 
-/// Samples of the zero set of `implicit`, from its marching-cubes mesh at the nodes of `image`.
+/// Computes samples of the zero set of `implicit` from its marching-cubes mesh at the nodes of
+/// `image`.
 ///
-/// The first samples are the vertices, one each and in their order. If Newton's method fails for a
-/// vertex, bisection finds a zero on its grid edge, where the sign changes. Triangle centres
-/// follow; those for which Newton's method fails are left out.
+/// The first samples are the mesh vertices, one sample each and in the same order. If Newton's
+/// method fails for a vertex, bisection finds a zero on the grid edge of the vertex, where the sign
+/// changes. The triangle centres follow; centres for which Newton's method fails are left out.
 pub fn surface_samples<I: Implicit>(implicit: &I, image: &Image<f32>, mesh: &TriangleMesh) -> Vec<DVec3> {
     let voxel = image.geometry.min_spacing();
     let instructions = Level::new();
-    // loops instead of closures per item: closures would not be compiled for the dispatched
+    // loops instead of closures per item, because closures would not be compiled for the dispatched
     // instructions
     let vertices = mesh.vertices.par_chunks(CHUNK).map(|chunk| {
         let mut found = Vec::with_capacity(chunk.len());
@@ -68,8 +69,9 @@ pub fn surface_samples<I: Implicit>(implicit: &I, image: &Image<f32>, mesh: &Tri
     joined(vertices.chain(centres).collect())
 }
 
-/// The point of the zero set near `start`. `None` if it is more than `REACH` voxels away, if the
-/// gradient vanishes, or if Newton's method does not converge. `voxel` is the minimum spacing, mm.
+/// Projects `start` onto the zero set. Returns `None` if the result is more than `REACH` voxels
+/// away, if the gradient vanishes, or if Newton's method does not converge. `voxel` is the minimum
+/// spacing, mm.
 #[inline(always)]
 pub fn project<I: Implicit>(implicit: &I, start: DVec3, voxel: f64) -> Option<DVec3> {
     let mut p = start;
@@ -91,8 +93,8 @@ pub fn project<I: Implicit>(implicit: &I, start: DVec3, voxel: f64) -> Option<DV
     None
 }
 
-/// Zero of the implicit function on the grid edge that contains the marching-cubes vertex `v`.
-/// Returns `v` if the function has the same sign at both ends.
+/// Finds a zero of the implicit function on the grid edge that contains the marching-cubes vertex
+/// `v`. Returns `v` if the function has the same sign at both ends.
 fn bisect_edge<I: Implicit>(implicit: &I, image: &Image<f32>, v: DVec3) -> DVec3 {
     let geometry = &image.geometry;
     let index = geometry.grid_to_index(v);
@@ -104,7 +106,7 @@ fn bisect_edge<I: Implicit>(implicit: &I, image: &Image<f32>, v: DVec3) -> DVec3
     let (mut low, mut high) = (geometry.index_to_grid(low), geometry.index_to_grid(high));
     let inside = implicit.value_gradient(low).0 < 0.0;
     if inside == (implicit.value_gradient(high).0 < 0.0) {
-        // an extra vertex within a cell, or an end on the surface to rounding
+        // an extra vertex within a cell, or an edge whose end is on the surface up to rounding
         return v;
     }
     for _ in 0..40 {

@@ -1,9 +1,9 @@
-//! Scalar volumes: the surface is the zero set of the interpolating cubic B-spline through the
-//! input, minus the iso value.
+//! Computes F of scalar volumes. The surface is the zero set of the interpolating cubic B-spline
+//! through the input, minus the iso value.
 //!
 //! [`from_voxels`] checks the voxels and the iso value, evaluates the spline on the padded grid,
-//! closes the object at the border ([`crate::cap`]) and computes F ([`redistance`]). Level sets of
-//! labels and scales take the same path (`from_level`).
+//! closes the object at the border ([`crate::cap`]) and computes F ([`redistance`]). The level sets
+//! of labels and of `--scale` use the same code (`from_level`).
 
 use crate::cap::BorderBox;
 use crate::crop::{CutFaces, VoxelBox};
@@ -18,40 +18,41 @@ use isoparticles_volume::{Geometry, Image, Volume, Voxels};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Minimum |F| at a node, in voxels (minimum spacing). Nodes equal to the iso value get this value,
-/// on the outside.
+/// Minimum |F| at a node, in units of the minimum voxel spacing. Nodes equal to the iso value get
+/// this value and are outside.
 const CLEARANCE: f64 = 1e-3;
 
-/// Options that turn an isosurface into F.
+/// Options for computing F from an isosurface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScalarOptions {
-    /// Side of the iso value that the object is on.
+    /// Side of the iso value that contains the object.
     pub inside: Inside,
     /// Treatment of the object at the border of the volume.
     pub border: Border,
-    /// Voxels added on each face.
+    /// Number of voxels added on each face.
     pub margin: usize,
-    /// Faces of the grid that are cuts rather than borders of the volume; there an open border is
-    /// closed.
+    /// Faces of the grid that are cuts rather than borders of the volume. An open border is closed
+    /// at these faces.
     pub cut: CutFaces,
     /// Parts of the object to keep.
     pub keep: Keep,
 }
 
-/// F of a scalar volume, on the padded grid: zero where the spline through `image` equals `iso`.
+/// Computes F of a scalar volume on the padded grid. F is zero where the spline through `image`
+/// equals `iso`.
 ///
 /// # Errors
-/// When the volume has NaN or infinite voxels, is constant, or its range does not contain the iso
-/// value; when no part is kept; when the run is interrupted.
+/// If the volume contains NaN or infinite voxels, is constant, or its range does not contain the
+/// iso value; if no part is kept; or if the run is interrupted.
 pub fn from_scalar(image: Image<f32>, iso: f64, options: &ScalarOptions, monitor: &dyn Monitor) -> Result<Redistanced> {
     from_voxels(Voxels::F32(image.data), image.geometry, iso, options, monitor)
 }
 
-/// F of a scalar volume of any voxel type. Takes ownership of the voxels, so that their memory is
-/// free before distances are computed.
+/// Computes F of a scalar volume of any voxel type. Takes ownership of the voxels so that their
+/// memory is freed before distances are computed.
 ///
 /// # Errors
-/// As [`from_scalar`].
+/// See [`from_scalar`].
 pub fn from_voxels(
     voxels: Voxels,
     geometry: Geometry,
@@ -64,12 +65,13 @@ pub fn from_voxels(
     input.redistance(CLEARANCE, options, &Demands::default(), monitor)
 }
 
-/// F of a level set sampled at voxels, positive inside; it may be positive everywhere. `padding` is
-/// the number of nodes that the samples already have beyond each face: 0 or the margin. Voxel
-/// centres keep at least `clearance` voxels (minimum spacing) of distance.
+/// Computes F from a level set sampled at voxels. Values are positive inside and may be positive
+/// everywhere. `padding` is the number of nodes that the samples already have beyond each face: 0
+/// or the margin. Voxel centres keep a distance of at least `clearance`, in units of the minimum
+/// voxel spacing.
 ///
 /// # Errors
-/// When there is no surface, no part is kept, or the run is interrupted.
+/// If there is no surface, no part is kept, or the run is interrupted.
 pub(crate) fn from_level(
     level: Image<f32>,
     padding: usize,
@@ -84,11 +86,11 @@ pub(crate) fn from_level(
     input.redistance(clearance.max(CLEARANCE), options, demands, monitor)
 }
 
-/// Checks the voxels and the iso value as [`from_voxels`] does. Returns the volume and the bounding
-/// box of the voxels that are inside.
+/// Checks the voxels and the iso value like [`from_voxels`]. Returns the volume and the bounding
+/// box of the inside voxels.
 ///
 /// # Errors
-/// As [`from_scalar`], for the voxels and the iso value.
+/// See [`from_scalar`] for the errors about the voxels and the iso value.
 pub fn check_scalar(volume: Volume, iso: f64, inside: Inside) -> Result<(Volume, Option<VoxelBox>)> {
     let input = Input { voxels: volume.voxels, geometry: volume.geometry, iso, inside, scale: 1.0, padding: 0 };
     input.check()?;
@@ -96,31 +98,31 @@ pub fn check_scalar(volume: Volume, iso: f64, inside: Inside) -> Result<(Volume,
     Ok((Volume { voxels: input.voxels, geometry: input.geometry, ..volume }, object))
 }
 
-/// A volume and the surface to extract from it. After the check, slices are stored from the last to
-/// the first, so that slices already turned into nodes are at the end and their memory can be
+/// A volume and the surface to extract from it. After the check, slices are stored from last to
+/// first. Slices that are already converted to nodes are then at the end, and their memory can be
 /// freed.
 struct Input {
     voxels: Voxels,
     geometry: Geometry,
     iso: f64,
     inside: Inside,
-    /// Factor applied to the values, so that slopes do not depend on their unit. A power of two
-    /// loses no digits.
+    /// Factor applied to the values so that slopes do not depend on the unit. A power of two loses
+    /// no precision.
     scale: f64,
     /// Number of nodes that the voxels already have beyond each face of the volume: 0 or the
     /// margin.
     padding: usize,
 }
 
-/// The largest power of two that is at most 1 / `range`, limited to normal single-precision
+/// Returns the largest power of two that is at most 1 / `range`, clamped to normal single-precision
 /// numbers.
 fn power_of_two_below_inverse(range: f64) -> f64 {
     2f64.powi((-range.log2()).floor().clamp(-126.0, 126.0) as i32)
 }
 
 impl Input {
-    /// Computes F. Voxel centres, and nodes beyond a closed border, keep a distance of at least
-    /// `clearance` voxels; nodes beyond an open border keep [`CLEARANCE`].
+    /// Computes F. Its absolute value is at least `clearance` voxels at voxel centres and at nodes
+    /// beyond a closed border, and at least [`CLEARANCE`] at nodes beyond an open border.
     fn redistance(
         mut self,
         clearance: f64,
@@ -146,13 +148,13 @@ impl Input {
         redistance(nodes, &source, least, (options.keep, margin), demands, monitor)
     }
 
-    /// Voxels of one slice.
+    /// Returns the number of voxels in one slice.
     fn slice_size(&self) -> usize {
         self.geometry.size[0] * self.geometry.size[1]
     }
 
-    /// Refuses volumes with NaN or infinite voxels or without an isosurface. Returns the range of
-    /// the values.
+    /// Rejects volumes with NaN or infinite voxels or without an isosurface. Returns the maximum
+    /// minus the minimum value.
     fn check(&self) -> Result<f64> {
         let plane = self.slice_size();
         let slices: Vec<Summary> = (0..self.geometry.size[2])
@@ -171,7 +173,7 @@ impl Input {
         Ok(f64::from(whole.high) - f64::from(whole.low))
     }
 
-    /// The bounding box of the voxels that are inside.
+    /// Returns the bounding box of the inside voxels.
     fn extent(&self) -> Option<VoxelBox> {
         let nx = self.geometry.size[0];
         VoxelBox::of_rows(self.geometry.size, |row| {
@@ -218,8 +220,8 @@ impl Input {
         ))
     }
 
-    /// Copies voxels of slice `k`, starting at voxel `first` of the slice, minus the iso value and
-    /// scaled; negative inside.
+    /// Copies voxels of slice `k`, starting at voxel `first` of the slice. Subtracts the iso value
+    /// and scales the difference, with the sign chosen so that it is negative inside.
     fn copy_signed(&self, k: usize, first: usize, to: &mut [f32]) {
         let first = (self.geometry.size[2] - 1 - k) * self.slice_size() + first;
         let sign = match self.inside {
@@ -230,14 +232,14 @@ impl Input {
         to.iter_mut().for_each(|v| *v = (sign * self.scale * (f64::from(*v) - self.iso)) as f32);
     }
 
-    /// Values of the object at the nodes of the padded grid, cut at the border, and its implicit
-    /// function. Consumes the voxels slice by slice.
+    /// Returns the values of the object at the nodes of the padded grid, cut at the border, and the
+    /// implicit function of the object. Consumes the voxels slice by slice.
     fn source(mut self, &ScalarOptions { border, margin, cut, .. }: &ScalarOptions) -> (Image<f32>, Source) {
         let to_add = margin - self.padding;
         let padded = self.geometry.padded(to_add);
-        // Beyond a face at which the volume was cut there is only background. The box there removes
-        // spurious parts that the spline makes of noise in the margin. Padded samples have their
-        // own margin.
+        // Beyond a face where the volume was cut there is only background. The box there removes
+        // spurious parts that the spline creates from noise in the margin. Padded samples already
+        // have a margin.
         let closed =
             cut.map(|faces| faces.map(|is_cut| if is_cut { self.padding == 0 } else { border == Border::Cap }));
         let is_any = closed.as_flattened().contains(&true);
@@ -255,15 +257,15 @@ impl Input {
             let size = [px, py, layer.slices.len()];
             let slab = CubicSpline::from_coefficients(Geometry { size, ..padded.clone() }, coefficients);
             self.fill_nodes(&mut nodes, &layer, &slab, to_add, cap.as_ref());
-            // the filter has already read the slices of these nodes
+            // the filter no longer needs the slices of these nodes
             let rest = self.geometry.size[2].saturating_sub(layer.own.end.saturating_sub(to_add));
             self.voxels.truncate(rest * self.slice_size());
         }
         (nodes, Source { spline: builder.finish(), cap })
     }
 
-    /// Sets the nodes of a layer: the voxels, and beyond them the values of the spline. Near the
-    /// border, first-order distances cut by the box.
+    /// Sets the nodes of a layer to the voxel values, or to the values of the spline beyond the
+    /// voxels. Near the border, sets first-order distances cut by the box.
     fn fill_nodes(
         &self,
         nodes: &mut Image<f32>,
@@ -304,7 +306,7 @@ impl Input {
     }
 }
 
-/// Range of the finite values, and count of the others.
+/// Range of the finite values, and number of non-finite values.
 struct Summary {
     low: f32,
     high: f32,
@@ -319,7 +321,7 @@ impl Default for Summary {
 }
 
 impl Summary {
-    /// Summary of values; the first one has the index `first` in the volume.
+    /// Summarizes values. The first value has the index `first` in the volume.
     fn of(values: &[f32], first: usize) -> Self {
         let mut summary = Self::default();
         for (n, &value) in values.iter().enumerate() {
@@ -333,7 +335,7 @@ impl Summary {
         summary
     }
 
-    /// Summary of both; `self` comes first.
+    /// Combines two summaries. The values of `self` come first in the volume.
     fn and(self, other: Self) -> Self {
         Self {
             low: self.low.min(other.low),
@@ -344,11 +346,12 @@ impl Summary {
     }
 }
 
-/// Source index of a coefficient on the padded grid, from its index minus the margin and the size.
+/// Returns the source index of a coefficient on the padded grid. `i` is the index of the
+/// coefficient minus the margin, and `n` is the size of the input.
 ///
 /// The mirror boundary of the spline gives the first coefficient beyond the border. All further
-/// ones repeat it, which continues the surface straight. Between voxel centres the padded spline
-/// equals that of the input.
+/// coefficients repeat it, which continues the surface straight. Between voxel centres the padded
+/// spline equals that of the input.
 fn straight(i: isize, n: usize) -> usize {
     let last = n as isize - 1;
     let nearest = if i < 0 {
@@ -373,13 +376,13 @@ impl Padding {
         (self.from)(padded as isize - self.margin as isize, self.size[axis])
     }
 
-    /// Range of the slices from which the padded slices in `range` are made.
+    /// Returns the range of source slices needed for the padded slices in `range`.
     fn slices(&self, range: &Range<usize>) -> Range<usize> {
         let sources = || range.clone().map(|k| self.source(2, k));
         sources().min().unwrap_or(0)..sources().max().unwrap_or(0) + 1
     }
 
-    /// The padded slices in `range`, from the coefficients of their source slices.
+    /// Builds the padded slices in `range` from the coefficients of their source slices.
     fn pad(&self, slices: &Coefficients, range: &Range<usize>) -> Vec<f32> {
         let [nx, ny, _] = self.size;
         let (px, py) = (nx + 2 * self.margin, ny + 2 * self.margin);

@@ -1,11 +1,11 @@
-//! `--scale`: a surface with as much detail as a coarse mesh can represent.
+//! Implements `--scale`: a surface with as much detail as a coarse mesh can represent.
 //!
 //! The occupancy of each voxel is smoothed by a Gaussian with a standard deviation of half the
-//! scale. Where the surface is curved or the object thin, the level 1/2 is displaced: balls shrink,
-//! small parts and thin walls vanish. The level therefore varies in space such that the volume
-//! within a window is kept (`level.rs`). Parts keep their volume individually, tubes and walls
-//! their thickness, as long as the smoothed occupancy still shows them. Parts that it does not show
-//! vanish; [`crate::changes`] reports which and where.
+//! scale. Where the surface is curved or the object is thin, the level 1/2 is displaced: balls
+//! shrink, and small parts and thin walls vanish. The level therefore varies in space so that the
+//! volume within a window is preserved (`level.rs`). Each part keeps its volume, and tubes and
+//! walls keep their thickness, as long as they are visible in the smoothed occupancy. All other
+//! parts vanish; [`crate::changes`] reports their number, volume and position.
 
 use crate::Border;
 use crate::changes::{Changes, remove_crumbs};
@@ -25,12 +25,12 @@ use std::f64::consts::{LN_2, PI};
 pub struct Scale {
     /// The scale: twice the standard deviation of the Gaussian, mm.
     pub length: f64,
-    /// Whether parts are kept that are too thin for a mesh of the matching edge length.
+    /// Whether to keep parts that are too thin for a mesh of the matching edge length.
     pub keep_thin: bool,
 }
 
 impl Scale {
-    /// The smoothing parameters on a grid.
+    /// Returns the smoothing parameters for a grid.
     pub(crate) fn smoothing(&self, geometry: &Geometry) -> Smoothing {
         let least_level = if self.keep_thin { LEAST_LEVEL_THIN } else { LEAST_LEVEL };
         Smoothing { sigma: 0.5 * self.length / geometry.spacing, least_level, clearance: None }
@@ -39,35 +39,36 @@ impl Scale {
 
 /// Minimum distance of the level from 0 and from 1. Parts with a lower smoothed occupancy vanish:
 /// balls of radius below 1.2 and tubes of radius below 0.8 standard deviations. A mesh of the
-/// scale's edge length would have about twelve vertices on such a ball, and four around such a
-/// tube.
+/// scale's edge length would have about twelve vertices on such a ball, and four vertices around
+/// such a tube.
 const LEAST_LEVEL: f64 = 0.3;
 
-/// The same with `--keep-thin`: tubes of radius below 0.25 and walls thinner than 0.08 standard
-/// deviations vanish.
+/// Minimum distance of the level from 0 and from 1 with `--keep-thin`: tubes of radius below 0.25
+/// and walls thinner than 0.08 standard deviations vanish.
 const LEAST_LEVEL_THIN: f64 = 0.03;
 
-/// Radius of the balls below whose volume parts are dropped, in scales. A mesh of the scale's edge
-/// length ([`SCALE_OVER_SIZE`]) has about 9 vertices on such a ball.
+/// Radius, in units of the scale, of the ball whose volume is the minimum volume of a part. Smaller
+/// parts are dropped. A mesh of the scale's edge length ([`SCALE_OVER_SIZE`]) has about 9 vertices
+/// on such a ball.
 const CRUMB_RADIUS: f64 = 0.5;
 
-/// Scale for a mesh, over its edge length. Mean / minimum radius ratio on `heart_label` (1.5 mm
-/// voxels) with h = 3.5 and 1.75 mm: 0.985 / 0.69 and 0.970 / 0.59 at 1, 0.989 / 0.67 and 0.981 /
-/// 0.72 at 1.4, 0.985 / 0.72 and 0.985 / 0.81 at 1.8. At 1.8, 99 % of the voxels that changed side
-/// still lay at the surface.
+/// Ratio of the scale to the edge length of the mesh. On `heart_label` (1.5 mm voxels) with h = 3.5
+/// and 1.75 mm, the mean / minimum radius ratio is 0.985 / 0.69 and 0.970 / 0.59 at 1, 0.989 / 0.67
+/// and 0.981 / 0.72 at 1.4, and 0.985 / 0.72 and 0.985 / 0.81 at 1.8. At 1.8, 99 % of the voxels
+/// that changed side were still at the surface.
 pub const SCALE_OVER_SIZE: f64 = 1.6;
 
-/// Distance around the object over which the occupancy is smoothed, in standard deviations. At this
-/// distance the smoothed occupancy of a half space is 0.001.
+/// Distance around the object within which the occupancy is smoothed, in standard deviations. At
+/// this distance the smoothed occupancy of a half space is 0.001.
 const REACH: f64 = 3.0;
 
 /// The smoothed object.
 pub struct Scaled {
     /// Zero on the surface of the smoothed object, positive inside.
     pub level: Image<f32>,
-    /// Faces of the grid of `level` that are cuts through the grid that was smoothed.
+    /// Faces of the grid of `level` that are cuts through the original grid.
     pub cut: CutFaces,
-    /// What the smoothing changed.
+    /// Changes due to the smoothing.
     pub changes: Changes,
 }
 
@@ -81,7 +82,7 @@ struct Boxed {
 }
 
 impl Boxed {
-    /// Smooths the object in its bounding box; `None` if there is no object.
+    /// Smooths the object in its bounding box. Returns `None` if there is no object.
     fn new(occupancy: &Occupancy, scale: Scale) -> Result<Option<Self>> {
         let Some(object) = occupancy.extent() else { return Ok(None) };
         let geometry = &occupancy.geometry;
@@ -99,7 +100,7 @@ impl Boxed {
         Ok(Some(Self { first, before, level }))
     }
 
-    /// Area of the surface, mm^2. `size` is the number of voxels of the volume. With
+    /// Returns the area of the surface in mm^2. `size` is the number of voxels of the volume. With
     /// [`Border::Cap`], the faces that close the object at the border of the volume are included.
     fn area(self, border: Border, size: [usize; 3]) -> f64 {
         let Self { first, before: Occupancy { geometry, .. }, level } = self;
@@ -113,21 +114,21 @@ impl Boxed {
     }
 }
 
-/// Number of voxels around an object that its smoothed occupancy reaches; `sigma` in voxels.
+/// Returns how many voxels the smoothed occupancy extends beyond an object, for `sigma` in voxels.
 pub(crate) fn room_round(sigma: DVec3) -> [usize; 3] {
     sigma.to_array().map(|sigma| (REACH * sigma).ceil() as usize + 2)
 }
 
-/// Volume (mm^3) below which parts are dropped, for a scale in mm.
+/// Returns the volume (mm^3) below which parts are dropped, for a scale in mm.
 pub(crate) fn smallest_part(scale: f64) -> f64 {
     4.0 / 3.0 * PI * (CRUMB_RADIUS * scale).powi(3)
 }
 
-/// Smooths an object. `grid` selects the grid of the result. `None` if nothing is left of the
-/// object.
+/// Smooths an object. `grid` selects the grid of the result. Returns `None` if nothing is left of
+/// the object.
 ///
 /// # Errors
-/// When there are too many runs of voxels to label the parts.
+/// If there are too many runs of voxels to label the parts.
 pub fn scaled(occupancy: Occupancy, scale: Scale, grid: Grid) -> Result<Option<Scaled>> {
     let (geometry, volume) = (occupancy.geometry.clone(), occupancy.volume());
     let Some(Boxed { first, before, level }) = Boxed::new(&occupancy, scale)? else { return Ok(None) };
@@ -150,10 +151,10 @@ pub fn scaled(occupancy: Occupancy, scale: Scale, grid: Grid) -> Result<Option<S
     Ok(Some(Scaled { level: image, cut, changes }))
 }
 
-/// Value of the level set where no occupancy is smoothed: occupancy 0 minus a level of 1/2.
+/// Value of the level set outside the smoothed box: occupancy 0 minus a level of 1/2.
 const BEYOND: f32 = -0.5;
 
-/// The bounding box of the voxels above zero.
+/// Returns the bounding box of the voxels with a positive level.
 fn round_level(level: &[f32], size: [usize; 3]) -> Option<VoxelBox> {
     VoxelBox::of_rows(size, |row| {
         let values = &level[row * size[0]..(row + 1) * size[0]];
@@ -172,20 +173,20 @@ const COARSE_SIGMA: f64 = 1.5;
 /// Grids of more than eight times this many voxels are halved again.
 const FEWEST_VOXELS: usize = 10_000;
 
-/// Maximum number of iterations that find an edge length, and the tolerance of the relative
-/// difference between the assumed edge length and the one that the area gives.
+/// Maximum number of iterations of the search for an edge length, and tolerance of the relative
+/// difference between the assumed edge length and the edge length computed from the area.
 const AREA_ROUNDS: (usize, f64) = (10, 0.01);
 
-/// Edge lengths below this many voxels end the search: nothing is left of the object.
+/// The search ends at edge lengths below this many voxels, where nothing is left of the object.
 const SMALLEST_SHARE: f64 = 0.02;
 
 /// A grid that can be halved in resolution, so that areas at large scales are measured on few
 /// voxels.
 pub(crate) trait Coarser: Sized {
-    /// The grid.
+    /// Returns the geometry of the grid.
     fn geometry(&self) -> &Geometry;
 
-    /// The grid on voxels twice as long along each axis.
+    /// Returns the grid with voxels twice as long along each axis.
     fn halved(&self) -> Self;
 }
 
@@ -199,11 +200,11 @@ impl Coarser for Occupancy {
     }
 }
 
-/// The edge length (mm) for which a mesh of the smoothed object has about `vertices` vertices.
-/// `None` if there is no object or nothing is left of it.
+/// Returns the edge length (mm) at which a mesh of the smoothed object has about `vertices`
+/// vertices. Returns `None` if there is no object or nothing is left of it.
 ///
 /// # Errors
-/// When there are too many runs of voxels to label the parts.
+/// If there are too many runs of voxels to label the parts.
 pub fn edge_length(occupancy: &Occupancy, border: Border, vertices: f64, keep_thin: bool) -> Result<Option<f64>> {
     let area = |grid: &Occupancy, scale: Scale| {
         Ok(Boxed::new(grid, scale)?.map_or(0.0, |boxed| boxed.area(border, grid.geometry.size)))
@@ -211,11 +212,11 @@ pub fn edge_length(occupancy: &Occupancy, border: Border, vertices: f64, keep_th
     edge_length_by(occupancy, area, vertices, keep_thin)
 }
 
-/// The edge length for a number of vertices, given the area (mm^2) on a grid at a scale. The secant
-/// method finds the root of ln(length from the area / length).
+/// Returns the edge length for a number of vertices, given a function that computes the area (mm^2)
+/// on a grid at a scale. The secant method finds the root of ln(length from the area / length).
 ///
 /// # Errors
-/// When the area cannot be computed.
+/// If the area cannot be computed.
 pub(crate) fn edge_length_by<G: Coarser>(
     finest: &G,
     area: impl Fn(&G, Scale) -> Result<f64>,
@@ -256,7 +257,7 @@ pub(crate) fn edge_length_by<G: Coarser>(
     Ok((length >= smallest).then_some(length))
 }
 
-/// Area (mm^2) of the object on the faces of a voxel grid that are not `cut`.
+/// Returns the area (mm^2) of the object on the faces of a voxel grid that are not `cut`.
 pub(crate) fn area_at_faces(geometry: &Geometry, cut: CutFaces, is_inside: impl Fn(usize) -> bool) -> f64 {
     let size = geometry.size;
     let at_face = |(axis, end): (usize, usize)| {
@@ -273,7 +274,7 @@ pub(crate) fn area_at_faces(geometry: &Geometry, cut: CutFaces, is_inside: impl 
     faces.filter(|&(axis, end)| !cut[axis][end]).map(at_face).sum()
 }
 
-/// The values in a box of a grid.
+/// Copies the values in a box of a grid.
 fn crop(from: &[u8], whole: [usize; 3], first: [usize; 3], size: [usize; 3]) -> Vec<u8> {
     let mut values = vec![0; size.iter().product()];
     values.par_chunks_mut(size[0]).enumerate().for_each(|(row, values)| {
@@ -283,8 +284,8 @@ fn crop(from: &[u8], whole: [usize; 3], first: [usize; 3], size: [usize; 3]) -> 
     values
 }
 
-/// Copies the intersection of two boxes of one grid, given the index in that grid of the first
-/// voxel of each.
+/// Copies the intersection of two boxes of one grid. `from_first` and `to_first` are the indices in
+/// that grid of the first voxel of each box.
 fn paste(from: &Image<f32>, from_first: [usize; 3], to: &mut Image<f32>, to_first: [usize; 3]) {
     let (source, target) = (from.geometry.size, to.geometry.size);
     let low: [usize; 3] = std::array::from_fn(|a| from_first[a].max(to_first[a]));

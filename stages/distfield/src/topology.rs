@@ -1,4 +1,4 @@
-//! Parts and cavities of a surface, and the volume that it encloses.
+//! Counts the parts and cavities of a surface and measures the enclosed volume.
 
 use isoparticles_mesh::{TriangleMesh, components};
 use serde::Serialize;
@@ -6,16 +6,16 @@ use serde::Serialize;
 /// Counts of the parts of a closed surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Parts {
-    /// Connected surfaces that bound a part of the object from the outside.
+    /// Number of connected surfaces that bound a part of the object from the outside.
     pub components: usize,
-    /// Connected surfaces that bound a cavity.
+    /// Number of connected surfaces that bound a cavity.
     pub cavities: usize,
     /// Enclosed volume without cavities, mm^3.
     pub volume: f64,
 }
 
 impl Parts {
-    /// Counts the connected surfaces of an outward-oriented mesh. Those with negative volume are
+    /// Counts the connected surfaces of an outward-oriented mesh. Surfaces with negative volume are
     /// cavities.
     pub fn of(mesh: &TriangleMesh) -> Self {
         let (component, count) = components::of_vertices(mesh.vertices.len(), &mesh.triangles);

@@ -1,8 +1,8 @@
 //! Resamples sheared volumes (gantry tilt, sform with shear) to orthonormal axes before anything is
 //! measured.
 //!
-//! Outside the volume there is background, which closes the object at the volume's border. With an
-//! open border, the values of the nearest voxels continue there.
+//! Space outside the volume is filled with background, which closes the object at the border of the
+//! volume. With an open border, it is filled with the values of the nearest voxels.
 
 use crate::materials::choice::{Choice, resolve};
 use crate::{Border, Inside};
@@ -10,7 +10,7 @@ use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::Result;
 use isoparticles_volume::{LayerLabel, Shear, Volume, Voxels};
 
-/// The object to be extracted, which decides how to resample.
+/// The object to extract, which determines how to resample.
 #[derive(Clone, Copy)]
 pub enum Wanted<'a> {
     /// The union of labels.
@@ -21,11 +21,10 @@ pub enum Wanted<'a> {
     Iso(f64, Inside),
 }
 
-/// The volume on orthonormal axes. Warns if it is resampled.
+/// Returns the volume on orthonormal axes. Warns if the volume is resampled.
 ///
 /// # Errors
-/// When the resampled volume exceeds the available memory, and when a material is not in the
-/// volume.
+/// If the resampled volume exceeds the available memory, or if a material is not in the volume.
 pub fn unshear(volume: Volume, wanted: Wanted<'_>, border: Border, context: &Context) -> Result<Volume> {
     let Some(shear) = Shear::of(&volume.geometry) else { return Ok(volume) };
     let [nx, ny, nz] = shear.geometry.size;
@@ -33,7 +32,7 @@ pub fn unshear(volume: Volume, wanted: Wanted<'_>, border: Border, context: &Con
         Wanted::Iso(..) => vec![4],
         _ => volume.layers().map(|voxels| voxels.scalar_type().bytes()).collect(),
     };
-    // between the passes there are two more copies of one layer
+    // between the passes, there are two additional copies of one layer
     let bytes = layers.iter().sum::<usize>() + 2 * layers.iter().max().unwrap_or(&0);
     context.check_memory(
         shear.geometry.voxel_count() as f64 * bytes as f64,
@@ -59,8 +58,8 @@ pub fn unshear(volume: Volume, wanted: Wanted<'_>, border: Border, context: &Con
     Ok(Volume { geometry: shear.geometry, voxels: first, more_layers: layers.collect(), ..volume })
 }
 
-/// Resamples all layers of a label map. Outside the volume, a closed border has the lowest label
-/// that is not `asked` for.
+/// Resamples all layers of a label map. With a closed border, space outside the volume gets the
+/// lowest label for which `asked` is false.
 fn moved(volume: &Volume, shear: &Shear, border: Border, asked: impl Fn(LayerLabel) -> bool) -> Vec<Voxels> {
     let layer = |(layer, voxels)| {
         let outside = (0..).find(|&label| !asked(LayerLabel { layer, label }));
@@ -69,9 +68,9 @@ fn moved(volume: &Volume, shear: &Shear, border: Border, asked: impl Fn(LayerLab
     volume.layers().enumerate().map(layer).collect()
 }
 
-/// Resamples a scan. Outside the volume, a closed border mirrors the values of the object at the
-/// iso value, so that the object ends half a voxel beyond the last voxel centres. `None` if there
-/// is no surface; a later check refuses that.
+/// Resamples a scan. With a closed border, values of the object are mirrored at the iso value
+/// outside the volume, so that the object ends half a voxel beyond the last voxel centres. Returns
+/// `None` if there is no surface, which a later check reports.
 fn interpolated(voxels: &Voxels, shear: &Shear, iso: f64, inside: Inside, border: Border) -> Option<Voxels> {
     let (low, high) = voxels.range()?;
     let is_finite = low.is_finite() && high.is_finite() && voxels.nan_count() == 0;

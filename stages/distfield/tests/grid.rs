@@ -1,5 +1,5 @@
-//! `--grid object` against `--grid volume`: the field near the surface is the same at the same
-//! position in the world, and only borders of the volume count as borders.
+//! Compares `--grid object` with `--grid volume`: the field near the surface is the same at the
+//! same position in the world, and only borders of the volume are treated as borders.
 
 use glam::{DMat3, DVec3};
 use isoparticles_field::materials::Indicators;
@@ -11,16 +11,17 @@ use std::path::Path;
 use std::process::{Command, Output};
 use tempfile::TempDir;
 
-/// Tolerances of F, in voxels (mean spacing): for the 99th percentile of the differences within
-/// three voxels of the surface, and for the maximum within one voxel. Nodes in the groove between
-/// the two balls are equally far from both; one of them differs by 0.022.
+/// Tolerances of F, in units of the mean voxel spacing: for the 99th percentile of the differences
+/// within three voxels of the surface, and for the maximum difference within one voxel. Nodes in
+/// the groove between the two balls are equally far from both balls; one of these nodes differs by
+/// 0.022.
 const SAME: (f64, f64) = (0.006, 0.03);
 
 fn distfield(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_distfield")).args(arguments).output().expect("the program runs")
 }
 
-/// A volume with rotated axes and negative coordinates at its first voxel.
+/// Returns a grid with rotated axes and negative coordinates at its first voxel.
 fn oblique(size: [usize; 3], spacing: DVec3) -> Geometry {
     let directions = DMat3::from_axis_angle(DVec3::new(1.0, 2.0, -0.5).normalize(), 0.6);
     Geometry {
@@ -31,7 +32,8 @@ fn oblique(size: [usize; 3], spacing: DVec3) -> Geometry {
     }
 }
 
-/// A folder with a volume whose voxel values are a function of the position in the grid frame, mm.
+/// Creates a folder with a volume whose voxel values are a function of the position in the grid
+/// frame, mm.
 fn folder(geometry: &Geometry, value: impl Fn(DVec3) -> f32) -> TempDir {
     let folder = tempfile::tempdir().expect("folder");
     let image = Image::sampled(geometry.clone(), value);
@@ -48,7 +50,7 @@ fn run(folder: &Path, output: &str, options: &[&str]) -> String {
     said
 }
 
-/// The fields of the whole volume and of the object's box.
+/// Computes the fields of the whole volume and of the object's box.
 fn both(folder: &Path, options: &[&str]) -> [Field; 2] {
     ["volume", "object"].map(|grid| {
         run(folder, "f.vti", &[options, &["--grid", grid]].concat());
@@ -56,7 +58,8 @@ fn both(folder: &Path, options: &[&str]) -> [Field; 2] {
     })
 }
 
-/// The node of the larger grid that coincides in the world with the first node of the smaller one.
+/// Returns the node of the larger grid that coincides in the world with the first node of the
+/// smaller grid.
 fn place_of(small: &Geometry, large: &Geometry) -> [usize; 3] {
     assert_eq!((small.spacing, small.directions, small.space), (large.spacing, large.directions, large.space));
     let at = large.grid_to_index(large.world_to_grid(small.origin));
@@ -101,7 +104,8 @@ fn assert_same_notes([whole, part]: &[Field; 2], what: &str) {
     }
 }
 
-/// Two intersecting balls of 9 and 6 mm radius in a corner of a volume; negative inside.
+/// Returns the value of an implicit function of two intersecting balls of 9 and 6 mm radius in a
+/// corner of a volume, negative inside.
 fn two_balls(p: DVec3) -> f64 {
     let (a, b) = (DVec3::new(30.0, 31.0, 29.0), DVec3::new(39.0, 36.0, 33.0));
     (p.distance(a) - 9.0).min(p.distance(b) - 6.0)
@@ -141,7 +145,7 @@ fn only_true_borders_of_the_volume_are_capped_or_open() {
     for border in ["cap", "open"] {
         let fields = both(labels.path(), &["--labels", "1", "--border", border]);
         assert_same(&fields, border);
-        // cap planes at the same positions in the world
+        // the cap planes have the same positions in the world
         let planes = fields.each_ref().map(|field| {
             let planes = field.meta["cap_planes"].as_array().expect("a list").clone();
             let place = |plane: &serde_json::Value| {

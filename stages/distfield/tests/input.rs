@@ -1,5 +1,5 @@
-//! Input that `distfield` refuses or warns of: labels of a scan, iso values of labels, absent
-//! labels, NaN, and too little memory.
+//! Tests input that `distfield` rejects or warns about: labels for a scan, iso values for labels,
+//! missing labels, NaN voxels, and too little memory.
 
 use isoparticles_stage::field_file::{Field, FieldKind, read_field};
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ fn distfield(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_distfield")).args(arguments).output().expect("the program runs")
 }
 
-/// A raw NRRD file of 16-bit numbers in LPS, spacing 1 x 1 x 2 mm.
+/// Writes a raw NRRD file of 16-bit numbers in LPS with a spacing of 1 x 1 x 2 mm.
 fn write_nrrd(path: &Path, size: [usize; 3], value: impl Fn(f64, usize) -> i16) {
     let [nx, ny, nz] = size;
     let header = format!(
@@ -26,13 +26,15 @@ fn write_nrrd(path: &Path, size: [usize; 3], value: impl Fn(f64, usize) -> i16) 
     std::fs::write(path, bytes).expect("written");
 }
 
-/// A scan: a ball with a scanner's edge, which has the value 100 at a radius of 12 mm, and noise.
+/// Returns the voxel values of a scan: a noisy ball with a scanner's edge, which has the value 100
+/// at a radius of 12 mm.
 fn scan(radius: f64, n: usize) -> i16 {
     let noise = ((n * 7919) % 31) as f64 - 15.0;
     (200.0 / (1.0 + ((radius - 12.0) / 0.9).exp()) + noise) as i16
 }
 
-/// Labels: a ball of label 3 in a shell of label 2, and one voxel of label 9.
+/// Returns the voxel values of a label map: a ball of label 3 in a shell of label 2, and one voxel
+/// of label 9.
 fn labels(radius: f64, n: usize) -> i16 {
     match radius {
         _ if n == 0 => 9,
@@ -68,7 +70,8 @@ impl Case {
         assert_eq!(run.status.code(), Some(0), "{options:?}: {}", String::from_utf8_lossy(&run.stderr));
     }
 
-    /// Runs the program and checks that it fails with these words and writes no output.
+    /// Runs the program and checks that it fails with a message that contains `words`, and that it
+    /// writes no output.
     #[track_caller]
     fn refused(&self, options: &[&str], words: &[&str]) {
         let run = self.run(options);

@@ -1,4 +1,5 @@
-//! The same oblique volume in every supported file format gives the same surface in the world.
+//! Checks that the same oblique volume gives the same surface in the world in every supported
+//! format.
 
 use dicom_core::{DataElement, PrimitiveValue, VR};
 use dicom_dictionary_std::tags;
@@ -14,7 +15,8 @@ use std::process::Command;
 
 const SIZE: [usize; 3] = [14, 13, 12];
 
-/// Oblique, anisotropic and far from the origin; right-handed, as every stack of DICOM slices.
+/// Returns an oblique, anisotropic grid far from the origin. It is right-handed, like every stack
+/// of DICOM slices.
 fn geometry() -> Geometry {
     let columns = [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]].map(DVec3::from_array);
     Geometry {
@@ -26,7 +28,7 @@ fn geometry() -> Geometry {
     }
 }
 
-/// A distorted ball, in 12-bit values.
+/// Returns the 12-bit values of a distorted ball.
 fn values() -> Vec<u16> {
     let value = |n: usize| {
         let (i, j, k) = (n % SIZE[0], n / SIZE[0] % SIZE[1], n / (SIZE[0] * SIZE[1]));
@@ -40,7 +42,7 @@ fn signed() -> Vec<u8> {
     values().iter().flat_map(|&value| (value as i16).to_le_bytes()).collect()
 }
 
-/// Voxel steps along the axes and the origin, with the signs of another world frame.
+/// Returns the voxel steps along the axes and the origin, with the signs of another world frame.
 fn affine(signs: DVec3) -> ([DVec3; 3], DVec3) {
     let geometry = geometry();
     ([0, 1, 2].map(|axis| signs * geometry.directions.col(axis) * geometry.spacing[axis]), signs * geometry.origin)
@@ -62,7 +64,7 @@ fn nrrd_in_ras(path: &Path) {
     std::fs::write(path, [header.into_bytes(), signed()].concat()).expect("written");
 }
 
-/// A NIfTI-1 file whose sform maps to the world: right, anterior, superior.
+/// Writes a NIfTI-1 file whose sform maps to the world frame right, anterior, superior.
 fn nifti(path: &Path) {
     let (steps, origin) = affine(DVec3::new(-1.0, -1.0, 1.0));
     let mut header = vec![0u8; 352];
@@ -101,8 +103,8 @@ fn meta_image(path: &Path) {
     std::fs::write(path, [header.into_bytes(), signed()].concat()).expect("written");
 }
 
-/// DICOM slices whose file names are not in spatial order. Values are stored plus 1024, as for a
-/// CT.
+/// Writes DICOM slices whose file names are not in spatial order. The stored values are increased
+/// by 1024, as in a CT.
 fn dicom(folder: &Path) {
     std::fs::create_dir(folder).expect("made");
     let geometry = geometry();
@@ -117,7 +119,8 @@ fn dicom(folder: &Path) {
         let elements = [
             string(tags::MODALITY, VR::CS, "CT"),
             string(tags::SERIES_INSTANCE_UID, VR::UI, "1.2.3"),
-            // decimal strings hold sixteen characters; most programs truncate the position to that
+            // decimal strings have at most sixteen characters; most programs truncate positions to
+            // this length
             string(tags::IMAGE_POSITION_PATIENT, VR::DS, &place.to_array().map(|x| format!("{x:.9}")).join("\\")),
             string(tags::IMAGE_ORIENTATION_PATIENT, VR::DS, &along),
             number(tags::SAMPLES_PER_PIXEL, 1),
@@ -151,7 +154,7 @@ fn distfield(arguments: &[&Path]) {
     assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
 }
 
-/// Vertices of the surface of a volume, in the world, mm.
+/// Returns the vertices of the surface of a volume, in the world, mm.
 fn surface(volume: &Path, folder: &Path) -> Vec<DVec3> {
     let output = folder.join("field.vti");
     let words = ["--iso", "1500", "--force", "-q", "-o"].map(Path::new);
@@ -176,7 +179,7 @@ fn every_kind_of_file_gives_the_same_surface_in_the_world() {
     let expected = surface(&path("v.nrrd"), folder.path());
     assert!(expected.len() > 300, "{} vertices", expected.len());
     for name in ["ras.nrrd", "v.nii", "v.mha", "series", "v.vti"] {
-        // the values are the same, whatever type they are stored in
+        // the values are the same for every stored type
         let volume = read_volume(&path(name)).expect("a volume");
         assert!(volume.voxels.to_f64().into_iter().eq(values().into_iter().map(f64::from)), "{name}");
         let found = surface(&path(name), folder.path());

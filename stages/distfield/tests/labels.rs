@@ -1,4 +1,4 @@
-//! Label maps: smoothness, volume, sides of voxel centres, thin parts.
+//! Tests label maps: smoothness, volume, sides of voxel centres, and thin parts.
 
 mod support;
 
@@ -27,7 +27,8 @@ fn extract(mask: &Image<bool>) -> Redistanced {
     result
 }
 
-/// Root-mean-square error of the radius along rays (mm), and relative error of the volume.
+/// Returns the root-mean-square error of the radius along rays (mm) and the relative error of the
+/// volume.
 fn ball_errors(radius: f64, spacing: DVec3) -> (f64, f64) {
     let size = ((2.0 * radius + 4.0 * spacing.max_element()) / spacing).ceil();
     let centre = (0.5 * size + DVec3::new(0.13, -0.21, 0.37)) * spacing;
@@ -71,7 +72,8 @@ fn thick_slices_are_smoothed_as_well() {
     assert!(volume.abs() < 0.005, "volume off by {volume}");
 }
 
-/// Thickness of F < 0 along a direction through a point (index position in the mask), in voxels.
+/// Returns the thickness of F < 0 in voxels, along a direction through a point (index position in
+/// the mask).
 fn thickness(result: &Redistanced, index: DVec3, direction: DVec3) -> f64 {
     let spline = CubicSpline::new(&result.field);
     let geometry = &result.field.geometry;
@@ -103,7 +105,7 @@ fn parts_one_voxel_thin_keep_topology_and_half_a_voxel() {
         let thick = thickness(&rod, DVec3::new(9.0, 10.0, 9.0), DVec3::Y);
         assert!(thick > 0.5, "rod {thick} voxel");
 
-        // the one-voxel layer of a box: a shell with a cavity
+        // the surface of a box, one voxel thick: a shell with a cavity
         let shell = extract(&sampled(size, spacing, |p| (index(p) - DVec3::splat(9.0)).abs().max_element() == 5.0));
         assert_eq!((shell.parts_after.components, shell.parts_after.cavities), (1, 1));
 
@@ -168,7 +170,7 @@ fn parts_that_touch_at_a_corner_are_apart() {
     assert_eq!(extract(&mask).parts_after.components, 2);
 }
 
-/// Relative error of the volume of F against that of the voxels.
+/// Returns the relative difference between the volume of F and that of the voxels.
 fn swelling(mask: &Image<bool>) -> f64 {
     let voxels = mask.data.iter().filter(|inside| **inside).count() as f64;
     extract(mask).parts_after.volume / (voxels * mask.geometry.spacing.element_product()) - 1.0
@@ -200,8 +202,8 @@ fn thin_layers_and_rods_keep_their_volume() {
     }
 }
 
-/// Position of the zero of F on a line through a point (index position in the mask), in voxels from
-/// the point.
+/// Returns the position of the zero of F on a line through a point (index position in the mask), in
+/// voxels from the point.
 fn crossing(result: &Redistanced, index: DVec3, direction: DVec3) -> f64 {
     let spline = CubicSpline::new(&result.field);
     let at =
@@ -229,14 +231,14 @@ fn flat_faces_and_caps_stay_flat() {
             (first..=last).flat_map(|x| (first..=last).map(move |y| DVec3::new(f64::from(x), f64::from(y), z)));
         places.map(|place| crossing(result, place, DVec3::Z).abs()).fold(0.0, f64::max)
     };
-    // the positions nearest to the edges are 5.5 and 10.5 voxels from them
+    // the positions nearest to the edges are 5.5 and 10.5 voxels away from the edges
     let faces = [largest(&cube(20.0), [12, 21], 6.5), largest(&cube(40.0), [17, 36], 6.5)];
     let cap = largest(&cylinder, [12, 21], -0.5);
     println!("largest distance from half-way, voxels: faces {:.3} {:.3}, cap {cap:.3}", faces[0], faces[1]);
     assert!(faces[0] < 0.07 && faces[1] < 0.05 && cap < 0.02, "{faces:?} {cap}");
 }
 
-/// A ball, a smaller ball, and two single voxels.
+/// The object consists of a ball, a smaller ball, and two single voxels.
 #[test]
 fn small_parts_are_dropped_and_told() {
     let mask = sampled([30, 20, 20], DVec3::ONE, |p| {
@@ -245,7 +247,7 @@ fn small_parts_are_dropped_and_told() {
     });
     let volume =
         |x: f64| mask.data.iter().enumerate().filter(|&(n, &m)| m && ((n % 30) as f64 - x).abs() < 6.5).count();
-    // without one single voxel each
+    // each volume without one of the single voxels
     let (large, small) = (volume(8.0) as f64 - 1.0, volume(22.0) as f64 - 1.0);
     assert!(large > 800.0 && (100.0..200.0).contains(&small));
     for (keep, components, gone) in [
@@ -273,7 +275,8 @@ fn parts_at_an_open_border_count_their_own_voxels_alone() {
     let block = |p: DVec3, low: [f64; 3], high: [f64; 3]| {
         p.cmpge(DVec3::from_array(low) - 0.5).all() && p.cmplt(DVec3::from_array(high) - 0.5).all()
     };
-    // 64 voxels, and 32 at the face z = 0, which the margin continues
+    // a part of 64 voxels, and a part of 32 voxels at the face z = 0, which continues into the
+    // margin
     let mask = sampled([16, 10, 14], DVec3::ONE, |p| {
         block(p, [2.0, 3.0, 7.0], [6.0, 7.0, 11.0]) || block(p, [9.0, 3.0, 0.0], [13.0, 7.0, 2.0])
     });

@@ -1,5 +1,5 @@
-//! Many materials: voxel centres keep their material, materials touch where their voxels do, areas
-//! and volumes, scales, the output file and the program.
+//! Tests several materials: voxel centres keep their material, materials touch where their voxels
+//! do; areas and volumes, scales, the output file and the program.
 
 mod support;
 
@@ -53,8 +53,8 @@ fn volume(size: [usize; 3], label: impl Fn([usize; 3]) -> u8) -> Volume {
 }
 
 impl Made {
-    /// Checks that every indicator known at a node is negative exactly at its own nodes, by the
-    /// clearance, and that the survey agrees.
+    /// Checks that every indicator known at a node is negative exactly at the nodes of its
+    /// material, by at least the clearance, and that the survey agrees.
     fn keeps_every_voxel(&self, what: &str) {
         let materials = &self.extracted.materials;
         let geometry = materials.geometry();
@@ -63,7 +63,7 @@ impl Made {
         for n in 0..geometry.voxel_count() {
             let node = [n % nx, n / nx % ny, n / (nx * ny)];
             let own = self.grid.at(node);
-            // beyond an open border interfaces continue straight, and nodes there have no labels
+            // beyond an open border, interfaces continue straight, and nodes there have no labels
             let is_voxel = (0..3).all(|a| (MARGIN..geometry.size[a] - MARGIN).contains(&node[a]));
             if self.grid.border == Border::Open && !is_voxel {
                 continue;
@@ -92,10 +92,11 @@ impl Made {
         }
     }
 
-    /// Checks the middles of grid edges, faces and cells: the first material must be that of a
-    /// corner, and on edges the first two must be those of both ends. Returns counts: edges between
-    /// two materials; those with a third material known nearby; faces whose corners differ along
-    /// all four edges; those whose diagonals differ by less than 0.1 voxel.
+    /// Checks the midpoints of grid edges, faces and cells: the first material must be that of a
+    /// corner, and on edges the first two materials must be those of the two ends. Returns the
+    /// numbers of edges between two materials, of such edges with a third material known nearby, of
+    /// faces whose corners differ along all four edges, and of such faces whose diagonals differ by
+    /// less than 0.1 voxel.
     fn keeps_contacts(&self, what: &str) -> [usize; 4] {
         let materials = &self.extracted.materials;
         let geometry = materials.geometry();
@@ -139,7 +140,7 @@ impl Made {
         }
         let Contacts { left, near, .. } = self.extracted.contacts;
         assert!(wrong <= left && near >= counts[3], "{what}: {wrong}, {left} left, {near} near, {counts:?}");
-        // with random labels a few places remain, and are reported
+        // with random labels, a few wrong midpoints remain and are reported
         assert!(left == 0 || what.contains("noise") && left < 10, "{what}: {left} left");
         counts
     }
@@ -200,7 +201,7 @@ fn every_voxel_centre_keeps_its_material_whatever_touches() {
             let made = make(volume([12; 3], &label), border);
             made.keeps_every_voxel(&format!("{what}, {border:?}"));
             let [_, _, open, narrow] = made.keeps_contacts(what);
-            // in a checkerboard every raise makes others necessary
+            // in a checkerboard, every raise makes other raises necessary
             let most = if what == "a checkerboard" { open / 3 } else { open / 20 };
             assert!(narrow <= most, "{what}: {narrow} of {open}");
             if what == "two that alternate" {
@@ -235,7 +236,7 @@ fn a_thin_layer_stays() {
     }
 }
 
-/// Relative errors of the areas and volumes of two nested balls at a spacing (mm).
+/// Returns the relative errors of the areas and volumes of two nested balls at a spacing (mm).
 fn nested_errors(spacing: f64) -> (f64, f64) {
     let nodes = (24.0 / spacing) as usize + 1;
     let geometry = Geometry::axis_aligned([nodes; 3], DVec3::splat(spacing));
@@ -260,8 +261,8 @@ fn areas_and_volumes_converge() {
     assert!(coarse.1 < 0.02 && fine.1 < 0.001, "volumes {coarse:?} {fine:?}");
 }
 
-/// A ball of three sectors, 1 to 3, around the z axis, in the outside; and a block of eight voxels,
-/// 4, apart from it.
+/// Returns a ball divided into three sectors, 1 to 3, around the z axis and surrounded by the
+/// outside, and a separate block of eight voxels of label 4.
 fn sectors(size: usize, radius: f64) -> Volume {
     let centre = 0.5 * (size as f64 - 1.0) + 0.13;
     volume([size; 3], |at| {
@@ -287,11 +288,12 @@ fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
         assert!(change.abs() < 0.025, "{id}: {change}");
         assert!(made.extracted.tallies[id].changes.as_ref().is_some_and(|changes| changes.voxels_changed > 0));
     }
-    // the small block is gone, and the outside has its place
+    // the small block has vanished, and the outside has taken its voxels
     assert_eq!((made.survey.volumes[4], kept.extracted.tallies[4].voxels), (0.0, 8));
     assert!(made.extracted.tallies[4].changes.is_none());
-    // With the scale, the border of the ball has the normals of a ball; without it, voxel steps
-    // show. The edges of the sectors are rounded, and the places next to them compensate.
+    // With the scale, the border of the ball has the normals of a ball; without the scale, voxel
+    // steps show. The edges of the sectors are rounded, and the border next to the edges
+    // compensates for this.
     let rough = |made: &Made| {
         let materials = &made.extracted.materials;
         let centre = materials.geometry().index_to_grid(DVec3::splat(0.5 * 39.0 + 0.13 + MARGIN as f64));
@@ -428,7 +430,7 @@ fn one_material_at_a_scale_is_what_one_object_is() {
 
 #[test]
 fn pieces_of_real_volumes_keep_every_voxel() {
-    // pieces where many labels meet; the whole volumes take minutes
+    // parts of real volumes where many labels meet; the whole volumes take minutes
     let mut decided_by_little = 0;
     for (name, first, least) in
         [("thorax_labels.nrrd", [110, 90, 80], 3), ("brain_parcellation.nrrd", [70, 110, 110], 12)]
@@ -455,7 +457,7 @@ fn distfield(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_distfield")).args(arguments).output().expect("the program runs")
 }
 
-/// A ball of two halves, 1 and 2, in a block of 3.
+/// Writes a ball of two halves, 1 and 2, in a block of label 3.
 fn write_halves(path: &Path) {
     let size = 16;
     let at = |n: usize| [n % size, n / size % size, n / (size * size)];
@@ -512,18 +514,18 @@ fn materials_file_reads_back_for_any_number_of_threads() {
         let node = DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / (nx * ny)) as f64);
         assert_eq!(f32::from(file.materials.material_at(node).0), *number);
     }
-    // the halves and the rest meet on a circle
+    // the halves and the block meet on a circle
     let own = [1, 2, 3].map(MaterialId);
     let start = DVec3::new(12.5, 12.6, 17.3);
     let p = file.materials.project_onto_curve(own, start, 2.0, 1e-6).expect("a point of the curve");
     assert!(file.materials.clearance(p, &own) > 0.0);
     assert!((p.x - 12.5).abs() < 0.3 && (p.distance(DVec3::splat(12.6)) - 5.0).abs() < 0.5, "{p}");
 
-    // a reader for one object refuses the file
+    // a reader for one object rejects the file
     let error = read_field(Path::new(&output), FieldKind::Distance).expect_err("many materials");
     assert!(error.what.contains("many materials") && error.next.contains("--labels"), "{error}");
 
-    // a damaged file is refused or read, without a panic
+    // a damaged file is rejected or read, without a panic
     let whole = std::fs::read(&output).expect("bytes");
     let damaged = PathBuf::from(at("damaged.vti"));
     for n in 0..120u64 {
@@ -574,7 +576,7 @@ fn mickey() {
     made.keeps_contacts("mickey");
     let pairs: Vec<_> = made.survey.interfaces.iter().map(|pair| pair.materials.map(|id| id.0)).collect();
     assert_eq!(pairs, [[0, 1], [1, 2], [1, 3], [1, 4], [2, 3], [2, 4], [2, 5]]);
-    // two balls of radius 5.8 rest on a hollow one
+    // two balls of radius 5.8 rest on a hollow ball
     let area = |pair: usize| made.survey.interfaces[pair].area;
     assert!((area(2) / area(3) - 1.0).abs() < 0.01 && (area(4) / area(5) - 1.0).abs() < 0.01);
     assert_eq!((made.survey.junctions.edges_of_four, made.survey.junctions.corners), (0, 0));

@@ -1,5 +1,5 @@
-//! The program: input and output files, exit codes, bad input, and real volumes if they are
-//! available.
+//! Tests the program: input and output files, exit codes, invalid input, and real volumes if they
+//! are available.
 
 use isoparticles_stage::field_file::{FieldKind, read_field};
 use isoparticles_tests::skip::real_volume;
@@ -10,7 +10,7 @@ fn distfield(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_distfield")).args(arguments).output().expect("the program runs")
 }
 
-/// A raw NRRD file of 32-bit numbers.
+/// Writes a raw NRRD file of 32-bit numbers.
 fn write_nrrd(path: &Path, size: [usize; 3], value: impl Fn(usize, usize, usize) -> f32) {
     let [nx, ny, nz] = size;
     let header = format!(
@@ -49,7 +49,8 @@ fn a_volume_becomes_a_field_with_its_story() {
     assert!(field.meta["cap_planes"].as_array().is_some_and(Vec::is_empty), "the ball meets no face");
     assert_eq!(field.history.expect("history").inputs.len(), 1);
 
-    // The same bytes with another number of threads. An existing output is kept without --force.
+    // The output has the same bytes with another number of threads. An existing output is kept
+    // without --force.
     let first = std::fs::read(output).expect("bytes");
     assert_eq!(distfield(&[input, "-o", output, "--iso", "6"]).status.code(), Some(2));
     assert_eq!(distfield(&[input, "-o", output, "--iso", "6", "--threads", "2", "--force"]).status.code(), Some(0));
@@ -60,7 +61,7 @@ fn a_volume_becomes_a_field_with_its_story() {
 fn labels_come_to_the_same_bytes_on_any_number_of_threads() {
     let folder = tempfile::tempdir().expect("folder");
     let input = folder.path().join("in.nrrd");
-    // a ball and a separate voxel, on more nodes than one task takes
+    // a ball and a separate voxel, on more nodes than one task processes
     let ball = |n: [usize; 3]| n.map(|n| (n as f32 - 19.3).powi(2)).iter().sum::<f32>() < 196.0;
     write_nrrd(&input, [40, 40, 40], |i, j, k| f32::from(u8::from(ball([i, j, k]) || [i, j, k] == [36, 36, 36])));
     let fields = ["1", "2", "3"].map(|threads| {

@@ -1,5 +1,5 @@
-//! Scalar volumes against analytic truth: distance, zero set, slope, border, and voxels equal to
-//! the iso value.
+//! Tests scalar volumes against analytic solutions: distance, zero set, slope, border, and voxels
+//! equal to the iso value.
 
 mod support;
 
@@ -20,8 +20,8 @@ fn extract(image: &Image<f32>, iso: f64, border: Border) -> Redistanced {
     from_scalar(image.clone(), iso, &options, &Context::silent("distfield")).expect("a surface")
 }
 
-/// Maximum error of F within 2.5 voxels of the surface and anywhere, in voxels. `distance` is the
-/// true distance in the grid frame of the input.
+/// Returns the maximum error of F in voxels, within 2.5 voxels of the surface and anywhere.
+/// `distance` is the true distance in the grid frame of the input.
 fn distance_errors(result: &Redistanced, distance: impl Fn(DVec3) -> f64) -> (f64, f64) {
     let geometry = &result.field.geometry;
     let shift = geometry.spacing * MARGIN as f64;
@@ -37,12 +37,12 @@ fn distance_errors(result: &Redistanced, distance: impl Fn(DVec3) -> f64) -> (f6
 fn a_ball_has_exact_distances_and_slope_one() {
     let spacing = DVec3::new(0.8, 1.0, 0.9);
     let centre = DVec3::new(12.3, 12.1, 12.6);
-    // a quadratic function, which the spline reproduces and which is not a distance
+    // a quadratic function: the spline reproduces it, and it is not a distance
     let image = sampled([31, 25, 29], spacing, |p| (100.0 - (p - centre).length_squared()) as f32);
     let result = extract(&image, 36.0, Border::Cap);
     let (band, all) = distance_errors(&result, |p| p.distance(centre) - 8.0);
     println!("ball: band error {band:.5}, largest {all:.3} voxel, {:?}", result.shift);
-    // measured anywhere: 0.010
+    // measured maximum error anywhere: 0.010
     assert!(band < 0.002, "band error {band}");
     assert!(all < 0.02, "largest error {all}");
     assert!(result.shift.mean < 1e-3 && result.shift.p99 < 2e-3, "{:?}", result.shift);
@@ -80,12 +80,13 @@ fn an_ellipsoid_and_a_torus_have_exact_distances() {
         let d = to_tube(p) - 4.0;
         if d < -2.0 { f64::INFINITY } else { d }
     });
-    // measured 0.012: a torus is no polynomial, so the input's spline is not exactly a torus
+    // measured: 0.012, because the spline of the input is not exactly a torus (not a polynomial)
     assert!(band < 0.015, "torus: band error {band}");
     assert_eq!(topology(&result.field).components[0].genus, Some(1));
 }
 
-/// Signed distance to an ellipsoid: bisection for the Lagrange multiplier of the closest point.
+/// Returns the signed distance to an ellipsoid, by bisection for the Lagrange multiplier of the
+/// closest point.
 fn ellipsoid_distance(p: DVec3, axes: DVec3) -> f64 {
     let q = p.abs().max(DVec3::splat(1e-9));
     let at = |t: f64| q * axes * axes / (axes * axes + DVec3::splat(t));
@@ -112,11 +113,11 @@ fn a_gyroid_through_the_border_keeps_its_zero_set() {
     for border in [Border::Cap, Border::Open] {
         let image = sampled([30, 30, 30], DVec3::ONE, f);
         let result = extract(&image, 0.0, border);
-        // Mean and 99th percentile measured: 0.0029 and 0.030 with the cap, 0.0019 and 0.034
+        // Measured mean and 99th percentile: 0.0029 and 0.030 with the cap, 0.0019 and 0.034
         // without. The edges of the cap are rounded by half a voxel, which no spline on this grid
-        // can represent. The mean with the cap is 0.017 before the fit and 0.0026 at best, after
-        // 110 steps. It is 0.018 after 640 steps, when F at the samples is 0.0003 but new surfaces
-        // appear between them. All of this lies within a voxel of the cap.
+        // can represent. With the cap, the mean is 0.017 before the fit and 0.0026 at best, after
+        // 110 steps. After 640 steps the mean is 0.018: F at the samples is then 0.0003, but new
+        // surfaces appear between the samples. All of these errors lie within a voxel of the cap.
         assert!(result.shift.mean < 0.005 && result.shift.p99 < 0.05, "{border:?}: {:?}", result.shift);
         let inner = shift_within(&result, &image, 1.0);
         println!("gyroid, {border:?}: {:?}, {inner:?} 1.5 voxels from the border", result.shift);
@@ -126,8 +127,9 @@ fn a_gyroid_through_the_border_keeps_its_zero_set() {
     }
 }
 
-/// Mean and 99th percentile of the distance, in voxels, from the zero set of F to that of the
-/// image's spline, at least `inset` voxels inside the outermost voxel centres.
+/// Returns the mean and the 99th percentile of the distance, in voxels, from the zero set of F to
+/// that of the image's spline. Only points at least `inset` voxels inside the outermost voxel
+/// centres count.
 fn shift_within(result: &Redistanced, image: &Image<f32>, inset: f64) -> (f64, f64) {
     let (own, source) = (CubicSpline::new(&result.field), CubicSpline::new(image));
     let margin = image.geometry.spacing * MARGIN as f64;
@@ -218,7 +220,7 @@ fn the_low_side_is_the_complement() {
     let result = from_scalar(image.clone(), 6.0, &options, &Context::silent("distfield"));
     let result = result.expect("a ball");
     assert!((volume(&result.field) / (4.0 / 3.0 * std::f64::consts::PI * 216.0) - 1.0).abs() < 0.02);
-    // the other side is the box with a cavity
+    // the other side of the surface is the box with a cavity
     let result = extract(&image, 6.0, Border::Cap);
     assert_eq!((result.parts_after.components, result.parts_after.cavities), (1, 1));
 }
@@ -245,7 +247,7 @@ fn a_part_that_is_dropped_leaves_the_distance_of_the_other() {
     assert!(band < 0.02 && all < 0.1, "band error {band}, largest {all}");
 }
 
-/// Units that are powers of two lose no digits, so that the results agree to the last bit.
+/// Units that are powers of two lose no precision, so the results agree to the last bit.
 #[test]
 fn the_unit_of_the_voxels_does_not_matter() {
     let image = sampled([24, 24, 24], DVec3::ONE, |p| (8.0 - p.distance(DVec3::new(11.3, 11.9, 11.6))) as f32);
@@ -262,19 +264,19 @@ fn the_unit_of_the_voxels_does_not_matter() {
 struct Shape<'a> {
     name: &'a str,
     size: usize,
-    /// Signed distance, voxels; NaN where it is not known.
+    /// Signed distance in voxels; NaN where it is not known.
     distance: &'a dyn Fn(DVec3) -> f64,
-    /// Distance to the medial axis, voxels.
+    /// Distance to the medial axis in voxels.
     axis: &'a dyn Fn(DVec3) -> f64,
 }
 
-/// The value of an edge with a scanner's width at a distance (voxels) from it.
+/// Returns the value of a scanner's edge at a distance (voxels) from the edge.
 fn edge(distance: f64) -> f32 {
     (0.5 - 0.5 * (distance / 2.0).tanh()) as f32
 }
 
 /// Checks the distances everywhere, and the slope of the spline at the nodes and between them, at
-/// least four voxels from the medial axis. Nearer to it, the spline rounds the kink.
+/// least four voxels from the medial axis. Closer to the medial axis, the spline rounds the kink.
 fn check_far_field(shape: &Shape, image: &Image<f32>, iso: f64, border: Border) {
     let Shape { name, size, distance, axis } = *shape;
     let result = extract(image, iso, border);
@@ -282,7 +284,7 @@ fn check_far_field(shape: &Shape, image: &Image<f32>, iso: f64, border: Border) 
     let margin = DVec3::splat(MARGIN as f64);
     let (mut band, mut all, mut slope, mut checked) = (0.0f64, 0.0f64, 0.0f64, 0);
     for node in positions(&image.geometry) {
-        // the spline is mirrored at the border of F, and rings within three voxels of it
+        // the spline is mirrored at the border of F, and rings within three voxels of the border
         let is_inner = node.min_element() >= 0.0 && node.max_element() <= size as f64 - 2.0;
         for p in [node, node + DVec3::new(0.5, 0.31, 0.44)] {
             let truth = distance(p);
@@ -333,25 +335,25 @@ fn an_ellipsoid_has_slope_one_off_the_medial_axis() {
     let centre = DVec3::new(31.7, 31.4, 31.6);
     let axes = DVec3::new(27.0, 21.0, 16.0);
     let distance = |p: DVec3| ellipsoid_distance(p - centre, axes);
-    // The inner medial axis is an ellipse in the plane of the two longer axes; its semi-axes end at
-    // focal points.
+    // The inner medial axis is an ellipse in the plane of the two longer axes, whose semi-axes end
+    // at focal points.
     let disc = DVec3::new(axes.x - axes.z.powi(2) / axes.x, axes.y - axes.z.powi(2) / axes.y, 1e-4);
     let axis = |p: DVec3| ellipsoid_distance(p - centre, disc).abs();
     let image = sampled([64; 3], DVec3::ONE, |p| edge(distance(p)));
     check_far_field(&Shape { name: "ellipsoid", size: 64, distance: &distance, axis: &axis }, &image, 0.5, Border::Cap);
 }
 
-/// Wave number of the coarse gyroid, per voxel; also the maximum of its curvature.
+/// Wave number of the coarse gyroid, per voxel. It is also the maximum curvature of the gyroid.
 const WAVE: f64 = 0.05;
 
-/// A gyroid, positive inside, and its gradient.
+/// Returns the value of a gyroid, positive inside, and its gradient.
 fn gyroid(p: DVec3) -> (f64, DVec3) {
     let [(sx, cx), (sy, cy), (sz, cz)] = (p * WAVE).to_array().map(f64::sin_cos);
     let gradient = DVec3::new(cx * cy - sz * sx, cy * cz - sx * sy, cz * cx - sy * sz) * WAVE;
     (sx * cy + sy * cz + sz * cx, gradient)
 }
 
-/// The point of the gyroid near a position, by Newton's method along the gradient.
+/// Returns the point of the gyroid near a position, by Newton's method along the gradient.
 fn onto_gyroid(mut p: DVec3) -> DVec3 {
     for _ in 0..6 {
         let (value, gradient) = gyroid(p);
@@ -360,12 +362,12 @@ fn onto_gyroid(mut p: DVec3) -> DVec3 {
     p
 }
 
-/// Signed distance to the gyroid, voxels. NaN beyond `farthest` voxels, and where the foot is not
-/// well within the volume: the input's spline is mirrored at its border, and its zero set differs
-/// there.
+/// Returns the signed distance to the gyroid in voxels. Returns NaN beyond `farthest` voxels, and
+/// where the foot is not well within the volume: the spline of the input is mirrored at the border
+/// of the volume, and its zero set differs there.
 fn gyroid_distance(node: DVec3, farthest: f64) -> f64 {
     let mut foot = onto_gyroid(node);
-    // Moves along tangent planes. Each step reduces the error at least by the factor height /
+    // Moves along tangent planes. Each step reduces the error by at least the factor height /
     // radius of curvature.
     for _ in 0..60 {
         let normal = gyroid(foot).1.normalize();
@@ -379,7 +381,7 @@ fn gyroid_distance(node: DVec3, farthest: f64) -> f64 {
 
 #[test]
 fn a_gyroid_has_slope_one_off_the_medial_axis() {
-    // within this distance a foot is at least five voxels from a focal point, and the two sides of
+    // within this distance, a foot is at least five voxels from a focal point, and the two sides of
     // a channel are farther apart
     let distance = |node: DVec3| gyroid_distance(node, 1.0 / WAVE - 5.0);
     let image = sampled([64; 3], DVec3::ONE, |p| gyroid(p).0 as f32);

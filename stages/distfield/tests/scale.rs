@@ -1,5 +1,5 @@
-//! `--scale` against analytic truth: large parts keep their position and volume, small parts vanish
-//! and are reported.
+//! Tests `--scale` against analytic solutions: large parts keep their position and volume, small
+//! parts vanish and are reported.
 
 mod support;
 
@@ -21,7 +21,7 @@ fn smoothed(inside: &Image<bool>, length: f64, keep_thin: bool) -> Scaled {
     scaled(occupancy, Scale { length, keep_thin }, Grid::Volume).expect("few parts").expect("something is left")
 }
 
-/// The level set with the sign of F: negative inside.
+/// Returns the level set with the sign of F: negative inside.
 fn field(scaled: &Scaled) -> Image<f32> {
     Image { data: scaled.level.data.iter().map(|value| -value).collect(), geometry: scaled.level.geometry.clone() }
 }
@@ -109,8 +109,8 @@ fn thin_parts_stay_where_they_are_to_be_kept() {
     let kept = smoothed(&inside, 9.0, true);
     assert_eq!(kept.changes.components, [2, 2]);
     assert_eq!(topology(&field(&kept)).components.len(), 2);
-    // At least four fifths of the volume by voxel count, since the ends are rounded (measured: 473
-    // of 567).
+    // The rod keeps at least four fifths of its volume by voxel count, because its ends are rounded
+    // (measured: 473 of 567).
     let rod = |holds: &dyn Fn(usize) -> bool| (0..inside.data.len()).filter(|&n| n % 64 > 26 && holds(n)).count();
     let (before, after) = (rod(&|n| inside.data[n]), rod(&|n| kept.level.data[n] > 0.0));
     assert!(after.abs_diff(before) * 5 < before, "{before} voxels before, {after} after");
@@ -153,8 +153,8 @@ fn the_edge_length_is_that_of_the_area() {
 
 #[test]
 fn edge_length_includes_the_cap_area_at_closed_borders() {
-    // half a ball whose other half lies beyond the first slice; closed half a voxel beyond its
-    // centres
+    // half a ball whose other half lies beyond the first slice; the border closes it half a voxel
+    // beyond the centres of that slice
     let half = Occupancy::of_mask(&Mask::from(&sampled([60, 60, 40], DVec3::ONE, |p| {
         (p - DVec3::new(30.0, 30.0, -0.5)).length() < 20.0
     })));
@@ -168,7 +168,7 @@ fn edge_length_includes_the_cap_area_at_closed_borders() {
 
 #[test]
 fn edge_length_gives_the_vertex_count_despite_lost_area() {
-    // rods of several radii: the thinner ones vanish one after the other as the scale grows
+    // rods of several radii: thinner rods vanish before thicker rods as the scale grows
     let rods: Vec<(f64, f64, f64)> = (0..6)
         .flat_map(|i| {
             (0..6).map(move |j| {

@@ -1,4 +1,4 @@
-//! Sheared volumes are measured in the world: as labels, as materials and as a scan.
+//! Checks that sheared volumes are measured in the world: as labels, as materials and as a scan.
 
 use glam::{DMat3, DVec3};
 use isoparticles_stage::field_file::{FieldKind, read_field};
@@ -8,10 +8,11 @@ use serde_json::Value;
 use std::path::Path;
 use std::process::Command;
 
-/// Number of voxels, each of 1 mm^3, of the sheared ball of radius 14.
+/// Number of voxels of the sheared ball of radius 14. Each voxel has a volume of 1 mm^3.
 const VOXELS: f64 = 11_536.0;
 
-/// 40^3 voxels of 1 mm^3 whose slices are shifted along y, as by a gantry tilt of 30 degrees.
+/// Returns a grid of 40^3 voxels of 1 mm^3 whose slices are shifted along y, as by a gantry tilt of
+/// 30 degrees.
 fn sheared() -> Geometry {
     let step = DVec3::new(0.0, 30f64.to_radians().tan(), 1.0);
     Geometry {
@@ -21,7 +22,7 @@ fn sheared() -> Geometry {
     }
 }
 
-/// Voxel values by their distance from `centre` in index space.
+/// Returns voxel values as a function of the distance from `centre` in index space.
 fn by_distance(centre: DVec3, value: impl Fn(f64) -> f64) -> Vec<f64> {
     let index = |n: usize| DVec3::new((n % 40) as f64, (n / 40 % 40) as f64, (n / 1600) as f64);
     (0..64_000).map(|n| value(index(n).distance(centre))).collect()
@@ -31,7 +32,7 @@ fn mask(centre: DVec3) -> Voxels {
     Voxels::U8(by_distance(centre, |r| f64::from(u8::from(r <= 14.0))).into_iter().map(|v| v as u8).collect())
 }
 
-/// Runs the program; returns its report.
+/// Runs the program and returns its report.
 fn distfield(folder: &Path, voxels: &Voxels, words: &[&str]) -> Value {
     write_nrrd(&folder.join("v.nrrd"), &sheared(), voxels, Encoding::Gzip).expect("written");
     let run = Command::new(env!("CARGO_BIN_EXE_distfield")).current_dir(folder).arg("v.nrrd").args(words).output();
@@ -47,7 +48,7 @@ fn assert_near(found: &Value, due: f64, tolerance: f64) {
     assert!((found / due - 1.0).abs() < tolerance, "{found}, due {due}");
 }
 
-/// Volume of F, from the report.
+/// Returns the volume of F from the report.
 fn volume_of_f(report: &Value) -> &Value {
     &report["results"]["meta"]["volume"]
 }
@@ -99,7 +100,7 @@ fn an_object_is_closed_where_the_sheared_volume_ends() {
     let count = by_distance(cut, |r| f64::from(u8::from(r <= 14.0))).iter().sum::<f64>();
     let report = distfield(folder.path(), &mask(cut), &[&["--labels", "1"], &FIELD[..]].concat());
     assert_near(volume_of_f(&report), count, 0.01);
-    // also the background of the mask, which is label 0
+    // the object is the background of the mask, which is label 0
     let report = distfield(folder.path(), &mask(cut), &[&["--labels", "0"], &FIELD[..]].concat());
     assert_near(&report["results"]["meta"]["volume_before"], 64_000.0 - count, 0.005);
     let scan = Voxels::F32(by_distance(cut, |r| 14.0 - r).into_iter().map(|value| value as f32).collect());

@@ -1,22 +1,22 @@
 #!/bin/sh
-# Measures the particles stage on the GPU and on one CPU thread, with the same particles
-# (`make bench-gpu`). Needs only the stage programs. On a machine without the sources of the
-# fields, use a folder that another machine has made with --prepare.
+# Measures the particles stage on the GPU and on one CPU thread with the same particles (`make
+# bench-gpu`). Needs only the stage programs. On a machine without the source data, use a folder
+# made on another machine with --prepare.
 #
 #   bench_gpu.sh [--bin FOLDER] [--work FOLDER] [--prepare] [--adapter NAME] [--no-cpu]
 #                [--sizes "H ..."] [--contrasts "C ..."] [--count N] [--passes N] [--options "..."]
 #
 # --bin        folder of the programs                                       [target/release]
-# --work       folder of fields, seeds and results; existing ones are used  [out/bench-gpu]
+# --work       folder of fields, seeds and results; existing files are used [out/bench-gpu]
 # --prepare    make fields and seeds only
-# --adapter    part of the GPU's name (a software renderer must be named)
-# --no-cpu     leave out the CPU runs
-# --sizes      uniform target edge lengths, mm, on the torso phantom's ribcage
+# --adapter    part of the GPU's name (a software renderer must be specified by name)
+# --no-cpu     skip the CPU runs
+# --sizes      uniform target edge lengths in mm on the ribcage of the torso phantom
 #              [1.9 1.205 0.852 0.682: about 60, 150, 300 and 468 thousand particles]
-# --contrasts  maximum over minimum h of graded runs on a ball, refined at one side  [1 3 9 27]
-# --count      particles of each graded run, for every contrast                    [150000]
-# --passes     passes of each run                                                      [50]
-# --options    further options of the GPU runs
+# --contrasts  ratio of maximum to minimum h on a ball refined on one side       [1 3 9 27]
+# --count      number of particles of each graded run, for every contrast          [150000]
+# --passes     number of passes of each run                                            [50]
+# --options    additional options of the GPU runs
 set -eu
 
 bin=${BIN:-target/release}
@@ -47,7 +47,8 @@ done
 mkdir -p "$work"
 ribs=$work/ribs.distfield.vti ball=$work/ball.distfield.vti
 
-# fields NAME DISTANCE OPTIONS...: makes the sizing field and the seeds of a run if missing.
+# fields NAME DISTANCE OPTIONS...: makes the sizing field and the seeds of a run if they are
+# missing.
 fields() {
     name=$1 distance=$2
     shift 2
@@ -55,15 +56,15 @@ fields() {
     [ -e "$work/$name.seeds.bin" ] || "$bin/seed" "$distance" "$work/$name.sizefield.vti" -o "$work/$name.seeds.bin" -q
 }
 
-# number FILE KEY: the first number with that key in a report.
+# number FILE KEY: prints the first number with that key in a report.
 number() { sed -n "s/^ *\"$2\": *\"\{0,1\}\([-+.0-9eE]*\).*/\1/p" "$1" | head -n 1; }
-# total FILE: seconds of the whole process (the outermost key).
+# total FILE: prints the seconds of the whole process (the outermost key).
 total() { sed -n 's/^  "seconds": *\([-+.0-9eE]*\).*/\1/p' "$1" | head -n 1; }
-# settle FILE: seconds of the step settle.
+# settle FILE: prints the seconds of the step `settle`.
 settle() { awk '/"name": "settle"/ { found = 1 } found && /"seconds"/ { gsub(/[^0-9.eE+-]/, "", $2); print $2; exit }' "$1"; }
 
-# graded CONTRAST: makes the fields of a run on the ball with that ratio of h. Five iterations
-# find the minimum h that gives the count.
+# graded CONTRAST: makes the fields of a run on the ball with this ratio of maximum to minimum h.
+# Five iterations find the minimum h that gives the required number of particles.
 graded() {
     least=0.3
     [ ! -e "$work/contrast-$1-$count.seeds.bin" ] || return 0
@@ -116,8 +117,8 @@ if [ ! -e "$ball" ] && [ -n "$contrasts" ]; then
     "$bin/phantom" ball --size 128 -o "$work/ball.nrrd" --force
     "$bin/distfield" "$work/ball.nrrd" --iso 100 -o "$ball" -q
 fi
-# where the ball is refined: on its surface, mm
-# (`phantom ball --size 128 --truth`: centre 63.6, 63.8, 63.3, radius 44.45)
+# the point on the surface of the ball around which h is small, in mm (`phantom ball --size 128
+# --truth`: centre 63.6, 63.8, 63.3, radius 44.45)
 pole=108.1,63.8,63.3
 for h in $sizes; do fields "uniform-$h" "$ribs" --uniform "$h"; done
 for c in $contrasts; do graded "$c"; done

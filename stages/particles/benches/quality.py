@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Measures the quality of triangles made from settled particles: by passes, backend or method.
+"""Measures the quality of triangles made from settled particles by passes, backend or method.
 
     quality.py passes CASE ... [--passes 5 10 ...] [--levels 1 3]  CSV: quality by number of passes
     quality.py backends CASE ... [--jobs N]      table: CPU and GPU with default parameters
@@ -10,12 +10,13 @@
 CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]. VOLUME is a file, or the arguments of
 `phantom` that make one:
     torus="torus --size 128;--iso 100;--uniform 1.2"    heart="heart.nrrd;--labels 1"
-@FILE stands for the lines of a file that do not start with # (phantoms.txt, volumes.txt and
-volumes-large.txt beside this program), and $NAME for an environment variable.
+@FILE inserts the lines of a file that do not start with # (for example phantoms.txt, volumes.txt
+and volumes-large.txt in the folder of this program). $NAME inserts an environment variable.
 
-Passes include those of all levels. Runs of at most ten passes on a level have no density control
-there. "raw" are the Delaunay triangles of the particles without improvement, "full" those after
-reconstruct has improved them. Time is that of the device if there is one, else of the settling.
+Numbers of passes include the passes of all levels. On a level with at most ten passes there is no
+density control. "raw" refers to the Delaunay triangles of the particles without improvement, "full"
+to the triangles after reconstruct has improved them. Times are device times if a device was used,
+otherwise the times of the settling step.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ RAW = ["--relaxation-sweeps", "0", "--improve-rounds", "0"]
 
 @dataclass
 class Case:
-    """A surface with its sizing field and seeds, the programs, and the working folder."""
+    """A surface with its sizing field and seeds, the stage programs and the working folder."""
 
     name: str
     volume: str
@@ -47,11 +48,11 @@ class Case:
     work: Path
 
     def file(self, ending: str) -> str:
-        """Returns the path of one of the case's files."""
+        """Returns the path of the case's file with this ending."""
         return str(self.work / f"{self.name}.{ending}")
 
     def run(self, program: str, *arguments: str, allowed: tuple[int, ...] = (0,)) -> dict[str, Any]:
-        """Runs a stage and returns its report. Exits the program on another exit code."""
+        """Runs a stage and returns its report. Exits this program on a disallowed exit code."""
         report = self.file(f"{program}.json")
         command = [str(self.programs / program), *arguments, "--force", "-q", "--report", report]
         done = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
@@ -62,7 +63,7 @@ class Case:
         return loaded
 
     def prepare(self) -> None:
-        """Makes fields and seeds if they do not exist."""
+        """Makes the fields and seeds if they do not exist."""
         if Path(self.file("seeds.bin")).exists():
             return
         volume = self.volume
@@ -74,7 +75,7 @@ class Case:
         self.run("seed", self.file("distfield.vti"), self.file("sizefield.vti"), "-o", self.file("seeds.bin"))
 
     def settle(self, *options: str) -> dict[str, Any]:
-        """Settles the seeds; returns counts, seconds, the share of lattice defects and a hash."""
+        """Settles the seeds and returns counts, seconds, share of lattice defects and a hash."""
         report = self.run(
             "particles", self.file("seeds.bin"), "--distfield", self.file("distfield.vti"), "--sizefield",
             self.file("sizefield.vti"), "-o", self.file("bin"), "--log", self.file("csv"), *options,
@@ -107,7 +108,7 @@ class Case:
 
 
 def over_passes(cases: list[Case], arguments: argparse.Namespace) -> None:
-    """Prints a line for each case, number of levels and number of passes."""
+    """Prints a CSV line for each case, number of levels and number of passes."""
     writer = csv.writer(sys.stdout, lineterminator="\n")
     writer.writerow(["case", "levels", "passes", "particles", "seconds", "lattice defects", "mean", "smallest"])
     for case in cases:
@@ -124,7 +125,7 @@ def over_passes(cases: list[Case], arguments: argparse.Namespace) -> None:
 
 
 def compare(case: Case, backends: list[str], adapter: str | None, raw_only: bool) -> str:
-    """Returns a row of the table of `over_backends`."""
+    """Returns the table row of a case for `over_backends`."""
     case.prepare()
     counts, passes, defects, raw, full, notes = [], [], [], [], [], []
     for backend in backends:
@@ -143,7 +144,7 @@ def compare(case: Case, backends: list[str], adapter: str | None, raw_only: bool
 
 
 def over_backends(cases: list[Case], arguments: argparse.Namespace) -> None:
-    """Prints a row for each case, with CPU and GPU side by side."""
+    """Prints a table row for each case that compares CPU and GPU."""
     backends = ["cpu"] if arguments.backend == "cpu" else ["cpu", "gpu"]
     again = " two GPU runs |" if "gpu" in backends else ""
     print(f"| surface | particles, {', '.join(backends)} | passes | lattice defects, % | raw, mean / smallest | full |{again}")
@@ -155,7 +156,7 @@ def over_backends(cases: list[Case], arguments: argparse.Namespace) -> None:
 
 
 def counted(case: Case, backend: str) -> str:
-    """Returns a row of the table of `over_counts`."""
+    """Returns the table row of a case for `over_counts`."""
     case.prepare()
     with open(case.file("sizefield.json"), encoding="utf-8") as file:
         predicted = float(json.load(file)["results"]["fields"]["predicted_count"])
@@ -166,7 +167,7 @@ def counted(case: Case, backend: str) -> str:
 
 
 def over_counts(cases: list[Case], arguments: argparse.Namespace) -> None:
-    """Prints a row for each case: predicted count of `sizefield` and settled count."""
+    """Prints a table row for each case with the predicted and the settled count."""
     print("| surface | predicted | settled | off by, % | passes | lattice defects, % |\n" + "|---" * 6 + "|")
     with concurrent.futures.ThreadPoolExecutor(arguments.jobs) as pool:
         rows = [pool.submit(counted, case, arguments.backend) for case in cases]
@@ -175,7 +176,7 @@ def over_counts(cases: list[Case], arguments: argparse.Namespace) -> None:
 
 
 def surfaces(case: Case, backend: str) -> str:
-    """Returns two rows of the table of `over_surfaces`."""
+    """Returns the two table rows of a case for `over_surfaces`."""
     case.prepare()
     case.settle("--backend", backend)
     rows = []
@@ -201,7 +202,7 @@ def surfaces(case: Case, backend: str) -> str:
 
 
 def over_surfaces(cases: list[Case], arguments: argparse.Namespace) -> None:
-    """Prints two rows for each case: the surfaces of both methods of `reconstruct`."""
+    """Prints two table rows for each case, one for each method of `reconstruct`."""
     print(
         "| surface | method | exit code | vertices | components | Euler characteristic | radius ratio, mean / smallest | angles, degrees"
         " | points added, rounds | grid nodes on the wrong side | s |\n" + "|---" * 11 + "|"
@@ -213,7 +214,7 @@ def over_surfaces(cases: list[Case], arguments: argparse.Namespace) -> None:
 
 
 def plot(table: Path, picture: Path) -> None:
-    """Plots mean and minimum radius ratio over time, with a column for each case."""
+    """Plots mean and minimum radius ratio over time, with one column of plots for each case."""
     import matplotlib.pyplot as plt
     from matplotlib import ticker
 

@@ -1,5 +1,5 @@
-//! Command-line options of the program, and the [`Parameters`] that they give. An option that is
-//! not given takes its value from [`Parameters::default`] or, with `--as-printed`, from
+//! Command-line options of the program and the [`Parameters`] that they specify. A missing option
+//! takes its value from [`Parameters::default`] or, with `--as-printed`, from
 //! [`Parameters::as_printed`].
 
 use crate::constants::{LARGEST_SPACING, LEAST_SPACING};
@@ -15,12 +15,12 @@ use serde_json::{Value, json};
 use std::fmt::Display;
 use std::path::PathBuf;
 
-/// Where the particles are moved.
+/// Device that moves the particles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Backend {
-    /// The first real GPU, or the CPU if there is none.
+    /// The first GPU that is not a software renderer, or the CPU if there is none.
     Auto,
-    /// A GPU; without one the program ends with exit code 3.
+    /// A GPU. Without a GPU the program ends with exit code 3.
     Gpu,
     /// All CPU cores (see --threads).
     Cpu,
@@ -39,7 +39,7 @@ pub enum Backend {
         ideal energy 3.462, six times the ideal distance, asks for a lattice of 0.657 h with 2.3 times the particles."
 )]
 pub struct Args {
-    /// Seeds, made by seed
+    /// Seeds written by the seed stage
     #[arg(value_name = "seeds.bin", help_heading = FILES, required_unless_present = "list_adapters")]
     pub(crate) seeds: Option<PathBuf>,
     /// Distance field F that the seeds were made from, or the indicators of many materials
@@ -51,8 +51,8 @@ pub struct Args {
     /// Particle file to write
     #[arg(short, long, value_name = "P.bin", help_heading = FILES, required_unless_present = "list_adapters")]
     pub(crate) output: Option<PathBuf>,
-    /// Write one line per pass: energy, count, inserted, deleted, lattice defects, time, level and
-    /// more. CSV, or JSON lines if the name ends in .jsonl
+    /// Write one line per pass to this file: energy, count, inserted, deleted, lattice defects,
+    /// time, level and more. The format is JSON lines if the name ends in .jsonl, otherwise CSV
     #[arg(long, value_name = "FILE", help_heading = FILES)]
     pub(crate) log: Option<PathBuf>,
     /// Write a checkpoint to this file every --checkpoint-interval passes
@@ -62,31 +62,31 @@ pub struct Args {
     /// byte for byte
     #[arg(long, requires = "checkpoint", help_heading = FILES)]
     pub(crate) resume: bool,
-    /// Passes between checkpoints; a multiple of 10
+    /// Number of passes between checkpoints; a multiple of 10
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = interval, help_heading = FILES)]
     pub(crate) checkpoint_interval: u64,
-    /// Where to move the particles; gpu ends with exit code 3 if there is no GPU
+    /// Device that moves the particles; gpu ends with exit code 3 if there is no GPU
     #[arg(long, value_enum, default_value_t = Backend::Auto, help_heading = METHOD)]
     pub(crate) backend: Backend,
-    /// GPU to use: part of its name, case-insensitive (see --list-adapters). Software renderers are
-    /// used only when named
+    /// GPU to use, specified by a part of its name, case-insensitive (see --list-adapters).
+    /// Software renderers are used only if specified
     #[arg(long, value_name = "NAME", help_heading = METHOD)]
     pub(crate) adapter: Option<String>,
     /// Print the adapters of this machine on stdout and exit
     #[arg(long, help_heading = METHOD)]
     pub(crate) list_adapters: bool,
-    /// Measure the time of each GPU kernel with timestamp queries, for the report and the closing
-    /// table
+    /// Measure the time of each GPU kernel with timestamp queries and include it in the report and
+    /// the closing table
     #[arg(long, help_heading = METHOD)]
     pub(crate) profile: bool,
-    /// Never use subgroup operations
+    /// Disable subgroup operations
     #[arg(long, hide = true)]
     pub(crate) no_subgroups: bool,
-    /// Number of lanes that work for one particle
+    /// Number of lanes per particle
     #[arg(long, hide = true, value_parser = clap::builder::PossibleValuesParser::new(["8", "16", "32"]))]
     pub(crate) team: Option<String>,
-    /// Use the method as printed in the paper: the values marked "printed" below, except where an
-    /// option is given. The CPU does not support the printed --order bins
+    /// Use the method as printed in the paper: options that are not given take the values marked
+    /// "printed" below. The CPU does not support the printed --order bins
     #[arg(long, help_heading = METHOD)]
     as_printed: bool,
     #[arg(long, value_enum, help_heading = METHOD,
@@ -98,12 +98,12 @@ pub struct Args {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = METHOD,
         help = told("Most passes on the last level, that of h", |p| p.max_passes))]
     max_passes: Option<u64>,
-    /// Number of levels, 1 to 4: settle at 2^(N - 1) times h first, split the edges, and
-    /// repeat down to h; 1 settles at h alone [default: 3 on the CPU, 1 on a GPU and for many
+    /// Number of levels, 1 to 4: settle at 2^(N - 1) times h first, split the edges, and repeat
+    /// down to h; with 1, settle only at h [default: 3 on the CPU, 1 on a GPU and for many
     /// materials; printed: 1]
     #[arg(long, value_name = "N", help_heading = METHOD, value_parser = clap::value_parser!(u32).range(1..=4))]
     pub(crate) levels: Option<u32>,
-    /// Maximum number of passes on each level before the last
+    /// Maximum number of passes on each level except the last
     #[arg(long, value_name = "N", default_value_t = Parameters::default().coarse_passes, help_heading = METHOD,
         value_parser = clap::value_parser!(u64).range(1..))]
     coarse_passes: u64,
@@ -136,19 +136,19 @@ pub struct Args {
     #[arg(long, value_name = "RATIO", value_parser = above_one, help_heading = METHOD,
         help = told("Delete a particle whose energy is above this multiple of the ideal one, above 1", |p| p.delete_above))]
     delete_above: Option<f64>,
-    /// Never add particles, and settle on one level (the synthetic test of Table 3)
+    /// Never add particles, and use a single level (the synthetic test of Table 3)
     #[arg(long, help_heading = METHOD)]
     no_insert: bool,
     #[command(flatten)]
     common: CommonArgs,
 }
 
-/// Help text of an option, with its default and its printed value.
+/// Returns the help text of an option with its default and its printed value.
 fn told<T: Display>(text: &str, value: impl Fn(&Parameters) -> T) -> String {
     format!("{text} [default: {}; printed: {}]", value(&Parameters::default()), value(&Parameters::as_printed()))
 }
 
-/// The name of a value on the command line.
+/// Returns the name of a value on the command line.
 fn name(value: impl ValueEnum) -> String {
     value.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
 }
@@ -163,17 +163,18 @@ fn interval(text: &str) -> std::result::Result<u64, String> {
 }
 
 impl Args {
-    /// The parameters for a GPU or the CPU, for one object or many materials.
+    /// Returns the parameters of a run on a GPU or the CPU, for one object or many materials.
     ///
-    /// Levels: on a GPU a pass over few particles costs nearly as much as one over many, and each
-    /// change of level costs up to a second on the host. On the heart one level gives a raw mean
-    /// radius ratio of 0.970 in 0.123 s (three: 0.962 in 0.127 s), on the ribcage 0.972 in 0.193 s
-    /// (0.967 in 0.309 s; docs/developer/performance.md, "Quality for the time"). With many
-    /// materials, held particles have the spacing of h, which does not fit coarse levels.
+    /// The number of levels is 1 on a GPU: there a pass over few particles costs nearly as much as
+    /// a pass over many, and each change of level costs up to a second on the host. On the heart
+    /// one level reaches a raw mean radius ratio of 0.970 in 0.123 s (three levels: 0.962 in 0.127
+    /// s), on the ribcage 0.972 in 0.193 s (0.967 in 0.309 s; docs/developer/performance.md,
+    /// "Quality for the time"). With many materials the number of levels is also 1, because held
+    /// particles have the spacing of h and do not fit coarse levels.
     pub(crate) fn settling(&self, on_gpu: bool, many: bool) -> Parameters {
         let base = if self.as_printed { Parameters::as_printed() } else { Parameters::default() };
         let levels = if on_gpu || many { 1 } else { base.levels };
-        // the CPU moves blocks, which is yet another order
+        // the CPU moves blocks of particles, so the printed order of bins does not apply
         let order = self.order.unwrap_or(if on_gpu { base.order } else { Order::Classes });
         let binning = if order == Order::Bins { Binning::Uniform } else { base.binning };
         // an explicit defect tolerance replaces the printed energy test
@@ -198,11 +199,11 @@ impl Args {
         }
     }
 
-    /// Rejects combinations of options that are not supported.
+    /// Rejects unsupported combinations of options.
     ///
     /// # Errors
-    /// If the lattice of the ideal energy is outside the range of the lists and steps, or if the
-    /// order of bins is requested without a GPU or with graded bins.
+    /// If the lattice spacing of the ideal energy is outside the range that lists and steps
+    /// support, or if the order of bins is requested without a GPU or with graded bins.
     pub(crate) fn check(&self, parameters: &Parameters, on_gpu: bool) -> Result<()> {
         let energy = parameters.ideal_energy;
         let [least, largest] = [LARGEST_SPACING, LEAST_SPACING].map(lattice_energy);
@@ -244,7 +245,7 @@ impl StageArgs for Args {
 
     fn outputs(&self) -> Vec<PathBuf> {
         let mut outputs: Vec<PathBuf> = self.output.clone().into_iter().collect();
-        // a resumed run continues its own log and checkpoint
+        // a resumed run continues the existing log and checkpoint
         if !self.resume {
             outputs.extend(self.log.clone());
             outputs.extend(self.checkpoint.clone());
@@ -253,7 +254,7 @@ impl StageArgs for Args {
     }
 
     fn parameters(&self) -> Value {
-        // unless given, levels and order depend on the backend, which is not known yet
+        // if levels and order are not given, they depend on the backend, which is not known yet
         json!(self.settling(self.backend == Backend::Gpu, false))
     }
 
@@ -262,7 +263,7 @@ impl StageArgs for Args {
         if many {
             check_levels(self.levels)?;
         }
-        // `auto` may find a GPU, which supports more combinations
+        // `auto` may select a GPU, which supports more combinations
         let may_use_gpu = self.backend != Backend::Cpu;
         self.check(&self.settling(may_use_gpu, many), may_use_gpu)?;
         Ok(known)
@@ -275,7 +276,7 @@ mod tests {
     use isoparticles_field::energy::{PRINTED_IDEAL_ENERGY, ideal_energy, lattice_spacing};
     use isoparticles_stage::error::Kind;
 
-    /// Parses the options given after the file arguments.
+    /// Parses the given options after the file arguments.
     fn given(options: &str) -> Args {
         let files = "particles s.bin --distfield f.vti --sizefield h.vti -o p.bin";
         Args::try_parse_from(format!("{files} {options}").split_whitespace()).expect(options)

@@ -1,5 +1,5 @@
-//! Checkpoints: particles in the middle of a run with the log up to then. [`resume`] checks that a
-//! checkpoint belongs to the run: same inputs, same parameters.
+//! Checkpoints: the particles during a run, with the log of all passes so far. [`resume`] checks
+//! that a checkpoint belongs to the run, that is, has the same inputs and parameters.
 
 use crate::settle::{Engine, Parameters, PassRecord};
 use isoparticles_field::particle_set::{ParticleSet, Strata};
@@ -12,26 +12,26 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// Contents of a checkpoint besides the particles.
+/// Contents of a checkpoint in addition to the particles.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct Progress {
     /// Parameters of the run.
     pub parameters: Parameters,
     /// Hashes of seeds, distance field and sizing field.
     pub inputs: [String; 3],
-    /// The records of all passes so far.
+    /// Records of all passes so far.
     pub records: Vec<PassRecord>,
-    /// Backend, and the adapter if there is one.
+    /// Backend, and the adapter if the backend is a GPU.
     #[serde(default = "cpu_engine")]
     pub engine: String,
 }
 
-/// Name of the CPU engine; also the default for checkpoints without an engine.
+/// Returns the name of the CPU engine, which is also the default for checkpoints without an engine.
 pub(crate) fn cpu_engine() -> String {
     "cpu".to_owned()
 }
 
-/// Writes the checkpoint. `segments` are the curve segments in the seeds of many materials.
+/// Writes a checkpoint. `segments` are the curve segments of a multi-material seed file.
 pub(crate) fn keep(
     path: &Path,
     engine: &mut dyn Engine,
@@ -57,7 +57,8 @@ pub(crate) fn keep(
 }
 
 /// Reads a checkpoint and checks that it belongs to this run. Returns the particles, their strata
-/// (many materials only) and the log. A checkpoint of another device only causes a warning.
+/// (only for many materials) and the records of the log. If the checkpoint was made on another
+/// device, the function only warns.
 pub(crate) fn resume(
     path: &Path,
     parameters: &Parameters,

@@ -1,10 +1,10 @@
-//! Coarse-to-fine placement: settle few particles at a multiple of h, split the edges between them,
-//! and repeat down to h.
+//! Coarse-to-fine placement: settles few particles at a multiple of h, splits the edges between
+//! them, and repeats down to h.
 //!
 //! Where lattice patches of different orientation meet, lines of vertices of degree five and seven
-//! remain, and passes remove them slowly. A coarse lattice has few such lines and its passes are
-//! cheap. Splitting its edges keeps its orientation, so the fine lattice starts with few defects
-//! and needs few passes.
+//! remain, and passes remove them slowly. A coarse lattice has few such lines, and its passes are
+//! cheap. Splitting its edges preserves its orientation, so the fine lattice starts with few
+//! defects and needs few passes.
 
 use crate::constants::INITIAL_LAMBDA;
 use crate::gpu::DeviceReport;
@@ -19,24 +19,25 @@ use isoparticles_stage::error::Result;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// Thinning of seeds: a seed nearer than this many edge lengths to an accepted one is skipped. The
-/// value leaves as many as the hexagonal lattice has. Random sequential selection at distance r
-/// keeps 0.70 / r^2 points per unit area, the lattice of edge h has 1.155 / h^2, and 0.70 / 0.776^2
-/// = 1.16.
+/// Thinning distance for seeds, in edge lengths: a seed closer than this to an accepted seed is
+/// skipped. With this value as many seeds remain as the hexagonal lattice has particles. Random
+/// sequential selection at distance r keeps 0.70 / r^2 points per unit area. The lattice of edge h
+/// has 1.155 / h^2 points per unit area, and 0.70 / 0.776^2 = 1.16.
 const ROOM: f64 = 0.776;
 
-/// The same distance for midpoints of edges. These lie on a lattice already, one edge length apart.
+/// Thinning distance for edge midpoints. These already lie on a lattice with a spacing of one edge
+/// length.
 const ROOM_ON_LATTICE: f64 = 0.6;
 
-/// The same distance for seeds that fill areas which the coarse lattice leaves empty.
+/// Thinning distance for seeds that fill areas without particles of the coarse lattice.
 const ROOM_FOR_MORE: f64 = 0.9;
 
-/// Two particles of a lattice of edge h may share an edge if they are nearer than this many h. The
-/// limit exceeds the first ring ([`crate::constants::FIRST_RING`]) because edges around lattice
-/// defects are stretched. Crossing edges are rejected separately.
+/// Maximum length, in units of h, of an edge between two particles of a lattice of edge h. It
+/// exceeds the radius of the first ring ([`crate::constants::FIRST_RING`]) because edges around
+/// lattice defects are stretched. Crossing edges are rejected separately.
 const EDGE: f64 = 1.45;
 
-/// Creates the engine of a level.
+/// Factory that creates the engine of each level.
 pub(crate) trait MakeEngine {
     /// Creates an engine for these particles and fields.
     fn make<'f>(&self, set: ParticleSet, fields: &'f Fields<'f>) -> Result<Box<dyn Engine + 'f>>
@@ -44,8 +45,9 @@ pub(crate) trait MakeEngine {
         Self: 'f;
 }
 
-/// Settles particles level by level, from `2^(levels - 1) h` down to h. `seeds` have the density of
-/// h. `resumed` holds the particles after the passes already run, and the records of those passes.
+/// Settles particles level by level, from `2^(levels - 1) h` down to h. `seeds` must have the
+/// density for h. `resumed` contains the particles after the passes already run and the records of
+/// those passes.
 pub(crate) fn settle_levels(
     seeds: &ParticleSet,
     resumed: Option<(ParticleSet, &[PassRecord])>,
@@ -99,8 +101,8 @@ pub(crate) fn settle_levels(
     unreachable!("the last level is that of h")
 }
 
-/// Selects an evenly spread subset of the seeds with the density of a lattice of edge `scale` h,
-/// and multiplies their sizes by `scale`.
+/// Selects an evenly distributed subset of the seeds with the density of a lattice of edge `scale`
+/// h, and multiplies their sizes by `scale`.
 fn thinned(seeds: &ParticleSet, fields: &Fields, scale: f64, parameters: &Parameters) -> ParticleSet {
     let mut order: Vec<u32> = (0..seeds.positions.len() as u32).collect();
     order.par_sort_unstable_by_key(|&i| (bits(parameters.seed, u64::MAX, u64::from(i)), i));
@@ -111,9 +113,9 @@ fn thinned(seeds: &ParticleSet, fields: &Fields, scale: f64, parameters: &Parame
     pick(seeds, &sizes, &taken)
 }
 
-/// Makes the particles of the next level: the coarse ones, one at the middle of each edge, and
-/// seeds where there is still room (parts of the surface that are too small for the coarse
-/// lattice).
+/// Creates the particles of the next level: the coarse particles, one particle at the middle of
+/// each edge, and seeds where there is still room (on parts of the surface that are too small for
+/// the coarse lattice).
 fn split(
     coarse: &ParticleSet,
     seeds: &ParticleSet,
@@ -130,7 +132,7 @@ fn split(
     let middle_of = |i: usize, j: usize| {
         let middle = points[i].midpoint(points[j]);
         let half = 0.25 * points[i].distance_squared(points[j]);
-        // lattice edges are those whose diametral ball holds no third particle (Gabriel graph)
+        // a pair is a lattice edge if its diametral ball contains no third particle (Gabriel graph)
         let crossed = near.of(i).iter().any(|&k| k as usize != j && points[k as usize].distance_squared(middle) < half);
         if crossed { None } else { fields.project(None, middle, half.sqrt(), 1e-5 * spacing) }
     };
@@ -159,8 +161,8 @@ fn split(
     pick(&all, &sizes, &taken)
 }
 
-/// Selects particles greedily in the given order. A particle is skipped if it is nearer than `room`
-/// edge lengths (at most `most`) to a selected one whose normal agrees.
+/// Selects particles greedily in the given order. A particle is skipped if a selected particle
+/// whose normal agrees is closer than `room` edge lengths (at most `most`).
 fn take_with_room(
     points: &[DVec3],
     normals: &[DVec3],
@@ -175,7 +177,7 @@ fn take_with_room(
     })
 }
 
-/// A set without particles.
+/// Returns a set without particles.
 pub(crate) fn empty(geometry: &Geometry) -> ParticleSet {
     ParticleSet {
         geometry: geometry.clone(),
@@ -216,7 +218,8 @@ mod tests {
 
     const CENTRE: DVec3 = DVec3::splat(19.5);
 
-    /// A ball of radius 12 with h = 1 and about twice as many seeds as the lattice has particles.
+    /// Returns a ball of radius 12 with h = 1 and about twice as many seeds as the lattice has
+    /// particles.
     fn ball() -> (CubicSpline, SizingField, ParticleSet) {
         let geometry = Geometry::axis_aligned([40; 3], DVec3::ONE);
         let mut image = Image::filled(geometry.clone(), 0.0f32);
@@ -257,7 +260,7 @@ mod tests {
         (whole.0, records)
     }
 
-    /// Share of the particles that have six neighbours.
+    /// Returns the share of particles with six neighbours.
     fn regular(set: &ParticleSet) -> f64 {
         let near = NeighbourLists::new(&set.positions, &set.sizes, crate::constants::FIRST_RING, |_, _| true);
         (0..near.len()).filter(|&i| near.of(i).len() == 6).count() as f64 / near.len() as f64
@@ -272,7 +275,7 @@ mod tests {
             let lattice = 4.0 * std::f64::consts::PI * 144.0 * 2.0 / (3f64.sqrt() * scale * scale);
             let ratio = thin.positions.len() as f64 / lattice;
             println!("{ratio} of the lattice at {scale}");
-            // random selection among so few leaves gaps that density control fills
+            // random selection among so few seeds leaves gaps that density control fills
             assert!((0.7..1.1).contains(&ratio), "{ratio} of the lattice at {scale}");
             assert!(thin.sizes.iter().all(|&h| h == scale));
         }

@@ -1,5 +1,5 @@
-//! Settling on the CPU: the engine of a pass, and the entry points for one object and for many
-//! materials.
+//! Settling on the CPU: the engine that runs a pass, and the entry points for one object and for
+//! many materials.
 
 use crate::coarse::{MakeEngine, settle_levels};
 use crate::density::{self, Limits};
@@ -17,9 +17,9 @@ pub(crate) mod scenes;
 #[cfg(test)]
 mod tests;
 
-/// Settles particles on the CPU, with the threads of the current rayon pool. `resumed` holds the
-/// particles after the passes already run, and the records of those passes. `observe` receives each
-/// new record, may read the particles, and may end the run with an error.
+/// Settles particles on the CPU with the threads of the current rayon pool. `resumed` contains the
+/// particles after the passes already run and the records of those passes. `observe` receives each
+/// new record, can read the particles, and can end the run by returning an error.
 pub fn settle(
     seeds: &ParticleSet,
     resumed: Option<(ParticleSet, &[PassRecord])>,
@@ -31,12 +31,12 @@ pub fn settle(
     Ok((set, summary))
 }
 
-/// Particles of many materials, with their strata.
+/// Multi-material particles with their strata.
 pub type OnStrata = (ParticleSet, Strata);
 
-/// Settles the particles of many materials on their interfaces, like [`settle`] for one object, but
-/// on one level. Particles of junction points and curves come first; they are held, so they do not
-/// change. A particle that is not on its interface is removed, at the start or at the end.
+/// Settles multi-material particles on their interfaces. Works like [`settle`], but on a single
+/// level. Particles of junction points and curves come first; they are held, so they do not change.
+/// A particle that is not on its interface is removed, at the start or at the end.
 pub fn settle_sheets<I: Indicators>(
     seeds: &OnStrata,
     resumed: Option<(OnStrata, &[PassRecord])>,
@@ -49,7 +49,8 @@ pub fn settle_sheets<I: Indicators>(
     Ok((settled, summary))
 }
 
-/// Like [`settle_sheets`], on the engine that `make` creates for the particles and their strata.
+/// Works like [`settle_sheets`] with the engine that `make` creates for the particles and their
+/// strata.
 pub(crate) fn settle_sheets_with<'e, S: Implicit>(
     make: impl FnOnce(ParticleSet, Vec<Stratum>) -> Result<Box<dyn Engine + 'e>>,
     seeds: &OnStrata,
@@ -114,8 +115,8 @@ impl<S: Implicit> Engine for CpuEngine<'_, S> {
     fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome> {
         let (state, parameters) = (&mut self.state, &self.parameters);
         if pass % REORDER_INTERVAL == 1 {
-            // a resumed run starts in this order too, because checkpoints are written only just
-            // before
+            // a resumed run also starts in this order, because checkpoints are written only just
+            // before a sort
             state.sort_by_place();
         }
         state.rebuild();

@@ -1,10 +1,10 @@
-//! Density control: section 3.3 of the paper.
+//! Density control (section 3.3 of the paper).
 //!
 //! A particle whose energy is too high (oversampling) is deleted. A particle whose energy is too
 //! low (undersampling) gets a newcomer in the widest gap between its neighbours. The random bias of
 //! Witkin and Heckbert keeps neighbours from acting simultaneously. In addition, each deletion
-//! updates the energies of the neighbours immediately; otherwise a dense seeding loses far too many
-//! particles in one pass.
+//! immediately updates the energies of the neighbours. Without this update, dense seeds would lose
+//! far too many particles in one pass.
 
 use crate::constants::{INITIAL_LAMBDA, NEWCOMER_DISTANCE, PARENT_DISTANCE, PASS_TOLERANCE};
 use crate::implicit::Implicit;
@@ -16,7 +16,7 @@ use isoparticles_field::neighbours::NeighbourLists;
 use isoparticles_field::random::uniform;
 use rayon::prelude::*;
 
-/// Limits for adding and deleting: the ideal energy, and shares of it.
+/// Limits for adding and deleting particles: the ideal energy, and multiples of it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
     pub ideal_energy: f64,
@@ -24,15 +24,15 @@ pub(crate) struct Limits {
     pub delete_above: f64,
 }
 
-/// Number of particles that one pass of density control added and deleted.
+/// Numbers of particles added and deleted by density control in one pass.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Changes {
     pub inserted: usize,
     pub deleted: usize,
 }
 
-/// Deletes, then inserts. The energies must be up to date on entry. The neighbour lists are not
-/// updated. `allow_insert` is off in the paper's synthetic test.
+/// Deletes particles, then inserts newcomers. The energies must be up to date on entry. The
+/// neighbour lists are not updated. `allow_insert` is off in the paper's synthetic test.
 pub(crate) fn control<S: Implicit>(
     state: &mut State,
     fields: &Fields<S>,
@@ -48,7 +48,7 @@ pub(crate) fn control<S: Implicit>(
     let gone = deleted.iter().filter(|&&d| d).count();
     let inserted = newcomers.len();
     if gone + inserted > 0 {
-        // insert each newcomer next to its parent, which keeps the spatial order
+        // insert each newcomer next to its parent to preserve the spatial order
         let mut order = Vec::with_capacity(deleted.len() + inserted);
         let mut newcomers = newcomers.iter().zip(deleted.len() as u32..).peekable();
         for (i, &is_deleted) in deleted.iter().enumerate() {
@@ -64,7 +64,7 @@ pub(crate) fn control<S: Implicit>(
     Changes { inserted, deleted: gone }
 }
 
-/// Marks particles for deletion, in descending order of energy, and updates the energies of their
+/// Marks particles for deletion in descending order of energy, and updates the energies of their
 /// neighbours.
 fn delete(state: &State, energies: &mut [f64], limits: &Limits, seed: u64, pass: u64) -> Vec<bool> {
     let set = &state.set;
@@ -75,7 +75,7 @@ fn delete(state: &State, energies: &mut [f64], limits: &Limits, seed: u64, pass:
     oversampled.sort_by(|&a, &b| energies[b as usize].total_cmp(&energies[a as usize]).then(a.cmp(&b)));
     for i in oversampled {
         let i = i as usize;
-        // bias of Witkin and Heckbert: the excess, times a random number, must exceed the threshold
+        // bias of Witkin and Heckbert: the excess times a random number must exceed the threshold
         let excess = energies[i] / limits.ideal_energy - 1.0;
         if uniform(seed, 2 * pass, i as u64) * excess <= limits.delete_above - 1.0 {
             continue;
@@ -90,22 +90,22 @@ fn delete(state: &State, energies: &mut [f64], limits: &Limits, seed: u64, pass:
     deleted
 }
 
-/// Candidate for insertion.
+/// A candidate for insertion.
 pub(crate) struct Newcomer {
-    /// Index of the particle that proposes it.
+    /// Index of the particle that proposes the newcomer.
     parent: usize,
     pub position: DVec3,
     normal: DVec3,
     pub size: f64,
 }
 
-/// Adds particles at the end of the set where the energy is low and a gap has room. Returns them in
-/// the order of their parents.
+/// Appends particles to the set where the energy is low and a gap has room. Returns them in the
+/// order of their parents.
 ///
-/// At most one is added in a pass among newcomers whose parents are neighbours, and among newcomers
-/// of the same interface that are nearer than [`NEWCOMER_DISTANCE`] spacings to each other. Here
-/// the parent with the smallest index wins; on the GPU it is the parent that draws the highest
-/// number.
+/// Two newcomers conflict if their parents are neighbours, or if they are on the same interface and
+/// closer together than [`NEWCOMER_DISTANCE`] spacings. Of conflicting newcomers, at most one is
+/// added per pass. On the CPU the parent with the smallest index wins; on the GPU the parent with
+/// the highest random number wins.
 fn insert<S: Implicit>(
     state: &mut State,
     fields: &Fields<S>,
@@ -155,8 +155,8 @@ fn insert<S: Implicit>(
     newcomers.into_iter().filter(|_| chosen.next() == Some(true)).collect()
 }
 
-/// The newcomer in the widest gap of particle i. `None` if the projection fails or if the newcomer
-/// is nearer than [`NEWCOMER_DISTANCE`] spacings to a listed particle.
+/// Returns the newcomer in the widest gap of particle i. Returns `None` if the projection fails or
+/// if a listed particle is closer than [`NEWCOMER_DISTANCE`] spacings to the newcomer.
 pub(crate) fn propose<S: Implicit>(state: &State, fields: &Fields<S>, deleted: &[bool], i: usize) -> Option<Newcomer> {
     let (position, normal, size) = place_in_widest_gap(state, fields, deleted, i)?;
     let set = &state.set;
@@ -171,8 +171,9 @@ pub(crate) fn propose<S: Implicit>(state: &State, fields: &Fields<S>, deleted: &
     has_room.then_some(Newcomer { parent: i, position, normal, size })
 }
 
-/// Position, normal and h at one spacing from particle i, in the middle of the widest gap between
-/// its neighbours within the second ring, projected onto the surface.
+/// Returns position, normal and h of a point at one spacing from particle i, projected onto the
+/// surface. The point is in the middle of the widest gap between the neighbours within the second
+/// ring.
 fn place_in_widest_gap<S: Implicit>(
     state: &State,
     fields: &Fields<S>,
@@ -220,14 +221,14 @@ mod tests {
     use crate::settle::Parameters;
     use std::collections::HashSet;
 
-    /// Runs density control over scattered particles; returns the newcomers and all particles
-    /// afterwards.
+    /// Runs density control on scattered particles. Returns the indices of the newcomers and all
+    /// particles afterwards.
     fn controlled(scene: &Scene, pass: u64) -> (Vec<usize>, State) {
         let parameters = Parameters::default();
         let mut state = State::new(scene.seeds.clone(), parameters.normal_agreement);
         state.measure();
-        // no deletion: a deleted particle makes room for newcomers, and the test could not check
-        // distances from it
+        // deletion is off: a deleted particle makes room for newcomers, and the test could not
+        // check the distance from it
         let limits =
             Limits { ideal_energy: parameters.ideal_energy, add_below: parameters.add_below, delete_above: 1e9 };
         let before: HashSet<_> = state.set.positions.iter().map(|p| p.to_array().map(f64::to_bits)).collect();

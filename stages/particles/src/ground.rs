@@ -1,4 +1,4 @@
-//! Reads the surface of a run, one object or many materials, and rejects inputs that do not match.
+//! Reads the surface of a run (one object or many materials) and rejects inputs that do not match.
 
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::error::{Error, Result};
@@ -8,11 +8,11 @@ use isoparticles_stage::materials_file::{MaterialsFile, read_materials};
 use isoparticles_volume::Geometry;
 use std::path::Path;
 
-/// The surface that the particles lie on.
+/// The surface on which the particles lie.
 pub(crate) enum Ground {
     /// F = 0 of one object.
     Object {
-        /// F.
+        /// The implicit function F.
         surface: CubicSpline,
         /// History of the file, if it has one.
         history: Option<History>,
@@ -34,7 +34,7 @@ impl Ground {
         Ok(Self::Object { surface: CubicSpline::new(&distance.image), history: distance.history })
     }
 
-    /// The voxel grid.
+    /// Returns the voxel grid.
     pub(crate) fn geometry(&self) -> &Geometry {
         match self {
             Self::Object { surface, .. } => surface.geometry(),
@@ -42,7 +42,7 @@ impl Ground {
         }
     }
 
-    /// History of the file, if it has one.
+    /// Returns the history of the file, if it has one.
     pub(crate) fn history(&self) -> Option<History> {
         match self {
             Self::Object { history, .. } => history.clone(),
@@ -50,7 +50,7 @@ impl Ground {
         }
     }
 
-    /// Name of the surface, for messages.
+    /// Returns the name of the surface for messages.
     pub(crate) fn name(&self) -> &'static str {
         match self {
             Self::Object { .. } => "F = 0",
@@ -59,7 +59,7 @@ impl Ground {
     }
 }
 
-/// Rejects seeds with strata for one object, and seeds without strata for many materials.
+/// Rejects seeds with strata for one object and seeds without strata for many materials.
 ///
 /// # Errors
 /// If seeds and field do not match.
@@ -82,10 +82,10 @@ pub(crate) fn check_kind((ground, is_materials): (&Path, bool), (seeds, have_str
     }
 }
 
-/// Rejects several levels for many materials.
+/// Rejects more than one level for many materials.
 ///
 /// # Errors
-/// If `levels` is larger than 1.
+/// If `levels` is greater than 1.
 pub(crate) fn check_levels(levels: Option<u32>) -> Result<()> {
     match levels.filter(|&levels| levels > 1) {
         None => Ok(()),

@@ -4,20 +4,20 @@ use glam::DVec3;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::CubicSpline;
 
-/// Zero sets that particles lie on. One object has a single zero set, and its particles have no
+/// Zero sets on which particles lie. One object has a single zero set, and its particles have no
 /// stratum. With many materials the stratum selects the interface.
 pub trait Implicit: Sync {
     /// Projects `start` onto the zero set of a stratum by Newton steps (Eq. 5). Returns the point
-    /// and the gradient there. `limit` is the maximum total move (mm), `tolerance` the allowed
-    /// distance from the zero set (mm). `None` if the projection fails or the point is not on the
-    /// stratum.
+    /// and the gradient there. `limit` is the maximum total displacement in mm, and `tolerance` is
+    /// the maximum distance from the zero set in mm. Returns `None` if the projection fails or if
+    /// the point is not on the stratum.
     fn project(&self, stratum: Option<Stratum>, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)>;
 
-    /// Whether the zero set of a stratum is real at a place on it: no other material is nearer
-    /// there.
+    /// Returns whether the zero set of a stratum is real at a point on it: no other material is
+    /// closer there.
     fn is_real(&self, stratum: Option<Stratum>, place: DVec3) -> bool;
 
-    /// Minimum voxel edge, mm; tolerances are shares of it.
+    /// Returns the minimum voxel edge in mm. Tolerances are fractions of it.
     fn min_spacing(&self) -> f64;
 }
 
@@ -37,7 +37,7 @@ impl Implicit for CubicSpline {
     }
 }
 
-/// The material interfaces: places where the indicators of two materials are equal and minimal.
+/// The material interfaces: the points where the indicators of two materials are equal and minimal.
 #[derive(Debug)]
 pub struct Sheets<'a, I> {
     indicators: &'a I,
@@ -45,14 +45,15 @@ pub struct Sheets<'a, I> {
 }
 
 impl<'a, I: Indicators> Sheets<'a, I> {
-    /// `indicators` are those of all materials, `min_spacing` is the minimum voxel edge (mm).
+    /// Creates the interfaces from the indicators of all materials. `min_spacing` is the minimum
+    /// voxel edge in mm.
     pub fn new(indicators: &'a I, min_spacing: f64) -> Self {
         Self { indicators, min_spacing }
     }
 }
 
-/// The two materials of an interface; G is negative in the first. The first has the higher number,
-/// so the gradient points to the lower one.
+/// Returns the two materials of an interface. The first has the higher number, and G is negative
+/// inside it, so the gradient points to the material with the lower number.
 #[inline(always)]
 fn sides(stratum: Option<Stratum>) -> Option<[MaterialId; 2]> {
     match stratum?.materials() {

@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// An open log; each line is written at once.
+/// An open log. Each line is written immediately.
 pub(crate) struct Log {
     path: PathBuf,
     file: File,
@@ -14,8 +14,8 @@ pub(crate) struct Log {
 }
 
 impl Log {
-    /// Creates a log with the records of the passes already run. JSON lines if the name ends in
-    /// `.jsonl`, else CSV.
+    /// Creates a log and writes the records of the passes already run. The format is JSON lines if
+    /// the name ends in `.jsonl`, otherwise CSV.
     pub(crate) fn create(path: &Path, records: &[PassRecord]) -> Result<Self> {
         let file = File::create(path).map_err(|e| failed(path, &e))?;
         let mut log = Self { path: path.into(), file, json_lines: path.extension().is_some_and(|e| e == "jsonl") };

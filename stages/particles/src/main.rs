@@ -1,4 +1,4 @@
-//! The `particles` program: parse, run, exit code.
+//! The `particles` program: parses the command line, runs the stage and returns the exit code.
 
 use std::process::ExitCode;
 

@@ -1,11 +1,11 @@
 //! One pass of movement: sections 3.2.1 and 3.2.2 and Algorithm 1 of the paper.
 //!
-//! A particle takes the damped Newton step of its energy in the tangent plane of F and is projected
-//! back onto F = 0 (Eq. 5). The step is accepted if it lowers the energy; otherwise lambda grows
+//! A particle takes a damped Newton step of its energy in the tangent plane of F and is projected
+//! back onto F = 0 (Eq. 5). The step is accepted if it lowers the energy. Otherwise lambda grows
 //! tenfold and the particle tries again. The particles of a block move one after the other, and the
-//! blocks of an independent class at the same time. Blocks of a class do not interact, so the pass
-//! is the paper's Gauss-Seidel sweep in another order, with the same result for any number of
-//! threads.
+//! blocks of an independent class move at the same time. Blocks of a class do not interact. The
+//! pass is therefore the paper's Gauss-Seidel sweep in another order, and its result does not
+//! depend on the number of threads.
 
 use crate::constants::{
     EIGENVALUE_FLOOR, FARTHEST_MOVE, LAMBDA_FALL, LAMBDA_GROWTH, LARGEST_LAMBDA, LEAST_LAMBDA, LONGEST_STEP,
@@ -21,16 +21,16 @@ use isoparticles_mesh::buckets::ranges_mut;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Statistics of a pass of movement.
+/// Statistics of a movement pass.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Moves {
-    /// Particles that took a step.
+    /// Number of particles that took a step.
     pub moved: usize,
-    /// Steps tried, including rejected ones.
+    /// Number of attempted steps, including rejected steps.
     pub tries: usize,
 }
 
-/// New place of a particle.
+/// Result of the movement of one particle.
 #[derive(Clone, Copy)]
 pub(crate) struct Step {
     pub position: DVec3,
@@ -41,13 +41,13 @@ pub(crate) struct Step {
     pub moved: bool,
 }
 
-/// The particles of a block, without held ones.
+/// Returns the particles of a block, except held particles.
 fn members_of(state: &State, block: u32) -> Range<usize> {
     let end = state.len().min((block as usize + 1) * BLOCK);
     (block as usize * BLOCK).max(state.held).min(end)..end
 }
 
-/// Moves every particle that is not held once.
+/// Moves every particle once, except held particles.
 pub(crate) fn pass<S: Implicit>(state: &mut State, fields: &Fields<S>) -> Moves {
     let mut moves = Moves::default();
     let classes = std::mem::take(&mut state.classes);
@@ -82,7 +82,7 @@ pub(crate) fn pass<S: Implicit>(state: &mut State, fields: &Fields<S>) -> Moves 
     moves
 }
 
-/// Moves particles one after the other, with the best SIMD instructions of the processor.
+/// Moves particles one after the other, using the best SIMD instructions of the processor.
 fn block_steps<S: Implicit>(
     state: &State,
     fields: &Fields<S>,
@@ -90,7 +90,8 @@ fn block_steps<S: Implicit>(
     members: Range<usize>,
 ) -> Vec<Step> {
     let mut steps = Vec::with_capacity(members.len());
-    // records of the block's own particles, updated as they move; all others stand still meanwhile
+    // records of the particles of this block, updated as they move; no other neighbour moves
+    // meanwhile
     let mut own = state.records[members.clone()].to_vec();
     let first = members.start;
     dispatch!(Level::new(), simd => {
@@ -107,13 +108,13 @@ fn block_steps<S: Implicit>(
     steps
 }
 
-/// The step of a single particle.
+/// Returns the step of a single particle.
 #[cfg(test)]
 pub(crate) fn step_alone<S: Implicit>(state: &State, fields: &Fields<S>, i: usize) -> Step {
     block_steps(state, fields, &mut Neighbourhood::default(), i..i + 1)[0]
 }
 
-/// Finds the next place of particle i (Algorithm 1); `near` holds its neighbours.
+/// Finds the next position of particle i (Algorithm 1). `near` contains its neighbours.
 #[inline(always)]
 fn step<L: Simd, S: Implicit>(simd: L, state: &State, fields: &Fields<S>, near: &Neighbourhood, i: usize) -> Step {
     let set = &state.set;
@@ -124,7 +125,7 @@ fn step<L: Simd, S: Implicit>(simd: L, state: &State, fields: &Fields<S>, near: 
     if jet.energy == 0.0 {
         return result;
     }
-    // Eq. 4, plus the derivative through the particle's own h; the Hessian holds h fixed
+    // Eq. 4 plus the derivative through the particle's own h; the Hessian holds h fixed
     let along_size = plane.coordinates(fields.sizing.value_gradient(position).1);
     let force = [0, 1].map(|a| jet.gradient[a] + jet.by_size * along_size[a]);
     if (force[0] * force[0] + force[1] * force[1]).sqrt() * size < 1e-12 * jet.energy {
@@ -174,7 +175,7 @@ impl TangentPlane {
         self.u * x[0] + self.v * x[1]
     }
 
-    /// Symmetric 2 x 2 restriction of a 3 x 3 matrix: entries uu, uv, vv.
+    /// Returns the restriction of a symmetric 3 x 3 matrix to the plane: entries uu, uv, vv.
     #[cfg(test)]
     pub(crate) fn restrict(&self, m: &glam::DMat3) -> [f64; 3] {
         let (mu, mv) = (*m * self.u, *m * self.v);
@@ -182,8 +183,8 @@ impl TangentPlane {
     }
 }
 
-/// Replaces the eigenvalues of a symmetric 2 x 2 matrix (entries uu, uv, vv) by their magnitudes,
-/// bounded away from zero, so that the Newton step leads downhill.
+/// Replaces the eigenvalues of a symmetric 2 x 2 matrix (entries uu, uv, vv) by their magnitudes
+/// and bounds them away from zero, so that the Newton step is a descent step.
 #[inline(always)]
 fn positive_definite(m: [f64; 3]) -> [f64; 3] {
     let [a, b, c] = m;
@@ -194,13 +195,13 @@ fn positive_definite(m: [f64; 3]) -> [f64; 3] {
     if half <= 1e-12 * mean.abs() {
         return [l, 0.0, l];
     }
-    // the eigenvector of the high value is (cos t, sin t)
+    // the eigenvector of the higher eigenvalue is (cos t, sin t)
     let (cos2, sin2) = (0.5 * (a - c) / half, b / half);
     let (middle, spread) = (0.5 * (l + h), 0.5 * (h - l));
     [middle + spread * cos2, spread * sin2, middle - spread * cos2]
 }
 
-/// Solves (H + lambda diag H) x = -g (Eq. 3, where H is the sum over the neighbours).
+/// Solves (H + lambda diag H) x = -g (Eq. 3, with H as the sum over the neighbours).
 #[inline(always)]
 fn damped_newton(h: &[f64; 3], g: [f64; 2], lambda: f64) -> [f64; 2] {
     let (a, b, c) = (h[0] * (1.0 + lambda), h[1], h[2] * (1.0 + lambda));
@@ -216,7 +217,8 @@ mod tests {
 
     #[test]
     fn unlisted_particles_stay_beyond_the_first_ring() {
-        // twice as many as the lattice has, at random places, which gives the longest steps
+        // twice as many particles as the lattice has, at random positions, which gives the longest
+        // steps
         let scene = Scene::ball(1600, 1.6);
         let fields = scene.fields();
         let mut state = State::new(scene.seeds.clone(), 0.0);
@@ -256,7 +258,7 @@ mod tests {
             let [a, b, c] = positive_definite(m);
             assert!(a > 0.0 && a * c - b * b > 0.0, "{m:?}");
         }
-        // eigenvalues 1 and -2 along the axes become 1 and 2
+        // the eigenvalues 1 and -2 along the axes become 1 and 2
         let [a, b, c] = positive_definite([1.0, 0.0, -2.0]);
         assert!((a - 1.0).abs() < 1e-12 && b.abs() < 1e-12 && (c - 2.0).abs() < 1e-12);
     }

@@ -7,10 +7,11 @@ use fearless_simd::{Simd, f64x8, prelude::*};
 use glam::DVec3;
 use isoparticles_field::energy::{Pairs, SUPPORT, sum};
 
-/// Pairs per SIMD operation, for every instruction set, so that sums have one order.
+/// Number of pairs per SIMD operation. It is the same for every instruction set, so that the order
+/// of summation is always the same.
 const LANES: usize = 8;
 
-/// Data of a particle that its neighbours read: position and 1/h, in half a cache line.
+/// Data of a particle that its neighbours read: position and 1/h. It fills half a cache line.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Record {
     position: DVec3,
@@ -23,14 +24,15 @@ impl Record {
     }
 }
 
-/// Eight neighbours: their offsets from the particle (x, y, z), and 1/h of each.
+/// Eight neighbours: the offset (x, y, z) from the particle to each neighbour, and 1/h of each
+/// neighbour.
 #[derive(Clone, Copy)]
 struct Block {
     offset: [[f64; LANES]; 3],
     inverse_size: [f64; LANES],
 }
 
-/// Padding of incomplete blocks: beyond any support.
+/// Padding for incomplete blocks, outside the support of any particle.
 const NOBODY: Block = Block { offset: [[1e100; LANES]; 3], inverse_size: [1.0; LANES] };
 
 /// The neighbours of one particle.
@@ -43,16 +45,17 @@ pub(crate) struct Neighbourhood {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PlaneJet {
     pub energy: f64,
-    /// Derivatives along u and v, h held fixed.
+    /// Derivatives along u and v with h held fixed.
     pub gradient: [f64; 2],
-    /// Second derivatives uu, uv and vv, h held fixed.
+    /// Second derivatives uu, uv and vv with h held fixed.
     pub hessian: [f64; 3],
     /// Derivative with respect to the particle's own h.
     pub by_size: f64,
 }
 
 impl Neighbourhood {
-    /// Loads the neighbours in `list`, relative to `place`; `record_of` gives the data of each.
+    /// Loads the neighbours in `list`, relative to `place`. `record_of` returns the record of a
+    /// particle.
     #[inline(always)]
     pub(crate) fn gather(&mut self, record_of: impl Fn(usize) -> Record, list: &[u32], place: DVec3) {
         self.blocks.clear();
@@ -66,7 +69,7 @@ impl Neighbourhood {
                 }
                 block.inverse_size[lane] = record.inverse_size;
             };
-            // a loop of fixed length is unrolled, and its loads are issued together
+            // a loop of fixed length is unrolled, so its loads are issued together
             if let Ok(members) = <&[u32; LANES]>::try_from(members) {
                 for (lane, &j) in members.iter().enumerate() {
                     set(lane, j);
@@ -80,8 +83,8 @@ impl Neighbourhood {
         }
     }
 
-    /// Squared scaled distances (Eq. 2) of a block from a particle with this 1/h, and intermediate
-    /// values. `moved` is the particle's displacement since `gather`.
+    /// Returns the squared scaled distances (Eq. 2) between a block and a particle with this 1/h,
+    /// with intermediate values. `moved` is the particle's displacement since `gather`.
     #[inline(always)]
     fn distances<S: Simd>(simd: S, block: &Block, moved: DVec3, inverse_size: f64) -> Distances<S> {
         let along = |axis: usize| f64x8::simd_from(simd, block.offset[axis]) - moved[axis];
@@ -93,7 +96,8 @@ impl Neighbourhood {
         Distances { offset, theirs, inverse_reach, squared }
     }
 
-    /// Energy (Eq. 1) of the particle after a displacement by `moved`, with size h there.
+    /// Returns the energy (Eq. 1) of the particle after a displacement by `moved`, with size h at
+    /// the new position.
     #[inline(always)]
     pub(crate) fn energy<S: Simd>(&self, simd: S, moved: DVec3, size: f64) -> f64 {
         let mut energy = f64x8::splat(simd, 0.0);
@@ -103,8 +107,8 @@ impl Neighbourhood {
         sum(energy)
     }
 
-    /// Energy of the particle, of size h, and the number of its neighbours in the first ring of a
-    /// lattice with this spacing (in h).
+    /// Returns the energy of the particle, which has size h, and the number of its neighbours in
+    /// the first ring of a lattice with this spacing (in units of h).
     #[inline(always)]
     pub(crate) fn energy_and_ring<S: Simd>(&self, simd: S, size: f64, spacing: f64) -> (f64, u32) {
         let radius = FIRST_RING * spacing / SUPPORT;
@@ -117,11 +121,12 @@ impl Neighbourhood {
         (sum(energy), ring)
     }
 
-    /// Energy of the particle, of size h, with its derivatives in its tangent plane.
+    /// Returns the energy of the particle, which has size h, with its derivatives in the tangent
+    /// plane.
     ///
-    /// `along` is the second derivative along a pair (Eq. 4), `across` the first derivative over
-    /// the distance. With the offset o and the distance r, the Hessian is `across I + (along -
-    /// across) o o^T / r^2`. In the plane, o is replaced by its components along u and v.
+    /// `along` is the second derivative along a pair (Eq. 4), and `across` is the first derivative
+    /// divided by the distance. With the offset o and the distance r, the Hessian is `across I +
+    /// (along - across) o o^T / r^2`. In the plane, o is replaced by its components along u and v.
     #[inline(always)]
     pub(crate) fn jet<S: Simd>(&self, simd: S, plane: &TangentPlane, size: f64) -> PlaneJet {
         let zero = f64x8::splat(simd, 0.0);
@@ -139,7 +144,7 @@ impl Neighbourhood {
             // divided by r^2 = d^2 / per_area
             let stretch = (second * per_area - across) * (pairs.reciprocal * pairs.reciprocal * per_area);
             energy += pairs.energy();
-            // offsets point to the neighbour, gradients away from it
+            // offsets point to the neighbour, gradients point away from it
             gu -= across * u;
             gv -= across * v;
             let (su, sv) = (stretch * u, stretch * v);
@@ -147,7 +152,7 @@ impl Neighbourhood {
             uv += su * v;
             vv += sv * v;
             isotropic += across;
-            // d depends on the smaller h, which is the particle's own unless the neighbour's is
+            // d depends on the smaller h, which is the particle's own h unless the neighbour's h is
             // smaller
             let own = theirs.simd_le(1.0 / size);
             by_size -= own.select(first * pairs.scaled, zero);
@@ -162,7 +167,7 @@ impl Neighbourhood {
     }
 }
 
-/// Distances of a block of neighbours.
+/// Distances of the neighbours in a block.
 struct Distances<S: Simd> {
     offset: [f64x8<S>; 3],
     /// 1/h of the neighbours.
@@ -206,7 +211,7 @@ mod tests {
                 for (found, want) in jet.hessian.iter().zip(plane.restrict(&hessian)) {
                     assert!((found - want).abs() < 1e-10 * scale / h, "{i}: {hessian} {jet:?}");
                 }
-                // at another place, with another size
+                // at a different position, with a different size
                 let random = |stream| uniform(9, stream, i as u64) - 0.5;
                 let moved = 0.4 * h * DVec3::new(random(0), random(1), random(2));
                 let size = h * (1.0 + 0.2 * random(3));

@@ -1,12 +1,12 @@
-//! Reference for the tests: energies and forces pair by pair, by the exact functions. The SIMD sums
-//! and the GPU kernels are compared with them.
+//! Reference for the tests: energies and forces, computed pair by pair with the exact functions.
+//! The SIMD sums and the GPU kernels are compared with this reference.
 
 use crate::state::{Fields, State};
 use glam::{DMat3, DVec3};
 use isoparticles_field::energy::{pair_energy, pair_jet, pair_size_derivative, scaled_distance};
 
-/// Energy, gradient and Hessian of particle i at its place. The gradient includes the derivative
-/// through the particle's own h; the Hessian holds h fixed.
+/// Returns the energy, gradient and Hessian of particle i at its position. The gradient includes
+/// the derivative through the particle's own h; the Hessian holds h fixed.
 pub(crate) fn energy_jet<S>(state: &State, fields: &Fields<S>, i: usize) -> (f64, DVec3, DMat3) {
     let set = &state.set;
     let (position, size) = (set.positions[i], set.sizes[i]);
@@ -22,7 +22,8 @@ pub(crate) fn energy_jet<S>(state: &State, fields: &Fields<S>, i: usize) -> (f64
     (sum.0, sum.1 + fields.sizing.value_gradient(position).1 * by_size, sum.2)
 }
 
-/// Energy (Eq. 1) of a particle of size h at `position`, with the neighbours listed for particle i.
+/// Returns the energy (Eq. 1) of a particle of size h at `position`, with the neighbours listed for
+/// particle i.
 pub(crate) fn energy_at(state: &State, i: usize, position: DVec3, h: f64) -> f64 {
     let set = &state.set;
     let pair = |j: usize| pair_energy(scaled_distance(position.distance(set.positions[j]), h, set.sizes[j]));

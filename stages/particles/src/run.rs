@@ -1,5 +1,5 @@
-//! The program around [`crate::settle`]: reads the files, settles, writes log, checkpoints and
-//! results. The options are in `args.rs`.
+//! The program around [`crate::settle`]: reads the input files, settles the particles, and writes
+//! the log, checkpoints and results. The options are in `args.rs`.
 
 use crate::args::{Args, Backend};
 use crate::checkpoint::{Progress, cpu_engine, keep, resume};
@@ -22,11 +22,11 @@ use isoparticles_stage::particle_file::{ParticleKind, read_particles, write_mate
 use serde_json::json;
 use std::cell::Cell;
 
-/// Maximum memory per particle on the CPU, bytes, without the fields. Measured: 190 to 510 for the
-/// phantoms of `stages/distfield/benches/costs.py`.
+/// Maximum memory in bytes per particle on the CPU, excluding the fields. Measured: 190 to 510 for
+/// the phantoms of `stages/distfield/benches/costs.py`.
 const BYTES_PER_PARTICLE: f64 = 510.0;
 
-/// Opens the GPU that the options select; `None` means the CPU.
+/// Opens the GPU that the options select. Returns `None` if the CPU is to be used.
 fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
     let choice = Choice {
         name: args.adapter.clone(),
@@ -40,7 +40,7 @@ fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
         Backend::Gpu => Gpu::open(&choice)?,
         Backend::Auto => match Gpu::open(&choice) {
             Ok(gpu) => gpu,
-            // a named adapter must be used, so there is no fallback
+            // an adapter given by name must be used, so there is no fallback
             Err(error) if args.adapter.is_some() => return Err(error),
             Err(error) => {
                 context.verbose(format!("the CPU is used: {}", error.what));
@@ -60,14 +60,14 @@ fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
 struct Engines<'a> {
     gpu: Option<&'a Gpu>,
     parameters: &'a Parameters,
-    /// Whether the CPU may replace the GPU if that cannot hold the data.
+    /// Whether the CPU may replace the GPU if the GPU cannot hold the data.
     may_fall_back: bool,
     fell_back: Cell<bool>,
     context: &'a Context,
 }
 
 impl<'a> Engines<'a> {
-    /// The engine on the GPU; `None` if the CPU has to move the particles.
+    /// Creates the engine on the GPU. Returns `None` if the CPU must move the particles.
     fn on_gpu<'f>(&self, make: impl FnOnce(&'a Gpu) -> Result<GpuEngine<'f>>) -> Result<Option<GpuEngine<'f>>> {
         let Some(gpu) = self.gpu.filter(|_| !self.fell_back.get()) else { return Ok(None) };
         match make(gpu) {
@@ -81,7 +81,7 @@ impl<'a> Engines<'a> {
         }
     }
 
-    /// An engine for the particles of many materials.
+    /// Creates an engine for multi-material particles.
     fn make_for_materials<'f>(
         &self,
         materials: &Materials,
@@ -123,7 +123,7 @@ fn list_adapters() {
     }
 }
 
-/// Writes the device statistics to the closing table and the report.
+/// Writes the device statistics to the closing table and to the report.
 fn tell(report: &DeviceReport, context: &Context) {
     context.summary("adapter", &report.adapter);
     context.summary("device time", format!("{:.3} s", report.device_seconds));
@@ -150,7 +150,7 @@ fn tell(report: &DeviceReport, context: &Context) {
     context.report("device", json!(report));
 }
 
-/// Runs the program: reads, settles and writes the particles.
+/// Runs the program: reads the inputs, settles the particles and writes the results.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let (Some(seeds_file), Some(distance_file), Some(sizing_file), Some(output)) =
         (&args.seeds, &args.distfield, &args.sizefield, &args.output)
@@ -215,7 +215,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let engines = Engines {
         gpu: gpu.as_ref(),
         parameters: &parameters,
-        // only a GPU supports the order of bins
+        // the CPU does not support the order of bins
         may_fall_back: args.backend == Backend::Auto && args.adapter.is_none() && parameters.order == Order::Classes,
         fell_back: Cell::new(false),
         context,

@@ -1,4 +1,4 @@
-//! Surfaces and particles for the tests.
+//! Surfaces and particles for tests.
 
 use crate::state::Fields;
 use glam::DVec3;
@@ -20,8 +20,9 @@ impl Scene {
         Fields { surface: &self.surface, sizing: &self.sizing }
     }
 
-    /// Samples F and h, both given as functions of the position relative to the centre. Projects up
-    /// to `count` points onto F = 0 from `start` of random directions.
+    /// Creates a scene by sampling F and h, which are functions of the position relative to the
+    /// centre. Up to `count` points are projected onto F = 0; `start` maps a random direction to
+    /// the point before projection.
     pub(crate) fn new(
         size: [usize; 3],
         spacing: DVec3,
@@ -63,14 +64,14 @@ impl Scene {
         Self { surface, sizing, seeds }
     }
 
-    /// A ball of radius 12 with constant h.
+    /// Returns a ball of radius 12 with constant h.
     pub(crate) fn ball(count: u64, h: f64) -> Self {
         Self::new([34; 3], DVec3::ONE, |p| p.length() - 12.0, |_| h, count, |d| 12.0 * d)
     }
 
-    /// Four particles on each of eight meridians of a ball, with gaps of h, 2.35 h and h. The inner
-    /// two are not in each other's lists and place their newcomers, at distance h, towards each
-    /// other.
+    /// Returns four particles on each of eight meridians of a ball, with gaps of h, 2.35 h and h.
+    /// The inner two particles are not in each other's lists. Both place their newcomers towards
+    /// each other, at distance h.
     pub(crate) fn meeting_newcomers() -> Self {
         let mut scene = Self::ball(0, 1.6);
         let centre = 0.5 * scene.surface.geometry().upper_corner();
@@ -90,7 +91,8 @@ impl Scene {
         scene
     }
 
-    /// A torus with a wavy tube, anisotropic voxels, and h from 0.8 to 3.2 across it.
+    /// Returns a torus with a wavy tube, anisotropic voxels, and h from 0.8 to 3.2 across the
+    /// torus.
     pub(crate) fn bumpy_torus(count: u64) -> Self {
         let f = |p: DVec3| {
             let around = p.y.atan2(p.x);

@@ -1,5 +1,6 @@
-//! The main loop (Figure 1 of the paper): move, measure, control the density, and repeat until a
-//! stop test or the pass limit ends it. The engines that run a pass are in `cpu.rs` and `gpu/`.
+//! The main loop (Figure 1 of the paper): moves the particles, measures the energy, controls the
+//! density, and repeats until a stop test is met or the pass limit is reached. The engines that run
+//! a pass are in `cpu.rs` and `gpu/`.
 
 use crate::gpu::DeviceReport;
 use crate::implicit::Implicit;
@@ -17,20 +18,22 @@ use std::time::Instant;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Parameters {
-    /// Maximum number of passes on the last level, that of h (the only level if `levels` is 1).
+    /// Maximum number of passes on the last level, whose edge length is h. If `levels` is 1, this
+    /// is the only level.
     pub max_passes: u64,
-    /// Stop when the share of [`PassRecord::lattice_defects`] falls by less than this share of
+    /// Stop when the share of [`PassRecord::lattice_defects`] falls by less than this fraction of
     /// itself per pass, averaged over [`DEFECT_WINDOW`] passes, and density control is nearly at
     /// rest.
     pub defect_tolerance: f64,
-    /// If given, use the paper's stop test instead (E_min): stop when the mean relative change per
-    /// pass of the energy per particle, over `energy_window` passes, is below this and density
-    /// control is nearly at rest.
+    /// If given, replaces the stop test by the test of the paper (E_min): stop when the relative
+    /// change per pass of the energy per particle, averaged over `energy_window` passes, is below
+    /// this value and density control is nearly at rest.
     pub energy_tolerance: Option<f64>,
-    /// Passes over which the energy test averages; 1 compares consecutive passes, as printed.
+    /// Number of passes over which the energy test averages. With 1 it compares consecutive passes,
+    /// as printed.
     pub energy_window: usize,
-    /// Density control is nearly at rest when it adds and deletes at most this share of the
-    /// particles per pass. With 1 or more, the stop tests ignore it.
+    /// Density control is nearly at rest if it adds and deletes at most this share of the particles
+    /// per pass. If the value is 1 or more, the stop tests ignore density control.
     pub rest_share: f64,
     /// Energy of a particle with the ideal number of neighbours (E_ideal), 0.554 to 7.84. It
     /// determines [`Parameters::spacing`].
@@ -39,35 +42,35 @@ pub struct Parameters {
     pub add_below: f64,
     /// Delete a particle where E > this times E_ideal.
     pub delete_above: f64,
-    /// Whether particles may be added (off in the paper's synthetic test, Table 3; then there is
-    /// one level).
+    /// Whether particles may be added. The paper's synthetic test (Table 3) does not add particles;
+    /// then there is only one level.
     pub allow_insert: bool,
-    /// Passes without density control at the end, in which the last newcomers settle. At most three
-    /// on levels before the last.
+    /// Number of passes without density control at the end, in which the last newcomers settle. On
+    /// levels before the last there are at most three such passes.
     pub closing_passes: u64,
-    /// Two particles interact only if the dot product of their normals exceeds this.
+    /// Two particles interact only if the dot product of their normals exceeds this value.
     pub normal_agreement: f64,
     /// Seed of the random bias of density control.
     pub seed: u64,
-    /// Number of levels of coarse-to-fine placement: the first settles at `2^(levels - 1)` times h,
-    /// the last at h.
+    /// Number of levels of coarse-to-fine placement. The first level settles at `2^(levels - 1)`
+    /// times h, the last at h.
     pub levels: u32,
     /// Maximum number of passes on each level before the last.
     pub coarse_passes: u64,
-    /// Bins of a GPU's neighbour search.
+    /// Bins of the neighbour search on a GPU.
     pub binning: Binning,
     /// Order in which a GPU moves the particles of a pass.
     pub order: Order,
 }
 
-/// Bins of a GPU's neighbour search.
+/// Bins of the neighbour search on a GPU.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Binning {
     /// One level of bins for each octave of h
     #[default]
     Graded,
-    /// One level for all particles, with the bin width that the largest h needs (the paper's)
+    /// One level for all particles, with the bin width required by the largest h (as in the paper)
     Uniform,
 }
 
@@ -78,8 +81,8 @@ pub enum Order {
     /// Independent classes of particles (no two members interact), one class after the other
     #[default]
     Classes,
-    /// Bins in 27 colours, one colour after the other, and the particles of a bin one after the
-    /// other (the paper's; needs uniform bins)
+    /// Bins in 27 colours, one colour after the other; the particles of a bin move one after the
+    /// other (as in the paper; requires uniform bins)
     Bins,
 }
 
@@ -92,8 +95,8 @@ impl Default for Parameters {
             energy_window: 5,
             rest_share: 2e-3,
             ideal_energy: energy::ideal_energy(),
-            // the printed 0.75 and 1.35 leave larger gaps: on a heart 0.92 of the ideal energy
-            // instead of 0.94 (docs/developer/method.md)
+            // the printed 0.75 and 1.35 leave larger gaps: on a heart the energy reaches 0.92 of
+            // the ideal energy instead of 0.94 (docs/developer/method.md)
             add_below: 0.8,
             delete_above: 1.25,
             allow_insert: true,
@@ -109,9 +112,9 @@ impl Default for Parameters {
 }
 
 impl Parameters {
-    /// The method as printed: at most 50 passes on one level, the printed stop test, limits and
-    /// ideal energy, density control up to the last pass, one bin size, and the order of coloured
-    /// bins (GPU only). Everything else has its default.
+    /// Returns the parameters of the method as printed: at most 50 passes on one level, the printed
+    /// stop test, limits and ideal energy, density control up to the last pass, one bin size, and
+    /// the order of coloured bins (GPU only). All other parameters have their defaults.
     pub fn as_printed() -> Self {
         Self {
             max_passes: 50,
@@ -129,129 +132,132 @@ impl Parameters {
         }
     }
 
-    /// Edge, in h, of the hexagonal lattice whose particles have the ideal energy by Eq. 1: 1 by
-    /// default, 0.657 for the printed 3.462. It scales the places of newcomers and the first ring
-    /// that defines lattice defects.
+    /// Returns the edge, in units of h, of the hexagonal lattice whose particles have the ideal
+    /// energy by Eq. 1: 1 by default, 0.657 for the printed 3.462. The spacing scales the positions
+    /// of newcomers and the first ring that defines lattice defects.
     pub fn spacing(&self) -> f64 {
         energy::lattice_spacing(self.ideal_energy)
     }
 
-    /// Number of levels that the particles settle on.
+    /// Returns the number of levels on which the particles settle.
     pub(crate) fn level_count(&self) -> u32 {
         // splitting between levels adds particles
         if self.allow_insert { self.levels.max(1) } else { 1 }
     }
 }
 
-/// Passes over which the stop test by lattice defects averages.
+/// Number of passes over which the stop test by lattice defects averages.
 pub const DEFECT_WINDOW: usize = 10;
 
-/// Passes over which the test for balanced density control averages its counts. Where h does not
-/// suit the surface (coarse against its curvature, or on voxel steps), the same places fill and
-/// empty indefinitely. Measured with 20, 14 and 10 passes: `heart_ct` at 75,000 vertices takes 3.8,
-/// 3.2 and 2.9 s with a mean radius ratio of 0.9859, 0.9856 and 0.9855. `heart_label` at h = 1.4
-/// voxels takes 0.50, 0.38 and 0.32 s with 0.9899, 0.9892 and 0.9889.
+/// Number of passes over which the test for balanced density control averages its counts. Where h
+/// does not suit the surface (coarse relative to its curvature, or on voxel steps), density control
+/// adds and deletes particles at the same positions indefinitely. Measured with 20, 14 and 10
+/// passes: `heart_ct` at 75,000 vertices takes 3.8, 3.2 and 2.9 s with a mean radius ratio of
+/// 0.9859, 0.9856 and 0.9855. `heart_label` at h = 1.4 voxels takes 0.50, 0.38 and 0.32 s with
+/// 0.9899, 0.9892 and 0.9889.
 const BALANCE_WINDOW: usize = 14;
 
-/// On levels before the last, density control is at rest when it adds and deletes at most this
-/// share of the particles per pass. The next level replaces most of them anyway.
+/// On levels before the last, density control is at rest if it adds and deletes at most this share
+/// of the particles per pass. The next level replaces most of these particles anyway.
 const COARSE_REST: f64 = 5e-2;
 
-/// Maximum number of passes without density control at the end of a level before the last, whose
-/// lattice the next level moves anyway. Measured with 10 and 3: the lungs of `thorax_labels`
-/// (79,000 particles, h = 1.64 mm) take 1.67 and 1.44 s with a mean radius ratio of 0.9907 and
-/// 0.9901. `heart_label` at h = 2.1 mm takes 0.43 and 0.38 s with 0.9888 and 0.9887.
+/// Maximum number of passes without density control at the end of a level before the last. The next
+/// level moves the lattice of such a level anyway. Measured with 10 and 3: the lungs of
+/// `thorax_labels` (79,000 particles, h = 1.64 mm) take 1.67 and 1.44 s with a mean radius ratio of
+/// 0.9907 and 0.9901. `heart_label` at h = 2.1 mm takes 0.43 and 0.38 s with 0.9888 and 0.9887.
 pub(crate) const COARSE_CLOSING_PASSES: u64 = 3;
 
-/// Passes between two sorts of the particles by place. Checkpoints are written just before a sort.
+/// Number of passes between two spatial sorts of the particles. Checkpoints are written just before
+/// a sort.
 pub const REORDER_INTERVAL: u64 = 10;
 
-/// One line of the log. With many materials, all numbers refer to the particles on interfaces,
-/// without the held ones of junction points and curves.
+/// One line of the log. With many materials, all numbers refer to the particles on interfaces and
+/// exclude the held particles of junction points and curves.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PassRecord {
-    /// Number of the pass, from 1.
+    /// Number of the pass, starting from 1.
     pub pass: u64,
-    /// Sum of the particles' energies after the movement (Eq. 1).
+    /// Sum of the energies of the particles after the movement (Eq. 1).
     pub energy: f64,
-    /// Particles after density control.
+    /// Number of particles after density control.
     pub count: usize,
-    /// Particles added.
+    /// Number of particles added.
     pub inserted: usize,
-    /// Particles deleted.
+    /// Number of particles deleted.
     pub deleted: usize,
-    /// Particles removed because they left the surface. Always zero in a pass, since a step that
-    /// cannot be projected is rejected.
+    /// Number of particles removed because they left the surface. This is always zero in a pass,
+    /// because a step that cannot be projected is rejected.
     pub escaped: usize,
-    /// Particles that took a step.
+    /// Number of particles that took a step.
     pub moved: usize,
-    /// Mean number of steps tried per particle, including rejected ones.
+    /// Mean number of attempted steps per particle, including rejected steps.
     pub tries_per_particle: f64,
     /// Mean number of listed neighbours.
     pub neighbours: f64,
-    /// Particles without exactly six neighbours in the first ring, after the movement.
+    /// Number of particles without exactly six neighbours in the first ring, after the movement.
     pub lattice_defects: usize,
-    /// Seconds since the first pass on this level in this run.
+    /// Seconds since the first pass of this run on this level.
     pub seconds: f64,
-    /// Edge length of the level of the pass, in units of h.
+    /// Edge length of the level in units of h.
     pub scale: f64,
 }
 
 /// Result of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Summary {
-    /// Passes run, including those before a resume.
+    /// Number of passes, including those before a resume.
     pub passes: u64,
-    /// Whether the stop test ended the run (otherwise the pass limit).
+    /// Whether the stop test ended the run; if false, the pass limit ended it.
     pub settled: bool,
-    /// Particles of the last level that the final projection could not place on the surface.
+    /// Number of particles of the last level that the final projection could not place on the
+    /// surface.
     pub escaped: usize,
-    /// Final energy per particle over E_ideal.
+    /// Final energy per particle, divided by E_ideal.
     pub energy_ratio: f64,
 }
 
 /// Result of one pass by an engine.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PassOutcome {
-    /// Sum of the particles' energies after the movement (Eq. 1).
+    /// Sum of the energies of the particles after the movement (Eq. 1).
     pub energy: f64,
-    /// Particles after density control.
+    /// Number of particles after density control.
     pub count: usize,
-    /// Particles added.
+    /// Number of particles added.
     pub inserted: usize,
-    /// Particles deleted.
+    /// Number of particles deleted.
     pub deleted: usize,
-    /// Particles that took a step.
+    /// Number of particles that took a step.
     pub moved: usize,
-    /// Mean number of steps tried per particle, including rejected ones.
+    /// Mean number of attempted steps per particle, including rejected steps.
     pub tries_per_particle: f64,
     /// Mean number of listed neighbours.
     pub neighbours: f64,
-    /// Particles without exactly six neighbours in the first ring, after the movement.
+    /// Number of particles without exactly six neighbours in the first ring, after the movement.
     pub lattice_defects: usize,
 }
 
 /// Moves the particles, on the CPU or on a GPU. Every [`REORDER_INTERVAL`] passes an engine sorts
-/// the particles and rebuilds all derived data, so that a run resumed there equals an uninterrupted
-/// one.
+/// the particles and rebuilds all derived data, so a run that is resumed at that point equals an
+/// uninterrupted run.
 pub trait Engine {
     /// Moves every particle once, measures the energy and, if `density` is set, controls the
     /// density.
     fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome>;
 
-    /// Announces that no pass after this one controls the density. Up to it an engine may start the
+    /// Announces the last pass that controls the density. Before that pass an engine may start the
     /// next pass early.
     fn controls_density_until(&mut self, _pass: u64) {}
 
-    /// A copy of the particles.
+    /// Returns a copy of the particles.
     fn particles(&mut self) -> Result<ParticleSet>;
 
-    /// The strata of the particles; empty for one object.
+    /// Returns the strata of the particles; empty for one object.
     fn strata(&self) -> &[Stratum] {
         &[]
     }
 
-    /// Statistics of the device, if there is one.
+    /// Returns statistics of the device, if there is one.
     fn device_report(&self) -> Option<DeviceReport> {
         None
     }
@@ -267,8 +273,8 @@ pub(crate) struct Level {
     pub max_passes: u64,
 }
 
-/// Settles on one level, that of h, with any engine. At the end the CPU projects the particles onto
-/// F = 0 to a tolerance of 1e-8 voxels.
+/// Settles on a single level with edge length h, with any engine. At the end the CPU projects the
+/// particles onto F = 0 with a tolerance of 1e-8 voxels.
 pub fn settle_with<S: Implicit>(
     engine: &mut dyn Engine,
     fields: &Fields<S>,
@@ -281,7 +287,8 @@ pub fn settle_with<S: Implicit>(
     Ok((state.set, summary))
 }
 
-/// Like [`settle_with`], on one of several levels; `resumed` holds the records of this level.
+/// Works like [`settle_with`], but on one of several levels. `resumed` contains the records of this
+/// level.
 pub(crate) fn settle_level<S: Implicit>(
     engine: &mut dyn Engine,
     fields: &Fields<S>,
@@ -332,12 +339,13 @@ pub(crate) fn settle_level<S: Implicit>(
     Ok((state, summary))
 }
 
-/// The pass at which the stop test is met, if any. From then on density control is off.
+/// Returns the pass that meets the stop test, if any. Density control is off in all later passes.
 fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64> {
     let window = if parameters.energy_tolerance.is_some() { parameters.energy_window.max(1) } else { DEFECT_WINDOW };
     (window..records.len()).find_map(|last| {
         let (old, new) = (&records[last - window], &records[last]);
-        // per particle, so that a changing count neither looks like an improvement nor hides one
+        // values per particle, so that a changing count neither looks like an improvement nor hides
+        // one
         let before_control = |r: &PassRecord| (r.count + r.deleted - r.inserted).max(1) as f64;
         let change = |quantity: &dyn Fn(&PassRecord) -> f64| {
             let (old, new) = (quantity(old) / before_control(old), quantity(new) / before_control(new));
@@ -348,16 +356,16 @@ fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64>
             None => new.lattice_defects == 0 || change(&|r| r.lattice_defects as f64) < parameters.defect_tolerance,
         };
         let churn = records[last + 1 - window..=last].iter().map(|r| r.inserted + r.deleted).sum::<usize>();
-        // the next level settles most of what a coarse level adds and deletes again
+        // the next level settles most of the particles that a coarse level adds and deletes again
         let allowed = if new.scale > 1.0 { parameters.rest_share.max(COARSE_REST) } else { parameters.rest_share };
         let rest = allowed >= 1.0 || churn as f64 <= allowed * window as f64 * new.count as f64;
         ((settled && rest) || is_balanced(&records[..=last], parameters)).then_some(new.pass)
     })
 }
 
-/// Whether density control adds as many particles as it deletes while lattice defects do not
-/// decrease. Uses `defect_tolerance` and `rest_share`, for means over the last [`BALANCE_WINDOW`]
-/// passes and over as many before.
+/// Returns whether density control adds as many particles as it deletes while lattice defects do
+/// not decrease. Applies `defect_tolerance` and `rest_share` to the means over the last
+/// [`BALANCE_WINDOW`] passes and over the same number of passes before them.
 fn is_balanced(records: &[PassRecord], parameters: &Parameters) -> bool {
     let window = BALANCE_WINDOW;
     let Some(before) = records.len().checked_sub(2 * window) else { return false };
@@ -372,9 +380,10 @@ fn is_balanced(records: &[PassRecord], parameters: &Parameters) -> bool {
     parameters.energy_tolerance.is_none() && falls < parameters.defect_tolerance && is_at_rest
 }
 
-/// Projects every particle that is not held onto F = 0, or its interface, to a tolerance of 1e-8
-/// voxels, and removes those that fail. Returns the number removed. Sorts the particles by place
-/// first, so that a run resumed after its last pass gives the same result.
+/// Projects every particle, except held particles, onto F = 0 or its interface with a tolerance of
+/// 1e-8 voxels, and removes particles whose projection fails. Returns the number of removed
+/// particles. Sorts the particles spatially first, so that a run resumed after its last pass gives
+/// the same result.
 fn finish<S: Implicit>(state: &mut State, fields: &Fields<S>) -> usize {
     state.sort_by_place();
     let spacing = fields.surface.min_spacing();
@@ -407,8 +416,8 @@ fn finish<S: Implicit>(state: &mut State, fields: &Fields<S>) -> usize {
 mod tests {
     use super::*;
 
-    /// Records of 1000 particles with the given number of lattice defects, and `churn` particles
-    /// added per pass.
+    /// Returns records of 1000 particles with the given number of lattice defects, and `churn`
+    /// particles added per pass.
     fn records(defects: impl Fn(u64) -> usize, churn: usize, scale: f64) -> Vec<PassRecord> {
         let record = |pass| PassRecord {
             pass,
@@ -430,7 +439,7 @@ mod tests {
     #[test]
     fn additions_and_deletions_in_balance_end_the_run() {
         let parameters = Parameters::default();
-        // 1 % are added and 1 % deleted in each pass, ten times the rest share
+        // 1 % are added and 1 % deleted in each pass, which is ten times `rest_share`
         let in_balance = |defects: &dyn Fn(u64) -> usize, growth: usize| -> Vec<PassRecord> {
             let balanced = |r: PassRecord| PassRecord {
                 deleted: r.inserted - growth,
@@ -454,15 +463,16 @@ mod tests {
     fn passes_continue_while_defects_fall_or_density_changes() {
         let parameters = Parameters::default();
         let closing = |records: &[PassRecord]| closing_since(records, &parameters);
-        // 1 % per pass, then nothing from pass 20 on: the window of ten passes still has 0.8 % at
-        // pass 22
+        // the defects fall by 1 % per pass, then stay constant from pass 20 on; the window of ten
+        // passes still has a decrease of 0.8 % at pass 22
         let falling = |pass: u64| (900.0 * 0.99f64.powi(pass.min(20) as i32)) as usize;
         assert_eq!(closing(&records(falling, 0, 1.0)), Some(23));
         assert_eq!(closing(&records(|pass| 900 - 9 * pass as usize, 0, 1.0)), None);
         assert_eq!(closing(&records(|_| 300, 0, 1.0)), Some(11), "the first pass that has a window behind it");
         assert_eq!(closing(&records(|pass| 300 + pass as usize, 0, 1.0)), Some(11));
         assert_eq!(closing(&records(|_| 0, 0, 1.0)), Some(11));
-        // one particle per pass is 0.1 %; three are too many at h but few enough on a coarse level
+        // one particle per pass is 0.1 %; three per pass are too many at h but few enough on a
+        // coarse level
         assert_eq!(closing(&records(|_| 300, 1, 1.0)), Some(11));
         assert_eq!(closing(&records(|_| 300, 3, 1.0)), None);
         assert_eq!(closing(&records(|_| 300, 3, 2.0)), Some(11));
@@ -478,7 +488,8 @@ mod tests {
         assert_eq!(test(0.0015), Some(6));
         assert_eq!(test(0.0), None, "0 runs all passes");
         let mut falling = records(|_| 300, 0, 1.0);
-        // as printed: consecutive passes, and density control is ignored
+        // with the printed parameters, consecutive passes are compared and density control is
+        // ignored
         let busy = records(|_| 300, 500, 1.0);
         let closing = |parameters: &Parameters| closing_since(&busy, parameters);
         assert_eq!(closing(&Parameters::as_printed()), Some(2));

@@ -1,5 +1,5 @@
 //! State of the particles while they move: positions and dependent values, neighbour lists, and the
-//! classes that may move together.
+//! classes of particles that may move together.
 
 use crate::constants::{FIRST_RING, LATTICE_NEIGHBOURS, LISTED};
 use crate::implicit::Implicit;
@@ -13,20 +13,21 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use rayon::prelude::*;
 
-/// Particles per task of [`State::measure`].
+/// Number of particles per task of [`State::measure`].
 const CHUNK: usize = 256;
 
 /// The implicit function and the sizing field of a run.
 pub struct Fields<'a, S = CubicSpline> {
-    /// F, or the interfaces of many materials.
+    /// The implicit function F, or the interfaces of many materials.
     pub surface: &'a S,
-    /// h.
+    /// The target edge length h.
     pub sizing: &'a SizingField,
 }
 
 impl<S: Implicit> Fields<'_, S> {
-    /// Projects a point onto F = 0, or onto the interface of its stratum (Eq. 5). Returns position,
-    /// unit normal and h there. `limit` and `tolerance` as in [`Implicit::project`].
+    /// Projects a point onto F = 0 or onto the interface of its stratum (Eq. 5). Returns position,
+    /// unit normal and h at the projected point. `limit` and `tolerance` have the same meaning as
+    /// in [`Implicit::project`].
     #[inline(always)]
     pub(crate) fn project(
         &self,
@@ -40,54 +41,55 @@ impl<S: Implicit> Fields<'_, S> {
     }
 }
 
-/// Particles, their neighbour lists and the classes that may move together.
+/// Particles, their neighbour lists and the classes of particles that may move together.
 pub(crate) struct State {
     pub set: ParticleSet,
     /// The stratum of each particle; empty for one object.
     pub strata: Vec<Stratum>,
-    /// Number of held particles, which come first: those of junction points and curves; zero for
-    /// one object. They are never moved, deleted or given newcomers, and do not enter the
-    /// statistics. Particles on the adjoining interfaces interact with them.
+    /// Number of held particles, which come first: the particles of junction points and curves;
+    /// zero for one object. Held particles are never moved or deleted, get no newcomers, and do not
+    /// enter the statistics. Particles on the adjoining interfaces interact with them.
     pub held: usize,
-    /// Normals with a smaller dot product belong to different parts of the surface; such particles
-    /// do not interact.
+    /// Minimum dot product of the normals of two interacting particles. Below it they belong to
+    /// different parts of the surface.
     pub normal_agreement: f64,
-    /// Edge of the target lattice, in h ([`crate::Parameters::spacing`]).
+    /// Edge of the target lattice in units of h ([`crate::Parameters::spacing`]).
     pub spacing: f64,
     pub neighbours: NeighbourLists,
-    /// Position and 1/h of every particle, for the sums over neighbours.
+    /// Position and 1/h of every particle, used by the sums over neighbours.
     pub records: Vec<Record>,
     /// Classes of blocks of particles ([`NeighbourLists::independent_blocks`]).
     pub classes: Vec<Vec<u32>>,
 }
 
 impl State {
-    /// The particles of one object, sorted by place, with lists.
+    /// Creates the state of particles of one object: sorts them spatially and builds the lists.
     #[cfg(test)]
     pub(crate) fn new(set: ParticleSet, normal_agreement: f64) -> Self {
         Self::unlisted(set, normal_agreement).in_order()
     }
 
-    /// The particles in their given order, without lists, for a lattice of spacing h.
+    /// Creates a state with the particles in the given order, without lists, for a lattice of
+    /// spacing h.
     pub(crate) fn unlisted(set: ParticleSet, normal_agreement: f64) -> Self {
         let (neighbours, records) = (NeighbourLists::default(), Vec::new());
         let (classes, strata) = (Vec::new(), Vec::new());
         Self { set, strata, held: 0, normal_agreement, spacing: 1.0, neighbours, records, classes }
     }
 
-    /// Sets the spacing of the target lattice, in h.
+    /// Sets the spacing of the target lattice in units of h.
     pub(crate) fn at_spacing(self, spacing: f64) -> Self {
         Self { spacing, ..self }
     }
 
-    /// Sets the strata, those of junctions first; empty for one object.
+    /// Sets the strata, which must start with those of junctions; empty for one object.
     pub(crate) fn on(mut self, strata: Vec<Stratum>) -> Self {
         self.held = strata.partition_point(|stratum| stratum.dimension() < 2);
         self.strata = strata;
         self
     }
 
-    /// Sorts the particles by place and builds lists and classes.
+    /// Sorts the particles spatially and builds lists and classes.
     #[cfg(test)]
     pub(crate) fn in_order(mut self) -> Self {
         self.sort_by_place();
@@ -95,13 +97,13 @@ impl State {
         self
     }
 
-    /// The stratum of particle i; `None` for one object.
+    /// Returns the stratum of particle i; `None` for one object.
     #[inline(always)]
     pub(crate) fn stratum(&self, i: usize) -> Option<Stratum> {
         self.strata.get(i).copied()
     }
 
-    /// Number of particles that are not held.
+    /// Returns the number of particles that are not held.
     pub(crate) fn movable(&self) -> usize {
         self.len() - self.held
     }
@@ -110,8 +112,8 @@ impl State {
         self.set.positions.len()
     }
 
-    /// Sorts the particles by place, so that neighbours are close in memory. Held particles keep
-    /// their order at the front.
+    /// Sorts the particles spatially, so that neighbours are close in memory. Held particles stay
+    /// at the front and keep their order.
     pub(crate) fn sort_by_place(&mut self) {
         let held = self.held;
         let order = space_order(&self.set.positions[held..], &self.set.sizes[held..], LISTED);
@@ -119,8 +121,8 @@ impl State {
         self.take(&order);
     }
 
-    /// Keeps the particles with the indices in `order`, in that order. It must begin with all held
-    /// particles. The lists are not updated.
+    /// Keeps the particles whose indices are in `order`, in that order. `order` must begin with all
+    /// held particles. The lists are not updated.
     pub(crate) fn take(&mut self, order: &[u32]) {
         fn pick<T: Copy + Send + Sync>(from: &mut Vec<T>, order: &[u32]) {
             *from = order.par_iter().map(|&i| from[i as usize]).collect();
@@ -142,9 +144,10 @@ impl State {
         self.classes = self.neighbours.independent_blocks();
     }
 
-    /// Rebuilds the lists only, which suffices for energies. Particles interact where their normals
-    /// agree. With many materials they must also be on the same interface, or one of them is held
-    /// on the border of the other's interface. Held particles thus separate the interfaces.
+    /// Rebuilds only the lists, which suffices for computing energies. Particles interact if their
+    /// normals agree. With many materials, two particles must also be on the same interface. A held
+    /// particle interacts, for any normals, with the particles of the interfaces that it borders.
+    /// Held particles thus separate the interfaces.
     pub(crate) fn rebuild_lists(&mut self) {
         let normals = &self.set.normals;
         let agreement = self.normal_agreement;
@@ -167,7 +170,7 @@ impl State {
         places.map(|(&position, &size)| Record::new(position, size)).collect_into_vec(&mut self.records);
     }
 
-    /// Whether a held particle is in the first ring of particle i.
+    /// Returns whether a held particle is in the first ring of particle i.
     fn is_at_border(&self, i: usize) -> bool {
         let (positions, sizes) = (&self.set.positions, &self.set.sizes);
         let held = self.neighbours.of(i).iter().map(|&j| j as usize).filter(|&j| j < self.held);
@@ -175,9 +178,9 @@ impl State {
         held.into_iter().any(|j| positions[i].distance(positions[j]) < radius * sizes[i].min(sizes[j]))
     }
 
-    /// Recomputes every particle's energy (Eq. 1) and counts lattice defects. Particles next to the
-    /// border of an interface are not counted: where the border bends, the lattice cannot have six
-    /// neighbours. Held particles have energy zero.
+    /// Recomputes the energy of every particle (Eq. 1) and counts lattice defects. Particles next
+    /// to the border of an interface are not counted, because where the border bends, the lattice
+    /// cannot have six neighbours. Held particles have energy zero.
     pub(crate) fn measure(&mut self) -> Measures {
         let mut energies = std::mem::take(&mut self.set.energies);
         energies.resize(self.len(), 0.0);
@@ -211,8 +214,8 @@ impl State {
 /// Measurements of a pass.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Measures {
-    /// Sum of the particles' energies, added in a fixed order.
+    /// Sum of the energies of the particles, added in a fixed order.
     pub energy: f64,
-    /// Particles without exactly six neighbours in the first ring.
+    /// Number of particles without exactly six neighbours in the first ring.
     pub lattice_defects: usize,
 }

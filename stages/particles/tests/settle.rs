@@ -27,7 +27,7 @@ fn sampled(f: impl Fn(DVec3) -> f64) -> Image<f32> {
     Image { geometry, data }
 }
 
-/// Projects up to `count` points near the surface onto it; `start` maps random directions to
+/// Projects up to `count` points near the surface onto it. `start` maps random directions to
 /// points.
 fn seeds(surface: &CubicSpline, sizing: &SizingField, count: u64, start: impl Fn(DVec3) -> DVec3) -> ParticleSet {
     let centre = 0.5 * surface.geometry().upper_corner();
@@ -56,7 +56,8 @@ fn uniform_size(image: &Image<f32>, h: f64) -> SizingField {
     SizingField::new(Image::filled(image.geometry.clone(), h as f32))
 }
 
-/// Distance of each particle to its nearest neighbour, over the smaller h of the two (as in Eq. 2).
+/// Returns the distance of each particle to its nearest neighbour, divided by the smaller h of the
+/// two (as in Eq. 2).
 fn nearest(set: &ParticleSet) -> Vec<f64> {
     (0..set.positions.len())
         .map(|i| {
@@ -96,7 +97,7 @@ fn a_ball_gets_lattice_spacing_h_from_few_and_many_seeds() {
             assert!(f.abs() < 1e-7, "F = {f}");
             assert!((g.normalize() - n).length() < 1e-9);
         }
-        // the stored energies are those of Eq. 1 at the final places
+        // the stored energies are those of Eq. 1 at the final positions
         let i = set.positions.len() / 2;
         let energy: f64 = (0..set.positions.len())
             .filter(|&j| j != i)
@@ -111,7 +112,7 @@ fn a_ball_gets_lattice_spacing_h_from_few_and_many_seeds() {
 
 #[test]
 fn the_two_faces_of_a_thin_shell_do_not_see_each_other() {
-    // wall of 1.5 voxels, h of 2.5 voxels
+    // wall thickness of 1.5 voxels, h of 2.5 voxels
     let image = sampled(|p| (p.length() - 11.0).abs() - 0.75);
     let surface = CubicSpline::new(&image);
     let sizing = uniform_size(&image, 2.5);
@@ -200,8 +201,8 @@ fn the_result_depends_neither_on_threads_nor_on_a_break() {
     assert!((records[19].energy / records[19].count as f64 / ideal_energy() - 1.0).abs() < 0.3);
 }
 
-/// Smooth balls, steep h, balls little larger than h, and a surface with folds and specks smaller
-/// than a voxel.
+/// Cases: smooth balls, steep h, balls only slightly larger than h, and a surface with folds and
+/// specks smaller than a voxel.
 #[test]
 fn as_many_settle_as_are_predicted() {
     let ball = |radius: f64| sampled(move |p| p.length() - radius);
@@ -220,8 +221,8 @@ fn as_many_settle_as_are_predicted() {
         println!("{} settle, {predicted:.1} are predicted", set.positions.len());
         set.positions.len() as f64 / predicted
     };
-    // measured: 0.947, 1.027, 1.023, 0.940, 0.953, 0.954, 0.954; density control ends a few per
-    // cent below the ideal energy
+    // measured: 0.947, 1.027, 1.023, 0.940, 0.953, 0.954, 0.954; density control stops a few
+    // percent below the ideal energy
     for (image, radius, h) in [
         (&ball(12.0), 12.0, &even(1.2) as &dyn Fn(DVec3) -> f64),
         (&ball(12.0), 12.0, &steep(0.15)),
@@ -236,8 +237,8 @@ fn as_many_settle_as_are_predicted() {
     }
 }
 
-/// A ball of radius 12 with constant h, its marching-cubes vertices as seeds, and the number of
-/// particles that the lattice of edge h has.
+/// Returns a ball of radius 12 with constant h, its marching-cubes vertices as seeds, and the
+/// number of particles of the lattice of edge h.
 fn ball_at_vertices(h: f64) -> (CubicSpline, SizingField, ParticleSet, f64) {
     let image = sampled(|p| p.length() - 12.0);
     let (surface, sizing) = (CubicSpline::new(&image), uniform_size(&image, h));
@@ -260,7 +261,7 @@ fn the_printed_ideal_energy_gets_its_own_lattice() {
     let (surface, sizing, _, lattice) = ball_at_vertices(1.6);
     let fields = Fields { surface: &surface, sizing: &sizing };
     // few seeds, so that most particles are newcomers; too many seeds, so that many are deleted;
-    // one level and three
+    // one level and three levels
     for (count, levels) in [(60, 1), (4000, 1), (816, 3)] {
         let parameters = Parameters { ideal_energy: PRINTED_IDEAL_ENERGY, levels, ..Parameters::default() };
         let start = seeds(&surface, &sizing, count, |d| 12.0 * d);
@@ -306,8 +307,8 @@ fn printed_method_deletes_vertices_and_reaches_its_energy() {
         assert!(parameters.allow_insert || inserted == 0);
         assert!(summary.settled && summary.passes <= 50, "{summary:?}");
         assert!((summary.energy_ratio - 1.0).abs() < 0.2, "{summary:?}");
-        // no closing passes: the last pass may still add and delete, and it is the one that met the
-        // stop test
+        // without closing passes, the last pass may still add and delete particles, and it is the
+        // pass that met the stop test
         assert_eq!(records.len() as u64, summary.passes);
     }
 }

@@ -1,4 +1,4 @@
-//! The `seed` program: parse, run, exit code.
+//! The `seed` program: parses the arguments, runs the stage and returns the exit code.
 
 use std::process::ExitCode;
 

@@ -1,4 +1,5 @@
-//! The program around [`crate::sampling`] and [`crate::vertices`]: options, files, report.
+//! Runs [`crate::sampling`] and [`crate::vertices`] as a program: parses the options, reads and
+//! writes the files, and fills in the report.
 
 use crate::sampling::{BYTES_PER_PARTICLE, COMPONENT_MINIMUM, Summary, seed_surface, seed_vertices};
 use crate::vertices::{BYTES_PER_NODE, FINEST, vertices};
@@ -20,15 +21,15 @@ use std::path::PathBuf;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum From {
-    /// Random places at the density of the sizing field.
+    /// Random positions at the density of the sizing field.
     PoissonDisk,
     /// All vertices of marching cubes over the distance field, as in the paper; density control
     /// deletes the surplus.
     MarchingCubes,
 }
 
-/// Places the first particles on the isosurface F = 0, on every component, near the density of the
-/// sizing field
+/// Places the initial particles on every component of the isosurface F = 0, at approximately the
+/// density of the sizing field
 #[derive(Debug, Parser)]
 #[command(
     name = "seed",
@@ -37,7 +38,7 @@ pub enum From {
         Paper: section 3.1 and Eq. 5. Its seeds are --from marching-cubes; with --count those of its synthetic test (Table 3)."
 )]
 pub struct Args {
-    /// Distance field, or the indicators of many materials, made by distfield
+    /// Distance field, or indicators of several materials, made by distfield
     #[arg(value_name = "F.vti", help_heading = FILES)]
     pub(crate) distfield: PathBuf,
     /// Sizing field on the same grid, made by sizefield
@@ -50,8 +51,9 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t = From::PoissonDisk, help_heading = METHOD)]
     pub(crate) from: From,
     /// Number of particles to seed, 4 or more, instead of the number that the sizing field
-    /// requires; approximate, as each component gets some. With --from marching-cubes it is exact:
-    /// vertices spread evenly, from a finer grid if there are too few
+    /// requires; approximate, because each component gets some particles. With --from
+    /// marching-cubes the number is exact: evenly spread vertices are used, from a finer grid if
+    /// there are too few
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), help_heading = METHOD)]
     pub(crate) count: Option<u64>,
     #[command(flatten)]
@@ -72,7 +74,7 @@ impl StageArgs for Args {
     }
 }
 
-/// Runs the program: reads the fields, seeds the surface, writes seeds and report.
+/// Runs the program: reads the fields, seeds the surface, and writes the seeds and the report.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     if is_materials(&args.distfield) {
         return crate::materials::run(args, context);
@@ -122,7 +124,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     Ok(Outcome::Passed)
 }
 
-/// Seeds by a Poisson-disk sample.
+/// Seeds the surface by Poisson-disk sampling.
 fn by_poisson_disks(
     args: &Args,
     distance: &Image<f32>,
@@ -138,7 +140,7 @@ fn by_poisson_disks(
     Ok(seed_surface(&mesh, surface, (scaled.as_ref().unwrap_or(sizing), sizing), context.seed(), context)?)
 }
 
-/// Seeds at vertices of marching cubes.
+/// Seeds the surface at vertices of marching cubes.
 fn at_vertices(
     args: &Args,
     distance: &Image<f32>,
@@ -175,14 +177,14 @@ fn at_vertices(
     Ok(seed_vertices(&found, surface, sizing, context.seed(), context)?)
 }
 
-/// The exact predicted count, as a step in the report.
+/// Computes the exact predicted count, and times this as a step in the report.
 fn predicted(sizing: &SizingField, surface: &CubicSpline, context: &Context) -> f64 {
     let _step = context.step("predict the count");
     sizing.predicted_count(surface)
 }
 
 /// Rejects sizes larger than the object, and counts that exceed the memory. Without --count, the
-/// count is `predicted`.
+/// count comes from `predicted`.
 pub(crate) fn check_prediction(args: &Args, predicted: impl FnOnce() -> f64, context: &Context) -> Result<()> {
     let sizes = args.sizefield.display();
     let count = args.count.map_or_else(predicted, |count| count as f64);

@@ -1,5 +1,6 @@
-//! Poisson-disk sampling of the isosurface with the spacing of the sizing field. All seeds, also
-//! those at vertices, are then projected, and every component gets a minimum of particles.
+//! Samples the isosurface by Poisson disks with the spacing of the sizing field. All seeds,
+//! including seeds at vertices, are then projected, and every component gets a minimum number of
+//! particles.
 
 use crate::vertices::Vertices;
 use glam::DVec3;
@@ -14,16 +15,16 @@ use isoparticles_mesh::buckets::joined;
 use isoparticles_stage::monitor::{Interrupted, Monitor};
 use rayon::prelude::*;
 
-/// Candidates per particle that the sizing field requires.
+/// Number of candidates per particle that the sizing field requires.
 pub(crate) const OVERSAMPLING: f64 = 8.0;
-/// Memory per seeded particle, bytes: its candidates with their order and bins. Measured: the peak
-/// memory grows by 660 per particle from 8,514 to 99,084 particles on one grid (`make
-/// bench-stages`, table in `docs/developer/performance.md`). Doubled, because vectors grow by
-/// doubling.
+/// Memory in bytes per seeded particle: the candidates with their order and bins. Measured: the
+/// peak memory grows by 660 bytes per particle from 8,514 to 99,084 particles on one grid (`make
+/// bench-stages`, table in `docs/developer/performance.md`). The constant is twice as large,
+/// because vectors grow by doubling.
 pub const BYTES_PER_PARTICLE: f64 = 1300.0;
-/// Disk radius, in h, at which this sampling has the density of the hexagonal lattice of spacing h.
-/// Random disks jam at a covered share of 0.55, the lattice covers 0.91. Measured at this
-/// oversampling.
+/// Disk radius in units of h at which this sampling has the density of the hexagonal lattice of
+/// spacing h. Random disks jam at a covered area fraction of 0.55; the lattice covers 0.91.
+/// Measured at this oversampling.
 pub(crate) const DISK_RADIUS: f64 = 0.71;
 /// Minimum number of particles per component. Fewer do not make a closed surface of
 /// near-equilateral triangles; an icosahedron has 12 vertices.
@@ -32,16 +33,17 @@ pub const COMPONENT_MINIMUM: usize = 12;
 /// Statistics of the seeding.
 #[derive(Clone, Copy, Debug, Default, serde::Serialize)]
 pub struct Summary {
-    /// Components of the isosurface.
+    /// Number of components of the isosurface.
     pub components: usize,
-    /// Components that got extra particles because the sizing field gave them fewer than they need.
+    /// Number of components that got extra particles because the sizing field gave them too few.
     pub underpopulated_components: usize,
-    /// Seeds dropped because the projection onto F = 0 failed.
+    /// Number of seeds dropped because the projection onto F = 0 failed.
     pub not_projected: usize,
-    /// Number of vertices of marching cubes, for seeds at vertices.
+    /// Number of vertices of marching cubes; only for seeds at vertices.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub vertices: Option<usize>,
-    /// Cells of their grid along each edge of a voxel.
+    /// Number of cells of the marching-cubes grid along each edge of a voxel; only for seeds at
+    /// vertices.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refinement: Option<usize>,
 }
@@ -52,7 +54,7 @@ pub(crate) struct Candidates {
     pub(crate) points: Vec<DVec3>,
     pub(crate) normals: Vec<DVec3>,
     pub(crate) sizes: Vec<f64>,
-    /// The component of the surface that each lies on.
+    /// Component of the surface that contains each point.
     pub(crate) component: Vec<u32>,
 }
 
@@ -61,7 +63,7 @@ pub(crate) struct Candidates {
 /// count is given (the paper's Table 3). The result depends only on the arguments.
 ///
 /// # Errors
-/// If the monitor interrupts.
+/// If the monitor interrupts the run.
 pub fn seed_surface(
     mesh: &TriangleMesh,
     surface: &CubicSpline,
@@ -86,7 +88,7 @@ pub fn seed_surface(
 /// thinning them. These are the paper's seeds; density control deletes the surplus.
 ///
 /// # Errors
-/// If the monitor interrupts.
+/// If the monitor interrupts the run.
 pub fn seed_vertices(
     vertices: &Vertices,
     surface: &CubicSpline,
@@ -107,7 +109,7 @@ fn components_of(surface: &CubicSpline, monitor: &dyn Monitor) -> Result<FieldCo
 }
 
 /// Projects the selected points onto F = 0. Components with fewer than [`COMPONENT_MINIMUM`] points
-/// are sampled again on their own, at a spacing that fits their area.
+/// are sampled again separately, at a spacing that fits their area.
 fn on_every_component(
     components: &FieldComponents,
     surface: &CubicSpline,
@@ -146,8 +148,8 @@ fn on_every_component(
     (set, Summary { components, underpopulated_components, not_projected, ..Summary::default() })
 }
 
-/// Projects points with their normals onto F = 0. Returns those that end with a gradient on the
-/// side of their normal, each with grad F, and the number of the others.
+/// Projects points with their normals onto F = 0. Returns the projected points at which grad F
+/// points to the side of the normal, each with grad F, and the number of discarded points.
 fn onto_surface(surface: &CubicSpline, picked: &[(DVec3, DVec3)]) -> (Vec<(DVec3, DVec3)>, usize) {
     let spacing = surface.geometry().mean_spacing();
     let project = |&(p, n): &(DVec3, DVec3)| {
@@ -158,14 +160,14 @@ fn onto_surface(surface: &CubicSpline, picked: &[(DVec3, DVec3)]) -> (Vec<(DVec3
     (found, lost)
 }
 
-/// Centroid, and the normal with twice the area as its length.
+/// Returns the centroid of a triangle, and the normal with twice the area as its length.
 pub(crate) fn centre_and_normal(mesh: &TriangleMesh, triangle: usize) -> (DVec3, DVec3) {
     let [a, b, c] = mesh.triangles[triangle].map(|v| mesh.vertices[v as usize]);
     ((a + b + c) / 3.0, (b - a).cross(c - a))
 }
 
-/// Random points on the triangles in `members`, `density(centre, unit normal)` of them per mm
-/// squared.
+/// Returns random points on the triangles in `members`, with `density(centre, unit normal)` points
+/// per mm^2.
 pub(crate) fn sample(
     mesh: &TriangleMesh,
     members: &[u32],
@@ -184,7 +186,7 @@ pub(crate) fn sample(
                 let (centre, doubled) = centre_and_normal(mesh, t);
                 let normal = doubled.normalize_or_zero();
                 let wanted = 0.5 * doubled.length() * density(centre, normal);
-                // rounded up or down at random, which keeps the mean
+                // rounds up or down at random, which preserves the mean
                 let count = (wanted + random::uniform(seed, 0, t as u64)).floor() as u64;
                 let [a, b, c] = mesh.triangles[t].map(|v| mesh.vertices[v as usize]);
                 for n in 0..count {
@@ -209,8 +211,8 @@ pub(crate) fn sample(
     }
 }
 
-/// Joins one list of all parts. It is moved out of them, so that only one list at a time exists
-/// twice.
+/// Concatenates one list of all parts. The list is moved out of the parts, so that only one list at
+/// a time exists twice.
 fn taken<T: Copy + Default + Send + Sync>(
     parts: &mut [Candidates],
     list: impl Fn(&mut Candidates) -> &mut Vec<T>,
@@ -218,8 +220,8 @@ fn taken<T: Copy + Default + Send + Sync>(
     joined(parts.iter_mut().map(|part| std::mem::take(list(part))).collect())
 }
 
-/// Selects candidates in random order. Each selected one removes all others within the disk radius
-/// that have an agreeing normal and for which `crowd` is true.
+/// Selects candidates in random order. Each selected candidate removes all other candidates within
+/// the disk radius that have a similar normal and for which `crowd` is true.
 pub(crate) fn eliminate(candidates: &Candidates, seed: u64, crowd: impl Fn(usize, usize) -> bool + Sync) -> Vec<u32> {
     let numbers = (0..candidates.points.len()).into_par_iter();
     let mut order: Vec<(u64, u32)> = numbers.map(|i| (random::bits(seed ^ 0x5eed, 0, i as u64), i as u32)).collect();
@@ -230,7 +232,8 @@ pub(crate) fn eliminate(candidates: &Candidates, seed: u64, crowd: impl Fn(usize
     })
 }
 
-/// Seeds for the triangles in `members` of component `c`, about twice [`COMPONENT_MINIMUM`].
+/// Returns about twice [`COMPONENT_MINIMUM`] seeds on the triangles in `members`, which belong to
+/// component `c`.
 pub(crate) fn sample_alone(mesh: &TriangleMesh, members: &[u32], seed: u64, c: u64) -> Vec<(DVec3, DVec3)> {
     let area: f64 = members.iter().map(|&t| 0.5 * centre_and_normal(mesh, t as usize).1.length()).sum();
     let density = 2.0 * COMPONENT_MINIMUM as f64 / area;

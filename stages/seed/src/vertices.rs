@@ -1,5 +1,6 @@
-//! Seeds at the vertices of marching cubes over F (section 3.1 of the paper): all of them, or a
-//! given number (the synthetic test of Table 3, "a user defined number of particles").
+//! Finds seeds at the vertices of marching cubes over F (section 3.1 of the paper). Returns all
+//! vertices, or a given number of vertices (the synthetic test of Table 3, "a user defined number
+//! of particles").
 
 use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
@@ -10,30 +11,32 @@ use isoparticles_stage::monitor::{Interrupted, Monitor};
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
-/// Finest grid that is tried to reach a number of vertices, in cells along each edge of a voxel.
-/// The ribcage of the torso phantom has 170,480 vertices on its own grid and 684,588 on one twice
-/// as fine, more than twice the maximum of Table 3.
+/// Finest grid that is tried to reach a number of vertices, as the number of cells along each edge
+/// of a voxel. The ribcage of the torso phantom has 170,480 vertices on its own grid and 684,588 on
+/// a grid twice as fine, more than twice the maximum of Table 3.
 pub const FINEST: usize = 4;
 
-/// Memory per node of a finer grid, bytes: its value, and the vertices and triangles near it.
-/// Measured with `seed --count 300000` on that ribcage: 362 MiB at 47.5 million nodes, 7 each.
+/// Memory in bytes per node of a finer grid: the value of the node, and the vertices and triangles
+/// near it. Measured with `seed --count 300000` on that ribcage: 362 MiB for 47.5 million nodes, 7
+/// bytes per node.
 pub(crate) const BYTES_PER_NODE: f64 = 8.0;
 
 /// Vertices of marching cubes, as seeds.
 #[derive(Clone, Debug, Default)]
 pub struct Vertices {
-    /// Positions (grid frame, mm), each with an outward normal of any length.
+    /// Positions in mm in the grid frame, each with an outward normal of any length.
     pub points: Vec<(DVec3, DVec3)>,
-    /// Cells of their grid along each edge of a voxel.
+    /// Number of cells of the grid along each edge of a voxel.
     pub refinement: usize,
-    /// Number of vertices of that grid.
+    /// Total number of vertices of marching cubes on that grid.
     pub available: usize,
 }
 
-/// The vertices of marching cubes over the samples of F, in the order of the mesh. With `count`,
-/// that many of them, spread evenly. If there are fewer, the vertices come from a grid two, three
-/// or [`FINEST`] times as fine, sampled from the spline, after `has_room` has approved its number
-/// of nodes. The result has fewer than `count` points if even the finest grid has fewer.
+/// Returns the vertices of marching cubes over the samples of F, in the order of the mesh. If
+/// `count` is given, returns only that many evenly spread vertices. If the mesh has too few
+/// vertices, F is sampled from the spline on a grid two, three or [`FINEST`] times as fine, after
+/// `has_room` has approved the number of nodes. The result has fewer than `count` points if even
+/// the finest grid has too few vertices.
 ///
 /// # Errors
 /// If the monitor interrupts, or if `has_room` rejects the nodes of a finer grid.
@@ -65,13 +68,13 @@ pub fn vertices<E: From<Interrupted>>(
     Ok(Vertices { points, refinement, available })
 }
 
-/// The grid with `refinement` cells along each edge of a voxel.
+/// Returns the grid with `refinement` cells along each edge of a voxel.
 fn refined(voxels: &Geometry, refinement: usize) -> Geometry {
     let size = voxels.size.map(|n| (n - 1) * refinement + 1);
     Geometry { size, spacing: voxels.spacing / refinement as f64, ..voxels.clone() }
 }
 
-/// F at the nodes of a grid.
+/// Samples F at the nodes of a grid.
 fn sampled(surface: &CubicSpline, geometry: Geometry) -> Image<f32> {
     let [nx, ny, _] = geometry.size;
     let mut data = vec![0.0f32; geometry.voxel_count()];
@@ -84,7 +87,7 @@ fn sampled(surface: &CubicSpline, geometry: Geometry) -> Image<f32> {
     Image { geometry, data }
 }
 
-/// The vertices, each with the area-weighted sum of the normals of its triangles.
+/// Returns the vertices, each with the area-weighted sum of the normals of the adjacent triangles.
 fn with_normals(mesh: &TriangleMesh) -> Vec<(DVec3, DVec3)> {
     let mut normals = vec![DVec3::ZERO; mesh.vertices.len()];
     for triangle in &mesh.triangles {
@@ -97,8 +100,9 @@ fn with_normals(mesh: &TriangleMesh) -> Vec<(DVec3, DVec3)> {
     mesh.vertices.iter().copied().zip(normals).collect()
 }
 
-/// Selects `count` of the points, evenly spaced along a space-filling curve, so that every region
-/// gets its share. `count` must be below their number. The indices are in ascending order.
+/// Selects `count` of the points, evenly spaced along a space-filling curve, so that the density of
+/// points is the same in every region. `count` must be below the number of points. Returns indices
+/// in ascending order.
 fn spread(points: &[DVec3], spacing: f64, count: usize) -> Vec<u32> {
     let along = space_order(points, &vec![spacing; points.len()], 1.0);
     let mut chosen: Vec<u32> = (0..count).map(|n| along[(2 * n + 1) * points.len() / (2 * count)]).collect();
@@ -111,7 +115,7 @@ mod tests {
     use super::*;
     use isoparticles_stage::monitor::Silent;
 
-    /// The vertices, with a memory check that always passes.
+    /// Returns the vertices, with a memory check that always passes.
     fn taken(image: &Image<f32>, surface: &CubicSpline, count: Option<usize>) -> Vertices {
         vertices(image, surface, count, |_| Ok::<_, Interrupted>(()), &Silent).unwrap()
     }
@@ -138,7 +142,8 @@ mod tests {
             distinct.sort_unstable();
             distinct.dedup();
             assert_eq!(distinct.len(), count, "a vertex was taken twice");
-            // the share of each octant is nearer to that of all vertices than for a random choice
+            // the fraction of points in each octant is closer to the fraction among all vertices
+            // than for a random choice
             let share = |points: &[(DVec3, DVec3)], octant: usize| {
                 let inside = |p: DVec3| (0..3).all(|a| (p[a] > centre[a]) == ((octant >> a) & 1 == 1));
                 points.iter().filter(|(p, _)| inside(*p)).count() as f64 / points.len() as f64

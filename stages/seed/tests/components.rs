@@ -12,12 +12,12 @@ use isoparticles_seed::vertices::vertices;
 use isoparticles_stage::monitor::{Interrupted, Silent};
 use isoparticles_volume::{Geometry, Image};
 
-/// Samples along each axis, and h, mm.
+/// Number of samples along each axis, and h in mm.
 const SIZE: [usize; 3] = [40, 24, 24];
 const H: f32 = 2.0;
 
-/// Seeds a function by a Poisson-disk sample or at the vertices of marching cubes. Returns the
-/// statistics and the number of seeds on each component.
+/// Seeds the zero set of a function by Poisson-disk sampling or at the vertices of marching cubes.
+/// Returns the statistics and the number of seeds on each component.
 fn seeded(function: impl Fn(DVec3) -> f64, at_vertices: bool) -> (Summary, Vec<usize>) {
     let geometry = Geometry::axis_aligned(SIZE, DVec3::ONE);
     let image = Image::sampled(geometry.clone(), |p| function(p) as f32);

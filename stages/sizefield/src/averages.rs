@@ -1,11 +1,11 @@
-//! Averages of vertex values over adjacent triangles, along the surface.
+//! Averages vertex values over adjacent triangles, along the surface.
 
 use isoparticles_mesh::incidence::Incidence;
 use rayon::prelude::*;
 use std::ops::{Add, Mul};
 
-/// Replaces the value of each vertex by the mean over its triangles, `rounds` times. The result
-/// does not depend on the number of threads. Vertices without triangles keep their values.
+/// Replaces the value of each vertex by the mean over the vertex's triangles, `rounds` times. The
+/// result does not depend on the number of threads. Vertices without triangles keep their values.
 pub(crate) fn average<T>(surface: &Incidence<'_>, values: &mut [T], zero: T, rounds: usize)
 where
     T: Copy + Add<Output = T> + Mul<f64, Output = T> + Send + Sync,

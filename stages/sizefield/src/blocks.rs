@@ -1,32 +1,34 @@
-//! Gradation by marching in blocks of the grid, which fit the cache of a core and run in parallel.
+//! Gradation by marching in blocks of the grid. A block fits into the cache of a core, and blocks
+//! run in parallel.
 //!
-//! A front that runs over the whole grid finds none of it in the cache when the next bucket begins.
-//! Each block therefore has its own queue and processes several buckets at a time. Changes at its
-//! faces are sent to the adjacent blocks (two-scale methods: Chacon and Vladimirsky 2012). Blocks
-//! are coloured like a chessboard. Blocks of one colour run in parallel and do not read each
+//! A front that covers the whole grid is no longer in the cache when the next bucket begins. Each
+//! block therefore has its own queue and processes several buckets at a time. Changes at the faces
+//! of a block are sent to the adjacent blocks (two-scale methods: Chacon and Vladimirsky 2012).
+//! Blocks are coloured like a chessboard. Blocks of one colour run in parallel and do not read each
 //! other's values, so the result does not depend on the number of threads.
 
 use crate::gradation::{NodeSet, Scheme, Values};
 use rayon::prelude::*;
 use std::collections::VecDeque;
 
-/// Nodes of a block along each axis. With its border a block has 34^3 values (157 kB).
+/// Number of nodes of a block along each axis. With the border, a block has 34^3 values (157 kB).
 const SIDE: usize = 32;
 
-/// Width of a bucket, as a share of the minimum change of h between adjacent nodes.
+/// Width of a bucket as a fraction of the minimum, over the axes, of the allowed change of h
+/// between adjacent nodes.
 const BUCKET: f64 = 0.5;
 
-/// Buckets that a block processes before it receives messages from other blocks.
+/// Number of buckets that a block processes before it receives messages from other blocks.
 const AT_A_TIME: u64 = 8;
 
-/// Nodes of a block along each axis, with one border node on each side.
+/// Number of nodes of a block along each axis, including one border node on each side.
 const WIDE: usize = SIDE + 2;
 const _: () = assert!(WIDE * WIDE * WIDE <= 1 << 16, "places that are asked for have 16 bits");
 
-/// A node by its index in the block with border, and the value that it was queued with.
+/// Index of a node in the block with border, and the value of the node when it was queued.
 type Queued = (u32, f32);
 
-/// The number of the receiving block, and a node for its queue.
+/// Number of the receiving block, and a node for the queue of that block.
 type Message = (usize, Queued);
 
 /// The blocks of a grid.
@@ -40,22 +42,22 @@ pub(crate) struct Blocks<'a> {
 
 /// A part of the grid with its own nodes and a border of nodes of the adjacent blocks.
 struct Block {
-    /// Number, on the grid with border, of the node before the first along each axis.
+    /// Index, in the grid with border, of the block's border node at index (0, 0, 0).
     origin: usize,
-    /// Own nodes along each axis; their places begin at 1.
+    /// Number of the block's own nodes along each axis. The indices of these nodes begin at 1.
     size: [usize; 3],
-    /// Numbers of the blocks before and after it along each axis.
+    /// Numbers of the blocks before and after this block along each axis.
     beside: [[Option<usize>; 2]; 3],
-    /// Colour of the chessboard, 0 or 1.
+    /// Colour in the chessboard pattern, 0 or 1.
     colour: usize,
-    /// Indices of its requested nodes that may still be lowered.
+    /// Indices of the block's requested nodes that may still be lowered.
     asked: Vec<u16>,
     queue: Queue,
 }
 
 impl<'a> Blocks<'a> {
-    /// Divides a grid of `size` into blocks and queues all nodes with finite values. With `asked`,
-    /// only these nodes need final values.
+    /// Divides a grid of `size` into blocks and queues all nodes with finite values. If `asked` is
+    /// given, only the nodes in it need final values.
     pub(crate) fn new(size: [usize; 3], scheme: &'a Scheme, values: &'a Values, asked: Option<&NodeSet>) -> Self {
         let count = size.map(|n| n.div_ceil(SIDE));
         let step = [1, count[0], count[0] * count[1]];
@@ -90,7 +92,7 @@ impl<'a> Blocks<'a> {
     /// Marches until all requested nodes have their final values, or all nodes if none are
     /// requested.
     pub(crate) fn march(mut self) {
-        // one call into the thread pool instead of one per turn
+        // enter the thread pool once instead of once per turn
         rayon::scope(|_| {
             while let Some(first) = self.blocks.iter().filter_map(|block| block.queue.first()).min() {
                 if self.ends && !self.is_any_above(first) {
@@ -103,8 +105,8 @@ impl<'a> Blocks<'a> {
         });
     }
 
-    /// Whether a requested node has a value above the lower end of a bucket. Nodes that have not
-    /// are final, and are removed from the requested ones.
+    /// Returns whether any requested node has a value above the lower end of a bucket. The other
+    /// requested nodes are final and are removed from `asked`.
     fn is_any_above(&mut self, bucket: u64) -> bool {
         let (scheme, values, reached) = (self.scheme, self.values, self.blocks[0].queue.least(bucket));
         self.blocks.par_iter_mut().for_each(|block| {
@@ -127,18 +129,19 @@ impl<'a> Blocks<'a> {
 }
 
 impl Block {
-    /// Number of the node at a place.
+    /// Returns the index, in the grid with border, of the node at a position in the block.
     fn node(&self, scheme: &Scheme, [i, j, k]: [usize; 3]) -> usize {
         self.origin + i + j * scheme.strides[1] + k * scheme.strides[2]
     }
 
-    /// Places of the block's own nodes.
+    /// Returns the positions of the block's own nodes.
     fn own(&self) -> impl Iterator<Item = [usize; 3]> {
         let [nx, ny, nz] = self.size;
         (1..=nz).flat_map(move |k| (1..=ny).flat_map(move |j| (1..=nx).map(move |i| [i, j, k])))
     }
 
-    /// Nodes with finite values in the block and its border, in descending order of value.
+    /// Returns the nodes with finite values in the block and its border, in descending order of
+    /// value.
     fn sources(&self, scheme: &Scheme, values: &Values) -> Vec<Queued> {
         let around = |axis: usize| 0..self.size[axis] + 2;
         let mut sources = Vec::new();
@@ -151,15 +154,15 @@ impl Block {
         sources
     }
 
-    /// Marches over the buckets before `end`; returns the messages to adjacent blocks.
+    /// Marches over the buckets before `end`. Returns the messages to adjacent blocks.
     fn march(&mut self, scheme: &Scheme, values: &Values, end: u64) -> Vec<Message> {
         let mut messages = Vec::new();
         while let Some(first) = self.queue.first().filter(|&first| first < end) {
             for (at, value) in self.queue.take(first) {
                 let place = place(at);
                 let node = self.node(scheme, place);
-                // a node that was lowered after this entry is queued again, so the entry is
-                // outdated
+                // a node that was lowered after this entry was made is queued again, so this entry
+                // is outdated
                 if values.get(node) >= value {
                     self.lower_neighbours(scheme, values, (place, node, value), &mut messages);
                 }
@@ -168,7 +171,8 @@ impl Block {
         messages
     }
 
-    /// Lowers the block's own nodes among the neighbours of a node (place, number, value).
+    /// Lowers those neighbours of a node that are the block's own. The node is given by its
+    /// position in the block, its index in the grid with border, and its value.
     #[inline]
     fn lower_neighbours(
         &mut self,
@@ -203,7 +207,7 @@ impl Block {
         }
     }
 
-    /// Queues a node in this block and in the blocks in whose border it lies.
+    /// Queues a node in this block, and in adjacent blocks whose border contains the node.
     #[inline]
     fn lowered(&mut self, place: [usize; 3], value: f32, messages: &mut Vec<Message>) {
         self.queue.push(index(place), value);
@@ -222,26 +226,26 @@ impl Block {
     }
 }
 
-/// Index of a place in a block with border.
+/// Returns the index of a position in a block with border.
 fn index([i, j, k]: [usize; 3]) -> u32 {
     (i + WIDE * (j + WIDE * k)) as u32
 }
 
-/// Place of an index.
+/// Returns the position of an index.
 fn place(index: u32) -> [usize; 3] {
     let index = index as usize;
     [index % WIDE, index / WIDE % WIDE, index / (WIDE * WIDE)]
 }
 
-/// Nodes in buckets by value.
+/// A queue that sorts nodes into buckets by value.
 struct Queue {
     width: f64,
     /// 1 / width.
     rate: f64,
     /// The initial nodes, in descending order of value.
     sources: Vec<Queued>,
-    /// The other nodes: buckets from number `start`, the first of them not empty. A node is at most
-    /// one step above the one that lowered it, so few buckets are in use.
+    /// Buckets of the other nodes, from bucket number `start`. The first bucket is never empty. A
+    /// node is at most one step above the node that lowered it, so few buckets are in use.
     buckets: VecDeque<Vec<Queued>>,
     start: u64,
 }
@@ -255,12 +259,12 @@ impl Queue {
         (f64::from(value) * self.rate) as u64
     }
 
-    /// Lower end of a bucket.
+    /// Returns the lower end of a bucket.
     fn least(&self, bucket: u64) -> f64 {
         bucket as f64 * self.width
     }
 
-    /// Number of the first bucket that is not empty.
+    /// Returns the number of the first bucket that is not empty.
     fn first(&self) -> Option<u64> {
         let source = self.sources.last().map(|&(_, value)| self.bucket(value));
         let start = (!self.buckets.is_empty()).then_some(self.start);

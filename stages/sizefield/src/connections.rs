@@ -1,6 +1,6 @@
 //! Adjacency of surface samples by triangle edges.
 
-/// The neighbours of every sample, in one array.
+/// The neighbours of all samples, in one array.
 #[derive(Clone, Debug)]
 pub struct Connections {
     start: Vec<u32>,
@@ -8,11 +8,11 @@ pub struct Connections {
 }
 
 impl Connections {
-    /// The edges of the triangles over `samples` samples.
+    /// Returns the adjacency of `samples` samples by the edges of the triangles.
     pub fn new(samples: usize, triangles: &[[u32; 3]]) -> Self {
-        // the two triangles of an edge run along it in opposite directions, so one direction per
-        // triangle gives every neighbour once; at the rim of an open surface one of the two is
-        // missing
+        // the two triangles at an edge traverse it in opposite directions, so storing one direction
+        // per triangle gives every neighbour once; an edge at the rim of an open surface has only
+        // one triangle
         let mut start = vec![0u32; samples + 1];
         for t in triangles {
             t.iter().for_each(|&v| start[v as usize + 1] += 1);
@@ -31,7 +31,7 @@ impl Connections {
         Self { start, neighbours }
     }
 
-    /// The neighbours of a sample.
+    /// Returns the neighbours of a sample.
     pub fn of(&self, sample: usize) -> &[u32] {
         &self.neighbours[self.start[sample] as usize..self.start[sample + 1] as usize]
     }

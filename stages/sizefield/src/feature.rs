@@ -19,36 +19,38 @@ use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
-/// Rounds of averaging that remove ripple from the curvature. A spline through samples of a steep
-/// edge rings, which affects its second derivatives as much as the shape does. Measured on a ball
-/// of radius 19 voxels with an edge two voxels wide: the maximum curvature is 2.1 / R without
-/// averaging and 1.25 / R with it.
+/// Number of averaging rounds that remove ripple from the curvature. A spline through samples of a
+/// steep edge rings, and the ringing affects the second derivatives as much as the shape does.
+/// Measured on a ball of radius 19 voxels with an edge two voxels wide: the maximum curvature is
+/// 2.1 / R without averaging and 1.25 / R with it.
 pub(crate) const CURVATURE_ROUNDS: usize = 8;
 
-/// Radius of curvature, in voxels, below which it bounds the feature size. At such radii ripple is
-/// comparatively small, while the pruned end of the medial axis behind a tip is not.
+/// A radius of curvature below this many voxels bounds the feature size. At such radii, the error
+/// from ripple is small compared with the error from the pruned end of the medial axis behind a
+/// tip.
 pub(crate) const SHARP: f64 = 5.0;
 
-/// Depth, in voxels, to which samples may lie inside a medial ball. Without it, ripple next to the
+/// Maximum depth in voxels of samples inside a medial ball. With a depth of 0, ripple next to the
 /// touching point would shrink balls to nothing. A larger value reduces the feature size (2.5 % on
 /// the ball at 0.03).
 const BLUR: f64 = 0.01;
 
-/// The same depth where there is noise, as a share of the noise: the part that remains in the
-/// patches. At 0.3 the 5th percentile of the feature size of a noisy ball of 19 voxels fell from 18
-/// to 7.5 (without pruning of bumps); 1 gives the same as 0.6.
+/// Maximum depth of samples inside a medial ball on a noisy surface, as a fraction of the noise. It
+/// covers the noise that remains in the patches. At 0.3, the 5th percentile of the feature size of
+/// a noisy ball of 19 voxels fell from 18 to 7.5 (without pruning of bumps); 1 gives the same as
+/// 0.6.
 const LEFT_OVER: f64 = 0.6;
 
 /// Maximum number of leaves of the axis tree that one nearest-point query visits. The axis of a
 /// ball is a cloud of points at nearly equal distances.
 const MOST_LEAVES: usize = 400;
 
-/// Meaning of small bumps of the surface.
+/// Interpretation of small bumps on the surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bumps {
-    /// They may be noise of a scalar volume, which is detected and not treated as shape.
+    /// Bumps may be noise of a scalar volume. Noise is detected and not treated as shape.
     MayBeNoise,
-    /// They are shape and are measured as they are: on labels, each bump has a voxel centre on its
+    /// Bumps are shape and are measured unchanged. On labels, each bump has a voxel centre on its
     /// side.
     AreShape,
 }
@@ -56,40 +58,40 @@ pub enum Bumps {
 /// Purpose of the measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// To find where a constant h is too large; needs feature sizes only.
+    /// Finding where a constant h is too large. This needs only feature sizes.
     OneSize,
-    /// To size each sample; needs curvature and components too.
+    /// Choosing a size for each sample. This also needs curvature and components.
     Grading,
 }
 
 /// Samples of F = 0 with their measurements.
 #[derive(Clone, Debug)]
 pub struct Features {
-    /// Positions on F = 0, grid frame, mm.
+    /// Positions on F = 0, in mm in the grid frame.
     pub points: Vec<DVec3>,
     /// Unit normals, outward.
     pub normals: Vec<DVec3>,
-    /// Maximum principal curvature in magnitude, per mm; that of the surface under the noise where
-    /// there is some. Empty for [`Purpose::OneSize`].
+    /// Maximum magnitude of the principal curvatures, per mm. Noisy parts have the curvature of the
+    /// surface under the noise. Empty for [`Purpose::OneSize`].
     pub curvature: Vec<f64>,
-    /// Distance to the medial axis, inside or outside, mm; at sharp places at most the radius of
-    /// curvature. Where there is noise, that of the surface under it.
+    /// Distance in mm to the medial axis, inside or outside; where curvature is high, at most the
+    /// radius of curvature. Noisy parts have the feature size of the surface under the noise.
     pub feature_size: Vec<f64>,
-    /// Height of the noise that is not treated as shape, root mean square, mm.
+    /// Root mean square height in mm of the noise that is not treated as shape.
     pub noise: Vec<f64>,
-    /// Triangles between the samples (marching cubes, projected).
+    /// Triangles between the samples, from marching cubes with projected vertices.
     pub triangles: Vec<[u32; 3]>,
-    /// Component of F = 0 of each sample; [`NO_COMPONENT`] if it cannot be determined. Empty for
-    /// [`Purpose::OneSize`].
+    /// Component of F = 0 that contains each sample; [`NO_COMPONENT`] if it cannot be determined.
+    /// Empty for [`Purpose::OneSize`].
     pub component: Vec<u32>,
-    /// Area of each component, mm squared; for [`Purpose::OneSize`] to first order in the edge of
-    /// the topology's cells.
+    /// Area of each component in mm^2. For [`Purpose::OneSize`], the area is accurate to first
+    /// order in the edge of the topology's cells.
     pub component_area: Vec<f64>,
 }
 
 impl Features {
-    /// Samples F = 0 at the projected vertices of marching cubes and measures it. Feature sizes are
-    /// limited to `largest` (mm). Empty if there is no surface.
+    /// Samples F = 0 at the projected vertices of marching cubes and measures the samples. Feature
+    /// sizes are limited to `largest` (mm). The result is empty if there is no surface.
     pub fn new(
         image: &Image<f32>,
         surface: &CubicSpline,
@@ -115,12 +117,12 @@ impl Features {
                 Smoothed::new(&samples, &incidence, spacing)
             }
         };
-        // not averaged: the curvature of a tip would become that of its surroundings
+        // not averaged, because averaging would flatten the curvature of a tip
         let sharp: Vec<f64> = (0..points.len())
             .into_par_iter()
             .map(|i| match &smoothed.patches[i] {
                 Some(patch) => largest_curvature(&patch.curvature, patch.normal),
-                // next to a noisy place, the derivatives of F are noisy too
+                // next to a noisy region, the derivatives of F are noisy too
                 None if smoothed.noise[i] > 0.0 => 0.0,
                 None => largest_curvature(&tensors[i], normals[i]),
             })
@@ -156,8 +158,8 @@ impl Features {
     }
 }
 
-/// The area of each component, mm squared: of its triangles, or the topology's estimate if it has
-/// none (components between the samples).
+/// Returns the area of each component in mm^2. A component between the samples has no triangles and
+/// gets the estimate of the topology.
 fn component_areas(points: &[DVec3], triangles: &[[u32; 3]], component: &[u32], all: &[Component]) -> Vec<f64> {
     let mut areas = vec![0.0; all.len()];
     for t in triangles {
@@ -169,8 +171,8 @@ fn component_areas(points: &[DVec3], triangles: &[[u32; 3]], component: &[u32], 
     areas
 }
 
-/// Maximum principal curvature (per mm) from the tensors of F, averaged along the surface; where
-/// there is noise, from the tensors of the patches.
+/// Returns the maximum principal curvature (per mm) from the tensors of F, averaged along the
+/// surface. Noisy parts use the tensors of the patches.
 fn averaged_curvature(
     mut tensors: Vec<DMat3>,
     normals: &[DVec3],
@@ -194,8 +196,8 @@ fn averaged_curvature(
     curvature
 }
 
-/// Distance to the medial axis of the surface under the noise, mm; where the curvature `sharp` is
-/// high, at most its radius.
+/// Returns the distance in mm to the medial axis of the surface under the noise. Where the
+/// curvature `sharp` is high, the distance is at most the radius of curvature.
 fn feature_sizes(
     points: &[DVec3],
     normals: &[DVec3],

@@ -1,10 +1,10 @@
 //! Gradation: lowers h until |grad h| <= delta everywhere.
 //!
-//! The paper's predecessor runs an upwind scheme in time steps that only lowers h. Its steady
-//! state, h(x) = min over y of h0(y) + delta |x - y|, is an Eikonal problem with boundary values.
-//! This module solves it by marching from small h to large (Sethian 1996) with a bucket queue
-//! (Yatziv, Bartesaghi and Sapiro 2006). A node that is lowered again by a later node of its bucket
-//! is queued again, so the order within a bucket does not matter.
+//! The paper's predecessor lowers h in time steps with an upwind scheme. The steady state of this
+//! scheme, h(x) = min over y of h0(y) + delta |x - y|, is an Eikonal problem with boundary values.
+//! This module solves the problem by marching from small h to large h (Sethian 1996) with a bucket
+//! queue (Yatziv, Bartesaghi and Sapiro 2006). A node that a later node of the same bucket lowers
+//! again is queued again, so the order within a bucket does not matter.
 //!
 //! The grid is marched block by block (`blocks.rs`), several buckets at a time.
 
@@ -12,11 +12,12 @@ use crate::blocks::Blocks;
 use isoparticles_volume::Image;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-/// Minimum relative gain for which a node is lowered.
+/// Minimum relative decrease for which a node is lowered.
 const LEAST_GAIN: f64 = 1e-6;
 
-/// Lowers h to the steady state and fills in infinite values. With `asked`, only these nodes reach
-/// it; others may be above it. The result does not depend on the number of threads.
+/// Lowers h to the steady state and replaces infinite values. If `asked` is given, only the nodes
+/// in it are sure to reach the steady state; other nodes may be above it. The result does not
+/// depend on the number of threads.
 pub fn limit_gradient(h: &mut Image<f32>, delta: f64, asked: Option<&NodeSet>) {
     let size = h.geometry.size;
     let scheme = Scheme::new(size, (h.geometry.spacing * delta).to_array());
@@ -29,7 +30,7 @@ pub fn limit_gradient(h: &mut Image<f32>, delta: f64, asked: Option<&NodeSet>) {
 pub struct NodeSet(Vec<u64>);
 
 impl NodeSet {
-    /// The empty set of a grid with `count` nodes.
+    /// Returns an empty set for a grid with `count` nodes.
     pub fn new(count: usize) -> Self {
         Self(vec![0; count.div_ceil(u64::BITS as usize)])
     }
@@ -39,18 +40,18 @@ impl NodeSet {
         self.0[node / u64::BITS as usize] |= 1 << (node % u64::BITS as usize);
     }
 
-    /// Whether the set contains a node.
+    /// Returns whether the set contains a node.
     pub fn contains(&self, node: usize) -> bool {
         self.0[node / u64::BITS as usize] >> (node % u64::BITS as usize) & 1 == 1
     }
 }
 
-/// h at the nodes, with a border of infinite values. One thread may set a value while others read
-/// elsewhere.
+/// h at the nodes, with a border of infinite values. One thread may set a value while other threads
+/// read other values.
 pub(crate) struct Values(Vec<AtomicU32>);
 
 impl Values {
-    /// Takes the values of a grid and moves them in place, so that only one copy exists at any
+    /// Takes the values of a grid and adds the border in place, so that only one copy exists at any
     /// time.
     fn new(mut data: Vec<f32>, [nx, ny, nz]: [usize; 3]) -> Self {
         let row_start = Self::row_start([nx, ny]);
@@ -68,7 +69,7 @@ impl Values {
         Self(data.into_iter().map(|value| AtomicU32::new(value.to_bits())).collect())
     }
 
-    /// The values without the border.
+    /// Returns the values without the border.
     fn into_data(self, [nx, ny, nz]: [usize; 3]) -> Vec<f32> {
         let mut data: Vec<f32> = self.0.into_iter().map(|value| f32::from_bits(value.into_inner())).collect();
         let row_start = Self::row_start([nx, ny]);
@@ -80,12 +81,13 @@ impl Values {
         data
     }
 
-    /// Index of the first node of a row on the grid with border.
+    /// Returns a function that gives the index, in the grid with border, of the first node of a
+    /// row.
     fn row_start([nx, ny]: [usize; 2]) -> impl Fn(usize) -> usize {
         move |row| ((row / ny + 1) * (ny + 2) + row % ny + 1) * (nx + 2) + 1
     }
 
-    /// Value of a node, by its number on the grid with border.
+    /// Returns the value of a node, given its index in the grid with border.
     #[inline]
     pub(crate) fn get(&self, at: usize) -> f32 {
         f32::from_bits(self.0[at].load(Relaxed))
@@ -99,9 +101,9 @@ impl Values {
 
 /// Godunov scheme of |grad h| = delta on a grid with a border of one node.
 pub(crate) struct Scheme {
-    /// Index difference of adjacent nodes along each axis.
+    /// Difference between the indices of adjacent nodes along each axis.
     pub(crate) strides: [usize; 3],
-    /// Maximum change of h between adjacent nodes along each axis, mm.
+    /// Maximum change of h in mm between adjacent nodes along each axis.
     pub(crate) rise: [f64; 3],
     /// 1 / rise^2.
     weight: [f64; 3],
@@ -113,8 +115,8 @@ impl Scheme {
         Self { strides, rise, weight: rise.map(|rise| 1.0 / (rise * rise)) }
     }
 
-    /// Lowers a node to the value that its neighbours allow, if that is below its value. Returns
-    /// the new value.
+    /// Lowers a node to the value that the neighbours allow, if this is below the current value.
+    /// Returns the new value, or `None` if nothing changes.
     #[inline]
     pub(crate) fn lower(&self, h: &Values, at: usize) -> Option<f32> {
         let smaller = |axis: usize| {
@@ -122,7 +124,7 @@ impl Scheme {
             f64::from(if before < after { before } else { after })
         };
         let smaller = [smaller(0), smaller(1), smaller(2)];
-        // nearly always there is nothing to gain; this test needs no square root
+        // most calls change nothing; this test detects them without a square root
         let worth = f64::from(h.get(at)) * (1.0 - LEAST_GAIN);
         let steepness = |axis: usize| {
             let drop = if smaller[axis] < worth { worth - smaller[axis] } else { 0.0 };
@@ -145,11 +147,12 @@ impl Scheme {
         let (y, z) = ordered(y, (z, self.weight[2]));
         let ((least, wa), y) = ordered(x, y);
         // p u^2 - 2 q u + r = 1 over the active axes, in ascending order of value; an axis is
-        // active if the solution of the previous ones exceeds its value
+        // active if the solution with the previous axes exceeds the value of the axis
         let (mut p, mut q, mut r) = (wa, 0.0, 0.0);
         for (value, weight) in [y, z] {
             let over = value - least;
-            // the left side at this value; NaN if the value is infinite, which ends the loop
+            // compares the left side at this value with 1; an infinite value gives NaN, which ends
+            // the loop
             let takes_part = p * over * over - 2.0 * q * over + r < 1.0;
             if !takes_part {
                 break;
@@ -186,7 +189,7 @@ mod tests {
         }
     }
 
-    /// Repeated sweeps over all nodes end at the same values as the march in blocks.
+    /// Repeated sweeps over all nodes converge to the same values as the march in blocks.
     #[test]
     fn blocks_come_to_the_steady_state_of_plain_sweeps() {
         let size = [71, 40, 35];
@@ -198,7 +201,7 @@ mod tests {
         }
         let scheme = Scheme::new(size, (geometry.spacing * 0.4).to_array());
         let swept = Values::new(h.data.clone(), size);
-        // all finite values are inside the border
+        // the border contains no finite value
         let finite = |values: &[f32]| values.iter().filter(|value| value.is_finite()).count();
         let bordered: Vec<f32> = (0..swept.0.len()).map(|n| swept.get(n)).collect();
         assert_eq!(finite(&bordered), finite(&h.data));
@@ -208,7 +211,7 @@ mod tests {
             .collect();
         let is_reached = |n: usize| scheme.strides.iter().any(|s| swept.get(n - s).min(swept.get(n + s)).is_finite());
         let lower = |n: usize| is_reached(n) && scheme.lower(&swept, n).is_some();
-        // each pair of sweeps visits every node, even if the first changes something
+        // both sweeps of a pair visit every node, even if the first sweep changes something
         while nodes.iter().filter(|&&n| lower(n)).count() + nodes.iter().rev().filter(|&&n| lower(n)).count() > 0 {}
         let want = swept.into_data(size);
         let on = |threads: usize| {
@@ -220,7 +223,7 @@ mod tests {
         let alone = on(1);
         assert!(alone == on(4), "the values depend on the number of threads");
         for (n, (&got, &want)) in alone.iter().zip(&want).enumerate() {
-            // both end when no node gains a millionth
+            // both stop when no node decreases by a millionth
             assert!((got / want - 1.0).abs() < 2e-5, "node {n}: {got}, not {want}");
         }
     }
@@ -230,7 +233,8 @@ mod tests {
         let geometry = Geometry::axis_aligned([70, 51, 44], DVec3::new(1.0, 0.8, 1.3));
         let mut h = Image::filled(geometry.clone(), f32::INFINITY);
         let mut asked = NodeSet::new(h.data.len());
-        // a plane whose sizes vary by more than its width, so that most final values come from afar
+        // sizes in a plane that vary by more than its width, so that most final values come from
+        // distant nodes
         for (i, j) in (0..70).flat_map(|i| (0..51).map(move |j| (i, j))) {
             let node = geometry.linear(i, j, 20);
             h.data[node] = (1.0 + 30.0 * uniform(1, 0, (i / 9 + 100 * (j / 7)) as u64)) as f32;

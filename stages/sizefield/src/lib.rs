@@ -1,8 +1,9 @@
 //! The `sizefield` stage: computes the target edge length h from local feature size and curvature,
 //! and limits its gradient.
 //!
-//! Section 3.1 of Kim, Chen and Hansen 2012, and Meyer, Kirby and Whitaker 2007: h0 = epsilon times
-//! the local feature size at the surface, bounded by curvature, then |grad h| <= delta.
+//! The method follows section 3.1 of Kim, Chen and Hansen 2012, and Meyer, Kirby and Whitaker 2007.
+//! At the surface, h0 is epsilon times the local feature size, bounded by curvature. Then h is
+//! lowered until |grad h| <= delta.
 
 mod averages;
 mod blocks;
@@ -28,18 +29,19 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use region::SizedNode;
 
-/// Rounds of averaging that smooth the graded h along the surface, and the maximum factor by which
-/// they may enlarge h. Particles settle badly where h is rough: on a label map at voxel scale,
-/// smoothing raises the mean radius ratio by 0.01.
+/// Number of averaging rounds that smooth the graded h along the surface, and the maximum factor by
+/// which they may enlarge h. Particles settle poorly where h is rough. On a label map at voxel
+/// scale, smoothing raises the mean radius ratio by 0.01.
 const SMOOTHING: (usize, f64) = (6, 1.3);
 
-/// Lower bound of h on small components, as a share of the minimum h.
+/// Lower bound of h on small components, as a fraction of the minimum h.
 const SMALLEST_SHARE: f64 = 0.25;
 
-/// Number of particles that h leaves room for on every component, down to [`SMALLEST_SHARE`].
+/// Minimum number of particles for which h leaves room on every component, unless
+/// [`SMALLEST_SHARE`] bounds h.
 const MIN_PARTICLES: f64 = 32.0;
 
-/// Parameters of the sizing field. Lengths in mm.
+/// Parameters of the sizing field. All lengths are in mm.
 #[derive(Clone, Debug)]
 pub struct Parameters {
     /// h0 = epsilon times local feature size.
@@ -50,18 +52,18 @@ pub struct Parameters {
     pub min_size: f64,
     /// Maximum h at the surface.
     pub max_size: f64,
-    /// Maximum distance of a triangle's centre from the surface due to curvature: h0 <= sqrt(6
+    /// Maximum distance from a triangle's centre to the surface due to curvature: h0 <= sqrt(6
     /// deviation R).
     pub max_deviation: f64,
     /// Minimum number of particles of each component of the surface.
     pub min_particles: f64,
-    /// Factor on the result of all of the above.
+    /// Factor on the h that results from all parameters above.
     pub scale: f64,
-    /// Nodes at which the user limits h to a value (mm), regardless of the minimum h.
+    /// Nodes at which the user limits h to a value in mm. These values may be below the minimum h.
     pub refined: Vec<SizedNode>,
 }
 
-/// Edge length of each sample before gradation, mm.
+/// Returns the edge length in mm of each sample before gradation.
 pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
     (0..features.points.len())
         .map(|i| {
@@ -70,8 +72,7 @@ pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
             // h^2 / (6 R) below the surface
             let by_deviation = (6.0 * parameters.max_deviation / features.curvature[i].max(1e-12)).sqrt();
             let area = features.component_area.get(features.component[i] as usize).copied().unwrap_or(f64::INFINITY);
-            // a small component may be below the resolution of the data; it gets at least a few
-            // triangles
+            // a component below the resolution of the data still gets at least a few triangles
             let by_component = (2.0 * area / (3f64.sqrt() * parameters.min_particles))
                 .sqrt()
                 .max(SMALLEST_SHARE * parameters.min_size);
@@ -81,8 +82,8 @@ pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
         .collect()
 }
 
-/// The sizing field on the grid of the distance field: the sizes of the samples, graded, smoothed
-/// along the surface, and graded into the volume.
+/// Returns the sizing field on the grid of the distance field. The sizes of the samples are graded,
+/// smoothed along the surface, and graded into the volume.
 pub fn size_field(distance: &Image<f32>, features: &Features, parameters: &Parameters) -> SizingField {
     let wanted = wanted_sizes(features, parameters);
     let samples = Samples { geometry: &distance.geometry, points: &features.points, triangles: &features.triangles };
@@ -93,14 +94,15 @@ pub fn size_field(distance: &Image<f32>, features: &Features, parameters: &Param
 pub(crate) struct Samples<'a> {
     /// The grid.
     pub(crate) geometry: &'a Geometry,
-    /// Positions, grid frame, mm.
+    /// Positions in mm in the grid frame.
     pub(crate) points: &'a [DVec3],
-    /// Triangles between them.
+    /// Triangles between the positions.
     pub(crate) triangles: &'a [[u32; 3]],
 }
 
-/// The field of the sizes `wanted` by the samples: graded, smoothed along the surface, and graded
-/// into the volume. Smoothing does not lift a sample above its value in `most`, which may be empty.
+/// Returns the sizing field for the sizes `wanted` at the samples. These are graded, smoothed along
+/// the surface, and graded into the volume. Smoothing does not raise a sample above its value in
+/// `most`; an empty `most` sets no limits.
 pub(crate) fn graded_field(
     samples: &Samples<'_>,
     wanted: &[f64],
@@ -117,8 +119,9 @@ pub(crate) fn graded_field(
     spread(samples, &smooth, parameters, None)
 }
 
-/// Gives the nodes of each triangle's cell the minimum size of its corners, so that trilinear h is
-/// no larger there. Then grades the remaining nodes, or at least those in `asked`.
+/// Sets the nodes of the cell at each triangle's centre to the minimum size of the triangle's
+/// corners, so that the trilinear h is no larger there. Then grades the remaining nodes, or at
+/// least the nodes in `asked`.
 fn spread(samples: &Samples<'_>, sizes: &[f64], parameters: &Parameters, asked: Option<&NodeSet>) -> SizingField {
     let geometry = samples.geometry;
     let mut h = Image::filled(geometry.clone(), f32::INFINITY);
@@ -136,7 +139,8 @@ fn spread(samples: &Samples<'_>, sizes: &[f64], parameters: &Parameters, asked: 
     SizingField::new(h)
 }
 
-/// The nodes of the cell at a place; outside the grid, of the nearest cell.
+/// Returns the nodes of the cell that contains a position, or of the nearest cell for a position
+/// outside the grid.
 pub(crate) fn cell_nodes(geometry: &Geometry, p: DVec3) -> [usize; 8] {
     let index = geometry.grid_to_index(p);
     let base: [usize; 3] =
@@ -147,7 +151,7 @@ pub(crate) fn cell_nodes(geometry: &Geometry, p: DVec3) -> [usize; 8] {
     })
 }
 
-/// Smooths the sizes along the surface, with the growth limited by [`SMOOTHING`].
+/// Smooths the sizes along the surface. [`SMOOTHING`] limits their growth.
 fn smooth_over_surface(sizes: &mut [f64], incidence: &Incidence<'_>) {
     let limit: Vec<f64> = sizes.iter().map(|h| SMOOTHING.1 * h).collect();
     for _ in 0..SMOOTHING.0 {
@@ -156,7 +160,7 @@ fn smooth_over_surface(sizes: &mut [f64], incidence: &Incidence<'_>) {
     }
 }
 
-/// A constant sizing field.
+/// Returns a constant sizing field.
 pub fn uniform_field(distance: &Image<f32>, size: f64) -> SizingField {
     SizingField::new(Image::filled(distance.geometry.clone(), size as f32))
 }

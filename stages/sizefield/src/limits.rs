@@ -1,5 +1,5 @@
-//! Checks before the later stages: rejects an edge length larger than the object and counts that
-//! exceed the memory. Reports components that are too small for their h.
+//! Checks the sizing field before the later stages. Rejects an edge length larger than the object,
+//! and particle counts that exceed the memory. Reports components that are too small for their h.
 
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::topology::Component;
@@ -10,8 +10,8 @@ use serde::Serialize;
 use std::path::Path;
 
 /// Minimum number of particles of the largest component with a constant h. `seed` gives every
-/// component at least as many, and fewer do not make a closed surface. Twelve vertices make an
-/// icosahedron, the coarsest surface with five triangles at each vertex.
+/// component at least this many particles, and fewer particles do not make a closed surface. Twelve
+/// vertices make an icosahedron, the coarsest surface with five triangles at each vertex.
 const FEWEST: f64 = 12.0;
 
 /// Particles of the hexagonal lattice of spacing h per mm^2.
@@ -22,16 +22,16 @@ fn density(h: f64) -> f64 {
 /// A component that is too small for its h.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TooSmall {
-    /// A place next to it, world, mm.
+    /// A point next to the component, in mm in the world frame.
     pub place: [f64; 3],
-    /// Its maximum extent along an axis of the grid, mm.
+    /// Maximum extent of the component in mm along an axis of the grid.
     pub size: f64,
-    /// h there, mm.
+    /// h at that point, mm.
     pub h: f64,
 }
 
-/// The components of F = 0 to which h gives fewer particles than a closed surface needs, in their
-/// order.
+/// Returns the components of F = 0 on which h gives fewer particles than a closed surface needs, in
+/// the order of `components`.
 pub fn too_small(components: &[Component], sizing: &SizingField) -> Vec<TooSmall> {
     let told = |component: &Component| {
         let h = sizing.at(component.place);
@@ -42,7 +42,8 @@ pub fn too_small(components: &[Component], sizing: &SizingField) -> Vec<TooSmall
     components.iter().filter_map(told).collect()
 }
 
-/// Message about components that are too small, out of `components`; `None` if there are none.
+/// Returns a message about components that are too small, or `None` if there are none. `components`
+/// is the total number of components.
 pub fn too_small_told(found: &[TooSmall], components: usize) -> Option<String> {
     let smallest = found.iter().min_by(|a, b| a.size.total_cmp(&b.size))?;
     Some(format!(
@@ -60,7 +61,7 @@ pub fn too_small_told(found: &[TooSmall], components: usize) -> Option<String> {
 /// Rejects a constant h that gives even the largest component, of `area` mm^2, too few particles.
 ///
 /// # Errors
-/// If there are too few; the message names a suitable edge length.
+/// If there would be too few particles. The message suggests an edge length.
 pub fn check_size(path: &Path, size: f64, area: f64) -> Result<()> {
     let count = area * density(size);
     if count >= FEWEST {
@@ -89,7 +90,7 @@ pub fn check_size(path: &Path, size: f64, area: f64) -> Result<()> {
 /// Rejects sizes that need more particles than the memory allows in later stages.
 ///
 /// # Errors
-/// If the memory does not suffice; the message has the figures.
+/// If the memory does not suffice. The message contains the figures.
 pub fn check_count(path: &Path, predicted: f64, nodes: usize, context: &Context) -> Result<()> {
     context.check_memory(
         particles_bytes(predicted, nodes),
@@ -110,7 +111,7 @@ mod tests {
 
     #[test]
     fn a_small_component_without_samples_is_reported() {
-        // a ball, and a small component between the samples
+        // a ball, and a small component that lies between the samples
         let geometry = Geometry::axis_aligned([32, 24, 24], DVec3::ONE);
         let (ball, speck) = (DVec3::new(9.0, 12.0, 12.0), DVec3::new(24.5, 12.45, 12.52));
         let distance = |p: DVec3| (p.distance(ball) - 6.0).min(0.4 * (p.distance_squared(speck) - 0.3)) as f32;
@@ -131,7 +132,7 @@ mod tests {
 
     #[test]
     fn a_size_above_the_object_is_refused_with_a_better_one() {
-        // a ball of radius 10: 1257 mm^2, twelve particles at 11 mm
+        // a ball of radius 10 mm has an area of 1257 mm^2: twelve particles at h = 11 mm
         let area = 400.0 * std::f64::consts::PI;
         let path = Path::new("f.vti");
         assert!(check_size(path, 10.9, area).is_ok());

@@ -1,4 +1,4 @@
-//! The `sizefield` program: parse, run, exit code.
+//! The `sizefield` program: parses the arguments, runs the stage and returns the exit code.
 
 use std::process::ExitCode;
 

@@ -1,19 +1,20 @@
-//! Points of the medial axis by the shrinking-ball algorithm (Ma, Bae and Choi 2012), on dense
-//! samples of the surface.
+//! Computes points of the medial axis from dense samples of the surface with the shrinking-ball
+//! algorithm (Ma, Bae and Choi 2012).
 //!
-//! A ball that touches the surface at a sample is shrunk until no other sample lies inside it. Its
-//! centre is then on the medial axis, inside or outside the object, so each sample gives two balls.
-//! Balls of unstable branches of the axis are pruned (Chazal and Lieutier 2005), by two criteria:
+//! A ball that touches the surface at a sample is shrunk until no other sample lies inside it. The
+//! centre of the ball is then on the medial axis, inside or outside the object. Each sample
+//! therefore gives two balls. Balls of unstable branches of the axis are pruned (Chazal and
+//! Lieutier 2005) by two criteria:
 //!
 //! - The two touching points are seen from the centre under a small angle. Such a ball belongs to
-//!   ripple or to the last bit of an end of the axis. Pruning shortens ends only slightly: the
-//!   feature size at the tip of an ellipsoid is 0.4 % too large.
-//! - Where there is noise ([`crate::noise`]), the cap of the ball between the two points is no
+//!   ripple or to the outermost part of an end of the axis. Pruning shortens ends only slightly:
+//!   the feature size at the tip of an ellipsoid is 0.4 % too large.
+//! - The surface has noise ([`crate::noise`]), and the cap of the ball between the two points is no
 //!   higher than twice the noise. Such a ball belongs to a bump of the noise.
 //!
-//! Two upper bounds of the radius save time: the distance field, and the sample that the previous
-//! ball touches. Balls that touch the surface at one sample from one side are nested, so a single
-//! query that shrinks the ball finds the smallest.
+//! Two upper bounds of the radius save time. One comes from the distance field, and the other from
+//! the sample that the previous ball touches. Balls that touch the surface at one sample from one
+//! side are nested, so a single query that shrinks the ball finds the smallest ball.
 
 use glam::DVec3;
 use isoparticles_field::sizing::trilinear;
@@ -21,46 +22,47 @@ use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
-/// Balls are pruned if the centre sees their two touching points under less than this angle
-/// (radians).
+/// Minimum angle in radians between the two touching points of a ball, seen from its centre. Balls
+/// with smaller angles are pruned.
 pub const MIN_SEPARATION_ANGLE: f64 = 40.0 * std::f64::consts::PI / 180.0;
 
-/// Balls are pruned if their cap between the touching points is lower than this many times the
-/// noise.
+/// Minimum height of the cap of a ball between the touching points, as a multiple of the noise.
+/// Balls with lower caps are pruned.
 const PLAIN_BUMP: f64 = 2.0;
 
-/// Maximum number of leaves of the sample tree that one query visits, the most likely first. A ball
-/// that fits the surface all around has every sample at its rim. Measured with 400 and 100: the
-/// sizes of `lungs_label_big` 2 give 238,911 and 238,902 particles, and a ball of 256^3 takes 4.7
-/// and 3.5 s.
+/// Maximum number of leaves of the sample tree that one query visits, starting with the most likely
+/// leaf. The limit is needed for a ball that fits the whole surface, because all samples are near
+/// its boundary. Measured with 400 and 100: the sizes of `lungs_label_big` 2 give 238,911 and
+/// 238,902 particles, and a ball of 256^3 takes 4.7 and 3.5 s.
 const MOST_LEAVES: usize = 100;
 
-/// Consecutive samples, mostly neighbours, whose balls start with the sample that the previous ball
-/// touches.
+/// Number of consecutive samples in a run. Consecutive samples are mostly neighbours, so each ball
+/// of a run starts with the sample that the previous ball touches.
 const RUN: usize = 64;
 
-/// A ball is surely not empty if its radius exceeds the distance field at its centre by half the
-/// diagonal of a cell plus this share of the largest spacing. The first term covers the
-/// interpolation error at the tip of a cone, the second the errors of the samples.
+/// A ball certainly contains samples if its radius exceeds the distance field at its centre by half
+/// the diagonal of a cell plus this fraction of the maximum spacing. The first term covers the
+/// interpolation error at the tip of a cone; the second term covers the errors of the samples.
 const SURE: f64 = 0.2;
 
 /// The samples of the surface and their distance field.
 pub struct Surface<'a> {
-    /// Positions (grid frame, mm).
+    /// Positions in mm in the grid frame.
     pub points: &'a [DVec3],
     /// Unit normals, outward.
     pub normals: &'a [DVec3],
-    /// Depth (mm) to which other samples may lie inside the ball of each without shrinking it. Next
-    /// to the touching point, such samples are ripple or remaining noise, not shape.
+    /// Maximum depth in mm at which other samples may lie inside the ball of each sample without
+    /// shrinking the ball. Next to the touching point, such samples are ripple or remaining noise,
+    /// not shape.
     pub blur: &'a [f64],
-    /// Height of the noise at each (mm).
+    /// Height in mm of the noise at each sample.
     pub noise: &'a [f64],
     /// Signed distance, mm.
     pub distance: &'a Image<f32>,
 }
 
-/// Centres of the medial balls on both sides of every sample; `None` where pruned or not found.
-/// `largest` is the maximum radius (mm).
+/// Returns the centres of the medial balls on both sides of every sample; `None` for a ball that is
+/// pruned or not found. `largest` is the maximum radius (mm).
 pub fn medial_points(surface: &Surface<'_>, largest: f64) -> Vec<[Option<DVec3>; 2]> {
     let tree = KdTree::new(surface.points);
     let count = surface.points.len();
@@ -76,16 +78,16 @@ pub fn medial_points(surface: &Surface<'_>, largest: f64) -> Vec<[Option<DVec3>;
         };
         (start..count.min(start + RUN)).map(of_sample).collect()
     };
-    // by index, so that runs do not depend on the number of threads
+    // runs are split by index, so that they do not depend on the number of threads
     let runs: Vec<usize> = (0..count).step_by(RUN).collect();
     runs.into_par_iter().flat_map_iter(of_run).collect()
 }
 
 impl Surface<'_> {
-    /// The largest ball that touches the surface at sample i, lies in `direction`, and has no other
-    /// sample deeper inside than the blur. Returns the radius at which it touches the limiting
-    /// sample, and that sample; `None` if no sample limits it up to the radius `largest`. `hint` is
-    /// a sample that may be the limiting one.
+    /// Finds the largest ball that touches the surface at sample i, lies in `direction`, and has no
+    /// other sample deeper inside than the blur. Returns the radius at which the ball touches the
+    /// limiting sample, and that sample, or `None` if no sample limits the ball up to the radius
+    /// `largest`. `hint` is a sample that may limit the ball.
     fn largest_empty(
         &self,
         tree: &KdTree,
@@ -117,7 +119,7 @@ impl Surface<'_> {
             ball.0 = self.upper_bound(i, direction, largest);
         }
         tree.each_within(place(ball.0), MOST_LEAVES, &mut |q, at| shrink(&mut ball, q as usize, at));
-        // the ball that just touches the sample
+        // the ball that exactly touches the sample
         let touched = |q: usize| {
             let offset = self.points[q] - p;
             (0.5 * offset.length_squared() / direction.dot(offset), q)
@@ -125,8 +127,8 @@ impl Surface<'_> {
         ball.1.map(touched)
     }
 
-    /// Centre of the ball that touches the surface at sample i and at another, in `direction`;
-    /// `None` if it is pruned.
+    /// Returns the centre of the ball in `direction` that touches the surface at sample i and at
+    /// the sample `touching`, or `None` if the ball is pruned.
     fn kept_centre(&self, i: usize, direction: DVec3, radius: f64, touching: usize) -> Option<DVec3> {
         let p = self.points[i];
         let centre = p + direction * radius;
@@ -135,8 +137,8 @@ impl Surface<'_> {
         (angle >= MIN_SEPARATION_ANGLE && height >= PLAIN_BUMP * self.noise[i]).then_some(centre)
     }
 
-    /// A radius for which the distance field shows that the ball contains samples, a little above
-    /// that of the largest empty ball. Returns `largest` if the field shows no such radius.
+    /// Returns a radius slightly above that of the largest empty ball, for which the distance field
+    /// shows that the ball contains samples. Returns `largest` if the field shows no such radius.
     fn upper_bound(&self, i: usize, direction: DVec3, largest: f64) -> f64 {
         let (p, geometry) = (self.points[i], &self.distance.geometry);
         let sure = 0.5 * geometry.spacing.length() + SURE * geometry.spacing.max_element() + self.blur[i];

@@ -1,17 +1,17 @@
-//! Least-squares patches of the surface: a quadric over the tangent plane, fitted to the samples
-//! around one of them.
+//! Fits least-squares patches to the surface. A patch is a quadric over the tangent plane of a
+//! sample, fitted to the samples around it.
 //!
-//! This is a second-order jet fit (Cazals and Pouget 2005). The residual of a patch is noise, or
-//! shape finer than the patch.
+//! This is a second-order jet fit (Cazals and Pouget 2005). The residual of a patch contains noise
+//! and shape details finer than the patch.
 
 use crate::connections::Connections;
 use glam::{DMat3, DVec2, DVec3};
 
-/// Minimum cosine between the normal of a sample and that of the central one; others are on another
-/// part of the surface.
+/// Minimum cosine between the normals of a sample and of the central sample. Samples below it are
+/// on another part of the surface.
 const SAME_SHEET: f64 = 0.5;
 
-/// Minimum number of samples of a patch, which has six unknowns.
+/// Minimum number of samples of a patch. A patch has six unknowns.
 const FEWEST: usize = 9;
 
 const UNKNOWNS: usize = 6;
@@ -19,20 +19,20 @@ const UNKNOWNS: usize = 6;
 /// The surface around a sample, to second order.
 #[derive(Clone, Copy, Debug)]
 pub struct Patch {
-    /// The point of the patch above the sample along the mean normal, grid frame, mm.
+    /// Point of the patch above the sample along the mean normal, in mm in the grid frame.
     pub point: DVec3,
-    /// Unit normal there, outward.
+    /// Outward unit normal at the point.
     pub normal: DVec3,
-    /// Curvature tensor there, per mm: its eigenvalues are 0 (along the normal) and the principal
-    /// curvatures, positive on a ball.
+    /// Curvature tensor at the point, per mm. The eigenvalues are 0 (along the normal) and the
+    /// principal curvatures, which are positive on a ball.
     pub curvature: DMat3,
-    /// Weighted root mean square of the samples' distances from the patch, mm.
+    /// Weighted root mean square distance in mm of the samples from the patch.
     pub residual: f64,
 }
 
 /// Samples of a surface and their connections.
 pub struct Samples<'a> {
-    /// Positions, grid frame, mm.
+    /// Positions in mm in the grid frame.
     pub points: &'a [DVec3],
     /// Unit normals, outward.
     pub normals: &'a [DVec3],
@@ -40,7 +40,7 @@ pub struct Samples<'a> {
     pub connections: &'a Connections,
 }
 
-/// Marks of the samples visited in a walk, so that each is visited once.
+/// Marks on the samples that a walk has visited, so that each sample is visited once.
 pub struct Marks {
     seen: Vec<u32>,
     now: u32,
@@ -48,15 +48,15 @@ pub struct Marks {
 }
 
 impl Marks {
-    /// Marks for `samples` samples.
+    /// Returns marks for `samples` samples.
     pub fn new(samples: usize) -> Self {
         Self { seen: vec![0; samples], now: 0, found: Vec::new() }
     }
 }
 
 impl Samples<'_> {
-    /// Fits a patch to the samples within `radius` (mm) of sample i that are connected with it;
-    /// `None` if they are too few or the system is singular.
+    /// Fits a patch to the samples within `radius` (mm) of sample i that are connected with sample
+    /// i. Returns `None` if there are too few samples or the system is singular.
     pub fn patch(&self, i: usize, radius: f64, marks: &mut Marks) -> Option<Patch> {
         self.gather(i, radius, marks);
         if marks.found.len() < FEWEST {
@@ -98,8 +98,8 @@ impl Samples<'_> {
         })
     }
 
-    /// Collects the samples within `radius` of sample i, with a similar normal, that are connected
-    /// with it through such samples.
+    /// Collects the samples within `radius` of sample i that have a similar normal and are
+    /// connected with sample i through such samples.
     fn gather(&self, i: usize, radius: f64, marks: &mut Marks) {
         marks.now += 1;
         marks.found.clear();
@@ -122,14 +122,15 @@ impl Samples<'_> {
     }
 }
 
-/// 1, u, v and the three second-order terms. These are stretched by (r^2 + z^2) / r^2, so that a
-/// ball fits without error: its height is z = (r^2 + z^2) k / 2.
+/// Returns the basis functions: 1, u, v and the three second-order terms. The second-order terms
+/// are stretched by (r^2 + z^2) / r^2, so that a ball fits without error: the height of a ball is z
+/// = (r^2 + z^2) k / 2.
 fn basis(at: DVec2, height: f64) -> [f64; UNKNOWNS] {
     let stretch = 1.0 + height * height / at.length_squared().max(1e-6).max(height * height);
     [1.0, at.x, at.y, 0.5 * stretch * at.x * at.x, stretch * at.x * at.y, 0.5 * stretch * at.y * at.y]
 }
 
-/// Curvature tensor from the second fundamental form over a tangent basis.
+/// Returns the curvature tensor from the second fundamental form over a tangent basis.
 fn tensor([t1, t2]: [DVec3; 2], [l, m, n]: [f64; 3]) -> DMat3 {
     let (e, f, g) = (t1.length_squared(), t1.dot(t2), t2.length_squared());
     let determinant = e * g - f * f;
@@ -139,8 +140,8 @@ fn tensor([t1, t2]: [DVec3; 2], [l, m, n]: [f64; 3]) -> DMat3 {
     outer(d1, d1) * l + (outer(d1, d2) + outer(d2, d1)) * m + outer(d2, d2) * n
 }
 
-/// Solves a symmetric positive definite system by elimination, with the right side as the last
-/// column; `None` if it is singular.
+/// Solves a symmetric positive definite system by elimination. The right side is the last column.
+/// Returns `None` if the system is singular.
 fn solve(mut rows: [[f64; UNKNOWNS + 1]; UNKNOWNS]) -> Option<[f64; UNKNOWNS]> {
     for at in 0..UNKNOWNS {
         let pivot = rows[at];
@@ -167,8 +168,8 @@ mod tests {
     use super::*;
     use isoparticles_field::random::uniform;
 
-    /// Lifts the points of a plane grid onto a surface, offset along its normals by `moved`, and
-    /// fits a patch at the central one. Returns it with the exact normal.
+    /// Lifts the points of a planar grid onto a surface, moves them along the normals by `moved`,
+    /// and fits a patch at the central point. Returns the patch and the exact normal.
     fn patch_of(
         radius: f64,
         surface: impl Fn(f64, f64) -> (DVec3, DVec3),
@@ -202,7 +203,7 @@ mod tests {
         }
     }
 
-    /// Maximum error of the curvature relative to that of a ball.
+    /// Returns the maximum error of the curvature relative to the curvature of a ball.
     fn off_ball(patch: &Patch, r: f64) -> f64 {
         let (u, v) = patch.normal.any_orthonormal_pair();
         let at = |a: DVec3, b: DVec3| r * a.dot(patch.curvature * b);
@@ -235,7 +236,7 @@ mod tests {
     fn the_residual_is_the_noise_and_a_wide_patch_averages_it() {
         let noise = |n: usize| 0.35 * (uniform(5, 0, n as u64) - 0.5);
         let (patch, normal) = patch_of(6.0, ball(20.0), noise);
-        // uniform noise of this width has a standard deviation of 0.101
+        // uniform noise of this width has a standard deviation of 0.101 mm
         assert!((patch.residual / 0.101 - 1.0).abs() < 0.15, "{patch:?}");
         assert!(off_ball(&patch, 20.0) < 0.2 && patch.normal.dot(normal) > 0.9998, "{patch:?}");
     }

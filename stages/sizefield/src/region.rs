@@ -1,5 +1,6 @@
-//! User-defined refinement: balls, the voxels of a mask volume, or points with sizes (section 7 of
-//! the paper: more particles at places of interest). h grows from there with the slope delta.
+//! User-defined refinement in balls, at the voxels of a mask volume, or at points with sizes
+//! (section 7 of the paper: more particles in regions of interest). Outside a region, h grows with
+//! the slope delta.
 
 use glam::DVec3;
 use isoparticles_mesh::points::read_sized_points;
@@ -16,14 +17,14 @@ use std::str::FromStr;
 pub enum Refinement {
     /// A ball.
     Ball(Ball),
-    /// The voxels of a volume that are not zero.
+    /// The nonzero voxels of a volume.
     Mask {
-        /// The volume, on any grid; placed by its world coordinates.
+        /// The volume, on any grid. Its world coordinates determine its position.
         file: PathBuf,
-        /// Maximum h in it, mm.
+        /// Maximum h in the region, mm.
         size: f64,
     },
-    /// Points with an array `h`, the maximum h around each in mm.
+    /// Points with an array `h` that contains the maximum h in mm around each point.
     Points {
         /// The file (.vtp or .vtu), in world coordinates.
         file: PathBuf,
@@ -37,11 +38,11 @@ pub struct Ball {
     pub centre: DVec3,
     /// Radius, mm.
     pub radius: f64,
-    /// Maximum h in it, mm.
+    /// Maximum h in the region, mm.
     pub size: f64,
 }
 
-/// A node of the grid, and the maximum h there in mm.
+/// A node of the grid, and the maximum h in mm at the node.
 pub type SizedNode = (usize, f64);
 
 const FORMS: &str = "write it as ball:X,Y,Z,RADIUS=H (mm), mask:FILE=H (mm) or points:FILE";
@@ -74,7 +75,7 @@ impl FromStr for Refinement {
 }
 
 impl Refinement {
-    /// The file of the region, if any.
+    /// Returns the file of the region, if there is one.
     pub fn file(&self) -> Option<&Path> {
         match self {
             Self::Ball(_) => None,
@@ -82,10 +83,10 @@ impl Refinement {
         }
     }
 
-    /// The grid nodes that the region refines.
+    /// Returns the grid nodes that the region refines.
     ///
     /// # Errors
-    /// If its file cannot be read, or if it lies outside the grid.
+    /// If the file of the region cannot be read, or if the region lies outside the grid.
     pub fn nodes(&self, geometry: &Geometry) -> Result<Vec<SizedNode>> {
         let nodes = match self {
             Self::Ball(ball) => ball.nodes(geometry).map(|node| (node, ball.size)).collect(),
@@ -117,8 +118,9 @@ impl Refinement {
     }
 }
 
-/// Nodes whose nearest voxel of a mask is not zero, and the nodes around the centre of each such
-/// voxel (voxels may be smaller than those of the grid).
+/// Returns the nodes whose nearest voxel in the mask is not zero, and the nodes around the centre
+/// of each nonzero voxel. The latter are needed because mask voxels may be smaller than the cells
+/// of the grid.
 fn mask_nodes(file: &Path, geometry: &Geometry) -> Result<Vec<usize>> {
     let volume = read_volume(file)?;
     let (mask, place) = (volume.voxels.to_f32(), volume.geometry);
@@ -142,13 +144,14 @@ fn mask_nodes(file: &Path, geometry: &Geometry) -> Result<Vec<usize>> {
     Ok(nodes)
 }
 
-/// Position of a voxel in the grid frame.
+/// Returns the position of a voxel in the grid frame.
 fn position(geometry: &Geometry, n: usize) -> DVec3 {
     let [nx, ny, _] = geometry.size;
     geometry.index_to_grid(DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / (nx * ny)) as f64))
 }
 
-/// The nodes of the cell that contains a position in the grid frame; none outside the grid.
+/// Returns the nodes of the cell that contains a position in the grid frame; no nodes for a
+/// position outside the grid.
 fn nodes_around(geometry: &Geometry, grid: DVec3) -> impl Iterator<Item = usize> {
     let index = geometry.grid_to_index(grid);
     let is_within = (0..3).all(|a| index[a] >= 0.0 && index[a] <= (geometry.size[a] - 1) as f64);
@@ -160,14 +163,14 @@ fn nodes_around(geometry: &Geometry, grid: DVec3) -> impl Iterator<Item = usize>
 }
 
 impl Ball {
-    /// The grid nodes in the ball, at least those around its centre; none if it lies outside the
-    /// grid.
+    /// Returns the grid nodes in the ball, but at least the nodes around its centre. Returns no
+    /// nodes if the ball lies outside the grid.
     pub fn nodes<'a>(&self, geometry: &'a Geometry) -> impl Iterator<Item = usize> + 'a {
         let centre = geometry.world_to_grid(self.centre);
         let reach = self.radius.max(geometry.spacing.length());
         let low = geometry.grid_to_index(centre - reach).ceil();
         let high = geometry.grid_to_index(centre + reach).floor();
-        // casts saturate, so positions before the first node give an empty range too
+        // casts saturate, so positions before the first node also give an empty range
         let range = move |a: usize| low[a].max(0.0) as usize..((high[a] + 1.0).max(0.0) as usize).min(geometry.size[a]);
         let along = move |j, k| range(0).map(move |i| [i, j, k]);
         let grid = range(2).flat_map(move |k| range(1).flat_map(move |j| along(j, k)));
@@ -216,7 +219,7 @@ mod tests {
         assert!(elsewhere.nodes(&geometry).unwrap_err().what.contains("outside the grid of F"));
     }
 
-    /// A mask on its own grid: rotated by 90 degrees about z, finer and shifted.
+    /// Tests a mask on a different grid, which is rotated by 90 degrees about z, finer and shifted.
     #[test]
     fn a_mask_is_placed_by_its_world_coordinates() {
         let folder = tempfile::tempdir().unwrap();
@@ -253,7 +256,7 @@ mod tests {
             if p.cmpge(low).all() && p.cmple(high).all() {
                 assert!(is_found, "{p}");
             }
-            // a voxel's centre may lie anywhere in the cell that is refined for it
+            // the centre of a mask voxel may lie anywhere in the cell that it refines
             if p.cmplt(low - 1.0).any() || p.cmpgt(high + 1.0).any() {
                 assert!(!is_found, "{p}");
             }

@@ -1,4 +1,5 @@
-//! The program around [`crate::size_field`]: options, files, defaults from the data, report.
+//! Runs [`crate::size_field`] as a program: parses the options, reads and writes the files, derives
+//! defaults from the data, and fills in the report.
 
 use crate::feature::{Bumps, Features, Purpose};
 use crate::limits::{TooSmall, check_count, check_size, too_small, too_small_told};
@@ -24,16 +25,17 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// Default parameters of a quality.
+/// Default parameters for a quality level.
 pub(crate) struct Defaults {
     pub(crate) epsilon: f64,
     pub(crate) delta: f64,
-    /// Minimum h over the mean voxel spacing.
+    /// Minimum h in units of the mean voxel spacing.
     pub(crate) min_size_voxels: f64,
-    /// Maximum h over the diagonal of the object's bounding box.
+    /// Maximum h in units of the diagonal of the object's bounding box.
     pub(crate) max_size_diagonals: f64,
-    /// Deviation over the mean voxel spacing. 0.1 is also the distance that distfield keeps between
-    /// the surface of labels and the voxel centres, which the triangles must not cross.
+    /// Maximum deviation in units of the mean voxel spacing. The default of 0.1 is also the
+    /// distance that distfield keeps between the surface of labels and the voxel centres. The
+    /// triangles must not cross voxel centres.
     pub(crate) deviation_voxels: f64,
 }
 
@@ -57,8 +59,8 @@ impl Defaults {
     }
 }
 
-/// Maximum radius of medial balls, over the diagonal of the volume. Larger features do not change
-/// h.
+/// Maximum radius of medial balls in units of the diagonal of the volume. Larger features do not
+/// change h.
 const LARGEST_FEATURE_DIAGONALS: f64 = 0.25;
 
 /// Computes the target edge length h (mm) on the grid of a distance field, from local feature size
@@ -71,7 +73,7 @@ const LARGEST_FEATURE_DIAGONALS: f64 = 0.25;
         Paper: h of section 3.1; epsilon and delta as in Table 4."
 )]
 pub struct Args {
-    /// Distance field, or the indicators of many materials, made by distfield
+    /// Distance field, or indicators of several materials, made by distfield
     #[arg(value_name = "F.vti", help_heading = FILES)]
     pub(crate) input: PathBuf,
     /// Sizing field to write: an image of h in mm, which may be edited or replaced by another image
@@ -81,7 +83,7 @@ pub struct Args {
     /// fine about three times as many; medium matches the resolution of the data [default: medium]
     #[arg(long, value_enum, value_name = "HOW", help_heading = METHOD)]
     pub(crate) quality: Option<Quality>,
-    /// Edge length over local feature size, above 0 (the paper's epsilon); smaller is finer
+    /// Ratio of edge length to local feature size, above 0 (the paper's epsilon); smaller is finer
     /// [default: 0.5; coarse 1, fine 0.25]
     #[arg(long, value_name = "RATIO", value_parser = positive, help_heading = METHOD)]
     pub(crate) epsilon: Option<f64>,
@@ -96,7 +98,7 @@ pub struct Args {
     /// coarse 0.2, fine 0.05]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     pub(crate) max_size: Option<f64>,
-    /// Maximum distance of a triangle's centre from the surface due to curvature, in mm, which
+    /// Maximum distance in mm from a triangle's centre to the surface due to curvature, which
     /// bounds h; 0 for no bound [default: 0.1 of the mean voxel spacing; coarse 0.4, fine 0.04]
     #[arg(long, value_name = "MM", value_parser = not_negative, help_heading = METHOD)]
     pub(crate) max_deviation: Option<f64>,
@@ -104,22 +106,23 @@ pub struct Args {
     /// gives about a quarter of the triangles
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive, help_heading = METHOD)]
     pub(crate) scale: f64,
-    /// Many materials only: set h (mm) on all interfaces of a material, or on the interface of two,
-    /// instead of h from the shape. Where several apply, the pair comes first, then the smaller h;
-    /// graded by delta. May be given several times
+    /// Several materials only: set h (mm) on all interfaces of a material, or on the interface of
+    /// two materials, instead of h from the shape. If more than one size applies, the size of a
+    /// pair takes precedence, then the smaller h. The result is graded by delta. May be given
+    /// several times
     #[arg(long, value_name = "NAME=H|NAME/NAME=H", help_heading = METHOD)]
     pub(crate) size: Vec<GivenSize>,
-    /// Use the same h everywhere, in mm, instead of all of the above; with many materials, on
+    /// Use the same h everywhere, in mm, instead of all of the above; with several materials, on
     /// interfaces without a --size
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD,
         conflicts_with_all = ["quality", "epsilon", "delta", "min_size", "max_size", "max_deviation", "scale"])]
     pub(crate) uniform: Option<f64>,
     /// Choose h so that the settled surface has about this number of vertices (within 5 %), 4 or
-    /// more: a constant h or, with any of the options above, their h times one factor. Small parts
-    /// or grading may give more
+    /// more: a constant h or, with any of the options above, the h of these options times one
+    /// factor. Small parts or grading may give more vertices
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), conflicts_with_all = ["uniform", "scale", "size"], help_heading = METHOD)]
     pub(crate) vertices: Option<u64>,
-    /// Limit h to H (mm) within RADIUS of a place, or where the voxels of a mask volume (on any
+    /// Limit h to H (mm) within RADIUS of a point, or where the voxels of a mask volume (on any
     /// grid) are not zero, or to the point array `h` at the points of a .vtp or .vtu file. All in
     /// world coordinates, mm; h grows from there by delta. May be given several times, and may go
     /// below --min-size
@@ -187,8 +190,8 @@ impl Args {
         }
     }
 
-    /// The parameters, with defaults of the quality for options that are not given, and the
-    /// deviation, mm. `largest` (mm) is the default of the maximum h.
+    /// Returns the parameters and the deviation (mm), with the defaults of the quality for options
+    /// that are not given. `largest` (mm) is the default of the maximum h.
     pub(crate) fn parameters_with(&self, voxel: f64, largest: f64, refined: Vec<SizedNode>) -> (Parameters, f64) {
         let defaults = Defaults::of(self.quality());
         let min_size = self.min_size.unwrap_or(defaults.min_size_voxels * voxel);
@@ -206,13 +209,13 @@ impl Args {
         (parameters, deviation)
     }
 
-    /// Whether any option is given that makes h vary from place to place.
+    /// Returns whether any option is given that makes h vary over the surface.
     pub(crate) fn is_graded(&self) -> bool {
         let lengths = [self.epsilon, self.delta, self.min_size, self.max_size, self.max_deviation];
         self.quality.is_some() || lengths.iter().any(Option::is_some) || !self.refine.is_empty()
     }
 
-    /// The constant h if the options select one.
+    /// Returns the constant h if the options select a constant h.
     fn one_size(&self, distance: &Image<f32>, surface: &CubicSpline) -> Option<f64> {
         let for_vertices = |vertices: u64| size_for_vertices(distance, surface, vertices as f64);
         self.uniform.or_else(|| self.vertices.filter(|_| !self.is_graded()).map(for_vertices))
@@ -238,7 +241,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let largest = LARGEST_FEATURE_DIAGONALS * geometry.upper_corner().length();
     let one_size = args.one_size(&field.image, &surface);
     // a constant h is compared only with smaller features, and the centre of an empty ball is
-    // nearer than h only if its radius is
+    // nearer than h only if its radius is below h
     let largest = one_size.map_or(largest, |size| largest.min(size));
     // for a constant h, the question is whether it resolves the surface as it is, including noise
     let origin: DistanceMeta = meta::typed(&args.input, &field.meta, "distfield")?;
@@ -284,7 +287,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     if let Some(told) = too_small_told(&small, components.all().len()) {
         context.warn(told);
     }
-    // a constant h from --vertices has a known count
+    // the count is known for a constant h from --vertices
     let known = args.vertices.filter(|_| one_size.is_some()).map(|vertices| predicted_for(vertices as f64));
     let step = context.step("predict the count");
     // the count on triangles ignores details finer than they are, which a smooth surface lacks; a
@@ -307,7 +310,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     Ok(Outcome::Passed)
 }
 
-/// The nodes of all `--refine` options; adds their files to the inputs.
+/// Returns the nodes of all `--refine` options, and adds the files of these options to the inputs.
 pub(crate) fn refined_nodes(args: &Args, geometry: &Geometry, context: &Context) -> Result<Vec<SizedNode>> {
     let mut refined = Vec::new();
     for refinement in &args.refine {
@@ -321,7 +324,7 @@ pub(crate) fn refined_nodes(args: &Args, geometry: &Geometry, context: &Context)
     Ok(refined)
 }
 
-/// Fills in parameters that depend on the data, and reports their origin.
+/// Sets the parameters that depend on the data, and reports the origin of each parameter.
 fn resolve(
     args: &Args,
     field: &Field,
@@ -390,13 +393,13 @@ fn describe_extent(path: &Path, low: DVec3, high: DVec3) -> String {
     format!("the surface in {} measures {extent} mm", path.display())
 }
 
-/// Ratio of slice thickness to voxel width from which slices leave ripple on a clean surface that
-/// scatters like noise.
+/// Minimum ratio of slice thickness to voxel width at which slices leave ripple on a clean surface.
+/// This ripple scatters like noise.
 const THICK_SLICES: f64 = 1.5;
 
-/// Message about the share of the surface that is measured under noise, and the height of the
-/// noise. The patches cannot distinguish noise from the ripple of thick slices, so the message
-/// names both if `spacing` (mm) indicates such slices.
+/// Returns a message about the fraction of the surface with noise and the height of the noise. The
+/// patches cannot distinguish noise from the ripple of thick slices, so the message mentions both
+/// if `spacing` (mm) indicates such slices.
 fn noise_told(noise: &[f64], spacing: DVec3) -> Option<String> {
     let found: Vec<f64> = noise.iter().copied().filter(|&noise| noise > 0.0).collect();
     if found.is_empty() {
@@ -416,7 +419,7 @@ fn noise_told(noise: &[f64], spacing: DVec3) -> Option<String> {
     ))
 }
 
-/// Writes figures of the field to the report and the closing table; returns the metadata of the
+/// Writes figures of the field to the report and the closing table. Returns the metadata of the
 /// file.
 fn describe(
     features: &Features,
@@ -450,14 +453,15 @@ fn describe(
     meta
 }
 
-/// Minimum, percentiles and maximum by name; sorts the values.
+/// Returns the minimum, percentiles and maximum by name. Sorts the values.
 pub(crate) fn percentiles(values: &mut [f64]) -> Value {
     values.par_sort_unstable_by(f64::total_cmp);
     let at = |percent: usize| values[(values.len() - 1) * percent / 100];
     json!({ "min": at(0), "p1": at(1), "p5": at(5), "median": at(50), "p95": at(95), "max": at(100) })
 }
 
-/// Warns if a constant h is too coarse for thin parts, with the place of the minimum feature size.
+/// Warns if a constant h is too coarse for thin parts. The warning gives the position of the
+/// minimum feature size.
 fn warn_if_too_coarse(features: &Features, geometry: &Geometry, size: f64, context: &Context) {
     let coarse = features.feature_size.iter().filter(|&&lfs| size > lfs).count();
     if coarse == 0 {

@@ -1,35 +1,38 @@
-//! `--vertices`: finds the constant h, or the factor on a graded field, for which the finished
-//! surface has a given number of vertices.
+//! Implements `--vertices`: finds the constant h, or the factor for a graded field, with which the
+//! finished surface has a given number of vertices.
 
 use crate::uniform_field;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_volume::Image;
 
-/// Ratio of the vertices of the finished surface to the count that the sizing field predicts.
-/// Measured: 0.948 to 0.965 on four solid organs of 1,000 to 75,000 vertices, 0.914 to 0.975 on
-/// four thin objects, where chords shorten and refinement adds vertices (docs/developer/scale.md).
+/// Ratio of the number of vertices of the finished surface to the count that the sizing field
+/// predicts. Measured: 0.948 to 0.965 on four solid organs with 1,000 to 75,000 vertices, 0.914 to
+/// 0.975 on four thin objects, where edges become shorter and refinement adds vertices
+/// (docs/developer/scale.md).
 const FINISHED_OVER_PREDICTED: f64 = 0.95;
 
-/// Iterations for the factor of a graded field. The count follows its inverse square except for the
-/// slope of h, which the factor changes too.
+/// Number of iterations for the factor of a graded field. The count is not exactly inversely
+/// proportional to the square of the factor, because the factor also changes the slope of h.
 const ROUNDS: usize = 3;
 
-/// Iterations for a constant h with many materials, where junction curves change the count too.
+/// Number of iterations for a constant h with several materials, where junction curves also affect
+/// the count.
 const ROUNDS_OF_ONE_SIZE: usize = 6;
 
-/// The constant h, mm, that gives a surface with this number of vertices.
+/// Returns the constant h in mm that gives a surface with this number of vertices.
 pub fn size_for_vertices(distance: &Image<f32>, surface: &CubicSpline, vertices: f64) -> f64 {
     let at_one = uniform_field(distance, 1.0).predicted_count(surface);
     (FINISHED_OVER_PREDICTED * at_one / vertices).sqrt()
 }
 
-/// The predicted count for [`size_for_vertices`] with this number of vertices.
+/// Returns the count that the sizing field predicts if [`size_for_vertices`] is called with this
+/// number of vertices.
 pub(crate) fn predicted_for(vertices: f64) -> f64 {
     vertices / FINISHED_OVER_PREDICTED
 }
 
-/// Like [`size_for_vertices`], for a function that gives the count of an edge length.
+/// Does the same as [`size_for_vertices`] for a function that returns the count for an edge length.
 pub(crate) fn size_for_count(count: impl Fn(f64) -> f64, vertices: f64) -> f64 {
     let mut size = 1.0;
     for _ in 0..ROUNDS_OF_ONE_SIZE {
@@ -38,12 +41,13 @@ pub(crate) fn size_for_count(count: impl Fn(f64) -> f64, vertices: f64) -> f64 {
     size
 }
 
-/// The sizing field times the factor that gives a surface with this number of vertices.
+/// Returns the sizing field times the factor that gives a surface with this number of vertices.
 pub fn scaled_to_vertices(sizing: SizingField, surface: &CubicSpline, vertices: f64) -> SizingField {
     scaled_to_count(sizing, |sizing| sizing.predicted_count(surface), vertices)
 }
 
-/// Like [`scaled_to_vertices`], for a function that gives the count of a sizing field.
+/// Does the same as [`scaled_to_vertices`] for a function that returns the count for a sizing
+/// field.
 pub(crate) fn scaled_to_count(sizing: SizingField, count: impl Fn(&SizingField) -> f64, vertices: f64) -> SizingField {
     let mut factor = 1.0;
     let mut scaled = sizing.clone();

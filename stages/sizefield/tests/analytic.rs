@@ -33,8 +33,8 @@ fn features_for(purpose: Purpose, image: &Image<f32>) -> Features {
     Features::new(image, &surface, &components, image.geometry.upper_corner().length(), (Bumps::MayBeNoise, purpose))
 }
 
-/// Maximum relative error of the local feature size against `truth` (of the point relative to the
-/// volume's centre).
+/// Returns the maximum relative error of the local feature size against `truth`, which takes the
+/// position of a point relative to the volume's centre.
 fn worst(image: &Image<f32>, found: &Features, truth: impl Fn(DVec3) -> f64) -> f64 {
     let centre = 0.5 * image.geometry.upper_corner();
     assert!(found.points.len() > 1000);
@@ -70,7 +70,8 @@ fn purposes_give_equal_feature_sizes_and_similar_areas() {
 #[test]
 fn torus() {
     let image = sampled(56, |p| (p.truncate().length() - 13.0).hypot(p.z) - 5.0);
-    // the nearest axis is the tube's centre circle; the axis of the hole is at least 8 away
+    // the nearest part of the medial axis is the tube's centre circle; the axis of the hole is at
+    // least 8 mm away
     let error = worst(&image, &features(&image), |_| 5.0);
     assert!(error < 0.03, "{error}");
 }
@@ -141,7 +142,7 @@ fn the_field_asks_for_epsilon_times_feature_size_and_is_graded() {
     assert!(largest_slope(field.image()) <= 0.3 * 1.01);
 }
 
-/// Maximum |grad h| by the upwind differences that the paper's scheme limits.
+/// Returns the maximum |grad h| from the upwind differences that the paper's scheme limits.
 fn largest_slope(h: &Image<f32>) -> f64 {
     let (size, spacing) = (h.geometry.size, h.geometry.spacing);
     let mut largest = 0.0f64;
@@ -208,16 +209,16 @@ fn a_region_is_refined_and_h_grows_from_it_by_delta() {
     };
     let field = size_field(&image, &found, &parameters);
     assert!((field.at(pole) / 0.8 - 1.0).abs() < 1e-3, "{}", field.at(pole));
-    // 4 mm beyond the ball, outwards; marching errs towards larger values, and the ball's rim is a
-    // staircase
+    // a point 4 mm outside the ball; marching errs towards larger values, and the boundary of the
+    // ball on the grid is a staircase
     let beyond = field.at(pole + DVec3::new(7.0, 0.0, 0.0));
     assert!((beyond / (0.8 + 0.3 * 4.0) - 1.0).abs() < 0.06, "{beyond}");
     let far = field.at(centre - DVec3::new(12.0, 0.0, 0.0));
     assert!((far / 3.0 - 1.0).abs() < 0.03, "{far}");
 }
 
-/// With the same size at all samples, all nodes around the surface get it, even those that the
-/// march stops before.
+/// If all samples have the same size, all nodes around the surface get this size, even if the march
+/// stops before it reaches them.
 #[test]
 fn h_is_set_wherever_it_is_read_at_the_surface() {
     for (spacing, delta) in
@@ -229,7 +230,8 @@ fn h_is_set_wherever_it_is_read_at_the_surface() {
         let mut data = Vec::with_capacity(geometry.voxel_count());
         for n in 0..geometry.voxel_count() {
             let at = DVec3::new((n % 30) as f64, (n / 30 % 28) as f64, (n / 840) as f64);
-            // rough, so that the projection moves samples out of the cell of their triangle
+            // a rough surface, so that the projection moves samples out of the cell of their
+            // triangle
             let bump = 1.5 * spacing.min_element() * (isoparticles_field::random::uniform(7, 0, n as u64) - 0.5);
             data.push((geometry.index_to_grid(at).distance(centre) - radius + bump) as f32);
         }

@@ -1,5 +1,5 @@
-//! Runs the program with many materials: constant h, sizes by name, and h from the shape of layers
-//! and balls.
+//! Runs the program with several materials. Tests constant h, sizes by name, and h from the shape
+//! of layers and balls.
 
 use glam::DVec3;
 use isoparticles_field::materials::{
@@ -16,13 +16,14 @@ use std::process::{Command, Output};
 
 const CENTRE: DVec3 = DVec3::new(20.1, 19.8, 20.3);
 
-/// A ball of radius 8 mm inside one of 14 mm, and the outside.
+/// Returns a ball of radius 8 mm inside a ball of radius 14 mm, and the outside.
 fn nested() -> Analytic {
     let shell = maximum(ball(CENTRE, 14.0), negative(ball(CENTRE, 8.0)));
     Analytic::new(vec![negative(ball(CENTRE, 14.0)), shell, ball(CENTRE, 8.0)], 1.0)
 }
 
-/// Two quarters and a half of a ball of radius 14 mm, which meet along its axis.
+/// Returns two quarters and a half of a ball of radius 14 mm, which meet along the axis of the
+/// ball.
 fn wedges() -> Analytic {
     let all = || ball(CENTRE, 14.0);
     let part = |x: DVec3, y: DVec3| maximum(all(), maximum(half_space(CENTRE, x), half_space(CENTRE, y)));
@@ -48,7 +49,7 @@ fn sizefield(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_sizefield")).args(arguments).output().expect("the program runs")
 }
 
-/// The sizing field and its metadata for some options.
+/// Returns the sizing field and its metadata for the given options.
 fn sized(folder: &Path, analytic: &Analytic, options: &[&str]) -> (SizingField, Value) {
     let at = |name: &str| folder.join(name).to_str().expect("text").to_owned();
     let [input, output] = ["case.materials.vti", "case.sizefield.vti"].map(at);
@@ -59,7 +60,7 @@ fn sized(folder: &Path, analytic: &Analytic, options: &[&str]) -> (SizingField, 
     (SizingField::new(field.image), field.meta)
 }
 
-/// Minimum and maximum h on a sphere around the centre.
+/// Returns the minimum and maximum h on a sphere around the centre.
 fn on_ball(h: &SizingField, radius: f64) -> (f64, f64) {
     let ways = (0..500).map(|n| {
         let (z, angle) = (1.0 - (f64::from(n) + 0.5) / 250.0, 2.399_963 * f64::from(n));
@@ -78,7 +79,7 @@ fn one_size_is_everywhere_and_the_count_is_that_of_the_areas() {
     let expected = 2.0 / 3f64.sqrt() * area / 2.25;
     assert!((meta["predicted_count"].as_f64().expect("a count") / expected - 1.0).abs() < 0.02, "{meta}");
     assert_eq!(meta["components"], 2);
-    // of the predicted count, the finished mesh has 0.95
+    // the finished mesh has 0.95 times the predicted count
     let (_, meta) = sized(folder.path(), &nested(), &["--vertices", "1000"]);
     let predicted = meta["predicted_count"].as_f64().expect("a count");
     assert!((0.95 * predicted / 1000.0 - 1.0).abs() < 0.002, "{predicted}");
@@ -111,7 +112,7 @@ fn thin_layers_and_small_balls_ask_for_smaller_triangles() {
     let folder = tempfile::tempdir().expect("folder");
     let options = ["--max-deviation", "0", "--min-size", "0.2", "--epsilon", "0.5", "--delta", "0.4"];
     let (h, _) = sized(folder.path(), &nested(), &options);
-    // half of 3 mm, the radius of the ball that fits into the shell of 6 mm
+    // expected: half of 3 mm, the radius of the ball that fits into the shell of thickness 6 mm
     for radius in [8.0, 14.0] {
         let (low, high) = on_ball(&h, radius);
         assert!(low > 1.2 && high < 1.9, "{radius}: {low} {high}");

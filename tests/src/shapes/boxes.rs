@@ -15,19 +15,19 @@ pub struct Boxes {
 }
 
 impl Boxes {
-    /// The middle slice of the volume, 60 % wide: one voxel thick.
+    /// Returns a plate in the middle slice of the volume, 60 % wide and one voxel thick.
     pub fn plate(grid: &Geometry) -> Self {
         let [nx, ny, nz] = grid.size;
         Self::single("plate", grid, [[nx / 5, nx - nx / 5], [ny / 5, ny - ny / 5], [nz / 2, nz / 2 + 1]])
     }
 
-    /// A row of voxels along x, 60 % long.
+    /// Returns a row of voxels along x with 60 % of the length of the volume.
     pub fn rod(grid: &Geometry) -> Self {
         let [nx, ny, nz] = grid.size;
         Self::single("rod", grid, [[nx / 5, nx - nx / 5], [ny / 2, ny / 2 + 1], [nz / 2, nz / 2 + 1]])
     }
 
-    /// Two boxes that share one edge along z and nothing else.
+    /// Returns two boxes that share only one edge along z.
     pub fn touching(grid: &Geometry) -> Self {
         let [nx, ny, nz] = grid.size;
         let along_z = [nz / 5, nz - nz / 5];
@@ -68,7 +68,7 @@ impl Boxes {
     }
 }
 
-/// Outer corners of the voxels in the half-open index ranges, grid frame (mm).
+/// Returns the outer corners of the voxels in the half-open index ranges, in mm in the grid frame.
 fn corners(grid: &Geometry, ranges: &[[usize; 2]; 3]) -> (DVec3, DVec3) {
     let bound = |side: usize| DVec3::from_array(ranges.map(|range| range[side] as f64 - 0.5));
     (grid.index_to_grid(bound(0)), grid.index_to_grid(bound(1)))

@@ -9,17 +9,17 @@ use std::f64::consts::PI;
 /// An infinite cylinder along z, cut by the volume.
 #[derive(Clone, Copy, Debug)]
 pub struct Cylinder {
-    /// A point of the axis, grid frame (mm).
+    /// A point on the axis, in mm in the grid frame.
     pub centre: DVec3,
     /// Radius, mm.
     pub radius: f64,
-    /// Length, mm: from half a voxel before the first voxel centre along z to half a voxel past the
-    /// last.
+    /// Length in mm, from half a voxel before the first voxel centre along z to half a voxel beyond
+    /// the last voxel centre.
     pub length: f64,
 }
 
 impl Cylinder {
-    /// Radius of 0.28 of the shortest side.
+    /// Returns a cylinder with a radius of 0.28 of the shortest side.
     pub fn filling(grid: &Geometry) -> Self {
         Self {
             centre: off_lattice_centre(grid),
@@ -51,17 +51,17 @@ impl Scene for Cylinder {
     }
 }
 
-/// The gyroid `sin x cos y + sin y cos z + sin z cos x < 0`, two periods along the shortest side.
+/// The gyroid `sin x cos y + sin y cos z + sin z cos x < 0`.
 #[derive(Clone, Copy, Debug)]
 pub struct Gyroid {
-    /// Phase origin, grid frame (mm).
+    /// Origin of the phase, in mm in the grid frame.
     pub centre: DVec3,
     /// Length of one period, mm.
     pub period: f64,
 }
 
 impl Gyroid {
-    /// Two periods along the shortest side.
+    /// Returns a gyroid with two periods along the shortest side.
     pub fn filling(grid: &Geometry) -> Self {
         Self { centre: off_lattice_centre(grid), period: 0.5 * shortest_extent(grid) }
     }
@@ -72,7 +72,7 @@ impl Scene for Gyroid {
         let scale = 2.0 * PI / self.period;
         let p = scale * (position - self.centre);
         let (x, y, z) = (p.x, p.y, p.z);
-        // In phase units, the gradient has a length near 1.5 on the surface.
+        // In phase units, the length of the gradient is about 1.5 on the surface.
         (x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos()) / (1.5 * scale)
     }
 

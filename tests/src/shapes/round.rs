@@ -1,4 +1,4 @@
-//! Ball, ellipsoid, thin shell, two balls: exact signed distances.
+//! Ball, ellipsoid, thin shell and two balls, with exact signed distances.
 
 use crate::scene::{Scene, Truth, off_lattice_centre, shortest_extent};
 use crate::shapes::integrate;
@@ -10,14 +10,14 @@ use std::f64::consts::PI;
 /// A ball.
 #[derive(Clone, Copy, Debug)]
 pub struct Ball {
-    /// Centre, grid frame (mm).
+    /// Centre in mm in the grid frame.
     pub centre: DVec3,
     /// Radius, mm.
     pub radius: f64,
 }
 
 impl Ball {
-    /// Radius of 0.35 of the shortest side.
+    /// Returns a shape with a radius of 0.35 of the shortest side.
     pub fn filling(grid: &Geometry) -> Self {
         Self { centre: off_lattice_centre(grid), radius: 0.35 * shortest_extent(grid) }
     }
@@ -49,20 +49,20 @@ impl Scene for Ball {
 /// An ellipsoid with axes along the grid axes, longest first.
 #[derive(Clone, Copy, Debug)]
 pub struct Ellipsoid {
-    /// Centre, grid frame (mm).
+    /// Centre in mm in the grid frame.
     pub centre: DVec3,
-    /// Semi-axes, mm, in descending order.
+    /// Semi-axes in mm, in descending order.
     pub semi_axes: DVec3,
 }
 
 impl Ellipsoid {
-    /// Semi-axes of 0.40, 0.30 and 0.24 of the shortest side.
+    /// Returns an ellipsoid with semi-axes of 0.40, 0.30 and 0.24 of the shortest side.
     pub fn filling(grid: &Geometry) -> Self {
         let extent = shortest_extent(grid);
         Self { centre: off_lattice_centre(grid), semi_axes: extent * DVec3::new(0.40, 0.30, 0.24) }
     }
 
-    /// Surface area: two-dimensional quadrature of the parametrized surface, mm^2.
+    /// Returns the surface area in mm^2 by two-dimensional quadrature of the parametrized surface.
     fn area(&self) -> f64 {
         let [a, b, c] = self.semi_axes.to_array();
         integrate(0.0, PI, 2000, |polar| {
@@ -78,9 +78,9 @@ impl Ellipsoid {
 }
 
 impl Scene for Ellipsoid {
-    /// Signed distance through the foot point `q_i = a_i^2 p_i / (t + a_i^2)`, where `t` is the
-    /// largest root of `sum (a_i p_i / (t + a_i^2))^2 = 1`. The function is monotonic there, so
-    /// bisection always finds the root.
+    /// Returns the signed distance from the foot point `q_i = a_i^2 p_i / (t + a_i^2)`, where `t`
+    /// is the largest root of `sum (a_i p_i / (t + a_i^2))^2 = 1`. The function is monotonic in the
+    /// bracket, so bisection always finds the root.
     fn value(&self, position: DVec3) -> f64 {
         let p = (position - self.centre).abs();
         let axes = self.semi_axes;
@@ -90,9 +90,9 @@ impl Scene for Ellipsoid {
         let mut low = -squared.min_element();
         let mut high = axes.max_element() * p.length().max(1e-12);
         if excess(low + 1e-12 * squared.min_element()) <= 0.0 {
-            // Only on the inner medial axis (no component along the shortest axis): the other two
-            // coordinates give those of the foot point, and the ellipsoid's equation gives the
-            // third.
+            // This happens only on the inner medial axis, where the component along the shortest
+            // axis is zero. The other two coordinates give two coordinates of the foot point, and
+            // the ellipsoid's equation gives the third coordinate.
             let t = low;
             let mut foot = DVec3::new(squared.x * p.x / (t + squared.x), squared.y * p.y / (t + squared.y), 0.0);
             let rest = 1.0 - (foot / axes).length_squared();
@@ -122,9 +122,9 @@ impl Scene for Ellipsoid {
             volume: Some(4.0 / 3.0 * PI * a * b * c),
             components: Some(1),
             genus: Some(0),
-            // The medial axis is a flat region of the x-y plane. It ends at the centres of
-            // curvature of the tips of the long axis, c^2 / a from them, and is c from the poles of
-            // the short axis.
+            // The medial axis is a flat region in the x-y plane. It ends at the centres of
+            // curvature of the tips of the long axis, at a distance of c^2 / a from the tips. Its
+            // distance from the poles of the short axis is c.
             local_feature_size_min: Some(c * c / a),
             local_feature_size_max: Some(c),
             centre_grid: self.centre.to_array(),
@@ -141,7 +141,7 @@ impl Scene for Ellipsoid {
 /// A hollow ball.
 #[derive(Clone, Copy, Debug)]
 pub struct ThinShell {
-    /// Centre, grid frame (mm).
+    /// Centre in mm in the grid frame.
     pub centre: DVec3,
     /// Radius of the middle of the wall, mm.
     pub radius: f64,
@@ -150,7 +150,7 @@ pub struct ThinShell {
 }
 
 impl ThinShell {
-    /// Radius of 0.35 of the shortest side.
+    /// Returns a shape with a radius of 0.35 of the shortest side.
     pub fn filling(grid: &Geometry, thickness: f64) -> Self {
         Self { centre: off_lattice_centre(grid), radius: 0.35 * shortest_extent(grid), thickness }
     }
@@ -187,16 +187,16 @@ impl Scene for ThinShell {
 /// Two equal balls along x.
 #[derive(Clone, Copy, Debug)]
 pub struct TwoBalls {
-    /// Middle of the gap, grid frame (mm).
+    /// Middle of the gap, in mm in the grid frame.
     pub centre: DVec3,
-    /// Radius of each, mm.
+    /// Radius of each ball, mm.
     pub radius: f64,
     /// Distance between the two surfaces, mm.
     pub gap: f64,
 }
 
 impl TwoBalls {
-    /// Both balls together span 0.84 of the shortest side.
+    /// Returns two balls that together span 0.84 of the shortest side.
     pub fn filling(grid: &Geometry, gap: f64) -> Self {
         let radius = 0.25 * (0.84 * shortest_extent(grid) - gap);
         Self { centre: off_lattice_centre(grid), radius, gap }
@@ -255,7 +255,7 @@ mod tests {
         let sphere = Ellipsoid { centre: DVec3::ZERO, semi_axes: DVec3::splat(2.0) };
         assert!((sphere.area() / (16.0 * PI) - 1.0).abs() < 1e-6);
         let (a, c) = (3.0_f64, 2.0_f64);
-        // Oblate spheroid, closed form.
+        // The area of an oblate spheroid has a closed form.
         let eccentricity = (1.0 - c * c / (a * a)).sqrt();
         let exact = 2.0 * PI * a * a * (1.0 + (1.0 - eccentricity.powi(2)) / eccentricity * eccentricity.atanh());
         let spheroid = Ellipsoid { centre: DVec3::ZERO, semi_axes: DVec3::new(a, a, c) };

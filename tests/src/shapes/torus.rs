@@ -1,4 +1,4 @@
-//! Torus (exact distance) and bumpy torus (implicit function, figures by quadrature).
+//! Torus with exact distance, and bumpy torus as an implicit function with figures by quadrature.
 
 use crate::scene::{Scene, Truth, off_lattice_centre, shortest_extent};
 use crate::shapes::integrate;
@@ -10,17 +10,17 @@ use std::f64::consts::PI;
 /// A torus around the z axis.
 #[derive(Clone, Copy, Debug)]
 pub struct Torus {
-    /// Centre, grid frame (mm).
+    /// Centre in mm in the grid frame.
     pub centre: DVec3,
     /// Radius of the centre circle, mm.
     pub ring_radius: f64,
-    /// Radius of the tube, mm; at most half the ring radius, so that it equals the local feature
-    /// size.
+    /// Radius of the tube in mm. It is at most half the ring radius, so that it equals the local
+    /// feature size.
     pub tube_radius: f64,
 }
 
 impl Torus {
-    /// Ring and tube radius of 0.27 and 0.13 of the shortest side.
+    /// Returns a torus with ring and tube radii of 0.27 and 0.13 of the shortest side.
     pub fn filling(grid: &Geometry) -> Self {
         let extent = shortest_extent(grid);
         Self { centre: off_lattice_centre(grid), ring_radius: 0.27 * extent, tube_radius: 0.13 * extent }
@@ -63,7 +63,7 @@ pub struct BumpyTorus {
 }
 
 impl BumpyTorus {
-    /// The torus of [`Torus::filling`] with bumps of 15 %.
+    /// Returns the torus of [`Torus::filling`] with bumps of 15 % of the tube radius.
     pub fn filling(grid: &Geometry) -> Self {
         Self { torus: Torus::filling(grid), amplitude: 0.15 }
     }
@@ -72,14 +72,14 @@ impl BumpyTorus {
         self.torus.tube_radius * (1.0 + self.amplitude * (5.0 * u).cos() * (3.0 * v).cos())
     }
 
-    /// Area element: length of the cross product of the two parameter derivatives.
+    /// Returns the area element: the length of the cross product of the two parameter derivatives.
     fn area_element(&self, u: f64, v: f64) -> f64 {
         let tube = self.tube_radius(u, v);
         let bump = self.torus.tube_radius * self.amplitude;
         let tube_u = -5.0 * bump * (5.0 * u).sin() * (3.0 * v).cos();
         let tube_v = -3.0 * bump * (5.0 * u).cos() * (3.0 * v).sin();
         let (sin_v, cos_v) = v.sin_cos();
-        // In the frame (radial, around the axis, z): the derivatives along v and along u.
+        // The derivatives along v and along u, in the frame (radial, around the axis, z).
         let along_v = DVec3::new(tube_v * cos_v - tube * sin_v, 0.0, tube_v * sin_v + tube * cos_v);
         let along_u = DVec3::new(tube_u * cos_v, self.torus.ring_radius + tube * cos_v, tube_u * sin_v);
         along_u.cross(along_v).length()

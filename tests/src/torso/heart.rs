@@ -1,4 +1,5 @@
-//! Heart-like part: ellipsoids as chambers and tubes as great vessels, blended into one solid.
+//! The heart-like part: ellipsoids for the chambers and tubes for the great vessels, blended into
+//! one solid.
 
 use super::pieces::{Ellipsoid, FAR, Tube, smooth_union};
 use glam::DVec3;

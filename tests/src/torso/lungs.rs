@@ -1,12 +1,12 @@
-//! Lung-like part: two large lobed solids, hollowed by the heart, the diaphragm and the ribs.
-//! Fissures separate the lobes but leave each lung in one piece.
+//! The lung-like part: two large lobed solids with hollows for the heart, the diaphragm and the
+//! ribs. Fissures separate the lobes but leave each lung in one piece.
 
 use super::heart::Heart;
 use super::pieces::{Ellipsoid, smooth_intersection};
 use super::ribs::{self, Ribs};
 use glam::DVec3;
 
-/// Gap between a lung and the heart or a rib, reference mm.
+/// Gap between a lung and the heart or a rib, in mm of the reference frame.
 const PLEURA: f64 = 4.0;
 
 pub(super) struct Lungs {
@@ -14,7 +14,7 @@ pub(super) struct Lungs {
 }
 
 struct Side {
-    /// +1 on the left.
+    /// +1 on the left, -1 on the right.
     sign: f64,
     hull: Ellipsoid,
     diaphragm: Ellipsoid,
@@ -68,7 +68,7 @@ impl Lungs {
 impl Side {
     fn value(&self, q: DVec3) -> f64 {
         let hull = smooth_intersection(self.hull.value(q), -self.diaphragm.value(q), 8.0);
-        // The two lungs never meet in the middle.
+        // The two lungs must not meet in the middle.
         let hull = smooth_intersection(hull, 12.0 - self.sign * q.x, 6.0);
         self.fissures.iter().fold(hull, |value, fissure| {
             let slab = (q - fissure.through).dot(fissure.normal).abs() - fissure.half_width;

@@ -1,9 +1,9 @@
 //! The `torso` phantom: a chest of 268 x 129 x 177 voxels (the size of the paper's volume) with
 //! heart-like, lung-like and ribcage-like parts.
 //!
-//! Axes as in LPS: x to the left, y to the back, z to the head. The anatomy is defined in a
-//! reference frame in mm, centred in a box of 347.1 x 166.4 x 228.8 mm, and scaled to the given
-//! grid.
+//! The axes follow LPS: x points to the left, y to the back, z to the head. The anatomy is defined
+//! in a reference frame in mm, which is centred in a box of 347.1 x 166.4 x 228.8 mm, and scaled to
+//! the given grid.
 
 mod heart;
 mod lungs;
@@ -15,9 +15,9 @@ use glam::DVec3;
 use isoparticles_volume::Geometry;
 use std::collections::BTreeMap;
 
-/// Voxels of the paper's volume.
+/// Number of voxels of the paper's volume along each axis.
 pub const PAPER_SIZE: [usize; 3] = [268, 129, 177];
-/// Spacing that gives it the size of a chest, mm.
+/// Spacing in mm that gives the volume the size of a chest.
 pub const PAPER_SPACING: f64 = 1.3;
 
 /// Part of the torso.
@@ -37,7 +37,7 @@ pub enum Part {
 /// The torso.
 pub struct Torso {
     centre: DVec3,
-    /// Grid mm per reference mm.
+    /// Scale factor from the reference frame to the grid frame.
     scale: f64,
     part: Part,
     heart: heart::Heart,
@@ -52,7 +52,8 @@ const BLOOD: f64 = 300.0;
 const BONE: f64 = 700.0;
 
 impl Torso {
-    /// The torso scaled to the grid, with its centre a fraction of a voxel off the lattice.
+    /// Returns the torso scaled to the grid, with its centre a fraction of a voxel away from the
+    /// lattice.
     pub fn filling(grid: &Geometry, part: Part) -> Self {
         let reference = PAPER_SPACING * DVec3::from_array(PAPER_SIZE.map(|n| n as f64 - 1.0));
         let scale = (grid.upper_corner() / reference).min_element();
@@ -112,9 +113,9 @@ impl Scene for Torso {
         parts.iter().find(|(_, value)| *value < 0.0).map_or(0, |(label, _)| *label)
     }
 
-    /// For one part, the plain edge profile. For the whole torso, a CT in Hounsfield units: the
-    /// body's value, blended with the value of each part in turn. Outside the body the value is 0,
-    /// as in a scan with a masked background.
+    /// Returns the plain edge profile for one part. For the whole torso, returns CT values in
+    /// Hounsfield units: the body's value, blended with the value of each part in turn. Outside the
+    /// body the value is 0, as in a scan with a masked background.
     fn profile(&self, position: DVec3, edge_width: f64) -> f64 {
         if self.part != Part::All {
             return edge_profile(self.value(position), edge_width);

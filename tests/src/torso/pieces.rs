@@ -2,28 +2,30 @@
 
 use glam::{DMat3, DVec3};
 
-/// Maximum of distance-like values, reference mm. It exceeds every edge profile and blend width, so
-/// pieces that are farther away can be skipped.
+/// Maximum of distance-like values, in mm of the reference frame. It exceeds the widths of every
+/// edge profile and blend, so pieces that are farther away can be skipped.
 pub(super) const FAR: f64 = 25.0;
 
-/// Smooth minimum: the union of two values, rounded over a width of `blend`. It is polynomial and
-/// equals the plain minimum where the two differ by more than `blend`.
+/// Returns the smooth minimum, which is the union of two values, rounded over a width of `blend`.
+/// It is polynomial and equals the plain minimum where the two differ by more than `blend`.
 pub(super) fn smooth_union(a: f64, b: f64, blend: f64) -> f64 {
     let overlap = (blend - (a - b).abs()).max(0.0) / blend;
     a.min(b) - 0.25 * overlap * overlap * blend
 }
 
-/// Smooth maximum: the intersection, rounded in the same way.
+/// Returns the smooth maximum, which is the intersection of two values, rounded over a width of
+/// `blend`.
 pub(super) fn smooth_intersection(a: f64, b: f64, blend: f64) -> f64 {
     -smooth_union(-a, -b, blend)
 }
 
-/// Distance-like value of an ellipsoid: zero on the surface, with a gradient near one around it.
+/// An ellipsoid with a distance-like value, which is zero on the surface and has a gradient of
+/// about 1 near the surface.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ellipsoid {
     pub(super) centre: DVec3,
     pub(super) semi_axes: DVec3,
-    /// Columns: the ellipsoid's axes.
+    /// Matrix whose columns are the ellipsoid's axes.
     pub(super) axes: DMat3,
 }
 
@@ -51,12 +53,13 @@ const RUN: usize = 8;
 #[derive(Clone, Debug)]
 pub(super) struct Tube {
     points: Vec<(DVec3, f64)>,
-    /// Lower and upper corner of the box around each run, so that distant runs cost one comparison.
+    /// Lower and upper corners of the box around each run, so that a distant run costs only one
+    /// comparison.
     boxes: Vec<(DVec3, DVec3)>,
 }
 
 impl Tube {
-    /// The tube through points with radii.
+    /// Returns a tube through points with radii.
     pub(super) fn new(points: Vec<(DVec3, f64)>) -> Self {
         let boxes = (0..points.len() - 1)
             .step_by(RUN)
@@ -70,7 +73,8 @@ impl Tube {
         Self { points, boxes }
     }
 
-    /// A Catmull-Rom curve through control points, cut into `pieces` straight pieces per span.
+    /// Returns a tube along a Catmull-Rom curve through control points, divided into `pieces`
+    /// straight pieces per span.
     pub(super) fn smooth(control: &[([f64; 3], f64)], pieces: usize) -> Self {
         let at = |i: isize| {
             let (point, radius) = control[i.clamp(0, control.len() as isize - 1) as usize];
@@ -93,7 +97,7 @@ impl Tube {
         Self::new(points)
     }
 
-    /// Signed distance-like value, or `give_up` where the tube is at least that far away.
+    /// Returns the signed distance-like value, or `give_up` if the tube is at least that far away.
     pub(super) fn value(&self, q: DVec3, give_up: f64) -> f64 {
         let mut best = give_up;
         for (run, (low, high)) in self.boxes.iter().enumerate() {

@@ -1,20 +1,23 @@
-//! Ribcage-like part. Ribs 1 to 7 join the spine and the sternum, ribs 8 to 10 only the spine. The
-//! floating pairs 11 and 12, the collar bones and the shoulder blades are separate components.
+//! The ribcage-like part. Ribs 1 to 7 join the spine and the sternum; ribs 8 to 10 join only the
+//! spine. The floating pairs 11 and 12, the collar bones and the shoulder blades are separate
+//! components.
 
 use super::pieces::{FAR, Tube, smooth_union};
 use glam::{DMat3, DVec3};
 use std::f64::consts::PI;
 
-/// Ribcage, four floating ribs, two collar bones, two shoulder blades.
+/// Number of components: the ribcage, four floating ribs, two collar bones and two shoulder blades.
 pub(super) const COMPONENTS: usize = 9;
-/// Fourteen ribs join spine and sternum: 14 edges, 2 nodes, 13 independent loops.
+/// Genus: fourteen ribs join the spine and the sternum, so the graph has 14 edges, 2 nodes and 13
+/// independent loops.
 pub(super) const GENUS: usize = 13;
 
-/// Width of the blend between a rib and the spine or the sternum, reference mm.
+/// Width of the blend between a rib and the spine or the sternum, in mm of the reference frame.
 const BLEND: f64 = 3.0;
-/// Position along y where the ribs leave the spine, reference mm.
+/// Position along y at which the ribs leave the spine, in mm of the reference frame.
 const BACK: f64 = 52.0;
-/// Distance from the centre line of a rib to the interior of the cage, reference mm.
+/// Distance from the centre line of a rib to the interior of the cage, in mm of the reference
+/// frame.
 const CLEARANCE: f64 = 9.0;
 
 pub(super) struct Ribs {
@@ -43,17 +46,18 @@ impl Blade {
     }
 }
 
-/// Semi-axes of the elliptic hoop of a rib (counted from 0; fractions lie between two ribs): narrow
-/// at the top, wide below.
+/// Returns the semi-axes of the elliptic hoop of a rib. Ribs are counted from 0, and fractions lie
+/// between two ribs. Hoops are narrow at the top and wide below.
 fn hoop(rib: f64) -> (f64, f64) {
     let down = 1.0 - rib / 11.0;
     (142.0 * (1.0 - 0.58 * down.powi(3)), 64.0 * (1.0 - 0.45 * down.powi(3)))
 }
 
-/// Negative inside the cage, away from the ribs; distance-like near zero.
+/// Returns a value that is negative inside the cage, away from the ribs, and distance-like near
+/// zero.
 pub(super) fn cage_interior(q: DVec3) -> f64 {
-    // Iterates to the rib whose slanted hoop passes at this height: the hoop's size depends on the
-    // rib.
+    // Finds the rib whose slanted hoop passes through this height. This needs iterations because
+    // the hoop's size depends on the rib.
     let mut rib = (98.0 - q.z) / 15.5;
     for _ in 0..3 {
         let (half_width, half_depth) = hoop(rib.clamp(0.0, 11.0));
@@ -67,7 +71,8 @@ pub(super) fn cage_interior(q: DVec3) -> f64 {
     (depth * (level - 1.0)).max(-15.5 * rib)
 }
 
-/// Point of a rib; `t` runs from the spine (0) to the sternum (1), `side` is +1 on the left.
+/// Returns a point on a rib. `t` runs from the spine (0) to the sternum (1); `side` is +1 on the
+/// left.
 fn rib_point(rib: usize, side: f64, t: f64) -> DVec3 {
     let (half_width, half_depth) = hoop(rib as f64);
     let (sin, cos) = (PI * t).sin_cos();
@@ -105,7 +110,7 @@ impl Ribs {
                 7 => (0.0, 0.86),
                 8 => (0.0, 0.80),
                 9 => (0.0, 0.72),
-                // Floating: the rib starts clear of the spine.
+                // Floating ribs start away from the spine.
                 10 => (0.065, 0.52),
                 _ => (0.07, 0.38),
             };

@@ -1,5 +1,5 @@
-//! Arguments: missing, contradictory, misspelled or out-of-range values; precedence; blanks in
-//! names; the goals.
+//! Tests arguments: missing, contradictory, misspelled or out-of-range values, precedence, blanks
+//! in names, and the goals.
 
 use super::support::run;
 use super::{Case, PARAMETERS, STAGES, ball, make};
@@ -81,7 +81,7 @@ fn blanks_and_quotes_in_names_are_taken_as_they_are() {
     let volume = folder.join("left lung (2).nrrd");
     let mut command = case.bare("surface", &["ISO=100", "MIN_SIZE=2", "VERBOSITY=-q"]);
     command.arg(format!("INPUT={}", volume.display())).arg(format!("OUT={}", folder.join("my results").display()));
-    // Options are split as in a shell, so names with blanks need quotes.
+    // Options are split into words as in a shell, so names with blanks need quotes.
     command.arg(format!("SIZEFIELD_OPTIONS=--refine \"mask:{}=1.5\"", volume.display()));
     run(&mut command).expect_success("make surface");
     assert!(folder.join("my results/left lung (2)/left lung (2).surface.vtp").exists());

@@ -1,4 +1,5 @@
-//! Lists of cases: failing rows are reported and stop nothing; another run makes the rest.
+//! Tests lists of cases: failing rows are reported and do not stop other rows, and another run
+//! makes the remaining rows.
 
 use super::support::{Ended, run};
 use super::{Case, executable, make};
@@ -6,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
-/// `make batch` up to the surface, with a list in the folder of the case.
+/// Returns the command `make batch` up to the surface, with a list in the folder of the case.
 fn batch(case: &Case, list: &str, variables: &[&str]) -> Command {
     let path = case.folder.path().join("cases.csv");
     std::fs::write(&path, list).unwrap();
@@ -16,7 +17,7 @@ fn batch(case: &Case, list: &str, variables: &[&str]) -> Command {
     command
 }
 
-/// Verdict and headline of each case in the summary.
+/// Returns the verdict and headline of each case in the summary.
 fn summary(case: &Case) -> BTreeMap<String, (String, String)> {
     let mut reader = csv::Reader::from_path(case.out().join("batch.csv")).expect("batch.csv");
     let columns = reader.headers().expect("a header").clone();
@@ -80,7 +81,7 @@ fn what_fails_is_told_and_the_rest_is_made() {
     for name in all.map(|(name, _)| name) {
         assert!(index.contains(&format!("\"name\": \"{name}\"")), "{name} is not in the index: {index}");
     }
-    // SIZE beside the list applies to the row that does not set it.
+    // SIZE on the command line applies to the row that does not set SIZE.
     assert!(case.text("status.json").contains("\"SIZE\": \"2.5\""), "{}", case.text("status.json"));
 
     let before = case.times();
@@ -101,7 +102,7 @@ fn what_fails_is_told_and_the_rest_is_made() {
     assert_eq!(case.times(), before, "what was made holds");
 }
 
-/// Options that a later stage refuses are reported before the first row runs; results stay.
+/// Options that a later stage refuses are reported before the first row runs, and results stay.
 #[test]
 fn refused_options_are_told_before_the_first_row() {
     let case = Case::new();
@@ -139,7 +140,7 @@ fn a_list_that_cannot_be_meant_is_refused_before_any_work() {
     nothing(&["LIST=nowhere.csv", "TIME_LIMIT=soon"], &["TIME_LIMIT=soon", "2h"]);
 }
 
-/// A case above the time limit is stopped, and the others are made.
+/// A case that exceeds the time limit is stopped, and the other cases are made.
 #[cfg(unix)]
 #[test]
 fn a_case_that_takes_too_long_is_stopped() {

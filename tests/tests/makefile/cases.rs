@@ -1,4 +1,4 @@
-//! Several cases at once.
+//! Tests several cases at once.
 
 use super::support::{root, run, skip};
 use super::{StandIn, make};
@@ -28,7 +28,7 @@ fn the_index_is_written_although_a_case_fails() {
     run(&mut command("index")).expect_success("make index");
 }
 
-/// Two cases made at once are the same as made alone.
+/// Two cases made at once give the same results as cases made one at a time.
 #[test]
 fn two_cases_at_once() {
     let folder = tempfile::tempdir().expect("folder");
@@ -58,7 +58,8 @@ fn two_cases_at_once() {
     assert_eq!(surface(&together), surface(&alone));
 }
 
-/// `make -j` over files of pipelines/, down to the tetrahedra, if the Python environment exists.
+/// Runs `make -j` for two case files of pipelines/ up to the tetrahedra, if the Python environment
+/// exists.
 #[test]
 fn make_j_over_two_cases_down_to_the_tetrahedra() {
     let test = "make_j_over_two_cases_down_to_the_tetrahedra";

@@ -1,5 +1,5 @@
-//! A list of cases with Snakemake on this machine: failing rows are reported and stop nothing;
-//! another run makes what is out of date.
+//! Makes a list of cases with Snakemake on this machine. Failing rows are reported and do not stop
+//! other rows, and another run makes the results that are out of date.
 
 use super::batch::{expected, verdicts};
 use super::support::{root, run, skip};
@@ -7,7 +7,8 @@ use super::{Case, STAGES, make};
 use std::process::Command;
 use std::time::SystemTime;
 
-/// `make cluster` up to the surface; `None`, with a recorded skip, without Snakemake.
+/// Returns the command `make cluster` up to the surface. Without Snakemake, records a skip and
+/// returns `None`.
 fn cluster(case: &Case, list: &str) -> Option<Command> {
     let snakemake = root().join(".venv-snakemake/bin/snakemake");
     if !snakemake.exists() {
@@ -23,7 +24,7 @@ fn cluster(case: &Case, list: &str) -> Option<Command> {
     Some(command)
 }
 
-/// Modification time of each stage's output of a row.
+/// Returns the modification time of each stage's output for a row.
 fn times(case: &Case, name: &str) -> Vec<SystemTime> {
     let time = |ending: &str| std::fs::metadata(case.out().join(name).join(format!("{name}.{ending}")));
     STAGES.iter().map(|(_, ending)| time(ending).and_then(|it| it.modified()).expect(ending)).collect()
@@ -52,7 +53,8 @@ fn a_list_is_made_by_snakemake() {
     }
     assert!(case.out().join("broken/broken.report.html").exists(), "what failed has a page");
 
-    // One row gets another size, and the others are dropped. Its distance field stays valid.
+    // One row gets another size, and the other rows are removed. The distance field of the row
+    // stays valid.
     let before = times(&case, "a ball");
     let mended = "NAME,INPUT,ISO,SIZE,SCALE\na ball,ball.nrrd,100,3,0\n";
     let run_mended = |list: &str| {

@@ -1,5 +1,5 @@
-//! After a failure, the status describes it, and the page and the index are made from the status.
-//! No file of an earlier run can be mistaken for a result.
+//! Tests failures. The status describes a failure, and the page and the index are made from the
+//! status. No file of an earlier run can be mistaken for a result.
 
 use super::support::{listing, run};
 use super::{Case, PARAMETERS, TAKES_ALL, executable};
@@ -21,7 +21,8 @@ fn a_failing_first_stage_has_a_page_and_stands_in_the_index() {
     assert!(index.contains("\"verdict\": \"error\""), "{index}");
 }
 
-/// A good mesh, then the same name with a size that fails (issue 17).
+/// After a good mesh, a run with the same name and a size that fails leaves no old result (issue
+/// 17).
 #[test]
 fn a_failed_run_leaves_no_result_of_an_earlier_one() {
     let case = Case::new();
@@ -55,12 +56,13 @@ fn a_failed_run_leaves_no_result_of_an_earlier_one() {
     assert!(case.has("surface.vtp") && case.has("volume.vtu") && pictures.exists());
 }
 
-/// Another surface under the same name removes the tetrahedra and the page of the first (issue 17).
+/// A different surface under the same name removes the tetrahedra and the page of the first surface
+/// (issue 17).
 #[test]
 fn a_surface_of_something_else_takes_away_the_tetrahedra() {
     let case = Case::new();
     case.mesh(0, &[]);
-    // With the same surface they stay.
+    // With the same surface, the tetrahedra and the page stay.
     case.surface(&PARAMETERS).expect_success("make surface");
     assert!(case.has("volume.vtu") && case.has("report.html"));
     assert_eq!(case.status()["goal"], "surface");
@@ -70,7 +72,7 @@ fn a_surface_of_something_else_takes_away_the_tetrahedra() {
     assert!(case.text("report.html").contains("\"ISO\": \"120\""), "the page is that of the new surface");
 }
 
-/// A stage makes its output but fails a check: make fails, and the output gets another name.
+/// If a stage makes its output but fails a check, make fails and the output is renamed.
 #[test]
 #[cfg(unix)]
 fn the_output_of_a_failed_check_is_kept_aside() {
@@ -91,7 +93,8 @@ fn the_output_of_a_failed_check_is_kept_aside() {
     assert!(!case.has("sizefield.failed.vti"));
 }
 
-/// A program ends without a report or by a signal, or does not exist.
+/// A program that ends without a report, ends by a signal, or does not exist gives a three-part
+/// error.
 #[test]
 #[cfg(unix)]
 fn a_program_that_crashes_is_told_in_three_parts() {
@@ -110,7 +113,8 @@ fn a_program_that_crashes_is_told_in_three_parts() {
     assert_eq!(case.states()["seed"], "error", "nothing was begun");
 }
 
-/// However the last stage ends, no file of an earlier run can be mistaken for its result.
+/// For every way in which the last stage ends, no file of an earlier run can be mistaken for its
+/// result.
 #[test]
 fn no_stale_mesh_or_page_is_left() {
     let case = Case::new();
@@ -172,8 +176,8 @@ fn a_killed_run_is_told() {
 }
 
 /// The stage of a killed program may write its output late: after the next run has removed old
-/// files, and before that run starts the stage. Such a file does not belong to the user; the status
-/// lists it as the stage's result.
+/// files, but before the next run starts the stage. Such a file does not belong to the user, so the
+/// status lists the file as the stage's result.
 #[test]
 #[cfg(unix)]
 fn late_output_of_a_killed_run_is_made_again() {
@@ -186,13 +190,14 @@ fn late_output_of_a_killed_run_is_made_again() {
     run(&mut case.command("seed", &["ISO=100", "SIZE=2.5", "VERBOSITY=-q", &bin])).expect_success("make seed");
     assert_eq!(case.text("seeds.bin"), "made\n");
     assert_eq!(case.status()["stages"][2]["outputs"][0], "ball.seeds.bin");
-    // A failure leaves none of it.
+    // A failed run leaves no such file.
     executable(&programs.join("seed"), &format!("{TAKES_ALL}exit 2\n"));
     run(&mut case.command("seed", &["ISO=100", "SIZE=2", "VERBOSITY=-q", &bin])).expect_error(2, &["seed"]);
     assert!(!case.has("seeds.bin"));
 }
 
-/// Two runs over one case: the second is refused and does not disturb the first.
+/// Of two simultaneous runs of one case, the second run is refused and does not disturb the first
+/// run.
 #[test]
 fn two_runs_on_one_name_do_not_meet() {
     let case = Case::new();

@@ -1,5 +1,5 @@
-//! End-to-end tests of the Makefile: what reruns after a change, what is left after a failure,
-//! arguments, several cases.
+//! End-to-end tests of the Makefile: reruns after a change, files left after a failure, arguments,
+//! and several cases.
 
 #[path = "../support/mod.rs"]
 mod support;
@@ -23,7 +23,7 @@ use std::process::Command;
 use std::time::SystemTime;
 use support::{Ended, Kind, binaries, root, run, write_phantom};
 
-/// Stages in order, with the output of each.
+/// Stages in order, each with the ending of its output.
 const STAGES: [(&str, &str); 5] = [
     ("distfield", "distfield.vti"),
     ("sizefield", "sizefield.vti"),
@@ -32,7 +32,7 @@ const STAGES: [(&str, &str); 5] = [
     ("reconstruct", "surface.vtp"),
 ];
 
-/// Parameters of the fastest surface of the ball.
+/// Parameters for the fastest surface of the ball.
 const PARAMETERS: [&str; 3] = ["ISO=100", "SIZE=2.5", "VERBOSITY=-q"];
 
 /// A ball in a temporary folder, and stand-ins for the Python programs.
@@ -54,14 +54,14 @@ impl Case {
         self.folder.path().join("out")
     }
 
-    /// A goal over the ball.
+    /// Returns the make command for a goal on the ball.
     fn command(&self, goal: &str, variables: &[&str]) -> Command {
         let mut command = self.bare(goal, &[&format!("INPUT={}", self.volume.display())]);
         command.args(variables);
         command
     }
 
-    /// A goal with these variables and no volume.
+    /// Returns the make command for a goal with these variables and no volume.
     fn bare(&self, goal: &str, variables: &[&str]) -> Command {
         let mut command = make();
         command.arg(goal).arg(format!("OUT={}", self.out().display())).arg(self.stand_in.variable()).args(variables);
@@ -72,7 +72,7 @@ impl Case {
         run(&mut self.command("surface", variables))
     }
 
-    /// Makes the tetrahedra, with a stand-in that ends with `code`.
+    /// Makes the tetrahedra with a stand-in that ends with the exit code `code`.
     #[track_caller]
     fn mesh(&self, code: i32, variables: &[&str]) -> Ended {
         self.stand_in.end_with(code);
@@ -97,7 +97,7 @@ impl Case {
         serde_json::from_str(&self.text("status.json")).expect("the status is JSON")
     }
 
-    /// State of each stage in the status.
+    /// Returns the state of each stage in the status.
     fn states(&self) -> BTreeMap<String, String> {
         let status = self.status();
         let text = |value: &serde_json::Value| value.as_str().unwrap_or_default().to_owned();
@@ -105,7 +105,7 @@ impl Case {
         stages.iter().map(|stage| (text(&stage["stage"]), text(&stage["state"]))).collect()
     }
 
-    /// Modification time of each stage's output.
+    /// Returns the modification time of each stage's output.
     fn times(&self) -> BTreeMap<&'static str, SystemTime> {
         let time = |ending| std::fs::metadata(self.file(ending)).and_then(|m| m.modified());
         STAGES.iter().map(|(name, ending)| (*name, time(ending).expect(name))).collect()
@@ -120,7 +120,7 @@ impl Case {
         STAGES.iter().map(|(name, _)| *name).filter(|name| before[name] != after[name]).collect()
     }
 
-    /// A folder with links to the programs; a test can replace some of them.
+    /// Returns a folder of links to the programs. A test can replace some of the links.
     #[cfg(unix)]
     fn linked_programs(&self) -> PathBuf {
         let programs = self.folder.path().join("bin");
@@ -132,24 +132,24 @@ impl Case {
     }
 }
 
-/// A ball of radius 8.05 mm in 24^3 voxels of 1 mm, iso value 100.
+/// Writes a ball of radius 8.05 mm in 24^3 voxels of 1 mm, with the iso value 100.
 fn ball(path: &Path) {
     write_phantom(path, Shape::Ball, &Geometry::axis_aligned([24; 3], DVec3::ONE), Kind::Scalar);
 }
 
-/// GNU make on the Makefile, with programs that are already built.
+/// Returns a GNU make command on the Makefile that uses programs that are already built.
 fn make() -> Command {
     let mut command = Command::new("make");
     command.current_dir(root()).arg("NO_BUILD=yes").arg(format!("BIN={}", binaries().display()));
-    // The make that runs these tests must not pass its settings on.
+    // The settings of the make process that runs these tests must not be inherited.
     for variable in ["MAKEFLAGS", "MFLAGS", "MAKELEVEL", "MAKEOVERRIDES"] {
         command.env_remove(variable);
     }
     command
 }
 
-/// Stand-ins for tetmesh-check and its page and index programs. The first ends with the exit code
-/// from `end_with`; the pages contain the status files that they are made from.
+/// Stand-ins for tetmesh-check and its page and index programs. The stand-in for tetmesh-check ends
+/// with the exit code from `end_with`. The pages contain the status files that they are made from.
 struct StandIn {
     folder: tempfile::TempDir,
 }
@@ -187,7 +187,7 @@ impl StandIn {
     }
 }
 
-/// First line of a stage's stand-in: accepts any options.
+/// First line of a stage's stand-in. It accepts any options.
 const TAKES_ALL: &str = "[ \"$1\" = --check-options ] && { echo \"$2\"; exit 0; }\n";
 
 /// Writes an executable shell script.

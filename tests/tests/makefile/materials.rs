@@ -1,5 +1,5 @@
-//! Many materials through make, down to the tetrahedra, with an independent check of the labels
-//! that the mesh preserves.
+//! Makes several materials with make, up to the tetrahedra, and checks independently which labels
+//! the mesh preserves.
 
 use super::make;
 use super::support::{root, run, skip};
@@ -9,7 +9,8 @@ use isoparticles_volume::Geometry;
 use std::path::Path;
 use std::process::Command;
 
-/// A ball of two halves (labels 1 and 2) in a block (label 3), on an oblique left-handed grid.
+/// Writes a ball of two halves (labels 1 and 2) in a block (label 3), on an oblique left-handed
+/// grid.
 fn write_halves(path: &Path) {
     let mut geometry = Geometry::axis_aligned([20, 19, 18], DVec3::new(1.0, 1.1, 1.2));
     geometry.directions = DMat3::from_rotation_z(0.4) * DMat3::from_rotation_x(-0.3);
@@ -38,7 +39,7 @@ fn materials_become_one_mesh_that_keeps_every_voxel() {
     write_halves(&volume);
     let mut command = make();
     command.args(["mesh", "MATERIALS=left:1,right:2,rest:3", "SIZE=1.2", "SCALE=0", "VERBOSITY=-q"]);
-    // Room for the chords of edges that are longer than a voxel.
+    // The clearance leaves room for the chord error of edges that are longer than a voxel.
     command.arg("DISTFIELD_OPTIONS=--clearance 0.1");
     command.arg("TETMESH_OPTIONS=--source left --conductivity right=0.2");
     command.arg(format!("INPUT={}", volume.display())).arg(format!("OUT={}", folder.path().display()));
@@ -67,7 +68,7 @@ fn materials_become_one_mesh_that_keeps_every_voxel() {
     assert!(figure("radius_ratio_smallest") > 0.45 && figure("radius_ratio_mean") > 0.95, "{kept}");
     assert!(figure("angle_smallest") > 22.0 && figure("dihedral_smallest") > 8.0, "{kept}");
 
-    // Other labels than those of the mesh.
+    // This volume has different labels from the mesh.
     let other = folder.path().join("other.nrrd");
     let geometry = Geometry::axis_aligned([20, 19, 18], DVec3::new(1.0, 1.1, 1.2));
     nrrd::write(&other, &geometry, FileSpace::Lps, &Voxels::U8(vec![3; geometry.voxel_count()]), true)

@@ -1,4 +1,4 @@
-//! Names of results, and two volumes with the same name.
+//! Tests the names of results, and two volumes with the same name.
 
 use super::support::run;
 use super::{Case, ball};
@@ -41,21 +41,22 @@ fn two_volumes_of_one_name_do_not_replace_each_other() {
     distfield(&second, &[]).expect_error(2, &words);
     assert!(case.out().join("heart/heart.distfield.vti").exists(), "the first one's result stays");
     distfield(&second, &["NAME=heart B"]).expect_success("under a name of its own");
-    // The same file through a link is the same volume.
+    // A link to a file is the same volume as the file.
     #[cfg(unix)]
     {
         let link = case.folder.path().join("heart.nrrd");
         std::os::unix::fs::symlink(&first, &link).unwrap();
         distfield(&link, &[]).expect_success("by a link");
     }
-    // A phantom in place of a file is another volume, too.
+    // A phantom instead of a file is also another volume.
     let phantom = ["PHANTOM=ball --size 24", "NAME=heart", "ISO=100", "VERBOSITY=-q"];
     run(&mut case.bare("distfield", &phantom)).expect_error(2, &["a phantom", "make clean"]);
     run(&mut case.bare("clean", &["NAME=heart"])).expect_success("make clean");
     distfield(&second, &[]).expect_success("after make clean");
 }
 
-/// A case must not use its own result as its volume: that would be removed before it is read.
+/// A case must not use one of its own results as its volume, because the result would be removed
+/// before it is read.
 #[test]
 fn a_case_is_not_made_of_its_own_result() {
     let mut case = Case::new();

@@ -1,5 +1,5 @@
-//! Options that a stage refuses end a run before anything is removed or started; earlier results
-//! stay.
+//! Tests options that a stage refuses. They end a run before anything is removed or started, and
+//! earlier results stay.
 
 use super::support::{Kind, listing, run, write_phantom};
 use super::{Case, make};
@@ -9,7 +9,7 @@ use isoparticles_volume::Geometry;
 use std::path::Path;
 use std::time::SystemTime;
 
-/// The files in a folder with their modification times.
+/// Returns the files in a folder with their modification times.
 fn snapshot(folder: &Path) -> Vec<(String, SystemTime)> {
     let time = |name: &String| std::fs::metadata(folder.join(name)).and_then(|it| it.modified()).expect("a time");
     let files = listing(folder).into_iter().filter(|name| folder.join(name).is_file() && name != ".lock");
@@ -34,7 +34,7 @@ fn refused_options_leave_the_results_of_the_run_before() {
         (&["ISO=100000"], &["distfield", "100000"]),
     ];
     for (variables, words) in attempts {
-        // Another iso value, so that every stage is about to run.
+        // Another iso value makes every stage run again.
         let mut command = case.command("mesh", &["ISO=120", "SIZE=2.5", "VERBOSITY=-q"]);
         run(command.args(variables)).expect_error(2, words);
         assert_eq!(snapshot(&case.out().join("ball")), before, "{variables:?}");
@@ -74,7 +74,7 @@ fn names_of_materials_are_checked_before_any_stage() {
     let told = ["sizefield", "--size bdoy=3: no such material", "outside, body"];
     // The distance field is valid.
     surface(&["MATERIALS=body:1", "SCALE=0", wrong]).expect_error(2, &told);
-    // The distance field is out of date: its names come from the options, or from the volume.
+    // The distance field is out of date, so the names come from the options or from the volume.
     surface(&["MATERIALS=body:1", "SCALE=2", wrong]).expect_error(2, &told);
     surface(&["MATERIALS=all", "SCALE=0", wrong]).expect_error(2, &["sizefield", "bdoy", "outside, "]);
     surface(&["MATERIALS=body:7", "SCALE=0"]).expect_error(2, &["distfield", "7"]);

@@ -1,4 +1,4 @@
-//! Which stages run again after a change, and which do not.
+//! Tests which stages run again after a change.
 
 use super::support::{binaries, listing, run};
 use super::{Case, PARAMETERS, STAGES};
@@ -22,7 +22,7 @@ fn one_parameter_reruns_exactly_the_stages_that_depend_on_it() {
     let reseeded = ["ISO=100", "SIZE=2.5", "BACKEND=cpu", "SEED=3"];
     assert_eq!(case.reran(&reseeded), ["seed", "particles", "reconstruct"]);
     let resized = ["ISO=100", "SIZE=2.4", "BACKEND=cpu", "SEED=3"];
-    // The scale follows an edge length that is coarser than the voxels.
+    // The scale depends on an edge length that is coarser than the voxels.
     assert_eq!(case.reran(&resized), ["distfield", "sizefield", "seed", "particles", "reconstruct"]);
     let graded = ["ISO=100", "SCALE=0", "EPSILON=0.4", "MAX_SIZE=3", "BACKEND=cpu", "SEED=3"];
     assert_eq!(case.reran(&graded).first(), Some(&"distfield"));
@@ -30,7 +30,7 @@ fn one_parameter_reruns_exactly_the_stages_that_depend_on_it() {
     assert_eq!(case.reran(&finer), ["sizefield", "seed", "particles", "reconstruct"]);
     let another = ["ISO=120", "EPSILON=0.4", "MAX_SIZE=3", "BACKEND=cpu", "SEED=3"];
     assert_eq!(case.reran(&another), ALL);
-    // A missing output is made again, with the stages after it.
+    // A missing output is made again, and the stages after it run again.
     std::fs::remove_file(case.file("particles.bin")).unwrap();
     case.surface(&another).expect_success("make surface");
     assert_eq!(case.status()["stages"][3]["made"], true);
@@ -38,7 +38,7 @@ fn one_parameter_reruns_exactly_the_stages_that_depend_on_it() {
     assert_eq!(case.status()["stages"][4]["made"], true);
 }
 
-/// The content decides, not the time: touching a file changes no result.
+/// Reruns depend on the content of a file, not on its time, so touching a file changes no result.
 #[test]
 fn a_touched_input_reruns_nothing_and_a_changed_one_everything() {
     let case = Case::new();
@@ -131,7 +131,8 @@ fn a_program_built_anew_to_the_same_bytes_reruns_nothing() {
     assert_eq!(case.reran(&variables), ["particles", "reconstruct"]);
 }
 
-/// convergence.py is beside tetmesh-check but makes no tetrahedra: a change must not rerun them.
+/// convergence.py is in the same folder as tetmesh-check but makes no tetrahedra, so a change to it
+/// must not cause the tetrahedra to be made again.
 #[test]
 fn the_files_of_the_tetrahedra_leave_out_other_programs() {
     let planned =
@@ -155,7 +156,7 @@ fn a_stopped_run_is_finished_by_the_next() {
     let options = "PARTICLES_OPTIONS=--max-passes 300 --energy-tolerance 0";
     let variables = ["ISO=100", "SIZE=1.2", "VERBOSITY=-q", options];
     let mut command = stopped.command("surface", &variables);
-    // A separate process group: the signal reaches make and its programs alike, as Ctrl-C does.
+    // In a separate process group, the signal reaches make and its programs, as with Ctrl-C.
     command.process_group(0);
     let mut child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("make");
     let checkpoint = stopped.file("checkpoint.bin");
@@ -168,7 +169,7 @@ fn a_stopped_run_is_finished_by_the_next() {
     let killed = Command::new("sh").args(["-c", &format!("kill -s INT -- -{}", child.id())]).status().expect("sh");
     assert!(killed.success());
     assert!(!child.wait().expect("make ends").success(), "make must not call a stopped run a success");
-    // make does not wait for a child after it has passed the signal on.
+    // make does not wait for a child process after forwarding the signal.
     while !stopped.has("report.html") {
         assert!(waited < 12000, "a stopped case has its page, too: {}", stopped.status());
         std::thread::sleep(std::time::Duration::from_millis(10));
@@ -182,7 +183,8 @@ fn a_stopped_run_is_finished_by_the_next() {
     stopped.surface(&variables).expect_success("the second run");
     unbroken.surface(&variables).expect_success("the unbroken run");
     assert!(!checkpoint.exists(), "a finished run needs no checkpoint");
-    // Histories contain the paths of the inputs, which differ, so the particles are compared.
+    // The files differ because their histories contain the paths of the inputs, so only the
+    // particles are compared.
     let particles = |file: &Path| {
         use isoparticles_stage::particle_file::{ParticleKind, read_particles};
         read_particles(file, &[ParticleKind::Particles]).expect("particles").particles

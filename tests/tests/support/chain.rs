@@ -1,11 +1,11 @@
-//! Runs the chain from a volume to triangles with the stage programs.
+//! Runs the stage programs from a volume to triangles.
 
 use super::stage;
 use crate::arguments;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Files of a case in a folder.
+/// Paths of the files of a case.
 #[derive(Clone, Debug)]
 pub struct Files {
     /// Signed distance field.
@@ -14,7 +14,7 @@ pub struct Files {
     pub sizefield: PathBuf,
     /// Report of `sizefield`.
     pub sizefield_report: PathBuf,
-    /// First particles.
+    /// Initial particles.
     pub seeds: PathBuf,
     /// Settled particles.
     pub particles: PathBuf,
@@ -23,7 +23,7 @@ pub struct Files {
 }
 
 impl Files {
-    /// The names of all files in a folder.
+    /// Returns the paths of all files of a case in a folder.
     pub fn in_folder(folder: &Path) -> Self {
         let file = |name: &str| folder.join(name);
         Self {
@@ -51,12 +51,12 @@ pub struct Wishes {
 }
 
 impl Wishes {
-    /// A phantom's scalar volume; `size` (mm) sets one edge length everywhere.
+    /// Returns the options for a phantom's scalar volume. `size` sets a constant edge length in mm.
     pub fn scalar(size: Option<f64>) -> Self {
         Self::of(arguments!["--iso", "100"], size)
     }
 
-    /// A phantom's label map; `size` as above.
+    /// Returns the options for a phantom's label map. `size` sets a constant edge length in mm.
     pub fn label(size: Option<f64>) -> Self {
         Self::of(arguments!["--labels", "1"], size)
     }

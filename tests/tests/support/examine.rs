@@ -1,4 +1,5 @@
-//! Independent examination of a triangle mesh; tests also check the project's own checks with it.
+//! Examines a triangle mesh independently of the project's own code. Tests also use this to verify
+//! the project's own checks.
 
 use glam::DVec3;
 use std::collections::HashMap;
@@ -10,16 +11,17 @@ pub struct Examination {
     pub bad_edges: usize,
     /// Connected components.
     pub components: usize,
-    /// Sum of the genera of all components, by Euler's formula; meaningful for closed meshes.
+    /// Sum of the genera of all components, from Euler's formula. It is meaningful only for closed
+    /// meshes.
     pub genus: i64,
     /// Sum of the triangles' areas.
     pub area: f64,
-    /// Enclosed volume by the divergence theorem; positive when the triangles face outward.
+    /// Enclosed volume from the divergence theorem; positive if the triangles face outward.
     pub volume: f64,
     /// Centre of mass of the enclosed solid.
     pub centroid: DVec3,
-    /// Mean radius ratio: twice the radius of the inscribed circle over that of the circumscribed
-    /// one.
+    /// Mean radius ratio: twice the radius of the inscribed circle divided by the radius of the
+    /// circumscribed circle.
     pub mean_radius_ratio: f64,
     /// Minimum radius ratio.
     pub smallest_radius_ratio: f64,

@@ -1,5 +1,5 @@
 //! Helpers of the integration tests: the built programs, phantoms on disk, and an examination of
-//! meshes that shares nothing with the code under test.
+//! meshes that shares no code with the code under test.
 #![allow(dead_code, unreachable_pub, reason = "each test binary uses its own part of these helpers")]
 
 pub mod chain;
@@ -15,13 +15,14 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 
-/// Root of the repository.
+/// Returns the root of the repository.
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("tests/ lies in the repository").to_path_buf()
 }
 
-/// Folder of the release programs. Each test binary builds them once (a fraction of a second if
-/// they are up to date), unless `ISOPARTICLES_BIN` names a folder with them.
+/// Returns the folder of the release programs. Each test binary builds the programs once (a
+/// fraction of a second if they are up to date), unless `ISOPARTICLES_BIN` contains the path of a
+/// folder with the programs.
 pub fn binaries() -> &'static Path {
     static BINARIES: OnceLock<PathBuf> = OnceLock::new();
     BINARIES.get_or_init(|| {
@@ -44,9 +45,9 @@ pub fn binaries() -> &'static Path {
 pub struct Ended {
     /// Exit code.
     pub code: Option<i32>,
-    /// Text on stderr.
+    /// Output on stderr.
     pub stderr: String,
-    /// Text on stdout.
+    /// Output on stdout.
     pub stdout: String,
 }
 
@@ -58,7 +59,8 @@ impl Ended {
         self
     }
 
-    /// Asserts an error: the exit code, the three parts, no panic, and every word of `words`.
+    /// Asserts that the program failed with this exit code, without a panic, and with a three-part
+    /// error that contains every word of `words`.
     #[track_caller]
     pub fn expect_error(&self, code: i32, words: &[&str]) {
         assert_eq!(self.code, Some(code), "exit code; stderr:\n{}", self.stderr);
@@ -90,7 +92,7 @@ pub fn stage<A: AsRef<OsStr>>(name: &str, arguments: impl IntoIterator<Item = A>
     run(&mut command)
 }
 
-/// Arguments from values that convert into an `OsString`.
+/// Makes a list of arguments from values that convert into an `OsString`.
 #[macro_export]
 macro_rules! arguments {
     ($($argument:expr),* $(,)?) => { vec![$(std::ffi::OsString::from($argument)),*] };
@@ -105,7 +107,8 @@ pub enum Kind {
     Label,
 }
 
-/// Writes a phantom; returns its exact figures (iso value 100, object above, or label 1).
+/// Writes a phantom and returns its exact figures. The object is above the iso value 100 or has
+/// label 1.
 pub fn write_phantom(path: &Path, shape: Shape, geometry: &Geometry, kind: Kind) -> Truth {
     write_phantom_with(path, shape, geometry, kind, FileSpace::Lps, &Options::for_grid(geometry))
 }
@@ -128,7 +131,7 @@ pub fn write_phantom_with(
     scene.truth()
 }
 
-/// Names of the files in a folder, sorted.
+/// Returns the sorted names of the files in a folder.
 pub fn listing(folder: &Path) -> Vec<String> {
     let mut names: Vec<String> = std::fs::read_dir(folder)
         .expect("the folder can be listed")
@@ -138,7 +141,8 @@ pub fn listing(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Folder of the real volumes; `None`, with a recorded skip, if it is missing.
+/// Returns the folder of the real volumes. If the folder is missing, records a skip and returns
+/// `None`.
 pub fn real_volumes(test: &str) -> Option<PathBuf> {
     let folder = isoparticles_tests::skip::real_volumes_folder();
     if folder.is_dir() {

@@ -1,4 +1,4 @@
-//! Marching cubes on shapes of known topology, area and volume.
+//! Tests of marching cubes on shapes of known topology, area and volume.
 
 use super::*;
 use crate::random::uniform;
@@ -15,14 +15,14 @@ fn corners(mesh: &TriangleMesh, t: [u32; 3]) -> [DVec3; 3] {
     t.map(|v| mesh.vertices[v as usize])
 }
 
-/// Area and enclosed volume.
+/// Returns the area and the enclosed volume.
 fn measure(mesh: &TriangleMesh) -> (f64, f64) {
     mesh.triangles.iter().map(|&t| corners(mesh, t)).fold((0.0, 0.0), |(area, volume), [a, b, c]| {
         (area + 0.5 * (b - a).cross(c - a).length(), volume + a.dot(b.cross(c)) / 6.0)
     })
 }
 
-/// Checks edges, vertex umbrellas and triangles; returns the Euler characteristic.
+/// Checks edges, vertex umbrellas and triangles. Returns the Euler characteristic.
 fn check_closed(mesh: &TriangleMesh) -> isize {
     let mut edges: HashMap<(u32, u32), usize> = HashMap::new();
     let mut fans: Vec<HashMap<u32, u32>> = vec![HashMap::new(); mesh.vertices.len()];
@@ -95,7 +95,7 @@ fn triangles_face_the_larger_values() {
 
 #[test]
 fn samples_equal_to_the_iso_value_make_no_degenerate_triangle() {
-    // integer data with every surface sample exactly on the iso value
+    // integer data in which every surface sample equals the iso value
     let distance = |p: DVec3| (p - DVec3::splat(7.0)).abs().element_sum();
     let mesh = marching_cubes(&sampled([15, 15, 15], DVec3::ONE, distance), 5.0);
     assert_eq!(check_closed(&mesh), 2);
@@ -115,8 +115,8 @@ fn the_table_covers_every_crossed_edge_once() {
 
 #[test]
 fn the_saddle_decides_whether_diagonal_neighbours_are_joined() {
-    // the saddle value is 0.3 times the outside value minus 0.35, zero at 7/6; that of the bilinear
-    // interpolant is zero at 1/2
+    // the saddle value is 0.3 times the outside value minus 0.35, which is zero at 7/6; that of the
+    // bilinear interpolant is zero at 1/2
     for (outside, components) in [(1.1, 1), (1.2, 2)] {
         let diagonal = |p: DVec3| {
             let touches = p == DVec3::new(2.0, 2.0, 2.0) || p == DVec3::new(3.0, 3.0, 2.0);

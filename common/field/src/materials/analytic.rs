@@ -1,26 +1,27 @@
 //! Indicators given as functions: balls, half spaces, and their unions, intersections and
-//! complements. They serve tests on shapes with known strata.
+//! complements. They are used in tests of shapes with known strata.
 
 use super::{Indicators, MaterialId, Near};
 use crate::spline::Jet;
 use glam::{DMat3, DVec3};
 
-/// A function of the grid position (mm) with its derivatives.
+/// A function of the grid position (mm) that also returns its derivatives.
 type Function = Box<dyn Fn(DVec3) -> Jet + Send + Sync>;
 
-/// Indicators given as functions, one per material.
+/// Indicators given as one function per material.
 pub struct Analytic {
     functions: Vec<Function>,
     voxel: f64,
 }
 
 impl Analytic {
-    /// `voxel` (mm) is the length scale of the functions ([`Indicators::voxel`]).
+    /// Creates the indicators. `voxel` (mm) is the length scale of the functions
+    /// ([`Indicators::voxel`]).
     pub fn new(functions: Vec<Function>, voxel: f64) -> Self {
         Self { functions, voxel }
     }
 
-    /// The numbers of the materials.
+    /// Returns the numbers of the materials.
     pub fn ids(&self) -> impl Iterator<Item = MaterialId> + use<> {
         (0..self.functions.len() as u16).map(MaterialId)
     }
@@ -47,7 +48,7 @@ impl Indicators for Analytic {
     }
 }
 
-/// Signed distance (mm) from a ball, negative inside.
+/// Returns the signed distance (mm) from a ball, negative inside.
 pub fn ball(centre: DVec3, radius: f64) -> Function {
     Box::new(move |p| {
         let (away, length) = (p - centre, p.distance(centre));
@@ -58,13 +59,13 @@ pub fn ball(centre: DVec3, radius: f64) -> Function {
     })
 }
 
-/// Signed distance (mm) from the plane through `point`, negative on the side opposite to the unit
-/// normal.
+/// Returns the signed distance (mm) from the plane through `point`. It is negative on the side
+/// opposite to the unit normal.
 pub fn half_space(point: DVec3, normal: DVec3) -> Function {
     Box::new(move |p| Jet { value: (p - point).dot(normal), gradient: normal, hessian: DMat3::ZERO })
 }
 
-/// Maximum of two functions: the intersection of the regions where they are negative.
+/// Returns the maximum of two functions: the intersection of the regions where they are negative.
 pub fn maximum(a: Function, b: Function) -> Function {
     Box::new(move |p| {
         let (a, b) = (a(p), b(p));
@@ -72,12 +73,12 @@ pub fn maximum(a: Function, b: Function) -> Function {
     })
 }
 
-/// Minimum of two functions: the union of the regions where they are negative.
+/// Returns the minimum of two functions: the union of the regions where they are negative.
 pub fn minimum(a: Function, b: Function) -> Function {
     negative(maximum(negative(a), negative(b)))
 }
 
-/// Negative of a function: the complement of the region where it is negative.
+/// Returns the negative of a function: the complement of the region where it is negative.
 pub fn negative(a: Function) -> Function {
     Box::new(move |p| {
         let Jet { value, gradient, hessian } = a(p);

@@ -1,4 +1,4 @@
-//! Errors from assembling material indicators out of stored parts.
+//! Errors from assembling material indicators from stored parts.
 
 /// The parts do not fit together.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -9,15 +9,15 @@ pub enum Error {
     Box {
         /// First node of the box.
         first: [usize; 3],
-        /// Nodes of the box.
+        /// Number of nodes of the box along each axis.
         size: [usize; 3],
-        /// Nodes of the grid.
+        /// Number of nodes of the grid along each axis.
         grid: [usize; 3],
     },
     /// Brick numbers are not ascending, or exceed the number of bricks.
     #[error("the brick numbers are not ascending, or exceed the {count} bricks of the grid")]
     Bricks {
-        /// Bricks of the grid.
+        /// Number of bricks of the grid.
         count: usize,
     },
     /// There are too many or too few coefficients.
@@ -41,14 +41,14 @@ pub enum Error {
     Fill {
         /// Number of bricks with a fill.
         found: usize,
-        /// Largest material number among them.
+        /// Largest material number in the fill.
         largest: Option<u16>,
-        /// Bricks of the grid.
+        /// Number of bricks of the grid.
         bricks: usize,
         /// Number of materials.
         materials: usize,
     },
-    /// There are no materials, or more than can be numbered.
+    /// There are no materials, or more than the maximum number.
     #[error("{found} materials, but the number must be from 1 to {most}")]
     Count {
         /// Number of materials given.
@@ -56,10 +56,10 @@ pub enum Error {
         /// Maximum number of materials.
         most: usize,
     },
-    /// The grid has more bricks than can be numbered.
+    /// The grid has too many bricks to number.
     #[error("a grid of {size:?} nodes has too many bricks to number")]
     Grid {
-        /// Nodes of the grid.
+        /// Number of nodes of the grid along each axis.
         size: [usize; 3],
     },
 }

@@ -1,5 +1,5 @@
-//! The indicators of all materials of a volume, and the index of the materials that are known in
-//! each brick of cells.
+//! Stores the indicators of all materials of a volume, and the index of the materials that are
+//! known in each brick of cells.
 
 use super::error::Error;
 use super::indicator::{CELLS, Indicator, bricks_along};
@@ -11,45 +11,47 @@ use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Fill of a brick without a filling material: all materials present in it are known there.
+/// Fill of a brick without a filling material. All materials present in such a brick are known
+/// there.
 const NONE: u16 = u16::MAX;
 
-/// Maximum difference, in voxels, that is assumed between the two indicators at a position on their
-/// interface. Projections leave far less.
+/// Assumed maximum difference, in voxels, between the two indicators at a position on their
+/// interface. Projections leave a far smaller difference.
 pub const ON_SHEET: f64 = 0.01;
 
 /// A material that is known in a brick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Entry {
     material: u16,
-    /// Number of the brick among those of the material's indicator.
+    /// Number of the brick among the bricks of the material's indicator.
     brick: u32,
 }
 
 /// The indicators of all materials on one grid, each known near its own border.
 ///
-/// The cost of a look-up is proportional to the number of materials near the position. An index
-/// holds, for each brick of 4 x 4 x 4 cells, the materials known in it and the material that fills
-/// it otherwise. Memory is proportional to the area of the interfaces: on each side a layer of 14
-/// coefficients of 4 bytes on average.
+/// The cost of a look-up is proportional to the number of materials near the position. For each
+/// brick of 4 x 4 x 4 cells, an index contains the materials known in the brick and the material
+/// that fills the rest of it. Memory is proportional to the area of the interfaces: each side of an
+/// interface needs a layer of 14 coefficients of 4 bytes on average.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Materials {
     geometry: Geometry,
     table: Vec<Material>,
     indicators: Vec<Indicator>,
-    /// First entry of each brick, and the end.
+    /// First entry of each brick, followed by the end of the last brick.
     start: Vec<u32>,
     entries: Vec<Entry>,
-    /// The material that fills each brick, or [`NONE`].
+    /// Material that fills each brick, or [`NONE`].
     fill: Vec<u16>,
 }
 
 impl Materials {
-    /// Assembles the materials. The last item of each is the list of bricks in which its indicator
-    /// is negative throughout ([`Indicator::new`] returns both).
+    /// Assembles the materials. The third item of each tuple is the list of bricks in which the
+    /// indicator is negative throughout. [`Indicator::new`] returns both the indicator and this
+    /// list.
     ///
     /// # Errors
-    /// If there are no materials, too many, or a brick number beyond the grid.
+    /// If there are no materials, too many materials, or a brick number beyond the grid.
     pub fn new(geometry: Geometry, materials: Vec<(Material, Indicator, Vec<u32>)>) -> Result<Self, Error> {
         let count = bricks_along(geometry.size).iter().product::<usize>();
         let mut fill = vec![NONE; count];
@@ -107,40 +109,41 @@ impl Materials {
         Ok(Self { geometry, table, indicators, start, entries, fill })
     }
 
-    /// The grid that all indicators share.
+    /// Returns the grid that all indicators share.
     pub fn geometry(&self) -> &Geometry {
         &self.geometry
     }
 
-    /// Names and labels of the materials, indexed by material number.
+    /// Returns the names and labels of the materials, indexed by material number.
     pub fn table(&self) -> &[Material] {
         &self.table
     }
 
-    /// The indicators, indexed by material number.
+    /// Returns the indicators, indexed by material number.
     pub fn indicators(&self) -> &[Indicator] {
         &self.indicators
     }
 
-    /// The number of the material that fills each brick where no indicator is known, x fastest;
-    /// 65535 if none does.
+    /// Returns the number of the material that fills each brick where no indicator is known, x
+    /// fastest. The number is 65535 if no material fills the brick.
     pub fn fill(&self) -> &[u16] {
         &self.fill
     }
 
-    /// The materials that are known in a brick (numbered x fastest), ascending, each with the
-    /// number of the brick among those of its indicator.
+    /// Returns the materials that are known in a brick, ascending. `brick` counts the bricks of the
+    /// grid, x fastest. Each material is paired with the number of the brick among the bricks of
+    /// its indicator.
     pub fn known_in(&self, brick: usize) -> impl ExactSizeIterator<Item = (MaterialId, usize)> + Clone + '_ {
         self.known(brick).iter().map(|entry| (MaterialId(entry.material), entry.brick as usize))
     }
 
-    /// The material with the given name.
+    /// Returns the material called `name`.
     pub fn named(&self, name: &str) -> Option<MaterialId> {
         self.table.iter().position(|material| material.name == name).map(|n| MaterialId(n as u16))
     }
 
-    /// The bricks in which more than one material is known, as first cell and number of cells along
-    /// each axis. They contain all strata.
+    /// Returns the bricks in which more than one material is known, as first cell and number of
+    /// cells along each axis. These bricks contain all strata.
     pub fn bricks_of_many(&self) -> Vec<([usize; 3], [usize; 3])> {
         let [bx, by, _] = bricks_along(self.geometry.size);
         let many = (0..self.fill.len()).filter(|&brick| self.known(brick).len() > 1);
@@ -152,8 +155,8 @@ impl Materials {
         many.map(extent).collect()
     }
 
-    /// Adds to indicators at nodes of the grid ([`Indicator::add_at_nodes`]), mm. The set of known
-    /// bricks does not change.
+    /// Adds changes (mm) to indicators at nodes of the grid ([`Indicator::add_at_nodes`]). The set
+    /// of known bricks does not change.
     pub fn add_at_nodes(&mut self, changes: &BTreeMap<MaterialId, Vec<([usize; 3], f64)>>) {
         let size = self.geometry.size;
         self.indicators.par_iter_mut().enumerate().for_each(|(id, indicator)| {
@@ -163,7 +166,7 @@ impl Materials {
         });
     }
 
-    /// Memory in bytes.
+    /// Returns the memory in bytes.
     pub fn bytes(&self) -> usize {
         let index = size_of_val(self.start.as_slice())
             + size_of_val(self.entries.as_slice())
@@ -171,7 +174,7 @@ impl Materials {
         self.indicators.iter().map(Indicator::bytes).sum::<usize>() + index
     }
 
-    /// Number of the brick that contains a stencil's cell.
+    /// Returns the number of the brick that contains the cell of a stencil.
     #[inline(always)]
     fn brick(&self, stencil: &Stencil) -> usize {
         let [i, j, k] = stencil.cell().map(|n| n / CELLS);
@@ -184,16 +187,16 @@ impl Materials {
         &self.entries[self.start[brick] as usize..self.start[brick + 1] as usize]
     }
 
-    /// The coefficients of a material that a stencil reads; otherwise whether the position is
-    /// inside it, far from its border.
+    /// Returns the coefficients of a material that a stencil uses. Far from the border of the
+    /// material, returns as an error whether the position is inside the material.
     #[inline(always)]
     fn gathered(&self, entry: Entry, stencil: &Stencil) -> Result<[f32; 64], bool> {
         let indicator = &self.indicators[usize::from(entry.material)];
         indicator.gather(entry.brick, stencil, self.geometry.size).ok_or(indicator.surrounds())
     }
 
-    /// The stencil of a position and the coefficients of a material; otherwise whether the position
-    /// is inside it, far from its border.
+    /// Returns the stencil of a position and the coefficients of a material. Far from the border of
+    /// the material, returns as an error whether the position is inside the material.
     #[inline]
     fn of(&self, id: MaterialId, grid: DVec3) -> Result<(Stencil, [f32; 64]), bool> {
         let stencil = Stencil::new(&self.geometry, grid);
@@ -201,8 +204,8 @@ impl Materials {
         self.read(id, brick, &stencil).map(|read| (stencil.gathered(), read))
     }
 
-    /// The coefficients of a material that a stencil reads in a brick; otherwise whether the
-    /// position is inside it, far from its border.
+    /// Returns the coefficients of a material that a stencil uses in a brick. Far from the border
+    /// of the material, returns as an error whether the position is inside the material.
     #[inline(always)]
     fn read(&self, id: MaterialId, brick: usize, stencil: &Stencil) -> Result<[f32; 64], bool> {
         match self.known(brick).iter().find(|entry| entry.material == id.0) {
@@ -242,7 +245,7 @@ impl Indicators for Materials {
         }
     }
 
-    /// Subtracts the coefficients of the two materials, so that the spline is summed only once.
+    /// Subtracts the coefficients of the two materials, so that only one spline is evaluated.
     #[inline(always)]
     fn difference_gradient(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> (f64, DVec3) {
         let stencil = Stencil::new(&self.geometry, grid);
@@ -264,11 +267,11 @@ impl Indicators for Materials {
         let is_own = |material: u16| material == own[0].0 || material == own[1].0;
         let is_filled_by_other = self.fill[brick] != NONE && !is_own(self.fill[brick]);
         let mut others = self.known(brick).iter().filter(|entry| !is_own(entry.material)).peekable();
-        // in most bricks no third material is known, and no indicator needs to be summed
+        // in most bricks no third material is known, and no indicator needs to be evaluated
         if others.peek().is_none() && !is_filled_by_other {
             return true;
         }
-        // a spline is nowhere below the minimum of the coefficients that it reads
+        // a spline is never below the minimum of the coefficients that it uses
         let own_value = || Some(stencil.clone().gathered().value(&self.read(own[0], brick, &stencil).ok()?));
         let is_far = |limit: f64| {
             others.all(|&entry| match self.gathered(entry, &stencil) {

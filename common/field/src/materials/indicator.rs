@@ -1,46 +1,46 @@
-//! The indicator of one material near its border: cubic B-spline coefficients in blocks, within a
-//! box of the grid that all materials share.
+//! Stores the indicator of one material near its border as blocks of cubic B-spline coefficients.
+//! The blocks lie within a box of the grid that all materials share.
 //!
-//! [`crate::spline::BrickSpline`] stores a coefficient in every brick that reads it, 1.7 times on
-//! average, and has its own grid. Here each coefficient is stored once, and the blocks of all
-//! materials lie on one lattice. One index then lists the materials that are known at a position.
+//! [`crate::spline::BrickSpline`] has its own grid and stores each coefficient in every brick that
+//! uses it, 1.7 times on average. Here each coefficient is stored once. The blocks of all materials
+//! lie on one lattice, so a single index lists the materials that are known at a position.
 
 use super::error::Error;
 use crate::spline::{CubicSpline, Stencil};
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
-/// Cells of a brick, and coefficients of a block, along each axis. Small bricks follow the border
-/// closely: the stored layer is 14 coefficients thick on average. Bricks of 16 cells would store 37
-/// (22 cells, each coefficient 1.7 times).
+/// Number of cells of a brick, and of coefficients of a block, along each axis. Small bricks follow
+/// the border closely: the stored layer is 14 coefficients thick on average. Bricks of 16 cells
+/// would store a layer of 37 coefficients (22 cells, each coefficient 1.7 times).
 pub const CELLS: usize = 4;
 
-/// Coefficients per block.
+/// Number of coefficients per block.
 pub const BLOCK: usize = CELLS * CELLS * CELLS;
 
-/// Minimum distance from its zero set up to which an indicator is known, in voxels. A brick is
-/// known if the coefficients that its cells, or cells up to two beyond, read do not all have one
-/// sign.
+/// Distance in voxels from its zero set within which an indicator is always known. A brick is known
+/// if the coefficients that its cells use, or that cells up to two cells away use, do not all have
+/// the same sign.
 pub const KNOWN_VOXELS: usize = 2;
 
-/// Distance, in nodes, up to which coefficients are taken to depend on a sample. Beyond it, a
-/// coefficient changes by less than 2e-5 of the sample's change.
+/// Distance in nodes beyond which a sample is assumed not to affect a coefficient. Beyond it, a
+/// coefficient changes by less than 2e-5 of the change of the sample.
 const CARDINAL_REACH: usize = 8;
 
-/// Maximum number of blocks along an axis that contain these coefficients.
+/// Maximum number of blocks along an axis that contain affected coefficients.
 const CARDINAL_BLOCKS: usize = 2 * CARDINAL_REACH / CELLS + 1;
 
-/// Coefficient, `nodes` nodes from the centre along an axis, of the cubic spline that is one at a
-/// node and zero at all others. From the pole of the inverse filter (Unser, Aldroubi and Eden 1993,
-/// part II).
+/// Returns a coefficient of the cubic spline that is one at a node and zero at all other nodes.
+/// `nodes` is the distance in nodes from the centre along one axis. The coefficients follow from
+/// the pole of the inverse filter (Unser, Aldroubi and Eden 1993, part II).
 fn cardinal_coefficient(nodes: usize) -> f64 {
     let root = 3f64.sqrt();
     root * (root - 2.0).powi(nodes as i32)
 }
 
-/// A node on an axis of `nodes` nodes and its mirror images beyond the ends, as far as they lie
-/// within [`CARDINAL_REACH`] of the axis. Splines are mirrored repeatedly at both borders of the
-/// grid.
+/// Returns the position of a node on an axis of `nodes` nodes and the positions of its mirror
+/// images within [`CARDINAL_REACH`] of the axis. Splines are mirrored repeatedly at both borders of
+/// the grid.
 fn mirrored(node: usize, nodes: usize) -> Vec<isize> {
     let (node, last) = (node as isize, nodes as isize - 1);
     let reach = CARDINAL_REACH as isize;
@@ -52,13 +52,14 @@ fn mirrored(node: usize, nodes: usize) -> Vec<isize> {
     images
 }
 
-/// Bricks along each axis of a grid.
+/// Returns the number of bricks along each axis of a grid of `size` nodes.
 pub fn bricks_along(size: [usize; 3]) -> [usize; 3] {
     size.map(|n| n.saturating_sub(1).div_ceil(CELLS).max(1))
 }
 
-/// The blocks that the cells of a brick read, x fastest. Block c holds the coefficients of the
-/// nodes 4 c - 1 to 4 c + 2 along each axis, so a cell of brick b reads blocks b and b + 1.
+/// Returns the positions of the eight blocks that the cells of a brick use, x fastest. Block c
+/// contains the coefficients of nodes 4 c - 1 to 4 c + 2 along each axis, so a cell of brick b uses
+/// blocks b and b + 1.
 fn blocks_of(brick: u32, bricks: [usize; 3]) -> [u32; 8] {
     let [bx, by, _] = bricks;
     let n = brick as usize;
@@ -69,43 +70,44 @@ fn blocks_of(brick: u32, bricks: [usize; 3]) -> [u32; 8] {
     })
 }
 
-/// The indicator of one material: its signed distance, mm, negative inside, known within a few
-/// voxels of its zero set.
+/// The indicator of one material: its signed distance in mm, negative inside. It is known only
+/// within a few voxels of its zero set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Indicator {
-    /// First node of its box in the shared grid.
+    /// First node of the indicator's box in the shared grid.
     first: [usize; 3],
-    /// Nodes of its box.
+    /// Number of nodes of the box along each axis.
     size: [usize; 3],
-    /// Whether everything beyond the box is inside.
+    /// Whether all points beyond the box are inside the material.
     surrounds: bool,
-    /// Numbers of the bricks that are known, ascending.
+    /// Numbers of the known bricks, ascending.
     bricks: Vec<u32>,
-    /// The blocks that each brick reads.
+    /// Indices of the eight blocks that each known brick uses.
     blocks: Vec<[u32; 8]>,
     /// Coefficients, block by block in ascending order of block position.
     coefficients: Vec<f32>,
 }
 
-/// The fields of an [`Indicator`] that files store.
+/// The fields of an [`Indicator`] that are stored in files.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IndicatorParts {
-    /// First node of its box in the shared grid.
+    /// First node of the indicator's box in the shared grid.
     pub first: [usize; 3],
-    /// Nodes of its box.
+    /// Number of nodes of the box along each axis.
     pub size: [usize; 3],
-    /// Whether everything beyond the box is inside.
+    /// Whether all points beyond the box are inside the material.
     pub surrounds: bool,
-    /// Numbers of the bricks that are known, x fastest, ascending.
+    /// Numbers of the known bricks, x fastest, ascending.
     pub bricks: Vec<u32>,
     /// Coefficients, 64 per block.
     pub coefficients: Vec<f32>,
 }
 
 impl Indicator {
-    /// The indicator of signed distances (mm, negative inside) at the nodes of a box, whose first
-    /// node is `first`, in a grid of `size` nodes. `surrounds` says whether everything beyond the
-    /// box is inside. Also returns the bricks in which the indicator is negative throughout.
+    /// Creates an indicator from signed distances (mm, negative inside) at the nodes of a box. The
+    /// box starts at node `first` of a grid of `size` nodes. `surrounds` tells whether all points
+    /// beyond the box are inside. Also returns the numbers of the bricks in which the indicator is
+    /// negative throughout.
     ///
     /// # Panics
     /// If the box does not lie within the grid.
@@ -146,8 +148,8 @@ impl Indicator {
         (Self { first, size: own, surrounds, bricks: known, blocks, coefficients }, negative)
     }
 
-    /// An indicator that is positive everywhere, or negative if `inside`: that of a material
-    /// without border.
+    /// Returns the indicator of a material without border. It is positive everywhere, or negative
+    /// everywhere if `inside` is true.
     pub fn constant(inside: bool) -> Self {
         Self {
             first: [0; 3],
@@ -159,7 +161,7 @@ impl Indicator {
         }
     }
 
-    /// Assembles an indicator of a grid of `size` nodes from its stored parts.
+    /// Assembles an indicator for a grid of `size` nodes from its stored parts.
     ///
     /// # Errors
     /// If the parts do not fit together.
@@ -185,33 +187,34 @@ impl Indicator {
         Ok(Self { first, size, surrounds, bricks, blocks, coefficients })
     }
 
-    /// First node of its box in the shared grid, and number of nodes of the box.
+    /// Returns the first node of the box in the shared grid, and the number of nodes of the box.
     pub fn extent(&self) -> ([usize; 3], [usize; 3]) {
         (self.first, self.size)
     }
 
-    /// Whether everything beyond the box is inside.
+    /// Returns whether all points beyond the box are inside the material.
     pub fn surrounds(&self) -> bool {
         self.surrounds
     }
 
-    /// Numbers of the bricks that are known, x fastest, ascending.
+    /// Returns the numbers of the known bricks, x fastest, ascending.
     pub fn bricks(&self) -> &[u32] {
         &self.bricks
     }
 
-    /// The eight blocks that each of these bricks reads, x fastest. Block c of the grid holds the
-    /// coefficients of the nodes 4 c - 1 to 4 c + 2 along each axis.
+    /// Returns the indices of the eight blocks that each known brick uses, x fastest. Block c of
+    /// the grid contains the coefficients of nodes 4 c - 1 to 4 c + 2 along each axis.
     pub fn blocks(&self) -> &[[u32; 8]] {
         &self.blocks
     }
 
-    /// The coefficients, 64 per block.
+    /// Returns the coefficients, 64 per block.
     pub fn coefficients(&self) -> &[f32] {
         &self.coefficients
     }
 
-    /// Whether all coefficients that a cell reads lie in the box; the shared grid has `size` nodes.
+    /// Returns whether all coefficients that a cell uses lie in the box. The shared grid has `size`
+    /// nodes.
     #[inline(always)]
     pub fn is_within(&self, cell: [usize; 3], size: [usize; 3]) -> bool {
         (0..3).all(|a| {
@@ -220,13 +223,14 @@ impl Indicator {
         })
     }
 
-    /// Adds to the samples at some nodes of the shared grid of `size` nodes, mm, and leaves all
-    /// others unchanged: the spline interpolates the new samples and changes only within a few
-    /// voxels. Coefficients beyond the box, or in bricks that are not known, are not updated.
+    /// Adds the given changes (mm) to the samples at some nodes of the shared grid of `size` nodes.
+    /// The spline interpolates the new samples; all other samples stay unchanged. The spline
+    /// changes only within a few voxels. Coefficients beyond the box, or in bricks that are not
+    /// known, are not updated.
     pub fn add_at_nodes(&mut self, changes: &[([usize; 3], f64)], size: [usize; 3]) {
         let along = bricks_along(size).map(|n| n + 1);
         let places = places(&self.bricks, bricks_along(size));
-        // block c holds nodes 4 c - 1 to 4 c + 2
+        // block c contains nodes 4 c - 1 to 4 c + 2
         let first_block = |node: usize| (node + 1).saturating_sub(CARDINAL_REACH) / CELLS;
         for &(node, change) in changes {
             let first = node.map(first_block);
@@ -260,16 +264,16 @@ impl Indicator {
         }
     }
 
-    /// Memory in bytes.
+    /// Returns the memory in bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(self.bricks.as_slice())
             + size_of_val(self.blocks.as_slice())
             + size_of_val(self.coefficients.as_slice())
     }
 
-    /// The 64 coefficients that a stencil reads in a known brick, given by its number among those
-    /// known, x fastest. `None` if the stencil reaches beyond the box. The shared grid has `size`
-    /// nodes.
+    /// Returns the 64 coefficients, x fastest, that a stencil uses in a known brick. `brick` is the
+    /// index of the brick among the known bricks. Returns `None` if the stencil extends beyond the
+    /// box. The shared grid has `size` nodes.
     #[inline(always)]
     pub(super) fn gather(&self, brick: u32, stencil: &Stencil, size: [usize; 3]) -> Option<[f32; 64]> {
         let cell = stencil.cell();
@@ -291,8 +295,8 @@ impl Indicator {
         })
     }
 
-    /// The 64 coefficients at four consecutive indices along x, from `FIRST` on, and at the given
-    /// indices along y and z. Indices count through the two blocks along each axis.
+    /// Returns the 64 coefficients at four consecutive x indices, starting at `FIRST`, and at the
+    /// given y and z indices. Along each axis, indices count through two adjacent blocks.
     #[inline(always)]
     fn rows<const FIRST: usize>(&self, blocks: &[u32; 8], y: [usize; 4], z: [usize; 4]) -> [f32; 64] {
         let mut gathered = [0.0; 64];
@@ -315,8 +319,8 @@ impl Indicator {
         gathered
     }
 
-    /// The 64 coefficients at the given indices along each axis, which count through the two blocks
-    /// along it.
+    /// Returns the 64 coefficients at the given indices along each axis. Along each axis, indices
+    /// count through two adjacent blocks.
     fn scattered(&self, blocks: &[u32; 8], places: [[usize; 4]; 3]) -> [f32; 64] {
         let [x, y, z] = places.map(|along| along.map(|n| (n / CELLS, n % CELLS)));
         let mut gathered = [0.0; 64];
@@ -333,7 +337,7 @@ impl Indicator {
     }
 }
 
-/// Positions of the blocks that some bricks read, ascending.
+/// Returns the positions of the blocks that the given bricks use, ascending.
 fn places(known: &[u32], bricks: [usize; 3]) -> Vec<u32> {
     let mut places: Vec<u32> = known.iter().flat_map(|&brick| blocks_of(brick, bricks)).collect();
     places.sort_unstable();
@@ -341,18 +345,18 @@ fn places(known: &[u32], bricks: [usize; 3]) -> Vec<u32> {
     places
 }
 
-/// Indices among `places` of the blocks that each brick reads.
+/// Returns the indices in `places` of the blocks that each brick uses.
 fn numbered(known: &[u32], places: &[u32], bricks: [usize; 3]) -> Vec<[u32; 8]> {
     let number = |place: u32| places.partition_point(|&other| other < place) as u32;
     known.iter().map(|&brick| blocks_of(brick, bricks).map(number)).collect()
 }
 
-/// The signs of the coefficients in cubes of [`CELLS`] nodes per axis of the shared grid.
+/// Signs of the coefficients in cubes of [`CELLS`] nodes per axis of the shared grid.
 struct BrickSigns {
-    /// First cube that overlaps the box, and number of such cubes, along each axis.
+    /// First cube that overlaps the box, and number of cubes that overlap the box, along each axis.
     first: [usize; 3],
     count: [usize; 3],
-    /// For each cube, whether any coefficient is at most zero, and whether any is at least zero.
+    /// For each cube: whether any coefficient is at most zero, and whether any is at least zero.
     signs: Vec<(bool, bool)>,
     /// First and last node of the box.
     low: [usize; 3],
@@ -386,12 +390,12 @@ impl BrickSigns {
         Self { first, count, signs: signs.collect(), low, high, bricks: bricks_along(size) }
     }
 
-    /// The signs in the cubes of a brick and all cubes adjacent to it; `None` if no cell of the
-    /// brick lies in the box.
+    /// Returns the signs in the cubes of a brick and in all adjacent cubes. Returns `None` if no
+    /// cell of the brick lies in the box.
     fn around(&self, brick: [usize; 3]) -> Option<(bool, bool)> {
         let has_cell = (0..3).all(|a| {
             let (start, end) = (brick[a] * CELLS, (brick[a] + 1) * CELLS);
-            // a grid of one node has one brick, without cells
+            // a grid of one node has a single brick without cells
             start <= self.high[a].saturating_sub(1) && (end > self.low[a] || self.bricks[a] == 1)
         });
         if !has_cell {

@@ -1,15 +1,15 @@
-//! Many materials in one space: one smooth indicator F_m for each, the outside included, and the
-//! strata where materials meet.
+//! Many materials in one space: one smooth indicator F_m for each material, including the outside,
+//! and the strata where materials meet.
 //!
-//! After Meyer, Whitaker, Kirby, Ledergerber and Pfister (Particle-based Sampling and Meshing of
-//! Surfaces in Multimaterial Volumes, IEEE TVCG 14(6), 2008), with signed distances (mm, negative
-//! inside) as indicators. The material at a position is the one with the smallest indicator, so
-//! there are neither gaps nor overlaps. The two smallest indicators are equal on a material
-//! interface (*sheet* in the code), the three smallest on a *junction curve*, the four smallest at
-//! a *junction point*. All three are *strata*.
+//! The method follows Meyer, Whitaker, Kirby, Ledergerber and Pfister (Particle-based Sampling and
+//! Meshing of Surfaces in Multimaterial Volumes, IEEE TVCG 14(6), 2008), with signed distances (mm,
+//! negative inside) as indicators. The material at a position is the material with the smallest
+//! indicator, so there are neither gaps nor overlaps. The two smallest indicators are equal on a
+//! material interface (*sheet* in the code), the three smallest on a *junction curve*, and the four
+//! smallest at a *junction point*. All three are *strata*.
 //!
 //! [`Indicators`] is the interface for algorithms. [`Materials`] implements it for samples on a
-//! grid, [`Analytic`] for functions.
+//! grid, and [`Analytic`] implements it for functions.
 
 mod analytic;
 pub mod complex;
@@ -33,39 +33,39 @@ use glam::{DMat3, DVec3};
 use isoparticles_volume::LayerLabel;
 use serde::{Deserialize, Serialize};
 
-/// Number of a material in its table; 0 is the outside.
+/// Number of a material in the table of materials; 0 is the outside.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct MaterialId(pub u16);
 
 impl MaterialId {
-    /// The outside: everything that no other material covers.
+    /// The outside: the space that no other material covers.
     pub const OUTSIDE: Self = Self(0);
 
-    /// The number as an index of the table.
+    /// Returns the number as an index into the table.
     pub fn index(self) -> usize {
         usize::from(self.0)
     }
 }
 
-/// Maximum number of materials, the outside included. The number 65535 itself means none.
+/// Maximum number of materials, including the outside. The number 65535 means no material.
 pub const MOST_MATERIALS: usize = u16::MAX as usize;
 
 /// Name and labels of a material.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Material {
-    /// Its name.
+    /// Name of the material.
     pub name: String,
-    /// Labels of the volume that belong to it.
+    /// Labels of the volume that belong to the material.
     pub labels: Vec<LayerLabel>,
 }
 
-/// Maximum number of indicators returned for one position. More materials meet only in noise; the
-/// largest indicators are dropped there.
+/// Maximum number of indicators returned for one position. More materials meet only in noise, where
+/// the largest indicators are dropped.
 pub const MOST_NEAR: usize = 8;
 
-/// The indicators known at a position, smallest first; equal ones by material number. Minus
-/// infinity stands for a material that fills the surroundings, farther from its border than its
-/// indicator is known.
+/// The indicators known at a position, smallest first. Equal indicators are ordered by material
+/// number. The value is minus infinity for a material that fills the surroundings, if the position
+/// is farther from its border than its indicator is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Near {
     entries: [(MaterialId, f64); MOST_NEAR],
@@ -79,7 +79,7 @@ impl Default for Near {
 }
 
 impl Near {
-    /// Adds an indicator; if there is no room, the largest is dropped.
+    /// Adds an indicator. If there is no room, the largest indicator is dropped.
     #[inline]
     pub fn insert(&mut self, id: MaterialId, value: f64) {
         let is_before = |other: &(MaterialId, f64)| (value, id) < (other.1, other.0);
@@ -92,18 +92,18 @@ impl Near {
         }
     }
 
-    /// The materials with their indicators, mm, smallest first.
+    /// Returns the materials with their indicators in mm, smallest first.
     pub fn entries(&self) -> &[(MaterialId, f64)] {
         &self.entries[..self.count]
     }
 
-    /// The material with the smallest indicator, if any is known.
+    /// Returns the material with the smallest indicator, if any indicator is known.
     pub fn first(&self) -> Option<MaterialId> {
         self.entries().first().map(|(id, _)| *id)
     }
 
-    /// Half the difference of the two smallest indicators, mm: the distance to the nearest
-    /// interface, to first order. Infinite if fewer than two are known.
+    /// Returns half the difference of the two smallest indicators in mm, which is the first-order
+    /// distance to the nearest interface. It is infinite if fewer than two indicators are known.
     pub fn interface_distance(&self) -> f64 {
         match self.entries() {
             [(_, first), (_, second), ..] => 0.5 * (second - first),
@@ -112,38 +112,38 @@ impl Near {
     }
 }
 
-/// The jet of an indicator far from its border: infinite, with zero derivatives.
+/// Returns the jet of an indicator far from its border: an infinite value with zero derivatives.
 pub(crate) fn far(inside: bool) -> Jet {
     let value = if inside { f64::NEG_INFINITY } else { f64::INFINITY };
     Jet { value, gradient: DVec3::ZERO, hessian: DMat3::ZERO }
 }
 
-/// The indicators F_m of some materials: signed distances, mm, negative inside, with derivatives
-/// per mm; positions in the grid frame, mm. An indicator that is not known at a position is
-/// infinite there, with its sign and zero derivatives.
+/// The indicators F_m of some materials: signed distances in mm, negative inside, with derivatives
+/// per mm. Positions are in the grid frame, mm. An indicator that is not known at a position is
+/// infinite there, with the correct sign and zero derivatives.
 ///
-/// The provided methods are the geometry of strata, the same for all indicators.
+/// The provided methods compute the geometry of strata in the same way for all indicators.
 pub trait Indicators: Sync {
-    /// The indicators that are known at a position, smallest first.
+    /// Returns the indicators that are known at a position, smallest first.
     fn near(&self, grid: DVec3) -> Near;
 
-    /// F_m and its gradient.
+    /// Returns F_m and its gradient.
     fn value_gradient(&self, id: MaterialId, grid: DVec3) -> (f64, DVec3);
 
-    /// F_m, gradient and Hessian.
+    /// Returns F_m, its gradient and its Hessian.
     fn jet(&self, id: MaterialId, grid: DVec3) -> Jet;
 
-    /// Length over which indicators are smooth, mm: the mean voxel spacing. Projection steps are
-    /// limited to half of it.
+    /// Returns the length in mm over which indicators are smooth: the mean voxel spacing.
+    /// Projection steps are limited to half of this length.
     fn voxel(&self) -> f64;
 
-    /// The material at a position: the one with the smallest indicator, or the outside if none is
-    /// known.
+    /// Returns the material at a position: the material with the smallest indicator, or the outside
+    /// if no indicator is known.
     fn material_at(&self, grid: DVec3) -> MaterialId {
         self.near(grid).first().unwrap_or(MaterialId::OUTSIDE)
     }
 
-    /// The difference of two indicators as a function.
+    /// Returns the difference G_ij of two indicators as a function.
     fn sheet(&self, i: MaterialId, j: MaterialId) -> Sheet<'_, Self>
     where
         Self: Sized,
@@ -151,8 +151,8 @@ pub trait Indicators: Sync {
         Sheet { indicators: self, i, j }
     }
 
-    /// G_ij = (F_i - F_j) / 2, mm, negative where i is nearer, with gradient and Hessian. Its slope
-    /// is near 1 on an interface, since F_j is about -F_i there.
+    /// Returns G_ij = (F_i - F_j) / 2 in mm, negative where i is nearer, with its gradient and
+    /// Hessian. Its slope is near 1 on an interface, because F_j is about -F_i there.
     fn difference(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> Jet {
         let (a, b) = (self.jet(i, grid), self.jet(j, grid));
         Jet {
@@ -162,22 +162,23 @@ pub trait Indicators: Sync {
         }
     }
 
-    /// G_ij and its gradient.
+    /// Returns G_ij and its gradient.
     #[inline(always)]
     fn difference_gradient(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> (f64, DVec3) {
         strata::half_difference(self.value_gradient(i, grid), self.value_gradient(j, grid))
     }
 
-    /// Whether the interface of two materials is real at a position on it: its [`Self::clearance`]
-    /// is positive.
+    /// Returns whether the interface of two materials is real at a position on it, that is, whether
+    /// its [`Self::clearance`] is positive.
     #[inline(always)]
     fn is_real_sheet(&self, own: [MaterialId; 2], grid: DVec3) -> bool {
         self.clearance(grid, &own) > 0.0
     }
 
-    /// Clearance of the stratum of the materials `own` at a position, mm: the smallest indicator of
-    /// all others minus the largest of their own. The stratum is real where this is positive.
-    /// Infinite where no other is known, minus infinity where one of their own is not.
+    /// Returns the clearance of the stratum of the materials `own` at a position in mm: the
+    /// smallest indicator of all other materials minus the largest indicator of `own`. The stratum
+    /// is real where the clearance is positive. The clearance is infinite if no other material is
+    /// known, and minus infinity if a material of `own` is not known.
     fn clearance(&self, grid: DVec3, own: &[MaterialId]) -> f64 {
         let near = self.near(grid);
         let others = near.entries().iter().filter(|(id, _)| !own.contains(id));
@@ -188,10 +189,11 @@ pub trait Indicators: Sync {
     }
 
     /// Projects `start` onto the interface of two materials by Newton steps along the gradient of
-    /// G_ij. `limit` is the longest total move (mm). `None` if the position moves farther, the
-    /// gradient vanishes, an indicator is not known, or [`crate::spline::PROJECTION_STEPS`] do not
-    /// bring it within `tolerance` (mm) of the interface, to first order. Whether the two materials
-    /// are the smallest there is not checked ([`Self::clearance`]).
+    /// G_ij. `limit` is the maximum total move in mm. Returns `None` if the position moves farther,
+    /// the gradient vanishes, or an indicator is not known. Also returns `None` if
+    /// [`crate::spline::PROJECTION_STEPS`] steps do not bring the position within `tolerance` (mm)
+    /// of the interface, to first order. Does not check whether the two materials have the smallest
+    /// indicators at the result ([`Self::clearance`]).
     fn project_onto_sheet(&self, own: [MaterialId; 2], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
             let (value, gradient) = self.difference_gradient(own[0], own[1], p);
@@ -200,8 +202,9 @@ pub trait Indicators: Sync {
         .map(|(p, ())| p)
     }
 
-    /// As [`Self::project_onto_sheet`], with the gradient of G_ij at the position reached. `None`
-    /// also if the interface is not real there ([`Self::is_real_sheet`]).
+    /// Projects `start` like [`Self::project_onto_sheet`], and also returns the gradient of G_ij at
+    /// the result. Also returns `None` if the interface is not real there
+    /// ([`Self::is_real_sheet`]).
     #[inline(always)]
     fn place_on_sheet(&self, own: [MaterialId; 2], start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)> {
         let place = strata::project(self.voxel(), start, limit, tolerance, |p| {
@@ -211,9 +214,10 @@ pub trait Indicators: Sync {
         place.filter(|&(p, _)| self.is_real_sheet(own, p))
     }
 
-    /// Projects `start` onto the junction curve of three materials: Gauss-Newton on G_ij = G_ik = 0
-    /// with steps of minimum length. Limit and tolerance as in [`Self::project_onto_sheet`]. `None`
-    /// also if the interfaces are tangent ([`LEAST_SQUARED_SINE`]).
+    /// Projects `start` onto the junction curve of three materials by the Gauss-Newton method on
+    /// G_ij = G_ik = 0, with steps of minimum length. `limit` and `tolerance` are as in
+    /// [`Self::project_onto_sheet`]. Also returns `None` if the interfaces are tangent
+    /// ([`LEAST_SQUARED_SINE`]).
     fn project_onto_curve(&self, own: [MaterialId; 3], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
             let [first, second, third] = own.map(|id| self.value_gradient(id, p));
@@ -223,9 +227,9 @@ pub trait Indicators: Sync {
         .map(|(p, ())| p)
     }
 
-    /// Projects `start` onto the junction point of four materials: Newton's method on
-    /// G_ij = G_ik = G_il = 0. Limit and tolerance as in [`Self::project_onto_sheet`]. `None` also
-    /// if the curves are tangent ([`LEAST_SQUARED_SINE`]).
+    /// Projects `start` onto the junction point of four materials by Newton's method on
+    /// G_ij = G_ik = G_il = 0. `limit` and `tolerance` are as in [`Self::project_onto_sheet`]. Also
+    /// returns `None` if the curves are tangent ([`LEAST_SQUARED_SINE`]).
     fn project_onto_point(&self, own: [MaterialId; 4], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
             let [first, others @ ..] = own.map(|id| self.value_gradient(id, p));

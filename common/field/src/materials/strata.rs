@@ -1,17 +1,18 @@
-//! Strata (material interfaces, junction curves and junction points) as zero sets of the
-//! differences G_ij = (F_i - F_j) / 2, and the Newton steps towards them.
+//! Defines strata (material interfaces, junction curves and junction points) as zero sets of the
+//! differences G_ij = (F_i - F_j) / 2, and computes the Newton steps towards them.
 
 use super::{Indicators, MaterialId};
 use crate::spline::{Jet, LEAST_SQUARED_GRADIENT, PROJECTION_STEPS};
 use glam::{DMat3, DVec3};
 
-/// Minimum squared sine of the angle between two interfaces, and between a curve and a third
-/// interface, for which they count as crossing. At this angle, 0.6 degrees, a step of a hundredth
-/// of a voxel across moves a voxel along.
+/// Minimum squared sine of the angle between two interfaces, or between a curve and a third
+/// interface, at which they count as crossing. At this angle, 0.6 degrees, a step of a hundredth of
+/// a voxel across an interface moves the intersection by a voxel.
 pub const LEAST_SQUARED_SINE: f64 = 1e-4;
 
-/// The difference G_ij = (F_i - F_j) / 2 of two indicators as a function: mm, negative where i is
-/// nearer. It is zero on the interface of the two, which is real where no third material is nearer.
+/// The difference G_ij = (F_i - F_j) / 2 of two indicators as a function, in mm, negative where i
+/// is nearer. It is zero on the interface of the two materials. The interface is real where no
+/// third material is nearer.
 #[derive(Debug)]
 pub struct Sheet<'a, I: ?Sized> {
     pub(super) indicators: &'a I,
@@ -22,12 +23,12 @@ pub struct Sheet<'a, I: ?Sized> {
 }
 
 impl<I: Indicators + ?Sized> Sheet<'_, I> {
-    /// G_ij and its gradient at a grid position.
+    /// Returns G_ij and its gradient at a grid position.
     pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         self.indicators.difference_gradient(self.i, self.j, grid)
     }
 
-    /// G_ij, gradient and Hessian at a grid position.
+    /// Returns G_ij, its gradient and its Hessian at a grid position.
     pub fn jet(&self, grid: DVec3) -> Jet {
         self.indicators.difference(self.i, self.j, grid)
     }
@@ -37,21 +38,21 @@ impl<I: Indicators + ?Sized> Sheet<'_, I> {
         self.indicators.project_onto_sheet([self.i, self.j], start, limit, tolerance)
     }
 
-    /// Clearance of the interface at a position, mm ([`Indicators::clearance`]).
+    /// Returns the clearance of the interface at a position in mm ([`Indicators::clearance`]).
     pub fn clearance(&self, grid: DVec3) -> f64 {
         self.indicators.clearance(grid, &[self.i, self.j])
     }
 }
 
-/// Half the difference of two values with gradients.
+/// Returns half the difference of two values with gradients.
 #[inline(always)]
 pub(super) fn half_difference(a: (f64, DVec3), b: (f64, DVec3)) -> (f64, DVec3) {
     (0.5 * (a.0 - b.0), 0.5 * (a.1 - b.1))
 }
 
-/// Repeats steps until one is no longer than `tolerance` (mm). Returns the position and the extra
-/// result of the last step. `None` after [`PROJECTION_STEPS`], or if the position is `limit` (mm)
-/// or more from `start`.
+/// Repeats steps until a step is no longer than `tolerance` (mm). Returns the position and the
+/// extra result of the last step. Returns `None` after [`PROJECTION_STEPS`], or if the position is
+/// `limit` (mm) or more from `start`.
 #[inline(always)]
 pub(super) fn project<T>(
     voxel: f64,
@@ -75,20 +76,20 @@ pub(super) fn project<T>(
     None
 }
 
-/// Whether a squared slope is steep enough, and finite.
+/// Returns whether a squared slope is large enough and finite.
 #[inline(always)]
 fn is_steep(squared: f64) -> bool {
     squared > LEAST_SQUARED_GRADIENT && squared.is_finite()
 }
 
-/// The Newton step onto G = 0 along its gradient.
+/// Returns the Newton step onto G = 0 along the gradient of G.
 #[inline(always)]
 pub(super) fn sheet_step(value: f64, gradient: DVec3) -> Option<DVec3> {
     let squared = gradient.length_squared();
     (is_steep(squared) && value.is_finite()).then(|| gradient * (-value / squared))
 }
 
-/// The shortest step onto the intersection of the tangent planes of two functions:
+/// Returns the shortest step onto the intersection of the tangent planes of two functions:
 /// `-J^T (J J^T)^-1 G`.
 pub(super) fn curve_step([(u, a), (v, b)]: [(f64, DVec3); 2]) -> Option<DVec3> {
     let (aa, bb, ab) = (a.length_squared(), b.length_squared(), a.dot(b));
@@ -98,13 +99,13 @@ pub(super) fn curve_step([(u, a), (v, b)]: [(f64, DVec3); 2]) -> Option<DVec3> {
     (crosses && both).then(|| (a * (v * ab - u * bb) + b * (u * ab - v * aa)) / determinant)
 }
 
-/// The Newton step onto the intersection of the tangent planes of three functions.
+/// Returns the Newton step onto the intersection of the tangent planes of three functions.
 pub(super) fn point_step(rows: [(f64, DVec3); 3]) -> Option<DVec3> {
     let [a, b, c] = rows.map(|(_, gradient)| gradient);
     let squares = [a, b, c].map(DVec3::length_squared);
     let jacobian = DMat3::from_cols(a, b, c).transpose();
     let determinant = jacobian.determinant();
-    // the volume of the unit normals' box is the product of two sines
+    // the volume of the box spanned by the unit normals is the product of two sines
     let least = LEAST_SQUARED_SINE * squares.iter().product::<f64>();
     let crosses = squares.into_iter().all(is_steep) && determinant * determinant > least;
     let values = DVec3::from_array(rows.map(|(value, _)| value));

@@ -1,5 +1,5 @@
-//! The materials that meet at a position, which identify a material interface, a junction curve or
-//! a junction point.
+//! Identifies a material interface, a junction curve or a junction point by the materials that meet
+//! there.
 
 use super::MaterialId;
 use serde::{Deserialize, Serialize};
@@ -7,20 +7,20 @@ use serde::{Deserialize, Serialize};
 /// The materials that meet on a stratum, ascending: two on an interface, three on a junction curve,
 /// four at a junction point.
 ///
-/// A junction point of more than four materials (labels at a corner of many voxels) is named by
-/// four of them.
+/// More than four materials can meet at a junction point (labels at a corner of many voxels). It is
+/// then identified by four of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Stratum {
-    /// Ascending, padded with [`NONE`].
+    /// Material numbers, ascending and padded with [`NONE`].
     ids: [MaterialId; 4],
 }
 
-/// Padding for fewer than four materials; no material has this number.
+/// Padding if there are fewer than four materials. No material has this number.
 const NONE: MaterialId = MaterialId(u16::MAX);
 
 impl Stratum {
-    /// The stratum of some materials in any order; `None` unless they are two to four different
-    /// ones.
+    /// Creates the stratum of the given materials, in any order. Returns `None` unless there are
+    /// two to four different materials.
     pub fn new(materials: &[MaterialId]) -> Option<Self> {
         let mut ids = [NONE; 4];
         ids.get_mut(..materials.len())?.copy_from_slice(materials);
@@ -28,45 +28,46 @@ impl Stratum {
         Self { ids }.is_valid().then_some(Self { ids })
     }
 
-    /// The interface of two different materials.
+    /// Creates the interface of two different materials.
     ///
     /// # Panics
-    /// If they are the same.
+    /// If the materials are the same.
     pub fn sheet(a: MaterialId, b: MaterialId) -> Self {
         assert_ne!(a, b, "a material has no sheet with itself");
         Self { ids: [a.min(b), a.max(b), NONE, NONE] }
     }
 
-    /// Whether the numbers are of two to four materials, ascending; checked when files are read.
+    /// Returns whether the numbers are those of two to four materials, ascending. This is checked
+    /// when files are read.
     pub fn is_valid(&self) -> bool {
         let count = self.count();
         (2..=4).contains(&count) && self.ids[..count].is_sorted_by(|a, b| a < b)
     }
 
-    /// The materials, ascending.
+    /// Returns the materials, ascending.
     pub fn materials(&self) -> &[MaterialId] {
         &self.ids[..self.count()]
     }
 
-    /// Number of materials: 2, 3 or 4.
+    /// Returns the number of materials: 2, 3 or 4.
     pub fn count(&self) -> usize {
         self.ids.iter().position(|&id| id == NONE).unwrap_or(4)
     }
 
-    /// 2 for an interface, 1 for a junction curve, 0 for a junction point.
+    /// Returns the dimension: 2 for an interface, 1 for a junction curve, 0 for a junction point.
     pub fn dimension(&self) -> usize {
         4 - self.count()
     }
 
-    /// The stratum of the materials of both; `None` if there are more than four.
+    /// Returns the stratum of the materials of both strata, or `None` if there are more than four.
     pub fn joined(&self, other: &Self) -> Option<Self> {
         let mut ids = self.materials().to_vec();
         ids.extend(other.materials().iter().filter(|&&id| !self.has(id)));
         Self::new(&ids)
     }
 
-    /// The junction curves that it lies on, each of three of its materials. A curve lies on itself,
-    /// an interface on none.
+    /// Returns the junction curves that this stratum lies on, one for each three of its materials.
+    /// A curve lies on itself; an interface lies on no curve.
     pub fn curves(&self) -> impl Iterator<Item = Self> + use<> {
         let ids = self.ids;
         let three = move |skipped: usize| [0, 1, 2].map(|n| ids[n + usize::from(n >= skipped)]);
@@ -74,13 +75,13 @@ impl Stratum {
         skipped.filter_map(move |skipped| Self::new(&three(skipped)))
     }
 
-    /// Whether a material is one of them.
+    /// Returns whether a material belongs to the stratum.
     pub fn has(&self, id: MaterialId) -> bool {
         self.materials().contains(&id)
     }
 
-    /// Whether this stratum has all materials of `other`: it can lie on the border of `other`, or
-    /// equals it.
+    /// Returns whether this stratum has all materials of `other`, so that it equals `other` or can
+    /// lie on its border.
     pub fn is_on(&self, other: &Self) -> bool {
         other.materials().iter().all(|&id| self.has(id))
     }

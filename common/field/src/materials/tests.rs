@@ -1,5 +1,5 @@
-//! Indicators with known strata: nested balls, sectors of a ball, four regions of a cube; as
-//! functions and as samples.
+//! Tests of indicators with known strata: nested balls, sectors of a ball, and four regions of a
+//! cube. The indicators are given as functions and as samples.
 
 use super::*;
 use crate::random::uniform;
@@ -10,14 +10,14 @@ use std::collections::BTreeMap;
 
 pub(super) const IDS: [MaterialId; 4] = [MaterialId(0), MaterialId(1), MaterialId(2), MaterialId(3)];
 
-/// A ball of radius 5 mm within one of radius 9 mm, surrounded by the outside.
+/// A ball of radius 5 mm within a ball of radius 9 mm. The outside surrounds both.
 pub(super) fn nested(centre: DVec3) -> Analytic {
     let shell = maximum(ball(centre, 9.0), negative(ball(centre, 5.0)));
     Analytic::new(vec![negative(ball(centre, 9.0)), shell, ball(centre, 5.0)], 1.0)
 }
 
-/// Three sectors of 120 degrees of a ball of radius 8 mm, around the z axis through its centre,
-/// surrounded by the outside.
+/// Three sectors of 120 degrees of a ball of radius 8 mm, around the z axis through its centre. The
+/// outside surrounds the ball.
 pub(super) fn sectors(centre: DVec3) -> Analytic {
     let normal =
         |turns: f64| DVec3::new(-(turns * std::f64::consts::TAU).sin(), (turns * std::f64::consts::TAU).cos(), 0.0);
@@ -28,7 +28,7 @@ pub(super) fn sectors(centre: DVec3) -> Analytic {
     Analytic::new(vec![negative(ball(centre, 8.0)), sector(0.1), sector(1.1), sector(2.1)], 1.0)
 }
 
-/// Four regions that meet at a point, each around the direction of a corner of a tetrahedron.
+/// Four regions that meet at a point, each around the direction to a corner of a tetrahedron.
 pub(super) fn corners(point: DVec3) -> Analytic {
     let ways = [DVec3::ONE, DVec3::new(1.0, -1.0, -1.0), DVec3::new(-1.0, 1.0, -1.0), DVec3::new(-1.0, -1.0, 1.0)];
     let region = |own: DVec3| {
@@ -38,15 +38,15 @@ pub(super) fn corners(point: DVec3) -> Analytic {
     Analytic::new(ways.map(region).into(), 1.0)
 }
 
-/// Balls of different sizes whose surfaces all pass through a point: smooth indicators, all equal
-/// there.
+/// Balls of different sizes whose surfaces all pass through a point. Their indicators are smooth
+/// and all equal at this point.
 fn balls(point: DVec3) -> Analytic {
     let ball_towards = |x: f64, y: f64, z: f64| ball(point + DVec3::new(x, y, z), DVec3::new(x, y, z).length());
     let four = [(7.0, 6.0, 8.0), (9.0, -8.0, -6.0), (-6.0, 9.0, -9.0), (-8.0, -7.0, 7.0)];
     Analytic::new(four.map(|(x, y, z)| ball_towards(x, y, z)).into(), 1.0)
 }
 
-/// The indicators from samples `spacing` mm apart on a cube of 24 mm.
+/// Samples the indicators on a cube of 24 mm with nodes `spacing` mm apart.
 pub(super) fn sampled(analytic: &Analytic, spacing: f64) -> Materials {
     let nodes = (24.0 / spacing).round() as usize + 1;
     let geometry = Geometry::axis_aligned([nodes; 3], DVec3::splat(spacing));
@@ -73,7 +73,7 @@ fn the_smallest_indicator_names_the_material() {
         for p in (0..5000).map(place) {
             let (truth, found) = (analytic.near(p), materials.near(p));
             assert_eq!(analytic.material_at(p), truth.first().expect("some"));
-            // away from interfaces and kinks the spline is as good as the function
+            // away from interfaces and kinks, the spline is as accurate as the function
             if truth.interface_distance() > 0.4 {
                 assert_eq!(materials.material_at(p), analytic.material_at(p), "at {p}: {found:?} {truth:?}");
             }
@@ -159,12 +159,12 @@ fn junction_curves_are_met() {
         let own = [IDS[1], IDS[2], IDS[3]];
         let p = analytic.project_onto_curve(own, start, 2.0, 1e-9).expect("near the axis");
         assert!((p - CENTRE).truncate().length() < 1e-9, "{p}");
-        // the step is the shortest: nothing moves along the curve
+        // the step is the shortest, so the position does not move along the curve
         assert!((p.z - start.z).abs() < 1e-9);
         // the curve is real only within the ball
         assert_eq!(analytic.clearance(p, &own) > 0.0, (p.z - CENTRE.z).abs() < 8.0);
     }
-    // the kink of sampled sectors lies on the curve itself
+    // the sampled sectors have a kink on the curve itself
     for (spacing, tolerance) in [(1.0, 0.08), (0.5, 0.04)] {
         let materials = sampled(&analytic, spacing);
         for n in 0..100 {
@@ -290,7 +290,7 @@ fn sheets_are_real_where_their_clearance_is_positive() {
 
 #[test]
 fn what_is_added_at_nodes_is_at_no_other() {
-    // in the middle of the grid and at its border, where the spline is mirrored
+    // in the middle of the grid, and at its border, where the spline is mirrored
     let at_borders = [(DVec3::new(-1.0, 12.0, 12.0), [1, 14, 16]), (DVec3::new(25.0, 12.0, 12.0), [23, 14, 16])];
     for (centre, node) in [(CENTRE, [16, 12, 12])].into_iter().chain(at_borders) {
         let before = sampled(&nested(centre), 1.0);
@@ -303,13 +303,14 @@ fn what_is_added_at_nodes_is_at_no_other() {
         for n in 0..729 {
             let other = [(node[0] + n % 9).saturating_sub(4).min(24), node[1] + n / 9 % 9 - 4, node[2] + n / 81 - 4];
             let expected = if other == node { 0.5 } else { 0.0 };
-            // if not known, the difference of two infinities is NaN
+            // if the indicator is not known, the difference of two infinities is NaN
             let found = change(at(other));
             known += usize::from(!found.is_nan());
             assert!(found.is_nan() || (found - expected).abs() < 1e-5, "{found} at {other:?}");
         }
         assert!(known > 300, "{known}");
-        // midway between two nodes: the cubic spline that is one at a node and zero at all others
+        // midway between two nodes: the value of the cubic spline that is one at a node and zero at
+        // all other nodes
         assert!((change(at(node) + 0.5 * DVec3::Y) / 0.5 - 0.6005).abs() < 1e-4);
         let pairs = materials.indicators().iter().zip(before.indicators()).enumerate();
         assert!(pairs.filter(|(n, _)| *n != id.index()).all(|(_, (now, then))| now == then));
@@ -318,7 +319,7 @@ fn what_is_added_at_nodes_is_at_no_other() {
 
 #[test]
 fn a_sample_is_added_to_on_axes_of_few_nodes() {
-    // 1 to 9 nodes along x: a sample reaches many mirror images
+    // with 1 to 9 nodes along x, a sample affects many mirror images
     for nodes in 1..10 {
         let geometry = Geometry::axis_aligned([nodes, 9, 9], DVec3::ONE);
         let image = |added: f64| {

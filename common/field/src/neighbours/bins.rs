@@ -1,5 +1,5 @@
-//! One grid of bins for each octave of h, which finds the points that may interact with a position;
-//! and a spatial order of points along a Morton curve.
+//! Finds the points that may interact with a position, using one grid of bins for each octave of h.
+//! Also sorts points into a spatial order along a Morton curve.
 
 use super::WIDENING;
 use glam::{DVec3, IVec3};
@@ -7,7 +7,7 @@ use isoparticles_mesh::buckets::{Buckets, parts_mut};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Rows of bins that are sorted per parallel task.
+/// Number of rows of bins that are sorted per parallel task.
 const ROWS: usize = 1 << 8;
 
 /// Maximum number of bins along an axis of a level.
@@ -16,15 +16,15 @@ const MOST_BINS: f64 = 1024.0;
 /// Position and size of the bins of every level.
 #[derive(Clone, Debug)]
 struct Grid {
-    /// Lowest corner of the first bin, the same on every level.
+    /// Lowest corner of the first bin, which is the same on every level.
     origin: DVec3,
-    /// Edge of the bins of level 0, which hold the largest points.
+    /// Edge of the bins of level 0, which contain the largest points.
     edge: f64,
     /// Size of the largest point.
     largest: f64,
-    /// Number of levels; the last also holds all smaller points.
+    /// Number of levels. The last level also contains all smaller points.
     levels: usize,
-    /// Bins of level 0 along each axis.
+    /// Number of bins of level 0 along each axis.
     bins: IVec3,
 }
 
@@ -38,7 +38,7 @@ impl Grid {
             return Self { origin: DVec3::ZERO, edge: 1.0, largest, levels: 0, bins: IVec3::ZERO };
         }
         let extent = (high - low).max_element();
-        // wider bins are correct, too; they keep the table of rows small if a few points are tiny
+        // wider bins are also correct; they keep the table of rows small if a few points are tiny
         let edge = (reach * largest * (1.0 + WIDENING)).max(extent / MOST_BINS);
         let allowed = (edge * MOST_BINS / extent.max(edge)).log2().floor();
         let levels = (largest / smallest).log2().floor().min(allowed) as usize + 1;
@@ -61,8 +61,8 @@ impl Grid {
 
 /// Points in bins, with one grid of bins (level) for each octave of size. The bins of a level are
 /// as wide as the longest reach in its octave, so a query visits at most 27 bins per level. The
-/// points of a level are sorted by bin, x fastest: the three bins of a row are one contiguous run,
-/// found by bisection within the row.
+/// points of a level are sorted by bin, x fastest. The three bins of a row are therefore one
+/// contiguous run, which is found by bisection within the row.
 #[derive(Clone, Debug)]
 pub struct LevelBins {
     reach: f64,
@@ -73,7 +73,7 @@ pub struct LevelBins {
 #[derive(Clone, Debug)]
 struct Level {
     rows: [i32; 2],
-    /// First entry of each row of bins (y fastest), and the end.
+    /// First entry of each row of bins (y fastest), followed by the end of the last row.
     starts: Vec<u32>,
     /// Bin along x of each entry; entries are sorted by row, then bin, then point.
     bins: Vec<u32>,
@@ -111,7 +111,7 @@ impl Level {
         Self { rows, starts, bins, points }
     }
 
-    /// Calls `visit` with every run of entries in the bins from `low` to `high`, inclusive.
+    /// Calls `visit` with every run of entries in the bins from `low` to `high`, both included.
     #[inline]
     fn runs(&self, low: IVec3, high: IVec3, mut visit: impl FnMut(Range<usize>)) {
         if self.points.is_empty() || high.min_element() < 0 {
@@ -134,8 +134,8 @@ impl Level {
 }
 
 impl LevelBins {
-    /// Bins the points. Two points interact if they are nearer than `reach` times the smaller of
-    /// their sizes. Sizes must be positive and finite.
+    /// Sorts the points into bins. Two points interact if they are nearer than `reach` times the
+    /// smaller of their sizes. Sizes must be positive and finite.
     pub fn new(points: &[DVec3], sizes: &[f64], reach: f64) -> Self {
         let grid = Grid::new(points, sizes, reach);
         let level_of: Vec<u32> = sizes.par_iter().map(|&h| grid.level_of(h) as u32).collect();
@@ -146,12 +146,12 @@ impl LevelBins {
         Self { reach, grid, levels }
     }
 
-    /// Calls `visit` with every point that may lie within `reach * min(size, its size)` of
-    /// `centre`, and with some that do not; the caller checks the distance. The order is fixed: by
-    /// level, bin, index.
+    /// Calls `visit` with every point whose distance from `centre` may be at most `reach` times the
+    /// smaller of `size` and the size of the point. It also visits some points farther away, so the
+    /// caller must check the distance. The order is fixed: by level, bin and index.
     pub fn visit(&self, centre: DVec3, size: f64, mut visit: impl FnMut(u32)) {
         for (l, level) in self.levels.iter().enumerate() {
-            // slightly more than the reach, against rounding
+            // slightly more than the reach, to allow for rounding
             let radius = (self.reach * size * (1.0 + WIDENING)).min(self.grid.edge_of(l));
             let (low, high) = (self.grid.bin_of(l, centre - radius), self.grid.bin_of(l, centre + radius));
             level.runs(low, high, |run| level.points[run].iter().for_each(|&i| visit(i)));
@@ -159,9 +159,9 @@ impl LevelBins {
     }
 }
 
-/// An order of the points in which neighbours are close to each other: along a Morton curve whose
-/// cells are a quarter of the finest bins. Those are about as wide as the smallest reaches, or a
-/// thousandth of the extent if that is more.
+/// Returns an order of the points in which consecutive points are close to each other. The order
+/// follows a Morton curve whose cells are a quarter of the finest bins. The finest bins are about
+/// as wide as the smallest reach, or a thousandth of the extent if that is larger.
 pub fn space_order(points: &[DVec3], sizes: &[f64], reach: f64) -> Vec<u32> {
     let grid = Grid::new(points, sizes, reach);
     let mut keyed: Vec<(u64, u32)> = points
@@ -176,7 +176,7 @@ pub fn space_order(points: &[DVec3], sizes: &[f64], reach: f64) -> Vec<u32> {
     keyed.into_iter().map(|(_, i)| i).collect()
 }
 
-/// Spreads the low 21 bits of a number to every third bit.
+/// Spreads the low 21 bits of a number to every third bit of the result.
 fn spread(x: u64) -> u64 {
     let mut x = x & 0x1f_ffff;
     for (shift, mask) in [

@@ -1,5 +1,5 @@
-//! A tree of boxes over points in their order, eight to a box. It finds the points that may be near
-//! those of a box, on SIMD lanes.
+//! A tree of boxes over consecutive points, with eight points per box. Using SIMD lanes, it finds
+//! the points that may be near the points of a box.
 
 use super::WIDENING;
 use fearless_simd::{Simd, f64x8, prelude::*};
@@ -7,13 +7,13 @@ use glam::DVec3;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
 
-/// Points per lane operation.
+/// Number of points per lane operation.
 pub(super) const LANES: usize = 8;
 
-/// Eight consecutive points, padded with points infinitely far away.
+/// Eight consecutive points. Missing points are padded with points infinitely far away.
 #[derive(Clone, Copy, Debug)]
 struct Run {
-    /// Coordinates, axis by axis.
+    /// Coordinates of the points, axis by axis.
     place: [[f64; LANES]; 3],
     reach: [f64; LANES],
     number: [u32; LANES],
@@ -23,20 +23,21 @@ impl Run {
     const NOBODY: Self = Self { place: [[f64::INFINITY; LANES]; 3], reach: [0.0; LANES], number: [u32::MAX; LANES] };
 }
 
-/// Eight consecutive boxes, of runs or of groups of eight boxes, padded with empty ones.
+/// Eight consecutive boxes, around runs or around groups of eight boxes. Missing boxes are padded
+/// with empty boxes.
 #[derive(Clone, Copy, Debug)]
 struct Boxes {
     low: [[f64; LANES]; 3],
     high: [[f64; LANES]; 3],
-    /// The longest reach in each box.
+    /// Maximum reach in each box.
     reach: [f64; LANES],
 }
 
-/// One of [`Boxes`].
+/// One box of [`Boxes`].
 #[derive(Clone, Copy, Debug)]
 struct Outline {
     bounds: Bounds,
-    /// The longest reach in it.
+    /// Maximum reach of the points in the box.
     reach: f64,
 }
 
@@ -47,23 +48,24 @@ impl Outline {
         Self { bounds: self.bounds.merged(other.bounds), reach: self.reach.max(other.reach) }
     }
 
-    /// Length of its longest side, in reaches.
+    /// Returns the length of the longest side in units of the reach.
     fn extent(&self) -> f64 {
         (self.bounds.high - self.bounds.low).max_element() / self.reach
     }
 }
 
-/// Points in their order, in a tree of boxes with eight children each. Queries are fast if
-/// consecutive points are close to each other.
+/// A tree of boxes over points, with eight children per box. Queries are fast if consecutive points
+/// are close to each other.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tree {
     runs: Vec<Run>,
-    /// The box of each run.
+    /// Box of each run.
     boxes: Vec<Outline>,
-    /// Whether runs, and groups of eight runs, are on average about as small as those of points on
-    /// a surface in spatial order.
+    /// Whether runs, and groups of eight runs, are on average about as small as they would be for
+    /// points on a surface in spatial order.
     pub(super) is_compact: bool,
-    /// The boxes by level, from those of runs up to the at most eight that hold everything.
+    /// Boxes by level, from the boxes of runs up to the level of at most eight boxes that contain
+    /// all points.
     levels: Vec<Vec<Boxes>>,
 }
 
@@ -72,7 +74,7 @@ impl Tree {
         Self::default().anew(points, sizes, reach)
     }
 
-    /// As [`Self::new`], but reuses the memory of this tree, which is dropped.
+    /// Builds a tree like [`Self::new`], but reuses the memory of this tree, which is dropped.
     pub(super) fn anew(self, points: &[DVec3], sizes: &[f64], reach: f64) -> Self {
         let Self { mut runs, mut boxes, .. } = self;
         let run = |(n, (points, sizes)): (usize, (&[DVec3], &[f64]))| {
@@ -81,7 +83,7 @@ impl Tree {
             for (lane, (&p, &h)) in points.iter().zip(sizes).enumerate() {
                 (0..3).for_each(|axis| run.place[axis][lane] = p[axis]);
                 (run.reach[lane], run.number[lane]) = (reach * h, (n * LANES + lane) as u32);
-                // slightly more than the reach, against rounding
+                // slightly more than the reach, to allow for rounding
                 all = all.merged(Outline { bounds: Bounds { low: p, high: p }, reach: reach * h * (1.0 + WIDENING) });
             }
             (run, all)
@@ -102,8 +104,8 @@ impl Tree {
         Self { runs, boxes, is_compact, levels }
     }
 
-    /// Finds the runs with points that may be within reach of those of a box, ascending, in
-    /// `found`. `next` is scratch space.
+    /// Stores in `found`, in ascending order, the runs with points that may be within reach of the
+    /// points of a box. `next` is scratch space.
     #[inline(always)]
     fn near<S: Simd>(&self, simd: S, of: &Outline, found: &mut Vec<u32>, next: &mut Vec<u32>) {
         found.clear();
@@ -123,7 +125,7 @@ impl Tree {
 }
 
 impl Boxes {
-    /// Packs some boxes; also returns the box around them.
+    /// Packs some boxes. Also returns the box around them.
     fn of(boxes: &[Outline]) -> (Self, Outline) {
         let mut new =
             Self { low: [[f64::INFINITY; LANES]; 3], high: [[f64::NEG_INFINITY; LANES]; 3], reach: [0.0; LANES] };
@@ -135,16 +137,16 @@ impl Boxes {
         (new, boxes.iter().copied().fold(Outline::EMPTY, Outline::merged))
     }
 
-    /// Bits of the boxes whose distance from another along every axis is at most the smaller of the
-    /// two reaches.
+    /// Returns a bit mask of the boxes whose distance from `other` along every axis is at most the
+    /// smaller of the two reaches.
     #[inline(always)]
     fn meet<S: Simd>(&self, simd: S, other: &Outline) -> u64 {
         meet(simd, [&self.low, &self.high], &self.reach, other)
     }
 }
 
-/// Bits of the boxes (lowest and highest corners) whose distance from another along every axis is
-/// at most the smaller of the two reaches.
+/// Returns a bit mask of the boxes whose distance from `other` along every axis is at most the
+/// smaller of the two reaches. The boxes are given by their lowest and highest corners.
 #[inline(always)]
 fn meet<S: Simd>(simd: S, [low, high]: [&[[f64; LANES]; 3]; 2], reach: &[f64; LANES], other: &Outline) -> u64 {
     let reach = f64x8::simd_from(simd, *reach).min(other.reach);
@@ -157,18 +159,18 @@ fn meet<S: Simd>(simd: S, [low, high]: [&[[f64; LANES]; 3]; 2], reach: &[f64; LA
     meets
 }
 
-/// The points that those of a run may interact with.
+/// The points that may interact with the points of a run.
 #[derive(Default)]
 pub(super) struct Candidates {
     runs: Vec<Run>,
-    /// Runs of the tree, and scratch space for the search.
+    /// Runs of the tree that may be near, and scratch space for the search.
     near: [Vec<u32>; 2],
-    /// Numbers of the points near another, with room for eight more.
+    /// Numbers of the points near another point, with room for eight more.
     found: Vec<u32>,
 }
 
 impl Candidates {
-    /// Collects the points within reach of a run's box, ascending.
+    /// Collects the points within reach of the box of a run, ascending.
     #[inline(always)]
     pub(super) fn collect<S: Simd>(&mut self, simd: S, tree: &Tree, run: usize) {
         let own = &tree.boxes[run];
@@ -193,10 +195,10 @@ impl Candidates {
         self.found.resize(self.found.len().max(count + LANES), 0);
     }
 
-    /// The candidates nearer to `p` than the smaller of the two reaches, `p` itself included,
-    /// ascending.
+    /// Returns the candidates that are nearer to `p` than the smaller of the two reaches, including
+    /// `p` itself, in ascending order.
     ///
-    /// Every lane is written, and the next near one overwrites a lane that is not near. A branch
+    /// Every lane is written, and the next near lane overwrites a lane that is not near. A branch
     /// per lane would be mispredicted every other time.
     #[inline(always)]
     pub(super) fn near<S: Simd>(&mut self, simd: S, p: DVec3, radius: f64) -> &[u32] {
@@ -218,10 +220,10 @@ impl Candidates {
     }
 }
 
-/// If runs extend farther than this many reaches on average, the points are sorted into spatial
-/// order first. Runs of particles in spatial order extend 1.7 to 2.1 reaches.
+/// Maximum mean extent of runs, in units of the reach. If runs are larger, the points are first
+/// sorted into spatial order. Runs of particles in spatial order extend 1.7 to 2.1 reaches.
 const MOST_EXTENT: f64 = 4.0;
 
-/// The same for eight runs: on a surface they have eight times the area of one, and sqrt 8 times
-/// its extent.
+/// Maximum mean extent of groups of eight runs, in units of the reach. On a surface, eight runs
+/// have eight times the area of one run and sqrt 8 times its extent.
 const MOST_EXTENT_OF_EIGHT: f64 = 12.0;

@@ -1,20 +1,20 @@
-//! The Bézier points of F in a cell between eight neighbouring nodes.
+//! Computes the Bézier points of F in a cell between eight neighbouring nodes.
 
 use super::{CubicSpline, mirror};
 
-/// Points along each axis.
+/// Number of points along each axis.
 pub(crate) const ORDER: usize = 4;
 
 /// The Bézier points of a cell, x fastest. F lies between their minimum and maximum (convex hull
-/// property); the corner points are the values of F there.
+/// property). The corner points are the values of F at the corners of the cell.
 pub(crate) type BezierPoints = [f64; ORDER * ORDER * ORDER];
 
 /// Bound on the rounding error of conversions and halvings, relative to the largest point. It
-/// allows for a sum of some hundred products.
+/// covers a sum of a few hundred products.
 pub(crate) const ROUNDING: f64 = 256.0 * f64::EPSILON;
 
 impl CubicSpline {
-    /// The Bézier points of the cell whose lowest node is given.
+    /// Returns the Bézier points of the cell with the given lowest node.
     pub(crate) fn bezier_points(&self, cell: [usize; 3]) -> BezierPoints {
         let mut points = self.coefficients_of_cell(cell);
         along::<{ ORDER * ORDER }>(&mut points);
@@ -23,9 +23,9 @@ impl CubicSpline {
         points
     }
 
-    /// As [`Self::bezier_points`], but `None` if F is surely of one sign throughout the cell, its
-    /// border included. This is tested after each axis: each conversion yields weighted means of
-    /// its input.
+    /// Returns the Bézier points like [`Self::bezier_points`], or `None` if F certainly has one
+    /// sign throughout the cell, including its border. The sign is tested after the conversion
+    /// along each axis, because each conversion computes weighted means of its input.
     pub(crate) fn bezier_points_round_zero(&self, cell: [usize; 3]) -> Option<BezierPoints> {
         let mut points = self.coefficients_of_cell(cell);
         for convert in [along::<{ ORDER * ORDER }>, along::<ORDER>, along::<1>] {
@@ -37,7 +37,7 @@ impl CubicSpline {
         Some(points)
     }
 
-    /// The coefficients that F depends on in a cell, mirrored at the border.
+    /// Returns the coefficients that determine F in a cell, mirrored at the border.
     fn coefficients_of_cell(&self, cell: [usize; 3]) -> BezierPoints {
         let [nx, ny, nz] = self.geometry.size;
         let row = |y: usize, z: usize| &self.coefficients[(z * ny + y) * nx..][..nx];
@@ -60,7 +60,7 @@ impl CubicSpline {
     }
 }
 
-/// Whether all points are surely of one sign, rounding considered.
+/// Returns whether all points certainly have the same sign, allowing for rounding.
 pub(crate) fn is_of_one_sign(points: &BezierPoints) -> bool {
     let (low, high) = range(points);
     let slack = ROUNDING * low.abs().max(high.abs());
@@ -68,7 +68,8 @@ pub(crate) fn is_of_one_sign(points: &BezierPoints) -> bool {
 }
 
 /// Converts coefficients of a uniform cubic B-spline to Bézier points, along the axis on which
-/// neighbours are `STRIDE` places apart. A constant stride lets the compiler unroll the loops.
+/// neighbouring points are `STRIDE` indices apart. A constant stride lets the compiler unroll the
+/// loops.
 fn along<const STRIDE: usize>(points: &mut BezierPoints) {
     for outer in (0..points.len()).step_by(ORDER * STRIDE) {
         for first in outer..outer + STRIDE {
@@ -81,7 +82,7 @@ fn along<const STRIDE: usize>(points: &mut BezierPoints) {
     }
 }
 
-/// Minimum and maximum of some numbers, in independent lanes.
+/// Returns the minimum and maximum of some numbers, computed in independent lanes.
 pub(crate) fn range<const COUNT: usize>(values: &[f64; COUNT]) -> (f64, f64) {
     const LANES: usize = 8;
     let less = |a: f64, b: f64| if a < b { a } else { b };

@@ -1,5 +1,5 @@
-//! The spline near its zero set only: coefficients in bricks, so that memory is proportional to the
-//! surface of a large image, not to its volume.
+//! Stores the spline only near its zero set. The coefficients are stored in bricks, so that memory
+//! is proportional to the surface in a large image instead of its volume.
 
 use super::Jet;
 use super::prefilter::SlabFilter;
@@ -9,40 +9,41 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Cells of a brick along each axis.
+/// Number of cells of a brick along each axis.
 const CELLS: usize = 16;
 
-/// Coefficients that the cells of a brick read, along each axis.
+/// Number of coefficients that the cells of a brick use along each axis.
 const SIDE: usize = CELLS + 3;
 
-/// All bricks within this distance of the zero set are stored, in voxels.
+/// Distance in voxels from the zero set within which all bricks are stored.
 const REACH: usize = 3;
 
-/// Markers in place of the number of a brick that is not stored: the spline is negative, or
-/// positive, throughout it.
+/// Markers instead of the number of a brick that is not stored. The spline is negative or positive
+/// throughout such a brick.
 const NEGATIVE: u32 = u32::MAX;
 const POSITIVE: u32 = u32::MAX - 1;
 
 /// An interpolating cubic B-spline that is stored only within a few voxels of its zero set.
-/// Positions in the grid frame, derivatives per mm.
+/// Positions are in the grid frame, derivatives per mm.
 ///
-/// A spline lies within the range of the coefficients that it reads, so a brick whose coefficients
-/// have one sign contains no zero. There the spline counts as 1 or -1, with zero derivatives.
+/// A spline lies within the range of the coefficients that it uses, so a brick whose coefficients
+/// have the same sign contains no zero. In such a brick the value is taken as 1 or -1, with zero
+/// derivatives.
 #[derive(Clone, Debug)]
 pub struct BrickSpline {
     geometry: Geometry,
-    /// Number of each brick, x fastest, or [`NEGATIVE`] or [`POSITIVE`].
+    /// Number of each brick, x fastest, or one of the markers [`NEGATIVE`] and [`POSITIVE`].
     number: Vec<u32>,
-    /// The coefficients of the bricks, one brick after the other.
+    /// Coefficients of the bricks, one brick after the other.
     coefficients: Vec<f32>,
 }
 
 /// One layer of bricks along z.
 #[derive(Clone, Debug)]
 pub struct Layer {
-    /// Slices whose coefficients the layer is made from.
+    /// Slices whose coefficients are needed to build the layer.
     pub slices: Range<usize>,
-    /// Slices that belong to the layer; every slice belongs to exactly one.
+    /// Slices that belong to the layer. Every slice belongs to exactly one layer.
     pub own: Range<usize>,
 }
 
@@ -52,12 +53,12 @@ pub struct BrickSplineBuilder {
 }
 
 impl BrickSplineBuilder {
-    /// For a spline on a grid.
+    /// Starts a spline on a grid.
     pub fn new(geometry: Geometry) -> Self {
         Self { spline: BrickSpline { geometry, number: Vec::new(), coefficients: Vec::new() } }
     }
 
-    /// The layers, from the first slice of the grid to the last.
+    /// Returns the layers, from the first slice of the grid to the last slice.
     pub fn layers(geometry: &Geometry) -> impl Iterator<Item = Layer> + use<> {
         let nz = geometry.size[2];
         let count = bricks_along(nz);
@@ -69,7 +70,7 @@ impl BrickSplineBuilder {
     }
 
     /// Adds the next layer. `row(j, k)` returns the coefficients along x at y index j and z index
-    /// k, for the slices of the layer.
+    /// k. It is called only for the slices of the layer.
     pub fn add<'a>(&mut self, layer: &Layer, row: impl Fn(usize, usize) -> &'a [f32] + Sync) {
         let size = self.spline.geometry.size;
         let [nx, ny, _] = size;
@@ -89,7 +90,7 @@ impl BrickSplineBuilder {
         }
     }
 
-    /// The spline, once all layers have been added.
+    /// Returns the spline after all layers have been added.
     pub fn finish(mut self) -> BrickSpline {
         self.spline.coefficients.shrink_to_fit();
         self.spline
@@ -100,8 +101,8 @@ fn bricks_along(nodes: usize) -> usize {
     nodes.saturating_sub(1).div_ceil(CELLS).max(1)
 }
 
-/// The coefficients of the brick whose lowest cell is `first`, on a grid of `size` nodes; its sign
-/// if it is far from the zero set.
+/// Returns the coefficients of the brick whose lowest cell is `first`, on a grid of `size` nodes.
+/// Far from the zero set, returns the marker of the sign of the brick as an error.
 fn brick<'a>(size: [usize; 3], first: [usize; 3], row: &impl Fn(usize, usize) -> &'a [f32]) -> Result<Vec<f32>, u32> {
     let around = [0, 1, 2].map(|a| first[a].saturating_sub(1 + REACH)..(first[a] + CELLS + 2 + REACH).min(size[a]));
     let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
@@ -118,7 +119,7 @@ fn brick<'a>(size: [usize; 3], first: [usize; 3], row: &impl Fn(usize, usize) ->
     if high < 0.0 {
         return Err(NEGATIVE);
     }
-    // entries beyond the grid are never read
+    // entries beyond the grid are never used
     let mut brick = vec![0.0; SIDE * SIDE * SIDE];
     let held = [0, 1, 2].map(|a| first[a].saturating_sub(1)..(first[a] + CELLS + 2).min(size[a]));
     for k in held[2].clone() {
@@ -132,7 +133,7 @@ fn brick<'a>(size: [usize; 3], first: [usize; 3], row: &impl Fn(usize, usize) ->
 }
 
 impl BrickSpline {
-    /// The spline through the samples of an image.
+    /// Creates the spline through the samples of an image.
     pub fn new(image: &Image<f32>) -> Self {
         let geometry = &image.geometry;
         let plane = geometry.size[0] * geometry.size[1];
@@ -146,13 +147,13 @@ impl BrickSpline {
         builder.finish()
     }
 
-    /// The grid.
+    /// Returns the grid.
     pub fn geometry(&self) -> &Geometry {
         &self.geometry
     }
 
-    /// F and its gradient at a grid position (clamped to the volume). Inlined, so that it is
-    /// compiled for the caller's instruction set.
+    /// Returns F and its gradient at a grid position (clamped to the volume). Inlined, so that it
+    /// is compiled for the instruction set of the caller.
     #[inline(always)]
     pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         match self.brick(grid) {
@@ -161,7 +162,7 @@ impl BrickSpline {
         }
     }
 
-    /// F, gradient and Hessian at a grid position (clamped to the volume).
+    /// Returns F, its gradient and its Hessian at a grid position (clamped to the volume).
     #[inline]
     pub fn jet(&self, grid: DVec3) -> Jet {
         match self.brick(grid) {
@@ -170,8 +171,8 @@ impl BrickSpline {
         }
     }
 
-    /// The stencil of a position and the coefficients of its brick; the sign of the spline if the
-    /// brick is not stored.
+    /// Returns the stencil of a position and the coefficients of the brick that contains it. If the
+    /// brick is not stored, returns the sign of the spline as an error.
     #[inline(always)]
     fn brick(&self, grid: DVec3) -> Result<(Stencil, &[f32]), f64> {
         let stencil = Stencil::new(&self.geometry, grid);

@@ -1,8 +1,8 @@
 //! The implicit function F: the interpolating cubic B-spline through samples on a grid, with
 //! analytic gradient and Hessian.
 //!
-//! The coefficients come from the exact recursive prefilter (Unser, Aldroubi and Eden 1993; pole
-//! sqrt(3) - 2, mirror boundary), so F takes the sample values at the samples. Without it, a ball
+//! The coefficients are computed by the exact recursive prefilter (Unser, Aldroubi and Eden 1993;
+//! pole sqrt(3) - 2, mirror boundary), so F interpolates the samples. Without the prefilter, a ball
 //! of radius R voxels shrinks by 1/(3R) voxel.
 
 use glam::{DMat3, DVec3};
@@ -23,22 +23,24 @@ use stencil::mirror;
 /// Maximum number of Newton steps of a projection onto F = 0.
 pub const PROJECTION_STEPS: usize = 25;
 
-/// A projection fails where the squared gradient is at most this. F is a distance: its slope is 1
-/// nearly everywhere.
+/// Maximum squared gradient at which a projection fails. F is a distance, so its slope is 1 nearly
+/// everywhere.
 pub const LEAST_SQUARED_GRADIENT: f64 = 1e-8;
 
-/// Voxels between a surface and the face of a grid that make the spline near the surface the same
-/// as on a larger grid. The mirror boundary replaces the values beyond the face; where they differ
-/// by d, the spline n nodes from the face differs by less than d sqrt(3) z^(n + 1) / (1 - z), with
-/// z = 2 - sqrt(3) (impulse response of the prefilter, Unser 1999). With n = 7 that is 6e-5 d. A d
-/// of ten times the change from voxel to voxel at the surface moves it by 0.0006 voxel.
+/// Distance in voxels between a surface and the face of a grid beyond which the spline near the
+/// surface is the same as on a larger grid. The mirror boundary replaces the values beyond the
+/// face. Where the mirrored values differ by d, the spline n nodes from the face differs by less
+/// than d sqrt(3) z^(n + 1) / (1 - z), with z = 2 - sqrt(3) (impulse response of the prefilter,
+/// Unser 1999). With n = 7, this is 6e-5 d. If d is ten times the change from voxel to voxel at the
+/// surface, the surface moves by 0.0006 voxel.
 pub const ROOM: usize = 8;
 
-/// Interpolating cubic B-spline over a grid; positions in the grid frame, derivatives per mm.
+/// The interpolating cubic B-spline over a grid. Positions are in the grid frame, derivatives per
+/// mm.
 #[derive(Clone, Debug)]
 pub struct CubicSpline {
     geometry: Geometry,
-    /// Mean spacing, mm. Stored because it takes a cube root, and projections need it millions of
+    /// Mean spacing in mm. Stored because it takes a cube root and projections need it millions of
     /// times.
     voxel: f64,
     coefficients: Vec<f32>,
@@ -56,7 +58,7 @@ pub struct Jet {
 }
 
 impl CubicSpline {
-    /// The spline through the samples of an image.
+    /// Creates the spline through the samples of an image.
     pub fn new(image: &Image<f32>) -> Self {
         let mut coefficients = image.data.clone();
         let [nx, ny, nz] = image.geometry.size;
@@ -70,60 +72,61 @@ impl CubicSpline {
         Self::from_coefficients(image.geometry.clone(), coefficients)
     }
 
-    /// The spline of coefficients that are already prefiltered.
+    /// Creates the spline with coefficients that are already prefiltered.
     pub fn from_coefficients(geometry: Geometry, coefficients: Vec<f32>) -> Self {
         assert_eq!(geometry.voxel_count(), coefficients.len(), "one coefficient a voxel");
         Self { voxel: geometry.mean_spacing(), geometry, coefficients }
     }
 
-    /// The grid.
+    /// Returns the grid.
     pub fn geometry(&self) -> &Geometry {
         &self.geometry
     }
 
-    /// Mean spacing of its voxels, mm.
+    /// Returns the mean voxel spacing in mm.
     pub fn voxel(&self) -> f64 {
         self.voxel
     }
 
-    /// The spline coefficients, x fastest.
+    /// Returns the spline coefficients, x fastest.
     pub fn coefficients(&self) -> &[f32] {
         &self.coefficients
     }
 
-    /// F at a grid position (clamped to the volume).
+    /// Returns F at a grid position (clamped to the volume).
     pub fn value(&self, grid: DVec3) -> f64 {
         Stencil::new(&self.geometry, grid).value(&self.coefficients)
     }
 
-    /// F and its gradient at a grid position (clamped to the volume).
+    /// Returns F and its gradient at a grid position (clamped to the volume).
     #[inline(always)]
     pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         Stencil::new(&self.geometry, grid).value_gradient(&self.coefficients, self.geometry.spacing)
     }
 
-    /// First-order distance from F = 0, mm, negative inside: F / |grad F| ([`distance_estimate`]).
+    /// Returns the first-order distance from F = 0 in mm, negative inside: F / |grad F|
+    /// ([`distance_estimate`]).
     pub fn distance_estimate(&self, grid: DVec3) -> f64 {
         let (value, gradient) = self.value_gradient(grid);
         distance_estimate(value, gradient)
     }
 
-    /// F, gradient and Hessian at a grid position (clamped to the volume). Inlined, so that it is
-    /// compiled for the caller's instruction set.
+    /// Returns F, its gradient and its Hessian at a grid position (clamped to the volume). Inlined,
+    /// so that it is compiled for the instruction set of the caller.
     #[inline(always)]
     pub fn jet(&self, grid: DVec3) -> Jet {
         Stencil::new(&self.geometry, grid).jet(&self.coefficients, self.geometry.spacing)
     }
 
     /// Moves a point onto F = 0 by Newton steps along the gradient (Eq. 5 with its sign corrected).
-    /// `limit` is the longest total move (mm). `None` if the point moves farther, the gradient
-    /// vanishes, or [`PROJECTION_STEPS`] do not bring |F| and the first-order distance down to
-    /// `tolerance` (mm).
+    /// `limit` is the maximum total move in mm. Returns `None` if the point moves farther, the
+    /// gradient vanishes, or [`PROJECTION_STEPS`] steps do not reduce |F| and the first-order
+    /// distance to `tolerance` (mm).
     pub fn project(&self, start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         self.project_with_gradient(start, limit, tolerance).map(|(p, _)| p)
     }
 
-    /// As [`Self::project`], with the gradient of F at the point reached.
+    /// Projects a point like [`Self::project`], and also returns the gradient of F at the result.
     #[inline(always)]
     pub fn project_with_gradient(&self, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)> {
         let longest = 0.5 * self.voxel;
@@ -147,13 +150,13 @@ impl CubicSpline {
     }
 }
 
-/// Minimum gradient length by which values are divided. A shorter gradient says nothing about a
-/// distance; the limit keeps the estimate finite where F is flat.
+/// Minimum gradient length used as a divisor. A shorter gradient does not determine a distance; the
+/// limit keeps the estimate finite where F is flat.
 pub const FLATTEST: f64 = 1e-12;
 
-/// First-order distance from F = 0, mm, of a point with this value and gradient of F, negative
-/// inside: F / |grad F| (Taubin 1994). Exact where F is linear or a distance; elsewhere its error
-/// is of second order in the distance.
+/// Returns the first-order distance in mm from F = 0 of a point with the given value and gradient
+/// of F: F / |grad F| (Taubin 1994), negative inside. The estimate is exact where F is linear or a
+/// distance. Elsewhere its error is of second order in the distance.
 pub fn distance_estimate(value: f64, gradient: DVec3) -> f64 {
     value / gradient.length().max(FLATTEST)
 }

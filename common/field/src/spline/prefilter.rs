@@ -1,5 +1,5 @@
-//! The recursive prefilter that turns samples into spline coefficients, for a whole image or slab
-//! by slab.
+//! The recursive prefilter that computes spline coefficients from samples, for a whole image or
+//! slab by slab.
 
 use super::stencil::mirror;
 use rayon::prelude::*;
@@ -8,54 +8,56 @@ use std::ops::Range;
 
 const POLE: f64 = -0.267_949_192_431_122_7; // sqrt(3) - 2
 
-/// Slices beyond a slab that its coefficients are computed from. Slices farther away have weights
-/// below 1e-9, beyond single precision.
+/// Number of slices beyond a slab that contribute to its coefficients. Slices farther away have
+/// weights below 1e-9, less than single precision resolves.
 const HALO: usize = 16;
 
-/// Minimum number of nodes whose coefficients are computed at a time. It bounds the memory; smaller
+/// Minimum number of nodes whose coefficients are computed at a time. It bounds the memory. Smaller
 /// images are filtered as a whole.
 const NODES_AT_A_TIME: usize = 8 << 20;
 
-/// Rows along x that are filtered side by side. A single row waits for each sum before the next.
+/// Number of rows along x that are filtered together. In a single row, each sum must wait for the
+/// previous sum.
 const ROWS: usize = 8;
 
-/// Prefilters an image that is given slice by slice and returns the coefficients of some slices at
-/// a time, so that those of the whole image need not be stored. They equal those of
-/// [`super::CubicSpline`] up to single-precision rounding, on any number of threads.
+/// Prefilters an image that is given slice by slice, and returns the coefficients of some slices at
+/// a time. The coefficients of the whole image are therefore never stored. They equal those of
+/// [`super::CubicSpline`] up to single-precision rounding, for any number of threads.
 pub struct SlabFilter {
     size: [usize; 3],
-    /// Slices that are filtered along x and y, from `first` on.
+    /// Slices that are already filtered along x and y, starting at slice `first`.
     slices: VecDeque<Vec<f32>>,
     first: usize,
     held: Coefficients,
 }
 
-/// Coefficients of some slices.
+/// The coefficients of some slices.
 pub struct Coefficients {
-    /// The slices.
+    /// The range of slices.
     slices: Range<usize>,
-    /// One plane per y index, x fastest, then z.
+    /// One plane per y index, with x fastest, then z.
     planes: Vec<Vec<f32>>,
     nx: usize,
 }
 
 impl Coefficients {
-    /// The coefficients along x at y index `j` and z index `k`.
+    /// Returns the coefficients along x at y index `j` and z index `k`.
     pub fn row(&self, j: usize, k: usize) -> &[f32] {
         &self.planes[j][(k - self.slices.start) * self.nx..][..self.nx]
     }
 }
 
 impl SlabFilter {
-    /// For an image of `size` nodes.
+    /// Creates a filter for an image of `size` nodes.
     pub fn new(size: [usize; 3]) -> Self {
         let held = Coefficients { slices: 0..0, planes: Vec::new(), nx: size[0] };
         Self { size, slices: VecDeque::new(), first: 0, held }
     }
 
-    /// Coefficients of at least the slices in `range`. Ranges must be requested in the order of
-    /// their starts. `fill` writes the samples of one slice (x fastest). It is called at most once
-    /// per slice, and each call to this function fills slices after those of earlier calls.
+    /// Returns the coefficients of at least the slices in `range`. Successive ranges must be in
+    /// ascending order of their starts. `fill` writes the samples of one slice (x fastest). It is
+    /// called at most once per slice. Each call of this function fills only slices after those of
+    /// earlier calls.
     pub fn coefficients(&mut self, range: Range<usize>, fill: impl Fn(usize, &mut [f32]) + Sync) -> &Coefficients {
         if self.held.slices.start > range.start || self.held.slices.end < range.end {
             let [nx, ny, nz] = self.size;
@@ -92,7 +94,7 @@ impl SlabFilter {
     }
 }
 
-/// Prefilters a slice along x and along y.
+/// Prefilters a slice along x and then along y.
 pub(super) fn filter_slice(slice: &mut [f32], nx: usize, ny: usize, scratch: &mut [f64]) {
     for rows in slice.chunks_mut(nx * ROWS) {
         let width = rows.len() / nx;
@@ -108,7 +110,7 @@ pub(super) fn filter_slice(slice: &mut [f32], nx: usize, ny: usize, scratch: &mu
     filter_block(slice, nx, ny, scratch);
 }
 
-/// Prefilters across slices; returns those in `range`, as one plane per y index each (x fastest,
+/// Prefilters across slices. Returns the slices in `range` as one plane per y index (x fastest,
 /// then z).
 pub(super) fn filter_across(slices: &[&[f32]], nx: usize, range: Range<usize>) -> Vec<Vec<f32>> {
     let (nz, ny) = (slices.len(), slices[0].len() / nx);
@@ -133,8 +135,8 @@ pub(super) fn scatter(planes: &[Vec<f32>], nx: usize, to: &mut [f32]) {
     });
 }
 
-/// Prefilters `width` lines of `length` samples that lie side by side: consecutive samples of a
-/// line are `width` apart.
+/// Prefilters `width` lines of `length` samples that are stored side by side: consecutive samples
+/// of a line are `width` apart.
 fn filter_block(block: &mut [f32], width: usize, length: usize, scratch: &mut [f64]) {
     for (to, from) in scratch.iter_mut().zip(block.iter()) {
         *to = 6.0 * f64::from(*from);
@@ -145,7 +147,8 @@ fn filter_block(block: &mut [f32], width: usize, length: usize, scratch: &mut [f
     }
 }
 
-/// The same in place, for samples that are already multiplied by six.
+/// Prefilters lines like [`filter_block`], but in place, for samples that are already multiplied by
+/// six.
 fn filter_lines(scratch: &mut [f64], width: usize, length: usize) {
     if length < 2 {
         scratch.iter_mut().for_each(|sample| *sample /= 6.0);

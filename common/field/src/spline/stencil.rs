@@ -1,5 +1,5 @@
-//! The coefficients that F depends on at a position, their weights, and the sums for value,
-//! gradient and Hessian.
+//! The coefficients that determine F at a position, their weights, and the sums for value, gradient
+//! and Hessian.
 
 use super::Jet;
 use glam::{DMat3, DVec3};
@@ -24,14 +24,14 @@ pub(crate) struct Stencil {
 }
 
 impl Stencil {
-    /// The stencil at a grid position (clamped to the volume).
+    /// Creates the stencil at a grid position (clamped to the volume).
     #[inline(always)]
     pub(crate) fn new(g: &Geometry, grid: DVec3) -> Self {
         let index = g.grid_to_index(grid);
         let axis = |a: usize| {
             let n = g.size[a];
             let x = index[a].clamp(0.0, (n - 1) as f64);
-            // not negative, so the cast rounds down
+            // x is not negative, so the cast rounds down
             let base = (x as usize).min(n.saturating_sub(2));
             let t = x - base as f64;
             let at: [usize; 4] = std::array::from_fn(|k| mirror(base as isize + k as isize - 1, n));
@@ -43,14 +43,14 @@ impl Stencil {
         Self { cell: [i, j, k], x, y, z, ix, iy, iz, nx: g.size[0], ny: g.size[1] }
     }
 
-    /// Lowest node of the cell that contains the position.
+    /// Returns the lowest node of the cell that contains the position.
     #[inline]
     pub(crate) fn cell(&self) -> [usize; 3] {
         self.cell
     }
 
-    /// The same stencil for a block of `side` coefficients along each axis, the first of which
-    /// belongs to the node before `first` along each axis.
+    /// Converts the stencil to a block of `side` coefficients along each axis. The first
+    /// coefficient of the block belongs to the node before `first` along each axis.
     #[inline(always)]
     pub(super) fn within_block(mut self, first: [usize; 3], side: usize) -> Self {
         for (at, first) in [&mut self.ix, &mut self.iy, &mut self.iz].into_iter().zip(first) {
@@ -60,13 +60,13 @@ impl Stencil {
         self
     }
 
-    /// The nodes whose coefficients it reads, along each axis.
+    /// Returns the indices along each axis of the nodes whose coefficients the stencil uses.
     #[inline]
     pub(crate) fn indices(&self) -> [[usize; 4]; 3] {
         [self.ix, self.iy, self.iz]
     }
 
-    /// The same stencil for the 64 coefficients that it reads, stored contiguously, x fastest.
+    /// Converts the stencil to the 64 coefficients that it uses, stored contiguously, x fastest.
     #[inline]
     pub(crate) fn gathered(mut self) -> Self {
         (self.ix, self.iy, self.iz) = ([0, 1, 2, 3], [0, 1, 2, 3], [0, 1, 2, 3]);
@@ -74,7 +74,7 @@ impl Stencil {
         self
     }
 
-    /// Value.
+    /// Returns the value.
     #[inline(always)]
     pub(crate) fn value(&self, coefficients: &[f32]) -> f64 {
         let mut value = [0.0; 4];
@@ -88,22 +88,23 @@ impl Stencil {
         dot(&self.x.0, &value)
     }
 
-    /// Value and gradient. Sums over y, then z, of four coefficients along x at a time; over x at
-    /// the end. Inlined, so that it is compiled for the caller's instruction set. No operation is
-    /// fused, so every instruction set gives the same bits.
+    /// Returns the value and the gradient. Sums over y, then over z, with four coefficients along x
+    /// at a time, and over x at the end. Inlined, so that it is compiled for the instruction set of
+    /// the caller. No operations are fused, so every instruction set gives the same bits.
     #[inline(always)]
     pub(crate) fn value_gradient(&self, coefficients: &[f32], spacing: DVec3) -> (f64, DVec3) {
         self.sums(spacing, |b, c| self.row(coefficients, b, c))
     }
 
-    /// The same of the 64 coefficients that it reads, stored contiguously, x fastest.
+    /// Returns the value and the gradient from the 64 coefficients of the stencil, stored
+    /// contiguously, x fastest.
     #[inline(always)]
     pub(crate) fn value_gradient_of(&self, coefficients: &[f64; 64], spacing: DVec3) -> (f64, DVec3) {
         self.sums(spacing, |b, c| std::array::from_fn(|a| coefficients[16 * c + 4 * b + a]))
     }
 
-    /// Value and gradient, given the rows of coefficients along x by their y and z index in the
-    /// stencil.
+    /// Returns the value and the gradient. `row` returns the coefficients along x at a y index and
+    /// a z index of the stencil.
     #[inline(always)]
     fn sums(&self, spacing: DVec3, row: impl Fn(usize, usize) -> [f64; 4]) -> (f64, DVec3) {
         let (mut value, mut by_y, mut by_z) = ([0.0; 4], [0.0; 4], [0.0; 4]);
@@ -122,11 +123,12 @@ impl Stencil {
         (dot(&self.x.0, &value), gradient / spacing)
     }
 
-    /// Value, gradient and Hessian.
+    /// Returns the value, the gradient and the Hessian.
     #[inline(always)]
     pub(crate) fn jet(&self, coefficients: &[f32], s: DVec3) -> Jet {
         let (x, y, z) = (&self.x, &self.y, &self.z);
-        // derivatives by y and z that are still to be summed over x: none, y, z, yy, zz, yz
+        // derivatives with respect to y and z that are not yet summed over x: none, y, z, yy, zz,
+        // yz
         let mut sums = [[0.0; 4]; 6];
         for c in 0..4 {
             let (mut plane, mut slope, mut bend) = ([0.0; 4], [0.0; 4], [0.0; 4]);
@@ -161,7 +163,7 @@ impl Stencil {
         }
     }
 
-    /// The four coefficients along x at y index `b` and z index `c` of the stencil.
+    /// Returns the four coefficients along x at y index `b` and z index `c` of the stencil.
     #[inline(always)]
     fn row(&self, coefficients: &[f32], b: usize, c: usize) -> [f64; 4] {
         let row = &coefficients[(self.iz[c] * self.ny + self.iy[b]) * self.nx..];
@@ -175,7 +177,7 @@ impl Stencil {
     }
 }
 
-/// Adds a multiple of four numbers.
+/// Adds a multiple of four numbers to a sum.
 #[inline(always)]
 fn add(sum: &mut [f64; 4], weight: f64, row: &[f64; 4]) {
     for (sum, x) in sum.iter_mut().zip(row) {

@@ -1,10 +1,10 @@
-//! The spline within one cell in Bernstein form, which bounds F and its derivatives by the range of
-//! a few numbers.
+//! Represents the spline within one cell in Bernstein form. This form bounds F and its derivatives
+//! by the range of a few numbers.
 //!
-//! A polynomial lies within the range of its Bernstein coefficients (convex hull property), and its
-//! derivatives lie within the range of the coefficients' differences. Each halving of a cell
-//! divides the distance between coefficients and polynomial by four, so everything that is not
-//! degenerate becomes certain eventually.
+//! A polynomial lies within the range of its Bernstein coefficients (convex hull property). Its
+//! derivatives lie within the range of the differences of these coefficients. Each halving of a
+//! cell divides the distance between the coefficients and the polynomial by four. Subdivision
+//! therefore resolves everything that is not degenerate.
 
 use crate::spline::CubicSpline;
 use crate::spline::bezier::{BezierPoints, ORDER, ROUNDING, is_of_one_sign, range};
@@ -14,17 +14,19 @@ use crate::spline::bezier::{BezierPoints, ORDER, ROUNDING, is_of_one_sign, range
 pub(super) struct Bernstein(BezierPoints);
 
 impl Bernstein {
-    /// F in the voxel cell whose lowest sample is given.
+    /// Returns F in the voxel cell with the given lowest sample.
     pub(super) fn of_cell(field: &CubicSpline, cell: [usize; 3]) -> Self {
         Self(field.bezier_points(cell))
     }
 
-    /// The same; `None` if F has one sign throughout the cell.
+    /// Returns F in a voxel cell like [`Self::of_cell`], or `None` if F has one sign throughout the
+    /// cell.
     pub(super) fn of_crossed_cell(field: &CubicSpline, cell: [usize; 3]) -> Option<Self> {
         field.bezier_points_round_zero(cell).map(Self)
     }
 
-    /// F in the eight octants; bit `a` of an octant's number is its half along axis `a`.
+    /// Returns F in the eight octants. Bit `a` of an octant's number selects the half along axis
+    /// `a`.
     pub(super) fn octants(&self) -> [Self; 8] {
         let mut all = [const { Self([0.0; _]) }; 8];
         all[0].0 = self.0;
@@ -34,9 +36,9 @@ impl Bernstein {
         all
     }
 
-    /// De Casteljau's subdivision at the middle, along the axis on which neighbours are `STRIDE`
-    /// places apart. The first half of the list becomes its lower halves, the second half its upper
-    /// halves.
+    /// Subdivides cells at the middle (de Casteljau's algorithm), along the axis on which
+    /// neighbouring coefficients are `STRIDE` indices apart. The first half of `all` becomes the
+    /// lower halves of the cells, and the second half becomes the upper halves.
     fn halve<const STRIDE: usize>(all: &mut [Self]) {
         let (lower, upper) = all.split_at_mut(all.len() / 2);
         for (Self(lower), Self(upper)) in lower.iter_mut().zip(upper) {
@@ -55,8 +57,8 @@ impl Bernstein {
         }
     }
 
-    /// The range of the derivative of F along each axis, rounding included. The unit is the same on
-    /// all axes up to the voxel's edge lengths.
+    /// Returns the range of the derivative of F along each axis, including rounding errors. The
+    /// unit is the same for all axes, except for the edge lengths of the voxel.
     fn slopes(&self) -> [(f64, f64); 3] {
         let (low, high) = range(&self.0);
         let slack = low.abs().max(high.abs()) * ROUNDING;
@@ -64,7 +66,7 @@ impl Bernstein {
         slopes.map(|(low, high)| (low - slack, high + slack))
     }
 
-    /// The range of the differences of neighbours along an axis.
+    /// Returns the range of the differences between neighbouring coefficients along an axis.
     fn differences<const STRIDE: usize>(&self) -> (f64, f64) {
         let mut differences = [0.0; (ORDER - 1) * ORDER * ORDER];
         let mut n = 0;
@@ -77,19 +79,19 @@ impl Bernstein {
         range(&differences)
     }
 
-    /// Whether the gradient may vanish in the cell.
+    /// Returns whether the gradient may vanish in the cell.
     pub(super) fn may_be_critical(&self) -> bool {
         self.slopes().iter().all(|&(low, high)| low <= 0.0 && high >= 0.0)
     }
 
-    /// Whether F has one sign throughout the cell, its border included.
+    /// Returns whether F has one sign throughout the cell, including its border.
     pub(super) fn is_clear(&self) -> bool {
         is_of_one_sign(&self.0)
     }
 
-    /// Whether the gradients (per index) at any two positions of the cell differ by less than a
-    /// right angle: condition C1 of Plantinga and Vegter. F = 0 is then a graph in the cell, over
-    /// the plane perpendicular to any of the gradients.
+    /// Returns whether the gradients (per index) at any two positions in the cell differ by less
+    /// than a right angle: condition C1 of Plantinga and Vegter. F = 0 is then a graph in the cell,
+    /// over the plane perpendicular to any of the gradients.
     pub(super) fn is_graph(&self) -> bool {
         let least = self.slopes().map(|(low, high)| {
             // the minimum product of two numbers within the range
@@ -113,7 +115,7 @@ mod tests {
     use isoparticles_volume::Geometry;
     use isoparticles_volume::Image;
 
-    /// Noise on a small grid.
+    /// Returns the spline through noise on a small grid.
     fn noise(seed: u64) -> CubicSpline {
         let geometry = Geometry::axis_aligned([5, 4, 6], DVec3::new(0.7, 1.1, 0.9));
         CubicSpline::new(&Image::sampled(geometry, |p| {

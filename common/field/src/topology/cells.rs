@@ -1,5 +1,5 @@
-//! Octree over the voxel cells of the volume. Cells are subdivided into octants (`halves` in the
-//! code) where F = 0 is not certain, until it is or the finest level is reached.
+//! An octree over the voxel cells of the volume. Cells are subdivided into octants (`halves` in the
+//! code) until the shape of F = 0 in them is certain or the finest level is reached.
 
 use super::bernstein::Bernstein;
 use super::signs::Signs;
@@ -10,21 +10,21 @@ use isoparticles_mesh::buckets::starts_of;
 use rayon::prelude::*;
 
 /// Level to which every uncertain voxel cell is subdivided. A neck, gap or speck of radius r at a
-/// critical point is certain in cells of edge e < r / sqrt 3, where F and its second-order part
-/// differ little. A sixteenth of a voxel suffices for all but the finest features down to
+/// critical point is certain in cells of edge e < r / sqrt 3, where F differs little from its
+/// second-order expansion. A sixteenth of a voxel suffices for all but the finest features down to
 /// `RESOLUTION`.
 pub(super) const BASE: u8 = 4;
 
-/// Finest level. It also decides the finest features, down to a fiftieth of a voxel.
+/// Finest level. It decides even the finest features, down to a fiftieth of a voxel.
 pub(super) const DEPTH: u8 = 7;
 
-/// Cells are subdivided beyond [`BASE`] while at most this many cells of a voxel are uncertain.
-/// Where F = 0 meets itself in a point, the number stays the same from level to level: 14 per place
-/// (9,237 cells at 662 such places of a noisy scan, at [`BASE`]). It doubles along a curve and
-/// grows fourfold over a surface, where subdivision does not help.
+/// Cells are subdivided beyond [`BASE`] while at most this many cells of a voxel are uncertain. If
+/// F = 0 meets itself in a point, the number of uncertain cells is the same on every level: 14 per
+/// point (9,237 cells at 662 such points of a noisy scan, at [`BASE`]). The number doubles with
+/// each level along a curve and quadruples over a surface, where subdivision does not help.
 const UNCERTAIN: usize = 64;
 
-/// Finest cells along the edge of a voxel.
+/// Number of finest cells along the edge of a voxel.
 pub(super) const FINE: u64 = 1 << DEPTH;
 
 /// State of F in a cell.
@@ -32,28 +32,28 @@ pub(super) const FINE: u64 = 1 << DEPTH;
 pub(super) enum State {
     /// F has one sign throughout the cell.
     Clear,
-    /// F = 0 is a graph in the cell, if it passes through it at all.
+    /// F = 0 is a graph in the cell, if it crosses the cell.
     Graph,
-    /// Neither, and not subdivided further.
+    /// Neither clear nor a graph, and not subdivided further.
     Undecided,
-    /// Subdivided, with the index of its octants.
+    /// Subdivided. The number is the index of the octants.
     Halved(u32),
 }
 
-/// A [`State`] in half the memory.
+/// A [`State`] stored in half the memory.
 #[derive(Clone, Copy)]
 struct Packed(u32);
 
-/// States without octants, by their packed number.
+/// States without octants, indexed by their packed number.
 const PLAIN: [State; 3] = [State::Clear, State::Graph, State::Undecided];
 
 impl Packed {
-    /// Index of the octants of a subdivided cell.
+    /// Returns the index of the octants if the cell is subdivided.
     fn halves(self) -> Option<usize> {
         (self.0 as usize).checked_sub(PLAIN.len())
     }
 
-    /// Shifts the index of the octants of a subdivided cell by `before`.
+    /// Adds `before` to the index of the octants of a subdivided cell.
     fn count_on(&mut self, before: u32) {
         self.0 += if self.halves().is_some() { before } else { 0 };
     }
@@ -76,8 +76,8 @@ impl From<Packed> for State {
     }
 }
 
-/// A cell. Its edge is a voxel's edge halved `level` times, and `at` counts such edges along each
-/// axis.
+/// A cell. Its edge is a voxel's edge halved `level` times. `at` is its position along each axis in
+/// units of this edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Cell {
     pub(super) level: u8,
@@ -85,28 +85,28 @@ pub(super) struct Cell {
 }
 
 impl Cell {
-    /// One of its octants.
+    /// Returns one of the octants of the cell.
     pub(super) fn half(self, octant: usize) -> Self {
         let bit = |axis: usize| (octant >> axis & 1) as u32;
         Self { level: self.level + 1, at: [0, 1, 2].map(|axis| 2 * self.at[axis] + bit(axis)) }
     }
 
-    /// The cell of a lower level that contains it.
+    /// Returns the cell of a lower level that contains this cell.
     pub(super) fn within(self, level: u8) -> Self {
         Self { level, at: self.at.map(|n| n >> (self.level - level)) }
     }
 
-    /// Its octant number in the next larger cell.
+    /// Returns the octant number of the cell within the next larger cell.
     fn octant(self) -> usize {
         (0..3).map(|axis| (self.at[axis] as usize & 1) << axis).sum()
     }
 
-    /// Its edge, in finest cells.
+    /// Returns the edge length of the cell in units of finest cells.
     pub(super) fn edge(self) -> u64 {
         FINE >> self.level
     }
 
-    /// Its lowest corner, in finest cells.
+    /// Returns the lowest corner of the cell in units of finest cells.
     pub(super) fn corner(self) -> [u64; 3] {
         self.at.map(|n| u64::from(n) * self.edge())
     }
@@ -114,18 +114,19 @@ impl Cell {
 
 /// The cells of a volume.
 pub(super) struct Cells {
-    /// Voxel cells along each axis.
+    /// Number of voxel cells along each axis.
     size: [usize; 3],
-    /// The state of each voxel cell, slice by slice, x fastest.
+    /// State of each voxel cell, slice by slice, x fastest.
     voxels: Vec<Vec<Packed>>,
-    /// The states of the octants of subdivided cells.
+    /// States of the octants of subdivided cells.
     halves: Vec<[Packed; 8]>,
 }
 
 impl Cells {
-    /// Subdivides cells where F = 0 is not certain, and cells next to much smaller ones. Afterwards
-    /// no cell that F = 0 may pass through shares an edge with one of less than half its size. The
-    /// surface given by the signs at the cell corners needs this balance to be isotopic to F = 0.
+    /// Subdivides cells where F = 0 is not certain, and cells next to much smaller cells.
+    /// Afterwards, no cell that F = 0 may cross shares an edge with a cell of less than half its
+    /// size. The surface given by the signs at the cell corners is isotopic to F = 0 only with this
+    /// balance.
     pub(super) fn new(field: &CubicSpline, watch: &Watch<'_>) -> Result<Self, Interrupted> {
         let size = field.geometry().size.map(|n| n.saturating_sub(1));
         let signs = Signs::of(field);
@@ -142,13 +143,13 @@ impl Cells {
         Ok(new)
     }
 
-    /// Voxel cells along each axis.
+    /// Returns the number of voxel cells along each axis.
     pub(super) fn size(&self) -> [usize; 3] {
         self.size
     }
 
-    /// The cell itself, or the larger cell without octants that contains it; with its state. `None`
-    /// beyond the volume.
+    /// Returns a cell with its state. If the cell does not exist, returns the larger cell without
+    /// octants that contains it. Returns `None` beyond the volume.
     pub(super) fn find(&self, cell: Cell) -> Option<(Cell, State)> {
         let voxel = cell.within(0).at.map(|n| n as usize);
         if (0..3).any(|axis| voxel[axis] >= self.size[axis]) {
@@ -165,20 +166,21 @@ impl Cells {
         Some((cell.within(level), state.into()))
     }
 
-    /// The finest cell that contains a point (grid frame, mm), or the closest one if the point is
-    /// beyond the volume.
+    /// Returns the finest cell that contains a point (grid frame, mm), or the closest finest cell
+    /// if the point is beyond the volume.
     pub(super) fn finest_at(&self, field: &CubicSpline, point: DVec3) -> Cell {
         let fine = (point / field.geometry().spacing * FINE as f64).floor();
         let last = self.size.map(|n| (n as u64 * FINE) as f64 - 1.0);
         Cell { level: DEPTH, at: [0, 1, 2].map(|axis| fine[axis].min(last[axis]).max(0.0) as u32) }
     }
 
-    /// Whether the cell at an offset, in edges of `cell`, is subdivided.
+    /// Returns whether the cell at an offset, in edges of `cell`, is subdivided.
     pub(super) fn is_halved(&self, cell: Cell, away: [i64; 3]) -> bool {
         self.halves(cell, away).is_some()
     }
 
-    /// Index of the octants of the cell at an offset, in edges of `cell`, if it is subdivided.
+    /// Returns the index of the octants of the cell at an offset, in edges of `cell`, if that cell
+    /// is subdivided.
     pub(super) fn halves(&self, cell: Cell, away: [i64; 3]) -> Option<u32> {
         let cell = moved(cell, away)?;
         match self.find(cell)? {
@@ -187,18 +189,18 @@ impl Cells {
         }
     }
 
-    /// Index of the octants of an octant, if it is subdivided.
+    /// Returns the index of the octants of an octant, if the octant is subdivided.
     pub(super) fn halves_of_half(&self, halves: u32, octant: usize) -> Option<u32> {
         self.halves[halves as usize][octant].halves().map(|halves| halves as u32)
     }
 
-    /// Which octants are subdivided, bit by bit.
+    /// Returns a bit mask of the octants that are subdivided.
     pub(super) fn which_half_halved(&self, halves: u32) -> u8 {
         let bit = |(n, half): (usize, &Packed)| u8::from(half.halves().is_some()) << n;
         self.halves[halves as usize].iter().enumerate().map(bit).sum()
     }
 
-    /// Whether a voxel cell or one of the 26 around it is subdivided.
+    /// Returns whether a voxel cell or one of the 26 cells around it is subdivided.
     pub(super) fn any_halved_round(&self, voxel: Cell) -> bool {
         let near = |axis: usize| {
             let at = voxel.at[axis] as usize;
@@ -212,7 +214,7 @@ impl Cells {
         })
     }
 
-    /// The cells without octants in a slice of voxels that F = 0 may pass through, in the order of
+    /// Returns the cells without octants in a slice of voxels that F = 0 may cross, in the order of
     /// the voxels.
     pub(super) fn crossed_in_slice(&self, k: u32) -> Vec<(Cell, State)> {
         let mut found = Vec::new();
@@ -228,8 +230,8 @@ impl Cells {
         found
     }
 
-    /// Adds the same within one cell. For a part of a larger cell without octants, adds that larger
-    /// cell.
+    /// Adds the cells without octants within `cell` that F = 0 may cross. If `cell` is a part of a
+    /// larger cell without octants, adds that larger cell.
     pub(super) fn crossed_in(&self, cell: Cell, found: &mut Vec<(Cell, State)>) {
         match self.find(cell) {
             Some((_, State::Halved(halves))) => self.crossed_in_halves(cell, halves, found),
@@ -248,7 +250,7 @@ impl Cells {
         }
     }
 
-    /// The subdivided cells in a slice of voxels.
+    /// Returns the subdivided cells in a slice of voxels.
     fn halved_in_slice(&self, k: u32) -> Vec<Cell> {
         let mut found = Vec::new();
         for (n, state) in self.voxels[k as usize].iter().enumerate() {
@@ -260,7 +262,7 @@ impl Cells {
         found
     }
 
-    /// A subdivided cell, and those within it.
+    /// Adds a subdivided cell and all subdivided cells within it.
     fn halved_in(&self, cell: Cell, halves: usize, found: &mut Vec<Cell>) {
         found.push(cell);
         for (octant, half) in self.halves[halves].iter().enumerate() {
@@ -270,7 +272,7 @@ impl Cells {
         }
     }
 
-    /// Subdivides cells in which F = 0 is a graph, and others that the balance requires. Returns
+    /// Subdivides cells in which F = 0 is a graph, and other cells as the balance requires. Returns
     /// the voxels that have changed, in ascending order.
     pub(super) fn refine(&mut self, field: &CubicSpline, cells: &[Cell]) -> Vec<[u32; 3]> {
         self.halve_all(field, cells);
@@ -282,13 +284,13 @@ impl Cells {
         changed
     }
 
-    /// Restores the balance around the octants of some subdivided cells; returns the cells that it
+    /// Restores the balance around the octants of some subdivided cells. Returns the cells that it
     /// subdivides.
     fn balance(&mut self, field: &CubicSpline, halved: Vec<Cell>) -> Vec<Cell> {
         let mut by_level: Vec<Vec<Cell>> = vec![Vec::new(); usize::from(DEPTH)];
         halved.into_iter().for_each(|cell| by_level[usize::from(cell.level)].push(cell));
         let mut all = Vec::new();
-        // octants of voxel cells have no neighbour that is too large
+        // octants of voxel cells have no neighbours that are too large
         for level in (1..DEPTH).rev() {
             let mut active = std::mem::take(&mut by_level[usize::from(level)]);
             while !active.is_empty() {
@@ -303,15 +305,15 @@ impl Cells {
                 self.halve_all(field, &large);
                 large.iter().for_each(|cell| by_level[usize::from(cell.level)].push(*cell));
                 all.extend(large);
-                // a neighbour far too large is still too large after one subdivision
+                // a neighbour that is far too large is still too large after one subdivision
                 active = found.into_iter().map(|(cell, _)| cell).collect();
             }
         }
         all
     }
 
-    /// The cells to be subdivided around the octants of `whole`: they touch an octant that F = 0
-    /// may pass through, are more than twice its size, and F = 0 is a graph in them.
+    /// Returns the cells around the octants of `whole` that must be subdivided. F = 0 is a graph in
+    /// these cells. They touch an octant that F = 0 may cross and are more than twice its size.
     fn too_large_beside(&self, whole: Cell) -> Vec<Cell> {
         let mut large = Vec::new();
         let Some(halves) = self.halves(whole, [0; 3]) else { return large };
@@ -348,7 +350,7 @@ impl Cells {
     }
 }
 
-/// The cell at an offset in its own edges; `None` if a coordinate is negative.
+/// Returns the cell at an offset, in edges of `cell`. Returns `None` if a coordinate is negative.
 pub(super) fn moved(cell: Cell, away: [i64; 3]) -> Option<Cell> {
     let mut at = [0; 3];
     for axis in 0..3 {
@@ -357,7 +359,7 @@ pub(super) fn moved(cell: Cell, away: [i64; 3]) -> Option<Cell> {
     Some(Cell { at, ..cell })
 }
 
-/// The offsets of a cell itself and of the 26 around it.
+/// Returns the offsets of a cell itself and of the 26 cells around it.
 pub(super) fn around() -> impl Iterator<Item = [i64; 3]> {
     (0..27).map(|n| [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1])
 }
@@ -371,7 +373,8 @@ fn halves_of_graph(field: &CubicSpline, cell: Cell) -> [State; 8] {
     own.octants().each_ref().map(|half| if half.is_clear() { State::Clear } else { State::Graph })
 }
 
-/// The states of the voxel cells of a slice, and of the octants of those that are subdivided.
+/// Returns the states of the voxel cells of a slice, and the states of the octants of subdivided
+/// cells.
 fn states_of_slice(field: &CubicSpline, signs: &Signs, size: [usize; 3], k: usize) -> (Vec<Packed>, Vec<[Packed; 8]>) {
     let mut halving = Halving::default();
     let mut states = vec![Packed::from(State::Clear); size[0] * size[1]];
@@ -383,17 +386,17 @@ fn states_of_slice(field: &CubicSpline, signs: &Signs, size: [usize; 3], k: usiz
     (states, halving.halves.into_iter().map(|own| own.map(Packed::from)).collect())
 }
 
-/// Subdivides one voxel cell after another.
+/// Subdivides voxel cells one after another.
 #[derive(Default)]
 struct Halving {
     halves: Vec<[State; 8]>,
-    /// The uncertain cells of the finest level so far in the current voxel: index of the octants,
-    /// octant number, and F.
+    /// Uncertain cells of the finest level reached in the current voxel: index of the octants,
+    /// octant number, and F in the cell.
     uncertain: Vec<(usize, usize, Bernstein)>,
 }
 
 impl Halving {
-    /// The state of a whole voxel cell, given F in it.
+    /// Returns the state of a voxel cell, given F in the cell.
     fn voxel(&mut self, whole: &Bernstein) -> State {
         let state = self.state(whole, 0);
         for level in BASE + 1..=DEPTH {
@@ -420,7 +423,7 @@ impl Halving {
         }
     }
 
-    /// Subdivides a cell into octants of the given level.
+    /// Subdivides a cell into octants of the given level and returns its state.
     fn halved(&mut self, own: &Bernstein, level: u8) -> State {
         let number = self.halves.len();
         self.halves.push([State::Clear; 8]);

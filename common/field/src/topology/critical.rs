@@ -1,10 +1,11 @@
-//! Critical points of F near F = 0: where necks, gaps, handles and specks of the isosurface open
-//! and close.
+//! Finds the critical points of F near F = 0, where necks, gaps, handles and specks of the
+//! isosurface open and close.
 //!
-//! By Morse theory, the critical points of F and the side of F = 0 on which each lies determine the
-//! topology of F = 0. A mesh near F = 0 with every critical point on its correct side has the
-//! correct handles there. Boissonnat, Cohen-Steiner and Vegter (2004) mesh implicit surfaces by
-//! this rule. A critical point on the wrong side shows where the mesh lacks points.
+//! By Morse theory, the topology of F = 0 is determined by the critical points of F and the side of
+//! F = 0 on which each critical point lies. If every critical point is on the correct side of a
+//! mesh near F = 0, the mesh has the correct handles there. Boissonnat, Cohen-Steiner and Vegter
+//! (2004) mesh implicit surfaces by this rule. A critical point on the wrong side shows where the
+//! mesh lacks points.
 
 use super::bernstein::Bernstein;
 use super::signs::Signs;
@@ -19,12 +20,12 @@ use std::cmp::Ordering;
 /// Maximum number of Newton steps towards a critical point.
 const STEPS: usize = 30;
 
-/// A search starts in a cell if the gradient at its middle is shorter than the Hessian's norm times
-/// this many voxels.
+/// A search starts in a cell if the gradient at the middle of the cell is shorter than the norm of
+/// the Hessian times this number of voxels.
 const MARGIN: f64 = 2.0;
 
-/// Starting points of searches in a cell, as fractions of its edges: the middle, and one per
-/// octant, so that several critical points in a cell are found.
+/// Starting points of searches in a cell, as fractions of the cell edges: the middle and one point
+/// per octant, so that several critical points in a cell are found.
 const STARTS: [DVec3; 9] = [
     DVec3::splat(0.5),
     DVec3::new(0.2, 0.2, 0.2),
@@ -37,36 +38,38 @@ const STARTS: [DVec3; 9] = [
     DVec3::new(0.8, 0.8, 0.8),
 ];
 
-/// A search is abandoned if it moves farther than this along an axis, in voxels; a search from
-/// another cell finds that point.
+/// Maximum move of a search along each axis, in voxels. A search that moves farther is abandoned,
+/// because a search from another cell finds that point.
 const REACH: f64 = 1.0;
 
-/// Critical points closer to each other than this, in voxels, are one.
+/// Critical points closer to each other than this distance, in voxels, count as one point.
 const SAME: f64 = 1e-3;
 
 /// A critical point of F.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CriticalPoint {
-    /// Position, grid frame, mm.
+    /// Position in the grid frame, mm.
     pub position: DVec3,
-    /// F there, mm.
+    /// F at the critical point, mm.
     pub value: f64,
-    /// For each eigenvector of the Hessian, the vector along it to F = 0 by the second-order
-    /// expansion (mm); zero if F = 0 is not met in that direction.
+    /// For each eigenvector of the Hessian, the vector along it from the critical point to F = 0 by
+    /// the second-order expansion (mm). It is zero if F = 0 is not reached in that direction.
     pub ways: [DVec3; 3],
-    /// The minimum of these distances, mm: about the radius of the neck, gap or speck.
+    /// Minimum length of these vectors that are not zero, in mm. It approximates the radius of the
+    /// neck, gap or speck.
     pub radius: f64,
 }
 
 impl CriticalPoint {
-    /// Whether F = 0 is met in all directions: an extremum within a speck or a cavity.
+    /// Returns whether F = 0 is reached in all directions, as at an extremum within a speck or a
+    /// cavity.
     pub fn is_enclosed(&self) -> bool {
         self.ways.iter().all(|way| *way != DVec3::ZERO)
     }
 }
 
-/// The critical points of F within a few voxels of F = 0 whose neck, gap or speck has at least the
-/// radius `smallest` (mm).
+/// Returns the critical points of F within a few voxels of F = 0 whose neck, gap or speck has at
+/// least the radius `smallest` (mm).
 pub fn critical_points(field: &CubicSpline, smallest: f64) -> Vec<CriticalPoint> {
     let watch = Watch::new(&Silent, 0);
     let mut found = all(field, &watch).unwrap_or_default();
@@ -74,7 +77,7 @@ pub fn critical_points(field: &CubicSpline, smallest: f64) -> Vec<CriticalPoint>
     found
 }
 
-/// All critical points of F within a few voxels of F = 0.
+/// Returns all critical points of F within a few voxels of F = 0.
 pub(super) fn all(field: &CubicSpline, watch: &Watch<'_>) -> Result<Vec<CriticalPoint>, Interrupted> {
     let geometry = field.geometry();
     let size = geometry.size;
@@ -106,10 +109,10 @@ pub(super) fn all(field: &CubicSpline, watch: &Watch<'_>) -> Result<Vec<Critical
     Ok(apart.into_par_iter().filter_map(|p| describe(field, p)).collect())
 }
 
-/// Adds points to `apart`, of those nearer to each other than `limit` only the first. Points are
-/// divided into groups wherever neighbours along an axis are at least `limit` apart; `uncut` counts
-/// the axes since the last division. Points in a plane, such as a mirror plane of a symmetric
-/// object, are divided along another axis.
+/// Adds points to `apart`. Of points closer to each other than `limit`, only the first is added.
+/// Points are divided into groups wherever neighbours along an axis are at least `limit` apart.
+/// `uncut` is the number of axes tried since the last division. Points in a plane, such as a mirror
+/// plane of a symmetric object, are divided along another axis.
 fn keep_apart(points: &mut [DVec3], limit: f64, axis: usize, uncut: usize, apart: &mut Vec<DVec3>) {
     if points.len() == 1 || uncut == 3 {
         points.sort_unstable_by(|a, b| a.to_array().partial_cmp(&b.to_array()).unwrap_or(Ordering::Equal));
@@ -129,8 +132,8 @@ fn keep_apart(points: &mut [DVec3], limit: f64, axis: usize, uncut: usize, apart
     }
 }
 
-/// Whether the gradient may vanish in the cell around a point: by the Hessian there, with a margin
-/// for its change.
+/// Returns whether the gradient may vanish in the cell around a point. The test uses the Hessian at
+/// the point, with a margin for the change of the Hessian within the cell.
 #[inline(always)]
 fn may_be_flat(field: &CubicSpline, p: DVec3, voxel: f64) -> bool {
     let jet = field.jet(p);
@@ -138,8 +141,8 @@ fn may_be_flat(field: &CubicSpline, p: DVec3, voxel: f64) -> bool {
     jet.gradient.length() < MARGIN * hessian * voxel
 }
 
-/// The critical point that Newton's iteration finds within a box of half-width `reach` (mm) around
-/// `start`.
+/// Returns the critical point that Newton's iteration finds within a box of half-width `reach` (mm)
+/// around `start`.
 fn newton(field: &CubicSpline, start: DVec3, reach: f64) -> Option<DVec3> {
     let upper = field.geometry().upper_corner();
     let mut p = start;
@@ -161,8 +164,8 @@ fn newton(field: &CubicSpline, start: DVec3, reach: f64) -> Option<DVec3> {
     None
 }
 
-/// Describes F = 0 around a critical point; `None` if the second-order expansion meets it in no
-/// direction.
+/// Describes F = 0 around a critical point. Returns `None` if the second-order expansion does not
+/// reach F = 0 in any direction.
 fn describe(field: &CubicSpline, position: DVec3) -> Option<CriticalPoint> {
     let jet = field.jet(position);
     let mut radius = f64::INFINITY;
@@ -179,7 +182,8 @@ fn describe(field: &CubicSpline, position: DVec3) -> Option<CriticalPoint> {
     radius.is_finite().then_some(CriticalPoint { position, value: jet.value, ways, radius })
 }
 
-/// Eigenvalues and unit eigenvectors of a symmetric matrix, by Jacobi rotations.
+/// Returns the eigenvalues and unit eigenvectors of a symmetric matrix, computed by Jacobi
+/// rotations.
 fn eigen(matrix: DMat3) -> [(f64, DVec3); 3] {
     let mut a = matrix.to_cols_array_2d();
     let mut v = DMat3::IDENTITY.to_cols_array_2d();
@@ -213,8 +217,8 @@ mod tests {
 
     #[test]
     fn the_neck_of_a_quadric_is_where_it_is() {
-        // splines reproduce quadratic functions; the effect of the grid's border has decayed in the
-        // middle
+        // splines reproduce quadratic functions, and the effect of the grid border has decayed in
+        // the middle
         let (centre, radii) = (DVec3::new(11.37, 12.21, 11.84), [0.2, 0.3]);
         let turn = DMat3::from_rotation_z(0.4);
         let scene = Scene::new([24; 3], DVec3::ONE, |p| {
@@ -230,7 +234,7 @@ mod tests {
         assert!(lengths[0] == 0.0 && (lengths[2] - radii[1]).abs() < 1e-3, "{neck:?}");
         let along_y = neck.ways.iter().find(|w| (w.length() - radii[0]).abs() < 1e-3).expect("a way");
         assert!((turn * *along_y).normalize().y.abs() > 0.9999, "{along_y}");
-        // the ways end on F = 0
+        // the vectors end on F = 0
         for way in neck.ways.iter().filter(|w| **w != DVec3::ZERO) {
             assert!(scene.field.value(neck.position + *way).abs() < 1e-3, "{way}");
         }
@@ -239,7 +243,7 @@ mod tests {
 
     #[test]
     fn points_on_a_mirror_plane_are_found_once() {
-        // four balls around an axis, mirrored in planes through samples and at angles to each other
+        // four balls around an axis, with mirror planes through samples and at angles to each other
         let scene = Scene::new([33; 3], DVec3::ONE, |p| {
             let balls = [(1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)];
             let away = |(x, y)| p.distance(DVec3::new(16.0 + 6.0 * x, 16.0 + 6.0 * y, 16.0)) - 5.0;

@@ -1,42 +1,44 @@
-//! The component of F = 0 to which a point on it belongs: that of a crossing to which a path on
-//! F = 0 leads.
+//! Finds the component of F = 0 that contains a given point on F = 0. A path on F = 0 leads from
+//! the point to a crossing of this component.
 //!
 //! The polygons equal F = 0 only up to isotopy. Where several parts of the surface are close
 //! together, F = 0 may bulge into cells whose polygons belong to another part. If all polygons
-//! around a point are of one component, so is the point; otherwise a walk on F = 0 decides.
+//! around a point belong to one component, the point also belongs to it. Otherwise a walk on F = 0
+//! decides.
 
 use super::cells::{Cell, Cells, around, moved};
 use super::surface::Surface;
 use crate::spline::CubicSpline;
 use glam::DVec3;
 
-/// Maximum step of a walk, in edges of the cell at its start. In certain cells F = 0 is a graph and
-/// turns by less than a right angle over a whole edge.
+/// Maximum step length of a walk, in edges of the cell at its start. In certain cells, F = 0 is a
+/// graph and turns by less than a right angle over a whole edge.
 const STEP: f64 = 0.25;
 
-/// Minimum cosine between the normals at both ends of a step; a step that turns more is halved.
+/// Minimum cosine between the normals at both ends of a step. A step with a smaller cosine is
+/// halved.
 const AGREEMENT: f64 = 0.8;
 
-/// Maximum number of times that a step is halved.
+/// Maximum number of times a step is halved.
 const HALVINGS: usize = 6;
 
-/// Maximum number of steps of a walk: four times as many as a path through three cells takes.
+/// Maximum number of steps of a walk: four times the number of steps of a path through three cells.
 const STEPS: usize = 48;
 
-/// A walk fails if the tangential part of the remaining path is less than this fraction of it: the
-/// target lies almost straight above or below the surface.
+/// Minimum tangential part of the remaining path, as a fraction of the path. Below it, the walk
+/// fails, because the target is almost straight above or below the surface.
 const STEEP: f64 = 0.2;
 
-/// Maximum number of walks to crossings of each component near a point.
+/// Maximum number of walks to crossings of one component near a point.
 const WALKS: usize = 4;
 
 /// Tolerance of projections onto F = 0, in edges of a cell.
 const TOLERANCE: f64 = 1e-6;
 
 impl Surface {
-    /// The component of a point on F = 0 (grid frame, mm), given grad F there as `normal`. `None`
-    /// if there are no crossings around it, or if they are of several components and no walk
-    /// reaches one.
+    /// Returns the component of a point on F = 0 (grid frame, mm). `normal` is grad F at the point.
+    /// Returns `None` if there are no crossings around the point, or if they belong to several
+    /// components and no walk reaches a crossing.
     pub(super) fn component_at(&self, field: &CubicSpline, cells: &Cells, point: DVec3, normal: DVec3) -> Option<u32> {
         let (own, _) = cells.find(cells.finest_at(field, point))?;
         if let Some(only) = self.only_component_round(cells, own.within(0)) {
@@ -70,8 +72,8 @@ impl Surface {
         }
     }
 
-    /// The single component of all crossings in a voxel cell and those around it: `Some(None)` if
-    /// there are no crossings, `None` if there are several components.
+    /// Returns the single component of all crossings in a voxel cell and the cells around it.
+    /// Returns `Some(None)` if there are no crossings, and `None` if there are several components.
     fn only_component_round(&self, cells: &Cells, voxel: Cell) -> Option<Option<u32>> {
         let mut only = None;
         for (j, k) in (-1..=1).flat_map(|k| (-1..=1).map(move |j| (j, k))) {
@@ -85,7 +87,8 @@ impl Surface {
         Some(only)
     }
 
-    /// The crossings of the polygons in a cell and in those of its size around it, ascending.
+    /// Returns the crossings of the polygons in a cell and in the cells of its size around it,
+    /// ascending.
     pub(super) fn crossings_round(&self, cells: &Cells, cell: Cell) -> Vec<u32> {
         let mut near = Vec::new();
         around().filter_map(|away| moved(cell, away)).for_each(|cell| cells.crossed_in(cell, &mut near));
@@ -97,14 +100,15 @@ impl Surface {
     }
 }
 
-/// Whether a path on F = 0, as straight as possible, leads from a point on it to a crossing.
+/// Returns whether a path on F = 0, as straight as possible, leads from a point on F = 0 to a
+/// crossing.
 fn is_joined(field: &CubicSpline, cells: &Cells, point: DVec3, normal: DVec3, crossing: DVec3) -> bool {
     let spacing = field.geometry().spacing.min_element();
     let edge_at = |p: DVec3| {
         let cell = cells.find(cells.finest_at(field, p)).map_or(0, |(cell, _)| cell.level);
         spacing / f64::from(1u32 << cell)
     };
-    // the crossing lies on F = 0 to first order only
+    // the crossing lies on F = 0 only to first order
     let edge = edge_at(crossing);
     let Some((to, end_normal)) = field.project_with_gradient(crossing, edge, TOLERANCE * edge) else { return false };
     let end_normal = end_normal.normalize_or_zero();

@@ -1,21 +1,23 @@
-//! The topology of F = 0, computed from the spline alone: its components, the Euler characteristic
-//! of each, and the places where these are undecided. It does not depend on any mesh; meshes are
-//! checked against it.
+//! Computes the topology of F = 0 from the spline alone: its components, their Euler
+//! characteristics, and the locations where these are undecided. The result does not depend on any
+//! mesh; meshes are checked against it.
 //!
-//! Each voxel cell is subdivided until F has one sign throughout a cell, or the gradients in it
-//! differ by less than a right angle. Bounds for the whole cell (Bernstein form) prove either.
-//! Between neighbours of similar size, the signs of F at the corners then give the surface up to
-//! isotopy (Plantinga and Vegter, *Isotopic approximation of implicit curves and surfaces*, 2004).
-//! Components and Euler characteristics are counted on the polygons of that surface.
+//! Each voxel cell is subdivided until F has one sign throughout the cell, or all gradients in the
+//! cell differ by less than a right angle. Bounds for the whole cell (Bernstein form) prove both
+//! conditions. If adjacent cells have similar sizes, the signs of F at the cell corners give the
+//! surface up to isotopy (Plantinga and Vegter, *Isotopic approximation of implicit curves and
+//! surfaces*, 2004). Components and Euler characteristics are counted on the polygons of that
+//! surface.
 //!
-//! Three kinds of places are *undecided*:
+//! The topology is *undecided* at three kinds of locations:
 //! - Cells that are uncertain at the finest level, near critical points of F with a value close to
-//!   zero. The counts follow the signs at their corners.
+//!   zero. The counts follow the signs at the corners of these cells.
 //! - Critical points whose neck, gap or speck is finer than [`RESOLUTION`]. F is known there, but a
 //!   mesh of ordinary resolution need not reproduce it.
-//! - Components as fine as that whose critical point does not show it, because F is flat there.
+//! - Components finer than [`RESOLUTION`] whose critical point does not show this, because F is
+//!   flat there.
 //!
-//! [`FieldTopology::groups`] gives all topologies that the undecided places allow.
+//! [`FieldTopology::groups`] returns all topologies that the undecided locations allow.
 
 mod bernstein;
 mod cells;
@@ -43,30 +45,32 @@ pub use undecided::{Group, Groups, Undecided, UndecidedKind};
 use watch::Watch;
 
 /// Minimum radius, in voxels (geometric mean spacing), of necks, gaps and specks whose topology is
-/// decided. The radius is the distance to F = 0 by the second-order expansion at the critical
-/// point. Finer features say nothing about the object, and resolving them would take very short
-/// mesh edges.
+/// decided. The radius is the distance from the critical point to F = 0 by the second-order
+/// expansion. Finer features say nothing about the object, and resolving them would require very
+/// short mesh edges.
 pub const RESOLUTION: f64 = 0.1;
 
-/// A component of F = 0. Its number is its index in the list, which is ordered by the first
-/// crossing of each component in the order of the samples.
+/// A component of F = 0. Its number is its index in the list of components, which is ordered by the
+/// first crossing of each component in the order of the samples.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Component {
     /// Euler characteristic: 2 for a sphere, 0 for a torus. If the surface ends at the border of
-    /// the volume, that of the part within.
+    /// the volume, this is the value for the part within the volume.
     pub euler: i64,
-    /// A position next to it, grid frame, mm.
+    /// A position near the component, in the grid frame, mm.
     pub place: DVec3,
-    /// Bounding box, grid frame, mm; to first order in the edge of the cells.
+    /// Bounding box in the grid frame, mm, to first order in the edge length of the cells.
     pub bounds: Bounds,
-    /// Area, mm^2; to first order in the edge of the cells.
+    /// Area in mm^2, to first order in the edge length of the cells.
     pub area: f64,
-    /// Enclosed volume, mm^3, negative for a cavity; to first order in the edge of the cells.
+    /// Enclosed volume in mm^3, negative for a cavity, to first order in the edge length of the
+    /// cells.
     pub volume: f64,
 }
 
-/// The components of F = 0 in the volume, without the critical points. For stages that only count
-/// and distinguish components: cheaper than [`FieldTopology`], with the same components.
+/// The components of F = 0 in the volume, without the critical points. It is meant for stages that
+/// only count and distinguish components. It is cheaper than [`FieldTopology`] and gives the same
+/// components.
 pub struct FieldComponents {
     cells: Cells,
     surface: Surface,
@@ -80,23 +84,23 @@ pub struct FieldTopology {
     critical_points: Vec<CriticalPoint>,
 }
 
-/// The counts of a [`FieldTopology`].
+/// Summary counts of a [`FieldTopology`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TopologySummary {
-    /// Number of components, with undecided cells resolved by the signs of F at their corners.
+    /// Number of components. The signs of F at the corners resolve undecided cells.
     pub components: usize,
-    /// Minimum and maximum number of components.
+    /// Minimum and maximum possible number of components.
     pub components_between: [usize; 2],
-    /// Euler characteristic, with undecided cells resolved in the same way.
+    /// Euler characteristic. Undecided cells are resolved in the same way.
     pub euler: i64,
-    /// Minimum and maximum Euler characteristic.
+    /// Minimum and maximum possible Euler characteristic.
     pub euler_between: [i64; 2],
-    /// The undecided places.
+    /// The undecided locations.
     pub undecided: Vec<Undecided>,
 }
 
 impl FieldComponents {
-    /// The components of the spline through the samples of a volume.
+    /// Computes the components of the spline through the samples of a volume.
     ///
     /// # Errors
     /// If the monitor interrupts the work.
@@ -110,33 +114,34 @@ impl FieldComponents {
         Ok(Self { cells, surface })
     }
 
-    /// The components.
+    /// Returns the components.
     pub fn all(&self) -> &[Component] {
         &self.surface.components
     }
 
-    /// Triangles next to a component, to first order in the edge of the cells, facing outward;
-    /// denser where F = 0 is bent.
+    /// Returns outward-facing triangles near a component, to first order in the edge length of the
+    /// cells. The triangles are denser where F = 0 is curved.
     pub fn mesh(&self, component: u32) -> TriangleMesh {
         self.surface.mesh(component)
     }
 
-    /// Positions next to F = 0 (grid frame, mm) all over a component, a few per cell; denser where
-    /// F = 0 is bent.
+    /// Returns positions near F = 0 (grid frame, mm) that cover a component, a few per cell. The
+    /// positions are denser where F = 0 is curved.
     pub fn samples(&self, component: u32) -> Vec<DVec3> {
         let own = self.surface.component_of.iter().zip(&self.surface.positions).filter(|(c, _)| **c == component);
         own.map(|(_, &p)| p).collect()
     }
 
-    /// The component of a point on F = 0 (grid frame, mm), given grad F there as `normal`. `None`
-    /// if there is no component around it, or several and no path on F = 0 leads to one of them.
+    /// Returns the component of a point on F = 0 (grid frame, mm). `normal` is grad F at the point.
+    /// Returns `None` if there is no component around the point, or if there are several and no
+    /// path on F = 0 leads to one of them.
     pub fn at(&self, field: &CubicSpline, point: DVec3, normal: DVec3) -> Option<u32> {
         self.surface.component_at(field, &self.cells, point, normal)
     }
 }
 
 impl FieldTopology {
-    /// The topology of the spline through the samples of a volume.
+    /// Computes the topology of the spline through the samples of a volume.
     ///
     /// # Errors
     /// If the monitor interrupts the work.
@@ -152,36 +157,36 @@ impl FieldTopology {
         Ok(Self { components, undecided, groups, critical_points })
     }
 
-    /// As [`Self::watched`], without a monitor.
+    /// Computes the topology like [`Self::watched`], but without a monitor.
     ///
     /// # Panics
-    /// Never: work without a monitor is not interrupted.
+    /// Never, because work without a monitor is not interrupted.
     pub fn new(field: &CubicSpline) -> Self {
         Self::watched(field, &Silent).expect("what nobody watches is not interrupted")
     }
 
-    /// The components.
+    /// Returns the components.
     pub fn components(&self) -> &[Component] {
         self.components.all()
     }
 
-    /// The topologies that the components may have: at each undecided place, a mesh may have either
-    /// of two.
+    /// Returns the topologies that the components may have. At each undecided location, a mesh may
+    /// have either of two topologies.
     pub fn groups(&self) -> &Groups {
         &self.groups
     }
 
-    /// The places where the topology is undecided.
+    /// Returns the locations where the topology is undecided.
     pub fn undecided(&self) -> &[Undecided] {
         &self.undecided
     }
 
-    /// The critical points of F within a few voxels of F = 0, in the order of their positions.
+    /// Returns the critical points of F within a few voxels of F = 0, ordered by position.
     pub fn critical_points(&self) -> &[CriticalPoint] {
         &self.critical_points
     }
 
-    /// The counts.
+    /// Returns the summary counts.
     pub fn summary(&self) -> TopologySummary {
         let groups = || self.groups.all().iter();
         TopologySummary {
@@ -196,12 +201,12 @@ impl FieldTopology {
         }
     }
 
-    /// Positions next to F = 0 all over a component: [`FieldComponents::samples`].
+    /// Returns positions near F = 0 that cover a component. See [`FieldComponents::samples`].
     pub fn samples(&self, component: u32) -> Vec<DVec3> {
         self.components.samples(component)
     }
 
-    /// The component of a point on F = 0: [`FieldComponents::at`].
+    /// Returns the component of a point on F = 0. See [`FieldComponents::at`].
     pub fn component_at(&self, field: &CubicSpline, point: DVec3, normal: DVec3) -> Option<u32> {
         self.components.at(field, point, normal)
     }

@@ -1,10 +1,10 @@
-//! The surface given by the signs of F at the corners of the cells, as polygons: where it crosses
-//! the edges of the cells, and how it passes through them. No triangles are made; components and
-//! Euler characteristics need none.
+//! Represents the surface given by the signs of F at the cell corners as polygons. The corners of
+//! the polygons are the crossings of the surface with cell edges. The polygons are not
+//! triangulated, because components and Euler characteristics do not need triangles.
 //!
-//! An edge is as short as the smallest cell at it, and a face as small as the smaller of its two
-//! cells. All cells thus see the same crossings, and the polygons form a closed surface, except at
-//! the border of the volume.
+//! Each edge is divided as finely as the smallest cell that contains it, and each face as finely as
+//! the smaller of its two cells. All cells therefore use the same crossings, and the polygons form
+//! a closed surface, except at the border of the volume.
 
 use super::cells::{Cell, Cells, DEPTH, FINE, around};
 use crate::spline::CubicSpline;
@@ -12,22 +12,22 @@ use glam::DVec3;
 use std::ops::Range;
 use std::sync::OnceLock;
 
-/// Maximum number of values of F in the cache; a power of two.
+/// Number of cached values of F; a power of two.
 const REMEMBERED: usize = 1 << 14;
 
-/// 2^64 over the golden ratio. Products with it spread numbers over the upper bits (Knuth's
-/// multiplicative hashing), of which [`SHIFT`] keeps as many as the cache needs.
+/// 2^64 divided by the golden ratio. Multiplication by it spreads numbers over the upper bits
+/// (Knuth's multiplicative hashing). [`SHIFT`] keeps as many of these bits as the cache needs.
 const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
 const SHIFT: u32 = 64 - REMEMBERED.trailing_zeros();
 
-/// Minimum distance of a crossing from the ends of its edge, as a fraction of the edge.
+/// Minimum distance of a crossing from the ends of its edge, as a fraction of the edge length.
 const CLEARANCE: f64 = 1e-3;
 
-/// The bits of a cell and of the 26 around it in a block of four cells along each axis, x fastest,
-/// with the lowest of them at the lowest bit.
+/// Bit mask of a cell and the 26 cells around it in a block of four cells along each axis, x
+/// fastest. The lowest of these cells has the lowest bit.
 const AROUND: u64 = 0x0000_0777_0777_0777;
 
-/// The bit in such a block of each of the cells that [`around`] gives.
+/// Index of the bit in such a block for each cell that [`around`] returns.
 const BLOCK_BIT: [u32; 27] = {
     let mut bits = [0; 27];
     let mut n = 0;
@@ -38,38 +38,38 @@ const BLOCK_BIT: [u32; 27] = {
     bits
 };
 
-/// A crossing of the surface with an edge of the cells: a number for the edge, ascending with its
-/// lower end, x fastest.
+/// A crossing of the surface with a cell edge, given by a number that identifies the edge. The
+/// numbers increase with the lower end of the edge, x fastest.
 pub(super) type Crossing = u64;
 
-/// Size of the range of crossing numbers for the edges that begin in one slice of voxels. Each
-/// range starts at a multiple of it.
+/// Returns how many crossing numbers are reserved for the edges that begin in one slice of voxels.
+/// The range of each slice starts at a multiple of this count.
 pub(super) fn crossings_in_slice(cells: &Cells) -> u64 {
     let [x, y, _] = corners(cells);
     x * y * FINE * 3 * (u64::from(DEPTH) + 1)
 }
 
-/// Corners of finest cells along each axis.
+/// Returns the number of corners of finest cells along each axis.
 fn corners(cells: &Cells) -> [u64; 3] {
     cells.size().map(|n| n as u64 * FINE + 1)
 }
 
-/// The polygons of the surface in some cells.
+/// The polygons of the surface in a set of cells.
 #[derive(Default)]
 pub(super) struct Polygons {
     /// The cells that contain polygons.
     pub(super) cells: Vec<OfCell>,
     /// End of each polygon in `corners`. Some polygons may no longer belong to a cell.
     ends: Vec<u32>,
-    /// The crossings of each polygon, counter-clockwise seen from outside the object.
+    /// Crossings of each polygon, counter-clockwise when seen from outside the object.
     corners: Vec<Crossing>,
-    /// Sides that lie on the border of the volume, each by its first crossing.
+    /// First crossing of each polygon side that lies on the border of the volume.
     at_border: Vec<Crossing>,
 }
 
 /// The polygons of one cell.
 pub(super) struct OfCell {
-    /// The position of the cell in the order of all cells.
+    /// Position of the cell in the order of all cells.
     pub(super) order: u64,
     pub(super) cell: Cell,
     polygons: Range<u32>,
@@ -77,14 +77,14 @@ pub(super) struct OfCell {
 }
 
 impl OfCell {
-    /// Number of polygons.
+    /// Returns the number of polygons.
     pub(super) fn count(&self) -> usize {
         self.polygons.len()
     }
 }
 
 impl Polygons {
-    /// The crossings of each polygon of a cell.
+    /// Returns the crossings of each polygon of a cell.
     pub(super) fn of(&self, cell: &OfCell) -> impl Iterator<Item = &[Crossing]> {
         cell.polygons.clone().map(|n| {
             let first = if n == 0 { 0 } else { self.ends[n as usize - 1] };
@@ -92,40 +92,42 @@ impl Polygons {
         })
     }
 
-    /// The sides of a cell's polygons that lie on the border of the volume, each by its first
-    /// crossing.
+    /// Returns the first crossing of each polygon side of a cell that lies on the border of the
+    /// volume.
     pub(super) fn at_border(&self, cell: &OfCell) -> &[Crossing] {
         &self.at_border[cell.at_border.start as usize..cell.at_border.end as usize]
     }
 }
 
-/// Reads the surface cell by cell.
+/// Extracts the surface cell by cell.
 pub(super) struct Reader<'a> {
     field: &'a CubicSpline,
     cells: &'a Cells,
-    /// Corners of finest cells along each axis.
+    /// Number of corners of finest cells along each axis.
     corners: [u64; 3],
     remembered: Vec<(u64, f64)>,
-    /// The cell whose polygons are read.
+    /// The current cell, whose polygons are being extracted.
     present: Cell,
-    /// Which of its corners are inside, bit by bit, x fastest.
+    /// Bit mask of the corners of the current cell that are inside the object, x fastest.
     inside: u8,
-    /// Which cells are subdivided in a block of four cells of its size along each axis, bit by bit,
-    /// x fastest. The block contains the cell and those around it.
+    /// Bit mask of the subdivided cells in a block of four cells along each axis, x fastest. These
+    /// cells have the size of the current cell. The block contains the current cell and the cells
+    /// around it.
     halved: u64,
-    /// The lowest cell of that block, and the level of its cells.
+    /// Lowest cell of that block. `block_level` is the level of the cells in the block.
     block: [i64; 3],
     block_level: u8,
-    /// Whether neither the cell nor one around it is subdivided.
+    /// Whether neither the current cell nor any cell around it is subdivided.
     is_even: bool,
-    /// Indices of the octants of the cells of its size around it, and of itself, if it is not even.
+    /// Indices of the octants of the current cell and of the cells of its size around it. Valid
+    /// only if `is_even` is false.
     near: [Option<u32>; 27],
-    /// For each level, the cell requested last, and the octant indices of the cells of its size
-    /// around it.
+    /// For each level: the cell requested last, and the octant indices of this cell and of the
+    /// cells of its size around it.
     larger: Vec<Option<(Cell, [Option<u32>; 27])>>,
-    /// Sides of the polygons of a cell; kept to reuse the memory.
+    /// Sides of the polygons of a cell. Kept to reuse the memory.
     sides: Vec<[Crossing; 2]>,
-    /// Crossings around a face; kept to reuse the memory.
+    /// Crossings around a face. Kept to reuse the memory.
     crossings: Vec<(Crossing, bool)>,
 }
 
@@ -152,12 +154,12 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Adds the polygons in a cell, one for each closed path of the surface over its faces.
+    /// Adds the polygons of a cell, one for each closed path of the surface across its faces.
     pub(super) fn polygons(&mut self, cell: Cell, order: u64, all: &mut Polygons) {
         self.present = cell;
         self.look_around(cell);
         self.inside = self.corners_inside(cell);
-        // all corners are on one side and no edge is subdivided, so nothing crosses it
+        // all corners are on one side and no edge is subdivided, so the surface crosses no edge
         if self.is_even && (self.inside == 0 || self.inside == u8::MAX) {
             return;
         }
@@ -179,7 +181,7 @@ impl<'a> Reader<'a> {
         (0..3).any(|axis| cell.at[axis] == 0 || cell.at[axis] + 1 == (size[axis] as u32) << cell.level)
     }
 
-    /// Adds the polygons of an even cell, given by its edges.
+    /// Adds the polygons of an even cell. The corners of the polygons in `known` are cell edges.
     fn add_known(&self, cell: Cell, known: &Polygons, all: &mut Polygons) {
         let low = self.number(cell.corner());
         let along = [1, self.corners[0], self.corners[0] * self.corners[1]].map(|step| step * cell.edge());
@@ -191,7 +193,7 @@ impl<'a> Reader<'a> {
         all.ends.extend(known.ends.iter().map(|end| first + end));
     }
 
-    /// Adds the polygons of a cell, face by face.
+    /// Adds the polygons of a cell face by face.
     fn add_by_faces(&mut self, cell: Cell, all: &mut Polygons) {
         if !self.is_even {
             self.near = self.halves_round(cell);
@@ -215,7 +217,7 @@ impl<'a> Reader<'a> {
         self.sides = sides;
     }
 
-    /// Determines which of the cells of a cell's size around it, and itself, are subdivided.
+    /// Determines which cells are subdivided among a cell and the cells of its size around it.
     fn look_around(&mut self, cell: Cell) {
         if cell.level == 0 {
             self.block = cell.at.map(|n| i64::from(n) - 1);
@@ -231,7 +233,7 @@ impl<'a> Reader<'a> {
         }
         let whole = cell.within(cell.level - 1);
         let block = whole.at.map(|n| 2 * i64::from(n) - 1);
-        // the octants of one cell share the block
+        // all octants of a cell share one block
         if self.block != block || self.block_level != cell.level {
             self.halved = 0;
             for (n, halves) in self.halves_round(whole).into_iter().enumerate() {
@@ -240,8 +242,8 @@ impl<'a> Reader<'a> {
                 while rest != 0 {
                     let octant = rest.trailing_zeros() as usize;
                     rest &= rest - 1;
-                    // counted from one before the block; of a neighbouring cell the block holds
-                    // only the adjacent octants
+                    // positions are counted from one cell before the block; the block contains only
+                    // the adjacent octants of a neighbouring cell
                     let place = [n % 3, n / 3 % 3, n / 9].map(|way| 2 * way);
                     let place = [0, 1, 2].map(|axis| place[axis] + (octant >> axis & 1));
                     if place.iter().all(|place| (1..=4).contains(place)) {
@@ -256,8 +258,8 @@ impl<'a> Reader<'a> {
         self.is_even = self.halved & (AROUND << (low[0] + 4 * low[1] + 16 * low[2])) == 0;
     }
 
-    /// Indices of the octants of a cell and of those of its size around it, if subdivided, in the
-    /// order of [`around`].
+    /// Returns the indices of the octants of a cell and of the cells of its size around it, in the
+    /// order of [`around`]. The index is `None` for a cell that is not subdivided.
     fn halves_round(&mut self, cell: Cell) -> [Option<u32>; 27] {
         let level = usize::from(cell.level);
         if let Some((known, halves)) = self.larger[level]
@@ -291,8 +293,9 @@ impl<'a> Reader<'a> {
         (0..8).map(is_inside).enumerate().map(|(n, is_inside)| u8::from(is_inside) << n).sum()
     }
 
-    /// Adds the sides of polygons on a face of cells that is perpendicular to an axis. The object
-    /// is on the left, seen from below along that axis. `face` is the cell on the upper side.
+    /// Adds the polygon sides on a cell face that is perpendicular to an axis. The object is on the
+    /// left of each side when seen from below along that axis. `face` is the cell on the upper side
+    /// of the face.
     fn face(&mut self, face: Cell, axis: usize, sides: &mut Vec<[Crossing; 2]>) {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         let mut before = [0; 3];
@@ -303,7 +306,7 @@ impl<'a> Reader<'a> {
             }
             return;
         }
-        // around the face, with whether each crossing enters the object
+        // crossings around the face; the flag tells whether the object begins at the crossing
         let mut crossings = std::mem::take(&mut self.crossings);
         crossings.clear();
         let shifted = |axis: usize| {
@@ -316,7 +319,7 @@ impl<'a> Reader<'a> {
         self.edge(shifted(v), u, false, &mut crossings);
         self.edge(face, v, false, &mut crossings);
         let count = crossings.len();
-        // if there are several ways to join the crossings, the sign at the middle of the face
+        // if the crossings can be joined in several ways, the sign at the middle of the face
         // decides
         let cuts_off_object = count > 2 && {
             let mut middle = face.corner().map(|n| n as f64);
@@ -332,8 +335,8 @@ impl<'a> Reader<'a> {
         self.crossings = crossings;
     }
 
-    /// Adds the crossings on an edge of cells along an axis, which starts at the lowest corner of
-    /// `edge`, forward or backward.
+    /// Adds the crossings on a cell edge along an axis, in forward or backward order. The edge
+    /// starts at the lowest corner of `edge`.
     fn edge(&mut self, edge: Cell, axis: usize, forward: bool, crossings: &mut Vec<(Crossing, bool)>) {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         let is_own = edge.level == self.present.level;
@@ -361,8 +364,8 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Whether one of the four cells at an edge of the present cell is subdivided. The edge is
-    /// perpendicular to the two axes `across`.
+    /// Returns whether one of the four cells at an edge of the current cell is subdivided. `across`
+    /// contains the two axes perpendicular to the edge.
     fn is_own_edge_halved(&self, edge: Cell, across: [usize; 2]) -> bool {
         let bit = self.bit(edge.at.map(i64::from));
         let [u, v] = across.map(|axis| 1 << (2 * axis));
@@ -373,7 +376,7 @@ impl<'a> Reader<'a> {
         if self.is_even || cell.level == DEPTH {
             return false;
         }
-        // of the present cell's size, or within one of that size around it
+        // the cell has the size of the current cell, or lies within such a cell around it
         let finer = cell.level - self.present.level;
         let bit = self.bit([0, 1, 2].map(|k| (i64::from(cell.at[k]) + away[k]) >> finer));
         if self.halved >> bit & 1 == 0 {
@@ -388,7 +391,7 @@ impl<'a> Reader<'a> {
         halves.is_some()
     }
 
-    /// The bit, in the block, of a cell of the present cell's size.
+    /// Returns the bit in the block of a cell that has the size of the current cell.
     fn bit(&self, at: [i64; 3]) -> u32 {
         (0..3).map(|axis| ((at[axis] - self.block[axis]) as u32) << (2 * axis)).sum()
     }
@@ -408,8 +411,8 @@ impl<'a> Reader<'a> {
         self.field.geometry().index_to_grid(fine / FINE as f64)
     }
 
-    /// F at a corner, from the cache if possible. It depends on the corner alone, so all cells
-    /// agree on its sign.
+    /// Returns F at a corner, from the cache if possible. The value depends only on the corner, so
+    /// all cells agree on its sign.
     fn value(&mut self, corner: [u64; 3]) -> f64 {
         let number = self.number(corner);
         let slot = (number.wrapping_mul(SPREAD) >> SHIFT) as usize;
@@ -420,7 +423,7 @@ impl<'a> Reader<'a> {
         self.remembered[slot].1
     }
 
-    /// Where F = 0 crosses an edge, to first order; grid frame, mm.
+    /// Returns the position (grid frame, mm) where F = 0 crosses an edge, to first order.
     pub(super) fn position(&mut self, crossing: Crossing) -> DVec3 {
         let levels = u64::from(DEPTH) + 1;
         let (level, axis, number) =
@@ -439,22 +442,22 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// The index, in the order of [`around`], of the cell at position `at`, which is next to `cell` and
-/// of its size.
+/// Returns the index, in the order of [`around`], of the cell at position `at`. This cell is
+/// adjacent to `cell` and has the same size.
 fn number_around(cell: Cell, at: [i64; 3]) -> usize {
     let way = |axis: usize| (at[axis] - i64::from(cell.at[axis]) + 1) as usize;
     (way(2) * 3 + way(1)) * 3 + way(0)
 }
 
-/// The number of the crossing on an edge of a level, which starts at a corner (given by its number)
-/// and runs along an axis.
+/// Returns the number of the crossing on an edge of a level. The edge starts at the corner with the
+/// number `corner` and runs along `axis`.
 fn crossing(corner: u64, axis: u64, level: u8) -> Crossing {
     (corner * 3 + axis) * (u64::from(DEPTH) + 1) + u64::from(level)
 }
 
-/// The polygons of a cell none of whose edges is subdivided, indexed by its inside corners. `None`
-/// if inside corners are opposite each other on a face. Each crossing is replaced by an edge: three
-/// bits for its lower end, x first, and then its axis.
+/// Returns the polygons of a cell without subdivided edges, indexed by the bit mask of its inside
+/// corners. An entry is `None` if inside corners are opposite each other on a face. Each crossing
+/// is given by its cell edge: three bits for the lower end, x first, followed by the axis.
 fn even_cells() -> &'static [Option<Polygons>; 256] {
     static EVEN: OnceLock<[Option<Polygons>; 256]> = OnceLock::new();
     EVEN.get_or_init(|| std::array::from_fn(even_cell))
@@ -465,7 +468,7 @@ fn even_cell(inside: usize) -> Option<Polygons> {
     for (axis, far) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         let corner = far << axis;
-        // the edges in the order and the directions in which the sides of any face are read
+        // the edges in the same order and direction as in `Reader::face`
         let edges = [(corner, u, true), (corner | 1 << u, v, true), (corner | 1 << v, u, false), (corner, v, false)];
         let mut crossings = edges.into_iter().filter_map(|(corner, axis, is_forward)| {
             let [from, to] = [corner, corner | 1 << axis].map(|corner| inside >> corner & 1 == 1);
@@ -485,8 +488,8 @@ fn even_cell(inside: usize) -> Option<Polygons> {
     Some(polygons)
 }
 
-/// Adds the closed paths that sides form. Each crossing is the start of one side and the end of
-/// another.
+/// Adds the closed paths that the sides form. Each crossing is the start of one side and the end of
+/// another side.
 fn add_closed_ways(sides: &mut Vec<[Crossing; 2]>, all: &mut Polygons) {
     while let Some([start, mut end]) = sides.pop() {
         all.corners.push(start);

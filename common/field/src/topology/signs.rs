@@ -1,5 +1,5 @@
-//! The cells that F = 0 may pass through, by the signs of the spline coefficients: the cheapest
-//! test, which is applied first.
+//! Finds the cells that F = 0 may cross by the signs of the spline coefficients. This test is the
+//! cheapest and is applied first.
 
 use crate::node_bits::{NodeBits, Side, WORD, each_bit, first_bits, shifted};
 use crate::spline::CubicSpline;
@@ -19,14 +19,15 @@ impl Signs {
         Self { size, positive: of(Side::Above), negative: of(Side::Below) }
     }
 
-    /// The voxel cells of a slice for which the coefficients do not all have one sign, by their
-    /// numbers in the slice (x fastest), ascending. Coefficients are those read by the cell and by
-    /// the cells up to `around` beyond it. If they have one sign, so has F, which is a mean of them
-    /// (convex hull property).
+    /// Returns the voxel cells of a slice for which the coefficients do not all have the same sign.
+    /// The cells are given by their numbers in the slice (x fastest), ascending. The coefficients
+    /// are those used by the cell and by the cells up to `around` cells away. If the coefficients
+    /// have the same sign, F also has this sign, because F is a weighted mean of them (convex hull
+    /// property).
     pub(crate) fn changes(&self, k: usize, around: usize) -> Vec<usize> {
         let [nx, ny, nz] = self.size;
         let width = self.positive.width();
-        // mirroring at the border reads only coefficients that are already among these
+        // mirroring at the border uses only coefficients that are already included
         let reach = |cell: usize, n: usize| cell.saturating_sub(1 + around)..(cell + 3 + around).min(n);
         let over_slices = |bits: &NodeBits| all_of(reach(k, nz), |slice| bits.rows(slice * ny, ny));
         let over_slices = [&self.positive, &self.negative].map(over_slices);
@@ -52,7 +53,7 @@ impl Signs {
     }
 }
 
-/// The bits that are set in all of some runs of words. There must be at least one run.
+/// Returns the bits that are set in all of some runs of words. There must be at least one run.
 fn all_of<'w>(mut runs: Range<usize>, words: impl Fn(usize) -> &'w [u64]) -> Vec<u64> {
     let mut all = runs.next().map_or_else(Vec::new, |run| words(run).to_vec());
     runs.for_each(|run| all.iter_mut().zip(words(run)).for_each(|(all, own)| *all &= own));

@@ -1,5 +1,5 @@
-//! Assembles the polygons of all cells into the surface: components, their Euler characteristics
-//! and sizes, and the crossings in each cell.
+//! Assembles the polygons of all cells into the surface: its components with their Euler
+//! characteristics and sizes, and the crossings in each cell.
 
 use super::cells::{BASE, Cell, Cells, DEPTH, State, around, moved};
 use super::polygons::{Crossing, OfCell, Polygons, Reader, crossings_in_slice};
@@ -14,34 +14,35 @@ use std::collections::BTreeMap;
 
 /// The polygons of a volume.
 pub(super) struct Surface {
-    /// Position of each crossing, grid frame, mm.
+    /// Position of each crossing in the grid frame, mm.
     pub(super) positions: Vec<DVec3>,
     /// Component of each crossing.
     pub(super) component_of: Vec<u32>,
-    /// The components, in the order of their first crossings.
+    /// Components, in the order of their first crossings.
     pub(super) components: Vec<Component>,
-    /// The cells with polygons, by position in the order of all cells, ascending; each with the end
-    /// of its polygons in `ends`.
+    /// The cells with polygons, given by their position in the order of all cells, ascending. Each
+    /// is paired with the end of its polygons in `ends`.
     cells: Vec<(u64, u32)>,
-    /// The end of each polygon in `corners`.
+    /// End of each polygon in `corners`.
     ends: Vec<u32>,
     /// Crossings of the polygons.
     corners: Vec<u32>,
-    /// The voxels with polygons, ascending, each with the component of all of them, or [`SEVERAL`].
+    /// The voxels with polygons, ascending. Each is paired with the component of all its polygons,
+    /// or [`SEVERAL`].
     voxels: Vec<(u64, u32)>,
-    /// Start of each row of voxels along x in that list, and the end of the last.
+    /// Start of each row of voxels along x in `voxels`, followed by the end of the last row.
     rows: Vec<u32>,
-    /// The cells that are neither certain nor subdivided, ascending.
+    /// Cells that are neither certain nor subdivided, ascending.
     pub(super) undecided: Vec<Cell>,
 }
 
-/// Marker in place of a component's number where there are several components.
+/// Marker instead of a component's number where there are several components.
 const SEVERAL: u32 = u32::MAX;
 
 impl Surface {
-    /// Reads the surface, and subdivides cells that contain several polygons. One of these may be a
-    /// loop around a corner of smaller neighbouring cells; only subdivision shows whether it closes
-    /// or joins another polygon.
+    /// Extracts the surface, and subdivides cells that contain several polygons. One of these
+    /// polygons may be a loop around a corner of smaller neighbouring cells. Only subdivision shows
+    /// whether the loop closes or joins another polygon.
     pub(super) fn new(field: &CubicSpline, cells: &mut Cells, watch: &Watch<'_>) -> Result<Self, Interrupted> {
         let (mut slices, undecided) = read_all(field, cells, watch)?;
         loop {
@@ -74,7 +75,7 @@ impl Surface {
         Ok(Self::of(field, cells, &slices, undecided))
     }
 
-    /// Assembles polygons that are given by slices of voxels.
+    /// Assembles the polygons of all slices of voxels.
     pub(super) fn of(field: &CubicSpline, cells: &Cells, slices: &[Polygons], mut undecided: Vec<Cell>) -> Self {
         let crossings = Crossings::new(cells, slices);
         let positions: Vec<DVec3> = crossings
@@ -95,7 +96,8 @@ impl Surface {
         let mut count = 0;
         for crossing in 0..positions.len() as u32 {
             let first = sets.find(crossing);
-            // the first crossing of a component is numbered before the others look it up
+            // the first crossing of a component is numbered before the other crossings look up its
+            // number
             component_of[crossing as usize] = if first == crossing { count } else { component_of[first as usize] };
             count += u32::from(first == crossing);
         }
@@ -124,7 +126,7 @@ impl Surface {
         new
     }
 
-    /// The polygons of a component cut into triangles, in the order of the cells.
+    /// Returns the polygons of a component cut into triangles, in the order of the cells.
     pub(super) fn mesh(&self, component: u32) -> TriangleMesh {
         let mut mesh = TriangleMesh::default();
         let mut number = BTreeMap::new();
@@ -148,8 +150,8 @@ impl Surface {
         mesh
     }
 
-    /// For each voxel of a row that has polygons, ascending, the component of all of them; `None`
-    /// if there are several.
+    /// Returns, for each voxel of a row that has polygons, the component of all its polygons, in
+    /// ascending order of the voxels. The value is `None` if there are several components.
     pub(super) fn components_of_voxels(
         &self,
         cells: &Cells,
@@ -167,7 +169,7 @@ impl Surface {
         })
     }
 
-    /// The crossings of the polygons in a cell.
+    /// Returns the crossings of the polygons in a cell.
     pub(super) fn crossings_in(&self, cells: &Cells, cell: Cell) -> &[u32] {
         let order = order(cells, cell);
         let n = self.cells.partition_point(|&(own, _)| own < order);
@@ -180,7 +182,8 @@ impl Surface {
     }
 }
 
-/// The polygons in all cells as they are, by slices of voxels, and the undecided cells.
+/// Returns the polygons in all cells without further subdivision, by slices of voxels, and the
+/// undecided cells.
 pub(super) fn read_all(
     field: &CubicSpline,
     cells: &Cells,
@@ -199,7 +202,7 @@ pub(super) fn read_all(
     Ok((polygons, undecided.concat()))
 }
 
-/// Adds the polygons in some cells to others.
+/// Adds the polygons in some cells to `all`.
 fn read(field: &CubicSpline, cells: &Cells, crossed: &[(Cell, State)], all: &mut Polygons) {
     let mut reader = Reader::new(field, cells);
     crossed.iter().for_each(|(cell, _)| reader.polygons(*cell, order(cells, *cell), all));
@@ -207,7 +210,7 @@ fn read(field: &CubicSpline, cells: &Cells, crossed: &[(Cell, State)], all: &mut
 
 /// All crossings, ascending, by the slices of voxels in which their edges begin.
 struct Crossings {
-    /// The crossings of each slice, and of the border behind the last.
+    /// Crossings of each slice, and of the border behind the last slice.
     by_slice: Vec<Vec<Crossing>>,
     /// Number of crossings before each slice.
     before: Vec<u32>,
@@ -228,7 +231,7 @@ impl Crossings {
                 seen
             })
             .collect();
-        // a slice sees its own crossings, and those on the plane to the next
+        // a slice contributes its own crossings, and the crossings on the plane to the next slice
         let by_slice: Vec<Vec<Crossing>> = (0..=seen.len())
             .into_par_iter()
             .map(|k| {
@@ -251,18 +254,18 @@ impl Crossings {
         Self { by_slice, before, span }
     }
 
-    /// The index of a crossing among all.
+    /// Returns the index of a crossing among all crossings.
     fn index(&self, crossing: Crossing) -> u32 {
         let slice = (crossing / self.span) as usize;
         self.before[slice] + self.by_slice[slice].partition_point(|&other| other < crossing) as u32
     }
 }
 
-/// The polygons of a slice of voxels, with crossings by their indices among all.
+/// The polygons of a slice of voxels. Crossings are given by their indices among all crossings.
 struct Slice {
-    /// The position of each cell in the order of all cells, and the end of its polygons.
+    /// Position of each cell in the order of all cells, and the end of the polygons of the cell.
     cells: Vec<(u64, u32)>,
-    /// The end of each polygon.
+    /// End of each polygon in `corners`.
     ends: Vec<u32>,
     corners: Vec<u32>,
     at_border: Vec<u32>,
@@ -287,7 +290,8 @@ impl Slice {
         firsts.zip(&self.ends).map(|(first, &end)| &self.corners[first as usize..end as usize])
     }
 
-    /// The voxels, ascending, each with the component of all its polygons, or [`SEVERAL`].
+    /// Returns the voxels, ascending. Each is paired with the component of all its polygons, or
+    /// [`SEVERAL`].
     fn voxels(&self, component_of: &[u32]) -> Vec<(u64, u32)> {
         let mut voxels: Vec<(u64, u32)> = Vec::new();
         let mut polygons = self.polygons();
@@ -309,8 +313,8 @@ impl Slice {
     }
 }
 
-/// Start of each row along x among the voxels of a volume, which ascend, and the end of the last
-/// row.
+/// Returns the start of each row along x in a list of ascending voxels, followed by the end of the
+/// last row.
 fn rows(voxels: &[(u64, u32)], size: [usize; 3]) -> Vec<u32> {
     let mut rows = vec![0; size[1] * size[2] + 1];
     voxels.iter().for_each(|(voxel, _)| rows[*voxel as usize / size[0] + 1] += 1);
@@ -318,8 +322,8 @@ fn rows(voxels: &[(u64, u32)], size: [usize; 3]) -> Vec<u32> {
     rows
 }
 
-/// The position of a cell without octants in the order of all cells: by voxel, x fastest, and
-/// within it by octants.
+/// Returns the position of a cell without octants in the order of all cells. Cells are ordered by
+/// voxel, x fastest, and within a voxel by octants.
 fn order(cells: &Cells, cell: Cell) -> u64 {
     let [nx, ny, _] = cells.size().map(|n| n as u64);
     let voxel = cell.within(0).at.map(u64::from);
@@ -358,7 +362,7 @@ fn components(positions: &[DVec3], component_of: &[u32], count: usize, slices: &
             components[component].area += area;
             components[component].volume += volume;
         }
-        // a side lies in two polygons, unless it is at the border
+        // a side belongs to two polygons, unless it lies on the border
         own.at_border.iter().for_each(|&crossing| sides[component_of[crossing as usize] as usize] += 1);
     }
     components.iter_mut().zip(sides).for_each(|(own, sides)| own.euler -= sides / 2);

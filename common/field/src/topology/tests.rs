@@ -1,4 +1,4 @@
-//! The topology of analytic scenes.
+//! Tests of the topology of analytic scenes.
 
 use super::cells::{around, moved};
 use super::*;
@@ -21,8 +21,8 @@ impl Scene {
         Self { field: CubicSpline::new(&image) }
     }
 
-    /// The Euler characteristics, ascending, of the components of a triangulation of samples that
-    /// are `fine` times as dense.
+    /// Returns the Euler characteristics, ascending, of the components of a triangulation. The
+    /// triangulation uses samples that are `fine` times as dense.
     fn by_samples(&self, fine: usize) -> Vec<i64> {
         let own = self.field.geometry();
         let size = own.size.map(|n| (n - 1) * fine + 1);
@@ -52,7 +52,7 @@ fn unwatched() -> Watch<'static> {
 
 const CENTRE: DVec3 = DVec3::splat(15.7);
 
-/// Torus of radii 9 and 4.
+/// A torus with the radii 9 and 4.
 pub(super) fn torus() -> Scene {
     Scene::new([32; 3], DVec3::ONE, |p| {
         let q = p - CENTRE;
@@ -60,7 +60,7 @@ pub(super) fn torus() -> Scene {
     })
 }
 
-/// Two balls of radius 5 with a gap of 2.
+/// Two balls of radius 5, 2 apart.
 pub(super) fn two_balls() -> Scene {
     Scene::new([32, 24, 24], DVec3::ONE, |p| {
         let centre = |x: f64| DVec3::new(x, 11.6, 11.6);
@@ -68,13 +68,13 @@ pub(super) fn two_balls() -> Scene {
     })
 }
 
-/// Spherical shell between the radii 8 and 10.5.
+/// A spherical shell between the radii 8 and 10.5.
 pub(super) fn shell() -> Scene {
     Scene::new([32; 3], DVec3::ONE, |p| (p.distance(CENTRE) - 9.25).abs() - 1.25)
 }
 
-/// Gyroid inside a ball of radius 13; single nodes off its rim are attached by necks thinner than a
-/// voxel.
+/// A gyroid inside a ball of radius 13. Single nodes near its rim are attached by necks thinner
+/// than a voxel.
 pub(super) fn gyroid() -> Scene {
     Scene::new([36; 3], DVec3::ONE, |p| {
         let q = (p - DVec3::splat(17.6)) * 0.45;
@@ -84,7 +84,7 @@ pub(super) fn gyroid() -> Scene {
     })
 }
 
-/// Torus of radii 5 and 4.8, with a hole 0.4 voxel wide that lies off the nodes.
+/// A torus with the radii 5 and 4.8. Its hole is 0.4 voxel wide and lies between the nodes.
 fn pierced() -> Scene {
     let (ring, tube) = (5.0, 4.8);
     Scene::new([28; 3], DVec3::ONE, |p| {
@@ -94,7 +94,7 @@ fn pierced() -> Scene {
     })
 }
 
-/// Two balls with the given value of F (mm) at the saddle between them.
+/// Two balls, with the given value of F (mm) at the saddle between them.
 fn touching(value: f64) -> Scene {
     let balls = |level: f64| {
         let [a, b] = [9.3, 21.8].map(|x| DVec3::new(x, 15.4, 15.6));
@@ -133,8 +133,8 @@ fn sizes_are_those_of_the_shapes() {
     let within = |measured: f64, truth: f64, part: f64| (measured - truth).abs() < part * truth.abs();
     let topology = torus().topology();
     let torus = &topology.components()[0];
-    // chords of a voxel on a tube of radius 4 lose 1/96 of its section; the limit is almost three
-    // times that
+    // chords of one voxel on a tube of radius 4 reduce its cross section by 1/96; the limit is
+    // almost three times as large
     assert!(within(torus.volume, 2842.4, 0.03), "{torus:?}");
     assert!(within(torus.area, 1421.2, 0.03), "{torus:?}");
     assert!((torus.bounds.high - torus.bounds.low - DVec3::new(26.0, 26.0, 8.0)).abs().max_element() < 0.1);
@@ -160,7 +160,7 @@ fn points_belong_to_the_sheet_that_they_lie_on() {
     }
 }
 
-/// A smooth union of a few balls, tori and thin plates, some with noise on the samples.
+/// A smooth union of a few balls, tori and thin plates. In some scenes, the samples are noisy.
 fn random(seed: u64) -> Scene {
     let u = |k: u64| uniform(78, seed, k);
     let parts: Vec<(DVec3, f64, f64)> = (0..4u64)
@@ -189,7 +189,7 @@ fn random_scenes_have_the_topology_of_much_denser_samples() {
     for seed in 0..12 {
         let scene = random(seed);
         let topology = scene.topology();
-        // five samples per voxel may miss finer features, the cells may not
+        // five samples per voxel may miss finer features, but the cells may not
         let (summary, dense) = (topology.summary(), scene.by_samples(5));
         let [least, most] = summary.components_between;
         assert!((least..=most).contains(&dense.len()), "scene {seed}: {summary:?} and {}", dense.len());
@@ -218,7 +218,7 @@ fn what_touches_is_undecided_and_what_nearly_touches_is_not() {
         let [low, high] = summary.euler_between;
         assert!(low <= 2 && high == 4 && high - low <= 4, "{summary:?}");
     }
-    // a neck and a gap of about a third of a voxel
+    // a neck and a gap, each about a third of a voxel wide
     assert_eq!(euler(&touching(-0.01).topology()), [2]);
     assert_eq!(euler(&touching(0.05).topology()), [2, 2]);
     assert!(touching(-0.01).topology().undecided().is_empty() && touching(0.05).topology().undecided().is_empty());
@@ -226,7 +226,7 @@ fn what_touches_is_undecided_and_what_nearly_touches_is_not() {
 
 #[test]
 fn a_speck_between_the_samples_is_a_component() {
-    // F is positive at all samples, and negative in the middle of a cell
+    // F is positive at all samples and negative in the middle of a cell
     let scene = Scene::new([12; 3], DVec3::ONE, |p| 0.4 * (p.distance_squared(DVec3::new(5.5, 5.45, 5.52)) - 0.3));
     assert_eq!(scene.by_samples(1), Vec::<i64>::new());
     let topology = scene.topology();
@@ -265,9 +265,10 @@ fn neighbouring_crossed_cells_differ_by_at_most_one_level() {
 
 #[test]
 fn a_dome_through_a_face_between_cell_sizes_stays_connected() {
-    // A dome with its top 0.05 above the middle of a face. Grad F turns in the cell above, which is
-    // subdivided, and not in that below. The middle of the face is a corner of the smaller cells
-    // only; the larger cell sees a loop around it, beside the foot of the dome.
+    // A dome whose top is 0.05 above the middle of a face. Grad F turns in the cell above the face,
+    // which is subdivided. The cell below the face is not subdivided. Only the smaller cells have a
+    // corner at the middle of the face; the larger cell contains a loop around it, next to the base
+    // of the dome.
     let top = DVec3::new(7.5, 7.5, 7.0);
     let scene = Scene::new([16; 3], DVec3::ONE, |p| {
         let d = p - top;
@@ -277,7 +278,7 @@ fn a_dome_through_a_face_between_cell_sizes_stays_connected() {
     let beside = [[7, 7, 6], [7, 7, 7]].map(|at| cells.find(cells::Cell { level: 0, at }).map(|(_, state)| state));
     assert_eq!(beside[0], Some(cells::State::Graph));
     assert!(matches!(beside[1], Some(cells::State::Halved(_))), "{beside:?}");
-    // closed by a lid in the larger cell, the dome would be a separate component
+    // if the larger cell closed it with a lid, the dome would be a separate component
     let (polygons, undecided) = surface::read_all(&scene.field, &cells, &unwatched()).expect("not interrupted");
     let with_lid = Surface::of(&scene.field, &cells, &polygons, undecided);
     assert_eq!(sorted(with_lid.components.iter().map(|c| c.euler)), [1, 1, 2]);
@@ -286,8 +287,8 @@ fn a_dome_through_a_face_between_cell_sizes_stays_connected() {
     assert_eq!((euler(&scene.topology()), scene.by_samples(5)), (vec![1, 1], vec![1, 1]));
 }
 
-/// A speck of the given radius, optionally with a second surface 1.3 voxels beside it. Splines
-/// reproduce cubic functions; the effect of the grid's border has decayed.
+/// A speck of the given radius, optionally with a second surface at a distance of 1.3 voxels.
+/// Splines reproduce cubic functions, and the effect of the grid border has decayed.
 fn speck(radius: f64, has_sheet: bool) -> FieldTopology {
     cubic(radius, if has_sheet { 0.3 } else { 0.0 })
 }
@@ -303,8 +304,8 @@ fn cubic(radius: f64, bend: f64) -> FieldTopology {
 
 #[test]
 fn a_component_at_the_resolution_may_vanish_or_join_another() {
-    // by the second-order expansion it is just large enough to be decided, by the crossings of its
-    // cells it is not
+    // the speck is just large enough to be decided by the second-order expansion, but not by the
+    // crossings of its cells
     let radius = 1.003 * RESOLUTION;
     let topology = speck(radius, false);
     let [place] = topology.undecided() else { panic!("{:?}", topology.undecided()) };
@@ -323,7 +324,7 @@ fn a_component_at_the_resolution_may_vanish_or_join_another() {
     assert_eq!((group.component_count.clone(), group.euler.clone()), (1..=2, 1..=3));
     assert!(group.may_be(2, 3) && group.may_be(1, 1) && !group.may_be(2, 1) && !group.may_be(1, 3));
 
-    // larger ones are decided
+    // larger specks are decided
     assert_eq!(speck(1.1 * RESOLUTION, true).undecided(), []);
 }
 
@@ -331,7 +332,7 @@ fn a_component_at_the_resolution_may_vanish_or_join_another() {
 fn only_a_closed_speck_may_vanish() {
     let topology = speck(0.5 * RESOLUTION, false);
     assert!(topology.groups().may_vanish(0) && topology.undecided()[0].kind == UndecidedKind::Speck);
-    // the same, but it opens into the surface beside it
+    // the same speck, but it opens into the adjacent surface
     let topology = cubic(0.9 * RESOLUTION, 1.78);
     assert_eq!(topology.components().len(), 1);
     assert!(topology.critical_points().iter().any(|c| c.is_enclosed() && c.radius < RESOLUTION));

@@ -1,5 +1,5 @@
-//! Places where the topology of F = 0 is undecided or finer than a mesh must reproduce, and the
-//! topologies that these places allow.
+//! Finds the locations where the topology of F = 0 is undecided or finer than a mesh must
+//! reproduce, and the topologies that these locations allow.
 
 use super::cells::{BASE, Cell, Cells, around, moved};
 use super::critical::CriticalPoint;
@@ -13,65 +13,66 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
-/// A place where the topology of a mesh may differ from that of F.
+/// A location where the topology of a mesh may differ from that of F.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Undecided {
-    /// The critical point of F there, or the middle of the place; grid frame, mm.
+    /// Position of the critical point of F, or the middle of the location, in the grid frame, mm.
     pub place: [f64; 3],
-    /// Twice the radius of the neck, gap or speck, or the longest extent along an axis of the grid,
-    /// mm.
+    /// Size in mm: twice the radius of the neck, gap or speck, or the longest extent along a grid
+    /// axis.
     pub size: f64,
-    /// F there, mm.
+    /// F at that position, mm.
     pub value: f64,
-    /// What is there.
+    /// Kind of the location.
     pub kind: UndecidedKind,
-    /// Components that it touches, ascending.
+    /// Components that the location touches, ascending.
     #[serde(skip)]
     pub components: Vec<u32>,
-    /// Bounding box, grid frame, mm.
+    /// Bounding box in the grid frame, mm.
     #[serde(skip)]
     pub bounds: Bounds,
 }
 
-/// Kind of an undecided place. All but the last are critical points of F whose value shows what F
-/// has there. With the critical point on the other side of F = 0, the topology would change in one
-/// known way.
+/// Kind of an undecided location. All kinds but the last are critical points of F, and the value of
+/// F there determines the kind. If the critical point were on the other side of F = 0, the topology
+/// would change in one known way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum UndecidedKind {
-    /// Two parts of the surface, which may be joined.
+    /// Two parts of the surface that may be joined.
     Gap,
-    /// A neck of the object or of its surroundings, which may be cut.
+    /// A neck of the object or of its surroundings that may be cut.
     Neck,
-    /// An extremum of F within a speck or a cavity, which may be missing.
+    /// An extremum of F within a speck or a cavity that may be missing.
     Speck,
-    /// Cells in which F = 0 is not certain, with this number of critical points. It is two if none
-    /// were found, as when two are about to cancel. Also a component finer than [`RESOLUTION`]
-    /// where F is flat; it counts as one.
+    /// Cells in which F = 0 is not certain, with the number of critical points in them. The number
+    /// is two if none were found, for example if two critical points almost cancel. This kind is
+    /// also used, with the number one, for a component finer than [`RESOLUTION`] where F is flat.
     Uncertain(usize),
 }
 
-/// Components that undecided places may join, or a single component, and the topologies that are
-/// allowed for them.
+/// Components that undecided locations may join, or a single component, with the topologies that
+/// are allowed for them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
-    /// Allowed numbers of components for each Euler characteristic, from the lowest on in steps of
-    /// two.
+    /// Allowed numbers of components for each Euler characteristic, in steps of two from the
+    /// lowest.
     counts: Vec<RangeInclusive<usize>>,
-    /// Its components, ascending; none if the group is only a possible speck.
+    /// Components of the group, ascending. Empty if the group is only a possible speck.
     pub components: Vec<u32>,
     /// Allowed numbers of components.
     pub component_count: RangeInclusive<usize>,
     /// Allowed Euler characteristics.
     pub euler: RangeInclusive<i64>,
-    /// The undecided places in it, ascending.
+    /// Indices of the undecided locations in the group, ascending.
     pub undecided: Vec<u32>,
 }
 
 impl Group {
-    /// Whether it may consist of this number of components with this total Euler characteristic.
+    /// Returns whether the group may consist of this number of components with this total Euler
+    /// characteristic.
     pub fn may_be(&self, component_count: usize, euler: i64) -> bool {
-        // a surface that ends at the border may have any value in between
+        // the Euler characteristic of a surface that ends at the border may lie between two steps
         let above = euler - self.euler.start();
         [above.div_euclid(2), (above + 1).div_euclid(2)].into_iter().any(|step| {
             let counts = usize::try_from(step).ok().and_then(|step| self.counts.get(step));
@@ -80,7 +81,7 @@ impl Group {
     }
 }
 
-/// All groups: the topology of F up to its undecided places.
+/// All groups: the topologies of F that its undecided locations allow.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Groups {
     all: Vec<Group>,
@@ -89,22 +90,22 @@ pub struct Groups {
 }
 
 impl Groups {
-    /// The groups.
+    /// Returns the groups.
     pub fn all(&self) -> &[Group] {
         &self.all
     }
 
-    /// The group of a component; `None` if there is no component of that number.
+    /// Returns the group of a component, or `None` if no component has this number.
     pub fn of(&self, component: u32) -> Option<u32> {
         self.group_of.get(component as usize).copied()
     }
 
-    /// Whether a component may be missing.
+    /// Returns whether a component may be missing.
     pub fn may_vanish(&self, component: u32) -> bool {
         self.may_vanish[component as usize]
     }
 
-    /// Groups components and undecided places.
+    /// Groups components and undecided locations.
     pub(super) fn new(components: &[Component], places: &[Undecided]) -> Self {
         let mut sets = DisjointSets::new(components.len());
         let mut may_vanish = vec![false; components.len()];
@@ -165,50 +166,51 @@ impl Groups {
     }
 }
 
-/// The changes that places allow: for each change of the Euler characteristic, in steps of two, the
-/// range of the change of the number of components.
+/// The changes that locations allow: for each change of the Euler characteristic, in steps of two,
+/// the range of the change of the number of components.
 #[derive(Clone)]
 struct Changes {
-    /// Maximum number of steps by which the Euler characteristic decreases.
+    /// Maximum number of steps by which the Euler characteristic may decrease.
     removed: usize,
-    /// Minimum and maximum change of the number of components, from the lowest Euler characteristic
-    /// on.
+    /// Minimum and maximum change of the number of components, in ascending order of the Euler
+    /// characteristic.
     counts: Vec<[i64; 2]>,
 }
 
 impl Default for Changes {
-    /// No change.
+    /// Allows no change.
     fn default() -> Self {
         Self { removed: 0, counts: vec![[0, 0]] }
     }
 }
 
 impl Changes {
-    /// The changes at a place. `is_joining` says whether it joins components that no earlier place
-    /// has joined. A tube in place of two disks lowers the Euler characteristic by two; it joins
-    /// two components or is a handle.
+    /// Returns the changes that a location allows. `is_joining` tells whether the location joins
+    /// components that no earlier location has joined. Replacing two disks with a tube lowers the
+    /// Euler characteristic by two. The tube joins two components or is a handle.
     fn at(place: &Undecided, is_joining: bool) -> Self {
         let none = [0, 0];
-        // components joined by earlier places may nevertheless be separate, and then this place
-        // joins them
+        // components joined by earlier locations may nevertheless be separate, and then this
+        // location joins them
         let joined = [-i64::from(place.components.len() > 1), -i64::from(is_joining)];
         let joins = Self { removed: 1, counts: vec![joined, none] };
         match place.kind {
             UndecidedKind::Gap => joins,
             UndecidedKind::Neck => Self { removed: 0, counts: vec![none, [0, 1]] },
             UndecidedKind::Speck => Self { removed: 1, counts: vec![[-1, -1], none] },
-            // a single critical point can at most join two components
+            // a single critical point can join at most two components
             UndecidedKind::Uncertain(1) if place.components.len() > 1 => joins,
             UndecidedKind::Uncertain(critical_points) => {
                 let n = critical_points as i64;
-                // each of the critical points makes one step up or down, or none
+                // each critical point changes the Euler characteristic by at most one step, up or
+                // down
                 let counts = (-n..=n).map(|up| [-(n - up) / 2, (n + up) / 2]).collect();
                 Self { removed: critical_points, counts }
             }
         }
     }
 
-    /// The changes that both allow together.
+    /// Returns the changes that both allow together.
     fn and(&self, other: &Self) -> Self {
         let mut counts = vec![[i64::MAX, i64::MIN]; self.counts.len() + other.counts.len() - 1];
         for (n, own) in self.counts.iter().enumerate() {
@@ -220,15 +222,15 @@ impl Changes {
     }
 }
 
-/// Whether a component is as fine throughout as at an extremum in it. Volume over area is half the
-/// thickness of a plate, and less for any other shape.
+/// Returns whether a component is as fine throughout as at an extremum in it. The ratio of volume
+/// to area is half the thickness for a plate, and less for any other shape.
 fn is_thin(component: &Component, resolution: f64) -> bool {
     component.volume.abs() < resolution * component.area
 }
 
-/// The undecided places. First clusters of cells in which F = 0 is not certain, by their lowest
-/// cells. Then all other critical points whose neck, gap or speck is finer than [`RESOLUTION`], in
-/// their order, and components as fine.
+/// Returns the undecided locations. The first are clusters of cells in which F = 0 is not certain,
+/// ordered by their lowest cells. They are followed by all other critical points whose neck, gap or
+/// speck is finer than [`RESOLUTION`], in their order, and by components finer than that.
 pub(super) fn places(
     field: &CubicSpline,
     cells: &Cells,
@@ -270,9 +272,9 @@ pub(super) fn places(
     places
 }
 
-/// The place of a component finer than [`RESOLUTION`] whose critical point does not show it,
-/// because F is nearly flat there. A mesh may contain it, lack it, or join it to the nearest
-/// component.
+/// Returns the location of a component finer than [`RESOLUTION`] whose critical point does not show
+/// this, because F is nearly flat there. A mesh may contain the component, omit it, or join it to
+/// the nearest component.
 fn at_fine_component(field: &CubicSpline, cells: &Cells, surface: &Surface, n: u32, own: &Component) -> Undecided {
     let around = surface.crossings_round(cells, cells.finest_at(field, own.place).within(0));
     let others = around.into_iter().filter(|&crossing| surface.component_of[crossing as usize] != n);
@@ -291,8 +293,9 @@ fn at_fine_component(field: &CubicSpline, cells: &Cells, surface: &Surface, n: u
     }
 }
 
-/// The place at a critical point. `None` for an extremum in a component that is no speck: the
-/// component exists whichever side of a mesh the extremum is on.
+/// Returns the location at a critical point. Returns `None` for an extremum in a component that is
+/// not a speck. Such a component exists regardless of the side of a mesh on which the extremum
+/// lies.
 fn at_critical_point(field: &CubicSpline, cells: &Cells, surface: &Surface, c: &CriticalPoint) -> Option<Undecided> {
     let ways: Vec<DVec3> = c.ways.into_iter().filter(|way| *way != DVec3::ZERO).collect();
     let component = |way: DVec3| {
@@ -324,7 +327,7 @@ fn at_critical_point(field: &CubicSpline, cells: &Cells, surface: &Surface, c: &
     })
 }
 
-/// The place of a cluster of cells in which F = 0 is not certain.
+/// Returns the location of a cluster of cells in which F = 0 is not certain.
 fn uncertain(field: &CubicSpline, cells: &Cells, surface: &Surface, own: &[Cell], critical_points: usize) -> Undecided {
     let edge = field.geometry().spacing / f64::from(1u32 << BASE);
     let low = |cell: &Cell| DVec3::from_array(cell.at.map(f64::from)) * edge;

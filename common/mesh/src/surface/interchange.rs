@@ -1,5 +1,5 @@
 //! Writes surfaces for other programs: PLY (binary, 64-bit positions and data), STL (binary, 32-bit
-//! positions by definition) and OBJ (text, positions with all digits).
+//! positions by definition) and OBJ (text, positions with full precision).
 
 use super::{DataArray, Surface};
 use isoparticles_file::history::History;
@@ -7,10 +7,11 @@ use isoparticles_volume::Space;
 use isoparticles_volume::vtk_xml::ascii_json;
 use std::io::{self, Write};
 
-/// Maximum length of a piece of history in one comment line; some readers have short line buffers.
+/// Maximum length of a part of the history in one comment line. Some readers have short line
+/// buffers.
 const COMMENT_WIDTH: usize = 200;
 
-/// One line with the program that wrote a surface, and the frame and unit of its positions.
+/// Returns a line with the program that wrote a surface, and the frame and unit of its positions.
 pub(crate) fn provenance(surface: &Surface, history: &History) -> String {
     let frame = match surface.space {
         Space::Lps => "LPS",
@@ -19,17 +20,17 @@ pub(crate) fn provenance(surface: &Surface, history: &History) -> String {
     format!("isoparticles {} {}; world frame {frame}, mm", history.tool, history.version)
 }
 
-/// The comment lines of a file: provenance and history.
+/// Returns the comment lines of a file: provenance and history.
 fn comments(surface: &Surface, history: &History) -> Vec<String> {
     let mut lines = vec![provenance(surface, history)];
-    // ASCII text may be cut anywhere
+    // an ASCII string can be split anywhere
     let text = ascii_json(history);
     lines
         .extend(text.as_bytes().chunks(COMMENT_WIDTH).map(|part| format!("history {}", String::from_utf8_lossy(part))));
     lines
 }
 
-/// Property names without special characters, one per component.
+/// Returns the property names of an array, one per component, without special characters.
 fn property_names(array: &DataArray) -> Vec<String> {
     let name: String = array.name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
     match array.components {
@@ -83,7 +84,7 @@ pub(super) fn write_ply(file: &mut dyn Write, surface: &Surface, history: &Histo
 }
 
 pub(super) fn write_stl(file: &mut dyn Write, surface: &Surface, history: &History) -> io::Result<()> {
-    // The header must not start with "solid", which marks the text form.
+    // The header must not start with "solid", because this word marks the text format.
     let mut header = [b' '; 80];
     let text = comments(surface, history).swap_remove(0);
     let length = text.len().min(80);
@@ -110,7 +111,7 @@ pub(super) fn write_obj(file: &mut dyn Write, surface: &Surface, history: &Histo
         writeln!(file, "# {line}")?;
     }
     for vertex in &surface.mesh.vertices {
-        // Rust prints the shortest text that parses to the same number.
+        // Rust prints the shortest string that parses to the same number.
         writeln!(file, "v {:?} {:?} {:?}", vertex.x, vertex.y, vertex.z)?;
     }
     for [a, b, c] in &surface.mesh.triangles {

@@ -1,7 +1,7 @@
 //! Surface files: `.vtp` (with all data, read back bit for bit), and `.ply`, `.stl`, `.obj` and
 //! legacy `.vtk` for other programs.
 //!
-//! Files are in *world* coordinates, and triangles are written with the given orientation.
+//! Files contain *world* coordinates, and triangles are written with the given orientation.
 //! [`Surface::from_grid`] maps a mesh from the grid frame to the world, and reverses the triangles
 //! if the volume is left-handed.
 
@@ -25,32 +25,32 @@ use std::path::Path;
 /// Values on the vertices or triangles of a surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DataArray {
-    /// Name, as displayed by pyvista and ParaView.
+    /// Name that pyvista and ParaView display.
     pub name: String,
     /// Number of components per vertex or triangle.
     pub components: usize,
-    /// All values; the components of one vertex or triangle are adjacent.
+    /// All values. The components of one vertex or triangle are adjacent.
     pub values: Voxels,
 }
 
 impl DataArray {
-    /// An array of one number per vertex or triangle.
+    /// Creates an array with one number per vertex or triangle.
     pub fn scalars(name: &str, values: Vec<f64>) -> Self {
         Self { name: name.to_owned(), components: 1, values: Voxels::F64(values) }
     }
 
-    /// An array of one integer per vertex or triangle.
+    /// Creates an array with one integer per vertex or triangle.
     pub fn integers(name: &str, values: Vec<i64>) -> Self {
         Self { name: name.to_owned(), components: 1, values: Voxels::I64(values) }
     }
 
-    /// An array of one vector per vertex or triangle.
+    /// Creates an array with one vector per vertex or triangle.
     pub fn vectors(name: &str, vectors: &[DVec3]) -> Self {
         let values = vectors.iter().flat_map(|vector| vector.to_array()).collect();
         Self { name: name.to_owned(), components: 3, values: Voxels::F64(values) }
     }
 
-    /// Number of vertices or triangles that have values.
+    /// Returns the number of vertices or triangles that have values.
     pub fn tuples(&self) -> usize {
         self.values.len() / self.components.max(1)
     }
@@ -59,13 +59,14 @@ impl DataArray {
 /// A surface in world coordinates, with data on its vertices and triangles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Surface {
-    /// Vertices in world coordinates (mm). Triangles are counter-clockwise as seen from outside.
+    /// Vertices in world coordinates in mm, and triangles in counter-clockwise order as seen from
+    /// outside.
     pub mesh: TriangleMesh,
     /// Values on the vertices.
     pub point_data: Vec<DataArray>,
     /// Values on the triangles.
     pub cell_data: Vec<DataArray>,
-    /// The world frame of the vertices.
+    /// World frame of the vertices.
     pub space: Space,
 }
 
@@ -81,19 +82,20 @@ impl Surface {
     }
 }
 
-/// Points, segments and triangles for display, such as the places where a check failed. World
+/// Points, segments and triangles to display, such as the locations of failed checks, in world
 /// coordinates.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Simplices {
     /// Positions.
     pub points: Vec<DVec3>,
-    /// Points to display, as indices.
+    /// Points to display, as indices into `points`.
     pub vertices: Vec<u32>,
-    /// Segments, as indices.
+    /// Segments, as indices into `points`.
     pub edges: Vec<[u32; 2]>,
-    /// Triangles, as indices.
+    /// Triangles, as indices into `points`.
     pub triangles: Vec<[u32; 3]>,
-    /// Values on all of these (vertices, then edges, then triangles), for example the failed check.
+    /// Values on all displayed cells (vertices, then edges, then triangles), for example the failed
+    /// check.
     pub cell_data: Vec<DataArray>,
 }
 
@@ -102,13 +104,13 @@ pub struct Simplices {
 pub struct SurfaceFile {
     /// The surface.
     pub surface: Surface,
-    /// Metadata of the stage that made it; null if there is none.
+    /// Metadata of the stage that wrote the file; null if there is none.
     pub meta: Value,
-    /// Its history, if it carries one.
+    /// History of the file, if the file contains one.
     pub history: Option<History>,
 }
 
-/// The formats, by file extension.
+/// File formats, which the file extension determines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Format {
     Vtp,
@@ -118,8 +120,8 @@ enum Format {
     Vtk,
 }
 
-/// Fails unless [`write_surface`] supports the file extension. Call it before the computation
-/// starts.
+/// Returns an error unless [`write_surface`] supports the file extension. Call this function before
+/// the computation starts.
 pub fn check_surface_name(path: &Path) -> Result<()> {
     format(path).map(drop)
 }
@@ -140,8 +142,9 @@ fn format(path: &Path) -> Result<Format> {
     }
 }
 
-/// Writes a surface; the file extension decides the format. Only `.vtp` keeps all the data; `.stl`
-/// keeps 32-bit positions. Fails if an array or index does not match the mesh.
+/// Writes a surface. The file extension determines the format. Only `.vtp` keeps all data, and
+/// `.stl` keeps only 32-bit positions. Returns an error if an array or index does not match the
+/// mesh.
 pub fn write_surface(path: &Path, surface: &Surface, meta: &Value, history: &History) -> Result<()> {
     let format = format(path)?;
     let counts = (surface.mesh.vertices.len(), surface.mesh.triangles.len());
@@ -168,7 +171,7 @@ pub fn write_simplices(path: &Path, simplices: &Simplices, history: &History) ->
     vtp::write_simplices(path, simplices, history)
 }
 
-/// Fails unless every array has a value for every vertex or triangle.
+/// Returns an error unless every array has a value for every vertex or triangle.
 fn check_arrays(path: &Path, arrays: &[DataArray], count: usize) -> Result<()> {
     match arrays.iter().find(|array| array.values.len() != count * array.components) {
         None => Ok(()),
@@ -204,7 +207,7 @@ mod tests {
         }
     }
 
-    /// A tetrahedron that faces outward in the grid frame.
+    /// Returns a tetrahedron that faces outward in the grid frame.
     fn tetrahedron() -> TriangleMesh {
         TriangleMesh {
             vertices: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z * (1.0 / 3.0)],

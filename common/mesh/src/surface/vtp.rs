@@ -1,4 +1,4 @@
-//! VTK polygon files with 64-bit positions, so that vertices are stored exactly, and with all data.
+//! VTK polygon files with all data and 64-bit positions, so that vertices are stored exactly.
 
 use super::{DataArray, Simplices, Surface, SurfaceFile, check_indices};
 use crate::TriangleMesh;
@@ -13,11 +13,11 @@ use serde_json::Value;
 use std::path::Path;
 
 const KIND: &str = "surface";
-/// Version of the surface files that are written. Version 1 stored texts as VTK strings instead of
-/// bytes; both versions are read.
+/// Version of the surface files that are written. Version 1 stored strings as VTK strings instead
+/// of bytes. Both versions can be read.
 const VERSION: u32 = 2;
 
-/// Cells of one type: all their vertex indices, and the number of vertices per cell.
+/// Cells of one type: the vertex indices of all cells, and the number of vertices per cell.
 struct Cells<'a> {
     section: &'static str,
     indices: &'a [u32],
@@ -130,7 +130,7 @@ pub fn read_surface(path: &Path) -> Result<SurfaceFile> {
     Ok(SurfaceFile { surface, meta, history })
 }
 
-/// The polygons of a piece. Fails unless all are triangles.
+/// Returns the polygons of a piece, or an error unless all polygons are triangles.
 fn triangles<'a>(
     path: &Path,
     file: &VtkFile,
@@ -147,7 +147,7 @@ fn triangles<'a>(
     Ok(indices.as_chunks::<3>().0.to_vec())
 }
 
-/// Integers from 0 to `u32::MAX`; `None` for any other number.
+/// Converts values to integers from 0 to `u32::MAX`. Any other value becomes `None`.
 fn whole(values: Voxels) -> Vec<Option<u32>> {
     values
         .to_f64()

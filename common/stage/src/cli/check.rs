@@ -1,9 +1,9 @@
 //! `STAGE --check-options KNOWN ...` checks whether the stage would refuse a command line. It
-//! writes nothing, and reads only the volume, if that is known to exist.
+//! writes no files, and reads the volume only if the volume is known to exist.
 //!
 //! isoparticles-case runs this for every stage of a case before it removes or starts anything. Like
-//! `--command-line`, this word is not one of the options. The exit code is that of the refused run,
-//! or 0.
+//! `--command-line`, `--check-options` is not a regular option. The exit code is 0, or that of the
+//! refused run.
 
 use super::{Outcome, exit_code};
 use crate::error::{Error, Result};
@@ -13,19 +13,19 @@ use std::process::ExitCode;
 /// First word of a command line that is only checked. The second word is a [`Known`] as JSON.
 pub const CHECK_OPTIONS: &str = "--check-options";
 
-/// What is known of a case before its stages run. Each stage prints it on stdout for the next
-/// stage, with its own additions.
+/// Information about a case that is available before its stages run. Each stage adds its own
+/// information and prints the result on stdout for the next stage.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Known {
-    /// Names of the materials, the outside first. Empty for a single object; `None` if the names
-    /// depend on a volume that has not been read.
+    /// Names of the materials, starting with the outside. Empty for a single object; `None` if the
+    /// names depend on a volume that has not been read.
     pub materials: Option<Vec<String>>,
-    /// Whether the volume on the command line exists and may be read.
+    /// Whether the volume on the command line exists, so that the stage may read it.
     pub volume: bool,
 }
 
 impl Known {
-    /// Whether the case has several materials; `None` if unknown.
+    /// Returns whether the case has several materials, or `None` if this is unknown.
     #[must_use]
     pub fn is_many(&self) -> Option<bool> {
         self.materials.as_ref().map(|names| !names.is_empty())

@@ -1,10 +1,10 @@
-//! The canonical command line, as recorded in the history of an output.
+//! The canonical command line that the history of an output contains.
 
 use isoparticles_file::history::file_name;
 use std::path::{Path, PathBuf};
 
-/// The command line as recorded in the history. The paths in `outputs` become `OUTPUT`, and other
-/// paths become file names. Shared options that do not affect the result are left out.
+/// Returns the command line for the history. Paths in `outputs` are replaced with `OUTPUT`, and
+/// other paths with their file names. Shared options that do not affect the result are omitted.
 pub(super) fn canonical_command_line(
     tool: &str,
     arguments: impl Iterator<Item = String>,

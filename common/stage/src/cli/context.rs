@@ -16,7 +16,7 @@ use std::time::Instant;
 /// Version of all stages, which are released together.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Passed to a stage for the duration of one run.
+/// The context of one run. A stage uses it for messages, timing, progress, history and report.
 pub struct Context {
     /// Name of the stage.
     pub tool: &'static str,
@@ -40,7 +40,7 @@ struct State {
     closing: Vec<(String, String)>,
 }
 
-/// Measures the time of one step until it is dropped.
+/// Times a step until it is dropped.
 #[must_use = "the step ends when this is dropped"]
 pub struct Step<'a> {
     context: &'a Context,
@@ -49,7 +49,7 @@ pub struct Step<'a> {
 }
 
 impl Context {
-    /// A context for one run; `parameters` should be a JSON object.
+    /// Creates a context for one run. `parameters` should be a JSON object.
     pub fn new(tool: &'static str, command_line: String, common: CommonArgs, parameters: Value) -> Self {
         let mut map = match parameters {
             Value::Object(map) => map,
@@ -69,46 +69,46 @@ impl Context {
         }
     }
 
-    /// Sets the files that the run will write. None of them may be an input.
+    /// Sets the files that the run will write. An input must not be one of them.
     pub(super) fn with_outputs(mut self, outputs: Vec<PathBuf>) -> Self {
         self.outputs = outputs;
         self
     }
 
-    /// A context that prints nothing, for use as a library and in tests.
+    /// Creates a context that prints nothing, for use as a library and in tests.
     pub fn silent(tool: &'static str) -> Self {
         let common = CommonArgs { quiet: true, seed: 1, ..CommonArgs::default() };
         Self::new(tool, tool.to_owned(), common, Value::Null)
     }
 
-    /// Seed of the random numbers.
+    /// Returns the seed of the random numbers.
     pub fn seed(&self) -> u64 {
         self.common.seed
     }
 
-    /// Prints a line on stderr, unless `--quiet`.
+    /// Prints a line on stderr unless `--quiet` is set.
     pub fn info(&self, message: impl AsRef<str>) {
         if !self.common.quiet {
             self.print(message.as_ref());
         }
     }
 
-    /// Prints a line on stderr with `--verbose`.
+    /// Prints a line on stderr if `--verbose` is set.
     pub fn verbose(&self, message: impl AsRef<str>) {
         if self.common.verbose > 0 {
             self.print(message.as_ref());
         }
     }
 
-    /// Prints a warning on stderr, also under `--quiet`, and keeps it for the report.
+    /// Prints a warning on stderr, even with `--quiet`, and adds it to the report.
     pub fn warn(&self, message: impl Into<String>) {
         let message = message.into();
         self.print(&format!("warning: {message}"));
         self.state().warnings.push(message);
     }
 
-    /// Starts timing a step, until the returned value is dropped. The times of steps with the same
-    /// name are added.
+    /// Times a step until the returned guard is dropped. The times of steps with the same name are
+    /// added.
     pub fn step(&self, name: impl Into<String>) -> Step<'_> {
         Step { context: self, name: name.into(), started: Instant::now() }
     }
@@ -128,12 +128,13 @@ impl Context {
         }
     }
 
-    /// Whether the user has requested a stop.
+    /// Returns whether the user has requested the run to stop.
     pub fn interrupted(&self) -> bool {
         interrupt::requested()
     }
 
-    /// Fails (exit code 130) if the user has requested a stop. Long loops call this regularly.
+    /// Returns an error (exit code 130) if the user has requested the run to stop. Long loops call
+    /// this function regularly.
     pub fn check_interrupt(&self) -> Result<()> {
         Ok(Monitor::check(self)?)
     }
@@ -143,28 +144,30 @@ impl Context {
         self.state().results.insert(key.into(), value.into());
     }
 
-    /// Adds a line to the closing table and to the report, such as the adapter or the number of
-    /// particles.
+    /// Adds a value, such as the adapter or the number of particles, to the closing table and to
+    /// the report.
     pub fn summary(&self, key: impl Into<String>, value: impl ToString) {
         let (key, value) = (key.into(), value.to_string());
         self.state().results.insert(key.clone(), Value::String(value.clone()));
         self.state().closing.push((key, value));
     }
 
-    /// Sets a parameter that was determined during the run, for the history and the report.
+    /// Sets a parameter that was determined during the run. It appears in the history and in the
+    /// report.
     pub fn set_parameter(&self, key: impl Into<String>, value: impl Into<Value>) {
         self.state().parameters.insert(key.into(), value.into());
     }
 
-    /// Hashes an input file and returns the hash. Records the file and its history for the history
-    /// and the report. Fails if the file cannot be read or is an output of this run.
+    /// Computes and returns the hash of an input file. The history and the report of this run then
+    /// contain the file and its history. Returns an error if the file cannot be read or is an
+    /// output of this run.
     pub fn add_input(&self, path: &Path, history: Option<History>) -> Result<String> {
         let [hash] = self.add_inputs([(path, history)])?;
         Ok(hash)
     }
 
-    /// As [`Context::add_input`], for several files. They are hashed in parallel and recorded in
-    /// this order.
+    /// Does the same as [`Context::add_input`] for several files. The files are hashed in parallel
+    /// and recorded in the given order.
     pub fn add_inputs<const N: usize>(&self, inputs: [(&Path, Option<History>); N]) -> Result<[String; N]> {
         for (path, _) in &inputs {
             if self.outputs.iter().any(|output| super::same_file(output, path)) {
@@ -185,7 +188,7 @@ impl Context {
         Ok(hashes)
     }
 
-    /// The history for the outputs of this run. Call it after all parameters and inputs are known.
+    /// Returns the history for the outputs of this run. All parameters and inputs must be known.
     pub fn history(&self) -> History {
         let state = self.state();
         History {
@@ -197,8 +200,8 @@ impl Context {
         }
     }
 
-    /// Prints the closing table, writes the report and prints the error. If the report cannot be
-    /// written, a successful run becomes an error.
+    /// Prints the closing table, writes the report and prints the error, if any. If the report
+    /// cannot be written, a successful run becomes an error.
     pub(super) fn close(&self, result: Result<Outcome>) -> Result<Outcome> {
         if result.is_ok() {
             self.info(self.closing_table());
@@ -253,7 +256,7 @@ impl Context {
     }
 
     fn print(&self, text: &str) {
-        // a closed stderr must not end the run
+        // if stderr is closed, the run continues
         self.bars.suspend(|| {
             let _ = writeln!(std::io::stderr(), "{text}");
         });

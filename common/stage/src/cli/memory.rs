@@ -1,16 +1,16 @@
-//! Refuses runs that are expected to need more memory than available or allowed, before they start.
+//! Refuses runs that are expected to need more memory than is available or allowed.
 
 use super::Context;
 use crate::error::{Error, Result};
 use isoparticles_file::memory::available_memory;
 
 impl Context {
-    /// Refuses a run that is expected to need more memory than `--max-memory`, or than the machine
-    /// has free.
+    /// Refuses a run that is expected to need more than `--max-memory` or, without this option,
+    /// more than the free memory of the machine.
     ///
     /// # Errors
-    /// If `needed` bytes exceed the limit. `what` states the cause (a file and a number), `next`
-    /// how to need less.
+    /// If `needed` bytes exceed the limit. `what` states the cause (a file and a number), and
+    /// `next` states how to reduce the memory use.
     pub fn check_memory(&self, needed: f64, what: &str, next: &str) -> Result<()> {
         let (limit, whose) = match (self.common.max_memory, available_memory()) {
             (Some(limit), _) => (limit, "MAX_MEMORY (--max-memory) allows"),
@@ -32,8 +32,8 @@ impl Context {
     }
 }
 
-/// Maximum memory of the stages in bytes, for a number of particles and of grid nodes.
-/// `reconstruct` needs most: up to 1,403 bytes per particle (real volumes in
+/// Returns the maximum memory of the stages in bytes, for a number of particles and a number of
+/// grid nodes. `reconstruct` needs the most memory: up to 1,403 bytes per particle (real volumes in
 /// `docs/developer/performance.md`) and 15.5 bytes per node (`stages/distfield/benches/costs.py`).
 pub fn particles_bytes(particles: f64, nodes: usize) -> f64 {
     1403.0 * particles + 15.5 * nodes as f64
@@ -41,7 +41,7 @@ pub fn particles_bytes(particles: f64, nodes: usize) -> f64 {
 
 const GIB: f64 = (1u64 << 30) as f64;
 
-/// A number of bytes in GiB or MiB, for messages.
+/// Formats a number of bytes in GiB or MiB, for messages.
 fn in_words(bytes: f64) -> String {
     if bytes >= GIB { format!("{:.1} GiB", bytes / GIB) } else { format!("{:.0} MiB", bytes / (1u64 << 20) as f64) }
 }

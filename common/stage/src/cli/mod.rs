@@ -1,4 +1,4 @@
-//! Shared parts of all stage programs: common options, exit codes, and the frame of a run.
+//! Shared parts of all stage programs: common options, exit codes, and the functions around a run.
 //!
 //! A stage derives `clap::Parser` for its options, flattens [`CommonArgs`] into them, implements
 //! [`StageArgs`], and passes its main function to [`run_stage`].
@@ -23,7 +23,7 @@ use crate::output;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Help heading of the options that every stage has.
+/// Help heading of the options that all stages share.
 pub const SHARED_OPTIONS: &str = "Shared options";
 /// Help heading of the input and output files of a stage.
 pub const FILES: &str = "Files";
@@ -31,8 +31,8 @@ pub const FILES: &str = "Files";
 pub const METHOD: &str = "Method";
 /// Help heading of the options that affect only the checks.
 pub const CHECKS: &str = "Checks";
-/// Start of a warning about elements that violate a limit but that the user accepts. The verdict of
-/// the case repeats such warnings.
+/// Beginning of a warning about elements that violate a limit and that the user accepts. The
+/// verdict of the case repeats such warnings.
 pub const FIT_BUT_FOR: &str = "fit but for ";
 
 /// How to show progress.
@@ -49,7 +49,7 @@ pub enum ProgressMode {
     None,
 }
 
-// The options of every stage, with the same names.
+// All stages have these options, with the same names.
 #[expect(missing_docs, reason = "clap prints a doc comment of flattened options as the description of the program")]
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct CommonArgs {
@@ -81,23 +81,23 @@ pub struct CommonArgs {
     pub progress: ProgressMode,
 }
 
-/// The properties of a stage's options that [`run_stage`] needs.
+/// Properties of a stage's options that [`run_stage`] needs.
 pub trait StageArgs {
-    /// The shared options.
+    /// Returns the shared options.
     fn common(&self) -> &CommonArgs;
 
-    /// The files that this run will write, without the report. They are checked before the run
-    /// starts. The history does not contain them, so the same input gives the same bytes for any
-    /// output name.
+    /// Returns the files that this run will write, excluding the report. They are checked before
+    /// the run starts. The history does not contain their names, so the same input gives the same
+    /// bytes for any output name.
     fn outputs(&self) -> Vec<PathBuf>;
 
-    /// The parameters in effect, including defaults, as a JSON object without output paths.
+    /// Returns the parameters in effect, including defaults, as a JSON object without output paths.
     /// [`run_stage`] adds the seed. Parameters that are determined later are set with
     /// [`Context::set_parameter`].
     fn parameters(&self) -> serde_json::Value;
 
-    /// Checks the options as a run would, but before any computation. Returns `known`, with what
-    /// the options add to it.
+    /// Checks the options as a run would, but before any computation. Returns `known` together with
+    /// the information that the options add.
     ///
     /// # Errors
     /// If a run with these options would fail.
@@ -116,13 +116,13 @@ pub enum Outcome {
 }
 
 impl Outcome {
-    /// `Passed` if there are no failed checks.
+    /// Returns `Passed` if there are no failed checks, or otherwise `ChecksFailed`.
     pub fn from_failed_checks(failed: Vec<String>) -> Self {
         if failed.is_empty() { Self::Passed } else { Self::ChecksFailed(failed) }
     }
 }
 
-/// Exit code of a run; docs/developer/architecture.md lists all of them.
+/// Returns the exit code of a run. docs/developer/architecture.md lists all exit codes.
 pub fn exit_code(result: &Result<Outcome>) -> u8 {
     match result {
         Ok(Outcome::Passed) => 0,
@@ -135,7 +135,7 @@ pub fn exit_code(result: &Result<Outcome>) -> u8 {
     }
 }
 
-/// Stack size of each thread in bytes: that of the main thread on Linux.
+/// Stack size of each thread in bytes. It equals the stack size of the main thread on Linux.
 const STACK: usize = 8 << 20;
 
 /// Runs a stage program. Parses the command line, sets up threads and signals, checks the outputs,
@@ -154,7 +154,7 @@ pub fn run_stage<A: clap::Parser + StageArgs + Sync>(
     let args = match A::try_parse() {
         Ok(args) => args,
         Err(error) => {
-            // clap prints help and version to stdout and usage errors to stderr; ignore a closed
+            // clap prints help and version on stdout and usage errors on stderr; ignore a closed
             // pipe
             let _ = error.print();
             return ExitCode::from(if error.use_stderr() { 2 } else { 0 });
@@ -165,14 +165,14 @@ pub fn run_stage<A: clap::Parser + StageArgs + Sync>(
     let mut common = args.common().clone();
     let report = check_report(common.report.as_deref(), &outputs);
     if report.is_err() {
-        // do not replace a file that is not a report, not even to report this error
+        // do not replace a file that is not a report, even to report this error
         common.report = None;
     }
     let context = Context::new(tool, command_line, common, args.parameters()).with_outputs(outputs);
     interrupt::install();
     let ready = report.and_then(|()| prepare(&args, &context));
-    // Run on a thread of the pool. A thread outside the pool would be suspended and woken again by
-    // each of thousands of parallel loops.
+    // Run on a thread of the pool. A thread outside the pool would be suspended and resumed by each
+    // of thousands of parallel loops.
     let result = ready.and_then(|()| rayon::scope(|_| run(&args, &context)));
     let result = context.close(result);
     ExitCode::from(exit_code(&result))
@@ -184,7 +184,7 @@ fn check_report(report: Option<&Path>, outputs: &[PathBuf]) -> Result<()> {
     output::check_output(path, true)?;
     let mut start = [b'{'];
     if path.is_file() {
-        // an empty file leaves the initial brace, so it may be replaced
+        // if the file is empty, the initial brace remains and the file may be replaced
         let _ = std::fs::File::open(path).and_then(|mut file| std::io::Read::read(&mut file, &mut start));
     }
     if outputs.iter().any(|output| output == path || same_file(output, path)) || start != [b'{'] {
@@ -197,7 +197,7 @@ fn check_report(report: Option<&Path>, outputs: &[PathBuf]) -> Result<()> {
     Ok(())
 }
 
-/// Whether two paths refer to the same existing file.
+/// Returns whether two paths refer to the same existing file.
 fn same_file(a: &Path, b: &Path) -> bool {
     match (a.canonicalize(), b.canonicalize()) {
         (Ok(a), Ok(b)) => a == b,
@@ -205,7 +205,7 @@ fn same_file(a: &Path, b: &Path) -> bool {
     }
 }
 
-/// Sets up the threads, and checks everything that can be refused before the run starts.
+/// Sets up the threads, and checks all conditions that can be checked before the run starts.
 fn prepare<A: StageArgs>(args: &A, context: &Context) -> Result<()> {
     let common = args.common();
     // 0 means one thread per core

@@ -1,5 +1,5 @@
-//! Implements [`Monitor`] for the context of a stage: phases appear in the closing table, counters
-//! as progress on the terminal, and signals interrupt.
+//! Implements [`Monitor`] for the context of a stage. Phases appear in the closing table, counters
+//! appear as progress on the terminal, and signals interrupt the run.
 
 use super::{Context, Progress, Step, interrupt};
 use isoparticles_file::monitor::{Counter, Interrupted, Monitor, Phase};

@@ -1,4 +1,4 @@
-//! Progress on stderr: a percentage if the total is known, otherwise the message and the elapsed
+//! Progress on stderr: a percentage if the total is known, or otherwise the message and the elapsed
 //! time.
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
@@ -10,7 +10,8 @@ use std::time::{Duration, Instant};
 /// Time between two progress lines.
 const LINE_INTERVAL: Duration = Duration::from_secs(5);
 
-/// Progress of one computation, which threads may share. It ends when it is dropped.
+/// Progress of one computation. Several threads may share it. The display ends when the value is
+/// dropped.
 pub struct Progress {
     label: String,
     total: Option<u64>,
@@ -58,7 +59,8 @@ impl Progress {
         Self { label: label.to_owned(), total, done: AtomicU64::new(0), started: Instant::now(), shown }
     }
 
-    /// Adds `amount` to the completed work. Cheap, but call it per slice or chunk, not per voxel.
+    /// Adds `amount` to the completed work. This is fast, but should be called per slice or chunk,
+    /// not per voxel.
     pub fn add(&self, amount: u64) {
         let done = self.done.fetch_add(amount, Ordering::Relaxed).saturating_add(amount);
         self.show(done);
@@ -70,7 +72,8 @@ impl Progress {
         self.show(done);
     }
 
-    /// Sets the text next to the percentage, such as "iteration 12, energy 0.712, 11209 particles".
+    /// Sets the message next to the percentage, such as "iteration 12, energy 0.712, 11209
+    /// particles".
     pub fn message(&self, text: impl Into<String>) {
         match &self.shown {
             Shown::Bar(bar) => bar.set_message(text.into()),
@@ -109,7 +112,7 @@ impl Drop for Progress {
     }
 }
 
-/// One plain progress line.
+/// Formats one plain progress line.
 fn line(label: &str, total: Option<u64>, done: u64, elapsed: Duration, message: &str) -> String {
     let mut text = match total {
         Some(total) if total > 0 => format!("{label}: {:.0} %", 100.0 * done.min(total) as f64 / total as f64),

@@ -19,7 +19,7 @@ pub(super) struct Report<'a> {
 }
 
 impl Report<'_> {
-    /// Writes the report, even after an interrupt.
+    /// Writes the report. Also writes it after an interrupt.
     pub(super) fn write(&self, path: &Path) -> Result<()> {
         let text = serde_json::to_string_pretty(&self.json()).map_err(|error| {
             Error::input(

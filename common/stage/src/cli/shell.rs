@@ -1,10 +1,11 @@
-//! Shell completions, manual pages and a machine-readable description of the options, made from
-//! clap's definition of the command line: `--completions SHELL [SUBCOMMAND]`, `--man-page
-//! [SUBCOMMAND]` and `--command-line`. Each must be alone on the command line.
+//! Shell completions, manual pages and a machine-readable description of the options. All are
+//! generated from clap's definition of the command line: `--completions SHELL [SUBCOMMAND]`,
+//! `--man-page [SUBCOMMAND]` and `--command-line`. Each must be the only request on the command
+//! line.
 //!
-//! These words are not options, because a stage cannot run without its files. `make completions`
-//! calls them. With `--command-line`, a stage in any language describes its options to a calling
-//! program ([`CommandLine`]).
+//! These words are not regular options, because a stage cannot run without its files. The scripts
+//! are made with `make completions`. With `--command-line`, a stage in any language describes its
+//! options to a calling program ([`CommandLine`]).
 
 use crate::error::Error;
 use clap::{Arg, ArgAction, Command, ValueEnum, ValueHint};
@@ -18,7 +19,7 @@ use std::process::ExitCode;
 pub struct CommandLine {
     /// Name of the program.
     pub name: String,
-    /// The options; positional files are not listed.
+    /// The options; positional files are not included.
     pub options: Vec<StageOption>,
 }
 
@@ -29,7 +30,7 @@ pub struct StageOption {
     pub long: String,
     /// Short name, if there is one.
     pub short: Option<char>,
-    /// Placeholder of the value, such as `<mm>`; none for a switch.
+    /// Placeholder of the value, such as `<mm>`; `None` for a switch.
     pub value: Option<String>,
     /// Allowed values; empty if any value is allowed.
     pub words: Vec<String>,
@@ -40,7 +41,7 @@ pub struct StageOption {
 }
 
 impl CommandLine {
-    /// The options of a program that parses its command line with clap.
+    /// Returns the options of a program that parses its command line with clap.
     fn of(command: &Command) -> Self {
         let told = |arg: &Arg| {
             let value = arg.get_value_names().and_then(|names| names.first()).map(ToString::to_string);
@@ -60,10 +61,10 @@ impl CommandLine {
         }
     }
 
-    /// This description as a subcommand of another program, including its files.
+    /// Converts this description, including positional files, to a subcommand of another program.
     #[must_use]
     pub fn command(&self) -> Command {
-        // clap keeps names until the program ends, which is right after printing them
+        // clap keeps names until the program ends, which is soon after it prints them
         let kept = |text: &str| -> &'static str { text.to_owned().leak() };
         let arg = |option: &StageOption| {
             let arg = Arg::new(kept(&option.long)).long(kept(&option.long)).help(option.help.clone());
@@ -84,16 +85,17 @@ impl CommandLine {
     }
 }
 
-/// The hints that mark a value as a path.
+/// Value hints for files and folders.
 const PATHS: [ValueHint; 3] = [ValueHint::AnyPath, ValueHint::FilePath, ValueHint::DirPath];
 
-/// Whether an option takes no value. Every program has the help and version switches of clap.
+/// Returns whether an option takes no value. The help and version switches of clap, which every
+/// program has, are not included.
 fn is_switch(arg: &Arg) -> bool {
     matches!(arg.get_action(), ArgAction::SetTrue | ArgAction::SetFalse | ArgAction::Count)
 }
 
-/// Prints what the command line requests and returns the exit code. Returns `None` if it requests
-/// none of the above.
+/// Prints the completions, manual page or description that the command line requests, and returns
+/// the exit code. Returns `None` for any other command line.
 pub fn told(words: &[&str], command: impl FnOnce() -> Command) -> Option<ExitCode> {
     let text = match *words {
         ["--man-page"] => man_page(command(), None),
@@ -126,8 +128,9 @@ fn unknown(shell: &str) -> Error {
     )
 }
 
-/// Completion script for the options of the program, or of one of its subcommands as if that were a
-/// program. Empty if there is no such subcommand.
+/// Generates the completion script for the options of the program or of one of its subcommands. A
+/// subcommand is treated as a separate program. Returns an empty script if there is no such
+/// subcommand.
 fn completions(shell: Shell, command: Command, subcommand: Option<&str>) -> Vec<u8> {
     let command = match subcommand {
         Some(name) => command.find_subcommand(name).cloned(),
@@ -141,8 +144,8 @@ fn completions(shell: Shell, command: Command, subcommand: Option<&str>) -> Vec<
     text
 }
 
-/// Manual page of the program or one of its subcommands, in roff. Empty if there is no such
-/// subcommand.
+/// Generates the manual page of the program or of one of its subcommands, in roff. Returns an empty
+/// page if there is no such subcommand.
 fn man_page(mut command: Command, subcommand: Option<&str>) -> Vec<u8> {
     command.build();
     let page = match subcommand {

@@ -1,11 +1,11 @@
-//! Parsers of numeric option values, with errors that state the bounds, and formatting of lengths.
+//! Parses numeric option values, with errors that state the bounds, and formats lengths.
 
 /// Parses a finite number above 0.
 pub fn positive(text: &str) -> Result<f64, String> {
     number(text, |x| x > 0.0, "must be finite and above 0")
 }
 
-/// Parses a finite number from 0.
+/// Parses a finite number of at least 0.
 pub fn not_negative(text: &str) -> Result<f64, String> {
     number(text, |x| x >= 0.0, "must be finite and at least 0")
 }
@@ -20,8 +20,8 @@ pub fn above_one(text: &str) -> Result<f64, String> {
     number(text, |x| x > 1.0, "must be finite and above 1")
 }
 
-/// Parses a number of bytes above 0; K, M, G and T stand for powers of 1024: `8G`, `500M`,
-/// `1.5GiB`.
+/// Parses a number of bytes above 0. K, M, G and T denote powers of 1024, for example `8G`, `500M`
+/// or `1.5GiB`.
 pub fn bytes(text: &str) -> Result<u64, String> {
     let must = "must be a number of bytes above 0, such as 8G or 500M";
     let lower = text.trim().to_ascii_lowercase();
@@ -41,13 +41,13 @@ pub fn bytes(text: &str) -> Result<u64, String> {
     }
 }
 
-/// A length, area or volume as text, with four decimals. Below 0.01 it has four significant digits
-/// instead, so that small values do not become 0.
+/// Formats a length, area or volume with four decimals. Uses four significant digits for absolute
+/// values below 0.01, so that small values do not become 0.
 pub fn significant(value: f64) -> String {
     if value != 0.0 && value.abs() < 0.01 { format!("{value:.3e}") } else { format!("{value:.4}") }
 }
 
-/// A position as text, with each coordinate formatted by [`significant`].
+/// Formats a position. [`significant`] formats each coordinate.
 pub fn place(position: [f64; 3]) -> String {
     format!("({})", position.map(significant).join(", "))
 }

@@ -6,13 +6,17 @@ use crate::error::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The images of one series that have the same kind of DICOM object (SOP class). A stack is made
-/// from one group.
+/// The images of one series that have the same kind of DICOM object (SOP class). A stack is built
+/// from a single group.
 type Group = Vec<Picture>;
 
-/// Returns the chosen slices, their SOP class, and remarks on the series that were left out.
-/// `wanted` is the UID, number or description of a series. If several groups match, the only one
-/// that is a stack of slices is chosen. Fails if there is none or more than one.
+/// Returns the slices of the chosen series, their SOP class, and remarks on the series that were
+/// not used. `wanted` is the UID, number or description of a series. If several groups match, the
+/// function chooses the only group that forms a stack of slices.
+///
+/// # Errors
+/// If no group matches, if several groups match but not exactly one forms a stack, or if an image
+/// of the chosen group is not a slice.
 pub(super) fn choose(
     folder: &Path,
     pictures: Vec<Picture>,
@@ -48,12 +52,12 @@ fn is_meant(series: &SeriesName, wanted: Option<&str>) -> bool {
     })
 }
 
-/// Whether the group has several images and all of them are slices.
+/// Returns whether the group contains several images, all of which are slices.
 fn is_stack(group: &Group) -> bool {
     group.len() > 1 && group.iter().all(|picture| picture.slice.is_ok())
 }
 
-/// Describes a series, and why it is not a stack.
+/// Describes a series. If it is not a stack, includes the reason.
 fn described(group: &Group) -> String {
     let SeriesName { uid, number, description, modality } = &group[0].series;
     let why = group.iter().find_map(|picture| picture.slice.as_ref().err());

@@ -1,6 +1,6 @@
-//! Checks that the elements of a DICOM file lie within the file. dicom-rs 0.10 allocates memory for
-//! a value before it reads it, up to 4 GiB. This check uses the lazy reader of dicom-rs, which
-//! finds the elements without reading their values.
+//! Checks that no element of a DICOM file extends beyond the end of the file. This check is needed
+//! because dicom-rs 0.10 allocates up to 4 GiB for a value before reading it. It uses the lazy
+//! reader of dicom-rs, which locates the elements without reading their values.
 
 use super::source::{self, PREAMBLE, START, Source};
 use dicom_encoding::decode::{Decode, explicit_le::ExplicitVRLittleEndianDecoder};
@@ -12,8 +12,9 @@ use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Whether all elements can be followed to the end of the file, and none of them is longer than the
-/// rest of the file.
+/// Returns whether the elements can be followed to the end of the file and none of them extends
+/// beyond it. Also returns true if the file meta group or the start of the data set cannot be
+/// parsed.
 ///
 /// # Errors
 /// If the file cannot be read.
@@ -27,7 +28,7 @@ pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
     let Some(syntax) = TransferSyntaxRegistry.get(group.transfer_syntax()) else { return Ok(true) };
     let Ok(mut elements) = LazyDataSetReader::new_with_ts(reader, syntax) else { return Ok(true) };
     while let Some(token) = elements.advance() {
-        // the reader of values may continue where the lazy reader cannot
+        // the reader of values may continue where the lazy reader fails
         let Ok(token) = token else { return Ok(false) };
         let (length, position) = match &token {
             LazyDataToken::LazyValue { header, decoder } => (header.len.0, decoder.position()),
@@ -44,8 +45,8 @@ pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
     Ok(true)
 }
 
-/// As [`lie_within`], for the file meta group. Its encoding is the same in all files, and its first
-/// element holds its length.
+/// Does the same check as [`lie_within`] for the file meta group. This group has the same encoding
+/// in all files, and its first element contains the length of the group.
 fn file_group_lies_within(reader: &mut BufReader<Box<dyn Source>>, end: u64) -> io::Result<bool> {
     reader.seek(SeekFrom::Start(START as u64))?;
     let decoder = ExplicitVRLittleEndianDecoder::default();
@@ -81,7 +82,7 @@ mod tests {
         lie_within(&path).expect("read")
     }
 
-    /// A file meta group with a transfer syntax, followed by elements.
+    /// Returns a DICOM file: a file meta group with a transfer syntax, followed by `elements`.
     fn dicom(syntax: &[u8], elements: &[u8]) -> Vec<u8> {
         let mut bytes = [vec![0; 128], b"DICM".to_vec()].concat();
         bytes.extend(b"\x02\x00\x00\x00UL\x04\x00");
@@ -93,8 +94,8 @@ mod tests {
         bytes
     }
 
-    /// Found by fuzzing (1): bytes of undefined length under a tag other than pixel data. dicom-rs
-    /// reads elements in their items.
+    /// Found by fuzzing (1): a byte value of undefined length with a tag other than pixel data.
+    /// dicom-rs parses the items of this value as elements.
     #[test]
     fn elements_in_items_of_bytes_lie_within_as_well() {
         let says = |length: u32| {
@@ -107,8 +108,8 @@ mod tests {
         assert!(!says(0xff00_0058) && says(0));
     }
 
-    /// Found by fuzzing (3): the name of the transfer syntax ends with several zeros, which
-    /// dicom-rs ignores.
+    /// Found by fuzzing (3): the transfer syntax UID ends with several null bytes, which dicom-rs
+    /// ignores.
     #[test]
     fn elements_are_read_as_dicom_rs_reads_them() {
         let says = |length: u32| {
@@ -117,12 +118,12 @@ mod tests {
             elements.extend([b' '; 0x4353]);
             lies_within(&dicom(b"1.2.840.10008.1.2\0\0\0", &elements))
         };
-        // read as an explicit element, the length would start with the letters CS and be 2
+        // with explicit types, these four bytes would be the type CS and the length 2
         assert!(!says(0x0002_5343) && says(0x4352));
     }
 
-    /// Found by fuzzing (4): an element in an item that the lazy reader cannot follow. The reader
-    /// of values takes it for one of 2 GiB.
+    /// Found by fuzzing (4): the lazy reader cannot parse an element inside an item. The reader of
+    /// values interprets it as an element of 2 GiB.
     #[test]
     fn what_cannot_be_followed_does_not_lie_within() {
         assert!(!lies_within(include_bytes!("../../tests/data/found/4.dcm")));

@@ -1,7 +1,7 @@
-//! Reads a folder of DICOM files: the slices of one series become a volume. The world frame is LPS.
+//! Reads the slices of one series from a folder of DICOM files as a volume. The world frame is LPS.
 //!
-//! dicom-rs decodes headers and pixels. This module chooses the series ([`choose`]), sorts the
-//! slices and determines their distance ([`stack`]), and chooses the number type
+//! The dicom-rs crates decode headers and pixels. This module chooses the series ([`choose`]),
+//! sorts the slices and computes their spacing ([`stack`]), and selects the number type
 //! ([`Pixels`](slice::Pixels)).
 
 mod choose;
@@ -20,12 +20,13 @@ use slice::{Found, Picture};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// Whether a file with these first bytes is a DICOM file.
+/// Returns whether a file that starts with these bytes is a DICOM file.
 pub(crate) fn is_dicom(start: &[u8]) -> bool {
     source::missing(start).is_some()
 }
 
-/// Reads the series that `wanted` selects from a folder, or the only series.
+/// Reads a series from a folder: the series that `wanted` selects, or the only series if `wanted`
+/// is `None`.
 pub(crate) fn read_folder(folder: &Path, wanted: Option<&str>) -> Result<Volume> {
     let files = dicom_files(folder)?;
     let (mut pictures, mut no_images) = (Vec::new(), Vec::new());
@@ -55,7 +56,7 @@ pub(crate) fn read_folder(folder: &Path, wanted: Option<&str>) -> Result<Volume>
     Ok(Volume { remarks, ..Volume::new(stack.geometry, voxels) })
 }
 
-/// The DICOM files directly in a folder, sorted by name.
+/// Returns the DICOM files directly in a folder, sorted by name.
 fn dicom_files(folder: &Path) -> Result<Vec<PathBuf>> {
     let cannot = |error: std::io::Error| Error::file(folder, "read", error, "check the name of the folder");
     let mut files = Vec::new();
@@ -88,8 +89,8 @@ fn dicom_files(folder: &Path) -> Result<Vec<PathBuf>> {
     ))
 }
 
-/// Whether a file starts like a DICOM file. False if it cannot be read; a missing inner slice is
-/// then found as a gap in the stack.
+/// Returns whether a file starts like a DICOM file, or false if it cannot be read. If the
+/// unreadable file is an inner slice, the stack has a gap, which is reported later.
 fn is_dicom_file(path: &Path) -> bool {
     let mut start = Vec::new();
     let read = std::fs::File::open(path).and_then(|file| file.take(source::START as u64).read_to_end(&mut start));

@@ -1,13 +1,13 @@
-//! DICOM's run-length encoding (PS3.5, annex G). The bytes of the pixels are stored in planes, most
-//! significant first, and each plane is packed as in TIFF's PackBits.
+//! Decodes DICOM's run-length encoding (PS3.5, annex G). The pixel bytes are stored in planes,
+//! starting with the most significant byte. Each plane is compressed as in TIFF's PackBits.
 //!
-//! Decoded here, because the decoder of dicom-rs 0.10 panics on damaged data.
+//! This module replaces the decoder of dicom-rs 0.10, which panics on damaged data.
 
-/// Size of the header in bytes: the number of planes and the offsets of up to fifteen planes,
-/// 4 bytes each.
+/// Size of the header in bytes: the number of planes and up to fifteen plane offsets, 4 bytes each.
 const HEADER_BYTES: usize = 64;
 
-/// Decodes one frame of `pixels` pixels with `width` bytes each. `None` if the data is damaged.
+/// Decodes a frame of `pixels` pixels with `width` bytes each. Returns `None` if the data is
+/// damaged.
 pub(super) fn decode(frame: &[u8], pixels: usize, width: usize) -> Option<Vec<u64>> {
     let number = |at: usize| Some(u32::from_le_bytes(frame.get(4 * at..4 * at + 4)?.try_into().ok()?) as usize);
     if number(0)? != width || frame.len() < HEADER_BYTES {
@@ -23,10 +23,11 @@ pub(super) fn decode(frame: &[u8], pixels: usize, width: usize) -> Option<Vec<u6
     Some(values)
 }
 
-/// Unpacks `count` bytes. A control byte n up to 127 is followed by n + 1 literal bytes. A control
-/// byte n from 129 is followed by one byte that is repeated 257 - n times.
+/// Decompresses `count` bytes. A control byte n of 0 to 127 is followed by n + 1 literal bytes. A
+/// control byte n of 129 to 255 is followed by one byte that is repeated 257 - n times. Returns
+/// `None` if the data is too short.
 fn unpack(mut packed: &[u8], count: usize) -> Option<Vec<u8>> {
-    // a run packs at most 128 bytes into two bytes
+    // two packed bytes expand to at most 128 bytes
     if packed.len().saturating_mul(64) < count {
         return None;
     }

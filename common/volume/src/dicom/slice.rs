@@ -1,4 +1,4 @@
-//! Reads one slice: position and number format from its header, and its pixels.
+//! Reads a single slice: its position and number format from the header, and its pixels.
 
 use super::{lengths, rle, source};
 use crate::error::bad;
@@ -11,30 +11,30 @@ use glam::DVec3;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-/// Transfer syntax of pixels that [`rle`] decodes.
+/// UID of the RLE transfer syntax, which [`rle`] decodes.
 const RLE_LOSSLESS: &str = "1.2.840.10008.1.2.5";
 
-/// A file that contains an image, which may be a slice of a volume.
+/// A file that contains an image, which can be a slice of a volume.
 #[derive(Debug)]
 pub(super) struct Picture {
     /// Kind of DICOM object (SOP class UID).
     pub(super) class: String,
     pub(super) series: SeriesName,
-    /// The slice, or why the image is not a slice.
+    /// The slice, or the reason why the image is not a slice.
     pub(super) slice: Result<Slice>,
 }
 
-/// The header of a file that holds one slice.
+/// The header of a file that contains one slice.
 #[derive(Clone, Debug)]
 pub(super) struct Slice {
     pub(super) path: PathBuf,
     pub(super) columns: usize,
     pub(super) rows: usize,
-    /// World vector from a pixel to the next pixel in its row, mm.
+    /// World vector in mm from a pixel to the next pixel in the same row.
     pub(super) along_row: DVec3,
-    /// World vector from a pixel to the next pixel in its column, mm.
+    /// World vector in mm from a pixel to the next pixel in the same column.
     pub(super) along_column: DVec3,
-    /// World position of the centre of the first pixel, mm.
+    /// World position in mm of the centre of the first pixel.
     pub(super) position: DVec3,
     pub(super) pixels: Pixels,
 }
@@ -43,11 +43,11 @@ pub(super) struct Slice {
 pub(super) enum Found {
     /// An image.
     Image(Box<Picture>),
-    /// A report, a directory or contours, or a slice whose header is cut short.
+    /// No image: a report, a directory, contours, or a slice with a truncated header.
     NoImage { path: PathBuf, class: String },
 }
 
-/// The identification of a series.
+/// Attributes that identify a series.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct SeriesName {
     pub(super) uid: String,
@@ -56,15 +56,15 @@ pub(super) struct SeriesName {
     pub(super) modality: String,
 }
 
-/// How stored pixels are converted to values: width, sign, and the rescale slope and intercept (to
-/// Hounsfield units in a CT).
+/// The conversion of stored pixels to values: number format, rescale slope and rescale intercept.
+/// The values are in Hounsfield units for a CT.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pixels {
     /// Bytes per stored pixel: 1, 2 or 4.
     bytes: usize,
     /// Number of significant bits.
     bits: u32,
-    /// The highest significant bit; bits above it may hold overlays.
+    /// Position of the most significant bit. The bits above it may contain overlays.
     high_bit: u32,
     is_signed: bool,
     slope: f64,
@@ -108,10 +108,10 @@ impl Slice {
         header.check_plain()?;
         let orientation = header.numbers::<6>(tags::IMAGE_ORIENTATION_PATIENT, "ImageOrientationPatient")?;
         let position = header.numbers::<3>(tags::IMAGE_POSITION_PATIENT, "ImagePositionPatient")?;
-        // the first number is the distance between rows, the second that between columns
+        // the first number is the distance between rows, the second the distance between columns
         let spacing = header.numbers::<2>(tags::PIXEL_SPACING, "PixelSpacing")?;
         let (row, column) = (DVec3::from_slice(&orientation[..3]), DVec3::from_slice(&orientation[3..]));
-        // directions are decimal text, which some programs round to four digits
+        // directions are stored as decimal strings, which some programs round to four digits
         let is_unit = |v: DVec3| (v.length() - 1.0).abs() < 1e-3;
         if !is_unit(row) || !is_unit(column) || row.dot(column).abs() > 1e-3 {
             return Err(header.meaningless("ImageOrientationPatient", &format!("{orientation:?}")));
@@ -127,7 +127,7 @@ impl Slice {
         })
     }
 
-    /// Reads and decodes the pixels and converts them to values, row by row.
+    /// Reads the pixels, decodes them and converts them to values, row by row.
     pub(super) fn values(&self) -> Result<Vec<f64>> {
         let path = &self.path;
         let object = dicom_object::from_reader(opened(path)?).map_err(|error| damaged(path, &error))?;
@@ -155,7 +155,7 @@ impl Slice {
         )
     }
 
-    /// The stored numbers in the decoded bytes, which are in native byte order.
+    /// Extracts the stored numbers from the decoded bytes, which are in native byte order.
     fn numbers(&self, bytes: &[u8]) -> Result<Vec<u64>> {
         let (count, width) = (self.rows * self.columns, self.pixels.bytes);
         // decoders pad an odd number of bytes to an even number
@@ -178,7 +178,7 @@ impl Slice {
 }
 
 impl Pixels {
-    /// The value of a stored number.
+    /// Converts a stored number to a value.
     fn value(&self, stored: u64) -> f64 {
         let shifted = stored >> (self.high_bit + 1 - self.bits);
         let whole = if self.is_signed {
@@ -189,7 +189,7 @@ impl Pixels {
         whole as f64 * self.slope + self.intercept
     }
 
-    /// Minimum and maximum of the possible values.
+    /// Returns the minimum and maximum of the possible values.
     fn range(&self) -> (f64, f64) {
         let (low, high) = match self.is_signed {
             true => (-(2f64.powi(self.bits as i32 - 1)), 2f64.powi(self.bits as i32 - 1) - 1.0),
@@ -203,8 +203,8 @@ impl Pixels {
         self.slope.fract() == 0.0 && self.intercept.fract() == 0.0
     }
 
-    /// The smallest type that holds all values of all slices exactly; single precision if values
-    /// are not integers.
+    /// Returns the smallest type that represents the values of all slices exactly. If slopes or
+    /// intercepts are not integers, returns single precision.
     pub(super) fn common_type(all: impl Iterator<Item = Self> + Clone) -> ScalarType {
         if !all.clone().all(|pixels| pixels.is_whole()) {
             return ScalarType::F32;
@@ -222,7 +222,8 @@ impl Pixels {
         }
     }
 
-    /// Describes the conversion of the stored numbers, if there is any.
+    /// Describes the conversion of the stored numbers. Returns `None` if values equal stored
+    /// numbers.
     pub(super) fn remark(&self) -> Option<String> {
         (self.slope != 1.0 || self.intercept != 0.0).then(|| {
             format!("values are computed as stored value * {} + {}, as given in the slices", self.slope, self.intercept)
@@ -230,20 +231,20 @@ impl Pixels {
     }
 }
 
-/// A header and the path of its file.
+/// A DICOM header and the path of its file.
 struct Header<'a> {
     path: &'a Path,
     object: &'a DefaultDicomObject,
 }
 
 impl Header<'_> {
-    /// Text of an element; empty if the element is missing.
+    /// Returns an element as a string, or an empty string if the element is missing.
     fn text(&self, tag: Tag) -> String {
         let text = self.object.get(tag).and_then(|element| element.to_str().ok());
         text.map_or_else(String::new, |text| text.trim_matches([' ', '\0']).to_owned())
     }
 
-    /// An integer from 0 to 65,535; `None` if the element is missing.
+    /// Returns an element as an integer from 0 to 65,535, or `None` if the element is missing.
     fn whole(&self, tag: Tag) -> Result<Option<usize>> {
         let Some(element) = self.object.get(tag) else { return Ok(None) };
         match element.to_int::<u16>() {
@@ -252,7 +253,8 @@ impl Header<'_> {
         }
     }
 
-    /// `COUNT` finite numbers of a required element.
+    /// Returns the `COUNT` finite numbers of an element. Fails if the element is missing or
+    /// invalid.
     fn numbers<const COUNT: usize>(&self, tag: Tag, name: &str) -> Result<[f64; COUNT]> {
         let Some(element) = self.object.get(tag) else {
             return Err(bad(
@@ -269,7 +271,7 @@ impl Header<'_> {
             .ok_or_else(|| self.meaningless(name, &self.text(tag)))
     }
 
-    /// A number, or `default` if the element is missing.
+    /// Returns an element as a number, or `default` if the element is missing.
     fn number_or(&self, tag: Tag, name: &str, default: f64) -> Result<f64> {
         match self.object.get(tag) {
             None => Ok(default),
@@ -287,7 +289,7 @@ impl Header<'_> {
         )
     }
 
-    /// Fails unless the file is a single slice with one number per pixel.
+    /// Fails unless the file contains a single frame with one number per pixel.
     fn check_plain(&self) -> Result<()> {
         let frames = self.text(tags::NUMBER_OF_FRAMES);
         if !matches!(frames.as_str(), "" | "1") {
@@ -345,7 +347,7 @@ fn damaged(path: &Path, error: &impl std::error::Error) -> Error {
     )
 }
 
-/// An error and all its causes as one text.
+/// Joins the messages of an error and all its causes.
 fn reason(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut source = error.source();

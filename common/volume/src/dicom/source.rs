@@ -1,27 +1,28 @@
-//! The bytes of a DICOM file. Adds the start that the standard requires if the writing program left
-//! it out.
+//! Provides the bytes of a DICOM file. If the start that the standard requires is missing, it is
+//! added.
 
 use dicom_dictionary_std::uids;
 use std::fs::File;
 use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Length of the preamble, whose contents are arbitrary. The letters DICM follow it.
+/// Length in bytes of the preamble, whose contents are arbitrary. The preamble is followed by the
+/// letters DICM.
 pub(super) const PREAMBLE: usize = 128;
 pub(super) const START: usize = PREAMBLE + 4;
 
-/// Tag of the first element of the file meta group, and the group number that a data set starts
-/// with. Both are little-endian.
+/// Start of the file meta group (the tag of its first element) and start of a data set (its group
+/// number). Both are little-endian.
 const FILE_GROUP: &[u8] = &[2, 0, 0, 0];
 const FIRST_GROUP: &[u8] = &[8, 0];
 
-/// Maximum length of the first element of a data set. Character sets, dates and identifiers are not
-/// longer.
+/// Maximum length in bytes of the first element of a data set. The possible elements (character
+/// sets, dates and identifiers) are not longer.
 const LARGEST_LENGTH: u8 = 64;
 
-/// The bytes missing before the start of a file, given its first bytes. `None` if these are not the
-/// start of a DICOM file. A data set without a file meta group is little-endian, with explicit or
-/// implicit types.
+/// Returns the bytes that are missing before the first bytes `start` of a file, or `None` if
+/// `start` is not the start of a DICOM file. A data set without a file meta group is assumed to be
+/// little-endian, with explicit or implicit types.
 pub(super) fn missing(start: &[u8]) -> Option<Vec<u8>> {
     let preamble = || vec![0; PREAMBLE];
     if start.get(PREAMBLE..START) == Some(b"DICM") {
@@ -45,7 +46,7 @@ pub(super) fn missing(start: &[u8]) -> Option<Vec<u8>> {
     Some([whole, file_group(syntax)].concat())
 }
 
-/// A file meta group that contains only the transfer syntax.
+/// Returns a file meta group that contains only the transfer syntax.
 fn file_group(syntax: &str) -> Vec<u8> {
     let mut name = syntax.as_bytes().to_vec();
     name.resize(name.len().next_multiple_of(2), 0);
@@ -56,12 +57,12 @@ fn file_group(syntax: &str) -> Vec<u8> {
     [b"\x02\x00\x00\x00UL\x04\x00", &length[..], &element].concat()
 }
 
-/// The source that dicom-rs reads from.
+/// A source from which dicom-rs can read.
 pub(super) trait Source: Read + Seek {}
 impl<T: Read + Seek> Source for T {}
 
-/// Opens a file. Returns the reader and the number of bytes, including the added start. Only a file
-/// with an added start is held in memory.
+/// Opens a file. Returns the reader and the number of bytes, including any added start. The file is
+/// loaded into memory only if a start is added.
 pub(super) fn open(path: &Path) -> io::Result<(BufReader<Box<dyn Source>>, u64)> {
     let mut file = File::open(path)?;
     let mut start = Vec::new();

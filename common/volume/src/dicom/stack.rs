@@ -1,5 +1,4 @@
-//! Sorts slices and determines the grid that they form; refuses slices that do not form a regular
-//! grid.
+//! Sorts slices and computes the grid that they form. Fails if they do not form a regular grid.
 
 use super::slice::{Pixels, Slice};
 use crate::error::Result;
@@ -10,32 +9,32 @@ use crate::voxels::ScalarType;
 use glam::DVec3;
 use std::path::Path;
 
-/// Maximum distance of a slice from its place in an even stack, in slice distances. If a slice is
-/// missing, some slice is off by at least half a distance.
+/// Maximum distance between a slice and its position in an evenly spaced stack, in units of the
+/// slice distance. If a slice is missing, the distance of at least one slice is 0.5 or more.
 const LARGEST_SHIFT: f64 = 0.1;
 
-/// Shifts above this are reported, in slice distances. Positions rounded to 0.01 mm are off by 0.5
-/// % for slices 1 mm apart.
+/// Deviations above this limit are reported, in units of the slice distance. Rounding positions to
+/// 0.01 mm causes a deviation of 0.5 % for slices 1 mm apart.
 const TOLD_SHIFT: f64 = 0.01;
 
-/// Positions closer than this, in mean slice distances, count as equal.
+/// Positions closer than this limit are considered equal, in units of the mean slice distance.
 const SAME_PLACE: f64 = 0.01;
 
-/// Maximum difference between the pixel vectors of two slices, relative to their length. Allows for
-/// rounding in the text of the headers.
+/// Maximum difference between the pixel vectors of two slices, relative to the length of the
+/// vectors. The limit allows for rounded decimal strings in the headers.
 const LARGEST_TURN: f64 = 1e-3;
 
-/// The slices of a volume from the first to the last, and their grid.
+/// The slices of a volume in spatial order, and the grid that they form.
 pub(super) struct Stack {
     pub(super) slices: Vec<Slice>,
     pub(super) geometry: Geometry,
-    /// Maximum distance of a slice from its place, in slice distances.
+    /// Maximum distance between a slice and its regular position, in units of the slice distance.
     shift: f64,
 }
 
 impl Stack {
-    /// Sorts slices by their position along the slice normal. Fails unless they are evenly spaced
-    /// and have the same size and orientation.
+    /// Sorts slices by their position along the slice normal. Fails unless the slices are evenly
+    /// spaced and have the same size and orientation.
     pub(super) fn new(folder: &Path, mut slices: Vec<Slice>) -> Result<Self> {
         let Some(first) = slices.first().cloned() else {
             return Err(bad(folder, "contains no slice", "a volume is made from slices", "use another folder"));
@@ -74,12 +73,12 @@ impl Stack {
         Ok(Self { slices, geometry, shift })
     }
 
-    /// The number type that holds the values of all slices.
+    /// Returns a number type that can represent the values of all slices.
     pub(super) fn scalar_type(&self) -> ScalarType {
         Pixels::common_type(self.slices.iter().map(|slice| slice.pixels))
     }
 
-    /// Describes the conversion of the stored numbers, and how uneven the stack is.
+    /// Describes the conversion of the stored numbers and any uneven spacing of the slices.
     pub(super) fn remarks(&self) -> Vec<String> {
         let first = self.slices[0].pixels;
         let uneven = (self.shift > TOLD_SHIFT).then(|| {
@@ -123,7 +122,7 @@ fn check_alike(first: &Slice, slices: &[Slice]) -> Result<()> {
     Ok(())
 }
 
-/// The name of a slice's file.
+/// Returns the file name of slice `n`.
 fn name(slices: &[Slice], n: usize) -> String {
     slices[n].path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
@@ -142,8 +141,8 @@ fn check_doubles(slices: &[Slice], places: &[f64]) -> Result<()> {
     Ok(())
 }
 
-/// Fails with the position of the first gap that differs from the median gap. Succeeds if there is
-/// none, that is, if the slices are shifted sideways.
+/// Fails if a gap between slices differs from the median gap, and reports the position of the first
+/// such gap. Succeeds if all gaps are equal, which means that slices are shifted sideways.
 fn check_gaps(slices: &[Slice], places: &[f64]) -> Result<()> {
     let gaps: Vec<f64> = places.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let mut sorted = gaps.clone();

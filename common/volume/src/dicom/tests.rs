@@ -1,4 +1,5 @@
-//! Tests which DICOM series become volumes and which are refused. dicom-rs writes the test files.
+//! Tests which DICOM series can be read as volumes and which are rejected. dicom-rs writes the test
+//! files.
 
 use super::*;
 use crate::geometry::Space;
@@ -9,7 +10,7 @@ use dicom_object::{FileMetaTableBuilder, InMemDicomObject, Tag};
 use glam::DVec3;
 use std::collections::BTreeMap;
 
-/// The elements of a file.
+/// The elements of a DICOM file.
 type Elements = BTreeMap<Tag, (VR, PrimitiveValue)>;
 
 fn texts(elements: &mut Elements, vr: VR, all: &[(Tag, &str)]) {
@@ -20,8 +21,8 @@ fn numbers(elements: &mut Elements, all: &[(Tag, u16)]) {
     elements.extend(all.iter().map(|&(tag, number)| (tag, (VR::US, PrimitiveValue::from(number)))));
 }
 
-/// A slice of 3 x 2 pixels with 12 of 16 bits. Pixels are 0.5 mm apart in a row (along x) and
-/// 0.75 mm apart in a column (along y).
+/// Creates a slice of 3 x 2 pixels with 12 bits stored of 16 allocated bits. The pixel spacing is
+/// 0.5 mm within a row (along x) and 0.75 mm within a column (along y).
 fn slice(position: DVec3, pixels: [u16; 6]) -> Elements {
     let mut elements = Elements::new();
     let place = position.to_array().map(|number| number.to_string()).join("\\");
@@ -58,7 +59,8 @@ fn write(path: &Path, elements: &Elements) {
     InMemDicomObject::from_element_iter(all).with_meta(meta).expect("a file").write_to_file(path).expect("written");
 }
 
-/// Three slices 2.5 mm apart. The file that is first by name has the highest position.
+/// Creates three slices 2.5 mm apart. The slice whose file name comes first has the highest
+/// position.
 fn stack() -> Vec<Elements> {
     (0..3u16)
         .map(|n| {
@@ -99,7 +101,7 @@ fn slope_intercept_sign_and_overlay_bits() {
         for elements in &mut slices {
             texts(elements, VR::DS, &[(tags::RESCALE_SLOPE, slope), (tags::RESCALE_INTERCEPT, intercept)]);
             numbers(elements, &[(tags::PIXEL_REPRESENTATION, signed)]);
-            // the highest bits belong to an overlay, not to the pixel
+            // the highest bits contain an overlay, not pixel data
             let pixels = [0xf000u16, 0x0001, 0x0fff, 0x0800, 0x07ff, 0x1002];
             elements.insert(tags::PIXEL_DATA, (VR::OW, PrimitiveValue::U16(pixels.as_slice().into())));
         }
@@ -157,8 +159,8 @@ fn one_of_several_series_is_chosen_by_name_number_or_uid() {
     assert!(error.to_string().contains("no series 'abdomen'") && error.remedy().contains("Thorax 1.0"), "{error}");
 }
 
-/// The CT of [`stack`] and two files beside it: a colour picture and a segmentation with many
-/// frames.
+/// Returns the CT of [`stack`] and two additional files: a colour picture and a segmentation with
+/// several frames.
 fn mixed() -> Vec<Elements> {
     let mut slices = stack();
     let mut picture = slices[0].clone();
@@ -187,7 +189,7 @@ fn series_that_are_not_volumes_do_not_prevent_reading() {
     }
     let error = read_volume_with(folder.path(), &ReadOptions { series: Some("300") }).expect_err("a segmentation");
     assert!(error.to_string().contains("contains 19 frames"), "{error}");
-    // a single slice, such as a localizer beside the series, is not a stack
+    // a single slice, such as a localizer in the same folder, is not a stack
     let mut slices = stack();
     let mut localizer = slices[0].clone();
     texts(&mut localizer, VR::UI, &[(tags::SERIES_INSTANCE_UID, "1.2.4")]);
@@ -198,7 +200,7 @@ fn series_that_are_not_volumes_do_not_prevent_reading() {
 #[test]
 fn files_without_preamble_or_file_group_are_read() {
     let expected = read_volume(folder_of(&stack()).path()).expect("a volume");
-    // missing: the preamble; also the letters DICM; also the file meta group
+    // removes the preamble, then also the letters DICM, and then also the file meta group
     for kept in ["DICM", "group", "data set"] {
         let folder = folder_of(&stack());
         for n in 0..3 {
@@ -284,7 +286,7 @@ fn a_file_cut_short_anywhere_is_an_error() {
     let folder = folder_of(&stack());
     let path = folder.path().join("slice1.dcm");
     let whole = std::fs::read(&path).expect("bytes");
-    // a file that is cut before the letters DICM is not a DICOM file
+    // a file that is truncated before the end of the letters DICM is not a DICOM file
     for length in source::START..whole.len() {
         std::fs::write(&path, &whole[..length]).expect("cut");
         let error = read_volume(folder.path()).expect_err("cut short");

@@ -1,19 +1,20 @@
-//! Label names in the extensions of a NIfTI header: the label table of Connectome Workbench, which
-//! TotalSegmentator writes, too.
+//! Reads label names from the extensions of a NIfTI header. The names are in the label table of
+//! Connectome Workbench, which TotalSegmentator also writes.
 //!
-//! An extension consists of its length in bytes, a code (32 bits each) and text. The two programs
-//! use different codes, so the code is ignored. The table is XML: `<Label Key="5"
+//! An extension consists of its length in bytes (32 bits), a code (32 bits) and a string. The code
+//! is ignored, because the two programs use different codes. The table is XML: `<Label Key="5"
 //! ...>liver</Label>`.
 
 use crate::segments::{LayerLabel, Segment};
 use crate::voxels::Endian;
 use quick_xml::events::Event;
 
-/// Size of an extension's length and code in bytes.
+/// Size in bytes of the length and code of an extension.
 const HEAD: usize = 8;
 
-/// The label names in all extensions. `bytes` are those between header and voxels; the first four
-/// tell whether there are extensions. A table that cannot be read gives a remark.
+/// Returns the label names in all extensions. `bytes` are the bytes between the header and the
+/// voxels. The first of them is nonzero if there are extensions. Adds a remark for a table that
+/// cannot be parsed.
 pub(super) fn names(bytes: &[u8], endian: Endian, remarks: &mut Vec<String>) -> Vec<Segment> {
     let mut segments = Vec::new();
     let Some((flag, mut rest)) = bytes.split_at_checked(4) else { return segments };
@@ -38,7 +39,7 @@ pub(super) fn names(bytes: &[u8], endian: Endian, remarks: &mut Vec<String>) -> 
     segments
 }
 
-/// The labels of a table that have both a number and a name.
+/// Returns the labels of a table that have both a number and a name.
 fn table(text: &str) -> Result<Vec<Segment>, String> {
     let mut reader = quick_xml::Reader::from_str(text);
     let (mut segments, mut open): (Vec<Segment>, Option<(Option<i64>, String)>) = (Vec::new(), None);
@@ -91,7 +92,7 @@ mod tests {
             assert!(remarks.is_empty());
             let silent = [vec![0; 4], extension(TABLE, endian)].concat();
             assert!(names(&silent, endian, &mut remarks).is_empty());
-            // cut short anywhere
+            // the extensions are truncated at every position
             (0..bytes.len()).for_each(|end| assert!(names(&bytes[..end], endian, &mut remarks).is_empty(), "{end}"));
         }
     }
@@ -103,7 +104,7 @@ mod tests {
         let bytes = [vec![1, 0, 0, 0], extension(&damaged, Endian::Little)].concat();
         assert!(names(&bytes, Endian::Little, &mut remarks).is_empty());
         assert_eq!(remarks.len(), 1, "{remarks:?}");
-        // an invalid length
+        // the extension has an invalid length
         for length in [0u32, 7, 4_000_000_000] {
             let bytes = [&[1, 0, 0, 0][..], &length.to_le_bytes(), &[0; 12]].concat();
             assert!(names(&bytes, Endian::Little, &mut remarks).is_empty());

@@ -1,4 +1,4 @@
-//! Tests incomplete headers and separate voxel files.
+//! Tests NIfTI files with incomplete headers or separate voxel files.
 
 use crate::data_files::data_files;
 use crate::read::read_volume;
@@ -7,8 +7,8 @@ use crate::voxels::Voxels;
 use glam::DVec3;
 use std::path::Path;
 
-/// A header of 2 x 2 x 2 bytes, 2 mm apart, with the given qform and sform codes. The sform numbers
-/// are zero.
+/// Creates a header of 2 x 2 x 2 voxels of one byte with a spacing of 2 mm and the given qform and
+/// sform codes. The numbers of the sform are zero.
 fn header(offset: f32, qform: i16, sform: i16, magic: &[u8; 4]) -> Vec<u8> {
     let mut header = vec![0u8; 348];
     let mut put = |at: usize, bytes: &[u8]| header[at..at + bytes.len()].copy_from_slice(bytes);
@@ -22,7 +22,7 @@ fn header(offset: f32, qform: i16, sform: i16, magic: &[u8; 4]) -> Vec<u8> {
     put(108, &offset.to_le_bytes());
     put(252, &qform.to_le_bytes());
     put(254, &sform.to_le_bytes());
-    // the qform places the first voxel at (3, 4, 5) in RAS
+    // the qform sets the position of the first voxel to (3, 4, 5) in RAS
     [3f32, 4.0, 5.0].into_iter().enumerate().for_each(|(axis, at)| put(268 + 4 * axis, &at.to_le_bytes()));
     put(344, magic);
     header

@@ -1,5 +1,5 @@
-//! Converts the axes of an NRRD header to a [`Geometry`]: which axes are spatial, their spacings,
-//! and their directions in the world.
+//! Converts the axes of an NRRD header to a [`Geometry`]. Determines which axes are spatial, their
+//! spacings, and their directions in the world frame.
 
 use super::header::{Header, field_error};
 use crate::error::Result;
@@ -13,13 +13,13 @@ use std::path::Path;
 /// The grid that a header describes.
 pub(super) struct Grid {
     pub(super) geometry: Geometry,
-    /// Assumptions that were made.
+    /// Assumptions that were made for missing information.
     pub(super) remarks: Vec<String>,
-    /// The axis of a segmentation's layers, if there is more than one layer.
+    /// The axis of the layers of a segmentation, if there are several layers.
     pub(super) layer_axis: Option<usize>,
 }
 
-/// Converts the axes of a header. A segmentation may have an axis of layers.
+/// Converts the axes of a header to a grid. Only a segmentation may have an axis of layers.
 pub(super) fn grid(path: &Path, header: &Header, is_segmentation: bool) -> Result<Grid> {
     let kinds = header.words(path, "kinds")?;
     let (space, to_lps, has_time) = world(path, header)?;
@@ -58,11 +58,12 @@ pub(super) fn grid(path: &Path, header: &Header, is_segmentation: bool) -> Resul
     Ok(Grid { geometry, remarks, layer_axis })
 }
 
-/// Words that mean that there is no unit.
+/// Words that indicate that no unit is defined.
 const NO_UNIT: [&str; 6] = ["none", "unknown", "?", "???", "pixel", "voxel"];
 
-/// Unit length in mm along each world axis. `space units` apply to `space directions`, and `units`
-/// to `spacings`; each replaces the other if that is missing.
+/// Returns the unit length in mm along each world axis. `space units` applies to `space
+/// directions`, and `units` applies to `spacings`. If the appropriate field is missing, the other
+/// field is used.
 fn unit_lengths(
     path: &Path,
     header: &Header,
@@ -78,7 +79,7 @@ fn unit_lengths(
     let places = if name == "units" { axes } else { [0, 1, 2] };
     let mut lengths = DVec3::ONE;
     for (axis, place) in places.into_iter().enumerate() {
-        // a single word applies to all axes
+        // a single unit applies to all axes
         let word = words.get(if words.len() == 1 { 0 } else { place }).ok_or_else(|| field_error(path, name, text))?;
         let lower = word.to_lowercase();
         match millimetres(word) {
@@ -104,7 +105,7 @@ fn unit_lengths(
     Ok(lengths)
 }
 
-/// The words of a field, with or without quotes.
+/// Splits a field into words, which may be quoted.
 fn quoted_words(text: &str) -> Vec<&str> {
     let mut rest = text.trim();
     let mut words = Vec::new();
@@ -119,8 +120,8 @@ fn quoted_words(text: &str) -> Vec<&str> {
     words
 }
 
-/// The world frame, the signs that convert it to LPS, and whether its vectors have a fourth
-/// component for time.
+/// Returns the space of a header, the signs that convert its coordinates to LPS, and whether its
+/// vectors have a fourth component for time.
 fn world(path: &Path, header: &Header) -> Result<(Space, DVec3, bool)> {
     if let Some(text) = header.field("space dimension") {
         return if text == "3" {
@@ -150,7 +151,7 @@ fn world(path: &Path, header: &Header) -> Result<(Space, DVec3, bool)> {
     })
 }
 
-/// The vectors of `space directions`; `None` for an axis that is not spatial.
+/// Parses the vectors of `space directions`. The vector of a non-spatial axis is `None`.
 fn vectors(path: &Path, header: &Header, text: &str) -> Result<Vec<Option<DVec3>>> {
     let mut rest = text.trim();
     let mut vectors = Vec::new();
@@ -163,7 +164,7 @@ fn vectors(path: &Path, header: &Header, text: &str) -> Result<Vec<Option<DVec3>
     if vectors.len() == header.sizes.len() { Ok(vectors) } else { Err(field_error(path, "space directions", text)) }
 }
 
-/// Parses `(x,y,z)` or `(x,y,z,t)`, ignoring t. Gives `Some(None)` for `none` and for vectors of
+/// Parses `(x,y,z)` or `(x,y,z,t)` and ignores t. Returns `Some(None)` for `none` or a vector of
 /// NaN, and `None` for a syntax error.
 fn vector(word: &str) -> Option<Option<DVec3>> {
     if word.eq_ignore_ascii_case("none") {
@@ -181,11 +182,12 @@ fn vector(word: &str) -> Option<Option<DVec3>> {
     }
 }
 
-/// The axes of a header: their kinds, their vectors, and whether these have a component for time.
+/// Properties of all axes: their kinds, their vectors, and whether the vectors have a component for
+/// time.
 type Axes<'a> = (Option<&'a [&'a str]>, Option<&'a [Option<DVec3>]>, bool);
 
-/// The three spatial axes, and the axis of a segmentation's layers. Other axes are allowed if they
-/// have a single sample.
+/// Returns the three spatial axes, and the axis of the layers of a segmentation. Any other axis
+/// must have a single sample.
 fn spatial_axes(
     path: &Path,
     header: &Header,
@@ -231,8 +233,8 @@ fn spatial_axes(
     Ok((axes, layer_axis))
 }
 
-/// Spacing and origin of a header without `space directions`, from `spacings`, `axis mins` and
-/// `axis maxs`.
+/// Returns the spacing and origin of a header without `space directions`. They are computed from
+/// `spacings`, `axis mins`, `axis maxs` and `space origin`.
 fn plain_spacing(path: &Path, header: &Header, axes: [usize; 3], remarks: &mut Vec<String>) -> Result<(DVec3, DVec3)> {
     let pick = |numbers: Option<Vec<f64>>| {
         let all = numbers.map_or([f64::NAN; 3], |numbers| axes.map(|axis| numbers[axis]));
@@ -243,7 +245,7 @@ fn plain_spacing(path: &Path, header: &Header, axes: [usize; 3], remarks: &mut V
     let high = pick(header.numbers(path, "axis maxs")?);
     let centers = header.words(path, "centers")?;
     let is_cell = |axis: usize| {
-        // as in Teem, samples are cell-centred unless the header says node
+        // as in Teem, samples are cell-centred unless the header specifies `node`
         centers.as_ref().is_none_or(|words| !words[axes[axis]].eq_ignore_ascii_case("node"))
     };
     for axis in 0..3 {
@@ -279,7 +281,8 @@ fn plain_spacing(path: &Path, header: &Header, axes: [usize; 3], remarks: &mut V
 mod tests {
     use super::*;
 
-    /// Spacing, origin and remarks of a grid of 2 x 3 x 4 voxels with the given header lines.
+    /// Returns the spacing, origin and remarks of a grid of 2 x 3 x 4 voxels with the given header
+    /// lines.
     fn read(lines: &str) -> Result<(DVec3, DVec3, Vec<String>)> {
         let path = Path::new("test.nrrd");
         let text = format!("NRRD0004\ntype: uchar\ndimension: 3\nsizes: 2 3 4\nencoding: raw\n{lines}");

@@ -1,5 +1,5 @@
-//! Parses the text header of an NRRD file, line by line. [`super::grid`], [`super::segments`] and
-//! [`crate::voxel_data`] interpret the fields.
+//! Parses the text header of an NRRD file line by line. The fields are interpreted by
+//! [`super::grid`], [`super::segments`] and [`crate::voxel_data`].
 
 use crate::error::bad;
 use crate::error::{Error, Result};
@@ -9,9 +9,9 @@ use std::collections::BTreeMap;
 use std::io::{BufRead, Read};
 use std::path::Path;
 
-/// Maximum header size in bytes; a list of 100,000 file names fits.
+/// Maximum header size in bytes, which is sufficient for a list of 100,000 file names.
 const MOST_HEADER_BYTES: u64 = 16 << 20;
-/// Maximum number of axes that NRRD allows.
+/// Maximum number of axes in NRRD.
 const MOST_AXES: usize = 16;
 
 /// The contents of a header.
@@ -19,15 +19,15 @@ const MOST_AXES: usize = 16;
 pub(super) struct Header {
     pub(super) sizes: Vec<usize>,
     pub(super) layout: Layout,
-    /// All fields, unparsed, by lower-case name.
+    /// Unparsed values of all fields, by lower-case field name.
     pub(super) fields: BTreeMap<String, String>,
     /// The key/value pairs.
     pub(super) pairs: BTreeMap<String, String>,
 }
 
 impl Header {
-    /// Reads the header. The reader then stands at the first byte after the blank line that ends
-    /// it.
+    /// Reads the header. Afterwards, the reader is positioned at the first byte after the blank
+    /// line that ends the header.
     pub(super) fn read(path: &Path, reader: &mut impl BufRead) -> Result<Self> {
         let Fields { fields, pairs, list } = read_fields(path, reader)?;
         let get = |name: &str| fields.get(name).map(String::as_str);
@@ -74,32 +74,32 @@ impl Header {
         Ok(Self { sizes, layout, fields, pairs })
     }
 
-    /// A field as text.
+    /// Returns the unparsed value of a field.
     pub(super) fn field(&self, name: &str) -> Option<&str> {
         self.fields.get(name).map(String::as_str)
     }
 
-    /// A field with one word per axis.
+    /// Returns the words of a field that has one word per axis.
     pub(super) fn words(&self, path: &Path, name: &str) -> Result<Option<Vec<&str>>> {
         let Some(text) = self.field(name) else { return Ok(None) };
         let words: Vec<&str> = text.split_whitespace().collect();
         if words.len() == self.sizes.len() { Ok(Some(words)) } else { Err(field_error(path, name, text)) }
     }
 
-    /// A field with one number per axis, which may be NaN.
+    /// Returns the numbers of a field that has one number per axis. Numbers may be NaN.
     pub(super) fn numbers(&self, path: &Path, name: &str) -> Result<Option<Vec<f64>>> {
         self.words(path, name)?.map(|words| words.iter().map(|word| number(path, name, word)).collect()).transpose()
     }
 }
 
-/// The lines of a header.
+/// The parsed lines of a header.
 #[derive(Default)]
 struct Fields {
     /// Values by lower-case field name.
     fields: BTreeMap<String, String>,
     /// Key/value pairs (`key:=value`).
     pairs: BTreeMap<String, String>,
-    /// The names after `data file: LIST`.
+    /// The file names listed after `data file: LIST`.
     list: Vec<String>,
 }
 
@@ -178,7 +178,7 @@ pub(super) fn number<T: std::str::FromStr>(path: &Path, field: &str, word: &str)
     word.parse().map_err(|_| field_error(path, field, word))
 }
 
-/// An error about the value of a field.
+/// Creates an error about the value of a field.
 pub(super) fn field_error(path: &Path, field: &str, value: &str) -> Error {
     let shown: String = value.chars().take(80).collect();
     bad(
@@ -211,8 +211,8 @@ fn scalar_type(path: &Path, name: &str) -> Result<ScalarType> {
     })
 }
 
-/// Resolves `data file`: missing or `LOCAL` (attached), a file name, `LIST [subdim]`, or `format
-/// min max step [subdim]`.
+/// Returns the data files that `data file` specifies. Possible values are `LOCAL` (attached, as if
+/// the field is missing), a file name, `LIST [subdim]`, or `format min max step [subdim]`.
 fn data_files(path: &Path, field: Option<&str>, list: Vec<String>, sizes: &[usize]) -> Result<DataFiles> {
     let Some(field) = field else { return Ok(DataFiles::Attached) };
     let words: Vec<&str> = field.split_whitespace().collect();
@@ -231,7 +231,7 @@ fn data_files(path: &Path, field: Option<&str>, list: Vec<String>, sizes: &[usiz
         // a file name may contain spaces
         _ => return Ok(DataFiles::Named(vec![field.to_owned()])),
     };
-    // without a sub-dimension, each file is one slice along the slowest axis
+    // without a sub-dimension, each file contains one slice along the slowest axis
     let dimension = sizes.len();
     let part_dimension: usize = part_dimension.unwrap_or(dimension - 1);
     let fits = match part_dimension {

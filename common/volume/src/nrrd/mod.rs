@@ -1,8 +1,8 @@
 //! Reads and writes NRRD ("nearly raw raster data"), the format of Teem and 3D Slicer, with
 //! attached (`.nrrd`) and detached (`.nhdr`) headers.
 //!
-//! Follows Teem's specification of the format, versions 1 to 5. Anatomical spaces are converted to
-//! LPS here.
+//! The module follows versions 1 to 5 of Teem's format specification. Anatomical spaces are
+//! converted to LPS.
 
 mod grid;
 mod header;
@@ -20,8 +20,8 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
-/// Reads an NRRD volume with three spatial axes and one number per voxel, or a 3D Slicer
-/// segmentation with its layers.
+/// Reads an NRRD volume that has three spatial axes and one number per voxel, or a 3D Slicer
+/// segmentation including its layers.
 pub fn read_nrrd(path: &Path) -> Result<Volume> {
     let file = File::open(path).map_err(|error| Error::file(path, "read", error, "check the name of the volume"))?;
     let mut reader = BufReader::new(file);
@@ -40,7 +40,7 @@ pub fn read_nrrd(path: &Path) -> Result<Volume> {
             "write the file again; its header is damaged",
         )
     })?;
-    // splitting the voxels into layers needs a second copy
+    // separating the layers requires a second copy of the voxels
     let copies = if layers > 1 { 2 } else { 1 };
     check_memory(path, (count as u64).saturating_mul(copies * header.layout.scalar.bytes() as u64))?;
     let all = read_voxels(path, &header.layout, count, reader, &mut remarks)?;
@@ -50,7 +50,7 @@ pub fn read_nrrd(path: &Path) -> Result<Volume> {
     Ok(Volume { remarks, segments, more_layers, ..Volume::new(geometry, first) })
 }
 
-/// The data files that the header names.
+/// Returns the data files that the header lists.
 pub(crate) fn data_files(path: &Path, reader: &mut impl BufRead) -> Result<DataFiles> {
     Ok(header::Header::read(path, reader)?.layout.files)
 }

@@ -1,5 +1,5 @@
-//! The segments of a 3D Slicer segmentation (`.seg.nrrd`). They are stored in key/value pairs:
-//! `Segment0_Name`, `Segment0_LabelValue`, `Segment0_Layer`.
+//! Reads the segments of a 3D Slicer segmentation (`.seg.nrrd`). A segment is stored in key/value
+//! pairs: `Segment0_Name`, `Segment0_LabelValue` and `Segment0_Layer`.
 
 use super::header::{Header, field_error};
 use crate::error::Result;
@@ -7,19 +7,19 @@ use crate::error::bad;
 use crate::segments::{LayerLabel, Segment};
 use std::path::Path;
 
-/// Whether the header contains segments.
+/// Returns whether the header contains segments.
 pub(super) fn is_segmentation(header: &Header) -> bool {
     header.pairs.keys().any(|key| number_of(key).is_some())
 }
 
-/// The number in a key such as `Segment12_Name`.
+/// Returns the segment number in a key such as `Segment12_Name`.
 fn number_of(key: &str) -> Option<u64> {
     key.strip_prefix("Segment")?.strip_suffix("_Name")?.parse().ok()
 }
 
-/// The segments in the order of their numbers, for a file with `layers` layers. Files from before
-/// Slicer 4.11 contain neither label values nor layers: each segment has its own layer and the
-/// label 1.
+/// Returns the segments of a file with `layers` layers, sorted by segment number. Files written
+/// before Slicer 4.11 contain neither label values nor layers. In these files, each segment has the
+/// label 1 in a separate layer.
 pub(super) fn segments(path: &Path, header: &Header, layers: usize) -> Result<Vec<Segment>> {
     let mut numbers: Vec<u64> = header.pairs.keys().filter_map(|key| number_of(key)).collect();
     numbers.sort_unstable();

@@ -3,8 +3,8 @@ use crate::geometry::Space;
 use crate::image::Image;
 use std::collections::BTreeMap;
 
-/// A grid whose z axis leans along y by `lean`. The y and z axes lean along x by `others`. The grid
-/// is rotated in the world.
+/// Creates a grid with a rotation in the world. The z axis is tilted along y by `lean`. The y and z
+/// axes are tilted along x by `others`.
 fn sheared(size: [usize; 3], lean: f64, others: [f64; 2]) -> Geometry {
     let turn = DMat3::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 0.7);
     let steps = [DVec3::X, DVec3::new(others[0], 1.0, 0.0), DVec3::new(others[1], lean, 1.0)];
@@ -17,7 +17,7 @@ fn sheared(size: [usize; 3], lean: f64, others: [f64; 2]) -> Geometry {
     }
 }
 
-/// Samples a function of the world position.
+/// Evaluates a function of the world position at every voxel centre.
 fn sampled<T: Copy + Send + Sync>(geometry: &Geometry, value: impl Fn(DVec3) -> T) -> Vec<T> {
     Image::sampled(geometry.clone(), |grid| value(geometry.grid_to_world(grid))).data
 }
@@ -79,7 +79,7 @@ fn labels_keep_their_voxels_and_roundness() {
     let moved = shear.move_labels(&Voxels::U8(mask), Some(0));
     assert_eq!(counts(&moved)[&1], 11_536);
     let Voxels::U8(moved) = moved else { panic!("another type") };
-    // 126 voxels are on the wrong side of the ellipsoid; with rounding, 310 are
+    // 126 voxels are on the wrong side of the ellipsoid, compared with 310 for rounding
     let right = sampled(&shear.geometry, |world| u8::from(ball(old.grid_to_index(old.world_to_grid(world)))));
     let wrong = moved.iter().zip(&right).filter(|(a, b)| a != b).count();
     assert!(wrong < 150, "{wrong} voxels differ");
@@ -89,7 +89,7 @@ fn labels_keep_their_voxels_and_roundness() {
 fn labels_of_every_layer_and_thin_parts_stay() {
     let old = sheared([30, 26, 24], -0.8, [0.45, 0.3]);
     let centre = middle(&old);
-    // shells and a core with different labels, a single voxel, and a line of one voxel per slice
+    // shells and a core with different labels, a single voxel, and a line with one voxel per slice
     let label = |world: DVec3| [-5i16, 300, 7, 0][((world.distance(centre) / 3.0) as usize).min(3)];
     let mut labels = sampled(&old, label);
     labels[old.linear(3, 3, 2)] = 42;

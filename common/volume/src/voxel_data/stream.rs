@@ -1,12 +1,12 @@
-//! Decodes the bytes of a file.
+//! Decodes the bytes of a data file.
 
 use super::Coding;
 use bzip2::bufread::BzDecoder;
 use flate2::bufread::{GzDecoder, ZlibDecoder};
 use std::io::{self, BufRead, ErrorKind, Read};
 
-/// A decoding reader. gzip and bzip2 data may consist of several members. As in these programs, the
-/// data ends at bytes that do not start a member.
+/// A reader that decodes data. gzip and bzip2 data may consist of several members. As in the gzip
+/// and bzip2 programs, the data ends if the next bytes do not start another member.
 pub(crate) enum Stream<R> {
     Plain(R),
     Hex(HexReader<R>),
@@ -18,7 +18,7 @@ pub(crate) enum Stream<R> {
 }
 
 impl<R: BufRead> Stream<R> {
-    /// Starts at the current position of the reader. Text is passed through unchanged.
+    /// Starts decoding at the current position of the reader. Text is passed through unchanged.
     pub(crate) fn new(reader: R, coding: Coding) -> Self {
         match coding {
             Coding::Raw | Coding::Text => Self::Plain(reader),
@@ -29,12 +29,12 @@ impl<R: BufRead> Stream<R> {
         }
     }
 
-    /// Whether more data follows. At the end of the data, this also verifies the checksum.
+    /// Returns whether more data follows. If not, the checksum has been verified.
     pub(crate) fn has_more(&mut self) -> io::Result<bool> {
         Ok(self.read(&mut [0])? > 0)
     }
 
-    /// Whether bytes follow the end of compressed data.
+    /// Returns whether any bytes follow the end of compressed data.
     pub(crate) fn leaves_bytes(self) -> io::Result<bool> {
         let rest = match self {
             Self::Plain(_) | Self::Hex(_) => None,
@@ -83,7 +83,7 @@ pub(crate) struct HexReader<R> {
 }
 
 impl<R: BufRead> HexReader<R> {
-    /// The next digit, ignoring white space; `None` at the end.
+    /// Returns the next digit, ignoring white space, or `None` at the end of the data.
     fn digit(&mut self) -> io::Result<Option<u8>> {
         loop {
             let Some(&byte) = self.inner.fill_buf()?.first() else { return Ok(None) };

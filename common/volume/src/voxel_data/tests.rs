@@ -1,4 +1,4 @@
-//! Tests skipping from the end, and data after the last voxel.
+//! Tests skips that count from the end of the data, and data after the last voxel.
 
 use crate::read::read_volume;
 use crate::voxels::Voxels;
@@ -19,7 +19,7 @@ fn bzip2(bytes: &[u8]) -> Vec<u8> {
     encoder.finish().expect("in memory")
 }
 
-/// Writes an NRRD file of 2 x 2 x 2 voxels with the given header lines and data.
+/// Writes an NRRD file of 2 x 2 x 2 voxels that contains the given header lines and data.
 fn write(path: &Path, lines: &str, data: &[u8]) {
     let header = format!("NRRD0004\ntype: uchar\ndimension: 3\nsizes: 2 2 2\nspacings: 1 1 1\n{lines}\n\n");
     std::fs::write(path, [header.as_bytes(), data].concat()).expect("written");
@@ -29,7 +29,8 @@ fn write(path: &Path, lines: &str, data: &[u8]) {
 fn a_negative_skip_counts_from_the_end_of_decoded_data() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("v.nrrd");
-    // the voxels follow a header of another format, as in an .nhdr that refers to a .nii.gz
+    // the voxels follow a header in another format, as in an .nhdr file that refers to a .nii.gz
+    // file
     let before = [&[9; 352][..], &VALUES].concat();
     let behind = [&before[..], &[7; 3]].concat();
     let halves = [gzip(&before[..100]), gzip(&before[100..])].concat();
@@ -85,7 +86,7 @@ fn more_data_than_voxels_and_damage_are_refused() {
         let error = read_volume(&path).expect_err(encoding);
         assert!(error.to_string().contains("after the last voxel"), "{encoding}: {error}");
     }
-    // a wrong checksum is damage, not the end of the data
+    // a wrong checksum is an error, not the end of the data
     let mut damaged = gzip(&VALUES);
     let end = damaged.len() - 6;
     damaged[end] ^= 1;

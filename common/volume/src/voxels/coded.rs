@@ -1,10 +1,10 @@
-//! Conversion of the ten scalar types from the byte order of a file.
+//! Converts the ten scalar types from the byte order of a file to native byte order.
 
 use super::Endian;
 
-/// A number type that files store.
+/// A number type used in volume files.
 pub(super) trait Coded: Sized {
-    /// Converts values in place from raw file bytes with the given byte order.
+    /// Converts values in place from the byte order of the file to native byte order.
     fn arrange(values: &mut [Self], endian: Endian);
 }
 

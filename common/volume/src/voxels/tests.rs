@@ -73,7 +73,7 @@ fn ends_are_counted_from_the_start_of_the_range() {
     assert_eq!(values.ends_of_values(0..5, |value| value > 0.4), Some((0, 3)));
     assert_eq!(values.ends_of_values(1..3, |value| value > 0.4), Some((1, 1)));
     assert_eq!(values.ends_of_values(4..5, |value| value > 0.4), None);
-    // NaN is the label 0; a non-integer is not a label
+    // NaN counts as label 0; non-integers are not labels
     assert_eq!(values.ends_of_labels(0..5, |_| true), Some((0, 4)));
     assert_eq!(values.ends_of_labels(1..4, |_| true), Some((0, 0)));
 }

@@ -1,5 +1,5 @@
-//! Decodes the bytes of one array: base64 or raw, uncompressed or in zlib blocks, after a header
-//! with its length.
+//! Decodes the bytes of one array. The data follows a header that contains its length. It is base64
+//! or raw, and uncompressed or in zlib blocks.
 
 use crate::voxels::Endian;
 use std::io::{self, BufRead, Read};
@@ -13,7 +13,7 @@ pub(super) struct Layout {
     pub(super) compressed: bool,
 }
 
-/// Reads the bytes of one array.
+/// A reader that decodes the bytes of one array.
 pub(super) struct ArrayReader<'a> {
     source: Box<dyn Read + 'a>,
     blocks: Option<Blocks>,
@@ -29,7 +29,7 @@ struct Blocks {
 }
 
 impl<'a> ArrayReader<'a> {
-    /// Starts reading an array at its header.
+    /// Starts decoding at the header of an array.
     pub(super) fn new(source: Box<dyn BufRead + 'a>, base64: bool, layout: Layout) -> io::Result<Self> {
         let mut source: Box<dyn Read + 'a> =
             if base64 { Box::new(Base64Reader { inner: source, held: [0; 3], from: 3 }) } else { source };
@@ -63,8 +63,8 @@ impl Read for ArrayReader<'_> {
             let mut compressed = Read::take(&mut self.source, compressed_bytes);
             let mut decoder = flate2::read::ZlibDecoder::new(&mut compressed);
             let mut block = Vec::new();
-            // A block longer than its header says is damaged; the limit prevents it from filling
-            // the memory.
+            // A block that is longer than its header declares is damaged. The limit keeps it from
+            // using up the memory.
             Read::take(&mut decoder, blocks.block_bytes).read_to_end(&mut block)?;
             io::copy(&mut compressed, &mut io::sink())?;
             blocks.current = io::Cursor::new(block);
@@ -72,7 +72,7 @@ impl Read for ArrayReader<'_> {
     }
 }
 
-/// One number of an array header.
+/// Reads one number of an array header.
 fn header_number(source: &mut dyn Read, layout: Layout) -> io::Result<u64> {
     let mut wide = [0; 8];
     let mut narrow = [0; 4];
@@ -89,8 +89,8 @@ fn header_number(source: &mut dyn Read, layout: Layout) -> io::Result<u64> {
     })
 }
 
-/// Decodes base64 in groups of four digits. Padding ends a group but not the stream, because VTK
-/// encodes the header of a compressed array separately from its data.
+/// Decodes base64 in groups of four digits. Decoding continues after padding, because VTK encodes
+/// the header of a compressed array separately from its data.
 struct Base64Reader<R> {
     inner: R,
     held: [u8; 3],
@@ -98,7 +98,7 @@ struct Base64Reader<R> {
 }
 
 impl<R: BufRead> Base64Reader<R> {
-    /// Fills `held` with the next group; false at the end of the text.
+    /// Decodes the next group into `held`. Returns false at the end of the base64 data.
     fn next_group(&mut self) -> io::Result<bool> {
         let mut bits = 0u32;
         let mut digits = 0;
@@ -131,7 +131,7 @@ impl<R: BufRead> Base64Reader<R> {
             return Err(io::Error::new(io::ErrorKind::InvalidData, "its base64 text is damaged"));
         }
         let [_, a, b, c] = (bits << (6 * padding)).to_be_bytes();
-        // the decoded bytes are at the end of `held`, from index `from`
+        // the decoded bytes are at the end of `held`, starting at index `from`
         (self.held, self.from) = match padding {
             0 => ([a, b, c], 0),
             1 => ([0, a, b], 1),

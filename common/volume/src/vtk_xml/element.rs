@@ -12,7 +12,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// Maximum nesting depth; VTK's own files need six levels.
+/// Maximum nesting depth. The files that VTK writes need six levels.
 const MOST_DEPTH: usize = 32;
 
 /// An XML element with its contents.
@@ -22,30 +22,30 @@ pub struct Element {
     pub name: String,
     /// Attributes by name.
     pub attributes: BTreeMap<String, String>,
-    /// Child elements, in order.
+    /// Child elements in document order.
     pub children: Vec<Element>,
-    /// Text directly in the element.
+    /// Text directly inside the element.
     pub text: String,
 }
 
 impl Element {
-    /// The first child with a tag name.
+    /// Returns the first child with this tag name.
     pub fn child(&self, name: &str) -> Option<&Element> {
         self.children.iter().find(|child| child.name == name)
     }
 
-    /// The value of an attribute.
+    /// Returns the value of an attribute.
     pub fn attribute(&self, name: &str) -> Option<&str> {
         self.attributes.get(name).map(String::as_str)
     }
 
-    /// The child with a `Name` attribute of this value.
+    /// Returns the first child whose `Name` attribute has this value.
     pub fn array(&self, name: &str) -> Option<&Element> {
         self.children.iter().find(|child| child.attribute("Name") == Some(name))
     }
 }
 
-/// A VTK XML file: its elements, and access to its data.
+/// A VTK XML file: its elements, and access to its arrays.
 pub struct VtkFile {
     path: PathBuf,
     /// The `VTKFile` element.
@@ -55,7 +55,7 @@ pub struct VtkFile {
 }
 
 impl VtkFile {
-    /// Opens a file and parses its XML, but does not read arrays.
+    /// Opens a file and parses its XML without reading the arrays.
     pub fn open(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(|error| Error::file(path, "read", error, "check the name of the file"))?;
         let (head, appended) = read_head(path, &mut BufReader::with_capacity(1 << 16, file))?;
@@ -82,7 +82,8 @@ impl VtkFile {
         Ok(Self { path: path.to_path_buf(), root, layout, appended })
     }
 
-    /// The data set element, such as `ImageData`. Fails if the file contains another data set.
+    /// Returns the data set element, such as `ImageData`. Fails if the file contains a different
+    /// data set.
     pub fn data_set(&self, kind: &str) -> Result<&Element> {
         self.root.child(kind).ok_or_else(|| {
             let found = self.root.attribute("type").unwrap_or("no known data set");
@@ -95,7 +96,7 @@ impl VtkFile {
         })
     }
 
-    /// The piece of a data set. Fails unless there is exactly one.
+    /// Returns the single piece of a data set. Fails if there is no piece or more than one.
     pub fn piece(&self, kind: &str) -> Result<&Element> {
         let data_set = self.data_set(kind)?;
         match data_set.children.iter().filter(|child| child.name == "Piece").collect::<Vec<_>>().as_slice() {
@@ -109,15 +110,15 @@ impl VtkFile {
         }
     }
 
-    /// Number of components of an array.
+    /// Returns the number of components of an array.
     pub fn components(array: &Element) -> usize {
         array.attribute("NumberOfComponents").and_then(|text| text.parse().ok()).unwrap_or(1).max(1)
     }
 
-    /// Reads an array of `count` numbers. Fails if its length differs.
+    /// Reads an array of `count` numbers. Fails if the array has a different length.
     pub fn numbers(&self, array: &Element, count: usize) -> Result<Voxels> {
         let scalar = self.scalar(array)?;
-        // saturate: no memory can hold a count that overflows
+        // saturate, because no memory can hold a number of bytes that overflows
         let expected = (count as u64).saturating_mul(scalar.bytes() as u64);
         check_memory(&self.path, expected)?;
         let wrong = |error: std::io::Error| self.array_error(array, &error);
@@ -145,7 +146,7 @@ impl VtkFile {
         values.map_err(wrong)
     }
 
-    /// Reads an array of numbers; the file gives its length.
+    /// Reads an array of numbers whose length is specified in the file.
     pub fn all_numbers(&self, array: &Element) -> Result<Voxels> {
         let scalar = self.scalar(array)?;
         if array.attribute("format").unwrap_or("ascii") == "ascii" {
@@ -155,8 +156,8 @@ impl VtkFile {
         self.numbers(array, usize::try_from(length / scalar.bytes() as u64).unwrap_or(usize::MAX))
     }
 
-    /// The text in a field-data array, if there is one. It is stored as bytes, or as a VTK string
-    /// in format version 1.
+    /// Returns the string in a field-data array, if there is one. The string is stored as bytes, or
+    /// as a VTK string in format version 1.
     pub fn text(&self, data_set: &Element, name: &str) -> Result<Option<String>> {
         let Some(array) = data_set.child("FieldData").and_then(|field| field.array(name)) else { return Ok(None) };
         if !matches!(array.attribute("type"), Some("UInt8" | "String")) {
@@ -184,7 +185,7 @@ impl VtkFile {
         scalar_of(name).ok_or_else(|| self.array_error(array, &std::io::Error::other(format!("its type is {name}"))))
     }
 
-    /// Position of an appended array in the file, and whether it is base64.
+    /// Returns the position of an appended array in the file, and whether the array is base64.
     fn place(&self, array: &Element) -> std::io::Result<(u64, bool)> {
         let offset = array.attribute("offset").and_then(|text| text.parse::<u64>().ok());
         let (Some((start, base64)), Some(offset)) = (self.appended, offset) else {
@@ -194,7 +195,8 @@ impl VtkFile {
         Ok((position, base64))
     }
 
-    /// Position of an array's numbers in the file, if they are raw and uncompressed.
+    /// Returns the position of an array's numbers in the file if they are raw, uncompressed
+    /// appended data.
     fn plain_bytes(&self, array: &Element) -> Option<u64> {
         let (position, base64) = self.place(array).ok().filter(|_| array.attribute("format") != Some("binary"))?;
         let header = if self.layout.wide_header { 8 } else { 4 };
@@ -221,13 +223,14 @@ impl VtkFile {
     }
 }
 
-/// Position of the appended data, and whether it is base64.
+/// Position of the appended data in the file, and whether the data is base64.
 type Appended = Option<(u64, bool)>;
 
-/// Reads the XML up to the appended data. Returns the XML and the position of the data.
+/// Reads the XML up to the appended data. Returns the XML, and the position and encoding of the
+/// data.
 fn read_head(path: &Path, reader: &mut impl BufRead) -> Result<(Vec<u8>, Appended)> {
     const TAG: &[u8] = b"<AppendedData";
-    // XML with appended data is short. A larger head means that the arrays are in the XML itself.
+    // XML with appended data is short. If the XML is longer, it contains the arrays itself.
     const SHORT: usize = 64 << 20;
     let mut head = Vec::new();
     let mut searched = 0usize;
@@ -261,8 +264,8 @@ fn read_head(path: &Path, reader: &mut impl BufRead) -> Result<(Vec<u8>, Appende
     }
 }
 
-/// Builds the tree of elements. Elements that are open at the end of the text are closed, because
-/// the text ends before the appended data.
+/// Builds the tree of elements. Elements that are still open at the end are closed, because the XML
+/// is truncated at the appended data.
 fn parse(path: &Path, head: &[u8]) -> Result<Element> {
     let damaged = |what: String| {
         bad(

@@ -10,13 +10,14 @@ use std::io::{self, Write};
 pub enum Payload<'a> {
     /// Borrowed 32-bit floating-point numbers.
     F32(&'a [f32]),
-    /// Borrowed 32-bit floating-point numbers in several consecutive pieces.
+    /// Borrowed 32-bit floating-point numbers in several parts, which are written consecutively.
     F32Pieces(Vec<&'a [f32]>),
-    /// Numbers of any type.
+    /// Numbers of any scalar type.
     Values(Voxels),
-    /// Borrowed numbers of any type.
+    /// Borrowed numbers of any scalar type.
     Voxels(&'a Voxels),
-    /// A text, written as bytes. Not all programs read VTK's string type (meshio fails on it).
+    /// A string, written as bytes. VTK's string type is not supported by all programs; meshio
+    /// cannot read it.
     Text(String),
 }
 
@@ -62,7 +63,7 @@ impl Payload<'_> {
 }
 
 fn write_f32(values: &[f32], file: &mut dyn Write) -> io::Result<()> {
-    // in parts of 1 MiB, so that an interrupt is noticed between them
+    // write chunks of 1 MiB, so that an interrupt takes effect between them
     for chunk in values.chunks(1 << 18) {
         if cfg!(target_endian = "little") {
             file.write_all(bytemuck::cast_slice(chunk))?;
@@ -73,7 +74,7 @@ fn write_f32(values: &[f32], file: &mut dyn Write) -> io::Result<()> {
     Ok(())
 }
 
-/// A document under construction: the XML so far, and the data to append.
+/// A document under construction: the XML written so far, and the data to append.
 pub struct Document<'a> {
     text: String,
     open: Vec<&'static str>,
@@ -82,7 +83,7 @@ pub struct Document<'a> {
 }
 
 impl<'a> Document<'a> {
-    /// Starts a document of a data set type such as `ImageData`.
+    /// Starts a document with a data set type such as `ImageData`.
     pub fn new(data_set: &str) -> Self {
         let text = format!(
             "<?xml version=\"1.0\"?>\n<VTKFile type=\"{data_set}\" version=\"1.0\" byte_order=\"LittleEndian\" \
@@ -97,7 +98,7 @@ impl<'a> Document<'a> {
         self.text.push('<');
         self.text.push_str(name);
         for (key, value) in attributes {
-            // writing to a string does not fail
+            // writing to a string cannot fail
             let _ = write!(self.text, " {key}=\"{}\"", escape(value));
         }
         self.text.push_str(">\n");
@@ -112,7 +113,7 @@ impl<'a> Document<'a> {
         }
     }
 
-    /// Adds an array with `components` numbers per tuple.
+    /// Adds an array that has `components` numbers per tuple.
     pub fn array(&mut self, name: &str, components: usize, payload: Payload<'a>) {
         self.indent();
         let _ = write!(self.text, "<DataArray type=\"{}\" Name=\"{}\"", payload.type_name(), escape(name));
@@ -127,12 +128,13 @@ impl<'a> Document<'a> {
         self.payloads.push(payload);
     }
 
-    /// Adds the field data that identifies every file of this project: kind, version and history.
+    /// Adds the field data that every file of this project contains: kind, format version, strings
+    /// and history.
     pub fn identity(&mut self, kind: &str, version: u32, texts: &[(&str, String)], history: &History) {
         self.identity_with(kind, version, texts, Vec::new(), history);
     }
 
-    /// As [`Document::identity`], with additional arrays.
+    /// Adds the same field data as [`Document::identity`], and additional arrays.
     pub fn identity_with(
         &mut self,
         kind: &str,
@@ -174,16 +176,16 @@ impl<'a> Document<'a> {
     }
 }
 
-/// JSON in plain ASCII, which all readers of VTK strings accept.
+/// Serializes a value as ASCII-only JSON, which all readers of VTK strings support.
 pub fn ascii_json(value: &impl serde::Serialize) -> String {
-    // This cannot fail: the values have string keys, and their numbers are finite or null.
+    // Serialization cannot fail: the values have string keys, and their numbers are finite or null.
     let json = serde_json::to_string(value).unwrap_or_else(|_| "null".to_owned());
     let mut text = String::with_capacity(json.len());
     for c in json.chars() {
         if c.is_ascii() {
             text.push(c);
         } else {
-            // non-ASCII characters occur only in JSON strings
+            // non-ASCII characters occur only in the strings of JSON
             for unit in c.encode_utf16(&mut [0; 2]) {
                 let _ = write!(text, "\\u{unit:04x}");
             }

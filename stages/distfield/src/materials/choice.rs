@@ -1,5 +1,5 @@
-//! Parses and resolves materials given by the user: `lung=2+3`, `heart` if the file has that name,
-//! or `all`.
+//! Parses and resolves the materials given by the user: `lung=2+3`, `heart` if the file contains
+//! that name, or `all`.
 
 use isoparticles_field::materials::{MOST_MATERIALS, Material, MaterialId};
 use isoparticles_stage::error::{Error, Result};
@@ -8,16 +8,16 @@ use isoparticles_volume::{LayerLabel, Volume};
 use std::collections::BTreeMap;
 use std::str::FromStr;
 
-/// Name of the material of all labels that no other material has.
+/// Name of the material of all labels that belong to no other material.
 pub const OUTSIDE: &str = "outside";
 
 /// Maximum number of materials listed in an error message.
 const MOST_LISTED: usize = 40;
 
-/// One `--material` option; the volume resolves it.
+/// One `--material` option. [`resolve`] converts it to labels of a volume.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Choice {
-    /// One material for each label except 0 that no other choice names.
+    /// One material for each label except 0 that no other choice specifies.
     All,
     /// The label that has this name in the file.
     Named(String),
@@ -72,14 +72,14 @@ pub struct Chosen {
 }
 
 impl Chosen {
-    /// The number of the material of a label; 0 if it belongs to none.
+    /// Returns the number of the material of a label, or 0 if the label belongs to no material.
     pub fn number(&self, label: LayerLabel) -> u16 {
         self.number.get(&label).copied().unwrap_or(MaterialId::OUTSIDE.0)
     }
 }
 
-/// The names of the materials, the outside first. Empty without choices. `None` if a choice is
-/// `all`, whose names depend on the volume.
+/// Returns the names of the materials, the outside first. The list is empty without choices.
+/// Returns `None` if a choice is `all`, because its names depend on the volume.
 pub fn names(choices: &[Choice]) -> Option<Vec<String>> {
     let name = |choice: &Choice| match choice {
         Choice::All => None,
@@ -92,8 +92,8 @@ pub fn names(choices: &[Choice]) -> Option<Vec<String>> {
 /// Resolves the choices for a volume.
 ///
 /// # Errors
-/// When a label or name is not in the volume, a name is given twice, a label is in two materials,
-/// or the number of materials is 0 or too large.
+/// If a label or name is not in the volume, a name is given twice, a label belongs to two
+/// materials, or the number of materials is 0 or too large.
 pub fn resolve(choices: &[Choice], volume: &Volume) -> Result<Chosen> {
     let present = volume.label_set()?;
     let mut named: Vec<Material> = Vec::new();
@@ -159,7 +159,7 @@ pub fn resolve(choices: &[Choice], volume: &Volume) -> Result<Chosen> {
     Ok(Chosen { table: std::iter::once(outside).chain(named).collect(), number })
 }
 
-/// The label with this name in the file, if any voxel has it.
+/// Returns the label with this name in the file, if at least one voxel has the label.
 fn of_name(name: &str, volume: &Volume, present: &[LayerLabel]) -> Result<LayerLabel> {
     let found = volume.segment_named(name);
     match found {
@@ -181,8 +181,8 @@ fn of_name(name: &str, volume: &Volume, present: &[LayerLabel]) -> Result<LayerL
     }
 }
 
-/// The name of a label in the file, or `label_N`. If another material has that name, the label
-/// number is appended.
+/// Returns the name of a label in the file, or `label_N`. If another material has that name, the
+/// label number is appended.
 fn unused_name(at: LayerLabel, volume: &Volume, named: &[Material]) -> String {
     let is_free = |name: &str| name != OUTSIDE && named.iter().all(|other| other.name != name);
     let number = if volume.layer_count() > 1 { format!("{}_{}", at.layer, at.label) } else { at.label.to_string() };

@@ -1,9 +1,9 @@
-//! From the material of each voxel to one indicator (signed distance) per material.
+//! Computes one indicator (signed distance) per material from the material of each voxel.
 //!
-//! Each indicator is computed on the bounding box of its material by the method for one object
-//! ([`crate::labels`], or [`super::scaled`] with a scale), one after the other. Peak memory depends
-//! on the largest box and on the area of all interfaces. [`keep_contacts`] then corrects the
-//! indicators where several materials meet.
+//! Each indicator is computed on the bounding box of its material by the method for a single object
+//! ([`crate::labels`], or [`super::scaled`] with a scale). The indicators are computed one after
+//! the other, so peak memory depends on the largest box and on the area of all interfaces.
+//! [`keep_contacts`] then corrects the indicators where several materials meet.
 
 use super::choice::Chosen;
 use super::contacts::{Contacts, keep_contacts};
@@ -24,20 +24,20 @@ use rayon::prelude::*;
 
 /// Accuracy required of each indicator.
 ///
-/// Distances up to 7 voxels: an indicator is known two to three voxels from its zero set, plus a
-/// brick of four cells. Fewer conjugate-gradient steps than for one object suffice. Interfaces lie
-/// where two indicators are equal, between their zero sets, which therefore need not be pinned to
-/// the last digit. `brain_parcellation` takes 165 s of processor time with 160 steps, as for one
-/// object, and 89 s with 40.
+/// Distances are needed up to 7 voxels: an indicator is known two to three voxels from its zero
+/// set, plus a brick of four cells. Fewer conjugate-gradient steps than for a single object
+/// suffice: interfaces lie where two indicators are equal, between their zero sets, so the zero
+/// sets need not be pinned to full precision. `brain_parcellation` takes 165 s of processor time
+/// with 160 steps, as for a single object, and 89 s with 40 steps.
 const DEMANDS: Demands = Demands { limit: 7.0, pinned: 0.0005, pin_steps: 40 };
 
-/// Options that turn labels into indicators.
+/// Options for computing indicators from labels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MaterialOptions {
-    /// Minimum distance of each border from voxel centres, in voxels (minimum spacing). Not used
-    /// with a scale.
+    /// Minimum distance of each border from voxel centres, in units of the minimum voxel spacing.
+    /// Not used with a scale.
     pub clearance: f64,
-    /// The scale to smooth with; `None` keeps every voxel centre in its material.
+    /// The scale of the smoothing; `None` keeps every voxel centre in its material.
     pub scale: Option<Scale>,
 }
 
@@ -46,15 +46,15 @@ pub struct MaterialOptions {
 pub struct Tally {
     /// Number of voxels of the material.
     pub voxels: usize,
-    /// Parts of the voxels, and of the region where the indicator is negative before contacts are
-    /// corrected. For the outside, those of its complement.
+    /// Parts of the voxels, and parts of the region where the indicator is negative before contacts
+    /// are corrected. For the outside, the parts of the complement are counted.
     pub parts: [Parts; 2],
     /// Number of voxel centres where the indicator has the wrong sign.
     pub changed: usize,
-    /// Number of ambiguous faces (two parts touching along an edge) at which the indicator connects
+    /// Number of ambiguous faces (two parts touching along an edge) where the indicator connects
     /// the parts differently from its level set.
     pub undecided: usize,
-    /// Changes by the scale; `None` without a scale, and if nothing is left of the material.
+    /// Changes due to the scale; `None` without a scale, or if the whole material vanishes.
     pub changes: Option<Changes>,
 }
 
@@ -68,7 +68,7 @@ pub struct Extracted {
     pub contacts: Contacts,
 }
 
-/// Hides progress counters of single materials; phases and interrupts pass through.
+/// Hides the progress counters of single materials; phases and interrupts pass through.
 pub(super) struct Quiet<'a>(pub(super) &'a dyn Monitor);
 
 impl Monitor for Quiet<'_> {
@@ -88,8 +88,8 @@ impl Monitor for Quiet<'_> {
 /// Computes the indicators.
 ///
 /// # Errors
-/// When a material has no voxel or no border, when the indicators do not fit together, or when the
-/// run is interrupted.
+/// If a material has no voxel or no border, if the indicators are inconsistent, or if the run is
+/// interrupted.
 pub fn extract(
     grid: &LabelGrid,
     chosen: &Chosen,
@@ -105,10 +105,10 @@ pub fn extract(
             "leave it out of MATERIALS (--material); another material or layer may contain its voxels",
         ));
     }
-    // the outside is computed from the union of all others, whose box contains all boxes
+    // the outside is computed from the union of all other materials, whose box contains all boxes
     let all = extents[1..].iter().copied().reduce(Extent::joined).unwrap_or(extents[0]);
     let box_size = |extent: &Extent| (0..3).map(|a| extent.high[a] + 1 - extent.low[a]).product::<usize>();
-    // the largest first, while memory is free: the results accumulate
+    // largest box first, while memory is free: the results accumulate
     let mut order: Vec<usize> = (1..extents.len()).collect();
     order.sort_by_key(|&id| (std::cmp::Reverse(box_size(&extents[id])), id));
     let mut made: Vec<Option<(Indicator, Vec<u32>)>> = vec![None; extents.len()];
@@ -134,7 +134,7 @@ pub fn extract(
             tallies[id] = tally;
             match own {
                 Some(own) => Indicator::new(&own, first, padded.size, id == 0),
-                // nothing is left of the material, or of the union of all others
+                // nothing is left of the material, or of the union of all other materials
                 None => (Indicator::constant(id == 0), Vec::new()),
             }
         };
@@ -157,8 +157,8 @@ pub fn extract(
     Ok(Extracted { materials, tallies, contacts })
 }
 
-/// One material to compute. The outside is the complement of the union of all others, so that a
-/// volume with one material has one indicator and its negative.
+/// A material whose indicator is computed. The outside is computed as the complement of the union
+/// of all other materials, so a volume with one material has one indicator and its negative.
 struct One<'a> {
     grid: &'a LabelGrid,
     id: MaterialId,
@@ -166,14 +166,15 @@ struct One<'a> {
 }
 
 impl One<'_> {
-    /// The box to compute: that of the voxels with the room that their smoothed occupancy reaches.
+    /// Returns the box to compute: the bounding box of the voxels, enlarged by the reach of their
+    /// smoothed occupancy.
     fn kept(&self) -> VoxelBox {
         let Extent { low, high, .. } = self.extent;
         VoxelBox { low, high }.with_room(room_of_labels(self.grid.margin), self.grid.geometry.size).on_coarse_nodes()
     }
 
-    /// The indicator at a scale, with the first voxel of its box. `None` if nothing is left of the
-    /// material.
+    /// Computes the indicator at a scale. Also returns the first voxel of its box. The indicator is
+    /// `None` if the whole material vanishes.
     fn scaled(
         &self,
         levels: &Levels,
@@ -185,14 +186,14 @@ impl One<'_> {
             return Ok((None, first, Tally::default()));
         };
         self.turn(&mut field);
-        // parts of the voxels, not of the smoothed object
+        // the parts of the voxels, not of the smoothed object
         let components = changes.as_ref().map_or(parts_before.components, |changes| changes.components[0]);
         let before = Parts { components, ..parts_before };
         let tally = Tally { voxels: 0, parts: [before, parts_after], changed: 0, undecided, changes };
         Ok((Some(field), first, tally))
     }
 
-    /// Negates the field of the outside, which was computed from the union of all others.
+    /// Negates the field of the outside, which was computed from the union of all other materials.
     fn turn(&self, field: &mut Image<f32>) {
         if self.id == MaterialId::OUTSIDE {
             field.data.par_iter_mut().for_each(|f| *f = -*f);
@@ -208,8 +209,8 @@ impl One<'_> {
             let [i, j, k] = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
             numbers[self.grid.geometry.linear(kept.low[0] + i, kept.low[1] + j, kept.low[2] + k)]
         };
-        // where two materials alternate around an edge, the one named first is connected; the
-        // outside never is
+        // where two materials alternate around an edge, the material with the lower number is
+        // connected; the outside is never connected
         let gives_way = |[a, b]: [usize; 2]| {
             let other = number(a);
             !is_outside && other == number(b) && (1..id).contains(&other)

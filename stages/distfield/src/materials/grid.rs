@@ -1,4 +1,5 @@
-//! The material of every voxel, and of the nodes beyond the border of the volume.
+//! Stores the material of every voxel, and returns that of the nodes beyond the border of the
+//! volume.
 
 use super::choice::Chosen;
 use crate::mask::Mask;
@@ -10,20 +11,20 @@ use isoparticles_volume::{Geometry, LayerLabel, Volume};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// The material of every voxel of a volume, and of the nodes of the padded grid around it.
+/// The material of every voxel of a volume, and of the nodes of the padded grid around the volume.
 pub struct LabelGrid {
     /// The volume's grid.
     pub geometry: Geometry,
     /// Material number of each voxel, x fastest.
     pub numbers: Vec<u16>,
-    /// Treatment of nodes beyond the border: closed gives the outside, open gives the nearest
-    /// voxel's material.
+    /// Treatment of nodes beyond the border: a closed border assigns them to the outside, an open
+    /// border to the material of the nearest voxel.
     pub border: Border,
-    /// Nodes added on each face.
+    /// Number of nodes added on each face.
     pub margin: usize,
 }
 
-/// The bounding box of a material's voxels, and their number.
+/// The bounding box and the number of a material's voxels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Extent {
     /// First voxel along each axis.
@@ -46,7 +47,7 @@ impl Extent {
         self.count += columns.len();
     }
 
-    /// The bounding box of both, with the sum of the counts.
+    /// Returns the bounding box of both extents, with the sum of the counts.
     pub fn joined(self, other: Self) -> Self {
         Self {
             low: std::array::from_fn(|a| self.low[a].min(other.low[a])),
@@ -60,7 +61,7 @@ impl LabelGrid {
     /// Maps the labels of a volume to the chosen materials.
     ///
     /// # Errors
-    /// When overlapping layers give one voxel to two materials.
+    /// If overlapping layers assign one voxel to two materials.
     pub fn new(volume: &Volume, chosen: &Chosen, border: Border, margin: usize) -> Result<Self> {
         let mut numbers = vec![0u16; volume.voxels.len()];
         let mut overlaps: BTreeMap<(u16, u16), usize> = BTreeMap::new();
@@ -98,12 +99,12 @@ impl LabelGrid {
         Ok(Self { geometry: volume.geometry.clone(), numbers, border, margin })
     }
 
-    /// The padded grid.
+    /// Returns the padded grid.
     pub fn padded(&self) -> Geometry {
         self.geometry.padded(self.margin)
     }
 
-    /// The material of a node of the padded grid, by its index.
+    /// Returns the material of a node of the padded grid, given the index of the node.
     #[inline]
     pub fn at(&self, node: [usize; 3]) -> MaterialId {
         let size = self.geometry.size;
@@ -119,7 +120,7 @@ impl LabelGrid {
         MaterialId(self.numbers[self.geometry.linear(voxel[0], voxel[1], voxel[2])])
     }
 
-    /// The bounding boxes of all materials, by number.
+    /// Returns the bounding boxes of all materials, indexed by material number.
     pub fn extents(&self, materials: usize) -> Vec<Extent> {
         let [nx, ny, _] = self.geometry.size;
         let mut extents = vec![Extent::NONE; materials];
@@ -133,7 +134,7 @@ impl LabelGrid {
         extents
     }
 
-    /// Mask of the voxels of a box whose material number satisfies `holds`.
+    /// Returns the mask of the voxels in a box whose material number satisfies `holds`.
     pub fn mask(&self, low: [usize; 3], high: [usize; 3], holds: impl Fn(u16) -> bool + Sync) -> Mask {
         let size: [usize; 3] = std::array::from_fn(|a| high[a] + 1 - low[a]);
         let geometry = self.geometry.cropped(low, size);
@@ -151,8 +152,8 @@ impl Coarser for LabelGrid {
         &self.geometry
     }
 
-    /// Each coarse voxel gets the most frequent material of its eight voxels; of equally frequent
-    /// ones, the first along x, y and z.
+    /// Assigns each coarse voxel to the most frequent material of its eight voxels. Ties go to the
+    /// material that comes first along x, y and z.
     fn halved(&self) -> Self {
         let [nx, ny, nz] = self.geometry.size;
         let size = self.geometry.size.map(|n| n.div_ceil(2));

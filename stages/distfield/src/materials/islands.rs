@@ -1,5 +1,5 @@
-//! Islands: components of a few voxels that a segmentation leaves behind. They are given to the
-//! materials around them (`--smallest-island`).
+//! Removes islands: components of a few voxels that a segmentation leaves behind. Islands are
+//! merged into the surrounding materials (`--smallest-island`).
 
 use super::grid::LabelGrid;
 use glam::DVec3;
@@ -16,36 +16,36 @@ pub struct Islands {
     /// Number of the material in the original table.
     #[serde(skip)]
     pub material: MaterialId,
-    /// Its name.
+    /// Name of the material.
     pub name: String,
     /// Whether the material had only islands and was removed.
     #[serde(rename = "all")]
     pub is_all: bool,
     /// Number of islands.
     pub count: usize,
-    /// Total number of voxels.
+    /// Total number of voxels of the islands.
     pub voxels: usize,
     /// Number of voxels of the largest island.
     pub largest: usize,
-    /// Centre of a voxel of the largest island, in the world, mm.
+    /// Centre of a voxel of the largest island, in world coordinates, mm.
     pub place: [f64; 3],
 }
 
 /// Consecutive voxels of one material in a row.
 #[derive(Clone, Copy)]
 struct Run {
-    /// Index of the first voxel, and of the one after the last.
+    /// Index of the first voxel, and index after the last voxel.
     voxels: [usize; 2],
     material: u16,
 }
 
-/// Gives every component of fewer than `least` voxels to the material with which it shares the most
-/// faces; of equal ones, to the lower number. Components of the outside count as well. Voxels of
-/// one component are connected through faces.
+/// Assigns every component of fewer than `least` voxels to the material that shares the most faces
+/// with it; ties go to the lower material number. Components of the outside are included. Voxels of
+/// a component are connected through faces.
 ///
-/// Where islands touch each other, those next to a larger component go first. A material of islands
-/// only leaves the table, and those behind it move up. Returns the islands by material, in the
-/// order of the original table.
+/// Where islands touch each other, islands next to a larger component are removed first. A material
+/// that consists only of islands is removed from the table, and the materials after it move up.
+/// Returns the islands by material, in the order of the original table.
 pub fn remove_islands(grid: &mut LabelGrid, table: &mut Vec<Material>, least: usize) -> Vec<Islands> {
     let mut found: BTreeMap<u16, Islands> = BTreeMap::new();
     while remove_outermost(grid, least, &mut found) {}
@@ -66,7 +66,7 @@ pub fn remove_islands(grid: &mut LabelGrid, table: &mut Vec<Material>, least: us
     islands
 }
 
-/// Gives away the islands next to larger components. Returns false if there were none.
+/// Reassigns the islands next to larger components. Returns false if there are none.
 fn remove_outermost(grid: &mut LabelGrid, least: usize, found: &mut BTreeMap<u16, Islands>) -> bool {
     let (runs, start) = runs(grid);
     let [nx, ny, _] = grid.geometry.size;
@@ -98,7 +98,7 @@ fn remove_outermost(grid: &mut LabelGrid, least: usize, found: &mut BTreeMap<u16
     for row in start.windows(2) {
         (row[0] + 1..row[1]).for_each(|next| contact(next - 1, next, 1));
     }
-    // of equal numbers of faces, the lower material number
+    // ties go to the lower material number
     let heir = |faces: &BTreeMap<u16, usize>| faces.iter().rev().max_by_key(|(_, count)| **count).map(|(&id, _)| id);
     let heirs: BTreeMap<u32, u16> = faces.iter().filter_map(|(&island, faces)| Some((island, heir(faces)?))).collect();
     for (run, of) in runs.iter().zip(&component) {
@@ -128,7 +128,7 @@ fn remove_outermost(grid: &mut LabelGrid, least: usize, found: &mut BTreeMap<u16
     !heirs.is_empty()
 }
 
-/// The runs of all rows, and the index of the first run of each row.
+/// Returns the runs of all rows, and the index of the first run of each row.
 fn runs(grid: &LabelGrid) -> (Vec<Run>, Vec<usize>) {
     let (mut runs, mut start) = (Vec::new(), vec![0]);
     let mut first = 0;
@@ -142,7 +142,7 @@ fn runs(grid: &LabelGrid) -> (Vec<Run>, Vec<usize>) {
     (runs, start)
 }
 
-/// Visits the pairs of runs in adjacent rows that share faces, with the number of shared faces.
+/// Visits all pairs of runs in adjacent rows that share faces, with the number of shared faces.
 fn each_contact<N: Iterator<Item = usize>>(
     runs: &[Run],
     start: &[usize],
@@ -174,7 +174,8 @@ mod tests {
     use crate::Border;
     use isoparticles_volume::Geometry;
 
-    /// A grid from rows of characters; empty strings separate slices, '.' is the outside.
+    /// Builds a grid from rows of characters. Empty strings separate slices, and '.' is the
+    /// outside.
     fn grid(rows: &[&str]) -> (LabelGrid, Vec<Material>) {
         let slices: Vec<&[&str]> = rows.split(|row| row.is_empty()).collect();
         let size = [slices[0][0].len(), slices[0].len(), slices.len()];

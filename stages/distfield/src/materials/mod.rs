@@ -1,11 +1,11 @@
-//! Many materials: labels become one smooth indicator each, including the outside (Meyer, Whitaker,
-//! Kirby, Ledergerber and Pfister 2008).
+//! Computes one smooth indicator for each of several materials, including the outside (Meyer,
+//! Whitaker, Kirby, Ledergerber and Pfister 2008).
 //!
-//! [`choice`] maps labels to materials and [`grid`] maps voxels to them; [`islands`] removes small
-//! components. [`mod@extract`] computes the indicators one after the other by the method for one
-//! object; with a scale, from the smoothed occupancy of [`scaled`]. [`contacts`] corrects them
-//! where several materials meet. [`survey`] measures the result: material of every node, volumes,
-//! areas, junctions, changed voxel centres. [`program`] runs the stage.
+//! [`choice`] maps labels to materials and [`grid`] maps voxels to materials; [`islands`] removes
+//! small components. [`mod@extract`] computes the indicators one after the other by the method for
+//! a single object or, with a scale, from the smoothed occupancy of [`scaled`]. [`contacts`]
+//! corrects the indicators where several materials meet. [`survey`] measures the result: material
+//! of every node, volumes, areas, junctions and changed voxel centres. [`program`] runs the stage.
 
 pub mod choice;
 pub mod contacts;

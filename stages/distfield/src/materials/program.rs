@@ -1,5 +1,5 @@
-//! `distfield --material`: reads the volume, computes and surveys the indicators, writes the file
-//! and the report, and runs the checks.
+//! Runs `distfield --material`: computes and surveys the indicators, writes the file and the
+//! report, and runs the checks.
 
 use super::choice::{Chosen, resolve};
 use super::contacts::Contacts;
@@ -23,16 +23,16 @@ use isoparticles_volume::Volume;
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
-/// Number of materials and pairs shown in the closing table; the report has all.
+/// Maximum number of materials and of pairs in the closing table. The report contains all of them.
 const SHOWN: usize = 12;
 
-/// Number of names listed in a warning or a failed check.
+/// Maximum number of names listed in a warning or a failed check.
 const NAMED: usize = 3;
 
 /// Computes the indicators of the chosen materials and writes them.
 ///
 /// # Errors
-/// When the choices are not in the volume, an option is not supported with materials, files cannot
+/// If the choices are not in the volume, an option is not supported with materials, files cannot
 /// be written, or the run is interrupted.
 pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) -> Result<Outcome> {
     check_options(args)?;
@@ -41,7 +41,7 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     let scale = scale(args, &volume, &chosen, context)?;
     let whole = volume.geometry.padded(args.margin.into());
     let found = VoxelBox::of_labels(&volume, |label| chosen.number(label) != MaterialId::OUTSIDE.0);
-    // a face of the grid counts as a border of the volume: only the outside lies beyond
+    // a face of the grid counts as a border of the volume: only the outside lies beyond the face
     let room = scale.map_or([LABEL_ROOM; 3], |scale| room_round(0.5 * scale.length / volume.geometry.spacing));
     take_out(args, &mut volume, found, room, context)?;
     let mut grid = LabelGrid::new(&volume, &chosen, args.border, args.margin.into())?;
@@ -102,7 +102,7 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     Ok(Outcome::from_failed_checks(failed))
 }
 
-/// Gives islands to the materials around them, and reports them.
+/// Merges islands into the surrounding materials and reports the islands.
 fn remove_small(grid: &mut LabelGrid, chosen: &mut Chosen, least: usize, context: &Context) {
     if least < 2 {
         return;
@@ -131,7 +131,7 @@ fn remove_small(grid: &mut LabelGrid, chosen: &mut Chosen, least: usize, context
     }
 }
 
-/// Refuses options that are not supported with many materials.
+/// Rejects options that are not supported with several materials.
 pub(crate) fn check_options(args: &Args) -> Result<()> {
     let refused = |option: &str, why: &str| {
         Err(Error::input(
@@ -146,7 +146,7 @@ pub(crate) fn check_options(args: &Args) -> Result<()> {
     Ok(())
 }
 
-/// The scale from the options; `None` if every voxel centre is kept.
+/// Returns the scale from the options, or `None` if every voxel centre is kept.
 fn scale(args: &Args, volume: &Volume, chosen: &Chosen, context: &Context) -> Result<Option<Scale>> {
     if !args.scale.is_given() {
         return Ok(None);
@@ -170,7 +170,7 @@ fn scale(args: &Args, volume: &Volume, chosen: &Chosen, context: &Context) -> Re
     Ok((choice.length > 0.0).then_some(Scale { length: choice.length, keep_thin: args.scale.keep_thin }))
 }
 
-/// Notes on the materials, for the output file and the report.
+/// Builds the notes on the materials for the output file and the report.
 fn notes(materials: &Materials, tallies: &[Tally], found: &Survey) -> Map<String, Value> {
     let voxel = materials.geometry().spacing.element_product();
     let row = |(id, tally): (usize, &Tally)| {
@@ -186,12 +186,12 @@ fn notes(materials: &Materials, tallies: &[Tally], found: &Survey) -> Map<String
             "undecided_junctions": tally.undecided,
             "state_bytes": materials.indicators()[id].bytes(),
         });
-        // those of the outside refer to the union of all others
+        // the parts of the outside are those of the union of all other materials
         if id != MaterialId::OUTSIDE.index() {
             row["components_before"] = json!(before.components);
             row["components"] = json!(after.components);
-            // with a scale, `scale_changes` reports what was joined and broken, by parts of the
-            // voxels
+            // with a scale, `scale_changes` reports which parts of the voxels were merged and
+            // broken
             row["cavities_before"] = tally.changes.as_ref().map_or(json!(before.cavities), |_| Value::Null);
             row["cavities"] = json!(after.cavities);
         }
@@ -253,8 +253,8 @@ fn describe(materials: &Materials, tallies: &[Tally], found: &Survey, context: &
     }
 }
 
-/// The materials whose volumes changed by more than the share `limit`, as text, largest material
-/// first.
+/// Lists the materials whose volumes changed by more than the fraction `limit`, with the largest
+/// material first.
 fn volumes_changed(materials: &Materials, tallies: &[Tally], found: &Survey, limit: f64) -> Vec<String> {
     let voxel = materials.geometry().spacing.element_product();
     let mut changed: Vec<(usize, f64)> = (1..tallies.len())
@@ -268,7 +268,8 @@ fn volumes_changed(materials: &Materials, tallies: &[Tally], found: &Survey, lim
         .collect()
 }
 
-/// Warns which materials have broken or joined parts or filled gaps at a scale, and what each lost.
+/// Warns about materials with broken or merged parts or filled gaps at a scale, and about the
+/// losses of each material.
 fn tell_changes(materials: &Materials, tallies: &[Tally], scale: Scale, context: &Context) {
     let at_scale = format!("at a scale of {:.4} mm,", scale.length);
     let changed = || {
@@ -288,8 +289,8 @@ fn tell_changes(materials: &Materials, tallies: &[Tally], scale: Scale, context:
     tell_losses(losses, &at_scale, context);
 }
 
-/// Warns of the losses of each material at a scale. Losses below the share [`SPECKS`] of a material
-/// are combined in one warning.
+/// Warns about the losses of each material at a scale. Losses below the fraction [`SPECKS`] of a
+/// material are combined in one warning.
 fn tell_losses(losses: Vec<(&str, &Changes)>, at_scale: &str, context: &Context) {
     let mut specks = Vec::new();
     for (name, changes) in losses {
@@ -319,7 +320,7 @@ fn tell_losses(losses: Vec<(&str, &Changes)>, at_scale: &str, context: &Context)
     context.warn(format!("{at_scale} specks are lost (less than {percent:.1} % of each material): {named}{more}"));
 }
 
-/// The failed checks of a run with a scale, which preserves volumes but not voxels.
+/// Returns the failed checks of a run with a scale, which preserves volumes but not voxels.
 fn failed_at_scale(materials: &Materials, tallies: &[Tally], found: &Survey) -> Vec<String> {
     let changed = volumes_changed(materials, tallies, found, SCALED_VOLUME_LIMITS.1);
     if changed.is_empty() {
@@ -340,7 +341,7 @@ fn listed(names: &[String]) -> String {
     format!("{}{more}", names[..names.len().min(NAMED)].join(", "))
 }
 
-/// The failed checks of a run without a scale; the method is designed to satisfy them.
+/// Returns the failed checks of a run without a scale. The method is designed to pass these checks.
 fn failed_checks(materials: &Materials, tallies: &[Tally], found: &Survey) -> Vec<String> {
     let mut failed = Vec::new();
     let of = |is_bad: &dyn Fn(usize) -> bool| -> Vec<String> {

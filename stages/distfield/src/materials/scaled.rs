@@ -1,13 +1,14 @@
-//! `--scale` with many materials. The occupancy of each material is smoothed and a level set
-//! preserves its local volume, as for one object ([`crate::scale`]). Comparing how far each
-//! material is above its level gives the material at each position, without gaps or overlaps.
+//! Applies `--scale` to several materials. The occupancy of each material is smoothed, and a level
+//! set preserves its local volume, as for a single object ([`crate::scale`]). Comparing how far
+//! each material exceeds its level assigns every position to one material, without gaps or
+//! overlaps.
 //!
 //! Where only two materials are near, their occupancies sum to one, and so do their levels: both
-//! give the same surface, that of one object. Where three meet, each has its own border. A corner
-//! of a material is rounded, and its level there is far from 1/2. A straight border on which two
-//! others meet is unchanged, and its level is 1/2. Between two materials, the border whose level is
-//! nearer to 1/2 therefore has more weight. The outer border of an organ of several materials is
-//! then as smooth as that of a single material.
+//! give the same surface as a single object. Where three materials meet, each has a different
+//! border. A corner of a material is rounded, and its level there is far from 1/2. A straight
+//! border where two other materials meet is unchanged, and its level is 1/2. Between two materials,
+//! the border whose level is closer to 1/2 therefore has more weight. The outer border of an organ
+//! of several materials is then as smooth as that of a single material.
 
 use super::grid::{Extent, LabelGrid};
 use crate::bits::{Bits, Numbering};
@@ -27,61 +28,64 @@ use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
-/// Integer steps per unit of a stored value; values lie between -1 and 1. One step moves a border
-/// by less than a thousandth of the Gaussian's width.
+/// Integer steps per unit of a stored value. Values are between -1 and 1. One step moves a border
+/// by less than a thousandth of the width of the Gaussian.
 const UNIT: f32 = i16::MAX as f32;
 
 /// Value where a material is absent, and of parts that are too small for the scale.
 const NOWHERE: i16 = i16::MIN;
 
-/// A third material counts as near above this value: at a level of 1/2 its smoothed occupancy is
-/// then above 0.01. The values of the two others are no longer each other's negative there.
+/// A third material counts as near above this value. At a level of 1/2, its smoothed occupancy is
+/// then above 0.01, and the values of the other two materials are no longer the negatives of each
+/// other.
 const IS_NEAR: i16 = -((0.49 * UNIT) as i16);
 
-/// Maximum number of materials stored where more than two are near.
+/// Maximum number of materials stored at a voxel where more than two are near.
 const MOST: usize = 4;
 
 /// Deviation of the level from 1/2 that counts as a rounded border. For comparison, the level is
-/// 0.3 at a right-angled edge and 0.43 on a ball of radius six standard deviations.
+/// 0.3 at a right-angled edge and 0.43 on a ball with a radius of six standard deviations.
 ///
-/// On a ball of three sectors, normals deviate from those of a ball by 1.2 degrees (root mean
-/// square, away from the edges), by 2.2 if both borders have equal weight, and by 0.7 if the ball
-/// is one object (test `a_scale_keeps_the_volumes_of_all_and_smooths_their_borders`).
+/// On a ball divided into three sectors, normals deviate from those of an exact ball by 1.2 degrees
+/// (root mean square, away from the edges). The deviation is 2.2 degrees if both borders have equal
+/// weight, and 0.7 degrees if the ball is a single object (test
+/// `a_scale_keeps_the_volumes_of_all_and_smooths_their_borders`).
 const ROUNDED: f32 = 0.1;
 
 /// A material at a voxel.
 #[derive(Clone, Copy)]
 struct Share {
     material: u16,
-    /// The smoothed occupancy minus the level, in 1 / [`UNIT`].
+    /// The smoothed occupancy minus the level, in units of 1 / [`UNIT`].
     above: i16,
-    /// Distance of the level from 1/2, in 1/255.
+    /// Distance of the level from 1/2, in units of 1/255.
     off: u8,
 }
 
 const NOBODY: Share = Share { material: u16::MAX, above: NOWHERE, off: 0 };
 
-/// The border between two materials: positive where the first one is.
+/// Returns the border function of two materials, which is positive in the first material.
 fn between(a: Share, b: Share) -> f32 {
-    // weight of the first, from the squared deviations of both levels in units of `ROUNDED`
+    // weight of the first material, from the squared deviations of both levels in units of
+    // `ROUNDED`
     let off = |share: Share| (f32::from(share.off) / 255.0 / ROUNDED).powi(2);
     let say = 1.0 / (1.0 + (off(a) - off(b)).exp());
     (say * f32::from(a.above) - (1.0 - say) * f32::from(b.above)) / UNIT
 }
 
 /// The smoothed occupancy of a material minus the level that preserves its volume, in a box around
-/// it.
+/// the material.
 struct Level {
     first: [usize; 3],
     size: [usize; 3],
-    /// In 1 / [`UNIT`].
+    /// Values in units of 1 / [`UNIT`].
     above: Vec<i16>,
-    /// Distance of the level from 1/2, in 1/255.
+    /// Distance of the level from 1/2, in units of 1/255.
     off: Vec<u8>,
 }
 
 impl Level {
-    /// For each row of the box, the index of its first voxel in the grid and in the box.
+    /// Returns, for each row of the box, the index of its first voxel in the grid and in the box.
     fn rows(&self, grid: [usize; 3]) -> impl Iterator<Item = (usize, usize)> + use<> {
         let (first, size) = (self.first, self.size);
         (0..size[1] * size[2]).map(move |row| {
@@ -91,8 +95,8 @@ impl Level {
     }
 }
 
-/// The three highest values at a voxel, and the material of the highest; of equal ones, the lower
-/// number.
+/// The three highest values at a voxel, and the material with the highest value. If several
+/// materials have the highest value, the material with the lowest number is stored.
 #[derive(Clone, Copy)]
 struct Highest {
     material: u16,
@@ -104,19 +108,19 @@ pub struct Levels<'a> {
     grid: &'a LabelGrid,
     levels: Vec<Level>,
     highest: Vec<Highest>,
-    /// The voxels where more than two materials are near, and up to [`MOST`] of these materials,
-    /// the highest value first.
+    /// The voxels where more than two materials are near. For each of these voxels, `near` contains
+    /// up to [`MOST`] of the materials in descending order of their values.
     several: Numbering,
     near: Vec<[Share; MOST]>,
 }
 
 /// The indicator of one material at a scale.
 pub struct Made {
-    /// F and its measurements; `None` if nothing is left of the material.
+    /// F and its measurements; `None` if the whole material vanishes.
     pub result: Option<Redistanced>,
-    /// Index of the first voxel of its box.
+    /// Index of the first voxel of the material's box.
     pub first: [usize; 3],
-    /// Changes by the scale; `None` if nothing is left of the material.
+    /// Changes due to the scale; `None` if the whole material vanishes.
     pub changes: Option<Changes>,
 }
 
@@ -124,7 +128,7 @@ impl<'a> Levels<'a> {
     /// Smooths the occupancies of all materials, whose bounding boxes are `extents`.
     ///
     /// # Errors
-    /// When there are too many runs of voxels to label the parts of a material, or the run is
+    /// If there are too many runs of voxels to label the parts of a material, or the run is
     /// interrupted.
     pub fn new(grid: &'a LabelGrid, extents: &[Extent], scale: Scale, monitor: &dyn Monitor) -> Result<Self> {
         let nothing = Highest { material: 0, above: [NOWHERE; 3] };
@@ -137,7 +141,8 @@ impl<'a> Levels<'a> {
             let level = if extent.count == 0 {
                 Level { first: [0; 3], size: [0; 3], above: Vec::new(), off: Vec::new() }
             } else {
-                // the indicator of the outside is computed from all others, wherever they are
+                // the indicator of the outside is computed from all other materials, wherever they
+                // are
                 let whole = Extent { low: [0; 3], high: grid.geometry.size.map(|n| n - 1), count: extent.count };
                 smoothed(grid, MaterialId(id as u16), if id == 0 { &whole } else { extent }, scale)
             };
@@ -156,7 +161,7 @@ impl<'a> Levels<'a> {
         Ok(new)
     }
 
-    /// Finds the highest values of each voxel, and all near materials where more than two are near.
+    /// Finds the highest values at each voxel, and all near materials where more than two are near.
     fn compare(&mut self) {
         let Self { grid, levels, highest, several, near } = self;
         let size = grid.geometry.size;
@@ -190,8 +195,8 @@ impl<'a> Levels<'a> {
         }
     }
 
-    /// How far the material of `own` is above all others at a voxel; positive where the voxel
-    /// belongs to it.
+    /// Returns how far the material of `own` is above all other materials at a voxel. The result is
+    /// positive where the voxel belongs to this material.
     fn above_others(&self, voxel: usize, own: Share) -> f32 {
         if let Some(number) = self.several.find(voxel) {
             let others =
@@ -203,7 +208,7 @@ impl<'a> Levels<'a> {
         0.5 * (f32::from(own.above) - f32::from(other)) / UNIT
     }
 
-    /// The values of [`Self::above_others`] at all voxels of a material's box.
+    /// Computes the values of [`Self::above_others`] at all voxels of a material's box.
     fn above(&self, id: usize) -> Vec<f32> {
         let level = &self.levels[id];
         let rows: Vec<(usize, usize)> = level.rows(self.grid.geometry.size).collect();
@@ -217,8 +222,8 @@ impl<'a> Levels<'a> {
         rows.par_iter().flat_map_iter(row).collect()
     }
 
-    /// Removes the parts of a material that are smaller than `smallest` (mm^3), unless all are
-    /// smaller. Other materials take their voxels.
+    /// Removes the parts of a material that are smaller than `smallest` (mm^3), unless all parts
+    /// are smaller. Other materials take over the voxels of removed parts.
     fn remove_crumbs(&mut self, id: usize, smallest: f64) -> Result<()> {
         let before = self.above(id);
         let mut after = before.clone();
@@ -232,8 +237,8 @@ impl<'a> Levels<'a> {
         Ok(())
     }
 
-    /// Area of all interfaces, mm^2, each pair counted once. With a closed border, the faces that
-    /// close the materials at the border of the volume are included.
+    /// Returns the area of all interfaces in mm^2, with each pair of materials counted once. With a
+    /// closed border, the faces that close the materials at the border of the volume are included.
     pub fn area(&self) -> f64 {
         let of = |id: usize| {
             let geometry = self.geometry(id);
@@ -251,18 +256,18 @@ impl<'a> Levels<'a> {
         inner + border
     }
 
-    /// The grid of a material's box.
+    /// Returns the grid of a material's box.
     fn geometry(&self, id: usize) -> Geometry {
         let level = &self.levels[id];
         self.grid.geometry.cropped(level.first, level.size)
     }
 
-    /// The indicator of a material that has voxels. For the outside, the indicator of the union of
-    /// all others is computed; the caller negates it.
+    /// Computes the indicator of a material that has voxels. For the outside, computes the
+    /// indicator of the union of all other materials, which the caller negates.
     ///
     /// # Errors
-    /// When there are too many runs of voxels to label its parts, when it fills the volume and the
-    /// border is open, or when the run is interrupted.
+    /// If there are too many runs of voxels to label its parts, if it fills the volume and the
+    /// border is open, or if the run is interrupted.
     pub fn indicator(&self, id: MaterialId, scale: f64, demands: &Demands, monitor: &dyn Monitor) -> Result<Made> {
         let is_outside = id == MaterialId::OUTSIDE;
         let grid = self.grid;
@@ -299,11 +304,11 @@ impl<'a> Levels<'a> {
     }
 }
 
-/// The edge length (mm) for which a mesh of all smoothed materials has about `vertices` vertices,
-/// from the area of their interfaces. `None` if nothing is left of them.
+/// Returns the edge length (mm) at which a mesh of all smoothed materials has about `vertices`
+/// vertices, computed from the area of their interfaces. Returns `None` if all materials vanish.
 ///
 /// # Errors
-/// As [`Levels::new`].
+/// See [`Levels::new`].
 pub fn edge_length(
     grid: &LabelGrid,
     materials: usize,

@@ -17,26 +17,26 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// The interface of two materials.
+/// The interface between two materials.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Interface {
-    /// The materials, the lower number first.
+    /// The materials, with the lower number first.
     pub materials: [MaterialId; 2],
     /// Area of the interface, mm^2.
     pub area: f64,
-    /// Number of grid edges that it crosses.
+    /// Number of grid edges that the interface crosses.
     pub crossings: usize,
 }
 
-/// Counts of places where three or more materials meet, from the nodes. Junction curves cross grid
-/// faces; grid cells contain junction points.
+/// Numbers of junctions, where three or more materials meet, counted from the materials of the
+/// nodes. Junction curves cross grid faces; junction points lie in grid cells.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Junctions {
-    /// Grid faces whose corners have three materials.
+    /// Number of grid faces with three materials at the corners.
     pub edges_of_three: usize,
-    /// Grid faces whose corners have four materials.
+    /// Number of grid faces with four materials at the corners.
     pub edges_of_four: usize,
-    /// Grid cells whose corners have four or more materials.
+    /// Number of grid cells with four or more materials at the corners.
     pub corners: usize,
 }
 
@@ -45,42 +45,43 @@ pub struct Junctions {
 pub struct Survey {
     /// Material number of each node, x fastest.
     pub material: Vec<u16>,
-    /// Half the difference of the two smallest indicators at each node, mm, at most
+    /// Half the difference of the two smallest indicators at each node in mm, at most
     /// [`distance_limit`].
     pub interface_distance: Vec<f32>,
-    /// For each material, number of its voxel centres that another material has taken.
+    /// For each material, number of its voxel centres where another indicator is smaller.
     pub changed: Vec<usize>,
-    /// Volume of each material, mm^3; of the outside, within the voxels of the volume only.
+    /// Volume of each material, mm^3. The volume of the outside is limited to the voxels of the
+    /// volume.
     pub volumes: Vec<f64>,
     /// The pairs of materials that touch.
     pub interfaces: Vec<Interface>,
-    /// Places where more than two materials meet.
+    /// Junctions where more than two materials meet.
     pub junctions: Junctions,
 }
 
-/// Distance (mm) from an interface up to which both of its indicators are known everywhere.
+/// Returns the distance (mm) from an interface within which both of its indicators are known.
 pub fn distance_limit(geometry: &Geometry) -> f64 {
     KNOWN_VOXELS as f64 * geometry.min_spacing()
 }
 
-/// Sums over some slices.
+/// Sums over the nodes of a slice.
 #[derive(Default)]
 struct Sums {
-    /// For each pair: area (mm^2) and number of crossings.
+    /// Area (mm^2) and number of crossings of each pair of materials.
     pairs: BTreeMap<[MaterialId; 2], (f64, usize)>,
     junctions: Junctions,
 }
 
 /// Surveys the nodes of the padded grid and the edges between them.
 ///
-/// The area of an interface is a sum over the grid edges that it crosses: the area of the dual
-/// face, times |n_a|, the component of the unit normal along the edge. A piece dA of the interface
-/// covers the area |n_a| dA of the faces across axis a, and the squares of n_a sum to one. The
-/// volume of a material is the volume enclosed by the surface on which its indicator equals the
-/// smallest of the others.
+/// The area of an interface is a sum over the grid edges that the interface crosses: the area of
+/// the dual face, times |n_a|, the component of the unit normal along the edge. A piece dA of the
+/// interface covers the area |n_a| dA of the faces across axis a, and the squares of n_a sum to
+/// one. The volume of a material is the volume enclosed by the surface where its indicator equals
+/// the smallest of all other indicators.
 ///
 /// # Errors
-/// When the run is interrupted.
+/// If the run is interrupted.
 pub fn survey(
     indicators: &impl Indicators,
     geometry: &Geometry,
@@ -92,7 +93,7 @@ pub fn survey(
     let plane = nx * ny;
     let limit = distance_limit(geometry) as f32;
     let (mut material, mut distance) = (vec![0u16; geometry.voxel_count()], vec![0.0f32; geometry.voxel_count()]);
-    // beyond an open border interfaces continue straight, but do not belong to the volume
+    // beyond an open border, interfaces continue straight but do not belong to the volume
     let counted: [Range<usize>; 3] = std::array::from_fn(|a| match grid.border {
         Border::Cap => 0..geometry.size[a],
         Border::Open => grid.margin..geometry.size[a] - grid.margin,
@@ -152,7 +153,8 @@ pub fn survey(
     Ok(survey)
 }
 
-/// The bounding boxes of the counted nodes of each material; `None` if it has none.
+/// Returns the bounding box of the counted nodes of each material, or `None` for a material without
+/// counted nodes.
 fn node_extents(
     material: &[u16],
     [nx, ny, _]: [usize; 3],
@@ -184,8 +186,8 @@ struct NodesNear<'a> {
 }
 
 impl NodesNear<'_> {
-    /// Volume (mm^3) of a material whose nodes lie in `extent`. It is closed half a voxel beyond
-    /// the counted nodes.
+    /// Returns the volume (mm^3) of a material whose nodes lie in `extent`. The material is closed
+    /// half a voxel beyond the counted nodes.
     fn volume(&self, indicators: &impl Indicators, id: MaterialId, extent: VoxelBox) -> f64 {
         // one more node on each face, possibly beyond the grid
         let size = extent.size().map(|n| n + 2);
@@ -225,7 +227,7 @@ impl NodesNear<'_> {
     }
 }
 
-/// Sums over the counted nodes of slice `k` and the edges to the next slice.
+/// Computes the sums over the counted nodes of slice `k` and the edges to the next slice.
 fn slice_sums(
     indicators: &impl Indicators,
     geometry: &Geometry,
@@ -256,7 +258,7 @@ fn slice_sums(
     sums
 }
 
-/// Number of distinct values.
+/// Returns the number of distinct values.
 fn distinct<const N: usize>(mut numbers: [u16; N]) -> usize {
     if numbers.iter().all(|number| *number == numbers[0]) {
         return 1;
@@ -275,7 +277,7 @@ impl Sums {
         }
     }
 
-    /// Adds the interface between a node and the next one along an axis.
+    /// Adds the interface between a node and the next node along an axis.
     fn add_crossing(
         &mut self,
         indicators: &impl Indicators,
@@ -289,7 +291,8 @@ impl Sums {
         let start = geometry.index_to_grid(DVec3::from_array(at.map(|n| n as f64)));
         let value = |p: DVec3| indicators.difference_gradient(i, j, p).0;
         let (low, high) = (value(start), value(start + step));
-        // negative at the node, positive at the next, unless an indicator is not known there
+        // negative at the node and positive at the next node, unless an indicator is not known
+        // there
         let share = if low < 0.0 && high > 0.0 && (high - low).is_finite() { low / (low - high) } else { 0.5 };
         let (_, gradient) = indicators.difference_gradient(i, j, start + step * share);
         let face = geometry.spacing.element_product() / geometry.spacing[axis];

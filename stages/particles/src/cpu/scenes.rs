@@ -1,5 +1,5 @@
-//! Test bodies of several materials with known strata: particles on their junctions in closed form,
-//! and scattered particles on their interfaces.
+//! Multi-material test bodies with known strata: junction particles in closed form, and scattered
+//! particles on the interfaces.
 
 use crate::coarse::empty;
 use crate::constants::INITIAL_LAMBDA;
@@ -14,28 +14,28 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_volume::{Geometry, Image};
 use std::f64::consts::{PI, TAU};
 
-/// Centre of every body, mm.
+/// Centre of every body in mm.
 pub(crate) const CENTRE: DVec3 = DVec3::new(12.1, 11.8, 12.3);
 
-/// Radius of the outer ball, mm.
+/// Radius of the outer ball in mm.
 pub(crate) const RADIUS: f64 = 8.0;
 
-/// Indicators with h, seeds and the expected interfaces.
+/// A test body: indicators, h, seeds and the expected interfaces.
 pub(crate) struct Body {
     pub indicators: Analytic,
     pub sizing: SizingField,
     pub seeds: OnStrata,
-    /// Each interface with its area (mm^2) and the length of its border (mm).
+    /// Interfaces, each with its area (mm^2) and the length of its border (mm).
     pub sheets: Vec<(Stratum, f64, f64)>,
 }
 
-/// The stratum of the given materials.
+/// Returns the stratum of the given materials.
 pub(crate) fn stratum(ids: &[u16]) -> Stratum {
     Stratum::new(&ids.iter().map(|&id| MaterialId(id)).collect::<Vec<_>>()).expect("two to four materials")
 }
 
-/// A junction curve: stratum, length (mm), the indices of the particles at its ends, and its points
-/// by the share of its length.
+/// A junction curve: its stratum, its length (mm), the indices of the particles at its ends, and a
+/// function from the share of the length to a point.
 struct Curve {
     on: Stratum,
     length: f64,
@@ -44,8 +44,8 @@ struct Curve {
 }
 
 impl Body {
-    /// Adds the particles of points and curves first, then projects random points until `count`
-    /// particles lie on interfaces.
+    /// Adds the particles of junction points and curves first. Then projects random points until
+    /// `count` particles lie on interfaces.
     fn new(
         indicators: Analytic,
         h: f64,
@@ -98,7 +98,7 @@ impl Body {
         Self { indicators, sizing, seeds: (set, strata), sheets }
     }
 
-    /// The same indicators, sampled on the grid of h.
+    /// Returns the same indicators sampled on the grid of h.
     pub(crate) fn sampled(&self) -> Materials {
         let geometry = self.sizing.image().geometry.clone();
         let parts = self.indicators.ids().map(|id| {
@@ -109,8 +109,8 @@ impl Body {
         Materials::new(geometry.clone(), parts.collect()).expect("parts of one grid")
     }
 
-    /// Number of particles that the lattice has inside the border of each interface. By Pick's
-    /// theorem, each border particle takes half a cell, and a border adds one.
+    /// Returns the number of lattice particles inside the border of each interface. By Pick's
+    /// theorem, each border particle takes up half a cell, and the border adds one particle.
     pub(crate) fn lattice_counts(&self) -> Vec<(Stratum, f64)> {
         let h = self.sizing.at(CENTRE);
         let count = |area: f64, border: f64| {
@@ -120,7 +120,8 @@ impl Body {
     }
 }
 
-/// A ball of radius 5 mm inside one of [`RADIUS`]: two interfaces without junctions.
+/// Returns a ball of radius 5 mm inside a ball of radius [`RADIUS`]: two interfaces without
+/// junctions.
 pub(crate) fn nested(h: f64, count: usize) -> Body {
     let shell = maximum(ball(CENTRE, RADIUS), negative(ball(CENTRE, 5.0)));
     let indicators = Analytic::new(vec![negative(ball(CENTRE, RADIUS)), shell, ball(CENTRE, 5.0)], 1.0);
@@ -128,8 +129,8 @@ pub(crate) fn nested(h: f64, count: usize) -> Body {
     Body::new(indicators, h, &[], &[], sheets, count)
 }
 
-/// A ball cut into three sectors of 120 degrees around an axis along z. The axis and three
-/// meridians are junction curves that meet at the two poles.
+/// Returns a ball cut into three sectors of 120 degrees around an axis parallel to z. The axis and
+/// three meridians are junction curves that meet at the two poles.
 pub(crate) fn sectors(h: f64, count: usize) -> Body {
     // angles of the planes between the sectors
     let turns = [0.1, 1.1, 2.1].map(|n: f64| n / 3.0 * TAU);
@@ -164,8 +165,9 @@ pub(crate) fn sectors(h: f64, count: usize) -> Body {
     Body::new(indicators, h, &points, &curves, sheets, count)
 }
 
-/// A ball cut into four regions that meet at its centre, each around the direction of a
-/// tetrahedron's corner: one junction point inside, four on the surface.
+/// Returns a ball cut into four regions that meet at its centre. Each region surrounds the
+/// direction of one corner of a tetrahedron. There is one junction point inside the ball and four
+/// on its surface.
 pub(crate) fn corners(h: f64, count: usize) -> Body {
     let ways = [DVec3::ONE, DVec3::new(1.0, -1.0, -1.0), DVec3::new(-1.0, 1.0, -1.0), DVec3::new(-1.0, -1.0, 1.0)];
     let region = |own: DVec3| {
@@ -175,7 +177,7 @@ pub(crate) fn corners(h: f64, count: usize) -> Body {
     let mut functions = vec![negative(ball(CENTRE, RADIUS))];
     functions.extend(ways.map(region));
     let indicators = Analytic::new(functions, 1.0);
-    // the ray on which all regions but one meet, opposite to that one
+    // the ray where all regions except one meet; it points away from that region
     let ray = |without: usize| -ways[without].normalize();
     let others = |without: &[usize]| (0..4).filter(|n| !without.contains(n)).map(|n| n as u16 + 1).collect::<Vec<_>>();
     let mut points = vec![(stratum(&[1, 2, 3, 4]), CENTRE)];

@@ -1,4 +1,4 @@
-//! Tests with many materials on known shapes: places, counts and forces of the particles.
+//! Tests with many materials on known shapes: positions, counts and forces of the particles.
 
 use super::scenes::{Body, CENTRE, RADIUS, corners, nested, sectors, stratum};
 use super::*;
@@ -19,12 +19,13 @@ fn parameters() -> Parameters {
     Parameters { levels: 1, ..Parameters::default() }
 }
 
-/// Number of held particles.
+/// Returns the number of held particles.
 fn held((_, strata): &OnStrata) -> usize {
     strata.of.iter().filter(|on| on.dimension() < 2).count()
 }
 
-/// Distance, in h, of particle i to the nearest particle for which `counts` is true.
+/// Returns the distance, in units of h, from particle i to the nearest particle for which `counts`
+/// is true.
 fn nearest((set, strata): &OnStrata, i: usize, counts: impl Fn(usize) -> bool) -> f64 {
     let apart = |j: usize| set.positions[i].distance(set.positions[j]) / set.sizes[i].min(set.sizes[j]);
     (0..strata.of.len()).filter(|&j| j != i && counts(j)).map(apart).fold(f64::INFINITY, f64::min)
@@ -74,9 +75,9 @@ fn sheets_are_filled_to_their_borders_and_nobody_crosses_them() {
 }
 
 /// On a plane with a straight border, the first rows have as many particles as the border and are
-/// 0.866 h apart. Lattice defects displace single particles: in half of all runs one, and 2 to 3 %
-/// of the first row by more than 0.12 of the row distance. The test therefore averages over several
-/// seeds.
+/// 0.866 h apart. Lattice defects displace individual particles: in half of all runs one particle,
+/// and 2 to 3 % of the first row by more than 0.12 of the row distance. The test therefore averages
+/// over several seeds.
 #[test]
 fn rows_along_a_straight_border_are_those_of_the_lattice() {
     let body = sectors(1.0, 700);
@@ -116,7 +117,8 @@ fn rows_along_a_straight_border_are_those_of_the_lattice() {
     assert!(of_row.iter().all(|count| (count - 10.0).abs() < 0.5), "{of_row:?}");
 }
 
-/// Energy of particle i at `place`, by a direct sum over all particles that interact with it.
+/// Returns the energy of particle i at `place` as a direct sum over all particles that interact
+/// with it.
 fn energy_of((set, strata): &OnStrata, i: usize, place: DVec3) -> f64 {
     let meets = |j: usize| match strata.of[j].dimension() {
         2 => strata.of[j] == strata.of[i] && set.normals[j].dot(set.normals[i]) > 0.0,
@@ -148,7 +150,7 @@ fn forces_on_materials_are_derivatives_of_the_energy() {
         for way in [plane.u, plane.v] {
             let step = 1e-6 * way;
             let difference = (energy_of(&body.seeds, i, p + step) - energy_of(&body.seeds, i, p - step)) / 2e-6;
-            // pairs closer than a tenth of h have energies that no difference quotient resolves
+            // a difference quotient cannot resolve the energies of pairs closer than a tenth of h
             if here < 5.0 {
                 assert!((gradient.dot(way) - difference).abs() < 1e-4 * (1.0 + here), "{i}: {gradient} {difference}");
             }
@@ -195,7 +197,8 @@ fn newcomers_keep_their_distance_on_their_interface() {
 fn particles_off_their_sheet_are_removed() {
     let mut body = sectors(1.0, 700);
     let count = body.seeds.1.of.len();
-    // beyond the axis, where the plane between two sectors lies in the third; and outside the ball
+    // one point beyond the axis, where the plane between two sectors lies in the third sector, and
+    // one point outside the ball
     let on = body.seeds.1.of[count - 1];
     for p in [CENTRE + RADIUS * 1.2 * DVec3::X, CENTRE + RADIUS * 1.2 * DVec3::Y] {
         let (set, strata) = &mut body.seeds;

@@ -1,14 +1,14 @@
-//! Adapters of this machine: enumeration, selection, and opening with the adapter's own limits (not
-//! wgpu's defaults).
+//! Adapters of this machine: enumeration, selection, and opening with the limits of the adapter
+//! instead of wgpu's defaults.
 
 use super::kernels::Kernels;
 use isoparticles_stage::error::{Error, Result};
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Sizes of the driver's memory blocks: they grow from 16 to 256 MiB on the device, and from half
-/// of that on the host. With wgpu's default sizes, the first touch of host memory took a tenth of a
-/// run.
+/// Sizes of the driver's memory blocks. They grow from 16 to 256 MiB on the device and have half
+/// that size on the host. With wgpu's default sizes, the first access to host memory took a tenth
+/// of the run time.
 const MEMORY_BLOCKS: wgpu::MemoryHints =
     wgpu::MemoryHints::Manual { suballocated_device_memory_block_size: 16 << 20..256 << 20 };
 
@@ -17,17 +17,17 @@ const MEMORY_BLOCKS: wgpu::MemoryHints =
 pub struct AdapterSummary {
     /// Name given by the driver.
     pub name: String,
-    /// `discrete`, `integrated`, `virtual`, `software` or `other`.
+    /// Type: `discrete`, `integrated`, `virtual`, `software` or `other`.
     pub kind: &'static str,
-    /// `vulkan`, `metal` or `dx12`.
+    /// Graphics API: `vulkan`, `metal` or `dx12`.
     pub backend: String,
-    /// Driver and its version.
+    /// Name and version of the driver.
     pub driver: String,
-    /// Maximum buffer size, bytes.
+    /// Maximum size of a buffer in bytes.
     pub largest_buffer: u64,
-    /// Maximum size of a binding, bytes.
+    /// Maximum size of a binding in bytes.
     pub largest_binding: u64,
-    /// Minimum and maximum subgroup size, lanes.
+    /// Minimum and maximum number of lanes of a subgroup.
     pub subgroup: [u32; 2],
 }
 
@@ -50,17 +50,16 @@ impl fmt::Display for AdapterSummary {
 /// Criteria for the selection of an adapter.
 #[derive(Clone, Debug, Default)]
 pub struct Choice {
-    /// Part of its name, case-insensitive. Without a name the first real GPU is selected, discrete
-    /// ones first; software renderers are selected only by name.
+    /// Part of the adapter's name, case-insensitive. Without a name the first GPU is selected, and
+    /// discrete GPUs are preferred. Software renderers are selected only by name.
     pub name: Option<String>,
-    /// Never use subgroup operations (to test for faulty drivers).
+    /// Disables subgroup operations (to test for faulty drivers).
     pub no_subgroups: bool,
-    /// Lanes per particle if subgroup operations are used: 8, 16 or 32.
+    /// Number of lanes per particle if subgroup operations are used: 8, 16 or 32.
     pub team: Option<u32>,
-    /// Measure each kernel with timestamp queries.
+    /// Measures each kernel with timestamp queries.
     pub profile: bool,
-    /// Cut fields into slabs of at most this size, bytes, even if larger bindings are possible (for
-    /// tests).
+    /// Maximum size of a field slab in bytes, even if larger bindings are possible (for tests).
     pub largest_slab: Option<u64>,
 }
 
@@ -69,23 +68,23 @@ pub struct Gpu {
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
     pub(crate) limits: wgpu::Limits,
-    /// Maximum slab of a field, bytes.
+    /// Maximum size of a field slab in bytes.
     pub(crate) largest_slab: u64,
-    /// Lanes of a team if subgroup operations are used.
+    /// Number of lanes of a team; `None` if subgroup operations are not used.
     pub(crate) subgroup_team: Option<u32>,
-    /// Whether timestamp queries are on.
+    /// Whether timestamp queries are enabled.
     pub(crate) timestamps: bool,
     summary: AdapterSummary,
-    /// The first error that the device reported outside of a call's result.
+    /// First error that the device reported outside the result of a call.
     failure: Arc<Mutex<Option<String>>>,
-    /// The compiled kernels: for one or several slabs, for one object or many materials.
+    /// Compiled kernels: for one or several slabs, and for one object or many materials.
     kernels: Mutex<[Option<Arc<Kernels>>; 4]>,
 }
 
 fn instance() -> wgpu::Instance {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
-    // Validation of indirect dispatches is off: the kernels keep their sizes within the limits, and
-    // each validation would cost an extra pass.
+    // Validation of indirect dispatches is disabled: the kernels keep the dispatch sizes within the
+    // limits, and each validation would cost an extra pass.
     descriptor.flags = wgpu::InstanceFlags::ALLOW_UNDERLYING_NONCOMPLIANT_ADAPTER;
     wgpu::Instance::new(descriptor)
 }
@@ -110,7 +109,7 @@ fn summary(adapter: &wgpu::Adapter) -> AdapterSummary {
     }
 }
 
-/// The adapters of this machine, in order of preference.
+/// Returns the adapters of this machine in order of preference.
 pub fn adapters() -> Vec<AdapterSummary> {
     found(&instance()).iter().map(summary).collect()
 }
@@ -128,8 +127,10 @@ fn found(instance: &wgpu::Instance) -> Vec<wgpu::Adapter> {
 }
 
 impl Gpu {
-    /// Opens the selected adapter. If there is none or it cannot be opened, the error has exit code
-    /// 3.
+    /// Opens the selected adapter.
+    ///
+    /// # Errors
+    /// If there is no such adapter or if it cannot be opened; the exit code is 3.
     pub fn open(choice: &Choice) -> Result<Self> {
         let instance = instance();
         let all = found(&instance);
@@ -214,8 +215,8 @@ impl Gpu {
         })
     }
 
-    /// The kernels for fields in one slab or in several, for one object or many materials; compiled
-    /// on first use.
+    /// Returns the kernels for fields in one or several slabs and for one object or many materials.
+    /// Compiles them on first use.
     pub(super) fn kernels(&self, several: bool, materials: bool) -> Result<Arc<Kernels>> {
         let mut known = self.kernels.lock().unwrap_or_else(PoisonError::into_inner);
         let place = &mut known[usize::from(several) + 2 * usize::from(materials)];
@@ -227,17 +228,17 @@ impl Gpu {
         Ok(kernels)
     }
 
-    /// Properties of the adapter.
+    /// Returns the properties of the adapter.
     pub fn summary(&self) -> &AdapterSummary {
         &self.summary
     }
 
-    /// Whether kernels are measured.
+    /// Returns whether kernels are timed.
     pub fn has_timestamps(&self) -> bool {
         self.timestamps
     }
 
-    /// The limits as text, for verbose mode.
+    /// Returns the limits as text for verbose mode.
     pub fn limits_in_words(&self) -> String {
         format!(
             "limits: {} storage buffers per kernel, {} bytes of workgroup memory, subgroups of {} to {}; sums by {}",
@@ -252,7 +253,7 @@ impl Gpu {
         )
     }
 
-    /// Returns an error if the device has reported one since it was opened.
+    /// Returns an error if the device has reported an error since it was opened.
     pub(crate) fn check(&self) -> Result<()> {
         match &*self.failure.lock().unwrap_or_else(PoisonError::into_inner) {
             Some(text) => Err(self.failed(text)),
@@ -265,14 +266,14 @@ impl Gpu {
         self.wait_for(None)
     }
 
-    /// Waits until the device has finished a submission, or all if `None`.
+    /// Waits until the device has finished a submission, or all submissions if `None`.
     pub(crate) fn wait_for(&self, submission: Option<&wgpu::SubmissionIndex>) -> Result<()> {
         let until = wgpu::PollType::Wait { submission_index: submission.cloned(), timeout: None };
         self.device.poll(until).map_err(|error| self.failed(&error.to_string()))?;
         self.check()
     }
 
-    /// The error for a failure of the device.
+    /// Returns the error for a failure of the device.
     pub(crate) fn failed(&self, what: &str) -> Error {
         Error::gpu(
             format!("{}: {what}", self.summary.name),

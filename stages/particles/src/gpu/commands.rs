@@ -1,6 +1,6 @@
-//! Encodes the commands of one pass into one command buffer, with a timestamp before and after each
-//! kernel when profiling. Encoding takes the host as long as a small pass takes the device, so the
-//! next pass is encoded while the device works.
+//! Encodes the commands of one pass into one command buffer. When profiling, a timestamp is written
+//! before and after each kernel. Encoding a pass takes the host as long as running a small pass
+//! takes the device, so the next pass is encoded while the device works.
 
 use super::adapter::Gpu;
 use super::kernels::Kernels;
@@ -8,17 +8,17 @@ use super::memory::{read_staging, staging};
 use isoparticles_stage::error::Result;
 use std::collections::BTreeMap;
 
-/// Workgroups along the first axis of a dispatch: the maximum that every adapter supports. Further
-/// ones go along the second axis.
+/// Maximum number of workgroups along the first axis of a dispatch that every adapter supports.
+/// Additional workgroups go along the second axis.
 pub(crate) const ROW: u32 = 65_535;
 
 /// One command of a pass.
 pub(crate) enum Command<'a> {
-    /// Runs a kernel over the given number of workgroups.
+    /// Runs a kernel with the given number of workgroups.
     Run { kernel: &'static str, group: &'a wgpu::BindGroup, workgroups: u32 },
-    /// Runs a kernel over the number of workgroups that a buffer on the device holds.
+    /// Runs a kernel with a number of workgroups that is read from a buffer on the device.
     RunIndirect { kernel: &'static str, group: &'a wgpu::BindGroup, arguments: &'a wgpu::Buffer, offset: u64 },
-    /// Copies the first bytes of one buffer to another.
+    /// Copies the first `bytes` bytes of one buffer to another.
     Copy { from: &'a wgpu::Buffer, to: &'a wgpu::Buffer, bytes: u64 },
     /// Sets a buffer to zero.
     Clear { buffer: &'a wgpu::Buffer },
@@ -33,21 +33,21 @@ impl Command<'_> {
     }
 }
 
-/// Time and number of dispatches of each kernel.
+/// Times and numbers of dispatches of the kernels.
 #[derive(Default)]
 pub(crate) struct Profile {
     queries: Option<(wgpu::QuerySet, wgpu::Buffer, wgpu::Buffer)>,
-    /// Seconds and dispatches of each kernel.
+    /// Seconds and number of dispatches of each kernel.
     pub times: BTreeMap<&'static str, (f64, u64)>,
 }
 
-/// Maximum number of dispatches with timestamps in one pass; further ones are not measured.
+/// Maximum number of dispatches with timestamps per pass; additional dispatches are not measured.
 const MOST_QUERIES: u32 = 512;
 
-/// Commands that can be submitted once.
+/// Encoded commands that can be submitted once.
 pub(crate) struct Encoded {
     buffer: wgpu::CommandBuffer,
-    /// The kernels that have timestamps, in order.
+    /// Kernels with timestamps, in order.
     timed: Vec<&'static str>,
 }
 
@@ -85,7 +85,8 @@ pub(crate) fn encode(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], pro
                 let Some(kernel) = command.kernel() else { continue };
                 let timestamp_writes =
                     profile.queries.as_ref().filter(|_| timed.len() < MOST_QUERIES as usize).map(|q| {
-                        // a separate compute pass, because timestamps belong to passes
+                        // timestamps belong to compute passes, so each kernel gets a separate
+                        // compute pass
                         pass = None;
                         let at = 2 * timed.len() as u32;
                         timed.push(kernel);
@@ -123,7 +124,7 @@ pub(crate) fn encode(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], pro
     Encoded { buffer: encoder.finish(), timed }
 }
 
-/// Submits encoded commands. Returns the submission to wait for, and the kernels whose timestamps
+/// Submits encoded commands. Returns the submission to wait for and the kernels whose timestamps
 /// [`Profile::collect`] reads.
 pub(crate) fn submit(gpu: &Gpu, encoded: Encoded) -> (wgpu::SubmissionIndex, Vec<&'static str>) {
     (gpu.queue.submit([encoded.buffer]), encoded.timed)

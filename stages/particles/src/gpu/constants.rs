@@ -1,5 +1,5 @@
-//! Constants of the kernels, defined once in Rust. The text of every kernel begins with their
-//! declarations, under their Rust names. A second definition in a `.wgsl` file is a redefinition
+//! Constants of the kernels, defined once in Rust. The source of every kernel begins with their
+//! declarations under their Rust names. A second definition in a `.wgsl` file is a redefinition
 //! error in naga.
 
 use super::commands::ROW;
@@ -14,28 +14,28 @@ use isoparticles_field::energy::{LEAST_SCALED_DISTANCE, SUPPORT};
 use isoparticles_field::spline::{LEAST_SQUARED_GRADIENT, PROJECTION_STEPS};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-/// Workgroup size of kernels with one invocation per particle that read neighbours.
+/// Workgroup size of kernels that use one invocation per particle and read neighbours.
 pub(crate) const NARROW: u32 = 64;
 /// Workgroup size of kernels with workgroup-wide sums.
 pub(crate) const WIDE: u32 = 256;
-/// Numbers per invocation of a prefix sum or of the totals.
+/// Number of elements per invocation in a prefix sum or in the totals.
 pub(crate) const EACH: u32 = 8;
-/// Numbers per workgroup of a prefix sum or of the totals.
+/// Number of elements per workgroup in a prefix sum or in the totals.
 pub(crate) const BLOCK: u32 = WIDE * EACH;
 
 /// Maximum number of classes: one for each bit of a word.
 pub(crate) const CLASSES: u32 = 32;
-/// Class of a particle that has none.
+/// Marks a particle without a class.
 pub(crate) const UNCLASSED: u32 = u32::MAX;
 
-/// Bins of one colour are this far apart along each axis, so two other bins lie between them. The
-/// 27 bins around one and the 27 around the other are then disjoint. All that the particles of a
-/// bin read or write must lie in these 27 bins; see [`BIN_REACH`].
+/// Distance, in bins along each axis, between bins of the same colour. Two other bins lie between
+/// them, so the 27 bins around one bin and the 27 bins around the other are disjoint. All data that
+/// the particles of a bin read or write must lie in these 27 bins; see [`BIN_REACH`].
 pub(crate) const COLOUR_STRIDE: u32 = 3;
 
-/// Minimum edge of a bin, in the largest h of its level: the reach of the neighbour lists. The list
-/// members of a bin's particles are then in that bin and the adjacent ones. In the paper the edge
-/// is max(h), so interactions reach two bins away.
+/// Minimum edge of a bin, in units of the largest h of its level: the reach of the neighbour lists.
+/// The list members of the particles of a bin are therefore in that bin or in an adjacent bin. In
+/// the paper the edge is max(h), so interactions reach two bins away.
 pub(crate) const BIN_REACH: f64 = SUPPORT * (1.0 + SKIN);
 
 const _: () = assert!(
@@ -43,69 +43,72 @@ const _: () = assert!(
     "a particle could go in a pass to where it interacts with those beyond the next bin"
 );
 
-/// Flag in the word `outcome` of a particle: it took a step. The low bits hold the number of steps
-/// tried.
+/// Flag in the word `outcome` of a particle: the particle took a step. The low bits contain the
+/// number of attempted steps.
 const STEP_TAKEN: u32 = 1 << 31;
-/// Flag in the same word: the particle is a lattice defect.
+/// Flag in the word `outcome` of a particle: the particle is a lattice defect.
 const LATTICE_DEFECT: u32 = 1 << 30;
 
-/// Damping code of a held particle (see `shaders/shared/carried_materials.wgsl`); larger than all
-/// powers of ten in use.
+/// Damping code of a held particle (see `shaders/shared/carried_materials.wgsl`). It is larger than
+/// all powers of ten in use.
 pub(crate) const HELD_CODE: u32 = 15;
 
-/// Brick number if no brick is open.
+/// Brick index if no brick is open.
 const NO_BRICK: u32 = u32::MAX;
 
-/// Result of the checks of third materials: none is as close as the two of the interface.
+/// Result of the checks of third materials: no third material is as close as the two materials of
+/// the interface.
 const CHECKS_PASS: u32 = 0;
-/// Result of the checks: a third material is as close.
+/// Result of the checks of third materials: a third material is as close.
 const CHECKS_FAIL: u32 = 1;
-/// Result of the checks: one more must be evaluated.
+/// Result of the checks of third materials: another difference must be evaluated.
 const CHECKS_GO_ON: u32 = 2;
 
-/// A particle does not move if its step would lower the energy by less than this share, which is
-/// near the resolution of f32.
+/// Minimum relative energy decrease of a step; a particle with a smaller decrease does not move.
+/// The value is near the resolution of f32.
 const REST: f64 = 1e-6;
-/// Two eigenvalues of a Hessian count as equal if their gap is below this share of their mean: f32
-/// does not resolve their directions.
+/// Maximum gap between two eigenvalues of a Hessian that count as equal, as a share of their mean.
+/// Below it f32 does not resolve the eigenvectors.
 const EQUAL_EIGENVALUES: f64 = 1e-6;
 
-/// Index of a word that the host reads after a pass: energy, bits of an f32.
+/// Index of the word with the energy, as bits of an f32. The host reads the words after a pass.
 pub(crate) const WORD_ENERGY: usize = 0;
-/// Word: particles that took a step.
+/// Index of the word with the number of particles that took a step.
 pub(crate) const WORD_MOVED: usize = 1;
-/// Word: steps tried.
+/// Index of the word with the number of attempted steps.
 pub(crate) const WORD_TRIES: usize = 2;
-/// Word: maximum move since the lists were made, in h, bits of an f32.
+/// Index of the word with the maximum move since the lists were built, in units of h, as bits of an
+/// f32.
 pub(crate) const WORD_LONGEST_WAY: usize = 3;
-/// Word: members of all lists.
+/// Index of the word with the number of members of all lists.
 pub(crate) const WORD_LISTED: usize = 4;
-/// Word: particles after density control.
+/// Index of the word with the number of particles after density control.
 pub(crate) const WORD_COUNT: usize = 5;
-/// Word: particles that density control kept.
+/// Index of the word with the number of particles that density control kept.
 pub(crate) const WORD_KEPT: usize = 6;
-/// Word: lattice defects.
+/// Index of the word with the number of lattice defects.
 pub(crate) const WORD_DEFECTS: usize = 7;
-/// Word: members of the longest list.
+/// Index of the word with the number of members of the longest list.
 pub(crate) const WORD_LONGEST_LIST: usize = 8;
-/// Word: one more than the number of the last class with particles.
+/// Index of the word with the number of classes: the index of the last non-empty class plus one.
 pub(crate) const WORD_CLASSES: usize = 9;
 /// Number of words.
 pub(crate) const WORDS: usize = 10;
 
-/// Particle count of a pass that is not known to the host yet: as many as the previous pass left.
+/// Particle count of a pass if the host does not know it yet: the number that the previous pass
+/// left.
 pub(crate) const AS_LEFT: u32 = u32::MAX;
 
-/// Particles whose neighbour lists are interleaved: the subgroup size of most adapters.
+/// Number of particles whose neighbour lists are interleaved: the subgroup size of most adapters.
 pub(crate) const LIST_TILE: u32 = 32;
 
 /// Initial room of each neighbour list. In the lattice a list has 18 members (three rings are
-/// within `SUPPORT (1 + SKIN)`), and none of the seeds of `make bench-gpu` has more than 32. If a
-/// list is longer (crowds, junctions of many interfaces), all lists get more room and the pass is
+/// within `SUPPORT (1 + SKIN)`), and no list for the seeds of `make bench-gpu` has more than 32. If
+/// a list is longer (crowds, junctions of many interfaces), all lists get more room and the pass is
 /// repeated.
 pub(crate) const FIRST_LIST_ROOM: u32 = 32;
 
-/// Value of a constant, with its WGSL type.
+/// Value of a constant together with its WGSL type.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Value {
     Real(f32),
@@ -120,7 +123,7 @@ macro_rules! wholes {
     ($($name:ident),* $(,)?) => { [$((stringify!($name), Value::Whole($name as u32))),*] };
 }
 
-/// Name and value of every constant.
+/// Returns the name and value of every constant.
 pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
     let mut all = Vec::new();
     all.extend(reals![
@@ -182,12 +185,12 @@ pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
     all
 }
 
-/// Their declarations in WGSL, one per line.
+/// Returns the WGSL declarations of the constants, one per line.
 pub(crate) fn declarations(variant: Variant) -> String {
     constants(variant)
         .iter()
         .map(|(name, value)| match value {
-            // the shortest digits that give the same f32
+            // `{:?}` prints the shortest decimal number that gives the same f32
             Value::Real(value) => format!("const {name}: f32 = {value:?};\n"),
             Value::Whole(value) => format!("const {name}: u32 = {value}u;\n"),
         })

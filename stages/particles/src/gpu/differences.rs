@@ -1,62 +1,63 @@
-//! Data of many materials on the device: half differences of indicators, G = (F_high - F_low) / 2.
-//! They are stored for every two materials whose interface has particles, where both are known.
-//! Where a third material may be as close, its difference from the higher material is stored too.
+//! Multi-material data on the device: half differences of indicators, G = (F_high - F_low) / 2. A
+//! difference is stored for every pair of materials whose interface has particles, wherever both
+//! materials are known. Where a third material may be equally close, its difference from the higher
+//! material is stored too.
 //!
-//! A particle thus reads one coefficient per node, as with one object. Two look-ups find the
-//! coefficients: the brick's entry, then a record with the eight blocks of coefficients that the
-//! brick reads. They stay valid within the brick of 4 x 4 x 4 cells. For most cells the record
-//! states that the interface is real everywhere. The two indicators of an interface would need
-//! twice the memory.
+//! A particle therefore reads one coefficient per node, as with a single object. Two look-ups find
+//! the coefficients: the entry of the brick, and a record with the eight blocks of coefficients
+//! that the brick reads. The result is valid within the brick of 4 x 4 x 4 cells. For most cells
+//! the record states that the interface is real everywhere. Storing the two indicators of an
+//! interface instead would need twice the memory.
 //!
 //! The index consists of groups of four words:
 //!
-//! - group 0: index of the first stratum, and three unused words;
-//! - from [`INDEX_BRICKS`], one entry for each brick of the grid, x fastest. It holds two pairs of
-//!   the number of an interface (or [`NO_SHEET`]) and the index of its record, the most likely one
-//!   first. If there are more than two, the second pair is [`MORE_SHEETS`] and the index of the
-//!   next entry;
-//! - the further entries;
-//! - records of four groups each. Groups 0 and 1: the blocks, x fastest. Group 2: bit masks of the
-//!   brick's 64 cells, where both materials are known and where a third material may be as close
-//!   (two words each). Group 3: index of the first check, number of checks or [`NEVER_REAL`], and
-//!   two unused words;
-//! - checks: index of the record of the difference between a third material and the higher of the
-//!   two (positive where the interface is real); whether the stored difference has the opposite
-//!   sign; mask of the cells where the third material may be as close. A cell of the mask where the
-//!   third is not known lies inside it;
-//! - strata: the four materials of each, padded with 65535.
+//! - Group 0: index of the first stratum, and three unused words.
+//! - From [`INDEX_BRICKS`]: one entry for each brick of the grid, with x varying fastest. An entry
+//!   contains two pairs, the most likely first. A pair is the number of an interface (or
+//!   [`NO_SHEET`]) and the index of its record. If the brick has more than two interfaces, the
+//!   second pair is [`MORE_SHEETS`] and the index of the next entry.
+//! - The additional entries.
+//! - Records of four groups each. Groups 0 and 1: the blocks, with x varying fastest. Group 2: two
+//!   bit masks of two words each for the 64 cells of the brick. The first marks the cells where
+//!   both materials are known, the second the cells where a third material may be equally close.
+//!   Group 3: index of the first check, number of checks or [`NEVER_REAL`], and two unused words.
+//! - Checks: index of the record of the difference between a third material and the higher of the
+//!   two materials (positive where the interface is real); whether the stored difference has the
+//!   opposite sign; mask of the cells where the third material may be equally close. A cell of the
+//!   mask where the third material is not known lies inside that material.
+//! - Strata: the four materials of each stratum, padded with 65535.
 
 use isoparticles_field::materials::{BLOCK, CELLS, Indicator, Indicators, MaterialId, Materials, ON_SHEET, Stratum};
 use rayon::prelude::*;
 
 /// Index of the first brick entry.
 pub(crate) const INDEX_BRICKS: usize = 1;
-/// Marks an empty slot of an entry.
+/// Marks an empty pair of an entry.
 const NO_SHEET: u32 = u32::MAX;
-/// Marks the link to the next entry.
+/// Marks a pair that links to the next entry.
 pub(crate) const MORE_SHEETS: u32 = u32::MAX - 1;
-/// Number of checks if another material fills the brick, so that no interface is real in it.
+/// Number of checks of a brick that another material fills; no interface is real in such a brick.
 pub(crate) const NEVER_REAL: u32 = u32::MAX;
 
-/// Fill of a brick that no material fills, and padding of strata.
+/// Fill of a brick that no material fills; also the padding of strata.
 const NO_MATERIAL: u16 = u16::MAX;
 
-/// Nodes that the cells of a brick read along each axis.
+/// Number of nodes along each axis that the cells of a brick read.
 const NODES: usize = CELLS + 3;
 
-/// Coefficients, and the index that locates them.
+/// Coefficients of the differences, and the index that locates them.
 pub(super) struct Differences {
     pub coefficients: Vec<f32>,
     pub index: Vec<[u32; 4]>,
 }
 
-/// Two materials in a brick where both are known.
+/// A pair of materials in a brick where both are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Pair {
     low: u16,
     high: u16,
     brick: u32,
-    /// Numbers of the brick among the bricks of each material.
+    /// Index of the brick among the bricks of each material.
     numbers: [u32; 2],
 }
 
@@ -75,7 +76,7 @@ impl Pair {
 struct Check {
     pair: Pair,
     is_negative: bool,
-    /// One bit for each cell in which it may be as close as the two.
+    /// One bit for each cell in which the third material may be as close as the two materials.
     near: u64,
 }
 
@@ -83,13 +84,13 @@ struct Check {
 struct Entry {
     sheet: u32,
     pair: Pair,
-    /// `None`: the interface is nowhere real in the brick.
+    /// Checks of third materials; `None` if the interface is not real anywhere in the brick.
     checks: Option<Vec<Check>>,
 }
 
 impl Differences {
-    /// For particles on these strata; the first `sheets` of them are interfaces, in ascending
-    /// order.
+    /// Builds the differences for particles on these strata. The first `sheets` strata are
+    /// interfaces, in ascending order.
     pub(super) fn new(materials: &Materials, strata: &[Stratum], sheets: usize) -> Self {
         let bricks = materials.fill().len();
         let entries: Vec<Entry> = (0..bricks)
@@ -102,11 +103,11 @@ impl Differences {
         pairs.dedup();
         let (coefficients, blocks) = coefficients(materials, &pairs);
 
-        // in the order of the layout in the module comment
+        // the parts follow the layout in the module comment
         let mut index = vec![[0; 4]; INDEX_BRICKS];
         index.resize(INDEX_BRICKS + bricks, [NO_SHEET, 0, NO_SHEET, 0]);
         let of_bricks = || entries.chunk_by(|a, b| a.pair.brick == b.pair.brick);
-        // an entry names two interfaces, or one and the next entry
+        // an entry contains two interfaces, or one interface and a link to the next entry
         let further: usize = of_bricks().map(|sheets| sheets.len().saturating_sub(2)).sum();
         let first_record = index.len() + further;
         let record_of = |pair: &Pair| {
@@ -149,7 +150,7 @@ impl Differences {
     }
 }
 
-/// The interfaces whose two materials are both known in a brick, the most likely one first.
+/// Returns the interfaces whose two materials are both known in a brick, the most likely first.
 fn entries_of(materials: &Materials, sheets: &[Stratum], brick: usize) -> Vec<Entry> {
     let known = materials.known_in(brick);
     let mut entries = Vec::new();
@@ -171,7 +172,7 @@ fn entries_of(materials: &Materials, sheets: &[Stratum], brick: usize) -> Vec<En
             entries.push(Entry { sheet: sheet as u32, pair, checks });
         }
     }
-    // sort key: the larger of the two indicators in the middle of the brick
+    // sort key: the larger of the two indicators at the centre of the brick
     let farther = |entry: &Entry| {
         let [low, high] = entry.pair.indicators(materials);
         let [a, b] = entry.pair.numbers.map(|number| number as usize);
@@ -181,9 +182,10 @@ fn entries_of(materials: &Materials, sheets: &[Stratum], brick: usize) -> Vec<En
     entries
 }
 
-/// One bit for each cell of a brick in which a third material may be as close as the two of an
-/// interface. A spline is nowhere below the minimum of its coefficients. The test uses those of the
-/// third indicator minus the mean of the two, which on the interface equals each of them.
+/// Returns one bit for each cell of a brick, set if a third material may be as close there as the
+/// two materials of an interface. A spline is nowhere below the minimum of its coefficients. The
+/// test therefore uses the coefficients of the third indicator minus the mean of the two
+/// indicators, which equals each of them on the interface.
 fn near_cells(materials: &Materials, pair: &Pair, (third, number): (MaterialId, usize)) -> u64 {
     let indicator = &materials.indicators()[usize::from(third.0)];
     let [low, high] = pair.indicators(materials);
@@ -194,8 +196,8 @@ fn near_cells(materials: &Materials, pair: &Pair, (third, number): (MaterialId, 
             coefficient(indicator, number, node) - 0.5 * (coefficient(low, a, node) + coefficient(high, b, node))
         })
         .collect();
-    // minimum over the four nodes that a cell reads, along x, y and z in turn; each pass makes its
-    // axis the slowest
+    // takes the minimum over the four nodes that a cell reads, along x, y and z in turn; each
+    // iteration makes its axis the slowest
     for _ in 0..3 {
         let rows = least.len() / NODES;
         least = (0..CELLS * rows)
@@ -212,15 +214,15 @@ fn near_cells(materials: &Materials, pair: &Pair, (third, number): (MaterialId, 
     known_cells(materials, pair) & (bits & within | beyond)
 }
 
-/// Coefficient of an indicator at a node that the cells of a brick read.
+/// Returns the coefficient of an indicator at a node that the cells of a brick read.
 fn coefficient(indicator: &Indicator, brick: usize, node: [usize; 3]) -> f32 {
     let [x, y, z] = node.map(|n| (n / CELLS, n % CELLS));
     let block = indicator.blocks()[brick][4 * z.0 + 2 * y.0 + x.0] as usize;
     indicator.coefficients()[BLOCK * block + (z.1 * CELLS + y.1) * CELLS + x.1]
 }
 
-/// One bit for each cell of a brick, x fastest: whether all nodes that it reads lie in the box of
-/// the indicator.
+/// Returns one bit for each cell of a brick, with x varying fastest. A bit is set if all nodes that
+/// the cell reads lie in the box of the indicator.
 fn cells_within(materials: &Materials, indicator: &Indicator, brick: u32) -> u64 {
     let size = materials.geometry().size;
     let [bx, by, _] = isoparticles_field::materials::bricks_along(size);
@@ -232,19 +234,19 @@ fn cells_within(materials: &Materials, indicator: &Indicator, brick: u32) -> u64
     })
 }
 
-/// One bit for each cell of a brick in which both materials are known.
+/// Returns one bit for each cell of a brick, set if both materials are known there.
 fn known_cells(materials: &Materials, pair: &Pair) -> u64 {
     pair.indicators(materials)
         .iter()
         .fold(u64::MAX, |bits, indicator| bits & cells_within(materials, indicator, pair.brick))
 }
 
-/// For two materials: the two source blocks of each block of their difference, and the blocks that
-/// each brick reads.
+/// For a pair of materials: the two source blocks of each block of their difference, and the blocks
+/// that each brick reads.
 type Part = (Vec<[u32; 2]>, Vec<[u32; 8]>);
 
-/// The coefficients of the differences in blocks, and the eight blocks that each pair reads.
-/// `pairs` must be sorted.
+/// Returns the coefficients of the differences in blocks, and the eight blocks that each pair
+/// reads. `pairs` must be sorted.
 fn coefficients(materials: &Materials, pairs: &[Pair]) -> (Vec<f32>, Vec<[u32; 8]>) {
     let runs: Vec<&[Pair]> = pairs.chunk_by(|a, b| (a.low, a.high) == (b.low, b.high)).collect();
     let parts: Vec<Part> = runs
@@ -289,12 +291,12 @@ fn coefficients(materials: &Materials, pairs: &[Pair]) -> (Vec<f32>, Vec<[u32; 8
     (coefficients, blocks)
 }
 
-/// The bits of 64 cells in two words.
+/// Splits the bits of 64 cells into two words.
 fn words_of(cells: u64) -> [u32; 2] {
     [cells as u32, (cells >> 32) as u32]
 }
 
-/// The materials of a stratum, padded with 65535.
+/// Returns the materials of a stratum, padded with 65535.
 fn materials_of(stratum: &Stratum) -> [u32; 4] {
     let mut ids = [u32::from(NO_MATERIAL); 4];
     ids.iter_mut().zip(stratum.materials()).for_each(|(to, id)| *to = u32::from(id.0));

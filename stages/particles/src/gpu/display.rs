@@ -1,14 +1,14 @@
-//! Avoids an error message of Mesa's Vulkan layer device_select. The layer queries the display for
-//! the adapter that drives it. Without a display, as on servers, its Wayland library prints
-//! `error: XDG_RUNTIME_DIR is invalid or not set` on stderr. The adapter order of this program does
-//! not depend on a display.
+//! Avoids an error message of Mesa's Vulkan layer device_select. The layer queries the display to
+//! find the adapter that drives it. Without a display, as on servers, its Wayland library prints
+//! `error: XDG_RUNTIME_DIR is invalid or not set` to stderr. The order of adapters in this program
+//! does not depend on a display.
 
 /// If there is no Wayland display, restarts this program in the same process, with the same
-/// arguments and without that layer. The layer is switched off by an environment variable, which a
-/// running process cannot safely set for itself.
+/// arguments and without the layer device_select. An environment variable disables the layer, and a
+/// running process cannot safely set such a variable for itself.
 ///
 /// Does nothing if the user controls the layer (`MESA_VK_DEVICE_SELECT`, `NODEVICE_SELECT`) or if
-/// the restart fails; the message is harmless.
+/// the restart fails. The message is harmless.
 pub fn leave_alone() {
     #[cfg(target_os = "linux")]
     {
@@ -22,12 +22,12 @@ pub fn leave_alone() {
         if let Ok(program) = std::env::current_exe() {
             let mut arguments = std::env::args_os();
             let name = arguments.next().unwrap_or_else(|| program.clone().into_os_string());
-            // Returns only if it fails.
+            // `exec` returns only if it fails.
             let _ = std::process::Command::new(program).arg0(name).args(arguments).env(SWITCH, "1").exec();
         }
     }
 }
 
-/// Variable that switches the layer off (`disable_environment` in the layer's manifest).
+/// Environment variable that disables the layer (`disable_environment` in the layer's manifest).
 #[cfg(target_os = "linux")]
 const SWITCH: &str = "NODEVICE_SELECT";

@@ -1,9 +1,9 @@
-//! The particles on the device, and their transfer to it and back.
+//! The particles on the device, and their transfer from and to the host.
 //!
-//! Between passes the state is in one of two places. In the *sorted* buffers (`place`, `normal`)
-//! the particles are in the order of the bins. Neighbour lists and classes refer to these, and
-//! movement changes them in place. Density control writes its result to one of two sets of *listed*
-//! buffers, from which the next pass sorts again (`passes.rs`).
+//! Between passes the state is in one of two sets of buffers. In the *sorted* buffers (`place`,
+//! `normal`) the particles are in the order of the bins. Neighbour lists and classes refer to the
+//! sorted buffers, and movement changes them in place. Density control writes its result to one of
+//! two sets of *listed* buffers, and the next pass sorts that result again (`passes.rs`).
 
 use super::adapter::Gpu;
 use super::commands::Profile;
@@ -33,33 +33,35 @@ pub struct GpuEngine<'a> {
     pub(super) gpu: &'a Gpu,
     pub(super) kernels: Arc<Kernels>,
     pub(super) memory: Memory,
-    /// Bind groups by label, round and the first alias.
+    /// Bind groups by label, round and first alias.
     pub(super) groups: HashMap<(&'static str, u32, &'static str), wgpu::BindGroup>,
-    /// Staging buffers for the words of a pass, by the set of listed buffers that it began from.
+    /// Staging buffers for the words of a pass, indexed by the set of listed buffers that the pass
+    /// reads.
     pub(super) words: [wgpu::Buffer; 2],
     pub(super) geometry: Geometry,
     pub(super) carried: Carried,
-    /// The strata of the particles at the last readback.
+    /// Strata of the particles at the last readback.
     pub(super) strata: Vec<Stratum>,
     pub(super) settling: Parameters,
     pub(super) levels: Levels,
     slab_length: u32,
     pub(super) count: u32,
-    /// Particles that the buffers have room for.
+    /// Number of particles that the buffers have room for.
     pub(super) rows: u32,
-    /// Members that each list has room for.
+    /// Number of members that each list has room for.
     pub(super) list_room: u32,
     /// Whether the state is in the listed buffers.
     pub(super) listed: bool,
-    /// The set of listed buffers that holds the state, or held it last.
+    /// Set of listed buffers that contains the state or contained it last.
     pub(super) set: usize,
-    /// Whether a particle has moved too far for the lists.
+    /// Whether a particle has moved so far that the lists must be rebuilt.
     pub(super) stale: bool,
-    /// Classes that passes dispatch: a few more than were in use, since each costs a dispatch.
+    /// Number of classes that a pass dispatches. Each class costs a dispatch, so this is only
+    /// slightly more than the number in use.
     pub(super) classes: u32,
     /// Change of the number of particles in the last pass.
     pub(super) changed: u32,
-    /// No pass after this one controls the density.
+    /// Last pass that controls the density.
     pub(super) last_control: u64,
     pub(super) profile: Profile,
     /// Commands encoded for the next pass.
@@ -67,20 +69,20 @@ pub struct GpuEngine<'a> {
     /// The next pass, if it was submitted early.
     pub(super) flight: Option<Flight>,
     started: Instant,
-    /// Times so far; [`GpuEngine::report`] fills in the other fields.
+    /// Times so far; [`GpuEngine::report`] fills in the other members.
     pub(super) spent: DeviceReport,
 }
 
 impl<'a> GpuEngine<'a> {
-    /// Uploads fields and particles.
+    /// Creates an engine and uploads fields and particles.
     pub fn new(gpu: &'a Gpu, fields: &Fields, set: &ParticleSet, settling: &Parameters) -> Result<Self> {
         let levels = Levels::new(fields, settling.binning == Binning::Graded);
         let ground = Ground::object(fields.surface);
         Self::over(gpu, &ground, (fields.sizing, levels), (set, &[]), Carried::default(), settling)
     }
 
-    /// Uploads the differences of many materials, h, and particles with their strata. Held
-    /// particles must come first.
+    /// Creates an engine and uploads the differences of many materials, h, and particles with their
+    /// strata. Held particles must come first.
     pub(crate) fn of_materials(
         gpu: &'a Gpu,
         (materials, sizing): (&Materials, &SizingField),
@@ -197,9 +199,9 @@ impl<'a> GpuEngine<'a> {
         Ok(())
     }
 
-    /// Creates all buffers with an entry per particle. The listed buffers have room for twice as
-    /// many: a pass adds at most one newcomer per particle, so density control cannot overflow
-    /// them.
+    /// Creates all buffers with one entry per particle. The listed buffers have room for twice as
+    /// many particles: a pass adds at most one newcomer per particle, so density control cannot
+    /// overflow them.
     fn make_room(&mut self, rows: u32) -> Result<()> {
         let none = wgpu::BufferUsages::empty();
         for name in ["place", "normal", "place_at_listing", "newcomer_place", "newcomer_normal"] {
@@ -234,8 +236,10 @@ impl<'a> GpuEngine<'a> {
         self.make_lists(self.list_room)
     }
 
-    /// Creates the neighbour lists with room for `members` each. Fails if they exceed the adapter's
-    /// limits.
+    /// Creates neighbour lists with room for `members` members each.
+    ///
+    /// # Errors
+    /// If the lists exceed the limits of the adapter.
     pub(super) fn make_lists(&mut self, members: u32) -> Result<()> {
         // members are stored in groups of four
         self.list_room = members.next_multiple_of(4);
@@ -255,7 +259,7 @@ impl<'a> GpuEngine<'a> {
         self.gpu.queue.write_buffer(self.memory.get(name), 0, bytes);
     }
 
-    /// Enlarges the buffers; the state must be in the listed buffers.
+    /// Enlarges the buffers. The state must be in the listed buffers.
     pub(super) fn grow(&mut self) -> Result<()> {
         let bytes = 16 * u64::from(self.count);
         let mut kept = Vec::new();
@@ -295,7 +299,7 @@ impl<'a> GpuEngine<'a> {
         Ok(set)
     }
 
-    /// Statistics of the device, from the upload to the last readback.
+    /// Returns the statistics of the device, from the upload to the last readback.
     pub(super) fn report(&self) -> DeviceReport {
         let mut kernels: Vec<_> = self
             .profile
@@ -315,7 +319,8 @@ impl<'a> GpuEngine<'a> {
     }
 }
 
-/// Values in each slab of a field with `voxels` values: all of them if one binding holds the field.
+/// Returns the number of values in each slab of a field with `voxels` values. If the field fits
+/// into one binding, this is `voxels`.
 fn slab_length(gpu: &Gpu, voxels: u64) -> Result<u32> {
     let most = gpu.largest_slab / 4;
     if voxels > 4 * most || voxels > u64::from(u32::MAX) {

@@ -8,8 +8,8 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::num::NonZeroU64;
 
-/// Bytes between the numbers in the buffer `round`: uniform offsets are multiples of this on every
-/// adapter.
+/// Distance in bytes between the values in the buffer `round`. On every adapter it is a valid
+/// alignment of uniform offsets.
 pub(crate) const ROUND_STRIDE: u64 = 256;
 
 /// A pipeline and its bindings.
@@ -29,19 +29,19 @@ impl Kernels {
     pub(crate) fn new(gpu: &Gpu, slabs: bool, materials: bool) -> Result<Self> {
         let variant = Variant { slabs, subgroup_team: gpu.subgroup_team, materials };
         let all: Vec<_> = sources().collect();
-        // in parallel, because drivers compile slowly
+        // in parallel because drivers compile slowly
         let kernels = all.par_iter().map(|s| (s.name, kernel(gpu, s.name, s.compose(variant)))).collect();
         gpu.check()?;
         Ok(Self { kernels })
     }
 
-    /// The pipeline of a kernel.
+    /// Returns the pipeline of a kernel.
     pub(crate) fn get(&self, name: &str) -> &Kernel {
         &self.kernels[name]
     }
 
-    /// Creates the bind group of a kernel. `aliases` maps names of the kernel to other buffers;
-    /// `round` selects the number that the kernel sees as `round`.
+    /// Creates the bind group of a kernel. `aliases` maps names in the kernel to other buffers.
+    /// `round` selects the value of the kernel's variable `round`.
     pub(crate) fn bind(
         &self,
         gpu: &Gpu,
@@ -113,7 +113,7 @@ fn kernel(gpu: &Gpu, name: &'static str, text: String) -> Kernel {
         layout: Some(&pipeline_layout),
         module: &module,
         entry_point: None,
-        // no kernel reads workgroup memory before it has written it
+        // every kernel writes workgroup memory before reading it
         compilation_options: wgpu::PipelineCompilationOptions {
             zero_initialize_workgroup_memory: false,
             ..wgpu::PipelineCompilationOptions::default()

@@ -1,9 +1,10 @@
 //! Levels of bins, one for each octave of h. They are laid out once per run from the fields near
-//! the surface. So they do not depend on the particles, and a resumed run has the same levels.
+//! the surface. They do not depend on the particles, so a resumed run has the same levels.
 //!
-//! Level k holds the particles with h up to `largest / 2^k` that are too large for level k + 1. Its
-//! bins are as wide as the reach of its neighbour lists, [`BIN_REACH`] largest / 2^k, so a query
-//! visits at most 27 of its bins. A single level is the paper's global bin edge.
+//! Level k contains the particles with h up to `largest / 2^k` that are too large for level k + 1.
+//! The bin edge of a level is the reach of its neighbour lists, [`BIN_REACH`] largest / 2^k, so a
+//! query visits at most 27 bins of the level. A single level corresponds to the paper's global bin
+//! edge.
 
 use super::constants::BIN_REACH;
 use super::parameters::{MOST_LEVELS, device_origin};
@@ -13,31 +14,32 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// Maximum number of bins in a level; beyond it bins are wider, which gives the same results.
+/// Maximum number of bins in a level. If more would be needed, the bins are made wider, which gives
+/// the same results.
 const MOST_BINS: f64 = 4e6;
 
 /// One level of bins.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Level {
-    /// Edge of a bin, mm.
+    /// Edge of a bin in mm.
     pub edge: f32,
-    /// Maximum h, mm.
+    /// Maximum h in mm.
     pub largest: f32,
-    /// Number of the first bin.
+    /// Index of the first bin.
     pub first_bin: u32,
-    /// Bins along each axis.
+    /// Number of bins along each axis.
     pub bins: UVec3,
 }
 
-/// All levels, the coarsest first.
+/// All levels, from the coarsest to the finest.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Levels {
-    /// Device position of the corner of bin (0, 0, 0), mm.
+    /// Device position in mm of the corner of bin (0, 0, 0).
     pub origin: Vec3,
     pub levels: Vec<Level>,
 }
 
-/// Range of h and of position near the surface.
+/// Ranges of h and of position near the surface.
 #[derive(Clone, Copy)]
 struct Range {
     smallest: f32,
@@ -61,14 +63,15 @@ impl Range {
 }
 
 impl Levels {
-    /// Lays out the levels near the surface; one level if `graded` is false.
+    /// Creates the levels from the fields near the surface. If `graded` is false, there is one
+    /// level.
     pub(crate) fn new(fields: &Fields, graded: bool) -> Self {
         let near = near_surface(fields, 2.0 * fields.surface.geometry().spacing.length());
         let range = if near.largest > 0.0 { near } else { near_surface(fields, f64::INFINITY) };
         Self::of_range(fields.surface.geometry(), &range, graded)
     }
 
-    /// Lays out the levels over the whole grid.
+    /// Creates the levels for the whole grid.
     pub(crate) fn everywhere(sizing: &SizingField, graded: bool) -> Self {
         let image = sizing.image();
         let sizes = || image.data.iter().copied();
@@ -92,7 +95,7 @@ impl Levels {
         )
     }
 
-    /// `count` levels over a box; `largest` is the largest h (mm).
+    /// Creates `count` levels for a box; `largest` is the maximum h in mm.
     pub(crate) fn over(low: Vec3, high: Vec3, largest: f32, count: usize) -> Self {
         let extent = (high - low).as_dvec3().max(DVec3::splat(f64::MIN_POSITIVE));
         let mut first_bin = 0;
@@ -113,14 +116,14 @@ impl Levels {
         Self { origin: low, levels }
     }
 
-    /// Number of bins in all levels.
+    /// Returns the number of bins in all levels.
     pub(crate) fn bin_total(&self) -> u32 {
         self.levels.last().map_or(0, |l| l.first_bin + l.bins.element_product())
     }
 }
 
-/// Range over the voxels with |F| <= `band`. Uses the spline coefficients as F, from which they
-/// differ by a small part of a voxel.
+/// Returns the range over the voxels with |F| <= `band`. Approximates F by its spline coefficients,
+/// which differ from F by a small fraction of a voxel.
 fn near_surface(fields: &Fields, band: f64) -> Range {
     let geometry = fields.surface.geometry();
     let [nx, ny, _] = geometry.size;

@@ -11,11 +11,11 @@ use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::Geometry;
 use std::borrow::Cow;
 
-/// Maximum number of interfaces and held particles: 16 times the number must be a whole number that
-/// f32 holds exactly (below 2^24).
+/// Maximum number of interfaces and held particles in total: 16 times the stratum index must be
+/// below 2^24, so that f32 represents it exactly.
 const MOST_STRATA: usize = 1 << 20;
 
-/// The coefficients on the device, and the index that locates them.
+/// Coefficients on the device, and the index that locates them.
 pub(super) struct Ground<'a> {
     pub geometry: &'a Geometry,
     /// Coefficients of F, or of the differences between materials.
@@ -25,40 +25,41 @@ pub(super) struct Ground<'a> {
 }
 
 impl<'a> Ground<'a> {
-    /// For one object.
+    /// Creates the surface of one object.
     pub(super) fn object(surface: &'a CubicSpline) -> Self {
         let coefficients = Cow::Borrowed(surface.coefficients());
         Self { geometry: surface.geometry(), coefficients, index: None }
     }
 
-    /// For many materials, with particles on the strata of `carried`.
+    /// Creates the surface of many materials, with particles on the strata of `carried`.
     pub(super) fn materials(materials: &'a Materials, carried: &Carried) -> Self {
         let Differences { coefficients, index } = Differences::new(materials, &carried.strata, carried.sheets);
         Self { geometry: materials.geometry(), coefficients: Cow::Owned(coefficients), index: Some(index) }
     }
 }
 
-/// Data that each particle carries beside its normal: its damping and, with many materials, its
-/// stratum.
+/// Data that each particle carries in addition to its normal: its damping and, with many materials,
+/// its stratum.
 ///
-/// With many materials the value is 16 times the number of the stratum, plus the power of ten of
-/// the damping or [`HELD_CODE`]. Interfaces are numbered first, in ascending order. Then each held
-/// particle has its own number, which restores its index after a readback.
+/// With many materials the value is 16 times the index of the stratum, plus the power of ten of the
+/// damping or [`HELD_CODE`]. Interfaces have the first indices, in ascending order. After them each
+/// held particle has an index of its own, which restores its position in the particle set after a
+/// readback.
 #[derive(Debug, Default)]
 pub(super) struct Carried {
-    /// The strata by number; empty for one object.
+    /// Strata by index; empty for one object.
     strata: Vec<Stratum>,
-    /// Number of interfaces among them.
+    /// Number of interfaces among the strata.
     sheets: usize,
-    /// The held particles, unchanged; `None` for one object.
+    /// Held particles, unchanged; `None` for one object.
     held: Option<ParticleSet>,
 }
 
 impl Carried {
-    /// Numbers the strata of the particles of many materials. Held particles must come first.
+    /// Assigns indices to the strata of multi-material particles. Held particles must come first.
     ///
     /// # Errors
-    /// If there are more strata and held particles than numbers.
+    /// If there are more interfaces and held particles than indices.
     pub(super) fn new(set: &ParticleSet, of: &[Stratum]) -> Result<Self> {
         let held = of.partition_point(|stratum| stratum.dimension() < 2);
         let mut strata = of[held..].to_vec();
@@ -84,12 +85,13 @@ impl Carried {
         Ok(Self { strata, sheets, held: Some(first(set)) })
     }
 
-    /// Number of held particles.
+    /// Returns the number of held particles.
     pub(super) fn held(&self) -> usize {
         self.strata.len() - self.sheets
     }
 
-    /// Carried value of particle i with damping `lambda`; `of` holds the strata of all particles.
+    /// Returns the carried value of particle i with damping `lambda`. `of` contains the strata of
+    /// all particles.
     pub(super) fn of(&self, i: usize, lambda: f64, of: &[Stratum]) -> f32 {
         if self.held.is_none() {
             return lambda as f32;
@@ -102,8 +104,9 @@ impl Carried {
         (16 * number + power as u32) as f32
     }
 
-    /// Restores the order after a readback: held particles first and unchanged, then the others,
-    /// with their strata. With one object the particles stay as they are.
+    /// Restores the order after a readback: the unchanged held particles first, then the other
+    /// particles. Returns the particles and their strata. With one object the particles stay as
+    /// they are.
     pub(super) fn put_back(&self, mut set: ParticleSet) -> (ParticleSet, Vec<Stratum>) {
         let Some(held) = &self.held else { return (set, Vec::new()) };
         let mut all = held.clone();

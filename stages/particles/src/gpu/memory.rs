@@ -1,4 +1,4 @@
-//! Named buffers on the device, their memory, and transfers to and from the host.
+//! Named buffers on the device, their total size, and transfers from and to the host.
 
 use super::adapter::Gpu;
 use isoparticles_stage::error::{Error, Result};
@@ -17,7 +17,8 @@ const PLAIN: wgpu::BufferUsages =
     wgpu::BufferUsages::STORAGE.union(wgpu::BufferUsages::COPY_SRC).union(wgpu::BufferUsages::COPY_DST);
 
 impl Memory {
-    /// Creates or replaces a storage buffer of at least `bytes` bytes; `extra` adds usages.
+    /// Creates or replaces a storage buffer of at least `bytes` bytes. `extra` specifies additional
+    /// usages.
     pub(crate) fn make(&mut self, gpu: &Gpu, name: &str, bytes: u64, extra: wgpu::BufferUsages) -> Result<()> {
         let size = bytes.max(16).next_multiple_of(16);
         if size > gpu.limits.max_buffer_size.min(gpu.limits.max_storage_buffer_binding_size) {
@@ -66,20 +67,24 @@ impl Memory {
         }
     }
 
-    /// The buffer with this name; panics if there is none.
+    /// Returns the buffer called `name`.
+    ///
+    /// # Panics
+    /// Panics if no buffer has this name.
     pub(crate) fn get(&self, name: &str) -> &wgpu::Buffer {
         self.buffers.get(name).unwrap_or_else(|| panic!("no kernel may name a buffer that was not made: {name}"))
     }
 
-    /// Maximum of the bytes held at one time.
+    /// Returns the maximum number of bytes allocated at one time.
     pub(crate) fn peak(&self) -> u64 {
         self.peak
     }
 }
 
-/// Copies values into a buffer, in batches of 12 pieces of 512 KiB, with the pieces of a batch on
-/// all threads. The first touch of staging memory dominates the time. The wait between batches lets
-/// wgpu reuse that memory, so that no second copy of a whole field is held.
+/// Copies values into a buffer in batches of 12 pieces of 512 KiB. All threads copy the pieces of a
+/// batch in parallel, because the first access to staging memory takes most of the time. Waiting
+/// between batches lets wgpu reuse that memory, so a second copy of a whole field is never
+/// allocated.
 pub(crate) fn upload<T: bytemuck::NoUninit + Sync>(gpu: &Gpu, buffer: &wgpu::Buffer, values: &[T]) -> Result<()> {
     const PIECE_BYTES: usize = 1 << 19;
     const BATCH: usize = 12;
@@ -110,7 +115,7 @@ pub(crate) fn download<T: bytemuck::AnyBitPattern>(gpu: &Gpu, buffer: &wgpu::Buf
     read_staging(gpu, &staging, bytes, None)
 }
 
-/// A buffer that the host can map for reading.
+/// Creates a buffer that the host can map for reading.
 pub(crate) fn staging(gpu: &Gpu, bytes: u64) -> wgpu::Buffer {
     gpu.device.create_buffer(&wgpu::BufferDescriptor {
         label: Some("staging"),
@@ -120,7 +125,8 @@ pub(crate) fn staging(gpu: &Gpu, bytes: u64) -> wgpu::Buffer {
     })
 }
 
-/// Waits for a submission, or for all if `None`, and reads the first bytes of a staging buffer.
+/// Waits for a submission, or for all submissions if `None`, and reads the first `bytes` bytes of a
+/// staging buffer.
 pub(crate) fn read_staging<T: bytemuck::AnyBitPattern>(
     gpu: &Gpu,
     staging: &wgpu::Buffer,

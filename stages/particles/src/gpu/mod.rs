@@ -1,10 +1,11 @@
-//! The GPU backend: sections 4 and 5 of the paper, with wgpu and the WGSL kernels of `/shaders`.
+//! The GPU backend: sections 4 and 5 of the paper, implemented with wgpu and the WGSL kernels in
+//! `/shaders`.
 //!
-//! The particles stay on the device from the first pass to the last; the host reads a few words per
-//! pass. Each kernel has the name of its file and a twin in the CPU code. The twins of the lists
-//! are in `isoparticles_field::neighbours`, of the energy in `energy`, and of the fields in
-//! `spline` and `sizing`. Movement and density control are beside this folder. Both backends share
-//! the constants.
+//! The particles stay on the device from the first pass to the last, and the host reads a few words
+//! per pass. Each kernel is named after its file and has a twin in the CPU code. The twins of the
+//! lists are in `isoparticles_field::neighbours`, those of the energy in `energy`, and those of the
+//! fields in `spline` and `sizing`. The twins of movement and density control are in the parent
+//! folder. Both backends share the constants.
 
 mod adapter;
 mod commands;

@@ -1,5 +1,5 @@
-//! Uniform blocks of the kernels, as bytes: named words in the order of the WGSL structs
-//! (`shaders/shared/parameters.wgsl`). The tests compare the layouts with naga's.
+//! Uniform blocks of the kernels as bytes: named words in the order of the WGSL structs
+//! (`shaders/shared/parameters.wgsl`). The tests compare the layouts with those that naga computes.
 
 use super::constants::BLOCK;
 use super::levels::Levels;
@@ -8,10 +8,10 @@ use crate::settle::Parameters;
 use glam::{DVec3, UVec3};
 use isoparticles_volume::Geometry;
 
-/// Maximum number of levels; size of an array in the shaders.
+/// Maximum number of levels, which is the size of an array in the shaders.
 pub(crate) const MOST_LEVELS: usize = 12;
 
-/// Named words of a uniform block, in order and without gaps.
+/// Named words of a uniform block, in order and without padding.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Block {
     words: Vec<u32>,
@@ -30,32 +30,32 @@ impl Block {
         self.whole(name, values.into_iter().map(f32::to_bits))
     }
 
-    /// The block as bytes.
+    /// Returns the block as bytes.
     pub(crate) fn bytes(&self) -> &[u8] {
         bytemuck::cast_slice(&self.words)
     }
 }
 
-/// Origin of device positions: the centre of this voxel, near the middle of the grid. Near the
-/// middle, f32 positions have the best resolution; at a whole voxel, the fraction within a cell is
-/// exact.
+/// Returns the voxel whose centre is the origin of device positions, near the middle of the grid.
+/// There f32 positions have the best resolution. Because the origin is the centre of a voxel, the
+/// fraction within a cell is exact.
 pub(crate) fn centre_voxel(geometry: &Geometry) -> UVec3 {
     UVec3::from_array(geometry.size.map(|n| n as u32 / 2))
 }
 
-/// The same origin in the grid frame, mm.
+/// Returns the origin of device positions in the grid frame, in mm.
 pub(crate) fn device_origin(geometry: &Geometry) -> DVec3 {
     geometry.index_to_grid(centre_voxel(geometry).as_dvec3())
 }
 
-/// Tolerance of |F| = 0 on the device, mm: that of the CPU's passes, or the resolution of f32
-/// positions if that is coarser.
+/// Returns the tolerance of |F| = 0 on the device in mm: the tolerance of the CPU's passes, or the
+/// resolution of f32 positions if that is coarser.
 pub(crate) fn tolerance(geometry: &Geometry) -> f64 {
     let resolution = geometry.upper_corner().max_element() * f64::from(f32::EPSILON);
     (PASS_TOLERANCE * geometry.min_spacing()).max(2.0 * resolution)
 }
 
-/// Block `Parameters`: values that are constant for a run.
+/// Returns the block `Parameters`, which contains the values that are constant during a run.
 pub(crate) fn run_block(
     geometry: &Geometry,
     levels: &Levels,
@@ -104,8 +104,8 @@ pub(crate) fn run_block(
     block
 }
 
-/// Block `Planned`: values of a pass that the host knows at submission. `shaders/begin_pass.wgsl`
-/// derives those of the kernels.
+/// Returns the block `Planned`, which contains the values of a pass that the host knows at
+/// submission. `shaders/begin_pass.wgsl` computes the values that the kernels read from it.
 pub(crate) fn plan_block(
     number: u64,
     count: u32,
@@ -124,7 +124,7 @@ pub(crate) fn plan_block(
         .whole("unused_2", [0])
 }
 
-/// Block `Pass`, which `shaders/begin_pass.wgsl` writes.
+/// Returns the block `Pass`, which `shaders/begin_pass.wgsl` writes in a run.
 #[cfg(test)]
 pub(crate) fn pass_block(number: u64, count: u32, allow_insert: bool) -> Block {
     Block::default()
@@ -134,7 +134,7 @@ pub(crate) fn pass_block(number: u64, count: u32, allow_insert: bool) -> Block {
         .whole("unused", [0])
 }
 
-/// Block `Scan` of a prefix sum over `length` numbers.
+/// Returns the block `Scan` of a prefix sum over `length` elements.
 pub(crate) fn scan_block(length: u32) -> Block {
     Block::default()
         .whole("length", [length])
@@ -143,7 +143,8 @@ pub(crate) fn scan_block(length: u32) -> Block {
         .whole("unused_2", [0])
 }
 
-/// Number of blocks of a prefix sum over `length` numbers; the result has one number more.
+/// Returns the number of blocks of a prefix sum over `length` elements. The result of the prefix
+/// sum has one more element.
 pub(crate) fn scan_blocks(length: u32) -> u32 {
     (length + 1).div_ceil(BLOCK)
 }

@@ -1,11 +1,11 @@
-//! Runs passes on the device: submits them, waits for them, and repeats those whose lists or
+//! Runs passes on the device: submits them, waits for them, and repeats a pass if its lists or
 //! classes overflowed.
 //!
 //! A pass with density control reads one set of listed buffers and writes the other. It can
 //! therefore be submitted before the host has read the result of the previous pass, so the device
-//! does not idle. The number of particles stays on the device (`shaders/begin_pass.wgsl`). If such
-//! a pass turns out to be invalid, its input is still intact. That happens if the run ends, if
-//! lists overflowed, or if there are more particles than the pass has room for.
+//! does not idle. The number of particles stays on the device (`shaders/begin_pass.wgsl`). A pass
+//! submitted early is invalid if the run ends, if lists overflowed, or if there are more particles
+//! than the pass has room for. In these cases its input is still intact.
 
 use super::commands::{Command, Encoded, encode, submit};
 use super::constants::{
@@ -24,14 +24,14 @@ use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_stage::error::Result;
 use std::time::Instant;
 
-/// Classes dispatched beyond those in use. The number in use varies with crowds, and a pass that
-/// needs more must be repeated.
+/// Number of classes dispatched in addition to those in use. The number in use varies where
+/// particles are crowded, and a pass that needs more classes must be repeated.
 const CLASSES_TO_SPARE: u32 = 2;
 
-/// Commands of the next pass, encoded while the device works.
+/// Commands of the next pass, encoded while the device runs the current pass.
 pub(super) struct Ahead {
     plan: Plan,
-    /// Particles that the commands have room for.
+    /// Number of particles that the commands have room for.
     room: u32,
     encoded: Encoded,
 }
@@ -40,15 +40,15 @@ pub(super) struct Ahead {
 pub(super) struct Flight {
     pass: u64,
     plan: Plan,
-    /// Particles that the pass has room for.
+    /// Number of particles that the pass has room for.
     room: u32,
     submission: wgpu::SubmissionIndex,
-    /// The kernels that have timestamps.
+    /// Kernels with timestamps.
     timed: Vec<&'static str>,
 }
 
 impl GpuEngine<'_> {
-    /// Runs single steps and returns the words that the host reads.
+    /// Runs individual steps and returns the words that the host reads.
     #[cfg(test)]
     pub(super) fn run_steps(&mut self, pass: u64, steps: Vec<Step>, sort: bool) -> Result<Vec<u32>> {
         let plan = Plan { sort, bring: sort && !self.listed, density: false, set: self.set, classes: CLASSES };
@@ -59,14 +59,15 @@ impl GpuEngine<'_> {
         self.wait_for(&flight)
     }
 
-    /// Room for a pass with an unknown number of particles: 1/16 more than now, limited by the
-    /// buffers. A pass that exceeds it is discarded and run in turn.
+    /// Returns the room for a pass with an unknown number of particles: 1/16 more than the current
+    /// number, limited by the size of the buffers. A pass that exceeds this room is discarded and
+    /// submitted again after the previous pass has ended.
     fn room_ahead(&self) -> u32 {
         (self.count + self.count / 16 + 64).min(self.rows)
     }
 
-    /// Commands of a pass for at least `least` particles: those already encoded if they fit, else
-    /// new ones for `room` particles.
+    /// Returns the commands of a pass over at least `least` particles. Uses the commands already
+    /// encoded if they fit; otherwise encodes new commands for `room` particles.
     fn commands(&mut self, plan: Plan, least: u32, room: u32) -> Ahead {
         let ready = self.ahead.take().filter(|ahead| ahead.plan == plan && least <= ahead.room);
         ready.unwrap_or_else(|| self.make_commands(plan, room))
@@ -78,8 +79,8 @@ impl GpuEngine<'_> {
         Ahead { plan, room, encoded }
     }
 
-    /// Encodes steps, after copying the particles back to the listed buffers if the plan requires
-    /// it.
+    /// Encodes steps. If the plan requires it, the particles are first copied back to the listed
+    /// buffers.
     fn encode(&mut self, steps: &[Step], plan: Plan, room: u32) -> Encoded {
         let key = |step: &Step| (step.label, step.round, step.aliases.first().map_or("", |alias| alias.1));
         for step in steps {
@@ -116,7 +117,7 @@ impl GpuEngine<'_> {
         encode(self.gpu, &self.kernels, &commands, &mut self.profile)
     }
 
-    /// Submits a pass over `count` particles; `before` is the plan of the previous pass, which may
+    /// Submits a pass over `count` particles. `before` is the plan of the previous pass, which may
     /// still be running.
     fn hand_over(&self, pass: u64, ahead: Ahead, count: u32, before: Plan) -> Result<Flight> {
         let Ahead { plan, room, encoded } = ahead;
@@ -137,8 +138,8 @@ impl GpuEngine<'_> {
         Ok(flight)
     }
 
-    /// While the device works on a pass: submits the next one if that is likely to be valid, and
-    /// encodes the one after it.
+    /// Prepares passes while the device runs a pass: submits the next pass if it is likely to be
+    /// valid, and encodes the pass after it.
     fn look_ahead(&mut self, now: &Flight) -> Result<()> {
         let after = |plan: Plan, pass: u64| {
             let density = plan.density && pass < self.last_control;
@@ -151,7 +152,7 @@ impl GpuEngine<'_> {
         // timestamp queries support only one pass at a time
         if next.density && self.flight.is_none() && self.changed <= self.count / 16 && !self.gpu.timestamps {
             let one_after = after(next, now.pass + 1);
-            // existing commands are one pass old and may have less room: half of the spare room
+            // existing commands are one pass old and may have less room; half of the spare room
             // suffices
             let least = self.count.midpoint(self.room_ahead());
             let commands = self.commands(next, least, self.room_ahead());
@@ -169,7 +170,7 @@ impl GpuEngine<'_> {
         read_staging(self.gpu, &self.words[flight.plan.set], 4 * WORDS as u64, Some(&flight.submission))
     }
 
-    /// Runs a pass, and repeats it until its lists and classes suffice. Returns its plan and words.
+    /// Runs a pass and repeats it until its lists and classes suffice. Returns its plan and words.
     fn fly(&mut self, pass: u64, density: bool) -> Result<(Plan, Vec<u32>)> {
         // discard an early submission that does not match this pass
         let ready = self.flight.take().filter(|flight| density && flight.pass == pass);
@@ -186,14 +187,14 @@ impl GpuEngine<'_> {
             let words = self.wait_for(&flight)?;
             self.spent.wait_seconds += waiting.elapsed().as_secs_f64();
             let (longest, classes) = (words[WORD_LONGEST_LIST], words[WORD_CLASSES]);
-            // begin_pass.wgsl makes the same test for the next pass
+            // begin_pass.wgsl applies the same test before the next pass
             if longest <= self.list_room && classes <= flight.plan.classes {
                 if classes + CLASSES_TO_SPARE / 2 > self.classes || self.classes == CLASSES {
                     self.classes = (classes + CLASSES_TO_SPARE).min(CLASSES);
                 }
                 return Ok((flight.plan, words));
             }
-            // the output of this pass is discarded; passes submitted after it did nothing
+            // the output of this pass is discarded, and passes submitted after it have done nothing
             (self.flight, self.listed, self.classes) = (None, true, CLASSES);
             (plan.bring, plan.classes) = (false, CLASSES);
             if longest > self.list_room {

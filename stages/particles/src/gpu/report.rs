@@ -1,11 +1,11 @@
-//! Statistics of the device and its times, for the report.
+//! Statistics of the device and its times.
 
 /// Time of one kernel over a whole run.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct KernelTime {
-    /// Name of the kernel and of its file.
+    /// Name of the kernel, which is also the name of its file.
     pub kernel: &'static str,
-    /// Seconds on the device.
+    /// Device time in seconds.
     pub seconds: f64,
     /// Number of dispatches.
     pub dispatches: u64,
@@ -16,31 +16,33 @@ pub struct KernelTime {
 pub struct DeviceReport {
     /// Name of the adapter.
     pub adapter: String,
-    /// Seconds from the start of the upload to the end of the last readback, without compilation.
+    /// Seconds from the start of the upload to the end of the last readback, excluding compilation.
     pub device_seconds: f64,
-    /// Part of it: host time to create buffers and upload fields and particles.
+    /// Share of `device_seconds` in which the host creates buffers and uploads fields and
+    /// particles.
     pub upload_seconds: f64,
-    /// Part of it: host time to encode and submit passes while the device is idle.
+    /// Share of `device_seconds` in which the host encodes and submits passes while the device is
+    /// idle.
     pub encode_seconds: f64,
-    /// Part of it: host time waiting for passes. Host work on the next pass while the device works
-    /// is in none of these parts.
+    /// Share of `device_seconds` in which the host waits for passes. Host work on the next pass
+    /// while the device works is not in any of these shares.
     pub wait_seconds: f64,
-    /// Part of it: download of the particles.
+    /// Share of `device_seconds` in which the particles are downloaded.
     pub readback_seconds: f64,
-    /// Seconds to compile the kernels.
+    /// Time in seconds to compile the kernels.
     pub compile_seconds: f64,
-    /// Maximum bytes of buffers at one time.
+    /// Maximum number of bytes in buffers at one time.
     pub peak_device_bytes: u64,
     /// Number of levels of bins.
     pub levels: usize,
     /// Number of bins in all levels.
     pub bins: u32,
-    /// Time by kernel, the longest first; empty unless requested.
+    /// Times of the kernels in descending order; empty unless requested.
     pub kernels: Vec<KernelTime>,
 }
 
 impl DeviceReport {
-    /// The sum of this level's report and that of the earlier levels.
+    /// Returns the sum of the reports of this level and the earlier levels.
     pub(crate) fn after(mut self, before: Self) -> Self {
         self.device_seconds += before.device_seconds;
         self.upload_seconds += before.upload_seconds;

@@ -6,34 +6,34 @@ use super::parameters::scan_blocks;
 use crate::settle::Order;
 use glam::UVec3;
 
-/// Rounds that assign classes. `tests/lists.rs` requires a class for 99.5 % of the particles after
-/// them, and for 80 % in a crowd.
+/// Number of rounds that assign classes. After these rounds `tests/lists.rs` requires a class for
+/// 99.5 % of the particles, and for 80 % in a crowd.
 const CLASS_ROUNDS: u32 = 6;
-/// Rounds of deletion in one pass; `shaders/density_delete.wgsl` compares them with the CPU's
-/// order.
+/// Number of rounds of deletion per pass. `shaders/density_delete.wgsl` compares the rounds with
+/// the order on the CPU.
 const DELETION_ROUNDS: u32 = 3;
 
-/// Number of colours of bins.
+/// Number of bin colours.
 pub(crate) const COLOURS: u32 = COLOUR_STRIDE * COLOUR_STRIDE * COLOUR_STRIDE;
 
 const _: () = assert!(COLOURS <= CLASSES, "the buffer `round` has a number for each class");
 
-/// Number of bins of a colour, for `bins` along each axis.
+/// Returns the number of bins of a colour; `bins` is the number of bins along each axis.
 pub(crate) fn bins_of(colour: u32, bins: UVec3) -> u32 {
     let first = UVec3::new(colour, colour / COLOUR_STRIDE, colour / (COLOUR_STRIDE * COLOUR_STRIDE)) % COLOUR_STRIDE;
     ((bins + (COLOUR_STRIDE - 1) - first) / COLOUR_STRIDE).element_product()
 }
 
-/// Buffers that replace names of a kernel: (name in the kernel, name of the buffer).
+/// Buffers bound under other names in a kernel: (name in the kernel, name of the buffer).
 pub(crate) type Aliases = &'static [(&'static str, &'static str)];
 
-/// The two sets of listed buffers: a pass with density control reads one and writes the other.
+/// The two sets of listed buffers: a pass with density control reads one set and writes the other.
 pub(crate) const SETS: [Aliases; 2] = [
     &[("listed_place", "listed_place_0"), ("listed_normal", "listed_normal_0")],
     &[("listed_place", "listed_place_1"), ("listed_normal", "listed_normal_1")],
 ];
 
-/// Names of the buffers of a set: places and normals.
+/// Returns the names of the buffers of a set: positions and normals.
 pub(crate) fn listed(set: usize) -> [&'static str; 2] {
     [SETS[set][0].1, SETS[set][1].1]
 }
@@ -43,10 +43,11 @@ pub(crate) struct Step {
     pub kernel: &'static str,
     /// Distinguishes dispatches of one kernel over different buffers.
     pub label: &'static str,
-    /// The number that the kernel sees as `round`.
+    /// Value of the kernel's variable `round`.
     pub round: u32,
     pub aliases: Aliases,
-    /// `None`: indirect dispatch, with the number that the device computes for this class.
+    /// Number of workgroups. `None` for an indirect dispatch, for which the device computes the
+    /// number for this class.
     pub workgroups: Option<u32>,
 }
 
@@ -60,27 +61,27 @@ impl Step {
     }
 }
 
-/// Composition of a pass.
+/// Parts of a pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Plan {
-    /// Sort, and rebuild lists and classes.
+    /// Sorts the particles and rebuilds lists and classes.
     pub sort: bool,
-    /// Copy the particles from the sorted to the listed buffers first.
+    /// First copies the particles from the sorted to the listed buffers.
     pub bring: bool,
-    /// Control the density.
+    /// Controls the density.
     pub density: bool,
-    /// The set of listed buffers that the pass reads.
+    /// Set of listed buffers that the pass reads.
     pub set: usize,
     /// Number of classes that are dispatched.
     pub classes: u32,
 }
 
-/// The first step of every pass.
+/// Returns the first step of every pass.
 pub(crate) fn beginning() -> Step {
     Step::over("begin_pass", 0, 1).with(&[("begun", "now"), ("begun_scan", "scan_keep")])
 }
 
-/// The dispatches of a pass, in order.
+/// Returns the dispatches of a pass, in order.
 pub(crate) fn steps(count: u32, levels: &Levels, order: Order, plan: Plan) -> Vec<Step> {
     let Plan { sort, density, set, classes, .. } = plan;
     let mut steps = Vec::with_capacity(80);
@@ -128,7 +129,8 @@ pub(crate) fn steps(count: u32, levels: &Levels, order: Order, plan: Plan) -> Ve
     steps
 }
 
-/// Adds the three kernels of a prefix sum; `what` is "bins" (bin counts) or another word (flags).
+/// Adds the three kernels of a prefix sum. `what` is "bins" for the bin counts; any other value
+/// selects the flags.
 pub(crate) fn scan(steps: &mut Vec<Step>, what: &str, length: u32) {
     let (aliases, labels): (Aliases, [&'static str; 3]) = match what {
         "bins" => (

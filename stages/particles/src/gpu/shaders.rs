@@ -1,18 +1,18 @@
-//! Composes the text of each kernel: constants declared from Rust, the shared pieces that the
-//! kernel uses, and its own file.
+//! Composes the source of each kernel: constants declared from Rust, the shared pieces that the
+//! kernel uses, and the kernel's own file.
 
 use super::constants::declarations;
 
-/// Composition of a kernel.
+/// Parts of a kernel.
 pub(crate) struct Source {
-    /// Name of the kernel and of its file.
+    /// Name of the kernel, which is also the name of its file.
     pub name: &'static str,
     /// Shared pieces, in order.
     pieces: &'static [Piece],
     text: &'static str,
 }
 
-/// A shared piece. All except `Text` depend on the adapter or on the kind of surface.
+/// A shared piece. All pieces except `Text` depend on the adapter or on the kind of surface.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Piece {
     Text(&'static str),
@@ -20,7 +20,7 @@ enum Piece {
     Fields,
     /// Sums over the lanes of a team.
     Team,
-    /// Data beside the normal, for one object or many materials.
+    /// Data stored with the normal, for one object or many materials.
     Carried,
     /// Coefficients of F, or of the differences of many materials.
     Nodes,
@@ -29,18 +29,20 @@ enum Piece {
 /// Properties of the adapter and of the surface that select pieces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Variant {
-    /// Whether the fields are cut into slabs.
+    /// Whether the fields are split into slabs.
     pub slabs: bool,
-    /// Lanes of a team that sums by subgroup operations; `None` sums through workgroup memory.
+    /// Number of lanes of a team that sums by subgroup operations; `None` for sums through
+    /// workgroup memory.
     pub subgroup_team: Option<u32>,
-    /// Whether the particles are of many materials.
+    /// Whether the run has many materials.
     pub materials: bool,
 }
 
 impl Variant {
-    /// Lanes of a team, and teams of a workgroup.
+    /// Returns the number of lanes of a team and the number of teams of a workgroup.
     pub(crate) fn team(self) -> (u32, u32) {
-        // a team that sums through workgroup memory is a workgroup; others share one of 128 lanes
+        // a team that sums through workgroup memory is a whole workgroup; otherwise several teams
+        // share a workgroup of 128 lanes
         self.subgroup_team.map_or((32, 1), |lanes| (lanes, 128 / lanes))
     }
 }
@@ -160,7 +162,7 @@ const SOURCES: &[Source] = &[
     source!("compact", &[PARAMETERS]),
 ];
 
-/// Kernels of the tests, which expose what the shared pieces compute.
+/// Kernels for tests, which write out the results of the shared pieces.
 #[cfg(test)]
 pub(crate) const PROBES: &[Source] = &[
     source!(
@@ -189,14 +191,15 @@ pub(crate) const PROBES: &[Source] = &[
 #[cfg(not(test))]
 const PROBES: &[Source] = &[];
 
-/// Every kernel, including those of the tests in test builds.
+/// Returns every kernel. Test builds include the kernels for tests.
 pub(crate) fn sources() -> impl Iterator<Item = &'static Source> {
     SOURCES.iter().chain(PROBES)
 }
 
 impl Source {
-    /// The variant for this kernel. In `move_bins` a bin has a workgroup of one team as wide as the
-    /// subgroup: its particles move one after the other, and more lanes make each step faster.
+    /// Returns the variant for this kernel. In `move_bins` a workgroup is one team of up to 32
+    /// lanes that processes a bin. Its particles move one after the other, so more lanes make each
+    /// step faster.
     pub(crate) fn variant(&self, variant: Variant) -> Variant {
         match self.name {
             "move_bins" => Variant { subgroup_team: variant.subgroup_team.map(|_| 32), ..variant },
@@ -204,7 +207,7 @@ impl Source {
         }
     }
 
-    /// The complete text for a variant.
+    /// Returns the complete source for a variant.
     pub(crate) fn compose(&self, variant: Variant) -> String {
         let variant = self.variant(variant);
         let mut text = declarations(variant);
@@ -235,11 +238,11 @@ impl Source {
 /// A buffer that a kernel uses.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Binding {
-    /// Its number in group 0.
+    /// Binding number in group 0.
     pub number: u32,
-    /// Name of the variable and of the buffer.
+    /// Name of both the variable and the buffer.
     pub name: String,
-    /// How it is used.
+    /// Access to the buffer.
     pub access: Access,
 }
 
@@ -251,8 +254,8 @@ pub(crate) enum Access {
     ReadWrite,
 }
 
-/// The buffers that a text declares, parsed from its lines `@group(0) @binding(n) var<...> name:
-/// type;`.
+/// Returns the buffers that a source declares, parsed from its lines `@group(0) @binding(n)
+/// var<...> name: type;`.
 pub(crate) fn bindings(text: &str) -> Vec<Binding> {
     text.lines()
         .filter_map(|line| {

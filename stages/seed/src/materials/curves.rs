@@ -8,46 +8,46 @@ use isoparticles_field::particle_set::Strata;
 use isoparticles_field::sizing::SizingField;
 use std::collections::BTreeSet;
 
-/// Longest step along a curve, in h. Rounding the number of steps gives steps of up to 1.5 h; if a
-/// step would exceed this limit, the curve gets one more.
+/// Maximum step along a curve in units of h. Rounding the number of steps gives steps of up to 1.5
+/// h. If the steps would exceed this limit, the curve gets one more step.
 const LONGEST_STEP: f64 = 1.3;
 
 /// A closed curve shorter than h and than this many voxels gets one particle instead of a ring of
 /// three: it is below the resolution of the data.
 const TINY_VOXELS: f64 = 2.0;
 
-/// Minimum number of particles on other closed curves: fewer make no ring.
+/// Minimum number of particles on other closed curves, because fewer particles do not make a ring.
 const RING: usize = 3;
 
-/// A particle nearer than this share of a step to the previous one is skipped. The curve is then
-/// shorter than its chain.
+/// A particle is skipped if its distance from the previous particle is below this fraction of a
+/// step. This happens if the curve is shorter than its chain.
 const NEAREST: f64 = 0.3;
 
-/// Particles nearer than this, in voxels, count as coincident. They occur on chains that exist only
-/// in the grid complex.
+/// Maximum distance in voxels of particles that count as coincident. Such particles occur on chains
+/// that exist only in the grid complex.
 const COINCIDENT: f64 = 0.01;
 
-/// Maximum distance from the chain to the curve, and tolerance of the projection, in voxels.
+/// Maximum distance from the chain to the curve and tolerance of the projection, both in voxels.
 const FARTHEST: f64 = 1.0;
 const TOLERANCE: f64 = 1e-7;
 
-/// The particles at junction points, in the order of the complex, followed by those on curves.
+/// Particles at junction points, in the order of the complex, followed by particles on curves.
 #[derive(Clone, Debug, Default)]
 pub struct Curves {
-    /// Positions, grid frame, mm.
+    /// Positions in mm in the grid frame.
     pub positions: Vec<DVec3>,
-    /// Zero at points, unit tangent on curves.
+    /// Zero for particles at points, the unit tangent for particles on curves.
     pub normals: Vec<DVec3>,
-    /// Edge lengths, mm: h, limited to the longest step to a neighbour.
+    /// Edge lengths in mm: the minimum of h and the longest step to a neighbour.
     pub sizes: Vec<f64>,
     /// Strata of the particles, and the segments of the curves.
     pub strata: Strata,
-    /// Places that were skipped because the projection onto their curve failed.
+    /// Number of particles that were skipped because the projection onto their curve failed.
     pub not_projected: usize,
 }
 
-/// Places particles at the points and along the chains of a complex. Spacings follow `spread`,
-/// sizes `sizing`.
+/// Places particles at the points and along the chains of a complex. The spacing of the particles
+/// follows `spread`; their sizes come from `sizing`.
 pub fn seed_curves<I: Indicators>(
     indicators: &I,
     complex: &Complex,
@@ -59,7 +59,8 @@ pub fn seed_curves<I: Indicators>(
         found.normals.push(DVec3::ZERO);
         found.strata.of.push(point.stratum);
     }
-    // pairs of points with a one-step curve; a second such curve needs a particle in between
+    // pairs of points that a curve of one step connects; a second such curve needs a particle
+    // between the points
     let mut joined = BTreeSet::new();
     for chain in &complex.chains {
         let line = complex.line(chain);
@@ -83,8 +84,9 @@ pub fn seed_curves<I: Indicators>(
 }
 
 impl Curves {
-    /// Adds the particles of a chain, `steps` steps along it. A particle is skipped if it is nearer
-    /// than `nearest` at its place (mm) to the previous one or to an end.
+    /// Adds the particles of a chain that is divided into `steps` steps. A particle is skipped if
+    /// its distance from the previous particle or from an end is below `nearest` (mm) at its
+    /// position.
     fn add<I: Indicators>(
         &mut self,
         indicators: &I,
@@ -142,7 +144,7 @@ impl Curves {
         }
     }
 
-    /// Sets the sizes: h, limited to the longest step to a neighbour.
+    /// Sets the size of each particle to the minimum of h and the longest step to a neighbour.
     fn set_sizes(&mut self, sizing: &SizingField) {
         let mut longest = vec![0.0f64; self.positions.len()];
         for segment in &self.strata.segments {
@@ -162,7 +164,7 @@ impl Curves {
 /// A polyline with the metric ds / h.
 struct Along {
     line: Vec<DVec3>,
-    /// The integral of ds / h up to each vertex.
+    /// Integral of ds / h from the start of the line to each vertex.
     sums: Vec<f64>,
 }
 
@@ -184,7 +186,8 @@ impl Along {
         self.sums.last().copied().unwrap_or(0.0)
     }
 
-    /// The place at a share of the integral, and the direction of the line there.
+    /// Returns the point at the fraction `share` of the integral, and the direction of the line at
+    /// this point.
     fn at(&self, share: f64) -> (DVec3, DVec3) {
         let wanted = share * self.total();
         let after = self.sums.partition_point(|&sum| sum < wanted).clamp(1, self.line.len().max(2) - 1);

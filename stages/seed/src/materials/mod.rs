@@ -1,9 +1,9 @@
-//! Seeds many materials: at junction points, along junction curves and on interfaces.
+//! Seeds several materials: at junction points, along junction curves and on interfaces.
 //!
-//! The strata are sampled in the order of their dimension, each with the lower ones held fixed
-//! (Meyer, Whitaker, Kirby, Ledergerber and Pfister 2008). Particles at points and on curves are
-//! final: equal distances in the metric ds / h minimize the one-dimensional energy. Interfaces are
-//! sampled like the surface of one object.
+//! The strata are sampled in the order of their dimension, with the strata of lower dimension held
+//! fixed (Meyer, Whitaker, Kirby, Ledergerber and Pfister 2008). Particles at points and on curves
+//! do not move later, because equal distances in the metric ds / h minimize the one-dimensional
+//! energy. Interfaces are sampled like the surface of one object.
 
 mod curves;
 mod program;
@@ -22,29 +22,30 @@ use isoparticles_field::sizing::SizingField;
 /// Statistics of the seeding.
 #[derive(Clone, Copy, Debug, Default, serde::Serialize)]
 pub struct Summary {
-    /// Particles at junction points, on junction curves and on interfaces.
+    /// Numbers of particles at junction points, on junction curves and on interfaces.
     pub particles: [usize; 3],
-    /// Junction curves.
+    /// Number of junction curves.
     pub curves: usize,
-    /// Closed junction curves.
+    /// Number of closed junction curves.
     pub closed_curves: usize,
-    /// Components of interfaces.
+    /// Number of components of interfaces.
     pub components: usize,
-    /// Components that got extra particles because the sizing field gave them fewer than they need.
+    /// Number of components that got extra particles because the sizing field gave them too few.
     pub underpopulated_components: usize,
-    /// Number of particles by the sizing field ([`Complex::predicted_count`]).
+    /// Number of particles that the sizing field predicts ([`Complex::predicted_count`]).
     pub predicted_count: f64,
-    /// Seeds dropped because the projection onto their stratum failed or another material is nearer
-    /// there.
+    /// Number of seeds dropped because the projection onto their stratum failed, or another
+    /// material is nearer to the projected point.
     pub not_projected: usize,
-    /// Components of interfaces that were skipped because they are far smaller than a voxel's face.
+    /// Number of components of interfaces that were skipped because they are far smaller than a
+    /// voxel's face.
     pub specks: usize,
-    /// Components of interfaces without a particle, because every projection failed.
+    /// Number of components of interfaces that have no particle because every projection failed.
     pub bare_components: usize,
 }
 
-/// Seeds all strata of a complex. Spacings follow `spread`; particles get their sizes from
-/// `sizing`. The result depends only on the arguments.
+/// Seeds all strata of a complex. The spacing of the particles follows `spread`; their sizes come
+/// from `sizing`. The result depends only on the arguments.
 pub fn seed_strata(
     materials: &Materials,
     complex: &Complex,
@@ -78,12 +79,12 @@ pub fn seed_strata(
     (set, strata, summary)
 }
 
-/// Whether a number is a valid length: finite and positive.
+/// Returns whether a number is a valid length, which is finite and positive.
 fn is_length(h: f64) -> bool {
     h.is_finite() && h > 0.0
 }
 
-/// The point at a share of the way from a to b.
+/// Returns the point at the fraction `share` of the way from a to b.
 fn between(a: DVec3, b: DVec3, share: f64) -> DVec3 {
     a + (b - a) * share
 }

@@ -1,4 +1,4 @@
-//! The program around [`super::seed_strata`]: files and report.
+//! Runs [`super::seed_strata`] as a program: reads and writes the files, and fills in the report.
 
 use super::seed_strata;
 use crate::run::{Args, From, check_prediction};
@@ -11,7 +11,7 @@ use isoparticles_stage::materials_file::read_materials;
 use isoparticles_stage::particle_file::{ParticleKind, write_material_particles};
 use serde_json::json;
 
-/// Reads the files, seeds the strata of many materials, and writes seeds and report.
+/// Reads the files, seeds the strata of several materials, and writes the seeds and the report.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     if args.from == From::MarchingCubes {
         return Err(Error::input(

@@ -12,39 +12,43 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_mesh::TriangleMesh;
 use rayon::prelude::*;
 
-/// Minimum distance of a particle on an interface from particles of its border, in h.
+/// Minimum distance, in units of h, from a particle on an interface to the particles on the border
+/// of the interface.
 const FROM_BORDER: f64 = DISK_RADIUS;
 
-/// Maximum distance from the triangles to their interface, and tolerance of the projection, in
-/// voxels; as for one object.
+/// Maximum distance from the triangles to their interface and tolerance of the projection, both in
+/// voxels. The values are the same as for one object.
 const FARTHEST: f64 = 1.5;
 const TOLERANCE: f64 = 1e-6;
 
-/// Components with a border that are smaller than this area, in squared voxels, get no particle.
-/// Their border is a closed curve shorter than half a voxel, which the complex omits, or little
-/// longer.
+/// Area in squared voxels below which a component with a border gets no particle. The border of
+/// such a component is a closed curve that is about half a voxel long or shorter. The complex omits
+/// curves shorter than half a voxel.
 const SPECK: f64 = 0.05;
 
 /// The particles on interfaces.
 #[derive(Clone, Debug, Default)]
 pub struct Sheets {
-    /// Positions, grid frame, mm.
+    /// Positions in mm in the grid frame.
     pub positions: Vec<DVec3>,
-    /// Unit normals, from the material with the higher number to that with the lower.
+    /// Unit normals that point from the material with the higher number to the material with the
+    /// lower number.
     pub normals: Vec<DVec3>,
     /// Edge lengths h, mm.
     pub sizes: Vec<f64>,
-    /// The interface of each.
+    /// Interface of each particle.
     pub of: Vec<Stratum>,
     /// Number of components of the interfaces.
     pub components: usize,
-    /// Components that h leaves without enough particles, so that they were sampled on their own.
+    /// Number of components that were sampled separately because they have too few particles at the
+    /// spacing h.
     pub crowded: usize,
-    /// Components that have no particle even then.
+    /// Number of components that have no particle even after separate sampling.
     pub bare: usize,
-    /// Components far smaller than a voxel's face, which were skipped.
+    /// Number of components that were skipped because they are far smaller than a voxel's face.
     pub specks: usize,
-    /// Places that were skipped because the projection failed or a third material is nearer there.
+    /// Number of points that were skipped because the projection failed or a third material is
+    /// nearer.
     pub not_projected: usize,
 }
 
@@ -55,7 +59,7 @@ struct Placed {
     component: u32,
 }
 
-/// Samples the interfaces of a complex, with the particles at points and on curves held fixed.
+/// Samples the interfaces of a complex, and holds the particles at points and on curves fixed.
 pub fn seed_sheets<I: Indicators>(
     indicators: &I,
     complex: &Complex,
@@ -129,9 +133,9 @@ impl Sheets {
     }
 }
 
-/// Projects a point of a triangle with this normal onto an interface; returns the point and the
-/// unit normal there. `None` if the projection fails, if another material is nearer, or if the
-/// normal points to the other side.
+/// Projects a point of a triangle with this normal onto an interface. Returns the projected point
+/// and the unit normal at this point, or `None` if the projection fails, another material is
+/// nearer, or the normal points to the other side.
 fn met<I: Indicators>(indicators: &I, sheet: Stratum, point: DVec3, normal: DVec3) -> Option<(DVec3, DVec3)> {
     let &[low, high] = sheet.materials() else { return None };
     let voxel = indicators.voxel();
@@ -141,7 +145,8 @@ fn met<I: Indicators>(indicators: &I, sheet: Stratum, point: DVec3, normal: DVec
     (is_real && own.dot(normal) > 0.0).then_some((position, own))
 }
 
-/// The particles at points and on curves, from which those on interfaces keep a distance.
+/// The particles at points and on curves. Particles on interfaces keep a minimum distance from
+/// them.
 struct Border<'a> {
     curves: &'a Curves,
     sizes: Vec<f64>,
@@ -155,7 +160,8 @@ impl<'a> Border<'a> {
         Self { curves, sizes, bins }
     }
 
-    /// The candidates that are far enough from the particles on the borders of their interfaces.
+    /// Returns the candidates that are far enough from the particles on the borders of their
+    /// interfaces.
     fn beyond(&self, all: Candidates, sheet_of: &[Stratum]) -> Candidates {
         let is_beyond = |i: usize| {
             let (p, h, sheet) = (all.points[i], all.sizes[i], &sheet_of[all.component[i] as usize]);
@@ -177,7 +183,8 @@ impl<'a> Border<'a> {
         }
     }
 
-    /// The particle that is farthest from the particles on the border of its interface.
+    /// Returns the particle in `own` that is farthest from the particles on the border of the
+    /// interface `sheet`.
     fn farthest(&self, own: Vec<Placed>, sheet: Stratum) -> Option<Placed> {
         let border: Vec<DVec3> = (0..self.curves.positions.len())
             .filter(|&j| self.curves.strata.of[j].is_on(&sheet))

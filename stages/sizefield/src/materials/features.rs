@@ -1,4 +1,4 @@
-//! Measures material interfaces: their curvature, and the thickness of the materials on both sides.
+//! Measures the curvature of material interfaces, and the thickness of the materials on both sides.
 
 use crate::averages::average;
 use crate::cell_nodes;
@@ -16,33 +16,33 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::{Add, Mul};
 
-/// Minimum clearance, in voxels, at which the curvature of an interface is used. Nearer to a third
-/// material, the indicators have rounded kinks.
+/// Minimum distance in voxels from a third material at which the curvature of an interface is used.
+/// Closer to a third material, the indicators have rounded kinks.
 const CLEAR: f64 = 1.0;
 
-/// A layer counts as the wedge between two interfaces that meet, and not as thin, if their junction
-/// curve is nearer than this many times the thickness. These are angles above atan(1/2) = 27
-/// degrees.
+/// A layer counts as a wedge between two interfaces that meet, not as a thin layer, if the junction
+/// curve of the interfaces is nearer than this many times the thickness. Such wedges have angles
+/// above atan(1/2) = 27 degrees.
 const WEDGE: f64 = 2.0;
 
-/// Minimum step across a material, in voxels; also the first step away from an interface.
+/// Minimum step in voxels across a material; also the first step away from an interface.
 const LEAST_STEP: f64 = 0.1;
 
-/// Share of a known distance that a step covers. Distances are accurate to first order only.
+/// Fraction of a known distance that a step covers. Distances are only accurate to first order.
 const TRUSTED: f64 = 0.8;
 
-/// Measurements at each vertex of a complex.
+/// Measurements at the vertices of a complex.
 #[derive(Clone, Debug, Default)]
 pub(super) struct StrataFeatures {
-    /// Maximum principal curvature in magnitude, per mm, averaged along the interface; zero near
-    /// junction curves.
+    /// Maximum magnitude of the principal curvatures, per mm, averaged along the interface; zero
+    /// near junction curves.
     pub(super) curvature: Vec<f64>,
-    /// Half the thickness of the thinner material, mm; at sharp places at most the radius of
-    /// curvature. Infinite at junctions and above the limit of the search.
+    /// Half the thickness in mm of the thinner material; where curvature is high, at most the
+    /// radius of curvature. Infinite at junctions and above the limit of the search.
     pub(super) feature_size: Vec<f64>,
 }
 
-/// A symmetric tensor in single precision, because there are millions.
+/// A symmetric tensor, in single precision to save memory: a complex can have millions of them.
 #[derive(Clone, Copy)]
 struct Tensor(Mat3);
 
@@ -102,7 +102,7 @@ pub(super) fn measure<I: Indicators>(
     StrataFeatures { curvature, feature_size }
 }
 
-/// The two materials of a vertex on an interface.
+/// Returns the two materials of a vertex on an interface, or `None` for other vertices.
 fn sheet(vertex: &Vertex) -> Option<(MaterialId, MaterialId)> {
     match *vertex.stratum.materials() {
         [low, high] => Some((low, high)),
@@ -115,7 +115,7 @@ struct Ways<'a, I> {
     indicators: &'a I,
     /// Lower bound of the distance to the nearest interface, mm.
     free: Image<f32>,
-    /// The vertices of each junction curve.
+    /// Vertices of each junction curve.
     curves: BTreeMap<Stratum, KdTree>,
     largest: f64,
 }
@@ -130,9 +130,9 @@ impl<'a, I: Indicators> Ways<'a, I> {
         Self { indicators, free: free_distances(geometry, complex), curves, largest }
     }
 
-    /// Thickness (mm) of the thinner of the two materials of an interface at a place, along the
-    /// normal (which points from `high` to `low`). Infinite if it exceeds the limit, or if the ray
-    /// ends at an interface that meets this one nearby.
+    /// Returns the thickness (mm) of the thinner of the two materials at a point of an interface,
+    /// measured along the normal, which points from `high` to `low`. The thickness is infinite if
+    /// it exceeds the limit, or if the ray ends at an interface that meets this interface nearby.
     fn thinner(&self, place: DVec3, normal: DVec3, (low, high): (MaterialId, MaterialId)) -> f64 {
         let sides = [(normal, low, high), (-normal, high, low)];
         let thickness = |(way, across, behind): (DVec3, MaterialId, MaterialId)| {
@@ -144,8 +144,8 @@ impl<'a, I: Indicators> Ways<'a, I> {
         sides.into_iter().map(thickness).fold(f64::INFINITY, f64::min)
     }
 
-    /// Length of the ray across a material, mm, and the material behind it; `None` if it exceeds
-    /// the limit or leaves the grid.
+    /// Returns the length in mm of the ray across a material, and the material behind it. Returns
+    /// `None` if the ray exceeds the limit or leaves the grid.
     fn way_across(&self, place: DVec3, way: DVec3, across: MaterialId) -> Option<(f64, MaterialId)> {
         let voxel = self.indicators.voxel();
         let corner = self.free.geometry.upper_corner();
@@ -167,8 +167,8 @@ impl<'a, I: Indicators> Ways<'a, I> {
     }
 }
 
-/// Lower bound of the distance to the nearest interface at each node, mm: zero at the nodes of all
-/// cells that an interface crosses.
+/// Returns a lower bound in mm of the distance from each node to the nearest interface. It is zero
+/// at the nodes of all cells that an interface crosses.
 fn free_distances(geometry: &Geometry, complex: &Complex) -> Image<f32> {
     let mut free = Image::filled(geometry.clone(), f32::INFINITY);
     for vertex in &complex.vertices {

@@ -1,4 +1,4 @@
-//! `--size`: an edge length for a material or an interface by name.
+//! Implements `--size`, which sets an edge length for a material or an interface by name.
 
 use isoparticles_field::materials::{MaterialId, Stratum};
 use isoparticles_stage::error::{Error, Result};
@@ -6,7 +6,7 @@ use serde::{Serialize, Serializer};
 use std::fmt;
 use std::str::FromStr;
 
-/// An edge length for a name.
+/// An edge length for a material or an interface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GivenSize {
     /// Name of a material, or names of two materials separated by a slash.
@@ -42,7 +42,7 @@ impl Serialize for GivenSize {
     }
 }
 
-/// The edge lengths given for materials and interfaces.
+/// Edge lengths that the user sets for materials and interfaces.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Given {
     materials: Vec<(MaterialId, f64)>,
@@ -50,7 +50,7 @@ pub(crate) struct Given {
 }
 
 impl Given {
-    /// Looks up the names; `names` are those of the materials, by number.
+    /// Looks up the names in `sizes`. `names` contains the names of the materials by number.
     ///
     /// # Errors
     /// If a name is unknown.
@@ -77,8 +77,8 @@ impl Given {
         Ok(given)
     }
 
-    /// The edge length of an interface, mm: its own if given, else the smaller one of its two
-    /// materials.
+    /// Returns the edge length in mm of an interface: the length that is set for the interface, or
+    /// else the smaller length of its two materials.
     pub(super) fn of(&self, sheet: &Stratum) -> Option<f64> {
         let smallest = |sizes: &mut dyn Iterator<Item = f64>| sizes.min_by(f64::total_cmp);
         let own = smallest(&mut self.sheets.iter().filter(|(other, _)| other == sheet).map(|(_, size)| *size));

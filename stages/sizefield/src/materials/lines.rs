@@ -1,22 +1,23 @@
-//! Bounds on h from junction curves: their curvature and length.
+//! Bounds h by the curvature and length of junction curves.
 
 use glam::DVec3;
 use isoparticles_field::materials::complex::{Complex, End};
 
-/// Half the length, in voxels, of the piece of a curve for which curvature is measured. Vertices of
+/// Half the length in voxels of the piece of a curve over which curvature is measured. Vertices of
 /// a chain are at most one voxel apart.
 const REACH: f64 = 1.5;
 
 /// Minimum number of steps on a curve between two junction points, and on a closed curve.
 const STEPS: [f64; 2] = [2.0, 6.0];
 
-/// Edge length for a radius of curvature (mm), by the same two measures as on interfaces: the share
-/// `epsilon` of the radius, and the height of a chord above the curve, h^2 / (8 R).
+/// Returns the edge length for a radius of curvature (mm), from the same two criteria as on
+/// interfaces: `epsilon` times the radius, and the height of a chord above the curve, h^2 / (8 R).
 fn by_radius(radius: f64, epsilon: f64, max_deviation: f64) -> f64 {
     (epsilon * radius).min((8.0 * max_deviation * radius).sqrt())
 }
 
-/// Lowers the sizes (mm) of the vertices of junction curves to these bounds.
+/// Lowers the sizes (mm) of the vertices of junction curves to the bounds from curvature and
+/// length.
 pub(super) fn lower(complex: &Complex, voxel: f64, epsilon: f64, max_deviation: f64, sizes: &mut [f64]) {
     for chain in &complex.chains {
         let line = complex.line(chain);
@@ -35,8 +36,8 @@ pub(super) fn lower(complex: &Complex, voxel: f64, epsilon: f64, max_deviation: 
     }
 }
 
-/// Radius of the circle through a vertex of a line and the vertices at least `reach` before and
-/// behind it, mm; infinite if the line ends earlier.
+/// Returns the radius in mm of the circle through a vertex of a line and the vertices at least
+/// `reach` before and behind it. The radius is infinite if the line ends earlier.
 fn radius(line: &[DVec3], at: usize, is_closed: bool, reach: f64) -> f64 {
     let count = line.len();
     let beyond = |forth: bool| {

@@ -1,8 +1,9 @@
-//! The target edge length h of many materials, on one grid.
+//! Computes the target edge length h for several materials on one grid.
 //!
-//! As for one object, h follows the shape: on interfaces the curvature and the thickness of the
-//! layers on both sides, on junction curves the curvature and length. Interfaces meet at junction
-//! curves with given angles, so layers are necessarily thin there. Such wedges are ignored.
+//! h follows the shape, as for one object. On interfaces, h depends on the curvature and on the
+//! thickness of the layers on both sides; on junction curves, h depends on the curvature and
+//! length. Layers are always thin where interfaces meet at a junction curve, so these wedges are
+//! ignored.
 
 mod features;
 mod given;

@@ -1,4 +1,5 @@
-//! The program for many materials: options, files, report.
+//! Runs the program for several materials: evaluates the options, reads and writes the files, and
+//! fills in the report.
 
 use super::features::{StrataFeatures, measure};
 use super::given::Given;
@@ -20,7 +21,7 @@ use isoparticles_stage::meta::{self, SizeMeta};
 use isoparticles_volume::{Geometry, Image};
 use serde_json::json;
 
-/// Computes and writes the sizing field of many materials.
+/// Computes and writes the sizing field of several materials.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("read");
     let file = read_materials(&args.input)?;
@@ -80,7 +81,7 @@ fn uniform(geometry: &Geometry, size: f64) -> SizingField {
     SizingField::new(Image::filled(geometry.clone(), size as f32))
 }
 
-/// h from the shape of the strata, and from the sizes given with `--size`.
+/// Computes h from the shape of the strata and from the sizes given with `--size`.
 fn by_shape(
     args: &Args,
     materials: &Materials,
@@ -142,8 +143,8 @@ fn by_features(
     }
 }
 
-/// The minimum h of each vertex, and the maximum that leaves a closed interface its minimum number
-/// of particles. The maximum takes precedence.
+/// Returns the minimum h of each vertex, and the maximum h with which a closed interface gets its
+/// minimum number of particles. The maximum takes precedence.
 fn smallest_sizes(complex: &Complex, parameters: &Parameters) -> Vec<(f64, f64)> {
     let (component, count) = complex.sheet_components();
     let mut areas = vec![(0.0, true); count];
@@ -165,7 +166,7 @@ fn smallest_sizes(complex: &Complex, parameters: &Parameters) -> Vec<(f64, f64)>
     sizes
 }
 
-/// The maximum h of each material, from its own extent.
+/// Maximum h of each material, from the extent of the material.
 struct LargestSizes(Vec<f64>);
 
 impl LargestSizes {
@@ -189,7 +190,8 @@ impl LargestSizes {
         )
     }
 
-    /// For an interface: the smaller value of its materials, without the outside.
+    /// Returns the maximum h of an interface: the smaller value of its materials, ignoring the
+    /// outside.
     fn of(&self, sheet: &Stratum) -> f64 {
         let named = sheet.materials().iter().filter(|&&id| id != MaterialId::OUTSIDE);
         named.map(|id| self.0[id.index()]).fold(f64::INFINITY, f64::min)
@@ -200,7 +202,7 @@ impl LargestSizes {
     }
 }
 
-/// Fills in parameters that depend on the data, and reports their origin.
+/// Sets the parameters that depend on the data, and reports the origin of each parameter.
 fn resolve(args: &Args, materials: &Materials, refined: Vec<(usize, f64)>, context: &Context) -> Result<Parameters> {
     let voxel = materials.voxel();
     let quality = args.quality().name();

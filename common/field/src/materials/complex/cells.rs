@@ -1,40 +1,40 @@
-//! Marching tetrahedra in one block of grid cells: interface triangles, and the vertices of
-//! junction curves and junction points. Edges that pass through a further material are bisected
-//! first. Vertices have names by which neighbouring blocks are joined.
+//! Marching tetrahedra in one block of grid cells: computes interface triangles, and the vertices
+//! of junction curves and junction points. Edges that pass through a further material are bisected
+//! first. Neighbouring blocks are joined by the names of their vertices.
 
 use super::lattice::{Lattice, Piece, Place, TETRAHEDRA, UNIT, half_way, number, pieces, rank};
 use crate::materials::{Indicators, MaterialId, Near, Stratum};
 use glam::{DVec3, DVec4};
 use std::collections::BTreeMap;
 
-/// An edge between nodes of one material is taken to cross nothing if the interface distances of
-/// its ends sum to more than this multiple of its length. A factor of one suffices for indicators
-/// of slope one; 1.25 leaves a margin for steeper ones.
+/// An edge between nodes of one material is assumed to cross no interface if the interface
+/// distances of its ends sum to more than this multiple of its length. A factor of one suffices for
+/// indicators of slope one; 1.25 leaves a margin for steeper indicators.
 const FAR: f64 = 1.25;
 
 /// A vertex of the complex.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Vertex {
-    /// Position, grid frame, mm.
+    /// Position in the grid frame, mm.
     pub position: DVec3,
-    /// The materials that meet there.
+    /// The materials that meet at the vertex.
     pub stratum: Stratum,
 }
 
 /// A triangle of a material interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Triangle {
-    /// Vertex indices, counter-clockwise seen from the material of the lower number.
+    /// Vertex indices, counter-clockwise when seen from the material with the lower number.
     pub corners: [u32; 3],
-    /// The two materials.
+    /// The two materials of the interface.
     pub sheet: Stratum,
 }
 
-/// Identifies a vertex: the numbers of the nodes at the corners of its simplex, ascending, padded
-/// with the largest number where there are fewer than four.
+/// Identifies a vertex by the numbers of the nodes at the corners of its simplex, ascending. If
+/// there are fewer than four corners, the name is padded with the largest number.
 pub(super) type Name = [u128; 4];
 
-/// The result for one block. Triangle corners are indices of its own vertices.
+/// The result for one block. Triangle corners are indices into the vertices of this block.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Part {
     /// Names of the vertices, ascending.
@@ -54,23 +54,23 @@ struct Known {
 #[derive(Clone, Copy)]
 struct Node {
     place: Place,
-    /// Index of its sampled values in the block.
+    /// Index in the block of the values sampled at the node.
     known: usize,
     own: MaterialId,
 }
 
-/// A block of grid cells, with the lattice nodes sampled so far.
+/// A block of grid cells with the lattice nodes sampled so far.
 struct Block<'a, I: ?Sized> {
     lattice: Lattice<'a>,
     indicators: &'a I,
-    /// First grid node, and number of grid nodes along each axis.
+    /// First grid node; `size` is the number of grid nodes along each axis.
     first: [usize; 3],
     size: [usize; 3],
-    /// Nodes sampled so far: the grid nodes in order, then those in between, whose indices
-    /// `between` holds.
+    /// Nodes sampled so far: first the grid nodes in order, then the nodes between grid nodes.
+    /// `between` contains the indices of the latter.
     known: Vec<Option<Known>>,
     between: BTreeMap<u128, usize>,
-    /// Cached answers of `is_halved` for edges between grid nodes, by lower node and direction.
+    /// Cached results of `is_halved` for edges between grid nodes, by lower node and direction.
     halved: Vec<Option<bool>>,
 }
 
@@ -82,7 +82,7 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
         Self { lattice, indicators, first, size, known, between: BTreeMap::new(), halved: vec![None; 8 * nodes] }
     }
 
-    /// Index of a grid node in `known`; `None` for a node between grid nodes.
+    /// Returns the index of a grid node in `known`, or `None` for a node between grid nodes.
     fn of_grid(&self, place: Place) -> Option<usize> {
         let is_of_grid = place.iter().all(|n| n.is_multiple_of(UNIT));
         let [i, j, k]: [usize; 3] = std::array::from_fn(|a| (place[a] / UNIT) as usize - self.first[a]);
@@ -107,12 +107,13 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
         Node { place, known, own: own.own }
     }
 
-    /// The sampled values at a node.
+    /// Returns the values sampled at a node.
     fn of(&self, node: Node) -> Option<&Known> {
         self.known[node.known].as_ref()
     }
 
-    /// Whether an edge is to be bisected, because it passes through a material of neither end.
+    /// Returns whether an edge must be bisected because it passes through a material of neither
+    /// end.
     fn is_halved(&mut self, a: Node, b: Node) -> bool {
         if half_way(a.place, b.place).is_none() {
             return false;
@@ -129,9 +130,9 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
         told
     }
 
-    /// Whether a sample on the edge is of a material of neither end. The sample lies where the two
-    /// ends' indicators, linear in between, are equal, or at the midpoint if both ends are of one
-    /// material.
+    /// Returns whether a sample on the edge has a material of neither end. The sample lies where
+    /// the indicators of the two end materials, interpolated linearly, are equal. If both ends have
+    /// the same material, the sample lies at the midpoint.
     fn passes_another(&self, a: Node, b: Node) -> bool {
         let (Some(from), Some(to)) = (self.of(a), self.of(b)) else { return false };
         let share = if a.own == b.own {
@@ -149,8 +150,9 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
     }
 }
 
-/// Weights of two nodes at the point between them where the indicators of two materials, linear in
-/// between, are equal; 0.5 each if one is unknown.
+/// Returns the weights of two nodes at the point between them where the indicators of two
+/// materials, interpolated linearly, are equal. The weights are 0.5 each if an indicator is
+/// unknown.
 fn equal_between(nodes: [&Known; 2], of: [MaterialId; 2]) -> [f64; 2] {
     let [from, to] = nodes.map(|node| value(&node.near, of[1]) - value(&node.near, of[0]));
     let sum = from - to;
@@ -162,12 +164,13 @@ fn equal_between(nodes: [&Known; 2], of: [MaterialId; 2]) -> [f64; 2] {
     }
 }
 
-/// Indicator of a material among those sampled at a node, mm; infinite if unknown.
+/// Returns the indicator of a material sampled at a node in mm, or infinity if it is unknown.
 fn value(near: &Near, id: MaterialId) -> f64 {
     near.entries().iter().find(|(known, _)| *known == id).map_or(f64::INFINITY, |(_, value)| *value)
 }
 
-/// The pieces in the grid cells from `first` on, `count` along each axis.
+/// Returns the pieces in a block of grid cells. The block starts at `first` and has `count` cells
+/// along each axis.
 pub(super) fn part<I: Indicators + ?Sized>(
     lattice: Lattice<'_>,
     indicators: &I,
@@ -186,7 +189,7 @@ pub(super) fn part<I: Indicators + ?Sized>(
     found.into_part()
 }
 
-/// Vertices and triangles found so far, by names.
+/// Vertices and triangles found so far, identified by names.
 #[derive(Default)]
 struct Found {
     vertices: Vec<(Name, Vertex)>,
@@ -211,7 +214,7 @@ impl Found {
         }
     }
 
-    /// Adds the pieces in a tetrahedron. If any of its edges is to be bisected, bisects the one of
+    /// Adds the pieces in a tetrahedron. If edges must be bisected, bisects the edge with the
     /// highest [`rank`] and recurses into both halves.
     fn tetrahedron<I: Indicators + ?Sized>(&mut self, block: &mut Block<'_, I>, nodes: [Node; 4]) {
         let mut longest = None;
@@ -245,7 +248,7 @@ impl Found {
         });
     }
 
-    /// Adds a vertex; returns its name and its position (grid frame, mm).
+    /// Adds a vertex. Returns its name and its position (grid frame, mm).
     fn vertex<I: Indicators + ?Sized>(&mut self, block: &Block<'_, I>, corners: &Corners, own: u8) -> (Name, DVec3) {
         let (name, position) = (corners.name(own), corners.position(block, own));
         if let Some(stratum) = corners.stratum(own) {
@@ -293,14 +296,14 @@ impl Found {
     }
 }
 
-/// The corners of a tetrahedron, sorted by node number, so that all tetrahedra that share an edge
-/// or a face compute the same results for it.
+/// The corners of a tetrahedron, sorted by node number. All tetrahedra that share an edge or a face
+/// therefore compute the same results for it.
 struct Corners {
     nodes: [Node; 4],
 }
 
 impl Corners {
-    /// The corners selected by bits, and their number.
+    /// Returns the corners selected by the bits of `own`, and the number of these corners.
     fn chosen(&self, own: u8) -> ([Node; 4], usize) {
         let (mut chosen, mut count) = (self.nodes, 0);
         for corner in (0..4).filter(|corner| own >> corner & 1 == 1) {
@@ -315,23 +318,24 @@ impl Corners {
         std::array::from_fn(|n| if n < count { number(chosen[n].place) } else { u128::MAX })
     }
 
-    /// The materials of the selected corners.
+    /// Returns the materials of the selected corners.
     fn stratum(&self, own: u8) -> Option<Stratum> {
         let (chosen, count) = self.chosen(own);
         Stratum::new(&chosen.map(|node| node.own)[..count])
     }
 
-    /// Mean of the selected corners, in lattice steps. Pieces do not degenerate at these positions,
-    /// so they determine the orientation.
+    /// Returns the mean of the selected corners in lattice steps. Pieces do not degenerate at these
+    /// positions, so the positions determine the orientation.
     fn middle(&self, own: u8) -> DVec3 {
         let (chosen, count) = self.chosen(own);
         let corner = |node: &Node| DVec3::from_array(node.place.map(f64::from));
         chosen[..count].iter().map(corner).sum::<DVec3>() / count.max(1) as f64
     }
 
-    /// Position (grid frame, mm) where the indicators of the selected corners' materials, linear
-    /// between the corners, are equal. Negative weights are set to zero, which keeps it between the
-    /// corners. The mean of the corners if an indicator is unknown.
+    /// Returns the position (grid frame, mm) where the indicators of the selected corners'
+    /// materials, interpolated linearly between the corners, are equal. Negative weights are set to
+    /// zero, which keeps the position between the corners. If an indicator is unknown, returns the
+    /// mean of the corners.
     fn position<I: Indicators + ?Sized>(&self, block: &Block<'_, I>, own: u8) -> DVec3 {
         let (chosen, count) = self.chosen(own);
         let (Some(a), Some(b), Some(c), Some(d)) =
@@ -344,8 +348,8 @@ impl Corners {
             let [first, second] = equal_between([a, b], [chosen[0].own, chosen[1].own]);
             return a.position * first + b.position * second;
         }
-        // for each further material and corner: its indicator there minus that of the first
-        // material
+        // for each further material and each corner: the indicator of the material at the corner
+        // minus that of the first material
         let mut rows = [[0.0; 4]; 3];
         for (c, known) in known[..count].iter().enumerate() {
             let first = value(&known.near, chosen[0].own);
@@ -368,7 +372,7 @@ impl Corners {
     }
 }
 
-/// The vector perpendicular to three others, by their minors.
+/// Returns the vector perpendicular to three other vectors, computed from their minors.
 fn normal_to(rows: [[f64; 4]; 3]) -> [f64; 4] {
     std::array::from_fn(|left| {
         let minor = rows.map(|row| {

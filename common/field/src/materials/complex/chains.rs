@@ -1,7 +1,7 @@
-//! Junction curves as chains of vertices between junction points. The lattice vertices on curves
-//! and points are projected onto the true strata, and each curve is followed from there
-//! ([`Follower`]). One curve thus becomes one chain, regardless of how the lattice connects its
-//! vertices.
+//! Traces junction curves as chains of vertices between junction points. The lattice vertices on
+//! curves and points are first projected onto the true strata. [`Follower`] then follows each curve
+//! from a projected vertex. Each curve becomes one chain, regardless of how the lattice connects
+//! its vertices.
 
 use super::follow::{self, Follower, LONGEST, PASSED, Stop, TOLERANCE, UNDERCUT};
 use super::{Complex, Vertex};
@@ -13,50 +13,51 @@ use isoparticles_mesh::spatial::Bins;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Maximum distance between a lattice vertex and its projection onto a curve or point, in voxels.
+/// Maximum distance in voxels between a lattice vertex and its projection onto a curve or point.
 const FARTHEST: f64 = 1.0;
 
-/// Junction points of the same four materials are merged if a chain shorter than this (voxels)
-/// joins them. Of the 26,530 chains that join such points in `brain_parcellation`, 2,326 are
-/// shorter than 0.1 voxel, and each further tenth holds 500 to 600. The peak near zero is junction
-/// points that the lattice finds twice. A chain of 0.25 voxel, a third of the smallest h, has no
-/// room for particles.
+/// Junction points of the same four materials are merged if a chain shorter than this length, in
+/// voxels, joins them. Of the 26,530 chains that join such points in `brain_parcellation`, 2,326
+/// are shorter than 0.1 voxel, and each further tenth of a voxel contains 500 to 600 chains. The
+/// peak near zero consists of junction points that the lattice finds twice. A chain of 0.25 voxel,
+/// a third of the smallest h, is too short for particles.
 const MERGED_WITHIN: f64 = 0.25;
 
-/// Junction points closer than this (voxels) are one. Where more than four materials meet, each
-/// curve ends with three further materials, and whether a curve leaves such a point is decided at
-/// this distance. Labels do not determine where materials meet to within a fiftieth of a voxel.
+/// Junction points closer than this distance, in voxels, count as one point. Where more than four
+/// materials meet, a curve ends at several further materials at once. Whether a curve leaves such a
+/// point is decided at this distance. Labels do not determine where materials meet to within a
+/// fiftieth of a voxel.
 pub const COINCIDENT: f64 = 0.02;
 
-/// Closed curves shorter than this (voxels) are dropped: they enclose a contact of less than a
-/// fiftieth of a voxel face.
+/// Closed curves shorter than this length, in voxels, are dropped. Such a curve encloses a contact
+/// of less than a fiftieth of a voxel face.
 const SPECK: f64 = 0.5;
 
-/// End of a chain.
+/// An end of a chain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// At the junction point of that number.
+    /// The chain ends at the junction point with this number.
     Point(u32),
-    /// At the border of the grid, on which its last vertex lies; or where the curve could not be
-    /// followed further.
+    /// The chain ends at the border of the grid, on which its last vertex lies, or where the curve
+    /// could not be followed further.
     Border,
-    /// No end: the chain is closed and returns to its first vertex.
+    /// The chain has no end: it is closed and returns to its first vertex.
     Closed,
 }
 
 /// A junction curve between its ends.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chain {
-    /// The three materials.
+    /// The three materials that meet on the curve.
     pub curve: Stratum,
-    /// Its vertices in order, without junction points.
+    /// Vertex indices in order, without junction points.
     pub vertices: Vec<u32>,
-    /// The ends before the first vertex and after the last.
+    /// Ends before the first vertex and after the last vertex.
     pub ends: [End; 2],
 }
 
 impl Chain {
-    /// Whether it is a closed curve.
+    /// Returns whether the chain is closed.
     pub fn is_closed(&self) -> bool {
         self.ends[0] == End::Closed
     }
@@ -71,9 +72,9 @@ impl Chain {
 /// A junction point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Junction {
-    /// The four materials.
+    /// The four materials that meet at the point.
     pub stratum: Stratum,
-    /// Position, grid frame, mm.
+    /// Position in the grid frame, mm.
     pub position: DVec3,
 }
 
@@ -81,13 +82,13 @@ pub struct Junction {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Met {
     Yes,
-    /// Projected, but another material is nearer there.
+    /// Projected, but another material is nearer at the new position.
     NotClear,
     No,
 }
 
 /// Finds the chains and junction points of `indicators`, starting from the lattice vertices in
-/// `complex`. `corner` is the last corner of the grid, mm.
+/// `complex`. `corner` is the last corner of the grid in mm.
 pub(super) fn trace<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I, corner: DVec3) {
     let met = project(complex, indicators, corner);
     let mut starts: BTreeMap<Stratum, Vec<DVec3>> = BTreeMap::new();
@@ -142,7 +143,7 @@ pub(super) fn trace<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &
     complex.tally.specks = before - complex.chains.len();
 }
 
-/// Projects the vertices of curves and points onto their strata; returns the result for each
+/// Projects the vertices of curves and points onto their strata. Returns the result for each
 /// vertex.
 fn project<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I, corner: DVec3) -> Vec<Met> {
     let voxel = indicators.voxel();
@@ -165,18 +166,18 @@ fn project<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I, corner
     each.collect()
 }
 
-/// A curve that was followed.
+/// A junction curve that has been followed.
 struct Line {
     curve: Stratum,
-    /// Positions along it, without junction points.
+    /// Positions along the curve, without junction points.
     places: Vec<DVec3>,
     /// Whether the positions are in the order of the tangent.
     is_along: bool,
-    /// How it ends before the first position and after the last.
+    /// How the curve ends before the first position and after the last position.
     ends: [Stop; 2],
 }
 
-/// The curves of three materials through the given positions on them, each once.
+/// Returns the curves of three materials that pass through the given positions, each curve once.
 fn lines_from<I: Indicators + ?Sized>(indicators: &I, corner: DVec3, curve: Stratum, starts: &[DVec3]) -> Vec<Line> {
     let &[i, j, k] = curve.materials() else { return Vec::new() };
     let follower = Follower { indicators, corner, own: [i, j, k], undercut: UNDERCUT };
@@ -201,7 +202,7 @@ fn lines_from<I: Indicators + ?Sized>(indicators: &I, corner: DVec3, curve: Stra
     lines
 }
 
-/// All triples of the given materials, each ascending.
+/// Returns all triples of the given materials, each triple in ascending order.
 fn triples(ids: &[MaterialId]) -> Vec<[MaterialId; 3]> {
     let mut ids = ids.to_vec();
     ids.sort_unstable();
@@ -210,12 +211,12 @@ fn triples(ids: &[MaterialId]) -> Vec<[MaterialId; 3]> {
     pairs.flat_map(|(b, c)| (0..b).map(move |a| [a, b, c])).map(|own| own.map(|n| ids[n])).collect()
 }
 
-/// Junction points at which curves end, each position once.
+/// Junction points at which curves end, without duplicates.
 struct Points {
-    /// Positions closer than this are one point, mm.
+    /// Positions closer than this distance, in mm, count as one point.
     reach: f64,
-    /// Lattice vertices projected by Newton's method. These are more accurate than the end of a
-    /// curve that could not be followed to its very end.
+    /// Lattice vertices that Newton's method projected onto junction points. They are more accurate
+    /// than the end of a curve that could not be followed to its end.
     met: KdTree,
     met_places: Vec<DVec3>,
     all: Vec<Junction>,
@@ -224,7 +225,7 @@ struct Points {
 }
 
 impl Points {
-    /// The number of the point at a position, which is added if it is new.
+    /// Returns the number of the point at a position, and adds the point if it is new.
     fn number(&mut self, position: DVec3, stratum: Stratum) -> u32 {
         let is_here = |n: &&u32| self.all[**n as usize].position.distance(position) < self.reach;
         if let Some(&number) = self.bins.near(position).find(is_here) {
@@ -242,7 +243,7 @@ impl Points {
 struct Assembly<'a> {
     complex: &'a mut Complex,
     points: Points,
-    /// Which curves leave which point, along the tangent (true) or against it.
+    /// Curves that leave each point, along the tangent (true) or against it (false).
     leaving: BTreeSet<(u32, Stratum, bool)>,
     /// Curves that have been added.
     known: Known,
@@ -251,10 +252,10 @@ struct Assembly<'a> {
 }
 
 impl Assembly<'_> {
-    /// Adds a curve; its first end is the point `from`, if given. A curve that the complex already
-    /// has is not added. If the existing chain ends at another point of the same materials close to
-    /// `from`, the two points are marked as one: where four materials are almost equal along a
-    /// curve, Newton's method finds their point at several positions.
+    /// Adds a curve whose first end is the point `from`, if given. A curve that the complex already
+    /// contains is not added. If the existing chain ends at another point of the same materials
+    /// close to `from`, the two points are marked for merging. Where four materials are almost
+    /// equal along a curve, Newton's method finds their junction point at several positions.
     fn add(&mut self, line: Line, from: Option<u32>) {
         let position = |point: u32| self.points.all[point as usize].position;
         let end = |stop: Stop| if let Stop::Point(place, _) = stop { Some(place) } else { None };
@@ -323,17 +324,17 @@ impl Assembly<'_> {
     }
 }
 
-/// The steps of the curves in a complex, for look-up by position.
+/// The steps of the curves in a complex, indexed by position.
 #[derive(Default)]
 struct Known {
     voxel: f64,
-    /// For each curve its steps in the direction of the tangent, binned by midpoint, with the
-    /// chain's number.
+    /// For each curve: its steps in the direction of the tangent, binned by midpoint. Each step is
+    /// stored with the number of its chain.
     steps: BTreeMap<Stratum, Bins<(u32, [DVec3; 2])>>,
 }
 
 impl Known {
-    /// The steps of a path, in the direction of the tangent.
+    /// Returns the steps of a path in the direction of the tangent.
     fn along(path: &[DVec3], is_along: bool) -> impl Iterator<Item = [DVec3; 2]> + '_ {
         path.windows(2).map(move |step| if is_along { [step[0], step[1]] } else { [step[1], step[0]] })
     }
@@ -344,8 +345,8 @@ impl Known {
         Self::along(path, is_along).for_each(|[a, b]| bins.add(a.midpoint(b), (chain, [a, b])));
     }
 
-    /// The existing chain that a path follows in the same direction. The path's ends are ignored,
-    /// over [`MERGED_WITHIN`] or a third of its length, whichever is less.
+    /// Returns the existing chain that a path follows in the same direction. The ends of the path
+    /// are ignored over a length of [`MERGED_WITHIN`] or a third of the path, whichever is less.
     fn chain_along(&self, curve: Stratum, path: &[DVec3], is_along: bool) -> Option<u32> {
         let bins = self.steps.get(&curve)?;
         let length: f64 = path.windows(2).map(|step| step[0].distance(step[1])).sum();
@@ -378,9 +379,9 @@ impl Known {
     }
 }
 
-/// Merges junction points: the pairs in `same`, and points of the same materials joined by a short
-/// chain, which is dropped. A point at which every curve can continue is removed, and its chains
-/// are joined through it.
+/// Merges junction points: the pairs in `same`, and points of the same materials that a short chain
+/// joins. The short chain is dropped. A point through which every curve can continue is removed,
+/// and its chains are joined.
 fn merge_points(complex: &mut Complex, same: &[[u32; 2]], voxel: f64) {
     let mut sets = DisjointSets::new(complex.points.len());
     same.iter().for_each(|&[a, b]| sets.join(a, b));
@@ -446,7 +447,7 @@ fn merge_points(complex: &mut Complex, same: &[[u32; 2]], voxel: f64) {
 }
 
 /// Joins the chains that end at a point in pairs of the same curve. `same` maps joined chains to
-/// the one that remains.
+/// the chain that remains.
 fn pass(own: u32, ends: &[u32], left: &mut [Option<Chain>], same: &mut DisjointSets) {
     loop {
         let mut numbers: Vec<u32> = ends.iter().map(|&n| same.find(n)).collect();

@@ -1,69 +1,70 @@
-//! Follows junction curves step by step from a position on them to their ends: a predictor step
-//! along the tangent, then Newton's method back onto the curve. Positions are in the grid frame,
-//! mm.
+//! Follows junction curves step by step from a position on the curve to the ends of the curve. Each
+//! step is a predictor step along the tangent, followed by Newton's method back onto the curve.
+//! Positions are in the grid frame, mm.
 
 use super::chains::COINCIDENT;
 use crate::materials::{Indicators, MaterialId, Stratum};
 use glam::DVec3;
 
-/// Longest step along a curve, in voxels. A step is halved until the curve turns by no more than
-/// [`LEAST_COSINE`] over it.
+/// Maximum length of a step along a curve, in voxels. A step is halved until the cosine between the
+/// tangents at its ends is at least [`LEAST_COSINE`].
 pub(super) const LONGEST: f64 = 0.2;
-/// Shortest step along a curve, in voxels.
+/// Minimum length of a step along a curve, in voxels.
 const SHORTEST: f64 = 1e-3;
 
-/// Minimum cosine between the tangents at both ends of a step. At this angle, 37 degrees, a chord
-/// lies a twelfth of its length off the arc.
+/// Minimum cosine between the tangents at both ends of a step. At this angle, 37 degrees, the
+/// distance between chord and arc is a twelfth of the length of the chord.
 const LEAST_COSINE: f64 = 0.8;
 
-/// Longest Newton correction after a step, as a fraction of the step's length. The step must also
-/// advance by more than this fraction.
+/// Maximum Newton correction after a step, as a fraction of the step length. The step must also
+/// advance by more than this fraction of its length.
 const ASIDE: f64 = 0.5;
 
-/// A position is passed by a step if its distance from the step is at most this fraction of the
-/// step's length.
+/// A step passes a position if the distance between them is at most this fraction of the step
+/// length.
 pub(super) const PASSED: f64 = 0.25;
 
-/// Maximum clearance (voxels) of a fourth material that counts as equally near where a curve cannot
-/// be followed further.
+/// Maximum clearance, in voxels, of a fourth material that counts as equally near where a curve
+/// cannot be followed further.
 const EQUAL: f64 = 2.0 * SHORTEST;
 
-/// A path has reached its target position if a step ends within this distance of it, in voxels. A
-/// curve that ends at a junction point does so.
+/// Maximum distance, in voxels, between the end of a step and the target position at which the path
+/// has reached the target. A curve that ends at a junction point ends within this distance.
 const AT_AN_END: f64 = 0.01;
 
-/// Maximum number of steps: 100,000 voxels at the longest step, more than any curve has.
+/// Maximum number of steps. With the longest step, they cover 100,000 voxels, more than any curve.
 const MOST_STEPS: usize = 1 << 19;
 
-/// Tolerance of projections onto points and curves, in voxels.
+/// Tolerance, in voxels, of projections onto points and curves.
 pub(super) const TOLERANCE: f64 = 1e-7;
 
-/// A stratum is real at a position unless another material undercuts its own by more than this
-/// (voxels). It covers rounding and the residual of Newton's method.
+/// A stratum is real at a position unless the indicator of another material is smaller by more than
+/// this value, in voxels. The value covers rounding and the residual of Newton's method.
 pub(super) const UNDERCUT: f64 = 1e-6;
 
-/// Alternating projections between the border of the grid and the curve, for a position beyond the
-/// border. Each multiplies the error by the squared cosine of the angle between the two.
+/// Maximum number of alternating projections onto the border of the grid and onto the curve, for a
+/// position beyond the border. Each pair of projections multiplies the error by the squared cosine
+/// of the angle between border and curve.
 const TURNS_AT_BORDER: usize = 12;
 
-/// How a curve ends.
+/// The reason why a curve ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Stop {
-    /// At a junction point, where a fourth material is equally near: its position and the four
-    /// materials.
+    /// The curve reaches a junction point, where a fourth material is equally near. The values are
+    /// its position and the four materials.
     Point(DVec3, Stratum),
-    /// At the border of the grid.
+    /// The curve reaches the border of the grid.
     Border,
-    /// Where it began.
+    /// The curve returns to its start.
     Start,
-    /// Where it cannot be followed further, because two of its interfaces become tangent.
+    /// The curve cannot be followed further, because two of its interfaces become tangent.
     Lost,
-    /// Where the callback stopped it.
+    /// The callback stopped the curve.
     Told,
 }
 
-/// Positions along a closed junction curve, starting with `from`; at least three. `None` if the
-/// curve does not return there.
+/// Returns at least three positions along a closed junction curve, starting with `from`. Returns
+/// `None` if the curve does not return to `from`.
 pub fn way_round<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
@@ -77,10 +78,10 @@ pub fn way_round<I: Indicators + ?Sized>(
     (ends == [Stop::Start; 2] && way.len() >= 3).then_some(way)
 }
 
-/// Paths along a junction curve from one of its positions to another, both included, in the grid
-/// that ends at `corner`. There is at most one for each direction, shorter than `longest` (mm) and
-/// sorted by length. Parts that another material undercuts by less than [`COINCIDENT`] are passed,
-/// since positions a step apart do not resolve them.
+/// Returns paths along a junction curve from one position on it to another, both included. `corner`
+/// is the last corner of the grid. There is at most one path for each direction. The paths are
+/// shorter than `longest` (mm) and sorted by length. A path may cross parts where another material
+/// is nearer by less than [`COINCIDENT`], because positions a step apart do not resolve such parts.
 pub fn ways_along<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
@@ -113,7 +114,7 @@ pub fn ways_along<I: Indicators + ?Sized>(
     ways.into_iter().map(|(_, places)| places).collect()
 }
 
-/// The shortest path of [`ways_along`].
+/// Returns the shortest path of [`ways_along`].
 pub fn way_along<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
@@ -124,8 +125,8 @@ pub fn way_along<I: Indicators + ?Sized>(
     ways_along(indicators, curve, corner, ends, longest).into_iter().next()
 }
 
-/// Path along a junction curve from one of its positions, which is included, in the direction
-/// closer to `heading`. It ends after `longest` (mm), or where the curve ends or cannot be
+/// Returns a path along a junction curve, starting with a position on the curve, in the direction
+/// closer to `heading`. The path ends after `longest` (mm), or where the curve ends or cannot be
 /// followed.
 pub fn way_from<I: Indicators + ?Sized>(
     indicators: &I,
@@ -145,25 +146,26 @@ pub fn way_from<I: Indicators + ?Sized>(
     std::iter::once(from).chain(places).collect()
 }
 
-/// Follows the curves of three materials.
+/// Follows the junction curves of three materials.
 pub(super) struct Follower<'a, I: ?Sized> {
     pub(super) indicators: &'a I,
-    /// The last corner of the grid, mm.
+    /// Last corner of the grid in mm.
     pub(super) corner: DVec3,
     pub(super) own: [MaterialId; 3],
-    /// How far another material may undercut the three on the way, in voxels.
+    /// Maximum amount, in voxels, by which the indicator of another material may be smaller than
+    /// those of the three materials.
     pub(super) undercut: f64,
 }
 
 impl<I: Indicators + ?Sized> Follower<'_, I> {
-    /// The unit tangent at a position on a curve. The order of the materials fixes its direction
-    /// along the whole curve.
+    /// Returns the unit tangent at a position on a curve. The order of the materials determines its
+    /// direction along the whole curve.
     pub(super) fn tangent(&self, place: DVec3) -> DVec3 {
         let gradient = |other: MaterialId| self.indicators.difference_gradient(self.own[0], other, place).1;
         gradient(self.own[1]).cross(gradient(self.own[2])).normalize_or_zero()
     }
 
-    /// Projects a position onto the curve, within the grid. `limit` (mm) is the longest total move.
+    /// Projects a position onto the curve within the grid. `limit` is the maximum total move in mm.
     pub(super) fn onto(&self, place: DVec3, limit: f64) -> Option<DVec3> {
         let tolerance = TOLERANCE * self.indicators.voxel();
         let onto = |p: DVec3| self.indicators.project_onto_curve(self.own, p, limit, tolerance);
@@ -180,19 +182,21 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         p == p.clamp(DVec3::ZERO, self.corner)
     }
 
-    /// Whether two paths that were both lost end at the same spot, at a turn too sharp to be
-    /// followed. `starts` are their starting positions, or one that both share.
+    /// Returns whether two paths that were both lost end at the same position, at a turn too sharp
+    /// to follow. `starts` contains the start of each path, or one start that both paths share.
     fn meet(&self, starts: &[DVec3], forth: &[DVec3], back: &[DVec3]) -> bool {
         let last = |way: &[DVec3], start: usize| *way.last().unwrap_or(&starts[start]);
         last(forth, 0).distance(last(back, starts.len() - 1)) < AT_AN_END * self.indicators.voxel()
     }
 
-    /// Whether no other material is nearer at a position on a curve.
+    /// Returns whether no other material is nearer, by more than `undercut`, at a position on a
+    /// curve.
     pub(super) fn is_real(&self, place: DVec3) -> bool {
         self.indicators.clearance(place, &self.own) >= -self.undercut * self.indicators.voxel()
     }
 
-    /// The position one step further; `None` if the curve turns too much on the way.
+    /// Returns the position one step further. Returns `None` if the curve turns too much over the
+    /// step.
     fn ahead(&self, place: DVec3, tangent: DVec3, sign: f64, step: f64) -> Option<DVec3> {
         let limit = ASIDE * step;
         let tolerance = TOLERANCE * self.indicators.voxel();
@@ -201,8 +205,8 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         (is_smooth && (found - place).dot(tangent) > ASIDE * step).then_some(found)
     }
 
-    /// Whether the curve is real at a small distance from a junction point, along its tangent or
-    /// against it.
+    /// Returns whether the curve is real at a distance of [`COINCIDENT`] from a junction point,
+    /// along its tangent or against it.
     pub(super) fn leaves(&self, point: DVec3, is_along: bool) -> bool {
         let (step, sign) = (COINCIDENT * self.indicators.voxel(), if is_along { 1.0 } else { -1.0 });
         let next = self.ahead(point, sign * self.tangent(point), sign, step);
@@ -210,9 +214,9 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
     }
 
     /// Follows a curve from a position on it, along its tangent (`sign` 1) or against it (-1).
-    /// Returns the positions after `start`, and how the curve ends; a final position on the border
-    /// is included, a junction point is not. `hear` receives both ends of every step and returns
-    /// whether to go on.
+    /// Returns the positions after `start`, and how the curve ends. A final position on the border
+    /// is included, but a junction point is not. `hear` receives both ends of every step and
+    /// returns whether to continue.
     pub(super) fn follow(
         &self,
         start: DVec3,
@@ -259,8 +263,9 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         (places, Stop::Lost)
     }
 
-    /// How a curve ends at a position from which it cannot be followed. If a fourth material is
-    /// equally near, the indicators have a kink there, and the position is the junction point.
+    /// Returns how a curve ends at a position from which it cannot be followed. If a fourth
+    /// material is equally near, the indicators have a kink at this position, and it is a junction
+    /// point.
     fn stop_at(&self, place: DVec3) -> Stop {
         let near = self.indicators.near(place);
         let fourth = near.entries().iter().find(|(id, _)| !self.own.contains(id));
@@ -270,10 +275,10 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         point.map_or(Stop::Lost, |stratum| Stop::Point(place, stratum))
     }
 
-    /// Follows a curve both ways from `start`. Returns the positions in the order of the tangent,
-    /// the index of `start` among them, and how the curve ends before the first and after the last.
-    /// A curve that is lost both ways at the same spot counts as closed, with a turn too sharp to
-    /// be followed.
+    /// Follows a curve in both directions from `start`. Returns the positions in the order of the
+    /// tangent, the index of `start` among them, and how the curve ends before the first position
+    /// and after the last position. A curve that is lost in both directions at the same position
+    /// counts as closed, with a turn too sharp to follow.
     pub(super) fn follow_both_ways(
         &self,
         start: DVec3,
@@ -293,7 +298,8 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         (places, before, ends)
     }
 
-    /// The junction point between two positions of a curve, the second of which is no longer real.
+    /// Returns the junction point between two positions of a curve that is no longer real at the
+    /// second.
     fn point_between(&self, place: DVec3, beyond: DVec3, step: f64) -> Option<(DVec3, Stratum)> {
         let near = self.indicators.near(beyond);
         let (fourth, _) = near.entries().iter().find(|(id, _)| !self.own.contains(id))?;
@@ -309,12 +315,12 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
     }
 }
 
-/// Whether a position lies beside a step.
+/// Returns whether the step from `a` to `b` passes a position.
 pub(super) fn is_passed(place: DVec3, a: DVec3, b: DVec3) -> bool {
     distance_from_step(place, a, b) <= PASSED * a.distance(b)
 }
 
-/// Distance of a position from a step, mm.
+/// Returns the distance in mm of a position from a step.
 pub(super) fn distance_from_step(place: DVec3, a: DVec3, b: DVec3) -> f64 {
     let (way, squared) = (b - a, a.distance_squared(b));
     let share = if squared > 0.0 { ((place - a).dot(way) / squared).clamp(0.0, 1.0) } else { 0.0 };

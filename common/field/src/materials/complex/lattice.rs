@@ -1,15 +1,15 @@
-//! The tetrahedral lattice between the nodes of a grid, and the pieces of strata in a tetrahedron
-//! by the materials at its corners.
+//! The tetrahedral lattice between the nodes of a grid, and the pieces of strata in a tetrahedron,
+//! which depend on the materials at its corners.
 
 use crate::materials::MaterialId;
 use glam::DVec3;
 use isoparticles_volume::Geometry;
 
-/// Lattice steps between neighbouring grid nodes. Edges are bisected down to one step along an
-/// axis, three times at most.
+/// Number of lattice steps between neighbouring grid nodes. Edges are bisected at most three times,
+/// down to one step along an axis.
 pub(super) const UNIT: u32 = 8;
 
-/// A lattice position, in steps.
+/// A lattice position in steps.
 pub(super) type Place = [u32; 3];
 
 /// The lattice of a grid.
@@ -19,56 +19,58 @@ pub(super) struct Lattice<'a> {
 }
 
 impl Lattice<'_> {
-    /// A lattice position in the grid frame, mm.
+    /// Returns a lattice position in the grid frame in mm.
     pub(super) fn position(&self, place: Place) -> DVec3 {
         self.geometry.index_to_grid(DVec3::from_array(place.map(f64::from)) / f64::from(UNIT))
     }
 }
 
-/// A lattice position as one number, ordered by z, then y, then x.
+/// Returns a lattice position as one number. The numbers are ordered by z, then y, then x.
 pub(super) fn number(place: Place) -> u128 {
     let [x, y, z] = place.map(u128::from);
     z << 64 | y << 32 | x
 }
 
-/// The midpoint of two lattice positions, if it has whole steps.
+/// Returns the midpoint of two lattice positions if it is a whole number of steps along each axis.
 pub(super) fn half_way(a: Place, b: Place) -> Option<Place> {
     let is_even = (0..3).all(|axis| a[axis].abs_diff(b[axis]).is_multiple_of(2));
     is_even.then(|| std::array::from_fn(|axis| a[axis].midpoint(b[axis])))
 }
 
-/// Order in which edges are bisected, highest first: by squared length in steps, then by the
-/// numbers of the ends. It is a total order, so that a face is cut alike from both sides.
+/// Returns the rank of an edge. Edges with the highest rank are bisected first. The rank is the
+/// squared length in steps, then the numbers of the ends. It is a total order, so that both sides
+/// of a face are cut in the same way.
 pub(super) fn rank(a: Place, b: Place) -> (u32, [u128; 2]) {
     let squared = (0..3).map(|axis| a[axis].abs_diff(b[axis]).pow(2)).sum();
     let (a, b) = (number(a), number(b));
     (squared, [a.min(b), a.max(b)])
 }
 
-/// Corner offsets (bits of x, y, z) of Kuhn's tetrahedra: the paths from the lowest node of a cell
-/// to the highest along three of its edges. Those of neighbouring cells fit together.
+/// Corner offsets (bits of x, y, z) of Kuhn's tetrahedra. They are the paths from the lowest node
+/// of a cell to the highest node along three edges. The tetrahedra of neighbouring cells match.
 pub(super) const TETRAHEDRA: [[u8; 4]; 6] =
     [[0, 1, 3, 7], [0, 1, 5, 7], [0, 2, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 4, 6, 7]];
 
-/// A piece of a stratum within a tetrahedron. Each of its corners is a set of the tetrahedron's
-/// corners (bits): two for a point on an edge, three for one on a face, four for the one inside.
+/// A piece of a stratum within a tetrahedron. Each corner of the piece is a set of tetrahedron
+/// corners (bits): two for a point on an edge, three for a point on a face, four for the point
+/// inside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Piece {
-    /// Part of the interface of two materials, given by a tetrahedron corner of each: three or four
-    /// corners (the last is zero where there are three).
+    /// Part of the interface of two materials. `of` contains one tetrahedron corner of each
+    /// material. The piece has three or four corners; the last is zero if there are three.
     Sheet { of: [usize; 2], corners: [u8; 4] },
     /// Part of the junction curve of three materials.
     Curve { ends: [u8; 2] },
 }
 
-/// Passes the pieces of a tetrahedron to `hear`, by the materials of its corners (Nielson and
-/// Franke 1997).
+/// Passes the pieces of a tetrahedron to `hear`. They depend on the materials at the corners of the
+/// tetrahedron (Nielson and Franke 1997).
 pub(super) fn pieces(of: [MaterialId; 4], mut hear: impl FnMut(Piece)) {
     let bit = |corner: usize| 1u8 << corner;
     let same = |a: usize, b: usize| of[a] == of[b];
     let pair = (0..4).flat_map(|a| (a + 1..4).map(move |b| [a, b])).find(|&[a, b]| same(a, b));
     let Some([a, b]) = pair else {
-        // four materials: each interface is a quadrilateral from an edge over two faces to the
+        // four materials: each interface is a quadrilateral from an edge across two faces to the
         // point inside
         for i in 0..4 {
             for j in i + 1..4 {
@@ -104,7 +106,7 @@ pub(super) fn pieces(of: [MaterialId; 4], mut hear: impl FnMut(Piece)) {
     }
 }
 
-/// The other two corners of a tetrahedron.
+/// Returns the other two corners of a tetrahedron.
 fn others([a, b]: [usize; 2]) -> [usize; 2] {
     let mut left = (0..4).filter(|&n| n != a && n != b);
     [left.next().unwrap_or(0), left.next().unwrap_or(0)]

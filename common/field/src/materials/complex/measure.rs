@@ -1,5 +1,5 @@
-//! Areas and lengths of the complex, and the number of particles that an edge length h predicts on
-//! it.
+//! Computes areas and lengths of the complex, and the number of particles on it that an edge length
+//! h predicts.
 
 use super::{Chain, Complex, End, Triangle};
 use crate::materials::Stratum;
@@ -8,16 +8,17 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Triangles that are summed one after the other; the sum does not depend on the number of threads.
+/// Number of triangles that are summed sequentially. The sum therefore does not depend on the
+/// number of threads.
 const CHUNK: usize = 1 << 14;
 
-/// Lattice particles that one particle on a junction curve replaces: it stands for half a
-/// particle's area on each of three interfaces.
+/// Number of lattice particles that one particle on a junction curve replaces. It covers half the
+/// area of a particle on each of three interfaces.
 const SAVED_ON_CURVES: f64 = 1.5;
 
 impl Complex {
-    /// Positions along a chain, its ends included. A closed chain does not repeat its first
-    /// position.
+    /// Returns the positions along a chain, including its ends. A closed chain does not repeat its
+    /// first position.
     pub fn line(&self, chain: &Chain) -> Vec<DVec3> {
         let end = |end: End| match end {
             End::Point(point) => Some(self.points[point as usize].position),
@@ -27,7 +28,7 @@ impl Complex {
         end(chain.ends[0]).into_iter().chain(inner).chain(end(chain.ends[1])).collect()
     }
 
-    /// As [`Self::line`], but a closed chain ends with its first position.
+    /// Returns the positions like [`Self::line`], but a closed chain ends with its first position.
     fn whole_line(&self, chain: &Chain) -> Vec<DVec3> {
         let mut line = self.line(chain);
         if chain.is_closed() {
@@ -36,17 +37,17 @@ impl Complex {
         line
     }
 
-    /// Length of a chain, mm.
+    /// Returns the length of a chain in mm.
     pub fn length(&self, chain: &Chain) -> f64 {
         self.whole_line(chain).windows(2).map(|pair| pair[0].distance(pair[1])).sum()
     }
 
-    /// Corner positions of a triangle, mm.
+    /// Returns the corner positions of a triangle in mm.
     pub fn corners(&self, triangle: &Triangle) -> [DVec3; 3] {
         triangle.corners.map(|v| self.vertices[v as usize].position)
     }
 
-    /// Area of each material interface, mm^2.
+    /// Returns the area of each material interface in mm^2.
     pub fn areas(&self) -> BTreeMap<Stratum, f64> {
         let mut areas = BTreeMap::new();
         for triangle in &self.triangles {
@@ -55,7 +56,7 @@ impl Complex {
         areas
     }
 
-    /// Length of each junction curve, mm.
+    /// Returns the length of each junction curve in mm.
     pub fn lengths(&self) -> BTreeMap<Stratum, f64> {
         let mut lengths = BTreeMap::new();
         for chain in &self.chains {
@@ -64,9 +65,9 @@ impl Complex {
         lengths
     }
 
-    /// Number of particles that settle on all strata: those of the lattice on the interfaces
-    /// ([`SizingField::lattice_density`]), minus those that curve particles replace, plus those on
-    /// curves and points.
+    /// Returns the number of particles that settle on all strata. It is the number of lattice
+    /// particles on the interfaces ([`SizingField::lattice_density`]), minus the particles that
+    /// curve particles replace, plus the particles on curves and points.
     pub fn predicted_count(&self, sizing: &SizingField) -> f64 {
         let on_triangle = |triangle: &Triangle| {
             let doubled = self.doubled(triangle);
@@ -81,7 +82,7 @@ impl Complex {
         (sums.iter().sum::<f64>() + (1.0 - SAVED_ON_CURVES) * along).max(0.0) + self.points.len() as f64
     }
 
-    /// Normal of a triangle, with twice its area as length, mm^2.
+    /// Returns the normal of a triangle in mm^2. Its length is twice the area of the triangle.
     fn doubled(&self, triangle: &Triangle) -> DVec3 {
         let [a, b, c] = self.corners(triangle);
         (b - a).cross(c - a)

@@ -1,14 +1,15 @@
-//! The discrete complex of the strata: triangles of material interfaces, chains of junction curves,
-//! and junction points, computed from the indicators alone.
+//! Computes the discrete complex of the strata from the indicators alone: triangles of material
+//! interfaces, chains of junction curves, and junction points.
 //!
-//! Marching tetrahedra of many materials (Nielson and Franke, Computing the Separating Surface for
-//! Segmented Data, IEEE Visualization 1997): each cell is cut into Kuhn's six tetrahedra, which fit
-//! those of the neighbouring cells. The materials at the corners decide. An edge between two
-//! materials crosses their interface once, a face between three crosses their curve, and a
-//! tetrahedron of four holds a junction point. The complex is therefore closed for any indicators:
-//! curves bound interfaces, and points end curves. Newton's method moves curves and points onto the
-//! true strata. Interface vertices stay where the linear functions between the corners are equal,
-//! with an error of second order in the spacing.
+//! The method is marching tetrahedra for many materials (Nielson and Franke, Computing the
+//! Separating Surface for Segmented Data, IEEE Visualization 1997). Each cell is cut into Kuhn's
+//! six tetrahedra, which match those of the neighbouring cells. The materials at the corners of a
+//! tetrahedron determine its pieces. An edge between two materials crosses their interface once, a
+//! face between three materials crosses their curve once, and a tetrahedron of four materials
+//! contains one junction point. The complex is therefore closed for any indicators: interfaces end
+//! at curves, and curves end at points. Newton's method moves curves and points onto the true
+//! strata. Interface vertices remain where the indicators, interpolated linearly between the
+//! corners, are equal; their error is of second order in the spacing.
 
 mod cells;
 mod chains;
@@ -30,28 +31,29 @@ use lattice::Lattice;
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Counts of lattice vertices and curves that were projected, dropped or merged.
+/// Counts of lattice vertices and curves that were found, projected, dropped or merged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Tally {
     /// Junction points found on the lattice.
     pub points: usize,
     /// Lattice junction points that Newton's method could not project.
     pub points_not_projected: usize,
-    /// Lattice junction points projected to where a fifth material is nearer.
+    /// Lattice junction points projected to a position where a fifth material is nearer.
     pub points_not_clear: usize,
     /// Vertices of junction curves found on the lattice.
     pub curve_vertices: usize,
     /// Lattice curve vertices that could not be projected onto their curve.
     pub curve_vertices_not_projected: usize,
-    /// Lattice curve vertices projected to where a fourth material is nearer.
+    /// Lattice curve vertices projected to a position where a fourth material is nearer.
     pub curve_vertices_not_clear: usize,
-    /// Curve ends at which the curve could not be followed further.
+    /// Ends of curves that could not be followed further.
     pub curves_lost: usize,
-    /// Junction points that were merged with another one of the same materials.
+    /// Junction points that were merged with another junction point of the same materials.
     pub points_merged: usize,
     /// Junction points that were removed, because the curves that end there continue through them.
     pub points_passed: usize,
-    /// Junction points where not exactly one curve of each three of their materials ends.
+    /// Junction points at which, for some three of the four materials, the number of curve ends is
+    /// not one.
     pub points_irregular: usize,
     /// Closed curves that were dropped, because they are far shorter than a voxel.
     pub specks: usize,
@@ -60,8 +62,8 @@ pub struct Tally {
 /// The strata of the materials of a volume, as a mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Complex {
-    /// Vertices on interfaces, curves and points. Interface vertices lie on lattice edges, the
-    /// others on their strata where Newton's method converged.
+    /// Vertices on interfaces, curves and points. Interface vertices lie on lattice edges. The
+    /// other vertices lie on their strata if Newton's method converged.
     pub vertices: Vec<Vertex>,
     /// The material interfaces.
     pub triangles: Vec<Triangle>,
@@ -69,18 +71,19 @@ pub struct Complex {
     pub chains: Vec<Chain>,
     /// The junction points.
     pub points: Vec<Junction>,
-    /// Counts from the projection and the tracing.
+    /// Counts from projecting and following.
     pub tally: Tally,
 }
 
 impl Complex {
-    /// The complex of the materials of a volume. It does not depend on the number of threads.
+    /// Computes the complex of the materials of a volume. The result does not depend on the number
+    /// of threads.
     pub fn new(materials: &Materials) -> Self {
         Self::of_bricks(materials, materials.geometry(), &materials.bricks_of_many())
     }
 
-    /// The complex of any indicators on a grid, within boxes of cells (first cell, and cells along
-    /// each axis) that contain all strata.
+    /// Computes the complex of any indicators on a grid. `bricks` are boxes of cells that contain
+    /// all strata, given by their first cell and the number of cells along each axis.
     pub fn of_bricks<I: Indicators + ?Sized>(
         indicators: &I,
         geometry: &Geometry,
@@ -95,10 +98,11 @@ impl Complex {
         complex
     }
 
-    /// The component of each triangle, and the number of components. Triangles of one interface
-    /// that share a vertex belong together; components are numbered by their first triangles.
+    /// Returns the component of each triangle, and the number of components. Triangles of one
+    /// interface that share a vertex belong to the same component. Components are numbered in the
+    /// order of their first triangles.
     pub fn sheet_components(&self) -> (Vec<u32>, usize) {
-        // a vertex on a curve or a point counts once for each interface at it
+        // a vertex on a curve or at a point counts once for each interface that contains it
         let is_shared = |v: u32| self.vertices[v as usize].stratum.dimension() < 2;
         let mut shared: Vec<(u32, Stratum)> = self
             .triangles
@@ -132,7 +136,7 @@ impl Complex {
     }
 }
 
-/// Joins the parts, with each vertex once.
+/// Joins the parts, and keeps each vertex once.
 fn joined(parts: Vec<Part>) -> (Vec<Vertex>, Vec<Triangle>) {
     let named = parts.iter().flat_map(|part| part.names.iter().copied().zip(part.vertices.iter().copied()));
     let mut all: Vec<(Name, Vertex)> = named.collect();

@@ -1,5 +1,5 @@
-//! Complexes of known shapes: number, position, length and area of their interfaces, curves and
-//! points.
+//! Tests of complexes of known shapes: number, position, length and area of their interfaces,
+//! curves and points.
 
 use super::*;
 use crate::materials::tests::{CENTRE, IDS, corners, nested, sampled, sectors};
@@ -10,12 +10,12 @@ use glam::{DVec2, DVec3};
 use isoparticles_volume::Image;
 use std::f64::consts::PI;
 
-/// The cube of 24 mm that contains the shapes, with nodes `spacing` mm apart.
+/// The grid of a cube of 24 mm that contains the shapes. Its nodes are `spacing` mm apart.
 fn grid(spacing: f64) -> Geometry {
     Geometry::axis_aligned([(24.0 / spacing).round() as usize + 1; 3], DVec3::splat(spacing))
 }
 
-/// The complex of functions on all cells of the grid, which are divided into two boxes.
+/// Computes the complex of functions on all cells of the grid, which are divided into two boxes.
 fn exact(analytic: &Analytic, spacing: f64) -> Complex {
     let grid = grid(spacing);
     let cells = grid.size.map(|n| n - 1);
@@ -40,8 +40,8 @@ fn sum(a: Function, b: Function) -> Function {
     })
 }
 
-/// Two overlapping balls of radius 5 mm, divided by the plane between them: the curve is a circle
-/// of radius 3 mm. The differences have no kink where two of the three are equal.
+/// Two overlapping balls of radius 5 mm, divided by the plane between them. The junction curve is a
+/// circle of radius 3 mm. The differences have no kink where two of the three indicators are equal.
 fn touching() -> Analytic {
     let way = DVec3::new(2.0, -1.0, 1.5).normalize();
     let side = |way: DVec3| scaled(half_space(CENTRE, way), 0.5);
@@ -50,8 +50,8 @@ fn touching() -> Analytic {
     Analytic::new(vec![outside, side(-way), side(way)], 1.0)
 }
 
-/// A lens of two balls of radius 10 mm with centres 12 mm apart, in the plane between two
-/// materials: the curve is a circle of radius 8 mm.
+/// A lens in the plane between two materials. It is the intersection of two balls of radius 10 mm
+/// with centres 12 mm apart. The junction curve is a circle of radius 8 mm.
 fn lens() -> Analytic {
     let way = DVec3::new(0.3, 0.2, 1.0).normalize();
     let side = |way: DVec3| scaled(half_space(CENTRE, way), 0.5);
@@ -59,7 +59,8 @@ fn lens() -> Analytic {
     Analytic::new(vec![side(way), side(-way), sum(minimum(side(way), side(-way)), own)], 1.0)
 }
 
-/// Three sectors of 120 degrees of a ball of radius 8 mm, with indicators as smooth as possible.
+/// Three sectors of 120 degrees of a ball of radius 8 mm. Their indicators are as smooth as
+/// possible.
 fn smooth_sectors() -> Analytic {
     let way = |n: f64| DVec2::from_angle((n / 3.0 + 0.1) * std::f64::consts::TAU).extend(0.0);
     let wedge = |n: f64| scaled(half_space(CENTRE, -way(n)), 0.5);
@@ -73,8 +74,7 @@ fn stratum(ids: &[usize]) -> Stratum {
     Stratum::new(&ids.iter().map(|&n| IDS[n]).collect::<Vec<_>>()).expect("valid")
 }
 
-/// Checks that two triangles of an interface meet at each of its edges, except along curves and the
-/// border.
+/// Checks that two triangles meet at each edge of an interface, except along curves and the border.
 fn is_closed(complex: &Complex) {
     let mut edges = std::collections::BTreeMap::new();
     for triangle in &complex.triangles {
@@ -92,8 +92,8 @@ fn is_closed(complex: &Complex) {
     }
 }
 
-/// Number of triangles whose normal does not point from the material of the higher number to that
-/// of the lower.
+/// Returns the number of triangles whose normal does not point from the material with the higher
+/// number to the material with the lower number.
 fn turned(complex: &Complex, indicators: &impl Indicators) -> usize {
     let is_turned = |triangle: &&Triangle| {
         let [a, b, c] = complex.corners(triangle);
@@ -155,12 +155,12 @@ fn three_sectors_of_a_ball_have_four_curves_and_two_points() {
     };
     let (coarse, fine) = (errors(&exact(&analytic, 1.0)), errors(&exact(&analytic, 0.5)));
     assert!(coarse[0] < 1e-6 && fine[0] < 1e-6, "points {coarse:?} {fine:?}");
-    // curves are followed in steps of the same length on any lattice
+    // the step length along curves does not depend on the lattice
     assert!(coarse[1] < 1e-4 && fine[1] < 1e-4, "lengths {coarse:?} {fine:?}");
     // triangles next to curves may fold slightly
     assert!(coarse[2] < 2.5e-3 && fine[2] < 2e-3, "areas {coarse:?} {fine:?}");
-    // each sampled indicator is its own distance, whose kinks the spline rounds: positions converge
-    // with the spacing
+    // each sampled indicator is a separate distance with kinks that the spline rounds; the
+    // positions converge with the spacing
     let of_samples = |spacing: f64| errors(&Complex::new(&sampled(&sectors(CENTRE), spacing)));
     let (coarse, fine) = (of_samples(1.0), of_samples(0.5));
     assert!(coarse.iter().zip([0.4, 0.05, 0.05]).all(|(error, most)| *error < most), "sampled: {coarse:?}");
@@ -202,7 +202,7 @@ fn touching_balls_and_a_lens_have_one_closed_curve() {
             }
             (complex.length(&complex.chains[0]) / (2.0 * PI * radius) - 1.0).abs()
         };
-        // followed in steps of the same length on any lattice
+        // the step length along the curve does not depend on the lattice
         let (coarse, fine) = (error(1.0), error(0.5));
         assert!(coarse < 2.5e-4 && fine < 2.5e-4, "{coarse} {fine}");
     }
@@ -210,7 +210,7 @@ fn touching_balls_and_a_lens_have_one_closed_curve() {
 
 #[test]
 fn a_layer_thinner_than_a_cell_is_not_passed_over() {
-    // a slanted layer of 0.4 mm, crossed by lattice edges of 1.5 mm between nodes of the materials
+    // a slanted layer of 0.4 mm; lattice edges of 1.5 mm cross it, between nodes of the materials
     // on both sides
     let way = DVec3::new(0.4, -0.5, 0.8).normalize();
     let low = half_space(CENTRE - 0.2 * way, way);
@@ -243,8 +243,8 @@ fn threads_make_no_difference() {
 
 #[test]
 fn a_junction_point_of_curves_that_all_but_coincide_is_met_once() {
-    // four quarters around an axis; two opposite ones grow along it, so slowly that a voxel away
-    // all four are equal to within a fiftieth of a voxel
+    // four quarters around an axis; two opposite quarters grow along it so slowly that, a voxel
+    // away, all four indicators are equal to within a fiftieth of a voxel
     let along = DVec3::new(0.2, 0.1, 1.0).normalize();
     let (across, other) = along.any_orthonormal_pair();
     let quarter = |n: u32| {

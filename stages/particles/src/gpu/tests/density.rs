@@ -1,5 +1,5 @@
-//! Compares the movement of one class or colour, and every kernel of density control, with
-//! sequential twins.
+//! Compares the movement of one class or colour and every kernel of density control with sequential
+//! twins.
 
 use super::any_gpu;
 use super::fields::{lists, sorted};
@@ -23,12 +23,12 @@ use crate::state::State;
 use glam::{DVec3, UVec3, Vec3};
 use isoparticles_field::energy::{SUPPORT, pair_energy, scaled_distance};
 
-/// Pass number of the random numbers.
+/// Pass number used for the random numbers.
 const PASS: u32 = 7;
 /// Decisions within this relative distance of a threshold may differ in f32.
 const EDGE: f64 = 1e-5;
 
-/// Twin of `shaders/shared/random.wgsl`.
+/// Returns random bits; the twin of `shaders/shared/random.wgsl`.
 fn random_bits(stream: u32, counter: u32) -> u32 {
     fn mix(x: u32) -> u32 {
         let state = x.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
@@ -42,11 +42,11 @@ fn random_uniform(kind: u32, counter: usize) -> f64 {
     f64::from(random_bits(4 * PASS + kind, counter as u32) >> 8) / f64::from(1 << 24)
 }
 
-/// The particles on the device, their lists, and access to the results of kernels.
+/// Particles on the device, their lists, and access to the results of kernels.
 struct Rig<'a> {
     gpu: &'a Gpu,
     engine: GpuEngine<'a>,
-    /// xyz relative to the device's origin, and h.
+    /// Position relative to the device origin (xyz), and h.
     places: Vec<[f32; 4]>,
     lists: Vec<Vec<u32>>,
 }
@@ -82,13 +82,13 @@ impl<'a> Rig<'a> {
         download(self.gpu, self.engine.memory.get(name), count).unwrap()
     }
 
-    /// Scaled distance of two particles (Eq. 2).
+    /// Returns the scaled distance of two particles (Eq. 2).
     fn apart(&self, i: usize, j: usize) -> f64 {
         let at = |i: usize| Vec3::from_slice(&self.places[i]).as_dvec3();
         scaled_distance(at(i).distance(at(j)), f64::from(self.places[i][3]), f64::from(self.places[j][3]))
     }
 
-    /// The state on the CPU, with its own lists.
+    /// Returns the state on the CPU, with lists built on the CPU.
     fn state(&mut self) -> State {
         let mut state = State::unlisted(self.engine.particles().unwrap(), Parameters::default().normal_agreement);
         state.rebuild();
@@ -96,12 +96,12 @@ impl<'a> Rig<'a> {
     }
 }
 
-/// Whether value > threshold; `None` if it is too near to decide.
+/// Returns whether value > threshold, or `None` if the difference is too small to decide.
 fn beyond(value: f64, threshold: f64) -> Option<bool> {
     ((value - threshold).abs() > EDGE * (1.0 + threshold.abs())).then_some(value > threshold)
 }
 
-/// Logical and; `None` only if the undecided operand matters.
+/// Returns the logical and. The result is `None` only if it depends on an undecided operand.
 fn both(a: Option<bool>, b: Option<bool>) -> Option<bool> {
     if a == Some(false) || b == Some(false) { Some(false) } else { a.and(b) }
 }
@@ -120,7 +120,7 @@ fn undersampled(energy: f32, i: usize) -> Option<bool> {
     both(beyond(lack, bar), beyond(random_uniform(1, i) * lack, bar))
 }
 
-/// Random points on a torus with graded h: more than the lattice has.
+/// Returns random points on a torus with graded h, more than the lattice has.
 fn too_many() -> Scene {
     Scene::bumpy_torus(2100)
 }
@@ -155,7 +155,7 @@ fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
         assert!(now <= was * (1.0 + 1e-4), "{i}: energy {was} -> {now}");
     }
     assert!(members > 40 && moved * 10 > members * 9, "{moved} of {members} moved");
-    // a step with a close energy test may be rejected on one side only
+    // if the energies are nearly equal, a step may be rejected on one side only
     assert!(alike * 100 >= members * 98, "{alike} of {members} went where the CPU sends them");
 }
 
@@ -182,8 +182,8 @@ fn only_bins_of_the_colour_move_one_particle_at_a_time() {
         }
         members += range.len();
         moved += range.clone().filter(|&i| after[i] != rig.places[i]).count();
-        // the CPU moves the particles of the bin in series: each sees the new places of those
-        // before it
+        // the CPU moves the particles of the bin in series: each particle sees the new positions of
+        // the particles before it
         for i in range {
             let wanted = movement::step_alone(&state, &fields, i);
             let found = origin + Vec3::from_slice(&after[i]).as_dvec3();
@@ -220,8 +220,8 @@ fn rounds_of_deletion_are_those_of_the_twin() {
                 assert_eq!(marks[i], was[i], "{i} was deleted before");
                 continue;
             }
-            // deleted if oversampled, unless an interacting particle of higher energy is
-            // oversampled too
+            // a particle is deleted if it is oversampled, unless an interacting particle of higher
+            // energy is oversampled too
             let mut wanted = oversampled(energies[i], i);
             for j in rig.list(i).filter(|&j| was[j] == 0) {
                 let worse = energies[j] > energies[i] || (energies[j] == energies[i] && j < i);
@@ -251,7 +251,7 @@ fn rounds_of_deletion_are_those_of_the_twin() {
 #[test]
 fn newcomers_are_those_of_the_twin_and_everybody_finds_a_place() {
     let Some(gpu) = any_gpu("insertion", Choice::default()) else { return };
-    // far fewer than the lattice has, so that newcomers come near each other
+    // far fewer particles than the lattice has, so that newcomers come close to each other
     let tori = (120..420).step_by(60).map(Scene::bumpy_torus);
     let balls = (40..400).step_by(20).map(|n| Scene::ball(n, 1.6));
     let by_distance: usize =
@@ -259,8 +259,8 @@ fn newcomers_are_those_of_the_twin_and_everybody_finds_a_place() {
     assert!(by_distance >= 3, "{by_distance} newcomers gave way to another's over a distance: too few for a test");
 }
 
-/// Compares all steps of insertion. Returns how many newcomers were rejected because of one beyond
-/// the direct neighbours.
+/// Compares all steps of insertion. Returns the number of newcomers that were rejected because of a
+/// newcomer whose parent is not a direct neighbour.
 fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
     let mut rig = Rig::new(gpu, scene);
     let (state, fields) = (rig.state(), scene.fields());
@@ -291,7 +291,7 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
         differ += usize::from(!alike);
     }
     assert!(made > 10, "{made} newcomers: too few for a test");
-    // two gaps may have the same width in f32, and a minimum distance may be a close call
+    // two gaps may have the same width in f32, and a distance may nearly equal its minimum
     assert!(differ * 100 <= made, "{differ} of {made} proposals differ");
 
     rig.run("insert_choose", 0);
@@ -299,7 +299,7 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
     let facing: Vec<[f32; 4]> = rig.take("newcomer_normal", count);
     let at = |i: usize| Vec3::from_slice(&newcomers[i]).as_dvec3();
     let proposed: Vec<usize> = (0..count).filter(|&i| proposals[i] != 0).collect();
-    // every pair, however far apart the parents are
+    // checks every pair, however far apart the parents are
     let too_near = |i: usize, j: usize| {
         let least = NEWCOMER_DISTANCE * f64::from(newcomers[i][3].min(newcomers[j][3]));
         let same_sheet = Vec3::from_slice(&facing[i]).dot(Vec3::from_slice(&facing[j])) > 0.0;
@@ -364,8 +364,8 @@ fn totals_are_those_of_the_particles() {
     }
 }
 
-/// Whether f32 may place a neighbour of particle i on the other side of the first ring or of the
-/// support.
+/// Returns whether f32 rounding may put a neighbour of particle i on the other side of the first
+/// ring or of the support.
 fn on_the_edge(state: &State, i: usize) -> bool {
     let set = &state.set;
     state.neighbours.of(i).iter().any(|&j| {

@@ -14,8 +14,8 @@ use crate::settle::{Binning, Engine, Order, Parameters};
 use crate::state::State;
 use glam::{DVec3, Vec3};
 
-/// An engine with sorted particles and neighbour lists, and with a buffer for the output of a
-/// probe.
+/// Returns an engine with sorted particles and neighbour lists, and with a buffer for the output of
+/// a probe.
 pub(super) fn sorted<'a>(gpu: &'a Gpu, scene: &Scene, binning: Binning) -> GpuEngine<'a> {
     let settings = Parameters { binning, ..Parameters::default() };
     let mut engine = GpuEngine::new(gpu, &scene.fields(), &scene.seeds, &settings).unwrap();
@@ -31,18 +31,18 @@ pub(super) fn sorted<'a>(gpu: &'a Gpu, scene: &Scene, binning: Binning) -> GpuEn
     engine
 }
 
-/// The neighbour lists, by particle.
+/// Returns the neighbour list of each particle.
 pub(super) fn lists(gpu: &Gpu, engine: &GpuEngine<'_>) -> Vec<Vec<u32>> {
     let (count, room) = (engine.count as usize, engine.list_room as usize);
     let lengths: Vec<u32> = download(gpu, engine.memory.get("list_lengths"), count).unwrap();
     let tile = LIST_TILE as usize;
     let all: Vec<u32> = download(gpu, engine.memory.get("lists"), room * count.next_multiple_of(tile)).unwrap();
-    // in tiles: groups of four of each particle side by side
+    // in a tile, the groups of four of all particles are interleaved
     let place = |i: usize, n: usize| 4 * ((i / tile * (room / 4) + n / 4) * tile + i % tile) + n % 4;
     (0..count).map(|i| (0..lengths[i] as usize).map(|n| all[place(i, n)]).collect()).collect()
 }
 
-/// Positions on the device.
+/// Returns the positions on the device.
 fn on_device(gpu: &Gpu, engine: &GpuEngine<'_>) -> Vec<DVec3> {
     let place: Vec<[f32; 4]> = download(gpu, engine.memory.get("place"), engine.count as usize).unwrap();
     let origin = device_origin(&engine.geometry);
@@ -58,7 +58,7 @@ fn fields_are_those_of_the_cpu_also_outside_and_in_slabs() {
     for largest_slab in [None, Some(48 * 1024)] {
         let Some(gpu) = any_gpu("fields", Choice { largest_slab, ..Choice::default() }) else { return };
         let mut scene = Scene::bumpy_torus(300);
-        // random places, also beyond the border
+        // random points, including points outside the grid
         let corner = scene.surface.geometry().upper_corner();
         for (n, p) in scene.seeds.positions.iter_mut().enumerate().skip(100) {
             let at = |axis| 1.4 * isoparticles_field::random::uniform(2, axis, n as u64) - 0.2;
@@ -106,8 +106,8 @@ fn energies_and_forces_are_those_of_the_cpu() {
             worst[0] = worst[0].max((f64::from(found[0][3]) - energy).abs() / scale);
             worst[0] = worst[0].max((f64::from(found[1][3]) - energy).abs() / scale);
             worst[0] = worst[0].max((f64::from(energies[i]) - energy).abs() / scale);
-            // the terms of a force cancel: relative to the sum of their magnitudes, about the
-            // Hessian times h
+            // the terms of a force cancel, so the error is relative to the sum of their magnitudes,
+            // which is about the Hessian times h
             let size = curvature[0].abs().max(curvature[2].abs()) * state.set.sizes[i] + 1e-9;
             worst[1] = worst[1].max((vector(found[0]) - force).length() / size);
             for (a, b) in found[1].iter().zip(curvature) {

@@ -1,5 +1,5 @@
-//! Tests of many materials on the device: counts as on the CPU, particles on their interfaces, and
-//! the same result in every run.
+//! Tests of many materials on the device: the counts match those on the CPU, the particles are on
+//! their interfaces, and every run gives the same result.
 
 use super::any_gpu;
 use crate::cpu::scenes::{Body, corners, nested, sectors};
@@ -109,8 +109,8 @@ fn differences_and_their_reality_are_those_of_the_cpu() {
             let (mut set, strata) = (body.seeds.0.clone(), &body.seeds.1.of);
             let held = strata.partition_point(|on| on.dimension() < 2);
             let own = |n: usize| [strata[n].materials()[1], strata[n].materials()[0]];
-            // one third anywhere, the others on their interface, even where another material is
-            // nearer
+            // a third of the particles are at random points; the others are on their interface,
+            // even where another material is closer
             let corner = set.geometry.upper_corner();
             for n in held..strata.len() {
                 let at = |axis| isoparticles_field::random::uniform(3, axis, n as u64);
@@ -146,7 +146,7 @@ fn differences_and_their_reality_are_those_of_the_cpu() {
     }
 }
 
-/// Output of `probe_fields` for the particles as uploaded.
+/// Returns the output of `probe_fields` for the particles as uploaded.
 fn probe_listed(gpu: &Gpu, engine: &mut GpuEngine<'_>) -> Vec<[f32; 4]> {
     let bytes = 48 * u64::from(engine.count);
     engine.memory.make(gpu, "probed", bytes, wgpu::BufferUsages::empty()).unwrap();

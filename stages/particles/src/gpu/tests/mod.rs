@@ -1,5 +1,6 @@
-//! Tests of the kernels against their CPU twins. Tests that need an adapter use the first one,
-//! including software adapters such as lavapipe; without one they print that they skip.
+//! Tests of the kernels against their CPU twins. Tests that need an adapter use the first adapter,
+//! including software adapters such as lavapipe. Without an adapter they print that they are
+//! skipped.
 
 mod density;
 mod fields;
@@ -11,7 +12,7 @@ mod shaders;
 
 use super::adapter::{Choice, Gpu, adapters};
 
-/// Opens the first adapter. Without one prints what is skipped and returns `None`.
+/// Opens the first adapter. If there is no adapter, prints what is skipped and returns `None`.
 fn any_gpu(what: &str, choice: Choice) -> Option<Gpu> {
     let Some(first) = adapters().into_iter().next() else {
         isoparticles_tests::skip::skip(what, "no Vulkan, Metal or DX12 adapter (Mesa's lavapipe would do)");

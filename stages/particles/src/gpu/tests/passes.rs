@@ -1,5 +1,5 @@
-//! Tests of the whole backend: the same lattice as on the CPU, and the same bytes in every run,
-//! also after a resume.
+//! Tests of the whole backend: the lattice matches that on the CPU, and every run gives the same
+//! bytes, even after a resume.
 
 use super::any_gpu;
 use crate::cpu::settle;
@@ -36,7 +36,7 @@ fn the_lattice_is_that_of_the_cpu() {
     };
     let parameters = Parameters { max_passes: 25, seed: 5, ..first.clone() };
     for (mut scene, what) in [(Scene::ball(1500, 1.2), "ball"), (Scene::bumpy_torus(1300), "graded torus")] {
-        // seeds about as even as those of the seed stage, to reduce the influence of chance
+        // the seeds are about as even as those of the seed stage, to reduce random variation
         scene.seeds = settle(&scene.seeds, None, &scene.fields(), &first, |_, _| Ok(())).unwrap().0;
         let on_cpu = settle(&scene.seeds, None, &scene.fields(), &parameters, |_, _| Ok(())).unwrap();
         let graded = settled(&gpu, &scene, &parameters);
@@ -110,8 +110,7 @@ fn repeated_resumed_and_slab_runs_give_the_same_bytes() {
 #[test]
 fn passes_before_their_turn_are_no_different() {
     let Some(gpu) = any_gpu("passes before their turn", Choice::default()) else { return };
-    // counts for which a pass outgrows the room of the next one, and for which lists and classes
-    // overflow
+    // with these counts, a pass outgrows the room of the next pass, and lists and classes overflow
     for count in [1, 60, 700, 3000] {
         let scene = Scene::ball(count, 1.6);
         let parameters = Parameters { max_passes: 16, levels: 1, closing_passes: 3, ..Parameters::default() };
@@ -135,7 +134,7 @@ fn passes_before_their_turn_are_no_different() {
 fn crowds_and_lonely_ones_end_as_the_lattice() {
     let Some(gpu) = any_gpu("density control", Choice::default()) else { return };
     let lattice = 4.0 * std::f64::consts::PI * 144.0 * 2.0 / (3f64.sqrt() * 1.6 * 1.6);
-    // 3000 is three times too many: the lists outgrow their initial room
+    // 3000 is three times too many, so the lists outgrow their initial room
     for count in [40, 3000] {
         let parameters = Parameters { max_passes: 60, ..Parameters::default() };
         let (set, summary) = settled(&gpu, &Scene::ball(count, 1.6), &parameters);
@@ -192,7 +191,7 @@ fn a_lost_device_is_a_gpu_error_and_the_run_can_resume() {
     assert_eq!(error.kind, isoparticles_stage::error::Kind::Gpu, "{error}");
     assert!(error.next.contains("--resume"), "{error}");
     assert_eq!(records.len(), 12, "no pass after the loss counts");
-    // from the last checkpoint, on a reopened device
+    // resume from the last checkpoint on a reopened device
     let (records, set) = kept.unwrap();
     let Some(gpu) = any_gpu("a device opened anew", Choice::default()) else { return };
     let mut engine = GpuEngine::new(&gpu, &fields, &set, &parameters).unwrap();

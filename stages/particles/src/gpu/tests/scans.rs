@@ -1,4 +1,5 @@
-//! Prefix sums and the sort into bins are exact, for any count and any number of workgroups.
+//! Tests that prefix sums and the sort into bins are exact for any count and any number of
+//! workgroups.
 
 use super::any_gpu;
 use crate::gpu::adapter::{Choice, Gpu};
@@ -14,7 +15,7 @@ use isoparticles_field::energy::{pair_energy, scaled_distance};
 use isoparticles_field::random::{bits, uniform};
 use isoparticles_volume::Geometry;
 
-/// Hand-made buffers, and single steps over them.
+/// Manually filled buffers, and a way to run individual steps on them.
 struct Rig {
     gpu: Gpu,
     kernels: Kernels,
@@ -149,13 +150,13 @@ fn more_than_65535_workgroups_are_no_different() {
 #[test]
 fn energies_and_totals_of_more_than_65535_workgroups() {
     let Some(mut rig) = Rig::new("energies of more than 65,535 workgroups") else { return };
-    // particles in pairs, each the other's only neighbour, and the last one alone
+    // the particles form pairs of mutual neighbours; the last particle has no neighbour
     let count = 65_536 * 64 + 33u32;
     let distance = |pair: u32| 0.2 + 0.7 * uniform(5, 0, u64::from(pair)) as f32;
     let places: Vec<[f32; 4]> =
         (0..count).map(|i| [if i % 2 == 0 { 0.0 } else { distance(i / 2) }, 0.0, 0.0, 0.5]).collect();
     let last = count - 1;
-    // with room for four members each, the groups of four of all particles follow each other
+    // each list has room for four members, so the groups of four of all particles are consecutive
     let lengths: Vec<u32> = (0..count).map(|i| u32::from(i < last)).collect();
     let lists: Vec<[u32; 4]> = (0..count.next_multiple_of(LIST_TILE)).map(|i| [i ^ 1; 4]).collect();
     let geometry = Geometry::axis_aligned([9; 3], DVec3::ONE);
@@ -169,7 +170,7 @@ fn energies_and_totals_of_more_than_65535_workgroups() {
     rig.put("normal", &[[0.0f32; 4]]);
     rig.put("list_lengths", &lengths);
     rig.put("lists", &lists);
-    // every third has moved, at the second try
+    // every third particle has moved, at the second attempt
     let outcome: Vec<u32> = (0..count).map(|i| if i % 3 == 0 { 0x8000_0002 } else { 1 }).collect();
     rig.put("outcome", &outcome);
     for name in ["energies", "marks", "touched"] {

@@ -1,5 +1,5 @@
-//! Tests without an adapter: every text is valid WGSL, and layouts, bindings and constants agree
-//! with naga's.
+//! Tests without an adapter: every source is valid WGSL, and layouts, bindings and constants agree
+//! with those that naga computes.
 
 use crate::gpu::constants::{Value, constants};
 use crate::gpu::levels::Levels;
@@ -102,7 +102,7 @@ fn layouts_are_those_of_naga() {
     same_layout("scan_add", "Scan", &scan_block(5));
 }
 
-/// The constants of a module by name, as naga evaluates them.
+/// Returns the constants of a module by name, as evaluated by naga.
 fn constants_of(module: &naga::Module) -> Vec<(String, Value)> {
     let value = |constant: &naga::Constant| match module.global_expressions[constant.init] {
         naga::Expression::Literal(naga::Literal::F32(value)) => Value::Real(value),
@@ -137,7 +137,7 @@ fn every_twin_that_a_shader_names_is_there() {
                 continue;
             }
             let text = fs::read_to_string(&shader).unwrap();
-            // `name`, `name` in path/of/file.rs
+            // format of a line: `name`, `name` in path/of/file.rs
             for line in text.lines().filter_map(|line| line.strip_prefix("// Twin: ")) {
                 let (names, file) = line.rsplit_once(" in ").unwrap_or_else(|| panic!("{}: {line}", shader.display()));
                 let rust =
