@@ -1,21 +1,23 @@
 //! Contacts: corrects the indicators so that materials touch exactly where their nodes do.
 //!
-//! Each indicator is computed on its own and recedes where its material protrudes by a voxel. At a
-//! hole of one voxel in a thin layer both neighbours recede, so that the layer's indicator can be
-//! the smallest between them. The mesh then has a film that the labels do not have, and lacks the
-//! junction curve around the hole. Where the layer's indicator is only slightly larger, a tube of a
-//! tenth of a voxel connects two holes. The indicators are therefore checked at the middles of grid
-//! edges, faces and cells whose corners belong to several materials:
+//! Each indicator is computed separately and recedes where its material protrudes by a voxel. At a
+//! hole of one voxel in a thin layer, the materials on both sides recede, so the indicator of the
+//! layer can be the smallest between them. The mesh then contains a film that the labels do not
+//! contain, and lacks the junction curve around the hole. Where the indicator of the layer is only
+//! slightly larger, a tube a tenth of a voxel wide connects two holes. The indicators are therefore
+//! checked at the midpoints of grid edges, faces and cells whose corners belong to several
+//! materials:
 //!
-//! - No material other than those of the corners may have the smallest indicator there, or come
-//!   close to it. On an edge, both of its materials must precede all others.
-//! - If the corners of a face differ along all four edges, either diagonal may touch, or be
-//!   connected if its corners are of one material. If two opposite corners of a cell are all that a
-//!   material has of the cell, they may be connected or not. The indicators decide, but with a
-//!   margin.
+//! - No material other than those of the corners may have the smallest indicator at the midpoint,
+//!   or nearly the smallest. On an edge, both corner materials must have smaller indicators than
+//!   all others.
+//! - If the corners of a face differ along all four edges, the corners of either diagonal may
+//!   touch, or be connected if they have the same material. If a material has exactly two opposite
+//!   corners of a cell, these corners may be connected or not. The indicators decide in both cases,
+//!   but by a margin.
 //!
 //! An indicator that comes too close is raised at the corners of other materials, where another
-//! indicator is smaller already. No node changes its material.
+//! indicator is already smaller. No node changes its material.
 
 use glam::DVec3;
 use isoparticles_field::materials::{CELLS, Indicators, MaterialId, Materials, Near, bricks_along};
@@ -26,62 +28,64 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Margin by which an indicator must exceed those that precede it at such a middle, in voxels (mean
-/// spacing): without a scale, and with one, when mesh edges are longer and details between nodes
-/// matter less.
+/// Margin between an indicator and the indicators that must precede it at such a midpoint, in units
+/// of the mean voxel spacing: without a scale, and with a scale. With a scale, mesh edges are
+/// longer and details between nodes matter less.
 ///
 /// `thorax_labels` with `--scale-for-size 6` (h = 6 mm): two segments of junction curves are
-/// missing with 0.2 and none with 0.4. At 3 mm the minimum radius ratio is 0.31 and 0.42. Default
-/// sizes without a scale: on `frog_tissue_labels`, 0.2, 0.3 and 0.4 give 0, 1 and 1 triangles
-/// forced by curves and a minimum ratio of 0.51, 0.23 and 0.16; on `brain_parcellation`, 0.2 and
-/// 0.3 give 13 and 15 such triangles.
+/// missing with 0.2 and none with 0.4. At 3 mm the minimum radius ratio is 0.31 with 0.2 and 0.42
+/// with 0.4. Default sizes without a scale: on `frog_tissue_labels`, 0.2, 0.3 and 0.4 give 0, 1 and
+/// 1 triangles forced by curves and a minimum radius ratio of 0.51, 0.23 and 0.16; on
+/// `brain_parcellation`, 0.2 and 0.3 give 13 and 15 such triangles.
 const CLEARANCE: [f64; 2] = [0.2, 0.4];
 
-/// Difference of indicators, in voxels (mean spacing), below which the faces of an edge of four
-/// materials all choose the same diagonal. Along the straight edges of eight cubes of 6^3 voxels the
-/// indicators, which are pinned to 0.0005 voxel, differ by up to 0.0025; without a tie the faces
-/// there choose different diagonals, and eight segments of junction curves are missing.
+/// Range of the four indicators at the midpoint of a face, in units of the mean voxel spacing, up
+/// to which they count as equal, so that all faces along an edge of four materials choose the same
+/// diagonal. Along the edges of eight cubes of 6^3 voxels the indicators (pinned to 0.0005 voxel)
+/// differ by up to 0.0026 voxel. Without this tolerance, the faces there choose different
+/// diagonals, and eight segments of junction curves are missing.
 const TIE: f64 = 0.004;
 
-/// Margin that a raise aims at, over the required one. Without the excess, the last rounds converge
-/// slowly.
+/// Margin that a raise aims at, relative to the required margin. Without the excess, the last
+/// rounds converge slowly.
 const AIM: f64 = 1.25;
 
-/// Maximum total raise of a sample, in voxels (mean spacing). Adjacent raises can feed back
-/// indefinitely; the steeper indicator would then move interfaces ever closer to nodes.
+/// Maximum total raise of an indicator sample, in units of the mean voxel spacing. Adjacent raises
+/// can feed back indefinitely; the steeper indicator would then move interfaces ever closer to
+/// nodes.
 const MOST_RAISE: f64 = 1.0;
 
-/// Value midway between two nodes of the cubic spline that is one at one of them and zero at all
-/// other nodes: the effect at the middle of a unit raise at one node.
+/// Value midway between two nodes of the cubic spline that is one at one of these nodes and zero at
+/// all other nodes. It is the effect at the midpoint of a unit raise at one node.
 const HALF_WAY: f64 = 0.6005;
 
-/// Number of nodes beyond which the effect of a raise is neglected: the spline of a unit raise is
+/// Number of nodes beyond which the effect of a raise is neglected. The spline of a unit raise is
 /// below 0.003 there.
 const REACH: usize = 4;
 
-/// Maximum number of rounds of raises. A raise lowers its indicator between the next two nodes by
-/// 13 % of the raise (the value there of the spline of a unit raise), and raises values that other
+/// Maximum number of rounds of raises. A raise lowers its own indicator between the next two nodes
+/// by 13 % of the raise (the undershoot of the spline there), and raises the values that other
 /// indicators are compared with. Real volumes take six to thirteen rounds.
 const MOST_ROUNDS: usize = 40;
 
 /// Report of the contacts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Contacts {
-    /// Number of pairs of a middle and a material that no corner has and that was too close there,
-    /// before the raises.
+    /// Number of pairs of a midpoint and a material that no corner has, where the indicator of the
+    /// material came too close before the raises.
     pub crossed: usize,
-    /// Number of open decisions whose margin was too small before the raises.
+    /// Number of open decisions with too small a margin before the raises.
     pub undecided: usize,
     /// Number of indicator samples raised.
     pub raised: usize,
-    /// Number of indicators that still precede one that should precede them, without open
-    /// decisions.
+    /// Number of indicators that are still smaller than an indicator that must precede them,
+    /// excluding open decisions.
     pub left: usize,
-    /// Number of other indicators and decisions with too small a margin after the raises.
+    /// Number of other indicators and open decisions with too small a margin after the raises.
     pub near: usize,
 }
 
-/// The material of each node, x fastest.
+/// Returns the material of each node, x fastest.
 fn owners(materials: &Materials) -> Vec<u16> {
     let geometry = materials.geometry();
     let [nx, ny, _] = geometry.size;
@@ -90,12 +94,12 @@ fn owners(materials: &Materials) -> Vec<u16> {
     all.map(|n| materials.material_at(geometry.index_to_grid(node(n))).0).collect()
 }
 
-/// Raises indicators so that materials touch where their nodes do. With a scale the margin is
-/// larger. With only two materials each indicator is the negative of the other, and both stay
-/// unchanged.
+/// Raises indicators so that materials touch where their nodes do. With a scale, the required
+/// margin is larger. With only two materials, each indicator is the negative of the other, and both
+/// stay unchanged.
 ///
 /// # Errors
-/// When the run is interrupted.
+/// If the run is interrupted.
 pub fn keep_contacts(materials: &mut Materials, is_scaled: bool, monitor: &dyn Monitor) -> Result<Contacts> {
     if materials.table().len() < 3 {
         return Ok(Contacts::default());
@@ -107,7 +111,7 @@ pub fn keep_contacts(materials: &mut Materials, is_scaled: bool, monitor: &dyn M
     let mut lacks = places.lacking(materials, owners, |_| true);
     let undecided = lacks.iter().filter(|lack| lack.is_undecided).count();
     let mut contacts = Contacts { crossed: lacks.len() - undecided, undecided, ..Contacts::default() };
-    // total raise by material and node
+    // total raise per material and node
     let mut raised: BTreeMap<(MaterialId, [usize; 3]), f64> = BTreeMap::new();
     let most = MOST_RAISE * materials.voxel();
     for _ in 0..MOST_ROUNDS {
@@ -136,7 +140,7 @@ pub fn keep_contacts(materials: &mut Materials, is_scaled: bool, monitor: &dyn M
         materials.add_at_nodes(&changes);
         lacks = places.lacking(materials, owners, |brick| changed.contains(&brick));
         if lacks.is_empty() {
-            // raises beyond `REACH` can add up
+            // the effects of raises farther away than `REACH` can add up
             lacks = places.lacking(materials, owners, |_| true);
         }
     }
@@ -150,7 +154,7 @@ pub fn keep_contacts(materials: &mut Materials, is_scaled: bool, monitor: &dyn M
     Ok(contacts)
 }
 
-/// The bricks with cells near a node.
+/// Returns the bricks that contain cells near a node.
 fn bricks_near(node: [usize; 3], size: [usize; 3]) -> impl Iterator<Item = usize> {
     let [bx, by, bz] = bricks_along(size);
     let span = move |a: usize, bricks: usize| {
@@ -159,31 +163,31 @@ fn bricks_near(node: [usize; 3], size: [usize; 3]) -> impl Iterator<Item = usize
     span(2, bz).flat_map(move |z| span(1, by).flat_map(move |y| span(0, bx).map(move |x| (z * by + y) * bx + x)))
 }
 
-/// An edge, face or cell of the grid: its first corner (x fastest), and a bit for each axis along
-/// which it extends.
+/// An edge, face or cell of the grid, given by its first corner (x fastest) and one bit per axis
+/// that it extends along.
 #[derive(Clone, Copy)]
 struct Place {
     node: usize,
     axes: u8,
     /// The corner that decides an open contact ([`Corners::deciding`]). It is chosen before any
-    /// raise; otherwise adjacent raises could alternate it.
+    /// raise; otherwise adjacent raises could make the choice alternate.
     deciding: u8,
 }
 
-/// An indicator that comes too close at a middle.
+/// An indicator whose margin at a midpoint is too small.
 struct Lack {
     material: MaterialId,
-    /// The corners of other materials.
+    /// The corners that belong to other materials.
     corners: Vec<[usize; 3]>,
-    /// Required raise at each of these corners, mm.
+    /// Required raise in mm at each of these corners.
     raise: f64,
-    /// Whether this concerns an open decision.
+    /// Whether the missing margin belongs to an open decision.
     is_undecided: bool,
-    /// Whether the indicator is smaller than one that should precede it.
+    /// Whether the indicator is smaller than an indicator that must precede it.
     is_lost: bool,
 }
 
-/// The corners of an edge, face or cell, with their materials.
+/// The corners of an edge, face or cell, and their materials.
 struct Corners {
     nodes: [[usize; 3]; 8],
     materials: [MaterialId; 8],
@@ -217,51 +221,56 @@ impl Corners {
         self.materials().contains(&id)
     }
 
-    /// Whether both ends of every edge of a face differ in material. Then either diagonal may
-    /// touch, or be connected if its corners are of one material.
+    /// Returns whether both ends of every edge of a face differ in material. The corners of either
+    /// diagonal may then touch, or be connected if they have the same material.
     fn is_open_face(&self) -> bool {
         let own = self.materials();
         own.len() == 4 && [[0, 1], [1, 3], [3, 2], [2, 0]].iter().all(|&[a, b]| own[a] != own[b])
     }
 
-    /// Whether a material has exactly two opposite corners of a cell, which may be connected or
-    /// not.
+    /// Returns whether a material has exactly two opposite corners of a cell. These corners may be
+    /// connected or not.
     fn is_across(&self, id: MaterialId) -> bool {
         let own = self.materials();
         let is_own = |n: usize| own[n] == id;
         own.len() == 8 && (0..8).filter(|&n| is_own(n)).count() == 2 && (0..4).any(|n| is_own(n) && is_own(7 - n))
     }
 
-    /// Whether the corners leave open which materials touch at the middle.
+    /// Returns whether the corners leave open which materials touch at the midpoint.
     fn are_open(&self) -> bool {
         self.is_open_face() || self.materials().iter().any(|&id| self.is_across(id))
     }
 
-    /// The indicators known at the middle.
+    /// Returns the indicators stored near the midpoint.
     fn near(&self, materials: &Materials) -> Near {
         let [first, last] = [self.nodes[0], self.nodes[self.count - 1]];
         let middle = DVec3::from_array(std::array::from_fn(|a| 0.5 * (first[a] + last[a]) as f64));
         materials.near(materials.geometry().index_to_grid(middle))
     }
 
-    /// The deciding corner at the middle. Of a face, it is the first corner of the diagonal whose
-    /// larger indicator is smaller, by at least [`TIE`] if that is the second diagonal. Of a cell, it is the corner with the smallest indicator.
+    /// Returns the corner that decides which materials touch at the midpoint. Face: the first
+    /// corner of the diagonal whose larger indicator is smaller, or of the first diagonal if all
+    /// four indicators are equal within [`TIE`]. Cell: the corner with the smallest indicator.
     fn deciding(&self, materials: &Materials) -> u8 {
         let near = self.near(materials);
         let value = |n: u8| value_of(&near, self.materials[usize::from(n)]);
         if self.count == 4 {
-            return u8::from(value(1).max(value(2)) < value(0).max(value(3)) - TIE * materials.voxel());
+            let [first, second] = [[0, 3], [1, 2]].map(|pair| pair.map(value));
+            let larger = [first, second].map(|[a, b]| a.max(b));
+            let smallest = first[0].min(first[1]).min(second[0]).min(second[1]);
+            let is_tie = larger[0].max(larger[1]) - smallest <= TIE * materials.voxel();
+            return u8::from(!is_tie && larger[1] < larger[0]);
         }
         (0..self.count as u8).min_by(|&a, &b| value(a).total_cmp(&value(b))).unwrap_or(0)
     }
 }
 
-/// The edges, faces and cells at which an indicator may come too close, by brick.
+/// The edges, faces and cells where an indicator may come too close, grouped by brick.
 struct Places {
     /// Required margin, mm.
     clearance: f64,
     all: Vec<Place>,
-    /// Bricks in which several materials are known, each with the end of its range in `all`.
+    /// Bricks that store several indicators, each with the end of its range in `all`.
     bricks: Vec<(usize, usize)>,
 }
 
@@ -305,7 +314,7 @@ impl Places {
         own
     }
 
-    /// The indicators that come too close in the chosen bricks.
+    /// Returns the indicators that come too close in the chosen bricks.
     fn lacking(&self, materials: &Materials, owners: &[u16], is_chosen: impl Fn(usize) -> bool + Sync) -> Vec<Lack> {
         let in_brick = |n: usize| {
             let (brick, end) = self.bricks[n];
@@ -322,8 +331,8 @@ impl Places {
     }
 }
 
-/// Finds the indicators that come too close at a place. `known` lists the materials known in its
-/// brick.
+/// Finds the indicators that come too close at an edge, face or cell. `known` lists the materials
+/// whose indicators are stored in its brick.
 fn lacking_at(
     place: Place,
     clearance: f64,
@@ -333,7 +342,7 @@ fn lacking_at(
 ) {
     let corners = Corners::of(place, owners, materials.geometry());
     let near = corners.near(materials);
-    // effect at the middle of a unit raise at one corner
+    // effect at the midpoint of a unit raise at one corner
     let share = HALF_WAY.powi(corners.count.ilog2() as i32);
     let mut keep_above = |id: MaterialId, limit: f64, is_undecided: bool| {
         let value = value_of(&near, id);
@@ -366,7 +375,8 @@ fn lacking_at(
     known.iter().filter(|&&id| corners.has(id) && is_after(id)).for_each(|&id| keep_above(id, limit, true));
 }
 
-/// Value of an indicator (mm) among those near a place; infinite if it is not known there.
+/// Returns the value (mm) of an indicator stored near a point, or infinity if it is not stored
+/// there.
 fn value_of(near: &Near, material: MaterialId) -> f64 {
     near.entries().iter().find(|(id, _)| *id == material).map_or(f64::INFINITY, |(_, value)| *value)
 }
