@@ -13,7 +13,7 @@ CARGO ?= cargo
 CARGO_TARGET_DIR ?= target
 # Folder of the programs. With NO_BUILD=yes they are not built first, as in tests of this file.
 BIN ?= $(CARGO_TARGET_DIR)/release
-# Where tetmesh-check finds distfield, with which it reads volumes.
+# Where tetmesh-check finds isoparticles-volume, which reads volumes.
 export ISOPARTICLES_BIN := $(abspath $(BIN))
 NO_BUILD ?=
 # The Python environment of tetmesh-check.
