@@ -5,11 +5,11 @@
 //!
 //! Filter bounds: a determinant is a sum of monomials, and each monomial undergoes a known number
 //! of roundings. Let (mx, my, mz) bound the coordinate differences, and let m be the largest of the
-//! three. The orientation has 6 monomials with at most 8 roundings each, so its error is at most 6
-//! * 8 * 2^-53 * mx my mz. The in-sphere determinant has 72 monomials with at most 16 roundings
-//! each: 72 * 16 * 2^-53 * mx my mz m^2. A coarser bound is tried first, with the length of the
-//! longest difference instead of mx, my, mz and m. The constants below are rounded up by more than
-//! the rounding errors of the bounds themselves.
+//! three. The orientation has 6 monomials with at most 8 roundings each, so its error is at most
+//! 48 * 2^-53 mx my mz. The in-sphere determinant has 72 monomials with at most 16 roundings each,
+//! so its error is at most 1152 * 2^-53 mx my mz m^2. A coarser bound is tried first, with the
+//! length of the longest difference instead of mx, my, mz and m. The constants below are rounded up
+//! by more than the rounding errors of the bounds themselves.
 
 use super::exact;
 use glam::DVec3;
