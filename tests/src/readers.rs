@@ -1,5 +1,6 @@
 //! Lists every file reader by name, for tests with arbitrary bytes. A reader must return a value or
-//! a three-part error. It must never panic, and must not allocate more memory than the file fills.
+//! a three-part error. It must never panic, and must not allocate memory for data that the file
+//! lacks.
 
 use isoparticles_mesh::point_cloud::read_point_cloud;
 use isoparticles_mesh::surface::read_surface;

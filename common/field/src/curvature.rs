@@ -43,7 +43,7 @@ mod tests {
     #[test]
     fn on_a_ball_and_on_a_cylinder_curvature_is_what_it_is() {
         let p = DVec3::new(3.0, -2.0, 6.0);
-        // F = |p|^2: the level set through p is a ball of radius 7
+        // F = |p|^2: the level set through p is a sphere of radius 7
         let ball = Jet { value: 0.0, gradient: 2.0 * p, hessian: DMat3::from_diagonal(DVec3::splat(2.0)) };
         assert!((mean_curvature(&ball) - 1.0 / 7.0).abs() < 1e-12);
         assert!((largest_curvature(&curvature_tensor(&ball), p / 7.0) - 1.0 / 7.0).abs() < 1e-12);

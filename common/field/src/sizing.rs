@@ -76,8 +76,8 @@ impl SizingField {
         integrate(surface, |point, normal| self.lattice_density(point, normal))
     }
 
-    /// Returns the same number as [`Self::predicted_count`] for triangles that follow F = 0, for
-    /// example those of marching cubes. It is faster, but misses features between the samples.
+    /// Estimates the count of [`Self::predicted_count`] from triangles that approximate F = 0, such
+    /// as those of marching cubes. It is faster, but misses features between the samples.
     pub fn count_on(&self, points: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
         let on = |corners: &[u32; 3]| {
             let [a, b, c] = corners.map(|v| points[v as usize]);

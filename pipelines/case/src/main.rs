@@ -94,8 +94,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// Prints completions or a man page if requested. The words after `--command-lines` are files that
-/// contain the output of `STAGE --command-line`.
+/// Prints completions or a man page if requested. The arguments after `--command-lines` are paths
+/// of files with the output of `STAGE --command-line`.
 fn told() -> Option<ExitCode> {
     let words: Vec<String> = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
     let mut parts = words.splitn(2, |word| word == "--command-lines");

@@ -115,7 +115,7 @@ fn smooth_across(rows: &mut [&mut [f32]], kernel: ExtendedBox) {
     }
 }
 
-/// Smooths up to [`LANES`] rows, each along itself.
+/// Smooths up to [`LANES`] rows, each along its length.
 fn smooth_along(rows: &mut [f32], length: usize, kernel: ExtendedBox) {
     let (mut line, mut room) = (vec![[0.0; LANES]; length], vec![[0.0; LANES]; length]);
     for (lane, row) in rows.chunks(length).enumerate() {

@@ -10,8 +10,8 @@ use isoparticles_survey::survey::Survey;
 use isoparticles_volume::Volume;
 
 /// Rejects labels for a scan and an iso value for a label map, unless `--kind` is given. Warns if
-/// the kind is uncertain, and for an iso value of a mask, because voxel centres next to the surface
-/// can change side. For labels, also warns about NaN voxels.
+/// the kind is uncertain. Also warns if an iso value is given for a mask, because voxel centres
+/// next to the surface can change side, and about NaN voxels among labels.
 ///
 /// # Errors
 /// If the kind of the volume is certain and does not match the option.

@@ -1,11 +1,11 @@
 //! Implements `--scale`: a surface with as much detail as a coarse mesh can represent.
 //!
 //! The occupancy of each voxel is smoothed by a Gaussian with a standard deviation of half the
-//! scale. Where the surface is curved or the object is thin, the level 1/2 is displaced: balls
-//! shrink, and small parts and thin walls vanish. The level therefore varies in space so that the
-//! volume within a window is preserved (`level.rs`). Each part keeps its volume, and tubes and
-//! walls keep their thickness, as long as they are visible in the smoothed occupancy. All other
-//! parts vanish; [`crate::changes`] reports their number, volume and position.
+//! scale. Where the surface is curved or the object is thin, the level set of 1/2 is displaced:
+//! balls shrink, and small parts and thin walls vanish. The threshold therefore varies in space so
+//! that the volume within a window is preserved (`level.rs`). Parts that remain detectable after
+//! smoothing keep their volume, and tubes and walls their thickness. All other parts vanish;
+//! [`crate::changes`] reports their number, volume and position.
 
 use crate::Border;
 use crate::changes::{Changes, remove_crumbs};

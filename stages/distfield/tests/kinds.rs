@@ -154,7 +154,7 @@ fn distfield(arguments: &[&Path]) {
     assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
 }
 
-/// Returns the vertices of the surface of a volume, in the world, mm.
+/// Returns the vertices of the surface of a volume, in world coordinates (mm).
 fn surface(volume: &Path, folder: &Path) -> Vec<DVec3> {
     let output = folder.join("field.vti");
     let words = ["--iso", "1500", "--force", "-q", "-o"].map(Path::new);

@@ -1,10 +1,10 @@
 //! Gradation: lowers h until |grad h| <= delta everywhere.
 //!
-//! The paper's predecessor lowers h in time steps with an upwind scheme. The steady state of this
+//! Meyer et al. (2007) lower h in time steps with an upwind scheme. The steady state of this
 //! scheme, h(x) = min over y of h0(y) + delta |x - y|, is an Eikonal problem with boundary values.
 //! This module solves the problem by marching from small h to large h (Sethian 1996) with a bucket
-//! queue (Yatziv, Bartesaghi and Sapiro 2006). A node that a later node of the same bucket lowers
-//! again is queued again, so the order within a bucket does not matter.
+//! queue (Yatziv, Bartesaghi and Sapiro 2006). A node is queued again whenever its value drops, so
+//! the order within a bucket does not matter.
 //!
 //! The grid is marched block by block (`blocks.rs`), several buckets at a time.
 

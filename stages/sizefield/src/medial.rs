@@ -51,9 +51,8 @@ pub struct Surface<'a> {
     pub points: &'a [DVec3],
     /// Unit normals, outward.
     pub normals: &'a [DVec3],
-    /// Maximum depth in mm at which other samples may lie inside the ball of each sample without
-    /// shrinking the ball. Next to the touching point, such samples are ripple or remaining noise,
-    /// not shape.
+    /// Tolerance of each sample in mm. Samples that penetrate its medial ball by less than this do
+    /// not shrink the ball; near the tangent point they are ripple or noise, not shape.
     pub blur: &'a [f64],
     /// Height in mm of the noise at each sample.
     pub noise: &'a [f64],

@@ -18,8 +18,8 @@ const SIDE: usize = CELLS + 3;
 /// Distance in voxels from the zero set within which all bricks are stored.
 const REACH: usize = 3;
 
-/// Markers instead of the number of a brick that is not stored. The spline is negative or positive
-/// throughout such a brick.
+/// Sentinel indices of bricks that are not stored, because the spline is negative (or positive)
+/// throughout the brick.
 const NEGATIVE: u32 = u32::MAX;
 const POSITIVE: u32 = u32::MAX - 1;
 

@@ -38,8 +38,8 @@ const STARTS: [DVec3; 9] = [
     DVec3::new(0.8, 0.8, 0.8),
 ];
 
-/// Maximum move of a search along each axis, in voxels. A search that moves farther is abandoned,
-/// because a search from another cell finds that point.
+/// Maximum distance along each axis, in voxels, that a search for a critical point may move from
+/// its cell. A search that moves farther is abandoned; a search from another cell finds its point.
 const REACH: f64 = 1.0;
 
 /// Critical points closer to each other than this distance, in voxels, count as one point.

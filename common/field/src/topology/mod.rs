@@ -45,9 +45,9 @@ pub use undecided::{Group, Groups, Undecided, UndecidedKind};
 use watch::Watch;
 
 /// Minimum radius, in voxels (geometric mean spacing), of necks, gaps and specks whose topology is
-/// decided. The radius is the distance from the critical point to F = 0 by the second-order
-/// expansion. Finer features say nothing about the object, and resolving them would require very
-/// short mesh edges.
+/// resolved. The radius is the distance from the critical point to F = 0 by the second-order
+/// expansion. Smaller features are not meaningful, and resolving them would require very short
+/// mesh edges.
 pub const RESOLUTION: f64 = 0.1;
 
 /// A component of F = 0. Its number is its index in the list of components, which is ordered by the

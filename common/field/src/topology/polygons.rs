@@ -449,8 +449,8 @@ fn number_around(cell: Cell, at: [i64; 3]) -> usize {
     (way(2) * 3 + way(1)) * 3 + way(0)
 }
 
-/// Returns the number of the crossing on an edge of a level. The edge starts at the corner with the
-/// number `corner` and runs along `axis`.
+/// Returns the index of the crossing on an edge of a level. The edge starts at the corner with the
+/// index `corner` and runs along `axis`.
 fn crossing(corner: u64, axis: u64, level: u8) -> Crossing {
     (corner * 3 + axis) * (u64::from(DEPTH) + 1) + u64::from(level)
 }

@@ -6,8 +6,7 @@ use crate::error::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The images of one series that have the same kind of DICOM object (SOP class). A stack is built
-/// from a single group.
+/// The images of one series with the same SOP class. A stack is built from a single group.
 type Group = Vec<Picture>;
 
 /// Returns the slices of the chosen series, their SOP class, and remarks on the series that were

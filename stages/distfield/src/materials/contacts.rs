@@ -314,7 +314,8 @@ impl Places {
         own
     }
 
-    /// Returns the indicators that come too close in the chosen bricks.
+    /// Returns the indicators whose margin is too small at an edge, face or cell of the chosen
+    /// bricks.
     fn lacking(&self, materials: &Materials, owners: &[u16], is_chosen: impl Fn(usize) -> bool + Sync) -> Vec<Lack> {
         let in_brick = |n: usize| {
             let (brick, end) = self.bricks[n];

@@ -291,7 +291,7 @@ impl Sums {
         let start = geometry.index_to_grid(DVec3::from_array(at.map(|n| n as f64)));
         let value = |p: DVec3| indicators.difference_gradient(i, j, p).0;
         let (low, high) = (value(start), value(start + step));
-        // negative at the node and positive at the next node, unless an indicator is not known
+        // the sign changes between the two nodes; the midpoint if an indicator is not known
         // there
         let share = if low < 0.0 && high > 0.0 && (high - low).is_finite() { low / (low - high) } else { 0.5 };
         let (_, gradient) = indicators.difference_gradient(i, j, start + step * share);

@@ -84,7 +84,7 @@ struct Check {
 struct Entry {
     sheet: u32,
     pair: Pair,
-    /// Checks of third materials; `None` if the interface is not real anywhere in the brick.
+    /// Checks for a third material; `None` if the brick contains no part of the interface.
     checks: Option<Vec<Check>>,
 }
 

@@ -112,8 +112,8 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
         self.known[node.known].as_ref()
     }
 
-    /// Returns whether an edge must be bisected because it passes through a material of neither
-    /// end.
+    /// Returns whether an edge must be bisected because it passes through a material that
+    /// neither end has.
     fn is_halved(&mut self, a: Node, b: Node) -> bool {
         if half_way(a.place, b.place).is_none() {
             return false;

@@ -38,8 +38,9 @@ const MOST_STEPS: usize = 1 << 19;
 /// Tolerance, in voxels, of projections onto points and curves.
 pub(super) const TOLERANCE: f64 = 1e-7;
 
-/// A stratum is real at a position unless the indicator of another material is smaller by more than
-/// this value, in voxels. The value covers rounding and the residual of Newton's method.
+/// A stratum exists at a position unless the indicator of another material is smaller than its own
+/// indicators by more than this tolerance, in voxels. The value covers rounding and the residual of
+/// Newton's method.
 pub(super) const UNDERCUT: f64 = 1e-6;
 
 /// Maximum number of alternating projections onto the border of the grid and onto the curve, for a
@@ -263,9 +264,8 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         (places, Stop::Lost)
     }
 
-    /// Returns how a curve ends at a position from which it cannot be followed. If a fourth
-    /// material is equally near, the indicators have a kink at this position, and it is a junction
-    /// point.
+    /// Returns how a curve ends at a position from which it cannot be followed. The position is a
+    /// junction point if a fourth material is equally near, since the indicators have a kink there.
     fn stop_at(&self, place: DVec3) -> Stop {
         let near = self.indicators.near(place);
         let fourth = near.entries().iter().find(|(id, _)| !self.own.contains(id));

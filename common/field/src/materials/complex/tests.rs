@@ -15,7 +15,7 @@ fn grid(spacing: f64) -> Geometry {
     Geometry::axis_aligned([(24.0 / spacing).round() as usize + 1; 3], DVec3::splat(spacing))
 }
 
-/// Computes the complex of functions on all cells of the grid, which are divided into two boxes.
+/// Computes the complex of analytic indicators on all cells of the grid, in two boxes of cells.
 fn exact(analytic: &Analytic, spacing: f64) -> Complex {
     let grid = grid(spacing);
     let cells = grid.size.map(|n| n - 1);
