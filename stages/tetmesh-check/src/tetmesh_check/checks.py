@@ -16,14 +16,11 @@ FIT_BUT_FOR = "fit but for "
 """Beginning of the warning that names accepted elements; the verdict and the page repeat it."""
 REMEDY = (
     "to remove them, set a scale (SCALE, or SIZE or VERTICES without SCALE=0) or use smaller edges (SIZE, MIN_SIZE, "
-    "more VERTICES); "
-    "to accept them, use --accept-forced (ACCEPT_FORCED=yes)"
+    "more VERTICES); to accept them, use --accept-forced (ACCEPT_FORCED=yes)"
 )
 """What removes elements that the triangles of the surface force below a limit."""
 FORCED_LISTS = "forced_by_surface and forced_by_triangle"
 """Lists of the report that give the places of forced tetrahedra."""
-
-
 _NO_PERCENT = 5e-4
 """Changes below this, percent, are rounding errors and print as 0 %."""
 _NO_DISTANCE = 1e-6
@@ -294,8 +291,8 @@ def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
             change,
             limits.max_volume_change,
             f"the volume of the tetrahedra is {volume:.6g} mm^3, the volume inside the surface "
-            f"{measured.surface_volume:.6g} mm^3; "
-            f"the change is {percent(change)} (limit {limits.max_volume_change:g} %)",
+            f"{measured.surface_volume:.6g} mm^3; the change is {percent(change)} (limit {limits.max_volume_change:g} "
+            "%)",
         ),
         verdict(
             "bodies",

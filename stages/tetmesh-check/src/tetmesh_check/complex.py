@@ -66,8 +66,8 @@ def _refuse_bad_triangles(path: Path, surface: Surface, quality: TriangleQuality
     if (uses > 1).any():
         twice = int(first[uses > 1][0])
         raise StageError(
-            f"{path}: {int((uses > 1).sum())} triangles occur more than once, "
-            f"the first near {_place(points, triangles[twice])}",
+            f"{path}: {int((uses > 1).sum())} triangles occur more than once, the first near "
+            f"{_place(points, triangles[twice])}",
             "the space between two equal triangles is empty",
             _ADVICE,
         )
@@ -100,8 +100,7 @@ def check_complex(path: Path, surface: Surface) -> Complex:
         words = ", ".join(f"{sides.names[number]} {count}" for number, count in wrong.items())
         raise StageError(
             f"{path}: the surfaces of {len(wrong)} materials are open or inconsistently oriented; number of such "
-            "edges: "
-            f"{words}",
+            f"edges: {words}",
             "such a material has no inside, so there is no volume to fill",
             _ADVICE,
         )

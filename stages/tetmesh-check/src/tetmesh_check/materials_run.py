@@ -94,12 +94,10 @@ def _sides(checked: Complex, limits: Limits, goal: Goal, context: Context) -> tu
         x, y, z = surface.points[surface.triangles[found.facet[sharpest]]].mean(axis=0)
         context.warn(
             f"on {counted(len(found.facet), 'triangle')}, no tetrahedron can reach the minimum dihedral angle of "
-            f"{limits.min_dihedral:g} "
-            "degrees (--min-dihedral), because other triangles meet them at a smaller angle or lie close in front "
-            "of them. The worst place "
-            f"allows {found.bound[sharpest]:.3g} degrees, in {sides.names[material[sharpest]]} at ({x:.6g}, {y:.6g}, "
-            f"{z:.6g}) mm (all places: "
-            f"forced_by_surface in the report); {REMEDY}"
+            f"{limits.min_dihedral:g} degrees (--min-dihedral), because other triangles meet them at a smaller angle "
+            f"or lie close in front of them. The worst place allows {found.bound[sharpest]:.3g} degrees, in "
+            f"{sides.names[material[sharpest]]} at ({x:.6g}, {y:.6g}, {z:.6g}) mm (all places: forced_by_surface in "
+            f"the report); {REMEDY}"
         )
     return found, every
 
@@ -113,12 +111,11 @@ def _needles(checked: Complex, limits: Limits, context: Context) -> tuple[Labels
         sharpest = found[int(possible[found].argmin())]
         x, y, z = surface.points[surface.triangles[sharpest]].mean(axis=0)
         context.warn(
-            f"on {counted(len(found), 'triangle')} with a small angle, no tetrahedron can reach both a dihedral "
-            "angle of "
-            f"{limits.min_dihedral:g} degrees and a scaled Jacobian of {limits.min_scaled_jacobian:g} (--min-dihedral, "
-            f"--min-scaled-jacobian). The worst place allows a scaled Jacobian of {possible[sharpest]:.3g}, at "
-            f"({x:.6g}, {y:.6g}, {z:.6g}) mm "
-            f"(all places: forced_by_triangle in the report); {REMEDY}"
+            f"on {counted(len(found), 'triangle')} with a small angle, no tetrahedron can reach both a dihedral angle "
+            f"of {limits.min_dihedral:g} degrees and a scaled Jacobian of {limits.min_scaled_jacobian:g} "
+            "(--min-dihedral, --min-scaled-jacobian). The worst place allows a scaled Jacobian of "
+            f"{possible[sharpest]:.3g}, at ({x:.6g}, {y:.6g}, {z:.6g}) mm (all places: forced_by_triangle in the "
+            f"report); {REMEDY}"
         )
     return found, possible[found]
 
@@ -282,8 +279,7 @@ def complex_checks(
             triangles["missing"] + triangles["added"],
             0,
             f"the interfaces between materials lost {counted(triangles['missing'], 'triangle')} of the surface and "
-            "gained "
-            f"{counted(triangles['added'], 'other face')}",
+            f"gained {counted(triangles['added'], 'other face')}",
         ),
         verdict(
             "conforming",

@@ -239,9 +239,8 @@ def _mark(surface: Surface, mesh: VolumeMesh, labels: LabelVolume | None, contex
             regions = regions_of(centres, labels, wanted)
         if outside_labels > MAX_SHARE_OUTSIDE:
             context.warn(
-                f"{100.0 * outside_labels:.3g} % of the tetrahedra lie outside the label volume and get the region "
-                "of the nearest voxel; "
-                "check that the label volume belongs to this case (--labels-volume)"
+                f"{100.0 * outside_labels:.3g} % of the tetrahedra lie outside the label volume and get the region of "
+                "the nearest voxel; check that the label volume belongs to this case (--labels-volume)"
             )
         context.results["regions"] = {
             str(label): {
@@ -274,8 +273,7 @@ def _curve(marked: MarkedMesh, field: DistanceField, arguments: Arguments, conte
         (
             "quadratic",
             f"{curved.results['nodes']:,} nodes, minimum Jacobian {float(curved.jacobian.min()):.2f}; surface nodes "
-            "are at most "
-            f"{left['mid_edge_nodes'].get('max', 0.0):.2g} mm from F = 0 (edge midpoints: "
+            f"are at most {left['mid_edge_nodes'].get('max', 0.0):.2g} mm from F = 0 (edge midpoints: "
             f"{left['middles_of_edges'].get('max', 0.0):.2g} mm)",
         )
     )

@@ -83,8 +83,7 @@ def _checks(done: dict[str, dict[str, Any]], stuck: list[str]) -> list[Check]:
         return []
     words = (
         f"conjugate gradients solved {len(solved) - len(stuck)} of {len(solved)} problems with multigrid and, within "
-        "the time limit, with "
-        "Jacobi's preconditioner"
+        "the time limit, with Jacobi's preconditioner"
     )
     stood_in = [name for name in solved if done[name]["solved_with"] == "jacobi" and name not in stuck]
     if stood_in:
@@ -106,8 +105,8 @@ def _conserved(done: dict[str, dict[str, Any]]) -> list[Check]:
         return []
     imbalance = done["forward"]["imbalance"]
     words = (
-        "the currents into and out of a material differ by a share of at most "
-        f"{imbalance:.2g} (limit {MAX_IMBALANCE:g})"
+        f"the currents into and out of a material differ by a share of at most {imbalance:.2g} (limit "
+        f"{MAX_IMBALANCE:g})"
     )
     return [verdict("current_conserved", imbalance <= MAX_IMBALANCE, imbalance, MAX_IMBALANCE, words)]
 

@@ -174,9 +174,8 @@ def check_surface(path: Path, surface: Surface) -> tuple[Topology, Components]:
     if not topology.is_closed_manifold:
         raise StageError(
             f"{path}: is not a closed manifold: {topology.open_edges} open edges, {topology.nonmanifold_edges} edges "
-            "with "
-            f"more than two triangles, {topology.badly_oriented_edges} edges whose triangles disagree on the outside, "
-            f"{topology.nonmanifold_vertices} vertices where parts of the surface only touch",
+            f"with more than two triangles, {topology.badly_oriented_edges} edges whose triangles disagree on the "
+            f"outside, {topology.nonmanifold_vertices} vertices where parts of the surface only touch",
             "inside and outside are not defined, so there is no volume to fill",
             _TOOLS,
         )

@@ -52,8 +52,7 @@ _WORDS: tuple[tuple[str, str], ...] = (
     (
         "radius ratio below",
         "use a smaller gradient of the edge length (DELTA=0.3) or smaller edges there (MIN_SIZE); the 3-D view shows "
-        "the "
-        "worst triangles ('worst 1 %')",
+        "the worst triangles ('worst 1 %')",
     ),
     ("farther than", "use smaller edges (MIN_SIZE); RECONSTRUCT_OPTIONS='--max-vertex-distance' sets the limit"),
     (

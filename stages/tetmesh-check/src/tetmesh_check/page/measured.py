@@ -177,8 +177,7 @@ def _kept(volume: dict[str, Any]) -> str:
     triangles = volume["interface_triangles"]
     words = (
         "Every triangle between two materials is a face of one tetrahedron of each, with unchanged coordinates. No "
-        "other faces lie between two "
-        "materials."
+        "other faces lie between two materials."
         if volume["interfaces_kept"]
         else f"{number(triangles['missing'])} triangles between materials are not faces of the tetrahedra."
     )
@@ -261,10 +260,9 @@ def solve(case: Case) -> str:
     return section(
         "Solve",
         "<p>Linear elements, solved by conjugate gradients (CG) to an error of 1e-8 in the energy norm. Fewer "
-        "iterations mean that the mesh "
-        "is easier for any solver. Linear elasticity holds for small displacements only, so the load is the share of "
-        "the weight that moves the "
-        f"organ by at most 1 % of its size.</p>{table(columns, rows, (0, 7))}{reason}",
+        "iterations mean that the mesh is easier for any solver. Linear elasticity holds for small displacements "
+        "only, so the load is the share of the weight that moves the organ by at most 1 % of its "
+        f"size.</p>{table(columns, rows, (0, 7))}{reason}",
     )
 
 

@@ -21,7 +21,7 @@ TITLE = "Places"
 _SHOWN = 10
 """Rows of a table that are visible at once."""
 _LISTED = 200
-"""Rows of a table in all; the JSON report has the rest."""
+"""Maximum number of rows of a table; the JSON report has the rest."""
 _EVENTS = {
     "broken": "broken into pieces",
     "gone": "part removed",
@@ -80,8 +80,7 @@ LISTS = (
         _at("volume", "forced_by_surface"),
         (("material", "material"), ("possible_degrees", "possible angle, degrees"), *_MEASURED),
         "No tetrahedron on these triangles can reach the limit of the dihedral angle. Other triangles meet them at a "
-        "smaller angle or lie "
-        "close in front of them, for example where a thin layer ends.",
+        "smaller angle or lie close in front of them, for example where a thin layer ends.",
     ),
     PlaceList(
         "Scaled Jacobians limited by the surface",
@@ -89,8 +88,7 @@ LISTS = (
         _at("volume", "forced_by_triangle"),
         (("material", "material"), ("possible_scaled_jacobian", "possible scaled Jacobian"), *_MEASURED),
         "These triangles have a small angle. No tetrahedron on them can reach both the limit of the dihedral angle "
-        "and that of the scaled "
-        "Jacobian.",
+        "and that of the scaled Jacobian.",
     ),
     PlaceList(
         "Triangles limited by junction curves",
@@ -98,8 +96,7 @@ LISTS = (
         _at("check", "poor_between_curves"),
         (("radius_ratio", "radius ratio"),),
         "Junction curves meet here at a small angle or bend within one edge length, so these triangles cannot reach "
-        "the limit of the radius "
-        "ratio.",
+        "the limit of the radius ratio.",
     ),
     PlaceList(
         "Components too small for their edge length",

@@ -115,10 +115,9 @@ def _mended(case: Case) -> str:
     )
     return (
         f"<h3>Improved tetrahedra</h3><p>{before} tetrahedra were below {number(mended['goal_degrees'])} degrees, "
-        "below the limit of the "
-        f"scaled Jacobian, or below what the surface allows. Local improvement leaves {after} of them. The minimum "
-        "dihedral angle, "
-        f"without the tetrahedra that the surface limits, changed from {smallest} to {now} degrees.</p>"
+        f"below the limit of the scaled Jacobian, or below what the surface allows. Local improvement leaves {after} "
+        "of them. The minimum dihedral angle, without the tetrahedra that the surface limits, changed from "
+        f"{smallest} to {now} degrees.</p>"
     )
 
 
@@ -178,10 +177,8 @@ def materials(case: Case) -> str:
     turn = counted["rms_turn_degrees"]
     words = (
         f"<p>The junction curves, where three or more materials meet, have {number(counted['junction_edges'])} edges "
-        "and "
-        f"{number(counted['junction_vertices'])} end points or junction points. The turn is the root mean square "
-        "angle between the normals of "
-        "neighbouring triangles of an interface, "
+        f"and {number(counted['junction_vertices'])} end points or junction points. The turn is the root mean square "
+        "angle between the normals of neighbouring triangles of an interface, "
         f"degrees{'' if turn is None else f' ({number(turn)} over all interfaces)'}.</p>"
     )
     return section("Materials", f"{regions}<h3>Interfaces</h3>{interfaces}{words}{_mended(case)}{_currents(case)}")
