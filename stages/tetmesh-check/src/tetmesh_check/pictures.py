@@ -49,6 +49,8 @@ _LETTERING = 30.0
 """Font size below a picture, points: 14 pixels on a page that shows the picture 550 pixels wide."""
 _MARK, _LETTER, _LINE = 5.0, 0.62, 1.45
 """Sizes in the legend over the font size: a column without its name, a letter, and a row."""
+_POINTS = 72 / 100
+"""Points per pixel of the legend, which is drawn at 100 dots per inch."""
 
 
 @dataclass(frozen=True)
@@ -377,7 +379,7 @@ def _legend_layout(names: list[str]) -> tuple[int, float]:
 
     def fitting(columns: int) -> float:
         rows = -(-len(names) // columns)
-        return min(_LETTERING, 0.72 * min(_WINDOW[0] / (columns * longest), _BAR / ((rows + 0.6) * _LINE)))
+        return min(_LETTERING, _POINTS * min(_WINDOW[0] / (columns * longest), _BAR / ((rows + 0.6) * _LINE)))
 
     columns = max(range(1, len(names) + 1), key=fitting)
     return columns, fitting(columns)
