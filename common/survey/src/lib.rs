@@ -283,9 +283,9 @@ fn candidates<'a>(
     match (&wishes.labels, wishes.iso, kind) {
         (Some(chosen), _, _) => {
             let list = chosen.iter().map(|at| at.label.to_string()).collect::<Vec<_>>().join(",");
-            vec![of_labels(chosen, format!("labels {list}"), format!("LABELS={list}"), "asked for")]
+            vec![of_labels(chosen, format!("labels {list}"), format!("LABELS={list}"), "given")]
         }
-        (None, Some((iso, inside)), _) => vec![of_iso(IsoValue { iso, inside, why: "asked for".into() })],
+        (None, Some((iso, inside)), _) => vec![of_iso(IsoValue { iso, inside, why: "given".into() })],
         (None, None, Kind::Scan) => iso_values(values).into_iter().map(of_iso).collect(),
         (None, None, Kind::Labels) if labels.is_empty() => Vec::new(),
         (None, None, Kind::Labels) => {

@@ -126,14 +126,14 @@ impl VolumeInfo {
         if self.objects.is_empty() {
             return Ok(());
         }
-        writeln!(out, "\n  what a mesh would cost (vertices within a factor of {UNCERTAINTY})")?;
+        writeln!(out, "\n  cost of a mesh (vertices within a factor of {UNCERTAINTY})")?;
         for object in &self.objects {
             write_object(object, out)?;
         }
         writeln!(
             out,
-            "  Vertices are predicted from balls of {BALL} voxels round sampled faces; time is processor time of all threads\n  \
-             together, at the rates that docs/user/size.md gives with their machine."
+            "  Vertices are predicted from balls of {BALL} voxels around sampled faces. Time is the processor time\n  \
+             of all threads; docs/user/size.md gives the rates and their machine."
         )
     }
 }
