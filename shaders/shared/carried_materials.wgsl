@@ -30,9 +30,10 @@ fn materials_of(carried: f32) -> vec4<u32> {
     return materials_index[materials_index[0].x + (u32(carried) >> 4u)];
 }
 
-// Returns whether a junction stratum (`lower`) lies on the interface of two materials (`sheet`).
-fn is_on(lower: vec4<u32>, sheet: vec4<u32>) -> bool {
-    return any(lower == vec4(sheet.x)) && any(lower == vec4(sheet.y));
+// Returns whether a junction stratum (`lower`) lies on the interface of two materials
+// (`interface`).
+fn is_on(lower: vec4<u32>, interface: vec4<u32>) -> bool {
+    return any(lower == vec4(interface.x)) && any(lower == vec4(interface.y));
 }
 
 // Returns whether two particles interact. A held particle interacts with all particles of the

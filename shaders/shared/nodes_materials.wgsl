@@ -5,7 +5,7 @@
 // brick.
 //
 // Twin: `gather` in common/field/src/materials/indicator.rs
-// Twin: `is_real_sheet` in common/field/src/materials/index.rs
+// Twin: `is_real_interface` in common/field/src/materials/index.rs
 
 // Index of the interface to evaluate.
 var<private> chosen: u32;
@@ -13,7 +13,7 @@ var<private> chosen: u32;
 // entry of the brick (0 if there is none); the index of the record, and the record.
 var<private> open_brick: u32;
 var<private> open_start: vec3<u32>;
-var<private> open_sheet: u32;
+var<private> open_interface: u32;
 var<private> open_next: u32;
 var<private> open_at: u32;
 var<private> open_low: vec4<u32>;
@@ -39,8 +39,8 @@ fn open_record(at: u32) {
 // contain it, selects the first interface of the entry. Returns the index of the record.
 fn take_entry(entry: vec4<u32>) -> u32 {
     let is_second = entry.z == chosen;
-    open_sheet = select(entry.x, entry.z, is_second);
-    open_next = select(0u, entry.w, entry.z == MORE_SHEETS);
+    open_interface = select(entry.x, entry.z, is_second);
+    open_next = select(0u, entry.w, entry.z == MORE_INTERFACES);
     return select(entry.y, entry.w, is_second);
 }
 
@@ -60,16 +60,16 @@ fn open_cell(cell: Cell) {
     if any(vec3<u32>(cell.base) / 4u != open_start / 4u) || open_brick == NO_BRICK {
         ask_for_cell(cell);
     }
-    if open_sheet != chosen {
+    if open_interface != chosen {
         var at = 0u;
-        while open_sheet != chosen && open_next != 0u {
+        while open_interface != chosen && open_next != 0u {
             at = take_entry(materials_index[open_next]);
         }
-        if open_sheet == chosen {
+        if open_interface == chosen {
             open_record(at);
         } else {
             open_cells = vec4(0u);
-            open_sheet = chosen;
+            open_interface = chosen;
         }
     }
     is_known = is_of(open_cells.xy, vec3<u32>(cell.base));

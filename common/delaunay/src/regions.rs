@@ -68,7 +68,7 @@ struct Inserted {
 /// The triangulation from which a region was cut. It locates points if a walk leaves the region.
 struct Outer<'a> {
     whole: &'a Cells,
-    places: &'a [Place],
+    places: &'a [Slot],
     side: usize,
     /// The cut between the two sides.
     cut: Beyond,
@@ -174,9 +174,9 @@ fn insert_in_order(
 
 /// Position of a tetrahedron after a cut: its number in the region times 2, plus the side.
 #[derive(Clone, Copy)]
-struct Place(u32);
+struct Slot(u32);
 
-impl Place {
+impl Slot {
     /// Value for an unused tetrahedron number.
     const NONE: Self = Self(u32::MAX);
 
@@ -197,7 +197,7 @@ impl Place {
 struct Cut {
     /// The tetrahedra of each half, and the points to insert into it.
     regions: [(Cells, Vec<u32>); 2],
-    places: Vec<Place>,
+    places: Vec<Slot>,
     /// The facets on the cut, as (tetrahedron * 4 + facet index) on both sides.
     seams: Vec<[u32; 2]>,
 }
@@ -219,13 +219,13 @@ impl Cut {
         if (above.len().min(below.len()) as f64) < SMALLEST_SHARE * members.len() as f64 {
             return None;
         }
-        let mut places = vec![Place::NONE; cells.tetrahedra.len()];
+        let mut places = vec![Slot::NONE; cells.tetrahedra.len()];
         let mut halves: [Vec<Tetrahedron>; 2] = Default::default();
         for (place, t) in places.iter_mut().zip(&cells.tetrahedra).filter(|(_, t)| t.vertices[0] != DEAD) {
             let finite = t.vertices.iter().filter(|&&v| v != INFINITE);
             let (sum, count) = finite.fold((0.0, 0.0), |(sum, count), &v| (sum + at(v)[axis], count + 1.0));
             let side = usize::from(sum >= plane * count);
-            *place = Place::new(side, halves[side].len() as u32);
+            *place = Slot::new(side, halves[side].len() as u32);
             halves[side].push(*t);
         }
         if halves.iter().any(Vec::is_empty) {

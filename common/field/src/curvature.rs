@@ -1,16 +1,16 @@
 //! Computes the curvature of the level sets of F from the gradient and Hessian of F (Goldman,
 //! *Curvature formulas for implicit curves and surfaces*, 2005).
 
-use crate::spline::{FLATTEST, Jet};
+use crate::spline::{Jet, LEAST_GRADIENT};
 use glam::{DMat3, DVec3};
 
 /// Returns the curvature tensor of the level set through a point, per mm. It is the Hessian divided
 /// by the length of the gradient, restricted to the tangent plane. Its eigenvalues are 0 (along the
 /// normal) and the two principal curvatures, which are positive on a ball. The tensor is zero if
-/// the gradient is shorter than [`FLATTEST`].
+/// the gradient is shorter than [`LEAST_GRADIENT`].
 pub fn curvature_tensor(jet: &Jet) -> DMat3 {
     let slope = jet.gradient.length();
-    if slope < FLATTEST {
+    if slope < LEAST_GRADIENT {
         return DMat3::ZERO;
     }
     let n = jet.gradient / slope;
@@ -31,7 +31,7 @@ pub fn largest_curvature(tensor: &DMat3, n: DVec3) -> f64 {
 /// Returns the mean curvature, per mm: half the divergence of the unit normal, which is 1/R on a
 /// ball of radius R.
 pub fn mean_curvature(jet: &Jet) -> f64 {
-    let slope = jet.gradient.length().max(FLATTEST);
+    let slope = jet.gradient.length().max(LEAST_GRADIENT);
     let trace = jet.hessian.x_axis.x + jet.hessian.y_axis.y + jet.hessian.z_axis.z;
     (trace - jet.gradient.dot(jet.hessian * jet.gradient) / (slope * slope)) / (2.0 * slope)
 }

@@ -287,8 +287,8 @@ fn check_strata(strata: &Strata, count: usize) -> std::result::Result<(), &'stat
     if !strata.of.is_sorted_by_key(Stratum::dimension) {
         return Err("its strata are not sorted by dimension");
     }
-    let is_below_sheets = |&end: &u32| strata.of.get(end as usize).is_some_and(|stratum| stratum.dimension() < 2);
-    if !strata.segments.as_flattened().iter().all(is_below_sheets) {
+    let is_below_interfaces = |&end: &u32| strata.of.get(end as usize).is_some_and(|stratum| stratum.dimension() < 2);
+    if !strata.segments.as_flattened().iter().all(is_below_interfaces) {
         return Err("has a segment of a junction curve with an end that is not on a junction");
     }
     Ok(())
@@ -346,15 +346,15 @@ mod tests {
                 .expect("written");
             read_particles(&path, &[ParticleKind::Seeds])
         };
-        let (point, curve, sheet) = (stratum(&[0, 1, 2, 3]), stratum(&[0, 1, 2]), stratum(&[1, 2]));
+        let (point, curve, interface) = (stratum(&[0, 1, 2, 3]), stratum(&[0, 1, 2]), stratum(&[1, 2]));
         let good = Strata { of: vec![point, curve], segments: vec![[0, 1]] };
         assert_eq!(back(&good).expect("read").strata, Some(good));
         write_particles(&path, ParticleKind::Seeds, &set(), &Value::Null, &history()).expect("written");
         assert_eq!(read_particles(&path, &[ParticleKind::Seeds]).expect("read").strata, None);
         for (wrong, said) in [
             (Strata { of: vec![point], segments: Vec::new() }, "numbers of strata and particles differ"),
-            (Strata { of: vec![sheet, curve], segments: Vec::new() }, "strata are not sorted by dimension"),
-            (Strata { of: vec![curve, sheet], segments: vec![[0, 1]] }, "segment"),
+            (Strata { of: vec![interface, curve], segments: Vec::new() }, "strata are not sorted by dimension"),
+            (Strata { of: vec![curve, interface], segments: vec![[0, 1]] }, "segment"),
             (Strata { of: vec![curve, curve], segments: vec![[0, 2]] }, "segment"),
         ] {
             let error = back(&wrong).expect_err(said);

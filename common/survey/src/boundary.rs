@@ -38,14 +38,14 @@ pub struct Boundary {
     /// Number of faces normal to each axis, including those at the border of the volume.
     pub faces: [usize; 3],
     /// The sampled faces.
-    pub sample: Vec<Place>,
+    pub sample: Vec<SampledFace>,
     /// Number of faces that one sampled face represents.
     pub weight: f64,
 }
 
 /// A sampled face.
 #[derive(Clone, Copy, Debug)]
-pub struct Place {
+pub struct SampledFace {
     /// Axis normal to the face.
     pub axis: usize,
     /// Centre of the face in mm, in the grid frame.
@@ -73,7 +73,7 @@ impl Boundary {
     }
 
     /// Returns the area of the surface that a sampled face represents, in mm^2.
-    pub fn area_of(&self, place: &Place, geometry: &Geometry) -> f64 {
+    pub fn area_of(&self, place: &SampledFace, geometry: &Geometry) -> f64 {
         self.weight * face_area(geometry, place.axis) / 1.5
     }
 
@@ -113,7 +113,7 @@ pub fn boundaries(classes: &Classes<'_>, wanted: usize) -> Vec<Boundary> {
     let share: Vec<f64> = faces.iter().map(|faces| wanted as f64 / faces.iter().sum::<usize>().max(1) as f64).collect();
     let shapes = Shapes::new(geometry);
     let draw = |k: usize| {
-        let mut drawn: Vec<(u16, Place)> = Vec::new();
+        let mut drawn: Vec<(u16, SampledFace)> = Vec::new();
         each_face(classes, k, |face| {
             let [i, j, k] = face.inside;
             let counter = 6 * geometry.linear(i, j, k) + 2 * face.axis + usize::from(face.is_up);
@@ -123,7 +123,7 @@ pub fn boundaries(classes: &Classes<'_>, wanted: usize) -> Vec<Boundary> {
         });
         drawn
     };
-    let slices: Vec<Vec<(u16, Place)>> = (0..nz).into_par_iter().map(draw).collect();
+    let slices: Vec<Vec<(u16, SampledFace)>> = (0..nz).into_par_iter().map(draw).collect();
     let mut found: Vec<Boundary> = faces.iter().map(|&faces| Boundary { faces, ..Boundary::default() }).collect();
     for (class, place) in slices.into_iter().flatten() {
         found[usize::from(class)].sample.push(place);
@@ -217,7 +217,7 @@ impl Shapes {
         Self { balls: [0, 1, 2].map(|axis| [false, true].map(|is_up| ball(axis, is_up))) }
     }
 
-    fn place(&self, classes: &Classes<'_>, face: &Face) -> Place {
+    fn place(&self, classes: &Classes<'_>, face: &Face) -> SampledFace {
         let geometry = classes.geometry;
         let size = geometry.size;
         let is_own = |index: [isize; 3]| {
@@ -251,7 +251,7 @@ impl Shapes {
             if direction == DVec3::ZERO { f64::INFINITY } else { ways.into_iter().find(ends).unwrap_or(f64::INFINITY) }
         };
         let thickness = walk(-outward, true).min(walk(outward, false));
-        Place { axis: face.axis, position, imbalance, thickness }
+        SampledFace { axis: face.axis, position, imbalance, thickness }
     }
 }
 
@@ -290,7 +290,7 @@ mod tests {
         let plate = boundary(&geometry, |p| (10.0..14.0).contains(&p.z), usize::MAX);
         assert_eq!(plate.faces, [2 * 20 * 4, 2 * 20 * 4, 2 * 20 * 20]);
         let is_inner =
-            |place: &&Place| (5.0..15.0).contains(&place.position.x) && (5.0..15.0).contains(&place.position.y);
+            |place: &&SampledFace| (5.0..15.0).contains(&place.position.x) && (5.0..15.0).contains(&place.position.y);
         for place in plate.sample.iter().filter(|place| place.axis == 2).filter(is_inner) {
             assert!((place.thickness - 4.0).abs() <= 0.5, "{place:?}");
             assert!(place.imbalance < 1e-9, "{place:?}");

@@ -6,7 +6,7 @@
 //! for the gradient limit and for other features of the surface. The measurement or source of each
 //! constant is stated in its comment.
 
-use crate::boundary::{BALL, Boundary, Place};
+use crate::boundary::{BALL, Boundary, SampledFace};
 use crate::kind::Kind;
 use isoparticles_field::spline::ROOM;
 use isoparticles_volume::Geometry;
@@ -185,8 +185,8 @@ pub fn default_vertices(boundary: &Boundary, geometry: &Geometry, kind: Kind) ->
         Kind::Labels => GRADATION_LABELS,
         Kind::Scan => GRADATION_SCAN,
     };
-    let count = |place: &Place| {
-        let Place { imbalance, thickness, .. } = *place;
+    let count = |place: &SampledFace| {
+        let SampledFace { imbalance, thickness, .. } = *place;
         let curvature = (imbalance * imbalance - STAIRCASE * STAIRCASE).max(0.0).sqrt() * 16.0 / (3.0 * BALL);
         let wanted = (EDGE_OVER_RADIUS / curvature.max(1e-9)).min(EDGE_OVER_THICKNESS * thickness);
         boundary.area_of(place, geometry) * lattice_density((wanted * voxel).clamp(smallest, largest))

@@ -54,14 +54,14 @@ pub struct ScaleArgs {
 const FINE_ENOUGH: f64 = 0.75;
 
 /// A scale and the reason for it.
-pub struct Choice {
+pub struct ScaleChoice {
     /// The scale in mm; 0 means no smoothing.
     pub length: f64,
     /// The reason, as a message for the user.
     pub reason: String,
 }
 
-impl Choice {
+impl ScaleChoice {
     /// Chooses the scale for an edge length (mm). `whose` describes the edge length in the reason;
     /// `voxel` is the mean spacing (mm).
     fn for_length(length: f64, whose: &str, voxel: f64) -> Self {
@@ -125,17 +125,17 @@ impl ScaleArgs {
 
     /// Returns the scale from an edge length, a quality or `--scale`. Returns `None` for
     /// `--scale-for-vertices`, which needs the area of the object.
-    pub(crate) fn choose_by_length(&self, geometry: &Geometry) -> Option<Choice> {
+    pub(crate) fn choose_by_length(&self, geometry: &Geometry) -> Option<ScaleChoice> {
         let voxel = geometry.mean_spacing();
         if let Some(size) = self.scale_for_size {
-            return Some(Choice::for_length(size, &format!("the requested edge length of {size} mm"), voxel));
+            return Some(ScaleChoice::for_length(size, &format!("the requested edge length of {size} mm"), voxel));
         }
         if let Some(quality) = self.quality {
             let smallest = quality.smallest_size_voxels() * voxel;
             let whose = format!("the minimum h of {smallest:.4} mm for quality {}", quality.name());
-            return Some(Choice::for_length(smallest, &whose, voxel));
+            return Some(ScaleChoice::for_length(smallest, &whose, voxel));
         }
-        let given = Choice { length: self.scale.unwrap_or(0.0), reason: "given".into() };
+        let given = ScaleChoice { length: self.scale.unwrap_or(0.0), reason: "given".into() };
         self.scale_for_vertices.is_none().then_some(given)
     }
 
@@ -150,12 +150,12 @@ impl ScaleArgs {
         geometry: &Geometry,
         volume: f64,
         edge_length: impl FnOnce(f64, bool) -> Result<Option<f64>>,
-    ) -> Result<Choice> {
+    ) -> Result<ScaleChoice> {
         let vertices = self.scale_for_vertices.unwrap_or(0);
         let length = edge_length(vertices as f64, self.keep_thin)?
             .ok_or_else(|| nothing_left(&format!("a mesh of {vertices} vertices"), volume))?;
         let whose = format!("the edge length of {length:.4} mm for {vertices} vertices");
-        Ok(Choice::for_length(length, &whose, geometry.mean_spacing()))
+        Ok(ScaleChoice::for_length(length, &whose, geometry.mean_spacing()))
     }
 }
 
@@ -185,7 +185,7 @@ pub fn choose_scale(
     object: &Object,
     border: Border,
     context: &Context,
-) -> Result<(Volume, Option<Choice>)> {
+) -> Result<(Volume, Option<ScaleChoice>)> {
     if !args.is_given() {
         return Ok((volume, None));
     }
@@ -199,7 +199,7 @@ pub fn choose_scale(
             (volume, choice)
         }
     };
-    let Choice { length, reason } = &choice;
+    let ScaleChoice { length, reason } = &choice;
     context.summary("scale, mm", format!("{length:.4} ({reason})"));
     context.set_parameter("scale", *length);
     context.set_parameter("scale_reason", reason.clone());
@@ -211,7 +211,7 @@ pub fn choose_scale(
 /// # Errors
 /// If nothing is left of the object, or if the run is interrupted.
 pub fn extract_scaled(
-    Choice { length, reason }: Choice,
+    ScaleChoice { length, reason }: ScaleChoice,
     keep_thin: bool,
     volume: Volume,
     object: &Object,

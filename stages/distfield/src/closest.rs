@@ -8,7 +8,7 @@
 use crate::bits::Bits;
 use crate::field::Source;
 use crate::nearest::{NONE, Slab, nearest_samples};
-use crate::samples::{Implicit, project};
+use crate::samples::{ValueGradient, project};
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;

@@ -5,13 +5,13 @@
 //! spline lies on the samples ([`crate::fit`]). It then compares the zero sets of F and of the
 //! source.
 
+use crate::ambiguous_faces::{ambiguous_faces, make_agree};
 use crate::bits::Bits;
 use crate::cap::BorderBox;
 use crate::closest::distance_to_zero_set;
 use crate::fit::{FitReport, pin_zero_set};
-use crate::junctions::{junctions, make_agree};
 use crate::keep::{Dropped, Keep, drop_parts};
-use crate::samples::{Implicit, project, surface_samples};
+use crate::samples::{ValueGradient, project, surface_samples};
 use crate::topology::Parts;
 use glam::DVec3;
 use isoparticles_field::enclosed::enclosed_volumes;
@@ -119,7 +119,7 @@ pub struct LeastDistances<At> {
     pub at: At,
 }
 
-impl Implicit for Source {
+impl ValueGradient for Source {
     /// Returns the first-order distance to the surface (mm), cut at the border, and its gradient.
     /// Without a box, returns the value and the gradient of the spline.
     #[inline(always)]
@@ -164,10 +164,10 @@ pub fn redistance(
     let band = (BAND * voxel).max(1.5 * nodes.geometry.spacing.max_element());
 
     let step = monitor.phase("surface samples");
-    let mut choices = junctions(&nodes);
+    let mut choices = ambiguous_faces(&nodes);
     let dropped = drop_parts(&mut nodes, margin, &choices, keep)?;
     if dropped.nodes.is_some() {
-        choices = junctions(&nodes);
+        choices = ambiguous_faces(&nodes);
     }
     let mesh = marching_cubes(&nodes, 0.0);
     if mesh.triangles.is_empty() {
@@ -265,7 +265,7 @@ fn checked_points(mesh: &TriangleMesh) -> Vec<DVec3> {
 
 /// Measures the distance between the zero set of a spline on a grid and that of the source, at the
 /// projections of `points` onto the zero set of the spline.
-fn measure_shift(source: &impl Implicit, spline: &BrickSpline, geometry: &Geometry, points: &[DVec3]) -> Shift {
+fn measure_shift(source: &impl ValueGradient, spline: &BrickSpline, geometry: &Geometry, points: &[DVec3]) -> Shift {
     let voxel = geometry.mean_spacing();
     let own = |p: DVec3| spline.value_gradient(p);
     let mut shifts: Vec<f64> = points

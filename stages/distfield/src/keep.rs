@@ -5,8 +5,8 @@
 //! opposite corners of a grid face that are connected by the saddle of the face
 //! ([`crate::junctions`]).
 
+use crate::ambiguous_faces::AmbiguousFace;
 use crate::bits::Bits;
-use crate::junctions::Junction;
 use crate::runs::Runs;
 use isoparticles_mesh::components::DisjointSets;
 use isoparticles_stage::error::{Error, Result};
@@ -68,12 +68,12 @@ pub struct Dropped {
 ///
 /// # Errors
 /// If no part is large enough, or if there are too many runs of nodes to label the parts.
-pub fn drop_parts(nodes: &mut Image<f32>, margin: usize, junctions: &[Junction], keep: Keep) -> Result<Dropped> {
+pub fn drop_parts(nodes: &mut Image<f32>, margin: usize, faces: &[AmbiguousFace], keep: Keep) -> Result<Dropped> {
     if keep == Keep::All {
         return Ok(Dropped::default());
     }
     let inside = Runs::of(nodes.geometry.size, |n| nodes.data[n] < 0.0);
-    let part = parts_of_runs(&inside, nodes.geometry.size, junctions)?;
+    let part = parts_of_runs(&inside, nodes.geometry.size, faces)?;
     // number of nodes of each part, stored at its first run
     let mut count = vec![0usize; part.len()];
     let [nx, ny, nz] = nodes.geometry.size;
@@ -122,7 +122,7 @@ pub fn drop_parts(nodes: &mut Image<f32>, margin: usize, junctions: &[Junction],
 }
 
 /// Returns, for each run, the first run of its part.
-pub(crate) fn parts_of_runs(inside: &Runs, size: [usize; 3], junctions: &[Junction]) -> Result<Vec<u32>> {
+pub(crate) fn parts_of_runs(inside: &Runs, size: [usize; 3], faces: &[AmbiguousFace]) -> Result<Vec<u32>> {
     let [_, ny, nz] = size;
     let Ok(count) = u32::try_from(inside.all().len()) else {
         return Err(Error::input(
@@ -138,8 +138,8 @@ pub(crate) fn parts_of_runs(inside: &Runs, size: [usize; 3], junctions: &[Juncti
             inside.each_touching(row, next, |a, b| sets.join(a as u32, b as u32));
         }
     }
-    for junction in junctions.iter().filter(|junction| junction.joined) {
-        let [a, b] = junction.inside.map(|node| inside.find(node));
+    for face in faces.iter().filter(|face| face.joined) {
+        let [a, b] = face.inside.map(|node| inside.find(node));
         if let Some((a, b)) = a.zip(b) {
             sets.join(a as u32, b as u32);
         }

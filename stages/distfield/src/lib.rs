@@ -12,6 +12,7 @@
 //! one field for each of several materials. [`input`] rejects labels for a scan and iso values for
 //! a label map.
 
+pub mod ambiguous_faces;
 pub mod bits;
 pub mod cap;
 pub mod changes;
@@ -24,7 +25,6 @@ pub mod field;
 pub mod fit;
 pub mod gaussian;
 pub mod input;
-pub mod junctions;
 pub mod keep;
 pub mod labels;
 mod level;

@@ -1,12 +1,12 @@
 //! The `distfield` program: options, input checks, computation of F, and report.
 //! [`materials::program`] handles several materials.
 
-use crate::choose::{Choice as ScaleChoice, Object, ScaleArgs, choose_scale, extract_scaled};
+use crate::choose::{Object, ScaleArgs, ScaleChoice, choose_scale, extract_scaled};
 use crate::crop::{CutFaces, Grid, VoxelBox, crop, room_of_spline};
 use crate::input::{check_kind, check_room};
 use crate::labels::{LabelOptions, from_mask, room_of_labels};
 use crate::mask::Mask;
-use crate::materials::{self, Choice};
+use crate::materials::{self, MaterialChoice};
 use crate::scalar::{ScalarOptions, from_voxels};
 use crate::scale::room_round;
 use crate::unshear::{Wanted, unshear};
@@ -76,7 +76,7 @@ pub struct Args {
         conflicts_with_all = ["labels", "iso"],
         help_heading = METHOD
     )]
-    pub material: Vec<Choice>,
+    pub material: Vec<MaterialChoice>,
     /// With --material: reassign each component of fewer voxels than this, including components of
     /// the outside, to the material that shares the most faces with it; 1 changes nothing. Changes
     /// are reported
@@ -160,7 +160,7 @@ impl StageArgs for Args {
         let (border, keep) = (border_name(self.border), self.keep.to_string());
         let mut parameters = match (&self.labels, self.iso) {
             _ if !self.material.is_empty() => json!({
-                "material": self.material.iter().map(Choice::to_string).collect::<Vec<_>>(), "border": border,
+                "material": self.material.iter().map(MaterialChoice::to_string).collect::<Vec<_>>(), "border": border,
                 "margin": self.margin, "clearance": self.clearance, "smallest_island": self.smallest_island,
             }),
             (Some(labels), _) => json!({

@@ -11,12 +11,12 @@ use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// An implicit function, negative inside.
-pub trait Implicit: Sync {
+pub trait ValueGradient: Sync {
     /// Returns the value and the gradient (per mm) at a position in the grid frame (mm).
     fn value_gradient(&self, grid: DVec3) -> (f64, DVec3);
 }
 
-impl<T: Fn(DVec3) -> (f64, DVec3) + Sync> Implicit for T {
+impl<T: Fn(DVec3) -> (f64, DVec3) + Sync> ValueGradient for T {
     fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         self(grid)
     }
@@ -42,7 +42,7 @@ const REACH: f64 = 0.75;
 /// The first samples are the mesh vertices, one sample each and in the same order. If Newton's
 /// method fails for a vertex, bisection finds a zero on the grid edge of the vertex, where the sign
 /// changes. The triangle centres follow; centres for which Newton's method fails are left out.
-pub fn surface_samples<I: Implicit>(implicit: &I, image: &Image<f32>, mesh: &TriangleMesh) -> Vec<DVec3> {
+pub fn surface_samples<I: ValueGradient>(implicit: &I, image: &Image<f32>, mesh: &TriangleMesh) -> Vec<DVec3> {
     let voxel = image.geometry.min_spacing();
     let instructions = Level::new();
     // loops instead of closures per item, because closures would not be compiled for the dispatched
@@ -73,7 +73,7 @@ pub fn surface_samples<I: Implicit>(implicit: &I, image: &Image<f32>, mesh: &Tri
 /// away, if the gradient vanishes, or if Newton's method does not converge. `voxel` is the minimum
 /// spacing, mm.
 #[inline(always)]
-pub fn project<I: Implicit>(implicit: &I, start: DVec3, voxel: f64) -> Option<DVec3> {
+pub fn project<I: ValueGradient>(implicit: &I, start: DVec3, voxel: f64) -> Option<DVec3> {
     let mut p = start;
     for _ in 0..STEPS {
         let (f, g) = implicit.value_gradient(p);
@@ -95,7 +95,7 @@ pub fn project<I: Implicit>(implicit: &I, start: DVec3, voxel: f64) -> Option<DV
 
 /// Finds a zero of the implicit function on the grid edge that contains the marching-cubes vertex
 /// `v`. Returns `v` if the function has the same sign at both ends.
-fn bisect_edge<I: Implicit>(implicit: &I, image: &Image<f32>, v: DVec3) -> DVec3 {
+fn bisect_edge<I: ValueGradient>(implicit: &I, image: &Image<f32>, v: DVec3) -> DVec3 {
     let geometry = &image.geometry;
     let index = geometry.grid_to_index(v);
     let off = (index - index.round()).abs();

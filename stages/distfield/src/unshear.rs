@@ -4,7 +4,7 @@
 //! Space outside the volume is filled with background, which closes the object at the border of the
 //! volume. With an open border, it is filled with the values of the nearest voxels.
 
-use crate::materials::choice::{Choice, resolve};
+use crate::materials::choice::{MaterialChoice, resolve};
 use crate::{Border, Inside};
 use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::Result;
@@ -16,7 +16,7 @@ pub enum Wanted<'a> {
     /// The union of labels.
     Labels(&'a [LayerLabel]),
     /// Several materials.
-    Materials(&'a [Choice]),
+    Materials(&'a [MaterialChoice]),
     /// One side of an iso value.
     Iso(f64, Inside),
 }

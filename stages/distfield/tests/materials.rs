@@ -6,9 +6,9 @@ mod support;
 use glam::DVec3;
 use isoparticles_distfield::Border;
 use isoparticles_distfield::materials::choice::resolve;
-use isoparticles_distfield::materials::contacts::Contacts;
+use isoparticles_distfield::materials::contacts::ContactReport;
 use isoparticles_distfield::materials::survey::{Survey, survey};
-use isoparticles_distfield::materials::{Choice, Extracted, LabelGrid, MaterialOptions, extract};
+use isoparticles_distfield::materials::{Extracted, LabelGrid, MaterialChoice, MaterialOptions, extract};
 use isoparticles_distfield::scale::Scale;
 use isoparticles_field::materials::{Analytic, Indicators, MaterialId, ball, maximum, negative};
 use isoparticles_field::random::uniform;
@@ -37,7 +37,7 @@ fn make(volume: Volume, border: Border) -> Made {
 }
 
 fn make_with(volume: Volume, border: Border, options: MaterialOptions) -> Made {
-    let chosen = resolve(&[Choice::All], &volume).expect("labels");
+    let chosen = resolve(&[MaterialChoice::All], &volume).expect("labels");
     let grid = LabelGrid::new(&volume, &chosen, border, MARGIN).expect("one material a voxel");
     let extracted = extract(&grid, &chosen, &options, &Silent).expect("indicators");
     let materials = &extracted.materials;
@@ -138,7 +138,7 @@ impl Made {
                 }
             }
         }
-        let Contacts { left, near, .. } = self.extracted.contacts;
+        let ContactReport { left, near, .. } = self.extracted.contacts;
         assert!(wrong <= left && near >= counts[3], "{what}: {wrong}, {left} left, {near} near, {counts:?}");
         // with random labels, a few wrong midpoints remain and are reported
         assert!(left == 0 || what.contains("noise") && left < 10, "{what}: {left} left");
@@ -303,7 +303,7 @@ fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
             let start = centre + way.normalize() * 10.5;
             let near = materials.near(start);
             let [(a, _), (b, _), ..] = near.entries() else { panic!("one material at {start}") };
-            let Some(p) = materials.project_onto_sheet([*a, *b], start, 2.0, 1e-6) else { continue };
+            let Some(p) = materials.project_onto_interface([*a, *b], start, 2.0, 1e-6) else { continue };
             if a.0 * b.0 == 0 && materials.clearance(p, &[*a, *b]) > 3.0 {
                 let normal = materials.difference_gradient(*a, *b, p).1.normalize();
                 sum += normal.cross((p - centre).normalize()).length_squared();
@@ -443,7 +443,7 @@ fn pieces_of_real_volumes_keep_every_voxel() {
         made.keeps_every_voxel(name);
         let [edges, near_a_third, open, narrow] = made.keeps_contacts(name);
         assert!(narrow <= open / 20, "{name}: {narrow} of {open}");
-        let Contacts { crossed, undecided, raised, .. } = made.extracted.contacts;
+        let ContactReport { crossed, undecided, raised, .. } = made.extracted.contacts;
         println!("{name}: undecided {undecided}");
         decided_by_little += undecided;
         assert!(edges > near_a_third && near_a_third > 1000 && crossed > 50 && raised > crossed, "{name}");

@@ -4,7 +4,7 @@
 use crate::coarse::{MakeEngine, settle_levels};
 use crate::density::{self, Limits};
 use crate::gpu::DeviceReport;
-use crate::implicit::{Implicit, Sheets};
+use crate::implicit::{Implicit, Interfaces};
 use crate::movement;
 use crate::settle::{Engine, Level, Parameters, PassOutcome, PassRecord, REORDER_INTERVAL, Summary, settle_level};
 use crate::state::{Fields, Measures, State};
@@ -37,21 +37,21 @@ pub type OnStrata = (ParticleSet, Strata);
 /// Settles multi-material particles on their interfaces. Works like [`settle`], but on a single
 /// level. Particles of junction points and curves come first; they are held, so they do not change.
 /// A particle that is not on its interface is removed, at the start or at the end.
-pub fn settle_sheets<I: Indicators>(
+pub fn settle_interfaces<I: Indicators>(
     seeds: &OnStrata,
     resumed: Option<(OnStrata, &[PassRecord])>,
-    fields: &Fields<Sheets<'_, I>>,
+    fields: &Fields<Interfaces<'_, I>>,
     parameters: &Parameters,
     mut observe: impl FnMut(&PassRecord, &mut dyn Engine) -> Result<()>,
 ) -> Result<(OnStrata, Summary)> {
     let make = |set, strata| Ok(Box::new(CpuEngine::new(set, strata, fields, parameters)) as Box<dyn Engine + '_>);
-    let (settled, summary, _) = settle_sheets_with(make, seeds, resumed, fields, parameters, &mut observe)?;
+    let (settled, summary, _) = settle_interfaces_with(make, seeds, resumed, fields, parameters, &mut observe)?;
     Ok((settled, summary))
 }
 
-/// Works like [`settle_sheets`] with the engine that `make` creates for the particles and their
+/// Works like [`settle_interfaces`] with the engine that `make` creates for the particles and their
 /// strata.
-pub(crate) fn settle_sheets_with<'e, S: Implicit>(
+pub(crate) fn settle_interfaces_with<'e, S: Implicit>(
     make: impl FnOnce(ParticleSet, Vec<Stratum>) -> Result<Box<dyn Engine + 'e>>,
     seeds: &OnStrata,
     resumed: Option<(OnStrata, &[PassRecord])>,

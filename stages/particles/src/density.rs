@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn newcomers_keep_their_distance_from_everybody_on_their_sheet() {
+    fn newcomers_keep_their_distance_on_an_interface() {
         let tori = (120..420).step_by(100).map(Scene::bumpy_torus);
         let balls = (40..400).step_by(60).map(|n| Scene::ball(n, 1.6));
         let mut came = 0;

@@ -39,12 +39,12 @@ impl Implicit for CubicSpline {
 
 /// The material interfaces: the points where the indicators of two materials are equal and minimal.
 #[derive(Debug)]
-pub struct Sheets<'a, I> {
+pub struct Interfaces<'a, I> {
     indicators: &'a I,
     min_spacing: f64,
 }
 
-impl<'a, I: Indicators> Sheets<'a, I> {
+impl<'a, I: Indicators> Interfaces<'a, I> {
     /// Creates the interfaces from the indicators of all materials. `min_spacing` is the minimum
     /// voxel edge in mm.
     pub fn new(indicators: &'a I, min_spacing: f64) -> Self {
@@ -62,10 +62,10 @@ fn sides(stratum: Option<Stratum>) -> Option<[MaterialId; 2]> {
     }
 }
 
-impl<I: Indicators> Implicit for Sheets<'_, I> {
+impl<I: Indicators> Implicit for Interfaces<'_, I> {
     #[inline(always)]
     fn project(&self, stratum: Option<Stratum>, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)> {
-        self.indicators.place_on_sheet(sides(stratum)?, start, limit, tolerance)
+        self.indicators.place_on_interface(sides(stratum)?, start, limit, tolerance)
     }
 
     fn is_real(&self, stratum: Option<Stratum>, place: DVec3) -> bool {

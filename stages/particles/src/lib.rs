@@ -26,8 +26,8 @@ mod settle;
 mod state;
 
 pub use constants::INITIAL_LAMBDA;
-pub use cpu::{OnStrata, settle, settle_sheets};
-pub use implicit::{Implicit, Sheets};
+pub use cpu::{OnStrata, settle, settle_interfaces};
+pub use implicit::{Implicit, Interfaces};
 pub use settle::{
     Binning, DEFECT_WINDOW, Engine, Order, Parameters, PassOutcome, PassRecord, REORDER_INTERVAL, Summary, settle_with,
 };

@@ -4,10 +4,10 @@
 use crate::args::{Args, Backend};
 use crate::checkpoint::{Progress, cpu_engine, keep, resume};
 use crate::coarse::{MakeEngine, settle_levels};
-use crate::cpu::{CpuEngine, OnCpu, settle_sheets_with};
-use crate::gpu::{self, Choice, DeviceReport, Gpu, GpuEngine};
+use crate::cpu::{CpuEngine, OnCpu, settle_interfaces_with};
+use crate::gpu::{self, AdapterChoice, DeviceReport, Gpu, GpuEngine};
 use crate::ground::{Ground, check_kind, check_levels};
-use crate::implicit::Sheets;
+use crate::implicit::Interfaces;
 use crate::log::Log;
 use crate::settle::{Engine, Order, Parameters, PassRecord};
 use crate::state::Fields;
@@ -28,12 +28,12 @@ const BYTES_PER_PARTICLE: f64 = 510.0;
 
 /// Opens the GPU that the options select. Returns `None` if the CPU is to be used.
 fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
-    let choice = Choice {
+    let choice = AdapterChoice {
         name: args.adapter.clone(),
         no_subgroups: args.no_subgroups,
         team: args.team.as_ref().and_then(|t| t.parse().ok()),
         profile: args.profile,
-        ..Choice::default()
+        ..AdapterChoice::default()
     };
     let gpu = match args.backend {
         Backend::Cpu => return Ok(None),
@@ -85,7 +85,7 @@ impl<'a> Engines<'a> {
     fn make_for_materials<'f>(
         &self,
         materials: &Materials,
-        fields: &'f Fields<'f, Sheets<'f, Materials>>,
+        fields: &'f Fields<'f, Interfaces<'f, Materials>>,
         (set, strata): (ParticleSet, Vec<Stratum>),
     ) -> Result<Box<dyn Engine + 'f>>
     where
@@ -254,10 +254,10 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
             ((set, strata), summary, device)
         }
         Ground::Materials(file) => {
-            let surface = Sheets::new(&file.materials, file.materials.geometry().min_spacing());
+            let surface = Interfaces::new(&file.materials, file.materials.geometry().min_spacing());
             let fields = Fields { surface: &surface, sizing: &sizing };
             let make = |set, strata| engines.make_for_materials(&file.materials, &fields, (set, strata));
-            settle_sheets_with(make, &(first, strata), resumed, &fields, &parameters, &mut observe)?
+            settle_interfaces_with(make, &(first, strata), resumed, &fields, &parameters, &mut observe)?
         }
     };
     let backend = if device.is_some() { "gpu" } else { "cpu" };

@@ -62,14 +62,14 @@ impl Files {
             let way = (DVec3::new(uniform(1, 0, n), uniform(1, 1, n), uniform(1, 2, n)) - 0.5).normalize();
             let (own, radius) = if n % 4 == 0 { ([2, 1], 5.0) } else { ([1, 0], 8.0) };
             let own = own.map(MaterialId);
-            let place = materials.place_on_sheet(own, CENTRE + radius * way, 1.0, 1e-6);
-            let (p, gradient) = place.expect("near its sheet");
+            let place = materials.place_on_interface(own, CENTRE + radius * way, 1.0, 1e-6);
+            let (p, gradient) = place.expect("near its interface");
             set.positions.push(p);
             set.normals.push(gradient.normalize());
             set.sizes.push(1.2);
             set.energies.push(0.0);
             set.lambdas.push(INITIAL_LAMBDA);
-            strata.of.push(Stratum::sheet(own[0], own[1]));
+            strata.of.push(Stratum::interface(own[0], own[1]));
         }
         let note = Value::Null;
         write_particles(&path("one.bin"), ParticleKind::Seeds, &set, &note, &history).expect("written");
@@ -96,14 +96,14 @@ impl Files {
 const ALL: &str = "seeds.bin --distfield m.vti --sizefield h.vti";
 
 #[test]
-fn sheets_are_settled_and_a_broken_run_goes_on() {
+fn interfaces_are_settled_and_a_broken_run_goes_on() {
     let files = Files::new();
     let whole = files.run(&format!("{ALL} -o whole.bin --max-passes 30 --backend cpu"));
     assert!(whole.status.success(), "{}", String::from_utf8_lossy(&whole.stderr));
     let whole = files.particles("whole.bin");
     let strata = whole.strata.as_ref().expect("strata");
     for (radius, own) in [(8.0, [0, 1]), (5.0, [1, 2])] {
-        let on = Stratum::sheet(MaterialId(own[0]), MaterialId(own[1]));
+        let on = Stratum::interface(MaterialId(own[0]), MaterialId(own[1]));
         let of = || whole.particles.positions.iter().zip(&strata.of).filter(|(_, other)| **other == on);
         assert!(of().all(|(p, _)| (p.distance(CENTRE) - radius).abs() < 0.05), "{own:?}");
         let lattice = 4.0 * std::f64::consts::PI * radius * radius / (0.75f64.sqrt() * 1.44);

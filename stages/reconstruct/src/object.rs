@@ -8,7 +8,7 @@ use crate::queue::{self, Reason, Remedy, Simplex};
 use crate::restricted::{Facet, Restricted};
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
-use isoparticles_field::spline::{CubicSpline, FLATTEST};
+use isoparticles_field::spline::{CubicSpline, LEAST_GRADIENT};
 use isoparticles_field::topology::FieldTopology;
 use isoparticles_mesh::components::{DisjointSets, NO_COMPONENT};
 use isoparticles_stage::error::Result;
@@ -242,7 +242,7 @@ impl<'a> Object<'a> {
     fn at_centroid(&self, facet: &Facet) -> (f64, f64) {
         let [a, b, c] = facet.vertices.map(|v| self.points()[v as usize]);
         let (value, gradient) = self.restricted.field().value_gradient((a + b + c) / 3.0);
-        let slope = gradient.length().max(FLATTEST);
+        let slope = gradient.length().max(LEAST_GRADIENT);
         (value.abs() / slope, (b - a).cross(c - a).normalize_or_zero().dot(gradient / slope))
     }
 }

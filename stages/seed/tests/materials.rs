@@ -117,7 +117,7 @@ fn curves_are_even(particles: &ParticleSet, strata: &Strata) {
 }
 
 #[test]
-fn sectors_of_a_ball_are_seeded_from_points_to_sheets() {
+fn sectors_of_a_ball_are_seeded_from_points_to_interfaces() {
     let folder = tempfile::tempdir().expect("folder");
     let materials = sampled(&sectors());
     let (particles, strata, bytes) = seeds(folder.path(), &materials, &["--threads", "1"]);
@@ -154,8 +154,8 @@ fn closed_curves_are_rings_and_every_component_gets_particles() {
     assert!((on_curves as f64 - ring).abs() <= 1.0, "{on_curves} of {ring}");
     assert_eq!(strata.segments.len(), on_curves);
     for (a, b) in [(0, 1), (0, 2), (1, 2), (0, 3)] {
-        let sheet = Stratum::sheet(MaterialId(a), MaterialId(b));
-        assert!(strata.of.iter().filter(|stratum| **stratum == sheet).count() >= 10, "{sheet:?}");
+        let interface = Stratum::interface(MaterialId(a), MaterialId(b));
+        assert!(strata.of.iter().filter(|stratum| **stratum == interface).count() >= 10, "{interface:?}");
     }
 }
 

@@ -9,7 +9,7 @@ use glam::{DMat3, DVec2, DVec3};
 
 /// Minimum cosine between the normals of a sample and of the central sample. Samples below it are
 /// on another part of the surface.
-const SAME_SHEET: f64 = 0.5;
+const SAME_INTERFACE: f64 = 0.5;
 
 /// Minimum number of samples of a patch. A patch has six unknowns.
 const FEWEST: usize = 9;
@@ -113,7 +113,7 @@ impl Samples<'_> {
                 if marks.seen[at] != marks.now {
                     marks.seen[at] = marks.now;
                     let near = self.points[at].distance_squared(self.points[i]) < radius * radius;
-                    if near && self.normals[at].dot(self.normals[i]) > SAME_SHEET {
+                    if near && self.normals[at].dot(self.normals[i]) > SAME_INTERFACE {
                         marks.found.push(to);
                     }
                 }

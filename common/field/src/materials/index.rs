@@ -17,7 +17,7 @@ const NONE: u16 = u16::MAX;
 
 /// Assumed maximum difference, in voxels, between the two indicators at a position on their
 /// interface. Projections leave a far smaller difference.
-pub const ON_SHEET: f64 = 0.01;
+pub const ON_INTERFACE: f64 = 0.01;
 
 /// A material that is known in a brick.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -261,7 +261,7 @@ impl Indicators for Materials {
     }
 
     #[inline(always)]
-    fn is_real_sheet(&self, own: [MaterialId; 2], grid: DVec3) -> bool {
+    fn is_real_interface(&self, own: [MaterialId; 2], grid: DVec3) -> bool {
         let stencil = Stencil::new(&self.geometry, grid);
         let brick = self.brick(&stencil);
         let is_own = |material: u16| material == own[0].0 || material == own[1].0;
@@ -279,7 +279,7 @@ impl Indicators for Materials {
                 Err(inside) => !inside,
             })
         };
-        let limit = own_value().map(|value| value + ON_SHEET * self.voxel());
+        let limit = own_value().map(|value| value + ON_INTERFACE * self.voxel());
         (!is_filled_by_other && limit.is_some_and(is_far)) || self.clearance(grid, &own) > 0.0
     }
 

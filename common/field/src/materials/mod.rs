@@ -5,7 +5,7 @@
 //! Meshing of Surfaces in Multimaterial Volumes, IEEE TVCG 14(6), 2008), with signed distances (mm,
 //! negative inside) as indicators. The material at a position is the material with the smallest
 //! indicator, so there are neither gaps nor overlaps. The two smallest indicators are equal on a
-//! material interface (*sheet* in the code), the three smallest on a *junction curve*, and the four
+//! material interface, the three smallest on a *junction curve*, and the four
 //! smallest at a *junction point*. All three are *strata*.
 //!
 //! [`Indicators`] is the interface for algorithms. [`Materials`] implements it for samples on a
@@ -23,9 +23,9 @@ mod tests;
 
 pub use analytic::{Analytic, ball, half_space, maximum, minimum, negative};
 pub use error::Error;
-pub use index::{Materials, ON_SHEET};
+pub use index::{Materials, ON_INTERFACE};
 pub use indicator::{BLOCK, CELLS, Indicator, IndicatorParts, KNOWN_VOXELS, bricks_along};
-pub use strata::{LEAST_SQUARED_SINE, Sheet};
+pub use strata::{InterfaceFunction, LEAST_SQUARED_SINE};
 pub use stratum::Stratum;
 
 use crate::spline::Jet;
@@ -144,11 +144,11 @@ pub trait Indicators: Sync {
     }
 
     /// Returns the difference G_ij of two indicators as a function.
-    fn sheet(&self, i: MaterialId, j: MaterialId) -> Sheet<'_, Self>
+    fn interface(&self, i: MaterialId, j: MaterialId) -> InterfaceFunction<'_, Self>
     where
         Self: Sized,
     {
-        Sheet { indicators: self, i, j }
+        InterfaceFunction { indicators: self, i, j }
     }
 
     /// Returns G_ij = (F_i - F_j) / 2 in mm, negative where i is nearer, with its gradient and
@@ -171,7 +171,7 @@ pub trait Indicators: Sync {
     /// Returns whether the interface of two materials is real at a position on it, that is, whether
     /// its [`Self::clearance`] is positive.
     #[inline(always)]
-    fn is_real_sheet(&self, own: [MaterialId; 2], grid: DVec3) -> bool {
+    fn is_real_interface(&self, own: [MaterialId; 2], grid: DVec3) -> bool {
         self.clearance(grid, &own) > 0.0
     }
 
@@ -194,29 +194,35 @@ pub trait Indicators: Sync {
     /// [`crate::spline::PROJECTION_STEPS`] steps do not bring the position within `tolerance` (mm)
     /// of the interface, to first order. Does not check whether the two materials have the smallest
     /// indicators at the result ([`Self::clearance`]).
-    fn project_onto_sheet(&self, own: [MaterialId; 2], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
+    fn project_onto_interface(&self, own: [MaterialId; 2], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
             let (value, gradient) = self.difference_gradient(own[0], own[1], p);
-            strata::sheet_step(value, gradient).map(|step| (step, ()))
+            strata::interface_step(value, gradient).map(|step| (step, ()))
         })
         .map(|(p, ())| p)
     }
 
-    /// Projects `start` like [`Self::project_onto_sheet`], and also returns the gradient of G_ij at
-    /// the result. Also returns `None` if the interface is not real there
-    /// ([`Self::is_real_sheet`]).
+    /// Projects `start` like [`Self::project_onto_interface`], and also returns the gradient of
+    /// G_ij at the result. Also returns `None` if the interface is not real there
+    /// ([`Self::is_real_interface`]).
     #[inline(always)]
-    fn place_on_sheet(&self, own: [MaterialId; 2], start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)> {
+    fn place_on_interface(
+        &self,
+        own: [MaterialId; 2],
+        start: DVec3,
+        limit: f64,
+        tolerance: f64,
+    ) -> Option<(DVec3, DVec3)> {
         let place = strata::project(self.voxel(), start, limit, tolerance, |p| {
             let (value, gradient) = self.difference_gradient(own[0], own[1], p);
-            strata::sheet_step(value, gradient).map(|step| (step, gradient))
+            strata::interface_step(value, gradient).map(|step| (step, gradient))
         });
-        place.filter(|&(p, _)| self.is_real_sheet(own, p))
+        place.filter(|&(p, _)| self.is_real_interface(own, p))
     }
 
     /// Projects `start` onto the junction curve of three materials by the Gauss-Newton method on
     /// G_ij = G_ik = 0, with steps of minimum length. `limit` and `tolerance` are as in
-    /// [`Self::project_onto_sheet`]. Also returns `None` if the interfaces are tangent
+    /// [`Self::project_onto_interface`]. Also returns `None` if the interfaces are tangent
     /// ([`LEAST_SQUARED_SINE`]).
     fn project_onto_curve(&self, own: [MaterialId; 3], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
@@ -227,9 +233,9 @@ pub trait Indicators: Sync {
         .map(|(p, ())| p)
     }
 
-    /// Projects `start` onto the junction point of four materials by Newton's method on
-    /// G_ij = G_ik = G_il = 0. `limit` and `tolerance` are as in [`Self::project_onto_sheet`]. Also
-    /// returns `None` if the curves are tangent ([`LEAST_SQUARED_SINE`]).
+    /// Projects `start` onto the junction point of four materials by Newton's method on G_ij = G_ik
+    /// = G_il = 0. `limit` and `tolerance` are as in [`Self::project_onto_interface`]. Also returns
+    /// `None` if the curves are tangent ([`LEAST_SQUARED_SINE`]).
     fn project_onto_point(&self, own: [MaterialId; 4], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
             let [first, others @ ..] = own.map(|id| self.value_gradient(id, p));

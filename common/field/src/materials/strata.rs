@@ -14,7 +14,7 @@ pub const LEAST_SQUARED_SINE: f64 = 1e-4;
 /// is nearer. It is zero on the interface of the two materials. The interface is real where no
 /// third material is nearer.
 #[derive(Debug)]
-pub struct Sheet<'a, I: ?Sized> {
+pub struct InterfaceFunction<'a, I: ?Sized> {
     pub(super) indicators: &'a I,
     /// The material on the negative side.
     pub i: MaterialId,
@@ -22,7 +22,7 @@ pub struct Sheet<'a, I: ?Sized> {
     pub j: MaterialId,
 }
 
-impl<I: Indicators + ?Sized> Sheet<'_, I> {
+impl<I: Indicators + ?Sized> InterfaceFunction<'_, I> {
     /// Returns G_ij and its gradient at a grid position.
     pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         self.indicators.difference_gradient(self.i, self.j, grid)
@@ -33,9 +33,9 @@ impl<I: Indicators + ?Sized> Sheet<'_, I> {
         self.indicators.difference(self.i, self.j, grid)
     }
 
-    /// Projects `start` onto the interface ([`Indicators::project_onto_sheet`]).
+    /// Projects `start` onto the interface ([`Indicators::project_onto_interface`]).
     pub fn project(&self, start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
-        self.indicators.project_onto_sheet([self.i, self.j], start, limit, tolerance)
+        self.indicators.project_onto_interface([self.i, self.j], start, limit, tolerance)
     }
 
     /// Returns the clearance of the interface at a position in mm ([`Indicators::clearance`]).
@@ -84,7 +84,7 @@ fn is_steep(squared: f64) -> bool {
 
 /// Returns the Newton step onto G = 0 along the gradient of G.
 #[inline(always)]
-pub(super) fn sheet_step(value: f64, gradient: DVec3) -> Option<DVec3> {
+pub(super) fn interface_step(value: f64, gradient: DVec3) -> Option<DVec3> {
     let squared = gradient.length_squared();
     (is_steep(squared) && value.is_finite()).then(|| gradient * (-value / squared))
 }

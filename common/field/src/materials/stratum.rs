@@ -32,8 +32,8 @@ impl Stratum {
     ///
     /// # Panics
     /// If the materials are the same.
-    pub fn sheet(a: MaterialId, b: MaterialId) -> Self {
-        assert_ne!(a, b, "a material has no sheet with itself");
+    pub fn interface(a: MaterialId, b: MaterialId) -> Self {
+        assert_ne!(a, b, "a material has no interface with itself");
         Self { ids: [a.min(b), a.max(b), NONE, NONE] }
     }
 
@@ -119,10 +119,10 @@ mod tests {
 
     #[test]
     fn lower_strata_lie_on_those_whose_materials_they_have() {
-        let (sheet, curve, point) = (stratum(&[0, 3]), stratum(&[0, 3, 7]), stratum(&[0, 2, 3, 9]));
-        let [sheet, curve, point] = [sheet, curve, point].map(|stratum| stratum.expect("valid"));
-        assert_eq!(sheet, Stratum::sheet(MaterialId(3), MaterialId(0)));
-        assert!(curve.is_on(&sheet) && point.is_on(&sheet) && sheet.is_on(&sheet));
-        assert!(!sheet.is_on(&curve) && !point.is_on(&curve));
+        let (interface, curve, point) = (stratum(&[0, 3]), stratum(&[0, 3, 7]), stratum(&[0, 2, 3, 9]));
+        let [interface, curve, point] = [interface, curve, point].map(|stratum| stratum.expect("valid"));
+        assert_eq!(interface, Stratum::interface(MaterialId(3), MaterialId(0)));
+        assert!(curve.is_on(&interface) && point.is_on(&interface) && interface.is_on(&interface));
+        assert!(!interface.is_on(&curve) && !point.is_on(&curve));
     }
 }

@@ -112,7 +112,7 @@ fn indicators_are_known_wherever_their_border_is_near() {
 }
 
 #[test]
-fn sheets_are_met_to_second_order() {
+fn interfaces_are_met_to_second_order() {
     let analytic = nested(CENTRE);
     let worst = |materials: &dyn Indicators| {
         let mut worst = 0.0f64;
@@ -120,7 +120,7 @@ fn sheets_are_met_to_second_order() {
             let way = (place(n) - DVec3::splat(12.0)).normalize();
             for (own, radius) in [([IDS[0], IDS[1]], 9.0), ([IDS[1], IDS[2]], 5.0)] {
                 let start = CENTRE + way * (radius + 0.7 * (uniform(4, 0, n) - 0.5));
-                let p = materials.project_onto_sheet(own, start, 1.0, 1e-9).expect("near the sheet");
+                let p = materials.project_onto_interface(own, start, 1.0, 1e-9).expect("near the interface");
                 worst = worst.max((p.distance(CENTRE) - radius).abs());
                 assert!(materials.clearance(p, &own) > 0.0);
                 assert!(materials.clearance(p, &[IDS[0], IDS[2]]) < 0.0);
@@ -136,14 +136,14 @@ fn sheets_are_met_to_second_order() {
 #[test]
 fn differences_have_the_derivatives_that_they_say() {
     let materials = sampled(&balls(CENTRE), 1.0);
-    let sheet = materials.sheet(IDS[0], IDS[2]);
+    let interface = materials.interface(IDS[0], IDS[2]);
     for n in 0..50 {
         let p = CENTRE + 0.05 * (place(n) - DVec3::splat(12.0));
-        let jet = sheet.jet(p);
-        assert!((sheet.value_gradient(p).0 - jet.value).abs() < 1e-14);
+        let jet = interface.jet(p);
+        assert!((interface.value_gradient(p).0 - jet.value).abs() < 1e-14);
         for axis in 0..3 {
             let step = DVec3::AXES[axis] * 1e-4;
-            let (up, down) = (sheet.jet(p + step), sheet.jet(p - step));
+            let (up, down) = (interface.jet(p + step), interface.jet(p - step));
             assert!(((up.value - down.value) / 2e-4 - jet.gradient[axis]).abs() < 1e-6);
             assert!(((up.gradient - down.gradient) / 2e-4 - jet.hessian.col(axis)).length() < 1e-4);
         }
@@ -204,11 +204,11 @@ fn what_is_not_near_is_not_met() {
     let analytic = nested(CENTRE);
     let materials = sampled(&analytic, 0.5);
     // the centre is far from the outside
-    assert_eq!(materials.project_onto_sheet([IDS[0], IDS[1]], CENTRE, 30.0, 1e-6), None);
+    assert_eq!(materials.project_onto_interface([IDS[0], IDS[1]], CENTRE, 30.0, 1e-6), None);
     // the interface is 1 mm from the start
     let start = CENTRE + DVec3::X * 10.0;
-    assert!(materials.project_onto_sheet([IDS[0], IDS[1]], start, 1.2, 1e-6).is_some());
-    assert_eq!(materials.project_onto_sheet([IDS[0], IDS[1]], start, 0.8, 1e-6), None);
+    assert!(materials.project_onto_interface([IDS[0], IDS[1]], start, 1.2, 1e-6).is_some());
+    assert_eq!(materials.project_onto_interface([IDS[0], IDS[1]], start, 0.8, 1e-6), None);
     // concentric interfaces have no curve in common
     assert_eq!(analytic.project_onto_curve([IDS[0], IDS[1], IDS[2]], start, 5.0, 1e-6), None);
     assert_eq!(materials.clearance(CENTRE, &[IDS[0], IDS[2]]), f64::NEG_INFINITY);
@@ -268,20 +268,20 @@ fn the_nearest_are_kept_in_order() {
 }
 
 #[test]
-fn sheets_are_real_where_their_clearance_is_positive() {
+fn interfaces_are_real_where_their_clearance_is_positive() {
     let analytic = sectors(CENTRE);
     let materials = sampled(&analytic, 0.75);
     let (mut real, mut not) = (0, 0);
     for n in 0..4000 {
         let start = place(n);
         for own in [[IDS[1], IDS[0]], [IDS[2], IDS[1]], [IDS[3], IDS[2]]] {
-            let Some(p) = materials.project_onto_sheet(own, start, 1.0, 1e-6) else { continue };
+            let Some(p) = materials.project_onto_interface(own, start, 1.0, 1e-6) else { continue };
             let is_real = materials.clearance(p, &own) > 0.0;
-            assert_eq!(materials.is_real_sheet(own, p), is_real, "{own:?} at {p}");
+            assert_eq!(materials.is_real_interface(own, p), is_real, "{own:?} at {p}");
             let (value, gradient) = materials.difference_gradient(own[0], own[1], p);
             let [a, b] = own.map(|id| materials.value_gradient(id, p));
             assert!((value - 0.5 * (a.0 - b.0)).abs() < 1e-12 && (gradient - 0.5 * (a.1 - b.1)).length() < 1e-12);
-            assert_eq!(materials.place_on_sheet(own, start, 1.0, 1e-6), is_real.then_some((p, gradient)));
+            assert_eq!(materials.place_on_interface(own, start, 1.0, 1e-6), is_real.then_some((p, gradient)));
             if is_real { real += 1 } else { not += 1 }
         }
     }

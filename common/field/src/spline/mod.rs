@@ -152,13 +152,13 @@ impl CubicSpline {
 
 /// Minimum gradient length used as a divisor. A shorter gradient does not determine a distance; the
 /// limit keeps the estimate finite where F is flat.
-pub const FLATTEST: f64 = 1e-12;
+pub const LEAST_GRADIENT: f64 = 1e-12;
 
 /// Returns the first-order distance in mm from F = 0 of a point with the given value and gradient
 /// of F: F / |grad F| (Taubin 1994), negative inside. The estimate is exact where F is linear or a
 /// distance. Elsewhere its error is of second order in the distance.
 pub fn distance_estimate(value: f64, gradient: DVec3) -> f64 {
-    value / gradient.length().max(FLATTEST)
+    value / gradient.length().max(LEAST_GRADIENT)
 }
 
 #[cfg(test)]

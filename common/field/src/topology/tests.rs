@@ -145,7 +145,7 @@ fn sizes_are_those_of_the_shapes() {
 }
 
 #[test]
-fn points_belong_to_the_sheet_that_they_lie_on() {
+fn points_belong_to_the_interface_that_they_lie_on() {
     for scene in [two_balls(), shell(), gyroid()] {
         let topology = scene.topology();
         for component in 0..topology.components().len() as u32 {
@@ -289,8 +289,8 @@ fn a_dome_through_a_face_between_cell_sizes_stays_connected() {
 
 /// A speck of the given radius, optionally with a second surface at a distance of 1.3 voxels.
 /// Splines reproduce cubic functions, and the effect of the grid border has decayed.
-fn speck(radius: f64, has_sheet: bool) -> FieldTopology {
-    cubic(radius, if has_sheet { 0.3 } else { 0.0 })
+fn speck(radius: f64, has_interface: bool) -> FieldTopology {
+    cubic(radius, if has_interface { 0.3 } else { 0.0 })
 }
 
 fn cubic(radius: f64, bend: f64) -> FieldTopology {

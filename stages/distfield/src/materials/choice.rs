@@ -16,7 +16,7 @@ const MOST_LISTED: usize = 40;
 
 /// One `--material` option. [`resolve`] converts it to labels of a volume.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Choice {
+pub enum MaterialChoice {
     /// One material for each label except 0 that no other choice specifies.
     All,
     /// The label that has this name in the file.
@@ -25,7 +25,7 @@ pub enum Choice {
     Labels(String, Vec<Selection>),
 }
 
-impl FromStr for Choice {
+impl FromStr for MaterialChoice {
     type Err = String;
 
     fn from_str(text: &str) -> std::result::Result<Self, String> {
@@ -50,7 +50,7 @@ impl FromStr for Choice {
     }
 }
 
-impl std::fmt::Display for Choice {
+impl std::fmt::Display for MaterialChoice {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::All => f.write_str("all"),
@@ -80,10 +80,10 @@ impl Chosen {
 
 /// Returns the names of the materials, the outside first. The list is empty without choices.
 /// Returns `None` if a choice is `all`, because its names depend on the volume.
-pub fn names(choices: &[Choice]) -> Option<Vec<String>> {
-    let name = |choice: &Choice| match choice {
-        Choice::All => None,
-        Choice::Named(name) | Choice::Labels(name, _) => Some(name.clone()),
+pub fn names(choices: &[MaterialChoice]) -> Option<Vec<String>> {
+    let name = |choice: &MaterialChoice| match choice {
+        MaterialChoice::All => None,
+        MaterialChoice::Named(name) | MaterialChoice::Labels(name, _) => Some(name.clone()),
     };
     let outside = (!choices.is_empty()).then(|| OUTSIDE.to_owned()).map(Some);
     outside.into_iter().chain(choices.iter().map(name)).collect()
@@ -94,15 +94,15 @@ pub fn names(choices: &[Choice]) -> Option<Vec<String>> {
 /// # Errors
 /// If a label or name is not in the volume, a name is given twice, a label belongs to two
 /// materials, or the number of materials is 0 or too large.
-pub fn resolve(choices: &[Choice], volume: &Volume) -> Result<Chosen> {
+pub fn resolve(choices: &[MaterialChoice], volume: &Volume) -> Result<Chosen> {
     let present = volume.label_set()?;
     let mut named: Vec<Material> = Vec::new();
     let mut number: BTreeMap<LayerLabel, u16> = BTreeMap::new();
     for choice in choices {
         let (name, labels) = match choice {
-            Choice::All => continue,
-            Choice::Named(name) => (name, vec![of_name(name, volume, &present)?]),
-            Choice::Labels(name, selections) => {
+            MaterialChoice::All => continue,
+            MaterialChoice::Named(name) => (name, vec![of_name(name, volume, &present)?]),
+            MaterialChoice::Labels(name, selections) => {
                 let mut labels = Vec::new();
                 for selection in selections {
                     labels.extend(selection.resolve(volume)?);
@@ -137,7 +137,7 @@ pub fn resolve(choices: &[Choice], volume: &Volume) -> Result<Chosen> {
         }
         named.push(Material { name: name.clone(), labels: own });
     }
-    if choices.contains(&Choice::All) {
+    if choices.contains(&MaterialChoice::All) {
         for &label in present.iter().filter(|at| at.label != 0) {
             if number.contains_key(&label) {
                 continue;
@@ -223,7 +223,7 @@ mod tests {
     }
 
     fn table(choices: &[&str]) -> Result<Vec<(String, Vec<i64>)>> {
-        let choices: Vec<Choice> = choices.iter().map(|text| text.parse().expect(text)).collect();
+        let choices: Vec<MaterialChoice> = choices.iter().map(|text| text.parse().expect(text)).collect();
         let chosen = resolve(&choices, &volume())?;
         let labels = |material: &Material| material.labels.iter().map(|at| at.label).collect();
         Ok(chosen.table.iter().map(|material| (material.name.clone(), labels(material))).collect())
@@ -260,8 +260,8 @@ mod tests {
             assert!(error.what.contains(what) && error.next.contains(next), "{choices:?}: {error}");
         }
         for text in ["", "=3", "outside=3", "a=", "a=1++2"] {
-            assert!(text.parse::<Choice>().is_err(), "{text}");
+            assert!(text.parse::<MaterialChoice>().is_err(), "{text}");
         }
-        assert_eq!("a= 1 + 2".parse::<Choice>().expect("a choice").to_string(), "a=1+2");
+        assert_eq!("a= 1 + 2".parse::<MaterialChoice>().expect("a choice").to_string(), "a=1+2");
     }
 }

@@ -1,4 +1,4 @@
-//! Contacts: corrects the indicators so that materials touch exactly where their nodes do.
+//! ContactReport: corrects the indicators so that materials touch exactly where their nodes do.
 //!
 //! Each indicator is computed separately and recedes where its material protrudes by a voxel. At a
 //! hole of one voxel in a thin layer, the materials on both sides recede, so the indicator of the
@@ -70,7 +70,7 @@ const MOST_ROUNDS: usize = 40;
 
 /// Report of the contacts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Contacts {
+pub struct ContactReport {
     /// Number of pairs of a midpoint and a material that no corner has, where the indicator of the
     /// material came too close before the raises.
     pub crossed: usize,
@@ -100,17 +100,17 @@ fn owners(materials: &Materials) -> Vec<u16> {
 ///
 /// # Errors
 /// If the run is interrupted.
-pub fn keep_contacts(materials: &mut Materials, is_scaled: bool, monitor: &dyn Monitor) -> Result<Contacts> {
+pub fn keep_contacts(materials: &mut Materials, is_scaled: bool, monitor: &dyn Monitor) -> Result<ContactReport> {
     if materials.table().len() < 3 {
-        return Ok(Contacts::default());
+        return Ok(ContactReport::default());
     }
     let _step = monitor.phase("contacts");
     let owners = &owners(materials)[..];
     let size = materials.geometry().size;
-    let places = Places::of(materials, owners, CLEARANCE[usize::from(is_scaled)] * materials.voxel());
+    let places = GridElements::of(materials, owners, CLEARANCE[usize::from(is_scaled)] * materials.voxel());
     let mut lacks = places.lacking(materials, owners, |_| true);
     let undecided = lacks.iter().filter(|lack| lack.is_undecided).count();
-    let mut contacts = Contacts { crossed: lacks.len() - undecided, undecided, ..Contacts::default() };
+    let mut contacts = ContactReport { crossed: lacks.len() - undecided, undecided, ..ContactReport::default() };
     // total raise per material and node
     let mut raised: BTreeMap<(MaterialId, [usize; 3]), f64> = BTreeMap::new();
     let most = MOST_RAISE * materials.voxel();
@@ -166,7 +166,7 @@ fn bricks_near(node: [usize; 3], size: [usize; 3]) -> impl Iterator<Item = usize
 /// An edge, face or cell of the grid, given by its first corner (x fastest) and one bit per axis
 /// that it extends along.
 #[derive(Clone, Copy)]
-struct Place {
+struct GridElement {
     node: usize,
     axes: u8,
     /// The corner that decides an open contact ([`Corners::deciding`]). It is chosen before any
@@ -195,7 +195,7 @@ struct Corners {
 }
 
 impl Corners {
-    fn of(place: Place, owners: &[u16], geometry: &Geometry) -> Self {
+    fn of(place: GridElement, owners: &[u16], geometry: &Geometry) -> Self {
         let [nx, ny, _] = geometry.size;
         let n = place.node;
         let first = [n % nx, n / nx % ny, n / (nx * ny)];
@@ -266,15 +266,15 @@ impl Corners {
 }
 
 /// The edges, faces and cells where an indicator may come too close, grouped by brick.
-struct Places {
+struct GridElements {
     /// Required margin, mm.
     clearance: f64,
-    all: Vec<Place>,
+    all: Vec<GridElement>,
     /// Bricks that store several indicators, each with the end of its range in `all`.
     bricks: Vec<(usize, usize)>,
 }
 
-impl Places {
+impl GridElements {
     fn of(materials: &Materials, owners: &[u16], clearance: f64) -> Self {
         let geometry = materials.geometry();
         let (size, bricks) = (geometry.size, bricks_along(geometry.size));
@@ -293,19 +293,19 @@ impl Places {
                     if (0..3).any(|a| node[a] + usize::from(axes >> a & 1) >= size[a]) {
                         continue;
                     }
-                    let place = Place { node: geometry.linear(node[0], node[1], node[2]), axes, deciding: 0 };
+                    let place = GridElement { node: geometry.linear(node[0], node[1], node[2]), axes, deciding: 0 };
                     let corners = Corners::of(place, owners, geometry);
                     let is_open = corners.are_open();
                     if !corners.are_of_one() && (is_open || known.iter().any(|&id| !corners.has(id))) {
                         let deciding = if is_open { corners.deciding(materials) } else { 0 };
-                        places.push(Place { deciding, ..place });
+                        places.push(GridElement { deciding, ..place });
                     }
                 }
             }
             (brick, places)
         };
         let of_many = (0..materials.fill().len()).into_par_iter().filter(|&n| materials.known_in(n).len() > 1);
-        let found: Vec<(usize, Vec<Place>)> = of_many.map(of_brick).collect();
+        let found: Vec<(usize, Vec<GridElement>)> = of_many.map(of_brick).collect();
         let mut own = Self { clearance, all: Vec::new(), bricks: Vec::new() };
         for (brick, places) in found {
             own.all.extend(places);
@@ -335,7 +335,7 @@ impl Places {
 /// Finds the indicators that come too close at an edge, face or cell. `known` lists the materials
 /// whose indicators are stored in its brick.
 fn lacking_at(
-    place: Place,
+    place: GridElement,
     clearance: f64,
     (materials, owners): (&Materials, &[u16]),
     known: &[MaterialId],

@@ -6,7 +6,7 @@
 //! [`keep_contacts`] then corrects the indicators where several materials meet.
 
 use super::choice::Chosen;
-use super::contacts::{Contacts, keep_contacts};
+use super::contacts::{ContactReport, keep_contacts};
 use super::grid::{Extent, LabelGrid};
 use super::scaled::{Levels, Made};
 use crate::changes::Changes;
@@ -65,7 +65,7 @@ pub struct Extracted {
     /// Measurements of each material, by number.
     pub tallies: Vec<Tally>,
     /// Report of the contacts.
-    pub contacts: Contacts,
+    pub contacts: ContactReport,
 }
 
 /// Hides the progress counters of single materials; phases and interrupts pass through.

@@ -16,6 +16,6 @@ pub mod program;
 pub mod scaled;
 pub mod survey;
 
-pub use choice::Choice;
+pub use choice::MaterialChoice;
 pub use extract::{Extracted, MaterialOptions, Tally, extract};
 pub use grid::LabelGrid;

@@ -2,7 +2,7 @@
 //! report, and runs the checks.
 
 use super::choice::{Chosen, resolve};
-use super::contacts::Contacts;
+use super::contacts::ContactReport;
 use super::extract::{Extracted, MaterialOptions, Quiet, Tally, extract};
 use super::grid::LabelGrid;
 use super::islands::remove_islands;
@@ -64,7 +64,7 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     context.report("voxels_changed", changed);
     context.report("state_bytes", materials.bytes());
     describe(&materials, &tallies, &found, context);
-    let Contacts { crossed, undecided, raised, left, near } = contacts;
+    let ContactReport { crossed, undecided, raised, left, near } = contacts;
     context.summary(
         "contacts to correct, open decisions",
         format!("{crossed}, {undecided} ({raised} samples raised, {near} margins still too small)"),

@@ -31,7 +31,7 @@ pub struct Interface {
 /// Numbers of junctions, where three or more materials meet, counted from the materials of the
 /// nodes. Junction curves cross grid faces; junction points lie in grid cells.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Junctions {
+pub struct JunctionCounts {
     /// Number of grid faces with three materials at the corners.
     pub edges_of_three: usize,
     /// Number of grid faces with four materials at the corners.
@@ -55,8 +55,8 @@ pub struct Survey {
     pub volumes: Vec<f64>,
     /// The pairs of materials that touch.
     pub interfaces: Vec<Interface>,
-    /// Junctions where more than two materials meet.
-    pub junctions: Junctions,
+    /// JunctionCounts where more than two materials meet.
+    pub junctions: JunctionCounts,
 }
 
 /// Returns the distance (mm) from an interface within which both of its indicators are known.
@@ -69,7 +69,7 @@ pub fn distance_limit(geometry: &Geometry) -> f64 {
 struct Sums {
     /// Area (mm^2) and number of crossings of each pair of materials.
     pairs: BTreeMap<[MaterialId; 2], (f64, usize)>,
-    junctions: Junctions,
+    junctions: JunctionCounts,
 }
 
 /// Surveys the nodes of the padded grid and the edges between them.

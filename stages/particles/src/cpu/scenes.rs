@@ -26,7 +26,7 @@ pub(crate) struct Body {
     pub sizing: SizingField,
     pub seeds: OnStrata,
     /// Interfaces, each with its area (mm^2) and the length of its border (mm).
-    pub sheets: Vec<(Stratum, f64, f64)>,
+    pub interfaces: Vec<(Stratum, f64, f64)>,
 }
 
 /// Returns the stratum of the given materials.
@@ -51,7 +51,7 @@ impl Body {
         h: f64,
         points: &[(Stratum, DVec3)],
         curves: &[Curve],
-        sheets: Vec<(Stratum, f64, f64)>,
+        interfaces: Vec<(Stratum, f64, f64)>,
         count: usize,
     ) -> Self {
         let geometry = Geometry::axis_aligned([25; 3], DVec3::ONE);
@@ -82,20 +82,20 @@ impl Body {
             strata.segments.push([last, curve.ends[1]]);
         }
         let mut tried = 0;
-        let mut on_sheets = 0;
-        while on_sheets < count {
+        let mut on_interfaces = 0;
+        while on_interfaces < count {
             tried += 1;
             let random = |stream| 2.4 * (uniform(5, stream, tried) - 0.5) * RADIUS;
             let start = CENTRE + DVec3::new(random(0), random(1), random(2));
             let near = indicators.near(start);
             if let &[(a, _), (b, _), ..] = near.entries()
-                && let Some((p, gradient)) = indicators.place_on_sheet([a.max(b), a.min(b)], start, 0.5, 1e-7)
+                && let Some((p, gradient)) = indicators.place_on_interface([a.max(b), a.min(b)], start, 0.5, 1e-7)
             {
-                add(Stratum::sheet(a, b), p, gradient.normalize());
-                on_sheets += 1;
+                add(Stratum::interface(a, b), p, gradient.normalize());
+                on_interfaces += 1;
             }
         }
-        Self { indicators, sizing, seeds: (set, strata), sheets }
+        Self { indicators, sizing, seeds: (set, strata), interfaces }
     }
 
     /// Returns the same indicators sampled on the grid of h.
@@ -116,7 +116,7 @@ impl Body {
         let count = |area: f64, border: f64| {
             area / (0.75f64.sqrt() * h * h) - border / (2.0 * h) + if border > 0.0 { 1.0 } else { 0.0 }
         };
-        self.sheets.iter().map(|&(on, area, border)| (on, count(area, border))).collect()
+        self.interfaces.iter().map(|&(on, area, border)| (on, count(area, border))).collect()
     }
 }
 
@@ -125,8 +125,9 @@ impl Body {
 pub(crate) fn nested(h: f64, count: usize) -> Body {
     let shell = maximum(ball(CENTRE, RADIUS), negative(ball(CENTRE, 5.0)));
     let indicators = Analytic::new(vec![negative(ball(CENTRE, RADIUS)), shell, ball(CENTRE, 5.0)], 1.0);
-    let sheets = vec![(stratum(&[0, 1]), 4.0 * PI * RADIUS * RADIUS, 0.0), (stratum(&[1, 2]), 4.0 * PI * 25.0, 0.0)];
-    Body::new(indicators, h, &[], &[], sheets, count)
+    let interfaces =
+        vec![(stratum(&[0, 1]), 4.0 * PI * RADIUS * RADIUS, 0.0), (stratum(&[1, 2]), 4.0 * PI * 25.0, 0.0)];
+    Body::new(indicators, h, &[], &[], interfaces, count)
 }
 
 /// Returns a ball cut into three sectors of 120 degrees around an axis parallel to z. The axis and
@@ -148,7 +149,7 @@ pub(crate) fn sectors(h: f64, count: usize) -> Body {
         ends: [0, 1],
         place: Box::new(|share| CENTRE + RADIUS * (1.0 - 2.0 * share) * DVec3::Z),
     }];
-    let mut sheets = Vec::new();
+    let mut interfaces = Vec::new();
     // plane n lies between sector n - 1 and sector n
     for (n, turn) in turns.into_iter().enumerate() {
         let sides = [(n + 2) as u16 % 3 + 1, n as u16 + 1];
@@ -159,10 +160,10 @@ pub(crate) fn sectors(h: f64, count: usize) -> Body {
             ends: [0, 1],
             place: Box::new(move |share| CENTRE + RADIUS * ((PI * share).cos() * DVec3::Z + (PI * share).sin() * out)),
         });
-        sheets.push((stratum(&sides), 0.5 * PI * RADIUS * RADIUS, (2.0 + PI) * RADIUS));
-        sheets.push((stratum(&[0, n as u16 + 1]), 4.0 / 3.0 * PI * RADIUS * RADIUS, 2.0 * PI * RADIUS));
+        interfaces.push((stratum(&sides), 0.5 * PI * RADIUS * RADIUS, (2.0 + PI) * RADIUS));
+        interfaces.push((stratum(&[0, n as u16 + 1]), 4.0 / 3.0 * PI * RADIUS * RADIUS, 2.0 * PI * RADIUS));
     }
-    Body::new(indicators, h, &points, &curves, sheets, count)
+    Body::new(indicators, h, &points, &curves, interfaces, count)
 }
 
 /// Returns a ball cut into four regions that meet at its centre. Each region surrounds the
@@ -181,7 +182,7 @@ pub(crate) fn corners(h: f64, count: usize) -> Body {
     let ray = |without: usize| -ways[without].normalize();
     let others = |without: &[usize]| (0..4).filter(|n| !without.contains(n)).map(|n| n as u16 + 1).collect::<Vec<_>>();
     let mut points = vec![(stratum(&[1, 2, 3, 4]), CENTRE)];
-    let (mut curves, mut sheets) = (Vec::new(), Vec::new());
+    let (mut curves, mut interfaces) = (Vec::new(), Vec::new());
     for n in 0..4 {
         points.push((stratum(&[&[0], others(&[n]).as_slice()].concat()), CENTRE + RADIUS * ray(n)));
         let out = ray(n);
@@ -206,9 +207,9 @@ pub(crate) fn corners(h: f64, count: usize) -> Body {
                     CENTRE + RADIUS * (part(1.0 - share) * from + part(share) * to)
                 }),
             });
-            sheets.push((stratum(&sides), 0.5 * angle * RADIUS * RADIUS, (2.0 + angle) * RADIUS));
+            interfaces.push((stratum(&sides), 0.5 * angle * RADIUS * RADIUS, (2.0 + angle) * RADIUS));
         }
-        sheets.push((stratum(&[0, c as u16 + 1]), PI * RADIUS * RADIUS, 3.0 * angle * RADIUS));
+        interfaces.push((stratum(&[0, c as u16 + 1]), PI * RADIUS * RADIUS, 3.0 * angle * RADIUS));
     }
-    Body::new(indicators, h, &points, &curves, sheets, count)
+    Body::new(indicators, h, &points, &curves, interfaces, count)
 }

@@ -10,9 +10,9 @@ use isoparticles_field::energy::{ideal_energy, pair_energy, scaled_distance};
 use isoparticles_stage::error::Error;
 
 fn settled(body: &Body, parameters: &Parameters) -> (OnStrata, Summary) {
-    let surface = Sheets::new(&body.indicators, 1.0);
+    let surface = Interfaces::new(&body.indicators, 1.0);
     let fields = Fields { surface: &surface, sizing: &body.sizing };
-    settle_sheets(&body.seeds, None, &fields, parameters, |_, _| Ok(())).expect("settled")
+    settle_interfaces(&body.seeds, None, &fields, parameters, |_, _| Ok(())).expect("settled")
 }
 
 fn parameters() -> Parameters {
@@ -32,7 +32,7 @@ fn nearest((set, strata): &OnStrata, i: usize, counts: impl Fn(usize) -> bool) -
 }
 
 #[test]
-fn sheets_are_filled_to_their_borders_and_nobody_crosses_them() {
+fn interfaces_are_filled_to_their_borders() {
     for (name, body) in [
         ("nested balls", nested(1.0, 900)),
         ("sectors", sectors(1.0, 700)),
@@ -131,7 +131,7 @@ fn energy_of((set, strata): &OnStrata, i: usize, place: DVec3) -> f64 {
 #[test]
 fn forces_on_materials_are_derivatives_of_the_energy() {
     let body = corners(1.0, 500);
-    let surface = Sheets::new(&body.indicators, 1.0);
+    let surface = Interfaces::new(&body.indicators, 1.0);
     let fields = Fields { surface: &surface, sizing: &body.sizing };
     let (set, strata) = &body.seeds;
     let mut state = State::unlisted(set.clone(), 0.0).on(strata.of.clone());
@@ -170,7 +170,7 @@ fn forces_on_materials_are_derivatives_of_the_energy() {
 #[test]
 fn newcomers_keep_their_distance_on_their_interface() {
     let body = sectors(1.0, 150);
-    let surface = Sheets::new(&body.indicators, 1.0);
+    let surface = Interfaces::new(&body.indicators, 1.0);
     let fields = Fields { surface: &surface, sizing: &body.sizing };
     let (set, strata) = body.seeds.clone();
     let mut state = State::unlisted(set, 0.0).on(strata.of).in_order();
@@ -194,7 +194,7 @@ fn newcomers_keep_their_distance_on_their_interface() {
 }
 
 #[test]
-fn particles_off_their_sheet_are_removed() {
+fn particles_off_their_interface_are_removed() {
     let mut body = sectors(1.0, 700);
     let count = body.seeds.1.of.len();
     // one point beyond the axis, where the plane between two sectors lies in the third sector, and
@@ -218,7 +218,7 @@ fn particles_off_their_sheet_are_removed() {
 #[test]
 fn materials_settle_alike_on_any_threads_and_after_resume() {
     let body = corners(0.8, 900);
-    let surface = Sheets::new(&body.indicators, 1.0);
+    let surface = Interfaces::new(&body.indicators, 1.0);
     let parameters = Parameters { max_passes: 33, ..parameters() };
     let in_pool = |threads: usize, resumed: Option<(OnStrata, &[PassRecord])>, keep_at: u64| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
@@ -226,7 +226,7 @@ fn materials_settle_alike_on_any_threads_and_after_resume() {
         let mut kept = None;
         let fields = Fields { surface: &surface, sizing: &body.sizing };
         let whole = pool.install(|| {
-            settle_sheets(&body.seeds, resumed, &fields, &parameters, |record, engine| {
+            settle_interfaces(&body.seeds, resumed, &fields, &parameters, |record, engine| {
                 records.push(*record);
                 if record.pass == keep_at {
                     let strata = Strata { of: engine.strata().to_vec(), segments: body.seeds.1.segments.clone() };

@@ -49,7 +49,7 @@ impl fmt::Display for AdapterSummary {
 
 /// Criteria for the selection of an adapter.
 #[derive(Clone, Debug, Default)]
-pub struct Choice {
+pub struct AdapterChoice {
     /// Part of the adapter's name, case-insensitive. Without a name the first GPU is selected, and
     /// discrete GPUs are preferred. Software renderers are selected only by name.
     pub name: Option<String>,
@@ -131,7 +131,7 @@ impl Gpu {
     ///
     /// # Errors
     /// If there is no such adapter or if it cannot be opened; the exit code is 3.
-    pub fn open(choice: &Choice) -> Result<Self> {
+    pub fn open(choice: &AdapterChoice) -> Result<Self> {
         let instance = instance();
         let all = found(&instance);
         let listed = || {

@@ -3,7 +3,7 @@
 //! error in naga.
 
 use super::commands::ROW;
-use super::differences::{INDEX_BRICKS, MORE_SHEETS, NEVER_REAL};
+use super::differences::{INDEX_BRICKS, MORE_INTERFACES, NEVER_REAL};
 use super::parameters::MOST_LEVELS;
 use super::shaders::Variant;
 use crate::constants::{
@@ -174,7 +174,7 @@ pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
         HELD_CODE,
         NO_BRICK,
         INDEX_BRICKS,
-        MORE_SHEETS,
+        MORE_INTERFACES,
         NEVER_REAL,
         CHECKS_PASS,
         CHECKS_FAIL,

@@ -14,8 +14,8 @@
 //! - Group 0: index of the first stratum, and three unused words.
 //! - From [`INDEX_BRICKS`]: one entry for each brick of the grid, with x varying fastest. An entry
 //!   contains two pairs, the most likely first. A pair is the number of an interface (or
-//!   [`NO_SHEET`]) and the index of its record. If the brick has more than two interfaces, the
-//!   second pair is [`MORE_SHEETS`] and the index of the next entry.
+//!   [`NO_INTERFACE`]) and the index of its record. If the brick has more than two interfaces, the
+//!   second pair is [`MORE_INTERFACES`] and the index of the next entry.
 //! - The additional entries.
 //! - Records of four groups each. Groups 0 and 1: the blocks, with x varying fastest. Group 2: two
 //!   bit masks of two words each for the 64 cells of the brick. The first marks the cells where
@@ -27,15 +27,17 @@
 //!   mask where the third material is not known lies inside that material.
 //! - Strata: the four materials of each stratum, padded with 65535.
 
-use isoparticles_field::materials::{BLOCK, CELLS, Indicator, Indicators, MaterialId, Materials, ON_SHEET, Stratum};
+use isoparticles_field::materials::{
+    BLOCK, CELLS, Indicator, Indicators, MaterialId, Materials, ON_INTERFACE, Stratum,
+};
 use rayon::prelude::*;
 
 /// Index of the first brick entry.
 pub(crate) const INDEX_BRICKS: usize = 1;
 /// Marks an empty pair of an entry.
-const NO_SHEET: u32 = u32::MAX;
+const NO_INTERFACE: u32 = u32::MAX;
 /// Marks a pair that links to the next entry.
-pub(crate) const MORE_SHEETS: u32 = u32::MAX - 1;
+pub(crate) const MORE_INTERFACES: u32 = u32::MAX - 1;
 /// Number of checks of a brick that another material fills; no interface is real in such a brick.
 pub(crate) const NEVER_REAL: u32 = u32::MAX;
 
@@ -82,20 +84,20 @@ struct Check {
 
 /// An interface in a brick.
 struct Entry {
-    sheet: u32,
+    interface: u32,
     pair: Pair,
     /// Checks for a third material; `None` if the brick contains no part of the interface.
     checks: Option<Vec<Check>>,
 }
 
 impl Differences {
-    /// Builds the differences for particles on these strata. The first `sheets` strata are
+    /// Builds the differences for particles on these strata. The first `interfaces` strata are
     /// interfaces, in ascending order.
-    pub(super) fn new(materials: &Materials, strata: &[Stratum], sheets: usize) -> Self {
+    pub(super) fn new(materials: &Materials, strata: &[Stratum], interfaces: usize) -> Self {
         let bricks = materials.fill().len();
         let entries: Vec<Entry> = (0..bricks)
             .into_par_iter()
-            .flat_map_iter(|brick| entries_of(materials, &strata[..sheets], brick))
+            .flat_map_iter(|brick| entries_of(materials, &strata[..interfaces], brick))
             .collect();
         let checks = || entries.iter().flat_map(|entry| entry.checks.iter().flatten());
         let mut pairs: Vec<Pair> = entries.iter().map(|e| e.pair).chain(checks().map(|c| c.pair)).collect();
@@ -105,25 +107,25 @@ impl Differences {
 
         // the parts follow the layout in the module comment
         let mut index = vec![[0; 4]; INDEX_BRICKS];
-        index.resize(INDEX_BRICKS + bricks, [NO_SHEET, 0, NO_SHEET, 0]);
+        index.resize(INDEX_BRICKS + bricks, [NO_INTERFACE, 0, NO_INTERFACE, 0]);
         let of_bricks = || entries.chunk_by(|a, b| a.pair.brick == b.pair.brick);
         // an entry contains two interfaces, or one interface and a link to the next entry
-        let further: usize = of_bricks().map(|sheets| sheets.len().saturating_sub(2)).sum();
+        let further: usize = of_bricks().map(|interfaces| interfaces.len().saturating_sub(2)).sum();
         let first_record = index.len() + further;
         let record_of = |pair: &Pair| {
             let number = pairs.binary_search(pair).expect("the pairs of all entries and checks are there");
             (first_record + 4 * number) as u32
         };
         let records: Vec<u32> = entries.par_iter().map(|entry| record_of(&entry.pair)).collect();
-        let mut named = entries.iter().zip(&records).map(|(entry, &record)| [entry.sheet, record]);
+        let mut named = entries.iter().zip(&records).map(|(entry, &record)| [entry.interface, record]);
         for of_brick in of_bricks() {
             let mut at = INDEX_BRICKS + of_brick[0].pair.brick as usize;
-            let sheets: Vec<[u32; 2]> = named.by_ref().take(of_brick.len()).collect();
-            let (before, last) = sheets.split_at(sheets.len().saturating_sub(2));
-            for [sheet, record] in before {
-                index[at] = [*sheet, *record, MORE_SHEETS, index.len() as u32];
+            let interfaces: Vec<[u32; 2]> = named.by_ref().take(of_brick.len()).collect();
+            let (before, last) = interfaces.split_at(interfaces.len().saturating_sub(2));
+            for [interface, record] in before {
+                index[at] = [*interface, *record, MORE_INTERFACES, index.len() as u32];
                 at = index.len();
-                index.push([NO_SHEET, 0, NO_SHEET, 0]);
+                index.push([NO_INTERFACE, 0, NO_INTERFACE, 0]);
             }
             for (half, two) in last.iter().enumerate() {
                 index[at][2 * half..2 * half + 2].copy_from_slice(two);
@@ -151,12 +153,12 @@ impl Differences {
 }
 
 /// Returns the interfaces whose two materials are both known in a brick, the most likely first.
-fn entries_of(materials: &Materials, sheets: &[Stratum], brick: usize) -> Vec<Entry> {
+fn entries_of(materials: &Materials, interfaces: &[Stratum], brick: usize) -> Vec<Entry> {
     let known = materials.known_in(brick);
     let mut entries = Vec::new();
     for (k, low) in known.clone().enumerate() {
         for high in known.clone().skip(k + 1) {
-            let Ok(sheet) = sheets.binary_search(&Stratum::sheet(low.0, high.0)) else { continue };
+            let Ok(interface) = interfaces.binary_search(&Stratum::interface(low.0, high.0)) else { continue };
             let pair = Pair::new(brick, low, high);
             let fill = materials.fill()[brick];
             let is_filled_by_other = fill != NO_MATERIAL && fill != low.0.0 && fill != high.0.0;
@@ -169,7 +171,7 @@ fn entries_of(materials: &Materials, sheets: &[Stratum], brick: usize) -> Vec<En
                 };
                 thirds.map(check).filter(|check| check.near != 0).collect()
             });
-            entries.push(Entry { sheet: sheet as u32, pair, checks });
+            entries.push(Entry { interface: interface as u32, pair, checks });
         }
     }
     // sort key: the larger of the two indicators at the centre of the brick
@@ -207,7 +209,7 @@ fn near_cells(materials: &Materials, pair: &Pair, (third, number): (MaterialId, 
             })
             .collect();
     }
-    let limit = (ON_SHEET * materials.voxel()) as f32;
+    let limit = (ON_INTERFACE * materials.voxel()) as f32;
     let bits = least.iter().enumerate().fold(0, |bits, (n, &least)| bits | u64::from(least <= limit) << n);
     let within = cells_within(materials, indicator, pair.brick);
     let beyond = if indicator.surrounds() { !within } else { 0 };

@@ -33,7 +33,7 @@ impl<'a> Ground<'a> {
 
     /// Creates the surface of many materials, with particles on the strata of `carried`.
     pub(super) fn materials(materials: &'a Materials, carried: &Carried) -> Self {
-        let Differences { coefficients, index } = Differences::new(materials, &carried.strata, carried.sheets);
+        let Differences { coefficients, index } = Differences::new(materials, &carried.strata, carried.interfaces);
         Self { geometry: materials.geometry(), coefficients: Cow::Owned(coefficients), index: Some(index) }
     }
 }
@@ -50,7 +50,7 @@ pub(super) struct Carried {
     /// Strata by index; empty for one object.
     strata: Vec<Stratum>,
     /// Number of interfaces among the strata.
-    sheets: usize,
+    interfaces: usize,
     /// Held particles, unchanged; `None` for one object.
     held: Option<ParticleSet>,
 }
@@ -65,7 +65,7 @@ impl Carried {
         let mut strata = of[held..].to_vec();
         strata.sort_unstable();
         strata.dedup();
-        let sheets = strata.len();
+        let interfaces = strata.len();
         strata.extend_from_slice(&of[..held]);
         if strata.len() > MOST_STRATA {
             return Err(Error::gpu(
@@ -82,12 +82,12 @@ impl Carried {
             energies: vec![0.0; held],
             lambdas: set.lambdas[..held].to_vec(),
         };
-        Ok(Self { strata, sheets, held: Some(first(set)) })
+        Ok(Self { strata, interfaces, held: Some(first(set)) })
     }
 
     /// Returns the number of held particles.
     pub(super) fn held(&self) -> usize {
-        self.strata.len() - self.sheets
+        self.strata.len() - self.interfaces
     }
 
     /// Returns the carried value of particle i with damping `lambda`. `of` contains the strata of
@@ -97,9 +97,9 @@ impl Carried {
             return lambda as f32;
         }
         if i < self.held() {
-            return (16 * (self.sheets + i) as u32 + HELD_CODE) as f32;
+            return (16 * (self.interfaces + i) as u32 + HELD_CODE) as f32;
         }
-        let number = self.strata[..self.sheets].partition_point(|sheet| sheet < &of[i]) as u32;
+        let number = self.strata[..self.interfaces].partition_point(|interface| interface < &of[i]) as u32;
         let power = (lambda.clamp(LEAST_LAMBDA, LARGEST_LAMBDA) / LEAST_LAMBDA).log(LAMBDA_GROWTH).round();
         (16 * number + power as u32) as f32
     }
@@ -110,7 +110,7 @@ impl Carried {
     pub(super) fn put_back(&self, mut set: ParticleSet) -> (ParticleSet, Vec<Stratum>) {
         let Some(held) = &self.held else { return (set, Vec::new()) };
         let mut all = held.clone();
-        let mut strata = self.strata[self.sheets..].to_vec();
+        let mut strata = self.strata[self.interfaces..].to_vec();
         for i in 0..set.positions.len() {
             let carried = set.lambdas[i] as u32;
             let (number, power) = ((carried / 16) as usize, carried % 16);

@@ -23,7 +23,7 @@ mod report;
 mod schedule;
 mod shaders;
 
-pub use adapter::{AdapterSummary, Choice, Gpu, adapters};
+pub use adapter::{AdapterChoice, AdapterSummary, Gpu, adapters};
 pub use engine::GpuEngine;
 pub use report::{DeviceReport, KernelTime};
 

@@ -11,7 +11,7 @@ use super::ring::{LANES, Ring};
 use super::surface::{DEAD, Surface, edges_of};
 use fearless_simd::{Level, dispatch};
 use glam::{DVec2, DVec3};
-use isoparticles_field::spline::FLATTEST;
+use isoparticles_field::spline::LEAST_GRADIENT;
 use std::f64::consts::TAU;
 
 /// The point of a sheet (F = 0, where there is one object) near a position, no farther than `limit` mm.
@@ -149,7 +149,7 @@ impl Site {
         let (start, sheet) = (surface.positions[v], surface.sheet_at(vertex));
         let jet = surface.field.jet(sheet, start);
         let slope = jet.gradient.length();
-        if slope < FLATTEST {
+        if slope < LEAST_GRADIENT {
             return None;
         }
         let normal = jet.gradient / slope;

@@ -9,7 +9,7 @@ use super::segments::{Segment, segment};
 use super::way::ONE_CURVE;
 use crate::check::DistanceSummary;
 use glam::DVec3;
-use isoparticles_field::materials::complex::COINCIDENT;
+use isoparticles_field::materials::complex::SAME_JUNCTION;
 use isoparticles_field::materials::{Indicators, Material, MaterialId, Stratum};
 use isoparticles_field::spline::distance_estimate;
 use isoparticles_mesh::intersect::self_intersections;
@@ -40,7 +40,7 @@ pub struct CheckOptions<'a> {
     /// Whether triangles below it pass where the junction curves force them below it.
     pub accept_forced: bool,
     /// Farthest that a vertex may lie from each of its sheets, voxels. One at which more than four materials meet, which hardly any data let meet in a point, may lie
-    /// [`COINCIDENT`] off, and one through which a curve passes that is one with another, `ONE_CURVE`.
+    /// [`SAME_JUNCTION`] off, and one through which a curve passes that is one with another, `ONE_CURVE`.
     pub max_vertex_distance: f64,
 }
 
@@ -347,7 +347,7 @@ fn look_at_distances(
         }
     }
     let least = options.max_vertex_distance;
-    let limit = |count: &usize| if *count > 4 { least.max(COINCIDENT) } else { least };
+    let limit = |count: &usize| if *count > 4 { least.max(SAME_JUNCTION) } else { least };
     let mut limits: Vec<f64> = meeting.iter().map(limit).collect();
     for &v in interfaces.joined.iter().filter(|&&v| v != u32::MAX) {
         limits[v as usize] = least.max(ONE_CURVE);

@@ -10,9 +10,9 @@ use crate::object::{DEFAULT_DEVIATION, deviation_ratio};
 use crate::queue::{self, Reason, Simplex};
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
-use isoparticles_field::materials::complex::COINCIDENT;
+use isoparticles_field::materials::complex::SAME_JUNCTION;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
-use isoparticles_field::spline::FLATTEST;
+use isoparticles_field::spline::LEAST_GRADIENT;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A segment that lacks a material round it is cut where the surface balls there are smaller than this part of it: they tell no more.
@@ -86,7 +86,8 @@ impl<'a> Complex<'a> {
             .filter_map(|v| {
                 let near = indicators.near(delaunay.points()[v as usize]);
                 let last = near.entries().get(3)?.1;
-                let equal = near.entries().iter().filter(|(_, value)| value - last < COINCIDENT * indicators.voxel());
+                let equal =
+                    near.entries().iter().filter(|(_, value)| value - last < SAME_JUNCTION * indicators.voxel());
                 let ids: Vec<MaterialId> = equal.map(|(id, _)| *id).collect();
                 (ids.len() > 4).then_some((v, ids))
             })
@@ -138,7 +139,7 @@ impl<'a> Complex<'a> {
         let (place, ids) = (self.points()[point as usize], stratum.materials());
         ids[1..].iter().all(|&other| {
             let (value, gradient) = self.indicators.difference_gradient(ids[0], other, place);
-            value.abs() < reach * gradient.length().max(FLATTEST)
+            value.abs() < reach * gradient.length().max(LEAST_GRADIENT)
         })
     }
 
@@ -146,7 +147,7 @@ impl<'a> Complex<'a> {
     pub fn join_facet(&mut self, vertices: [u32; 3]) -> bool {
         let Some(facet) = self.facet_on(vertices) else { return false };
         let [inside, outside] = self.sheet(&facet);
-        let sheet = Stratum::sheet(inside, outside);
+        let sheet = Stratum::interface(inside, outside);
         for v in vertices {
             let is_there = sheet.materials().iter().all(|&id| self.meets(v, id));
             if !is_there && self.is_passed(v, &sheet) {
@@ -251,7 +252,7 @@ impl<'a> Complex<'a> {
         let corners = facet.vertices.map(|v| self.points()[v as usize]);
         let voxel = self.indicators.voxel();
         let on_sheet = |[i, j]: [MaterialId; 2], start: DVec3, limit: f64| {
-            let stratum = (i != j).then(|| Stratum::sheet(i, j))?;
+            let stratum = (i != j).then(|| Stratum::interface(i, j))?;
             Some((super::prepare::onto(self.indicators, stratum, start, limit * voxel)?, stratum))
         };
         let crossing = self.crossing(facet).and_then(|(place, sheet)| on_sheet(sheet, place, 0.5));
@@ -418,7 +419,7 @@ fn material_of(
 pub(super) fn straying(indicators: &dyn Indicators, sheet: [MaterialId; 2], [a, b, c]: [DVec3; 3]) -> (f64, f64) {
     let centroid = (a + b + c) / 3.0;
     let (value, gradient) = indicators.difference_gradient(sheet[0], sheet[1], centroid);
-    let slope = gradient.length().max(FLATTEST);
+    let slope = gradient.length().max(LEAST_GRADIENT);
     let distance = (value.abs() / slope).max(-0.5 * indicators.clearance(centroid, &sheet));
     (distance, (b - a).cross(c - a).normalize_or_zero().dot(gradient / slope))
 }

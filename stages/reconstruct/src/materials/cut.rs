@@ -96,7 +96,7 @@ impl Refinement<'_> {
         found
     }
 
-    /// Junction points in the ball of which a segment is a diameter, or nearer to it than `ONE_CURVE`, that have segments with one of its ends or lie nearest to
+    /// JunctionPoint points in the ball of which a segment is a diameter, or nearer to it than `ONE_CURVE`, that have segments with one of its ends or lie nearest to
     /// it, and at which all materials of its curve meet: where the curve is one with another it may be undercut, and these lead on.
     fn linked(&self, pair: Segment, curve: Stratum) -> Vec<u32> {
         let points = self.complex.points();

@@ -39,12 +39,12 @@ impl Sheets for Differences<'_> {
 
     fn project(&self, sheet: u32, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)> {
         let pair = self.pair(sheet);
-        let p = self.indicators.project_onto_sheet(pair, start, limit, tolerance)?;
+        let p = self.indicators.project_onto_interface(pair, start, limit, tolerance)?;
         (self.indicators.clearance(p, &pair) > 0.0).then(|| (p, self.value_gradient(sheet, p).1))
     }
 
     fn project_onto_curve(&self, sheets: [u32; 2], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
-        let [first, second] = sheets.map(|sheet| Stratum::sheet(self.pair(sheet)[0], self.pair(sheet)[1]));
+        let [first, second] = sheets.map(|sheet| Stratum::interface(self.pair(sheet)[0], self.pair(sheet)[1]));
         let curve = first.joined(&second)?;
         let own = <[MaterialId; 3]>::try_from(curve.materials()).ok()?;
         let place = self.indicators.project_onto_curve(own, start, limit, tolerance)?;

@@ -56,7 +56,7 @@ impl Interfaces {
         for (v, around) in (0..).zip(around).filter(|(_, around): &(u32, Vec<u32>)| !around.is_empty()) {
             if fans(&self.mesh, v, &around).len() > 1 {
                 let [inside, outside] = self.between[around[0] as usize];
-                let project = |p: DVec3| onto(indicators, Stratum::sheet(inside, outside), p, indicators.voxel());
+                let project = |p: DVec3| onto(indicators, Stratum::interface(inside, outside), p, indicators.voxel());
                 part_sheets(&mut self.mesh, &[(v, around)], project);
                 parted += 1;
             }

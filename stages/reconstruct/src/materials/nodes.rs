@@ -143,7 +143,7 @@ impl Nodes {
         let nearest = complex.indicators.near(place).entries().get(1).map(|(id, _)| *id);
         let limit = REACH * complex.indicators.voxel();
         let on = |other: MaterialId| {
-            let stratum = (other != own).then(|| Stratum::sheet(own, other))?;
+            let stratum = (other != own).then(|| Stratum::interface(own, other))?;
             Some((onto(complex.indicators, stratum, place, limit)?, stratum))
         };
         let target = nearest.and_then(on).or_else(|| on(found));
@@ -198,7 +198,7 @@ impl Nodes {
         let remedy = if complex.segments.curve(edge).is_some() {
             Mend::Split(edge)
         } else {
-            let stratum = Stratum::sheet(i, j);
+            let stratum = Stratum::interface(i, j);
             Mend::Point { place: onto(complex.indicators, stratum, a.midpoint(b), 0.5 * length)?, stratum }
         };
         Some(Violation {

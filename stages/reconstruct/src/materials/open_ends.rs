@@ -1,4 +1,4 @@
-//! Junction curves that end where no fourth material meets them: none does, and what lies between two such ends could not be followed, where sheets are all but tangent.
+//! JunctionPoint curves that end where no fourth material meets them: none does, and what lies between two such ends could not be followed, where sheets are all but tangent.
 
 use super::prepare::Point;
 use super::segments::{Segment, segment};

@@ -6,7 +6,7 @@ use super::way::{LONGEST_WAY, ONE_CURVE, foot, length};
 use crate::prepare::{ON_SURFACE, PrepareReport, SurfacePoints};
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
-use isoparticles_field::materials::complex::{COINCIDENT, way_along, way_round};
+use isoparticles_field::materials::complex::{SAME_JUNCTION, way_along, way_round};
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_mesh::kd_tree::KdTree;
@@ -76,7 +76,7 @@ pub(super) fn onto(indicators: &dyn Indicators, stratum: Stratum, start: DVec3, 
     let voxel = indicators.voxel();
     let tolerance = ON_SURFACE * voxel;
     let on = match *stratum.materials() {
-        [i, j] => indicators.project_onto_sheet([i, j], start, limit, tolerance),
+        [i, j] => indicators.project_onto_interface([i, j], start, limit, tolerance),
         [i, j, k] => indicators.project_onto_curve([i, j, k], start, limit, tolerance),
         [i, j, k, l] => indicators.project_onto_point([i, j, k, l], start, limit, tolerance),
         _ => None,
@@ -86,7 +86,7 @@ pub(super) fn onto(indicators: &dyn Indicators, stratum: Stratum, start: DVec3, 
         let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
         (stratum.dimension() < 2 && high - low < EQUAL * voxel).then_some(start)
     };
-    on.or_else(equal_there).filter(|&p| indicators.clearance(p, stratum.materials()) > -COINCIDENT * voxel)
+    on.or_else(equal_there).filter(|&p| indicators.clearance(p, stratum.materials()) > -SAME_JUNCTION * voxel)
 }
 
 /// Brings particles onto their strata, takes those that get there, and triangulates them.

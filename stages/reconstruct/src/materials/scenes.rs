@@ -83,7 +83,7 @@ impl Scene {
             let start = self.extent * DVec3::new(uniform(1, 0, n), uniform(1, 1, n), uniform(1, 2, n));
             let near = self.analytic.near(start);
             let [(i, _), (j, _), ..] = near.entries() else { continue };
-            let Some(p) = self.analytic.project_onto_sheet([*i, *j], start, 2.0 * h, 1e-10) else { continue };
+            let Some(p) = self.analytic.project_onto_interface([*i, *j], start, 2.0 * h, 1e-10) else { continue };
             let is_inside = p.min_element() >= 0.0 && p.max_element() <= self.extent;
             if !is_inside || self.analytic.clearance(p, &[*i, *j]) <= 0.0 {
                 continue;
@@ -91,7 +91,7 @@ impl Scene {
             if !bins.near(p).any(|q: &DVec3| q.distance(p) < spacing) {
                 bins.add(p, p);
                 positions.push(p);
-                of.push(Stratum::sheet(*i, *j));
+                of.push(Stratum::interface(*i, *j));
             }
         }
         let count = positions.len();

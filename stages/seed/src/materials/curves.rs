@@ -25,7 +25,7 @@ const NEAREST: f64 = 0.3;
 
 /// Maximum distance in voxels of particles that count as coincident. Such particles occur on chains
 /// that exist only in the grid complex.
-const COINCIDENT: f64 = 0.01;
+const DUPLICATE_DISTANCE: f64 = 0.01;
 
 /// Maximum distance from the chain to the curve and tolerance of the projection, both in voxels.
 const FARTHEST: f64 = 1.0;
@@ -117,7 +117,7 @@ impl Curves {
                 self.not_projected += 1;
                 continue;
             };
-            let nearest = nearest(position).max(COINCIDENT * voxel);
+            let nearest = nearest(position).max(DUPLICATE_DISTANCE * voxel);
             let is_near = |other: u32| self.positions[other as usize].distance(position) < nearest;
             let is_closing = chain.is_closed() && self.positions.len() as u32 > first && is_near(first);
             if is_closing || previous.is_some_and(is_near) || point(chain.ends[1]).is_some_and(is_near) {

@@ -6,12 +6,12 @@
 //! energy. Interfaces are sampled like the surface of one object.
 
 mod curves;
+mod interfaces;
 mod program;
-mod sheets;
 
 pub use curves::{Curves, seed_curves};
+pub use interfaces::{InterfaceParticles, seed_interfaces};
 pub(crate) use program::run;
-pub use sheets::{Sheets, seed_sheets};
 
 use glam::DVec3;
 use isoparticles_field::materials::Materials;
@@ -54,24 +54,24 @@ pub fn seed_strata(
     seed: u64,
 ) -> (ParticleSet, Strata, Summary) {
     let curves = seed_curves(materials, complex, (spread, sizing));
-    let sheets = seed_sheets(materials, complex, (spread, sizing), &curves, seed);
+    let interfaces = seed_interfaces(materials, complex, (spread, sizing), &curves, seed);
     let points = complex.points.len();
     let summary = Summary {
-        particles: [points, curves.positions.len() - points, sheets.positions.len()],
+        particles: [points, curves.positions.len() - points, interfaces.positions.len()],
         curves: complex.chains.len(),
         closed_curves: complex.chains.iter().filter(|chain| chain.is_closed()).count(),
-        components: sheets.components,
-        underpopulated_components: sheets.crowded,
+        components: interfaces.components,
+        underpopulated_components: interfaces.crowded,
         predicted_count,
-        not_projected: curves.not_projected + sheets.not_projected,
-        specks: sheets.specks,
-        bare_components: sheets.bare,
+        not_projected: curves.not_projected + interfaces.not_projected,
+        specks: interfaces.specks,
+        bare_components: interfaces.bare,
     };
     let Curves { mut positions, mut normals, mut sizes, mut strata, .. } = curves;
-    positions.extend(sheets.positions);
-    normals.extend(sheets.normals);
-    sizes.extend(sheets.sizes);
-    strata.of.extend(sheets.of);
+    positions.extend(interfaces.positions);
+    normals.extend(interfaces.normals);
+    sizes.extend(interfaces.sizes);
+    strata.of.extend(interfaces.of);
     let count = positions.len();
     let geometry = materials.geometry().clone();
     let set =

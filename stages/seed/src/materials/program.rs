@@ -54,11 +54,11 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
             summary.bare_components, summary.components
         ));
     }
-    let [points, curves, sheets] = summary.particles;
+    let [points, curves, interfaces] = summary.particles;
     context.summary("particles", particles.positions.len());
     context.summary("at junction points", points);
     context.summary("on junction curves", curves);
-    context.summary("on interfaces", sheets);
+    context.summary("on interfaces", interfaces);
     context.summary("predicted particles", summary.predicted_count.round());
     context.summary("components of interfaces", summary.components);
     context.summary("not projected", summary.not_projected);

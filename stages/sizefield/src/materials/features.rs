@@ -75,7 +75,7 @@ pub(super) fn measure<I: Indicators>(
         .vertices
         .par_iter()
         .map(|vertex| {
-            let Some((low, high)) = sheet(vertex) else {
+            let Some((low, high)) = interface(vertex) else {
                 return (DVec3::ZERO, Tensor(Mat3::ZERO), f64::INFINITY);
             };
             let jet = indicators.difference(high, low, vertex.position);
@@ -103,7 +103,7 @@ pub(super) fn measure<I: Indicators>(
 }
 
 /// Returns the two materials of a vertex on an interface, or `None` for other vertices.
-fn sheet(vertex: &Vertex) -> Option<(MaterialId, MaterialId)> {
+fn interface(vertex: &Vertex) -> Option<(MaterialId, MaterialId)> {
     match *vertex.stratum.materials() {
         [low, high] => Some((low, high)),
         _ => None,

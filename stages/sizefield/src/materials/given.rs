@@ -46,7 +46,7 @@ impl Serialize for GivenSize {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Given {
     materials: Vec<(MaterialId, f64)>,
-    sheets: Vec<(Stratum, f64)>,
+    interfaces: Vec<(Stratum, f64)>,
 }
 
 impl Given {
@@ -72,17 +72,17 @@ impl Given {
             let pairs = own.name.match_indices('/').map(|(at, _)| (&own.name[..at], &own.name[at + 1..]));
             let pair = pairs.filter_map(|(a, b)| named(a).zip(named(b))).find(|(a, b)| a != b);
             let (a, b) = pair.ok_or_else(unknown)?;
-            given.sheets.push((Stratum::sheet(a, b), own.size));
+            given.interfaces.push((Stratum::interface(a, b), own.size));
         }
         Ok(given)
     }
 
     /// Returns the edge length in mm of an interface: the length that is set for the interface, or
     /// else the smaller length of its two materials.
-    pub(super) fn of(&self, sheet: &Stratum) -> Option<f64> {
+    pub(super) fn of(&self, interface: &Stratum) -> Option<f64> {
         let smallest = |sizes: &mut dyn Iterator<Item = f64>| sizes.min_by(f64::total_cmp);
-        let own = smallest(&mut self.sheets.iter().filter(|(other, _)| other == sheet).map(|(_, size)| *size));
-        own.or_else(|| smallest(&mut self.materials.iter().filter(|(id, _)| sheet.has(*id)).map(|(_, size)| *size)))
+        let own = smallest(&mut self.interfaces.iter().filter(|(other, _)| other == interface).map(|(_, size)| *size));
+        own.or_else(|| smallest(&mut self.materials.iter().filter(|(id, _)| interface.has(*id)).map(|(_, size)| *size)))
     }
 }
 
@@ -105,9 +105,9 @@ mod tests {
     #[test]
     fn pairs_override_materials_and_smaller_sizes_win() {
         let [a, b, c] = [1, 2, 3].map(MaterialId);
-        let given = Given { materials: vec![(a, 2.0), (b, 1.0)], sheets: vec![(Stratum::sheet(a, b), 3.0)] };
-        assert_eq!(given.of(&Stratum::sheet(b, a)), Some(3.0));
-        assert_eq!(given.of(&Stratum::sheet(a, c)), Some(2.0));
-        assert_eq!(given.of(&Stratum::sheet(MaterialId::OUTSIDE, c)), None);
+        let given = Given { materials: vec![(a, 2.0), (b, 1.0)], interfaces: vec![(Stratum::interface(a, b), 3.0)] };
+        assert_eq!(given.of(&Stratum::interface(b, a)), Some(3.0));
+        assert_eq!(given.of(&Stratum::interface(a, c)), Some(2.0));
+        assert_eq!(given.of(&Stratum::interface(MaterialId::OUTSIDE, c)), None);
     }
 }

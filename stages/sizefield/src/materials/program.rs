@@ -95,8 +95,8 @@ fn by_shape(
     let mut wanted = vec![f64::INFINITY; complex.vertices.len()];
     match args.uniform {
         Some(size) => {
-            let on_sheets = wanted.iter_mut().zip(&complex.vertices);
-            on_sheets.filter(|(_, vertex)| vertex.stratum.count() == 2).for_each(|(own, _)| *own = size);
+            let on_interfaces = wanted.iter_mut().zip(&complex.vertices);
+            on_interfaces.filter(|(_, vertex)| vertex.stratum.count() == 2).for_each(|(own, _)| *own = size);
         }
         None => {
             let step = context.step("measure features");
@@ -146,7 +146,7 @@ fn by_features(
 /// Returns the minimum h of each vertex, and the maximum h with which a closed interface gets its
 /// minimum number of particles. The maximum takes precedence.
 fn smallest_sizes(complex: &Complex, parameters: &Parameters) -> Vec<(f64, f64)> {
-    let (component, count) = complex.sheet_components();
+    let (component, count) = complex.interface_components();
     let mut areas = vec![(0.0, true); count];
     for (triangle, &c) in complex.triangles.iter().zip(&component) {
         let [a, b, d] = complex.corners(triangle);
@@ -192,8 +192,8 @@ impl LargestSizes {
 
     /// Returns the maximum h of an interface: the smaller value of its materials, ignoring the
     /// outside.
-    fn of(&self, sheet: &Stratum) -> f64 {
-        let named = sheet.materials().iter().filter(|&&id| id != MaterialId::OUTSIDE);
+    fn of(&self, interface: &Stratum) -> f64 {
+        let named = interface.materials().iter().filter(|&&id| id != MaterialId::OUTSIDE);
         named.map(|id| self.0[id.index()]).fold(f64::INFINITY, f64::min)
     }
 
@@ -233,7 +233,7 @@ fn resolve(args: &Args, materials: &Materials, refined: Vec<(usize, f64)>, conte
 /// file.
 fn describe(complex: &Complex, sizing: &SizingField, predicted: f64, context: &Context) -> SizeMeta {
     let mut sizes: Vec<f64> = complex.vertices.iter().map(|vertex| sizing.at(vertex.position)).collect();
-    let (_, components) = complex.sheet_components();
+    let (_, components) = complex.interface_components();
     let length: f64 = complex.lengths().values().sum();
     let area: f64 = complex.areas().values().sum();
     let notes = [

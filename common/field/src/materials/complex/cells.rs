@@ -2,7 +2,7 @@
 //! of junction curves and junction points. Edges that pass through a further material are bisected
 //! first. Neighbouring blocks are joined by the names of their vertices.
 
-use super::lattice::{Lattice, Piece, Place, TETRAHEDRA, UNIT, half_way, number, pieces, rank};
+use super::lattice::{Lattice, LatticePoint, Piece, TETRAHEDRA, UNIT, half_way, number, pieces, rank};
 use crate::materials::{Indicators, MaterialId, Near, Stratum};
 use glam::{DVec3, DVec4};
 use std::collections::BTreeMap;
@@ -27,7 +27,7 @@ pub struct Triangle {
     /// Vertex indices, counter-clockwise when seen from the material with the lower number.
     pub corners: [u32; 3],
     /// The two materials of the interface.
-    pub sheet: Stratum,
+    pub interface: Stratum,
 }
 
 /// Identifies a vertex by the numbers of the nodes at the corners of its simplex, ascending. If
@@ -53,7 +53,7 @@ struct Known {
 /// A node of the lattice in a block.
 #[derive(Clone, Copy)]
 struct Node {
-    place: Place,
+    place: LatticePoint,
     /// Index in the block of the values sampled at the node.
     known: usize,
     own: MaterialId,
@@ -83,13 +83,13 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
     }
 
     /// Returns the index of a grid node in `known`, or `None` for a node between grid nodes.
-    fn of_grid(&self, place: Place) -> Option<usize> {
+    fn of_grid(&self, place: LatticePoint) -> Option<usize> {
         let is_of_grid = place.iter().all(|n| n.is_multiple_of(UNIT));
         let [i, j, k]: [usize; 3] = std::array::from_fn(|a| (place[a] / UNIT) as usize - self.first[a]);
         is_of_grid.then(|| (k * self.size[1] + j) * self.size[0] + i)
     }
 
-    fn node(&mut self, place: Place) -> Node {
+    fn node(&mut self, place: LatticePoint) -> Node {
         let next = self.known.len();
         let known = match self.of_grid(place) {
             Some(known) => known,
@@ -239,7 +239,7 @@ impl Found {
         nodes.sort_unstable_by_key(|node| number(node.place));
         let corners = Corners { nodes };
         pieces(nodes.map(|node| node.own), |piece| match piece {
-            Piece::Sheet { of, corners: own } => self.sheet(block, &corners, of, own),
+            Piece::Interface { of, corners: own } => self.interface(block, &corners, of, own),
             Piece::Curve { ends } => {
                 for end in ends {
                     self.vertex(block, &corners, end);
@@ -258,9 +258,15 @@ impl Found {
     }
 
     /// Adds a piece of a material interface as one or two triangles.
-    fn sheet<I: Indicators + ?Sized>(&mut self, block: &Block<'_, I>, corners: &Corners, of: [usize; 2], own: [u8; 4]) {
+    fn interface<I: Indicators + ?Sized>(
+        &mut self,
+        block: &Block<'_, I>,
+        corners: &Corners,
+        of: [usize; 2],
+        own: [u8; 4],
+    ) {
         let ids = of.map(|corner| corners.nodes[corner].own);
-        let sheet = Stratum::sheet(ids[0], ids[1]);
+        let interface = Stratum::interface(ids[0], ids[1]);
         let count = if own[3] == 0 { 3 } else { 4 };
         let middle = own.map(|corner| corners.middle(corner));
         let normal = (middle[1] - middle[0]).cross(middle[2] - middle[0]);
@@ -274,7 +280,7 @@ impl Found {
             placed[..count].reverse();
         }
         let [a, b, c, d] = placed;
-        let mut add = |corners: [(Name, DVec3); 3]| self.triangles.push((corners.map(|corner| corner.0), sheet));
+        let mut add = |corners: [(Name, DVec3); 3]| self.triangles.push((corners.map(|corner| corner.0), interface));
         match count {
             3 => add([a, b, c]),
             // split along the shorter diagonal
@@ -291,7 +297,7 @@ impl Found {
         let (names, vertices): (Vec<Name>, Vec<Vertex>) = self.vertices.into_iter().unzip();
         let number = |name: Name| names.partition_point(|&other| other < name) as u32;
         let triangles =
-            self.triangles.into_iter().map(|(corners, sheet)| Triangle { corners: corners.map(number), sheet });
+            self.triangles.into_iter().map(|(corners, interface)| Triangle { corners: corners.map(number), interface });
         Part { triangles: triangles.collect(), names, vertices }
     }
 }

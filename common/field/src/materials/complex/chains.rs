@@ -16,18 +16,18 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Maximum distance in voxels between a lattice vertex and its projection onto a curve or point.
 const FARTHEST: f64 = 1.0;
 
-/// Junction points of the same four materials are merged if a chain shorter than this length, in
-/// voxels, joins them. Of the 26,530 chains that join such points in `brain_parcellation`, 2,326
+/// JunctionPoint points of the same four materials are merged if a chain shorter than this length,
+/// in voxels, joins them. Of the 26,530 chains that join such points in `brain_parcellation`, 2,326
 /// are shorter than 0.1 voxel, and each further tenth of a voxel contains 500 to 600 chains. The
 /// peak near zero consists of junction points that the lattice finds twice. A chain of 0.25 voxel,
 /// a third of the smallest h, is too short for particles.
 const MERGED_WITHIN: f64 = 0.25;
 
-/// Junction points closer than this distance, in voxels, count as one point. Where more than four
-/// materials meet, a curve ends at several further materials at once. Whether a curve leaves such a
-/// point is decided at this distance. Labels do not determine where materials meet to within a
-/// fiftieth of a voxel.
-pub const COINCIDENT: f64 = 0.02;
+/// JunctionPoint points closer than this distance, in voxels, count as one point. Where more than
+/// four materials meet, a curve ends at several further materials at once. Whether a curve leaves
+/// such a point is decided at this distance. Labels do not determine where materials meet to within
+/// a fiftieth of a voxel.
+pub const SAME_JUNCTION: f64 = 0.02;
 
 /// Closed curves shorter than this length, in voxels, are dropped. Such a curve encloses a contact
 /// of less than a fiftieth of a voxel face.
@@ -71,7 +71,7 @@ impl Chain {
 
 /// A junction point.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Junction {
+pub struct JunctionPoint {
     /// The four materials that meet at the point.
     pub stratum: Stratum,
     /// Position in the grid frame, mm.
@@ -116,7 +116,7 @@ pub(super) fn trace<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &
     let starts: Vec<(Stratum, Vec<DVec3>)> = starts.into_iter().collect();
     let lines = starts.par_iter().flat_map_iter(|(curve, starts)| lines_from(indicators, corner, *curve, starts));
     let lines: Vec<Line> = lines.collect();
-    let reach = COINCIDENT * indicators.voxel();
+    let reach = SAME_JUNCTION * indicators.voxel();
     let points = Points {
         reach,
         met: KdTree::new(&met_points),
@@ -211,7 +211,7 @@ fn triples(ids: &[MaterialId]) -> Vec<[MaterialId; 3]> {
     pairs.flat_map(|(b, c)| (0..b).map(move |a| [a, b, c])).map(|own| own.map(|n| ids[n])).collect()
 }
 
-/// Junction points at which curves end, without duplicates.
+/// JunctionPoint points at which curves end, without duplicates.
 struct Points {
     /// Positions closer than this distance, in mm, count as one point.
     reach: f64,
@@ -219,7 +219,7 @@ struct Points {
     /// than the end of a curve that could not be followed to its end.
     met: KdTree,
     met_places: Vec<DVec3>,
-    all: Vec<Junction>,
+    all: Vec<JunctionPoint>,
     /// Numbers of the points, binned by position.
     bins: Bins<u32>,
 }
@@ -234,7 +234,7 @@ impl Points {
         let number = self.all.len() as u32;
         self.bins.add(position, number);
         let position = self.met.nearest_within(position, self.reach).map_or(position, |(n, _)| self.met_places[n]);
-        self.all.push(Junction { stratum, position });
+        self.all.push(JunctionPoint { stratum, position });
         number
     }
 }
@@ -302,12 +302,12 @@ impl Assembly<'_> {
     fn complete<I: Indicators + ?Sized>(&mut self, indicators: &I, corner: DVec3) {
         let voxel = indicators.voxel();
         let mut next = 0;
-        while let Some(&Junction { position, .. }) = self.points.all.get(next) {
+        while let Some(&JunctionPoint { position, .. }) = self.points.all.get(next) {
             let point = next as u32;
             next += 1;
             let near = indicators.near(position);
             let smallest = near.entries().first().map_or(f64::INFINITY, |(_, value)| *value);
-            let equal = near.entries().iter().filter(|(_, value)| value - smallest < COINCIDENT * voxel);
+            let equal = near.entries().iter().filter(|(_, value)| value - smallest < SAME_JUNCTION * voxel);
             let ids: Vec<MaterialId> = equal.map(|(id, _)| *id).collect();
             for own in triples(&ids) {
                 let Some(curve) = Stratum::new(&own) else { continue };

@@ -2,7 +2,7 @@
 //! step is a predictor step along the tangent, followed by Newton's method back onto the curve.
 //! Positions are in the grid frame, mm.
 
-use super::chains::COINCIDENT;
+use super::chains::SAME_JUNCTION;
 use crate::materials::{Indicators, MaterialId, Stratum};
 use glam::DVec3;
 
@@ -82,7 +82,8 @@ pub fn way_round<I: Indicators + ?Sized>(
 /// Returns paths along a junction curve from one position on it to another, both included. `corner`
 /// is the last corner of the grid. There is at most one path for each direction. The paths are
 /// shorter than `longest` (mm) and sorted by length. A path may cross parts where another material
-/// is nearer by less than [`COINCIDENT`], because positions a step apart do not resolve such parts.
+/// is nearer by less than [`SAME_JUNCTION`], because positions a step apart do not resolve such
+/// parts.
 pub fn ways_along<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
@@ -91,7 +92,7 @@ pub fn ways_along<I: Indicators + ?Sized>(
     longest: f64,
 ) -> Vec<Vec<DVec3>> {
     let &[i, j, k] = curve.materials() else { return Vec::new() };
-    let follower = Follower { indicators, corner, own: [i, j, k], undercut: COINCIDENT };
+    let follower = Follower { indicators, corner, own: [i, j, k], undercut: SAME_JUNCTION };
     let there = AT_AN_END * indicators.voxel();
     let way = |sign: f64| {
         let (mut length, mut is_there) = (0.0, false);
@@ -137,7 +138,7 @@ pub fn way_from<I: Indicators + ?Sized>(
     longest: f64,
 ) -> Vec<DVec3> {
     let &[i, j, k] = curve.materials() else { return Vec::new() };
-    let follower = Follower { indicators, corner, own: [i, j, k], undercut: COINCIDENT };
+    let follower = Follower { indicators, corner, own: [i, j, k], undercut: SAME_JUNCTION };
     let sign = if follower.tangent(from).dot(heading) < 0.0 { -1.0 } else { 1.0 };
     let mut length = 0.0;
     let (places, _) = follower.follow(from, sign, |a, b| {
@@ -206,10 +207,10 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         (is_smooth && (found - place).dot(tangent) > ASIDE * step).then_some(found)
     }
 
-    /// Returns whether the curve is real at a distance of [`COINCIDENT`] from a junction point,
+    /// Returns whether the curve is real at a distance of [`SAME_JUNCTION`] from a junction point,
     /// along its tangent or against it.
     pub(super) fn leaves(&self, point: DVec3, is_along: bool) -> bool {
-        let (step, sign) = (COINCIDENT * self.indicators.voxel(), if is_along { 1.0 } else { -1.0 });
+        let (step, sign) = (SAME_JUNCTION * self.indicators.voxel(), if is_along { 1.0 } else { -1.0 });
         let next = self.ahead(point, sign * self.tangent(point), sign, step);
         next.is_some_and(|p| self.indicators.clearance(p, &self.own) > 0.0)
     }

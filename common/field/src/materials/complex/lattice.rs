@@ -10,7 +10,7 @@ use isoparticles_volume::Geometry;
 pub(super) const UNIT: u32 = 8;
 
 /// A lattice position in steps.
-pub(super) type Place = [u32; 3];
+pub(super) type LatticePoint = [u32; 3];
 
 /// The lattice of a grid.
 #[derive(Clone, Copy, Debug)]
@@ -20,19 +20,19 @@ pub(super) struct Lattice<'a> {
 
 impl Lattice<'_> {
     /// Returns a lattice position in the grid frame in mm.
-    pub(super) fn position(&self, place: Place) -> DVec3 {
+    pub(super) fn position(&self, place: LatticePoint) -> DVec3 {
         self.geometry.index_to_grid(DVec3::from_array(place.map(f64::from)) / f64::from(UNIT))
     }
 }
 
 /// Returns a lattice position as one number. The numbers are ordered by z, then y, then x.
-pub(super) fn number(place: Place) -> u128 {
+pub(super) fn number(place: LatticePoint) -> u128 {
     let [x, y, z] = place.map(u128::from);
     z << 64 | y << 32 | x
 }
 
 /// Returns the midpoint of two lattice positions if it is a whole number of steps along each axis.
-pub(super) fn half_way(a: Place, b: Place) -> Option<Place> {
+pub(super) fn half_way(a: LatticePoint, b: LatticePoint) -> Option<LatticePoint> {
     let is_even = (0..3).all(|axis| a[axis].abs_diff(b[axis]).is_multiple_of(2));
     is_even.then(|| std::array::from_fn(|axis| a[axis].midpoint(b[axis])))
 }
@@ -40,7 +40,7 @@ pub(super) fn half_way(a: Place, b: Place) -> Option<Place> {
 /// Returns the rank of an edge. Edges with the highest rank are bisected first. The rank is the
 /// squared length in steps, then the numbers of the ends. It is a total order, so that both sides
 /// of a face are cut in the same way.
-pub(super) fn rank(a: Place, b: Place) -> (u32, [u128; 2]) {
+pub(super) fn rank(a: LatticePoint, b: LatticePoint) -> (u32, [u128; 2]) {
     let squared = (0..3).map(|axis| a[axis].abs_diff(b[axis]).pow(2)).sum();
     let (a, b) = (number(a), number(b));
     (squared, [a.min(b), a.max(b)])
@@ -58,7 +58,7 @@ pub(super) const TETRAHEDRA: [[u8; 4]; 6] =
 pub(super) enum Piece {
     /// Part of the interface of two materials. `of` contains one tetrahedron corner of each
     /// material. The piece has three or four corners; the last is zero if there are three.
-    Sheet { of: [usize; 2], corners: [u8; 4] },
+    Interface { of: [usize; 2], corners: [u8; 4] },
     /// Part of the junction curve of three materials.
     Curve { ends: [u8; 2] },
 }
@@ -76,7 +76,7 @@ pub(super) fn pieces(of: [MaterialId; 4], mut hear: impl FnMut(Piece)) {
             for j in i + 1..4 {
                 let edge = bit(i) | bit(j);
                 let [k, l] = others([i, j]);
-                hear(Piece::Sheet { of: [i, j], corners: [edge, edge | bit(k), 0b1111, edge | bit(l)] });
+                hear(Piece::Interface { of: [i, j], corners: [edge, edge | bit(k), 0b1111, edge | bit(l)] });
             }
         }
         (0..4).for_each(|i| hear(Piece::Curve { ends: [0b1111 ^ bit(i), 0b1111] }));
@@ -85,22 +85,22 @@ pub(super) fn pieces(of: [MaterialId; 4], mut hear: impl FnMut(Piece)) {
     let [c, d] = others([a, b]);
     let edge = |i: usize, j: usize| bit(i) | bit(j);
     let mut corner = |alone: usize, [i, j, k]: [usize; 3]| {
-        hear(Piece::Sheet { of: [alone, i], corners: [edge(alone, i), edge(alone, j), edge(alone, k), 0] });
+        hear(Piece::Interface { of: [alone, i], corners: [edge(alone, i), edge(alone, j), edge(alone, k), 0] });
     };
     match (same(a, c), same(a, d), same(c, d)) {
         (true, true, _) => {}
         (true, false, _) => corner(d, [a, b, c]),
         (false, true, _) => corner(c, [a, b, d]),
         (false, false, true) => {
-            hear(Piece::Sheet { of: [a, c], corners: [edge(a, c), edge(a, d), edge(b, d), edge(b, c)] });
+            hear(Piece::Interface { of: [a, c], corners: [edge(a, c), edge(a, d), edge(b, d), edge(b, c)] });
         }
         (false, false, false) => {
             let ends = [edge(a, c) | bit(d), edge(b, c) | bit(d)];
             for single in [c, d] {
                 let corners = [edge(a, single), edge(b, single), ends[1], ends[0]];
-                hear(Piece::Sheet { of: [a, single], corners });
+                hear(Piece::Interface { of: [a, single], corners });
             }
-            hear(Piece::Sheet { of: [c, d], corners: [edge(c, d), ends[0], ends[1], 0] });
+            hear(Piece::Interface { of: [c, d], corners: [edge(c, d), ends[0], ends[1], 0] });
             hear(Piece::Curve { ends });
         }
     }

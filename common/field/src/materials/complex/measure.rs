@@ -51,7 +51,7 @@ impl Complex {
     pub fn areas(&self) -> BTreeMap<Stratum, f64> {
         let mut areas = BTreeMap::new();
         for triangle in &self.triangles {
-            *areas.entry(triangle.sheet).or_default() += 0.5 * self.doubled(triangle).length();
+            *areas.entry(triangle.interface).or_default() += 0.5 * self.doubled(triangle).length();
         }
         areas
     }

@@ -20,7 +20,7 @@ mod measure;
 mod tests;
 
 pub use cells::{Triangle, Vertex};
-pub use chains::{COINCIDENT, Chain, End, Junction};
+pub use chains::{Chain, End, JunctionPoint, SAME_JUNCTION};
 pub use follow::{way_along, way_from, way_round, ways_along};
 
 use super::{Indicators, Materials, Stratum};
@@ -34,7 +34,7 @@ use serde::Serialize;
 /// Counts of lattice vertices and curves that were found, projected, dropped or merged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Tally {
-    /// Junction points found on the lattice.
+    /// JunctionPoint points found on the lattice.
     pub points: usize,
     /// Lattice junction points that Newton's method could not project.
     pub points_not_projected: usize,
@@ -48,12 +48,13 @@ pub struct Tally {
     pub curve_vertices_not_clear: usize,
     /// Ends of curves that could not be followed further.
     pub curves_lost: usize,
-    /// Junction points that were merged with another junction point of the same materials.
+    /// JunctionPoint points that were merged with another junction point of the same materials.
     pub points_merged: usize,
-    /// Junction points that were removed, because the curves that end there continue through them.
+    /// JunctionPoint points that were removed, because the curves that end there continue through
+    /// them.
     pub points_passed: usize,
-    /// Junction points at which, for some three of the four materials, the number of curve ends is
-    /// not one.
+    /// JunctionPoint points at which, for some three of the four materials, the number of curve
+    /// ends is not one.
     pub points_irregular: usize,
     /// Closed curves that were dropped, because they are far shorter than a voxel.
     pub specks: usize,
@@ -70,7 +71,7 @@ pub struct Complex {
     /// The junction curves.
     pub chains: Vec<Chain>,
     /// The junction points.
-    pub points: Vec<Junction>,
+    pub points: Vec<JunctionPoint>,
     /// Counts from projecting and following.
     pub tally: Tally,
 }
@@ -101,30 +102,30 @@ impl Complex {
     /// Returns the component of each triangle, and the number of components. Triangles of one
     /// interface that share a vertex belong to the same component. Components are numbered in the
     /// order of their first triangles.
-    pub fn sheet_components(&self) -> (Vec<u32>, usize) {
+    pub fn interface_components(&self) -> (Vec<u32>, usize) {
         // a vertex on a curve or at a point counts once for each interface that contains it
         let is_shared = |v: u32| self.vertices[v as usize].stratum.dimension() < 2;
         let mut shared: Vec<(u32, Stratum)> = self
             .triangles
             .iter()
-            .flat_map(|t| t.corners.into_iter().filter(|&v| is_shared(v)).map(|v| (v, t.sheet)))
+            .flat_map(|t| t.corners.into_iter().filter(|&v| is_shared(v)).map(|v| (v, t.interface)))
             .collect();
         shared.par_sort_unstable();
         shared.dedup();
         let first = self.vertices.len() as u32;
-        let place = |v: u32, sheet: Stratum| {
-            if is_shared(v) { first + shared.partition_point(|other| *other < (v, sheet)) as u32 } else { v }
+        let place = |v: u32, interface: Stratum| {
+            if is_shared(v) { first + shared.partition_point(|other| *other < (v, interface)) as u32 } else { v }
         };
         let mut sets = DisjointSets::new(self.vertices.len() + shared.len());
         for triangle in &self.triangles {
-            let [a, b, c] = triangle.corners.map(|v| place(v, triangle.sheet));
+            let [a, b, c] = triangle.corners.map(|v| place(v, triangle.interface));
             sets.join(a, b);
             sets.join(b, c);
         }
         let mut number = vec![u32::MAX; self.vertices.len() + shared.len()];
         let mut count = 0;
         let mut component = |triangle: &Triangle| {
-            let own = &mut number[sets.find(place(triangle.corners[0], triangle.sheet)) as usize];
+            let own = &mut number[sets.find(place(triangle.corners[0], triangle.interface)) as usize];
             if *own == u32::MAX {
                 *own = count;
                 count += 1;
@@ -149,7 +150,8 @@ fn joined(parts: Vec<Part>) -> (Vec<Vertex>, Vec<Triangle>) {
     let mut triangles = Vec::new();
     for (part, numbers) in parts.iter().zip(&numbers) {
         let number = |own: u32| numbers[own as usize];
-        triangles.extend(part.triangles.iter().map(|t| Triangle { corners: t.corners.map(number), sheet: t.sheet }));
+        triangles
+            .extend(part.triangles.iter().map(|t| Triangle { corners: t.corners.map(number), interface: t.interface }));
     }
     (all.into_iter().map(|(_, vertex)| vertex).collect(), triangles)
 }

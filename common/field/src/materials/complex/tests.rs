@@ -80,15 +80,16 @@ fn is_closed(complex: &Complex) {
     for triangle in &complex.triangles {
         let [a, b, c] = triangle.corners;
         for (from, to) in [(a, b), (b, c), (c, a)] {
-            *edges.entry((triangle.sheet, from.min(to), from.max(to))).or_insert(0) += if from < to { 1 } else { -1 };
+            *edges.entry((triangle.interface, from.min(to), from.max(to))).or_insert(0) +=
+                if from < to { 1 } else { -1 };
         }
     }
-    for ((sheet, a, b), sum) in edges {
+    for ((interface, a, b), sum) in edges {
         let ends = [a, b].map(|v| complex.vertices[v as usize].stratum);
         let places = [a, b].map(|v| complex.vertices[v as usize].position);
         let is_edge = |face: f64| (0..3).any(|axis| places.iter().all(|p| (p[axis] - face).abs() < 0.1));
         let is_border = ends.iter().all(|end| end.count() > 2) || is_edge(0.0) || is_edge(24.0);
-        assert!(sum == 0 || is_border, "{sheet:?}: {places:?} {ends:?} {sum}");
+        assert!(sum == 0 || is_border, "{interface:?}: {places:?} {ends:?} {sum}");
     }
 }
 
@@ -98,7 +99,7 @@ fn turned(complex: &Complex, indicators: &impl Indicators) -> usize {
     let is_turned = |triangle: &&Triangle| {
         let [a, b, c] = complex.corners(triangle);
         let (normal, centre) = ((b - a).cross(c - a), (a + b + c) / 3.0);
-        let &[low, high] = triangle.sheet.materials() else { return true };
+        let &[low, high] = triangle.interface.materials() else { return true };
         let gradient = indicators.difference_gradient(high, low, centre).1;
         normal.dot(gradient) < -1e-3 * normal.length() * gradient.length()
     };
@@ -106,12 +107,12 @@ fn turned(complex: &Complex, indicators: &impl Indicators) -> usize {
 }
 
 #[test]
-fn nested_balls_have_two_closed_sheets_whose_areas_converge() {
+fn nested_balls_have_two_closed_interfaces_whose_areas_converge() {
     let errors = |complex: &Complex| {
-        assert_eq!((complex.chains.len(), complex.points.len(), complex.sheet_components().1), (0, 0, 2));
+        assert_eq!((complex.chains.len(), complex.points.len(), complex.interface_components().1), (0, 0, 2));
         is_closed(complex);
         let areas = complex.areas();
-        let error = |sheet: Stratum, radius: f64| (areas[&sheet] / (4.0 * PI * radius * radius) - 1.0).abs();
+        let error = |interface: Stratum, radius: f64| (areas[&interface] / (4.0 * PI * radius * radius) - 1.0).abs();
         error(stratum(&[0, 1]), 9.0).max(error(stratum(&[1, 2]), 5.0))
     };
     let analytic = nested(CENTRE);
@@ -129,7 +130,7 @@ fn three_sectors_of_a_ball_have_four_curves_and_two_points() {
     let analytic = smooth_sectors();
     let errors = |complex: &Complex| {
         is_closed(complex);
-        assert_eq!((complex.chains.len(), complex.points.len(), complex.sheet_components().1), (4, 2, 6));
+        assert_eq!((complex.chains.len(), complex.points.len(), complex.interface_components().1), (4, 2, 6));
         let mut place = 0.0f64;
         for point in &complex.points {
             assert_eq!(point.stratum, stratum(&[0, 1, 2, 3]));
@@ -172,7 +173,7 @@ fn four_regions_of_a_cube_have_four_curves_and_one_point() {
     let analytic = corners(CENTRE);
     for (complex, most) in [(exact(&analytic, 1.5), 1e-6), (Complex::new(&sampled(&analytic, 1.5)), 0.4)] {
         is_closed(&complex);
-        assert_eq!((complex.chains.len(), complex.points.len(), complex.sheet_components().1), (4, 1, 6));
+        assert_eq!((complex.chains.len(), complex.points.len(), complex.interface_components().1), (4, 1, 6));
         assert!(complex.points[0].position.distance(CENTRE) < most, "{:?}", complex.points);
         for chain in &complex.chains {
             let mut ends = chain.ends;
@@ -194,7 +195,7 @@ fn touching_balls_and_a_lens_have_one_closed_curve() {
         let error = |spacing: f64| {
             let complex = exact(&analytic, spacing);
             is_closed(&complex);
-            assert_eq!((complex.chains.len(), complex.points.len(), complex.sheet_components().1), (1, 0, 3));
+            assert_eq!((complex.chains.len(), complex.points.len(), complex.interface_components().1), (1, 0, 3));
             assert!(complex.chains[0].is_closed() && complex.chains[0].curve == stratum(&curve));
             for &v in &complex.chains[0].vertices {
                 let away = complex.vertices[v as usize].position.distance(CENTRE);
@@ -219,7 +220,7 @@ fn a_layer_thinner_than_a_cell_is_not_passed_over() {
     let analytic = Analytic::new(vec![low, layer, high], 1.5);
     let complex = exact(&analytic, 1.5);
     is_closed(&complex);
-    assert_eq!((complex.chains.len(), complex.sheet_components().1), (0, 2), "{:?}", complex.tally);
+    assert_eq!((complex.chains.len(), complex.interface_components().1), (0, 2), "{:?}", complex.tally);
 }
 
 #[test]

@@ -5,7 +5,7 @@ use super::any_gpu;
 use super::fields::{lists, sorted};
 use crate::constants::{FARTHEST_MOVE, NEWCOMER_DISTANCE};
 use crate::density::{Newcomer, propose};
-use crate::gpu::adapter::{Choice, Gpu};
+use crate::gpu::adapter::{AdapterChoice, Gpu};
 use crate::gpu::constants::{
     BLOCK, COLOUR_STRIDE, NARROW, WORD_COUNT, WORD_DEFECTS, WORD_ENERGY, WORD_KEPT, WORD_LONGEST_WAY, WORD_MOVED,
     WORD_TRIES,
@@ -127,7 +127,7 @@ fn too_many() -> Scene {
 
 #[test]
 fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
-    let Some(gpu) = any_gpu("movement of a class", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("movement of a class", AdapterChoice::default()) else { return };
     let scene = too_many();
     let mut rig = Rig::new(&gpu, &scene);
     let (state, fields) = (rig.state(), scene.fields());
@@ -161,7 +161,7 @@ fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
 
 #[test]
 fn only_bins_of_the_colour_move_one_particle_at_a_time() {
-    let Some(gpu) = any_gpu("movement of a colour", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("movement of a colour", AdapterChoice::default()) else { return };
     let scene = too_many();
     let mut rig = Rig::in_bins(&gpu, &scene, Binning::Uniform);
     let (mut state, fields) = (rig.state(), scene.fields());
@@ -205,7 +205,7 @@ fn every_bin_has_one_colour() {
 
 #[test]
 fn rounds_of_deletion_are_those_of_the_twin() {
-    let Some(gpu) = any_gpu("deletion", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("deletion", AdapterChoice::default()) else { return };
     let mut rig = Rig::new(&gpu, &too_many());
     let count = rig.count();
     let mut gone = [0; 4];
@@ -250,7 +250,7 @@ fn rounds_of_deletion_are_those_of_the_twin() {
 
 #[test]
 fn newcomers_are_those_of_the_twin_and_everybody_finds_a_place() {
-    let Some(gpu) = any_gpu("insertion", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("insertion", AdapterChoice::default()) else { return };
     // far fewer particles than the lattice has, so that newcomers come close to each other
     let tori = (120..420).step_by(60).map(Scene::bumpy_torus);
     let balls = (40..400).step_by(20).map(|n| Scene::ball(n, 1.6));
@@ -302,8 +302,8 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
     // checks every pair, however far apart the parents are
     let too_near = |i: usize, j: usize| {
         let least = NEWCOMER_DISTANCE * f64::from(newcomers[i][3].min(newcomers[j][3]));
-        let same_sheet = Vec3::from_slice(&facing[i]).dot(Vec3::from_slice(&facing[j])) > 0.0;
-        i != j && same_sheet && DVec3::distance(at(i), at(j)) < least
+        let same_interface = Vec3::from_slice(&facing[i]).dot(Vec3::from_slice(&facing[j])) > 0.0;
+        i != j && same_interface && DVec3::distance(at(i), at(j)) < least
     };
     let beats = |j: usize, i: usize| {
         let priority = |i: usize| random_bits(4 * PASS + 2, i as u32);
@@ -340,7 +340,7 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
 
 #[test]
 fn totals_are_those_of_the_particles() {
-    let Some(gpu) = any_gpu("totals", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("totals", AdapterChoice::default()) else { return };
     // one particle, one block, and an odd number of blocks
     for count in [1, 2048, 4500] {
         let mut rig = Rig::new(&gpu, &Scene::ball(count, 0.9));

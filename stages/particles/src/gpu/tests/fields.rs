@@ -1,7 +1,7 @@
 //! Compares F, h, energies and their derivatives with those of the CPU.
 
 use super::any_gpu;
-use crate::gpu::adapter::{Choice, Gpu};
+use crate::gpu::adapter::{AdapterChoice, Gpu};
 use crate::gpu::constants::{LIST_TILE, WORD_LONGEST_LIST};
 use crate::gpu::engine::GpuEngine;
 use crate::gpu::memory::download;
@@ -56,7 +56,7 @@ fn vector(v: [f32; 4]) -> DVec3 {
 #[test]
 fn fields_are_those_of_the_cpu_also_outside_and_in_slabs() {
     for largest_slab in [None, Some(48 * 1024)] {
-        let Some(gpu) = any_gpu("fields", Choice { largest_slab, ..Choice::default() }) else { return };
+        let Some(gpu) = any_gpu("fields", AdapterChoice { largest_slab, ..AdapterChoice::default() }) else { return };
         let mut scene = Scene::bumpy_torus(300);
         // random points, including points outside the grid
         let corner = scene.surface.geometry().upper_corner();
@@ -84,7 +84,7 @@ fn fields_are_those_of_the_cpu_also_outside_and_in_slabs() {
 
 #[test]
 fn energies_and_forces_are_those_of_the_cpu() {
-    let Some(gpu) = any_gpu("energies and forces", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("energies and forces", AdapterChoice::default()) else { return };
     for scene in [Scene::ball(900, 1.6), Scene::bumpy_torus(1500)] {
         let mut engine = sorted(&gpu, &scene, Binning::Graded);
         let count = engine.count;

@@ -2,7 +2,7 @@
 
 use super::any_gpu;
 use super::fields::{lists, sorted};
-use crate::gpu::adapter::Choice;
+use crate::gpu::adapter::AdapterChoice;
 use crate::gpu::constants::{BIN_REACH, CLASSES, COLOUR_STRIDE, UNCLASSED};
 use crate::gpu::memory::download;
 use crate::scenes::Scene;
@@ -12,7 +12,7 @@ use isoparticles_field::neighbours::NeighbourLists;
 
 #[test]
 fn lists_equal_the_cpu_and_neighbours_differ_in_class() {
-    let Some(gpu) = any_gpu("neighbour lists", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("neighbour lists", AdapterChoice::default()) else { return };
     for (scene, binning) in [
         (Scene::ball(1, 1.6), Binning::Graded),
         (Scene::ball(700, 1.6), Binning::Graded),
@@ -65,7 +65,7 @@ fn lists_equal_the_cpu_and_neighbours_differ_in_class() {
 
 #[test]
 fn two_bins_of_a_colour_touch_no_common_particle() {
-    let Some(gpu) = any_gpu("coloured bins", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("coloured bins", AdapterChoice::default()) else { return };
     for scene in [Scene::ball(700, 1.6), Scene::bumpy_torus(2500)] {
         let engine = sorted(&gpu, &scene, Binning::Uniform);
         let level = &engine.levels.levels[0];

@@ -3,13 +3,13 @@
 
 use super::any_gpu;
 use crate::cpu::scenes::{Body, corners, nested, sectors};
-use crate::cpu::{OnStrata, settle_sheets, settle_sheets_with};
-use crate::gpu::adapter::{Choice, Gpu};
+use crate::cpu::{OnStrata, settle_interfaces, settle_interfaces_with};
+use crate::gpu::adapter::{AdapterChoice, Gpu};
 use crate::gpu::engine::GpuEngine;
 use crate::gpu::memory::download;
 use crate::gpu::parameters::device_origin;
 use crate::gpu::schedule::Step;
-use crate::implicit::Sheets;
+use crate::implicit::Interfaces;
 use crate::settle::{Binning, Engine, Order, Parameters, PassRecord, Summary};
 use crate::state::Fields;
 use glam::{DVec3, Vec3};
@@ -23,7 +23,7 @@ fn settled(
     resumed: Option<(OnStrata, &[PassRecord])>,
     mut kept: impl FnMut(&PassRecord, OnStrata),
 ) -> (OnStrata, Summary) {
-    let surface = Sheets::new(materials, 1.0);
+    let surface = Interfaces::new(materials, 1.0);
     let fields = Fields { surface: &surface, sizing: &body.sizing };
     let make = |set, strata: Vec<_>| {
         let fields = (materials, &body.sizing);
@@ -37,13 +37,13 @@ fn settled(
         Ok(())
     };
     let (settled, summary, _) =
-        settle_sheets_with(make, &body.seeds, resumed, &fields, parameters, &mut observe).unwrap();
+        settle_interfaces_with(make, &body.seeds, resumed, &fields, parameters, &mut observe).unwrap();
     (settled, summary)
 }
 
 #[test]
-fn sheets_fill_on_the_device_as_on_the_cpu() {
-    let Some(gpu) = any_gpu("sheets_fill_on_the_device_as_on_the_cpu", Choice::default()) else { return };
+fn interfaces_fill_on_the_device_as_on_the_cpu() {
+    let Some(gpu) = any_gpu("interfaces_fill_on_the_device_as_on_the_cpu", AdapterChoice::default()) else { return };
     let parameters = Parameters { levels: 1, max_passes: 50, ..Parameters::default() };
     let in_bins = Parameters { binning: Binning::Uniform, order: Order::Bins, ..parameters.clone() };
     for (name, body, parameters) in [
@@ -53,9 +53,9 @@ fn sheets_fill_on_the_device_as_on_the_cpu() {
         ("sectors in the order of bins", sectors(1.0, 400), &in_bins),
     ] {
         let materials = body.sampled();
-        let surface = Sheets::new(&materials, 1.0);
+        let surface = Interfaces::new(&materials, 1.0);
         let fields = Fields { surface: &surface, sizing: &body.sizing };
-        let (on_cpu, of_cpu) = settle_sheets(&body.seeds, None, &fields, parameters, |_, _| Ok(())).unwrap();
+        let (on_cpu, of_cpu) = settle_interfaces(&body.seeds, None, &fields, parameters, |_, _| Ok(())).unwrap();
         let (on_gpu, of_gpu) = settled(&gpu, (&body, &materials), parameters, None, |_, _| ());
         println!("{name}: {of_cpu:?} {of_gpu:?}");
         let held = on_gpu.1.of.partition_point(|on| on.dimension() < 2);
@@ -77,7 +77,7 @@ fn sheets_fill_on_the_device_as_on_the_cpu() {
 
 #[test]
 fn a_run_of_materials_is_the_same_again_and_after_a_break() {
-    let Some(gpu) = any_gpu("a_run_of_materials_is_the_same_again_and_after_a_break", Choice::default()) else {
+    let Some(gpu) = any_gpu("a_run_of_materials_is_the_same_again_and_after_a_break", AdapterChoice::default()) else {
         return;
     };
     let body = corners(1.0, 500);
@@ -101,7 +101,7 @@ fn a_run_of_materials_is_the_same_again_and_after_a_break() {
 #[test]
 fn differences_and_their_reality_are_those_of_the_cpu() {
     for largest_slab in [None, Some(256 * 1024)] {
-        let choice = Choice { largest_slab, ..Choice::default() };
+        let choice = AdapterChoice { largest_slab, ..AdapterChoice::default() };
         let Some(gpu) = any_gpu("differences_and_their_reality_are_those_of_the_cpu", choice) else { return };
         let (mut real, mut unreal, mut unknown) = (0, 0, 0);
         for body in [nested(1.0, 900), sectors(1.0, 400), corners(1.0, 500)] {
@@ -115,7 +115,7 @@ fn differences_and_their_reality_are_those_of_the_cpu() {
             for n in held..strata.len() {
                 let at = |axis| isoparticles_field::random::uniform(3, axis, n as u64);
                 let start = corner * DVec3::new(at(0), at(1), at(2));
-                let met = materials.project_onto_sheet(own(n), start, corner.length(), 1e-7);
+                let met = materials.project_onto_interface(own(n), start, corner.length(), 1e-7);
                 set.positions[n] = met.filter(|_| n % 3 > 0).unwrap_or(start);
             }
             let fields = (&materials, &body.sizing);

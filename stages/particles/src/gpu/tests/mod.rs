@@ -10,13 +10,13 @@ mod passes;
 mod scans;
 mod shaders;
 
-use super::adapter::{Choice, Gpu, adapters};
+use super::adapter::{AdapterChoice, Gpu, adapters};
 
 /// Opens the first adapter. If there is no adapter, prints what is skipped and returns `None`.
-fn any_gpu(what: &str, choice: Choice) -> Option<Gpu> {
+fn any_gpu(what: &str, choice: AdapterChoice) -> Option<Gpu> {
     let Some(first) = adapters().into_iter().next() else {
         isoparticles_tests::skip::skip(what, "no Vulkan, Metal or DX12 adapter (Mesa's lavapipe would do)");
         return None;
     };
-    Some(Gpu::open(&Choice { name: Some(first.name), ..choice }).unwrap())
+    Some(Gpu::open(&AdapterChoice { name: Some(first.name), ..choice }).unwrap())
 }

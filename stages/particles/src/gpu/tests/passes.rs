@@ -3,7 +3,7 @@
 
 use super::any_gpu;
 use crate::cpu::settle;
-use crate::gpu::adapter::{Choice, Gpu};
+use crate::gpu::adapter::{AdapterChoice, Gpu};
 use crate::gpu::engine::GpuEngine;
 use crate::gpu::memory::Memory;
 use crate::scenes::Scene;
@@ -26,7 +26,7 @@ fn alike(a: &(ParticleSet, Summary), b: &(ParticleSet, Summary), what: &str) {
 
 #[test]
 fn the_lattice_is_that_of_the_cpu() {
-    let Some(gpu) = any_gpu("the whole backend", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("the whole backend", AdapterChoice::default()) else { return };
     let first = Parameters {
         max_passes: 12,
         closing_passes: 2,
@@ -54,7 +54,7 @@ fn the_lattice_is_that_of_the_cpu() {
 
 #[test]
 fn particles_stay_on_the_surface_and_energy_falls() {
-    let Some(gpu) = any_gpu("movement", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("movement", AdapterChoice::default()) else { return };
     let scene = Scene::bumpy_torus(1300);
     let fields = scene.fields();
     let mut engine = GpuEngine::new(&gpu, &fields, &scene.seeds, &Parameters::default()).unwrap();
@@ -77,7 +77,7 @@ fn particles_stay_on_the_surface_and_energy_falls() {
 
 #[test]
 fn repeated_resumed_and_slab_runs_give_the_same_bytes() {
-    let Some(gpu) = any_gpu("repeatability", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("repeatability", AdapterChoice::default()) else { return };
     let scene = Scene::bumpy_torus(900);
     let fields = scene.fields();
     let in_classes = Parameters { max_passes: 27, ..Parameters::default() };
@@ -100,7 +100,9 @@ fn repeated_resumed_and_slab_runs_give_the_same_bytes() {
         let mut engine = GpuEngine::new(&gpu, &fields, &set, &parameters).unwrap();
         let resumed = settle_with(&mut engine, &fields, &parameters, &records, |_, _| Ok(())).unwrap();
         assert!(whole.0 == resumed.0, "a resumed run differs");
-        let Some(narrow) = any_gpu("slabs", Choice { largest_slab: Some(48 * 1024), ..Choice::default() }) else {
+        let Some(narrow) =
+            any_gpu("slabs", AdapterChoice { largest_slab: Some(48 * 1024), ..AdapterChoice::default() })
+        else {
             return;
         };
         assert!(whole.0 == settled(&narrow, &scene, &parameters).0, "slabs make a difference");
@@ -109,7 +111,7 @@ fn repeated_resumed_and_slab_runs_give_the_same_bytes() {
 
 #[test]
 fn passes_before_their_turn_are_no_different() {
-    let Some(gpu) = any_gpu("passes before their turn", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("passes before their turn", AdapterChoice::default()) else { return };
     // with these counts, a pass outgrows the room of the next pass, and lists and classes overflow
     for count in [1, 60, 700, 3000] {
         let scene = Scene::ball(count, 1.6);
@@ -132,7 +134,7 @@ fn passes_before_their_turn_are_no_different() {
 
 #[test]
 fn crowds_and_lonely_ones_end_as_the_lattice() {
-    let Some(gpu) = any_gpu("density control", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("density control", AdapterChoice::default()) else { return };
     let lattice = 4.0 * std::f64::consts::PI * 144.0 * 2.0 / (3f64.sqrt() * 1.6 * 1.6);
     // 3000 is three times too many, so the lists outgrow their initial room
     for count in [40, 3000] {
@@ -146,7 +148,7 @@ fn crowds_and_lonely_ones_end_as_the_lattice() {
 
 #[test]
 fn no_particle_and_one_are_no_different() {
-    let Some(gpu) = any_gpu("few particles", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("few particles", AdapterChoice::default()) else { return };
     let alone = Parameters { max_passes: 12, allow_insert: false, ..Parameters::default() };
     for count in [0, 1] {
         let scene = Scene::ball(count, 1.6);
@@ -163,14 +165,14 @@ fn no_particle_and_one_are_no_different() {
 
 #[test]
 fn an_adapter_that_is_not_there_ends_with_exit_code_3() {
-    let choice = Choice { name: Some("no such adapter".to_owned()), ..Choice::default() };
+    let choice = AdapterChoice { name: Some("no such adapter".to_owned()), ..AdapterChoice::default() };
     let Err(error) = Gpu::open(&choice) else { panic!("it was opened") };
     assert_eq!(error.kind, isoparticles_stage::error::Kind::Gpu);
 }
 
 #[test]
 fn a_lost_device_is_a_gpu_error_and_the_run_can_resume() {
-    let Some(gpu) = any_gpu("a lost device", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("a lost device", AdapterChoice::default()) else { return };
     let scene = Scene::ball(300, 1.6);
     let parameters = Parameters { max_passes: 15, levels: 1, ..Parameters::default() };
     let whole = settled(&gpu, &scene, &parameters);
@@ -193,7 +195,7 @@ fn a_lost_device_is_a_gpu_error_and_the_run_can_resume() {
     assert_eq!(records.len(), 12, "no pass after the loss counts");
     // resume from the last checkpoint on a reopened device
     let (records, set) = kept.unwrap();
-    let Some(gpu) = any_gpu("a device opened anew", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("a device opened anew", AdapterChoice::default()) else { return };
     let mut engine = GpuEngine::new(&gpu, &fields, &set, &parameters).unwrap();
     let resumed = settle_with(&mut engine, &fields, &parameters, &records, |_, _| Ok(())).unwrap();
     assert!(whole.0 == resumed.0, "the resumed run differs");
@@ -201,7 +203,7 @@ fn a_lost_device_is_a_gpu_error_and_the_run_can_resume() {
 
 #[test]
 fn a_buffer_beyond_the_limits_is_refused() {
-    let Some(gpu) = any_gpu("limits of buffers", Choice::default()) else { return };
+    let Some(gpu) = any_gpu("limits of buffers", AdapterChoice::default()) else { return };
     let mut memory = Memory::default();
     let most = gpu.limits.max_buffer_size.min(gpu.limits.max_storage_buffer_binding_size);
     let error = memory.make(&gpu, "lists", most + 16, wgpu::BufferUsages::empty()).unwrap_err();
@@ -212,7 +214,7 @@ fn a_buffer_beyond_the_limits_is_refused() {
 
 #[test]
 fn a_field_beyond_the_limits_is_refused() {
-    let choice = Choice { largest_slab: Some(1024), ..Choice::default() };
+    let choice = AdapterChoice { largest_slab: Some(1024), ..AdapterChoice::default() };
     let Some(gpu) = any_gpu("limits", choice) else { return };
     let scene = Scene::ball(10, 1.6);
     let engine = GpuEngine::new(&gpu, &scene.fields(), &scene.seeds, &Parameters::default());

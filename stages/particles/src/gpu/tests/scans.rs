@@ -2,7 +2,7 @@
 //! workgroups.
 
 use super::any_gpu;
-use crate::gpu::adapter::{Choice, Gpu};
+use crate::gpu::adapter::{AdapterChoice, Gpu};
 use crate::gpu::commands::{Command, Profile, encode, submit};
 use crate::gpu::constants::{BLOCK, LIST_TILE, NARROW};
 use crate::gpu::kernels::Kernels;
@@ -24,7 +24,7 @@ struct Rig {
 
 impl Rig {
     fn new(what: &str) -> Option<Self> {
-        let gpu = any_gpu(what, Choice::default())?;
+        let gpu = any_gpu(what, AdapterChoice::default())?;
         let kernels = Kernels::new(&gpu, false, false).unwrap();
         Some(Self { gpu, kernels, memory: Memory::default() })
     }

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 /// An ambiguous face: four nodes of a grid face, with opposite nodes on the same side.
 #[derive(Clone, Copy, Debug)]
-pub struct Junction {
+pub struct AmbiguousFace {
     /// The two nodes inside the object.
     pub inside: [usize; 2],
     /// The two nodes outside.
@@ -30,7 +30,7 @@ const MOST_PASSES: usize = 100;
 
 /// Returns the ambiguous faces of an implicit function given at the nodes (negative inside). The
 /// saddle of each face decides whether its inside nodes are connected.
-pub fn junctions(nodes: &Image<f32>) -> Vec<Junction> {
+pub fn ambiguous_faces(nodes: &Image<f32>) -> Vec<AmbiguousFace> {
     let [nx, ny, nz] = nodes.geometry.size;
     let (data, stride) = (&nodes.data, [1, nx, nx * ny]);
     (0..nz)
@@ -51,7 +51,7 @@ pub fn junctions(nodes: &Image<f32>) -> Vec<Junction> {
                         if side[0] == side[2] && side[1] == side[3] && side[0] != side[1] {
                             let (even, odd) = ([corners[0], corners[2]], [corners[1], corners[3]]);
                             let (inside, outside) = if side[0] { (even, odd) } else { (odd, even) };
-                            found.push(Junction { inside, outside, joined: is_joined(nodes, inside, outside) });
+                            found.push(AmbiguousFace { inside, outside, joined: is_joined(nodes, inside, outside) });
                         }
                     }
                 }
@@ -67,11 +67,15 @@ fn is_joined(nodes: &Image<f32>, inside: [usize; 2], outside: [usize; 2]) -> boo
 
 /// Changes `field` at ambiguous faces whose saddle disagrees with `joined`. No |F| falls below
 /// `least`. Returns the number of faces that still disagree.
-pub fn make_agree(field: &mut Image<f32>, junctions: &[Junction], least: &(impl Fn(usize) -> f32 + Sync)) -> usize {
+pub fn make_agree(
+    field: &mut Image<f32>,
+    ambiguous_faces: &[AmbiguousFace],
+    least: &(impl Fn(usize) -> f32 + Sync),
+) -> usize {
     let mut differing = 0;
     for _ in 0..MOST_PASSES {
         differing = 0;
-        for Junction { inside, outside, joined } in junctions {
+        for AmbiguousFace { inside, outside, joined } in ambiguous_faces {
             if is_joined(field, *inside, *outside) == *joined {
                 continue;
             }

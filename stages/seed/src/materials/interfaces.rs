@@ -28,7 +28,7 @@ const SPECK: f64 = 0.05;
 
 /// The particles on interfaces.
 #[derive(Clone, Debug, Default)]
-pub struct Sheets {
+pub struct InterfaceParticles {
     /// Positions in mm in the grid frame.
     pub positions: Vec<DVec3>,
     /// Unit normals that point from the material with the higher number to the material with the
@@ -60,16 +60,16 @@ struct Placed {
 }
 
 /// Samples the interfaces of a complex, and holds the particles at points and on curves fixed.
-pub fn seed_sheets<I: Indicators>(
+pub fn seed_interfaces<I: Indicators>(
     indicators: &I,
     complex: &Complex,
     (spread, sizing): (&SizingField, &SizingField),
     curves: &Curves,
     seed: u64,
-) -> Sheets {
+) -> InterfaceParticles {
     let vertices = complex.vertices.iter().map(|vertex| vertex.position).collect();
     let mesh = TriangleMesh { vertices, triangles: complex.triangles.iter().map(|t| t.corners).collect() };
-    let (component, count) = complex.sheet_components();
+    let (component, count) = complex.interface_components();
     let mut members = vec![Vec::new(); count];
     let mut is_closed = vec![true; count];
     for (t, &c) in (0..).zip(&component) {
@@ -77,16 +77,16 @@ pub fn seed_sheets<I: Indicators>(
         let corners = mesh.triangles[t as usize];
         is_closed[c as usize] &= corners.iter().all(|&v| complex.vertices[v as usize].stratum.dimension() == 2);
     }
-    let sheet_of: Vec<Stratum> = members.iter().map(|own| complex.triangles[own[0] as usize].sheet).collect();
+    let interface_of: Vec<Stratum> = members.iter().map(|own| complex.triangles[own[0] as usize].interface).collect();
     let every: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
     let density = |p, normal| OVERSAMPLING * spread.lattice_density(p, normal);
     let all = sample(&mesh, &every, |t| component[t], density, |p| spread.at(p), seed);
     let border = Border::new(curves, spread);
-    let all = border.beyond(all, &sheet_of);
+    let all = border.beyond(all, &interface_of);
     let mut chosen = eliminate(&all, seed, |a, b| all.component[a] == all.component[b]);
     chosen.sort_unstable();
     let place = |point: DVec3, normal: DVec3, component: u32| {
-        met(indicators, sheet_of[component as usize], point, normal).map(|(position, normal)| Placed {
+        met(indicators, interface_of[component as usize], point, normal).map(|(position, normal)| Placed {
             position,
             normal,
             component,
@@ -96,13 +96,13 @@ pub fn seed_sheets<I: Indicators>(
         .par_iter()
         .map(|&i| place(all.points[i as usize], all.normals[i as usize], all.component[i as usize]))
         .collect();
-    let mut found = Sheets { components: count, ..Sheets::default() };
+    let mut found = InterfaceParticles { components: count, ..InterfaceParticles::default() };
     found.not_projected = placed.iter().filter(|placed| placed.is_none()).count();
     let mut counts = vec![0usize; count];
     placed.iter().flatten().for_each(|placed| counts[placed.component as usize] += 1);
     let is_bare = |c: usize| if is_closed[c] { counts[c] < COMPONENT_MINIMUM } else { counts[c] == 0 };
     for placed in placed.into_iter().flatten().filter(|placed| !is_bare(placed.component as usize)) {
-        found.add(placed, &sheet_of, sizing);
+        found.add(placed, &interface_of, sizing);
     }
     let area =
         |c: usize| members[c].iter().map(|&t| 0.5 * centre_and_normal(&mesh, t as usize).1.length()).sum::<f64>();
@@ -115,31 +115,31 @@ pub fn seed_sheets<I: Indicators>(
         let own = sample_alone(&mesh, &members[c], seed, c as u64);
         let mut own: Vec<Placed> = own.into_iter().filter_map(|(p, normal)| place(p, normal, c as u32)).collect();
         if !is_closed[c] {
-            own = border.farthest(own, sheet_of[c]).into_iter().collect();
+            own = border.farthest(own, interface_of[c]).into_iter().collect();
         }
         found.crowded += 1;
         found.bare += usize::from(own.is_empty());
-        own.into_iter().for_each(|placed| found.add(placed, &sheet_of, sizing));
+        own.into_iter().for_each(|placed| found.add(placed, &interface_of, sizing));
     }
     found
 }
 
-impl Sheets {
-    fn add(&mut self, placed: Placed, sheet_of: &[Stratum], sizing: &SizingField) {
+impl InterfaceParticles {
+    fn add(&mut self, placed: Placed, interface_of: &[Stratum], sizing: &SizingField) {
         self.positions.push(placed.position);
         self.normals.push(placed.normal);
         self.sizes.push(sizing.at(placed.position));
-        self.of.push(sheet_of[placed.component as usize]);
+        self.of.push(interface_of[placed.component as usize]);
     }
 }
 
 /// Projects a point of a triangle with this normal onto an interface. Returns the projected point
 /// and the unit normal at this point, or `None` if the projection fails, another material is
 /// nearer, or the normal points to the other side.
-fn met<I: Indicators>(indicators: &I, sheet: Stratum, point: DVec3, normal: DVec3) -> Option<(DVec3, DVec3)> {
-    let &[low, high] = sheet.materials() else { return None };
+fn met<I: Indicators>(indicators: &I, interface: Stratum, point: DVec3, normal: DVec3) -> Option<(DVec3, DVec3)> {
+    let &[low, high] = interface.materials() else { return None };
     let voxel = indicators.voxel();
-    let position = indicators.project_onto_sheet([high, low], point, FARTHEST * voxel, TOLERANCE * voxel)?;
+    let position = indicators.project_onto_interface([high, low], point, FARTHEST * voxel, TOLERANCE * voxel)?;
     let own = indicators.difference_gradient(high, low, position).1.try_normalize()?;
     let is_real = indicators.clearance(position, &[low, high]) > 0.0;
     (is_real && own.dot(normal) > 0.0).then_some((position, own))
@@ -162,15 +162,15 @@ impl<'a> Border<'a> {
 
     /// Returns the candidates that are far enough from the particles on the borders of their
     /// interfaces.
-    fn beyond(&self, all: Candidates, sheet_of: &[Stratum]) -> Candidates {
+    fn beyond(&self, all: Candidates, interface_of: &[Stratum]) -> Candidates {
         let is_beyond = |i: usize| {
-            let (p, h, sheet) = (all.points[i], all.sizes[i], &sheet_of[all.component[i] as usize]);
+            let (p, h, interface) = (all.points[i], all.sizes[i], &interface_of[all.component[i] as usize]);
             let mut far = true;
             self.bins.visit(p, h, |j| {
                 let j = j as usize;
                 let radius = FROM_BORDER * h.min(self.sizes[j]);
                 let is_near = p.distance_squared(self.curves.positions[j]) < radius * radius;
-                far &= !(is_near && self.curves.strata.of[j].is_on(sheet));
+                far &= !(is_near && self.curves.strata.of[j].is_on(interface));
             });
             far
         };
@@ -184,10 +184,10 @@ impl<'a> Border<'a> {
     }
 
     /// Returns the particle in `own` that is farthest from the particles on the border of the
-    /// interface `sheet`.
-    fn farthest(&self, own: Vec<Placed>, sheet: Stratum) -> Option<Placed> {
+    /// interface `interface`.
+    fn farthest(&self, own: Vec<Placed>, interface: Stratum) -> Option<Placed> {
         let border: Vec<DVec3> = (0..self.curves.positions.len())
-            .filter(|&j| self.curves.strata.of[j].is_on(&sheet))
+            .filter(|&j| self.curves.strata.of[j].is_on(&interface))
             .map(|j| self.curves.positions[j])
             .collect();
         let distance = |p: DVec3| border.iter().map(|b| b.distance_squared(p)).fold(f64::INFINITY, f64::min);
