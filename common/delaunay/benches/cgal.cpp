@@ -1,15 +1,15 @@
-// Delaunay triangulation of a file of points by CGAL, timed: the comparison that compare.sh runs beside ours.rs.
-// It is no part of the build and nothing depends on it. On Debian or Ubuntu:
+// Times the Delaunay triangulation of a file of points by CGAL. `compare.sh` runs this program and
+// `ours.rs` on the same points. It is not part of the build. On Debian or Ubuntu:
 //
 //   apt-get install g++ libcgal-dev libtbb-dev
 //   g++ -std=c++17 -O3 -DNDEBUG -frounding-math cgal.cpp -o cgal -ltbb -ltbbmalloc -lgmp -lmpfr
 //
 //   cgal FILE serial           one thread
-//   cgal FILE parallel N       CGAL's own parallel insertion on N threads
+//   cgal FILE parallel N       CGAL's parallel insertion on N threads
 //
-// FILE holds little-endian doubles, three a point. Prints one line of `key=value` words: points, vertices, finite
-// cells, seconds from the points in memory to the triangulation, those of all threads together, and the growth of the
-// peak memory meanwhile, bytes.
+// FILE contains little-endian doubles, three per point. Prints one line of `key=value` pairs:
+// points, vertices, finite cells, wall-clock seconds of the triangulation (file reading excluded),
+// processor seconds summed over all threads, and the growth of the peak memory in bytes.
 
 #define CGAL_LINKED_WITH_TBB
 
@@ -38,10 +38,11 @@ using ParallelStructure = CGAL::Triangulation_data_structure_3<Vertex, Cell, CGA
 using Serial = CGAL::Delaunay_triangulation_3<Kernel, SerialStructure>;
 using Parallel = CGAL::Delaunay_triangulation_3<Kernel, ParallelStructure>;
 
-// Cells of CGAL's lock grid along each axis, the figure of its own examples.
+// Number of cells of CGAL's lock grid along each axis, as in CGAL's examples.
 constexpr int lock_grid = 50;
 
-// A line of /proc/self/status, in bytes; 0 where there is none.
+// Returns the value of a line of /proc/self/status, converted from KiB to bytes, or 0 if the line
+// is missing.
 long long memory(const char* key) {
     std::ifstream status("/proc/self/status");
     for (std::string line; std::getline(status, line);) {
@@ -91,6 +92,6 @@ int main(int argc, char** argv) {
     }
     const tbb::global_control control(tbb::global_control::max_allowed_parallelism, threads);
     Parallel::Lock_data_structure locks(CGAL::bbox_3(points.begin(), points.end()), lock_grid);
-    // the locks must outlive the triangulation, and are made before the clock starts
+    // the locks must outlive the triangulation; creating them is not timed
     return timed(points, [&] { return Parallel(points.begin(), points.end(), &locks); });
 }

@@ -15,8 +15,8 @@ use glam::DVec3;
 /// of 72 products of 5 differences: 5 * 62 + log2(72) < 317 bits.
 const DIFFERENCE_BITS: u32 = 62;
 
-/// Maximum number of bits per difference for the in-sphere determinant to fit in an `i64`: 5 * 11 +
-/// log2(72) < 62 bits. Differences of grid points are usually this small.
+/// Maximum number of bits per difference for which the in-sphere determinant fits in an `i64`: 5 *
+/// 11 + log2(72) < 62 bits. Differences of grid points are usually this small.
 const SMALL_BITS: u32 = 11;
 
 type Difference = [i64; 3];
@@ -78,15 +78,15 @@ fn differences<const POINTS: usize, const OTHERS: usize>(points: &[DVec3; POINTS
     Some(all)
 }
 
-/// Does the same as [`differences`] for points whose differences doubles cannot represent exactly.
-/// Converts the coordinates to integers before it subtracts them.
+/// Computes the same as [`differences`] for points whose differences doubles cannot represent
+/// exactly. Converts the coordinates to integers before it subtracts them.
 fn differences_of_integers<const POINTS: usize, const OTHERS: usize>(
     points: &[DVec3; POINTS],
 ) -> Option<[Difference; OTHERS]> {
     let points = points.map(|p| p.to_array());
     let scale = scale(points.iter().flatten())?;
-    // Numbers below 2^100 can be subtracted in an `i128` without overflow. The adaptive expansion
-    // handles points with larger coordinates.
+    // Numbers below 2^100 can be subtracted in an `i128` without overflow. Points with larger
+    // coordinates are left to the adaptive expansion.
     let whole = |x: f64| Some(x * scale).filter(|x| x.abs() < 2f64.powi(100)).map(|x| x as i128);
     let mut base = [0i128; 3];
     for (to, x) in base.iter_mut().zip(points[POINTS - 1]) {

@@ -15,11 +15,12 @@ const IN_CONFLICT: u8 = 1;
 const KEPT: u8 = 2;
 
 /// Neighbour entries of at least this value mark a neighbour beyond a cut, which this region does
-/// not contain. The outermost cut has the largest value.
+/// not contain. The outermost cut has the largest value. 256 markers suffice: cuts are nested at
+/// most `Cutting::depth` deep (3).
 const ELSEWHERE: u32 = u32::MAX - 255;
 
-/// The depth of a cut (0 for the outermost). As an error, it means that the operation needs
-/// tetrahedra beyond this cut.
+/// A cut, given by its depth (0 for the outermost cut). As an error, it means that the operation
+/// needs tetrahedra beyond this cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Beyond(pub(super) u32);
 
@@ -41,12 +42,14 @@ type Reached<T> = std::result::Result<T, Beyond>;
 /// Facet index of a walk that has not crossed a facet yet.
 const NOWHERE: usize = 4;
 
-/// Maximum number of tetrahedra before an insertion. Indices have 30 bits, so 2^29 indices remain
-/// for the new tetrahedra of one cavity.
+/// Maximum number of tetrahedra before an insertion. Indices have 30 bits, because neighbour
+/// entries contain two more bits for the facet. 2^29 indices therefore remain for the new
+/// tetrahedra of one cavity.
 const MOST_TETRAHEDRA: usize = 1 << 29;
 
-/// Maximum number of walls for which a table of all vertex pairs finds the shared edges. For larger
-/// cavities, the edges are sorted. 252 walls have 128 vertices, so the table takes 64 KiB.
+/// Maximum number of walls for which a table of all vertex pairs finds the shared edges. 252 walls
+/// have 252 / 2 + 2 = 128 vertices, and a table of 128^2 entries of 4 bytes (64 KiB) stays in the
+/// second-level cache. For larger cavities, the edges are sorted.
 const WALLS_FOR_A_TABLE: usize = 252;
 
 /// A facet between a tetrahedron in conflict and a tetrahedron that is kept.
@@ -67,14 +70,14 @@ pub(super) struct Workspace {
     kept: Vec<u32>,
     walls: Vec<Wall>,
     created: Vec<u32>,
-    /// Local number of each cavity vertex, plus `numbered`. Index 0 is the vertex at infinity, and
-    /// index v + 1 is vertex v. Smaller values are left over from earlier insertions.
+    /// Local number of each cavity vertex plus `numbered`, at index v + 1 for vertex v and at index
+    /// 0 for the vertex at infinity. Smaller values are left over from earlier insertions.
     numbers: Vec<u32>,
     numbered: u32,
-    /// For each ordered pair of local numbers, the facet at the edge from the first to the second
-    /// vertex.
+    /// The facet at the edge from the first to the second vertex, for each ordered pair of local
+    /// numbers.
     table: Vec<u32>,
-    /// The facets at the edges as a sortable list, which replaces the table for large cavities.
+    /// The facets at the edges as a sortable list. It replaces the table for large cavities.
     edges: Vec<(u32, u32, u32)>,
 }
 
@@ -139,8 +142,8 @@ impl Workspace {
         self.numbered = next;
     }
 
-    /// Does the same as [`Workspace::join`] for any number of walls. Sorting makes the two entries
-    /// of each edge adjacent.
+    /// Links the created tetrahedra like [`Workspace::join`], for any number of walls. Sorting
+    /// makes the two entries of each edge adjacent.
     fn join_by_sorting(&mut self, tetrahedra: &mut [Tetrahedron]) {
         self.edges.clear();
         for (wall, &number) in self.walls.iter().zip(&self.created) {
@@ -205,7 +208,7 @@ pub(super) struct Cells {
 }
 
 impl Cells {
-    /// Creates a set of tetrahedra, none of which may be removed.
+    /// Creates a set of tetrahedra. None of them may be removed (`DEAD`).
     pub(super) fn of(tetrahedra: Vec<Tetrahedron>) -> Self {
         let states = vec![UNKNOWN; tetrahedra.len()];
         Self { tetrahedra, work: Workspace { states, ..Workspace::default() }, ..Self::default() }
@@ -331,8 +334,8 @@ impl Cells {
         Err(Error::TooManyTetrahedra(MOST_TETRAHEDRA))
     }
 
-    /// Inserts a vertex whose point differs from all others, given the tetrahedron that contains
-    /// the point. If the cavity extends beyond a cut, returns an error and changes nothing.
+    /// Inserts a vertex, given the tetrahedron that contains its point. No other vertex may have
+    /// the same point. If the cavity extends beyond a cut, returns an error and changes nothing.
     pub(super) fn insert_at(&mut self, sites: Sites<'_>, v: u32, located: u32) -> Reached<()> {
         let mut work = std::mem::take(&mut self.work);
         let dug = self.dig(sites, v, located, &mut work);

@@ -3,15 +3,14 @@
 //! several threads.
 //!
 //! *Ghost* tetrahedra connect each hull triangle to a vertex at infinity ([`INFINITE`]), so every
-//! tetrahedron has four neighbours and the boundary needs no special cases. Cospherical, coplanar
-//! and collinear points, grids and duplicates are all allowed. A symbolic perturbation (see
+//! tetrahedron has four neighbours and the boundary needs no special cases. The input may contain
+//! cospherical, coplanar and collinear points, grids and duplicates. A symbolic perturbation (see
 //! [`predicates`]) breaks ties of the in-sphere test. It depends only on the point indices, so a
-//! list of points has the same triangulation for any insertion order. An input is refused only if
-//! all its points lie in one plane, because it then has no tetrahedra.
+//! list of points has the same triangulation for any insertion order. Points that all lie in one
+//! plane are refused, because they have no tetrahedra.
 //!
 //! The same points give the same tetrahedra with the same numbers on any number of threads. For
-//! half a million surface points, the speed is about that of CGAL (`make bench-delaunay` compares
-//! both).
+//! half a million surface points, this crate is about as fast as CGAL (`make bench-delaunay`).
 //!
 //! ```
 //! use glam::DVec3;
@@ -59,12 +58,13 @@ pub const INFINITE: u32 = u32::MAX;
 /// Value of the first vertex of a removed tetrahedron.
 const DEAD: u32 = u32::MAX - 1;
 
-/// Largest allowed coordinate. Its fifth power, the degree of the in-sphere determinant, is still
-/// finite.
+/// Maximum absolute value of a coordinate. The in-sphere determinant is a polynomial of degree 5,
+/// so its terms are of the order of 1e250 and below the largest double, 1.8e308.
 const LARGEST_COORDINATE: f64 = 1e50;
 
 /// Coordinates closer to zero than this are set to zero, so that the exact predicates never
-/// underflow.
+/// underflow. Differences of coordinates are multiples of 2^-53 times this value. Their products of
+/// degree 5 are at least 1.7e-280, above the smallest normal double, 2.2e-308.
 const SMALLEST_COORDINATE: f64 = 1e-40;
 
 #[derive(Clone, Copy, Debug)]
@@ -91,7 +91,7 @@ pub struct MemoryUse {
     pub bytes: usize,
     /// Number of tetrahedra, including ghosts.
     pub tetrahedra: usize,
-    /// Number of tetrahedron slots, including free slots.
+    /// Number of tetrahedron slots, including the slots of removed tetrahedra.
     pub slots: usize,
 }
 
@@ -112,9 +112,9 @@ impl Delaunay {
     /// same tetrahedra with the same numbers on any number of threads.
     ///
     /// # Errors
-    /// If there are fewer than four distinct points, or if all points lie in one plane. If a
-    /// coordinate is not finite or exceeds 1e50. If the insertion needs more than 2^29 tetrahedra
-    /// at any time.
+    /// If there are fewer than four distinct points, if all points lie in one plane, if a
+    /// coordinate is not finite or exceeds 1e50 in absolute value, or if there are more than 2^29
+    /// tetrahedra before an insertion.
     pub fn new(points: &[DVec3]) -> Result<Self> {
         Self::with_cutting(points, Cutting::USUAL)
     }
@@ -222,7 +222,7 @@ impl Delaunay {
     }
 
     /// Computes the circumcentre of a tetrahedron relative to one of its vertices and with the
-    /// exact volume. A thin tetrahedron therefore gives a distant centre instead of a wrong one.
+    /// exact volume. The centre of a thin tetrahedron is therefore distant instead of wrong.
     /// Returns `None` for a ghost, or if the centre is not finite.
     pub fn circumcentre(&self, tetrahedron: u32) -> Option<DVec3> {
         let v = self.vertices(tetrahedron);
@@ -249,7 +249,8 @@ impl Delaunay {
     /// is `None`. [`Delaunay::created`] then returns the new tetrahedra.
     ///
     /// # Errors
-    /// If a coordinate is not finite or exceeds 1e50, or if there are more than 2^29 tetrahedra.
+    /// If a coordinate is not finite or exceeds 1e50 in absolute value, or if there are more than
+    /// 2^29 tetrahedra.
     pub fn insert(&mut self, point: DVec3, near: Option<u32>) -> Result<Insertion> {
         let point = admissible(point)?;
         self.cells.check_room()?;
@@ -289,7 +290,8 @@ impl Delaunay {
     }
 }
 
-/// Panic message. Operations on a whole triangulation never reach a cut, so the panic cannot occur.
+/// Panic message for operations that a cut would interrupt. A whole triangulation has no cuts, so
+/// the panic cannot occur.
 const WHOLE: &str = "a whole triangulation has all tetrahedra";
 
 /// Facet opposite each vertex of a positively oriented tetrahedron. The vertices are

@@ -1,15 +1,17 @@
 //! The insertion order: a biased randomised insertion order (Amenta, Choi and Rote 2003). Each
-//! round is about eight times as large as the previous one and follows a Hilbert curve. The walk
-//! from the last insertion is then short for any arrangement of the input.
+//! round has about eight times as many points as the previous round and follows a Hilbert curve.
+//! The walk from the last insertion is then short for any arrangement of the input.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Number of bits of the Hilbert index per axis. The index of three axes fits in 64 bits.
-const LEVELS: u32 = 20;
+/// Number of bits of the Hilbert index per axis. The index of all three axes has 60 bits and fits
+/// in 64. Points in the same Hilbert cell are ordered by their coordinates.
+const BITS_PER_AXIS: u32 = 20;
 
-/// Sets with fewer distinct points are inserted in a single round.
-const SMALLEST_ROUND: usize = 1000;
+/// Sets with fewer distinct points are inserted in a single round. The first of several rounds then
+/// has about 125 to 1000 points.
+const FEWEST_FOR_ROUNDS: usize = 1000;
 
 /// The insertion order of a set of points.
 pub(super) struct Order {
@@ -27,7 +29,7 @@ pub(super) fn insertion_order(points: &[DVec3]) -> Order {
     let low = points.iter().copied().reduce(DVec3::min).unwrap_or_default();
     let high = points.iter().copied().reduce(DVec3::max).unwrap_or_default();
     let extent = (high - low).max_element();
-    let cells = f64::from((1u32 << LEVELS) - 1);
+    let cells = f64::from((1u32 << BITS_PER_AXIS) - 1);
     let scale = if extent > 0.0 { cells / extent } else { 0.0 };
     let mut along: Vec<(u64, u32)> = points
         .par_iter()
@@ -60,7 +62,7 @@ pub(super) fn insertion_order(points: &[DVec3]) -> Order {
             }
         }
     }
-    let rounds = (distinct.len() / SMALLEST_ROUND).checked_ilog2().map_or(0, |n| n / 3 + 1);
+    let rounds = (distinct.len() / FEWEST_FOR_ROUNDS).checked_ilog2().map_or(0, |n| n / 3 + 1);
     let mut order = Vec::with_capacity(distinct.len());
     let mut ends = Vec::new();
     // a point is in the last round with probability 7/8, in the previous round with 7/64, and so on
@@ -92,7 +94,7 @@ fn well_mixed(index: u32) -> u64 {
 /// Returns the position of a cell along the three-dimensional Hilbert curve, computed with
 /// Skilling's transposition method (2004).
 fn hilbert_index(mut x: [u32; 3]) -> u64 {
-    let top = 1u32 << (LEVELS - 1);
+    let top = 1u32 << (BITS_PER_AXIS - 1);
     let mut q = top;
     while q > 1 {
         let below = q - 1;
@@ -119,7 +121,7 @@ fn hilbert_index(mut x: [u32; 3]) -> u64 {
     }
     x.iter_mut().for_each(|v| *v ^= t);
     let mut index = 0u64;
-    for level in (0..LEVELS).rev() {
+    for level in (0..BITS_PER_AXIS).rev() {
         for v in x {
             index = index << 1 | u64::from(v >> level & 1);
         }

@@ -77,7 +77,7 @@ pub fn in_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
     in_sphere_near_zero(determinant, [a, b, c, d, e])
 }
 
-/// Does the same as [`in_sphere`] for determinants that the coarse bound cannot decide.
+/// Computes the same as [`in_sphere`] for determinants that the coarse bound cannot decide.
 #[cold]
 #[inline(never)]
 fn in_sphere_near_zero(determinant: f64, [a, b, c, d, e]: [DVec3; 5]) -> f64 {
@@ -95,10 +95,10 @@ fn in_sphere_near_zero(determinant: f64, [a, b, c, d, e]: [DVec3; 5]) -> f64 {
 }
 
 /// Returns whether `points[4]` lies inside the sphere through the positively oriented
-/// `points[0..4]`, without ties. Each point on the paraboloid is lifted by an infinitesimal amount,
-/// and a larger rank gives a lift that is larger by orders of magnitude. Since each point always
-/// has the same lift, all results describe one regular triangulation. Its cells are never flat, and
-/// its cavities are star-shaped. Points and ranks must be distinct.
+/// `points[0..4]`, without ties. Each point on the paraboloid is lifted by an infinitesimal amount;
+/// a larger rank gives a lift that is larger by orders of magnitude. Each point always has the same
+/// lift, so all results describe one regular triangulation. Its cells are never flat, and its
+/// cavities are star-shaped. Points and ranks must be distinct.
 #[inline]
 pub fn in_sphere_perturbed(points: &[DVec3; 5], ranks: impl FnOnce() -> [u32; 5]) -> bool {
     let [a, b, c, d, e] = *points;
@@ -114,8 +114,8 @@ fn break_tie(points: &[DVec3; 5], ranks: [u32; 5]) -> bool {
         // the point with the next lower rank; the first point usually decides
         let below = (0..5).filter(|&i| largest.is_none_or(|above| ranks[i] < ranks[above]));
         largest = below.max_by_key(|&i| ranks[i]);
-        // Lifting a vertex raises the plane at e by e's barycentric coordinate for that vertex, so
-        // the result has the sign of that coordinate.
+        // Lifting a vertex raises the plane at e in proportion to the barycentric coordinate of e
+        // for that vertex, so the result has the sign of that coordinate.
         let sign = match largest {
             Some(0) => orientation(e, b, c, d),
             Some(1) => orientation(a, e, c, d),

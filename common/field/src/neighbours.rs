@@ -19,13 +19,13 @@ use rayon::prelude::*;
 use std::ops::Range;
 use tree::{Candidates, LANES, Tree};
 
-/// Relative widening of bins and boxes. It ensures that rounding moves no interaction beyond the
-/// adjacent bin.
+/// Relative widening of bins and boxes, so that rounding moves no interaction beyond the adjacent
+/// bin. Rounding errors of positions are below 1024 bins times 2^-52, 2e-13 of a bin.
 const WIDENING: f64 = 1e-9;
 
-/// Number of points per block of [`NeighbourLists::independent_blocks`]. The data that a pass needs
-/// for a block and its surroundings stays in the first caches of a core. A few thousand points give
-/// enough blocks for all cores.
+/// Number of points per block of [`NeighbourLists::independent_blocks`]. The data of a block and
+/// its surroundings, some tens of KiB, stays in the first caches of a core. A few thousand points
+/// give enough blocks for all cores.
 pub const BLOCK: usize = 128;
 
 /// Number of points whose lists are created and stored together. A few thousand points give enough
@@ -58,7 +58,7 @@ impl NeighbourLists {
         Self::default().anew(points, sizes, reach, accept)
     }
 
-    /// Creates lists like [`Self::new`], but reuses the memory of these lists, which are dropped.
+    /// Creates lists like [`Self::new`]. Drops these lists and reuses their memory.
     #[must_use]
     pub fn anew(
         mut self,
@@ -184,7 +184,7 @@ impl NeighbourLists {
     }
 }
 
-/// Appends the lists of the points in `range`, which starts at the first point of a run.
+/// Appends the lists of the points in `range`. The range starts at the first point of a run.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "a closure's body, so that it is compiled for each instruction set")]
 fn append_lists<S: Simd>(

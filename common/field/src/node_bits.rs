@@ -7,7 +7,8 @@ use rayon::prelude::*;
 /// Number of nodes per word.
 pub(crate) const WORD: usize = u64::BITS as usize;
 
-/// Number of nodes that one lane operation compares.
+/// Number of nodes that one lane operation compares: sixteen floats fill a vector register of 512
+/// bits.
 const LANES: usize = 16;
 
 /// The side of a level on which values are marked.

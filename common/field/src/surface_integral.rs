@@ -15,19 +15,24 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 /// Number of lines along each axis through a cell, in each of the two transverse directions. With
-/// two, the area of a staircase of labels is 1 % too large; three and five agree.
+/// 2, 3, 5 and 9 lines, the area of F = 0 is 63,412, 63,250, 63,242 and 63,224 mm^2 for
+/// `heart_label` (`distfield --labels all`). It is 8.836, 8.775, 8.799 and 8.807 mm^2 for
+/// `trabecular_bone` (as for `FLATNESS_MARGIN` in `topology/critical.rs`). Three lines are within
+/// 0.4 % of nine.
 const LINES: usize = 3;
 
-/// Maximum number of bisections of a line within a cell. If the Bézier points of an interval still
-/// change sign several times after that, an odd number of changes counts as one root and an even
-/// number as none.
+/// Maximum number of bisections of a line within a cell, to intervals of 2^-12 = 2.4e-4 of the
+/// cell. If the Bézier points of such an interval still change sign several times, an odd number of
+/// changes counts as one root and an even number as none.
 const HALVINGS: u32 = 12;
 
-/// Maximum number of steps to find a root. A step halves the interval unless Newton's method does
-/// better.
-const STEPS: usize = 30;
+/// Maximum number of steps to find a root. A step is a Newton step if its result stays within the
+/// interval, and otherwise a bisection. Bisection alone needs log2(1 / [`ACCURACY`]) = 24 steps. On
+/// the two fields of [`LINES`], the slowest root takes 25 steps.
+const ROOT_STEPS: usize = 30;
 
-/// Accuracy of a root as a fraction of a cell.
+/// Accuracy of a root as a fraction of a cell: about the relative precision of the coefficients,
+/// which are f32 (2^-23 = 1.2e-7).
 const ACCURACY: f64 = 1e-7;
 
 /// Returns the integral of `density(point, unit normal)` over F = 0 within the volume. Points are
@@ -152,7 +157,7 @@ fn single_root([a, b, c, d]: [f64; 4]) -> f64 {
     let (c1, c2, c3) = (3.0 * (b - a), 3.0 * (a - 2.0 * b + c), d - a + 3.0 * (b - c));
     let (mut low, mut high) = (0.0, 1.0);
     let mut t = a / (a - d);
-    for _ in 0..STEPS {
+    for _ in 0..ROOT_STEPS {
         let value = a + t * (c1 + t * (c2 + t * c3));
         if (value < 0.0) == (a < 0.0) {
             low = t

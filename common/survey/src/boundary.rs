@@ -17,17 +17,20 @@ use isoparticles_field::random::uniform;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// Radius of the ball, in mean voxels. This is the smallest radius for which the shape has more
-/// effect than the staircase of voxels. The search described at `EDGE_OVER_RADIUS` in `cost.rs`
-/// includes this constant.
+/// Radius of the ball in mean voxels. In smaller balls, the staircase of voxels has more effect on
+/// the share than the curvature. The grid search described at `EDGE_OVER_RADIUS` in `cost.rs`
+/// determined the value.
 pub const BALL: f64 = 2.0;
 
-/// Step length along the normal, in mean voxels. It is the resolution of the thickness.
-const STEP: f64 = 0.5;
+/// Step length along the normal in mean voxels, and the resolution of the thickness. With two steps
+/// per voxel, no layer of one voxel is stepped over.
+const WALK_STEP: f64 = 0.5;
 
-/// Length of the walk along the normal, in mean voxels. A thickness of this length limits h to 0.20
-/// x 30 = 6 voxels (`EDGE_OVER_THICKNESS` in `cost.rs`).
-const REACH: f64 = 30.0;
+/// Length of the walk along the normal in mean voxels. A thickness of this length limits h to 0.20
+/// x 30 = 6 voxels (`EDGE_OVER_THICKNESS` in `cost.rs`). The vertex density is proportional to 1 /
+/// h^2, so thicker parts have at most (0.75 / 6)^2 = 1/64 of the density at the minimum h. Their
+/// exact thickness hardly affects the vertex count.
+const WALK_LENGTH: f64 = 30.0;
 
 /// Seed for the random selection of faces. The value is arbitrary.
 const SEED: u64 = 1;
@@ -50,19 +53,22 @@ pub struct SampledFace {
     pub axis: usize,
     /// Centre of the face in mm, in the grid frame.
     pub position: DVec3,
-    /// Absolute difference between 1/2 and the share of the ball that lies inside.
+    /// Absolute difference between 1/2 and the share of the ball that lies inside the object.
     pub imbalance: f64,
-    /// Thickness in mean voxels: distance along the normal to the other side of the object or of
-    /// the gap, whichever is shorter. Infinite if both distances exceed `REACH`.
+    /// Thickness in mean voxels: the smaller of two distances along the normal, to the other side
+    /// of the object and to the other side of the adjacent gap. Infinite if both distances exceed
+    /// 30 mean voxels.
     pub thickness: f64,
 }
 
-/// A face: its class, the voxel of that class, the axis normal to the face, and whether the face is
-/// on the upper side of the voxel.
+/// A face between a voxel of `class` and a voxel of another class.
 struct Face {
     class: u16,
+    /// Index of the voxel of `class`.
     inside: [usize; 3],
+    /// Axis normal to the face.
     axis: usize,
+    /// Whether the face is on the upper side of that voxel.
     is_up: bool,
 }
 
@@ -189,8 +195,10 @@ fn each_face(classes: &Classes<'_>, k: usize, mut found: impl FnMut(Face)) {
     }
 }
 
-/// Offsets of the voxels in the ball around a face, for each axis and each side of the voxel.
+/// The balls that measure the shape at a face.
 struct Shapes {
+    /// Offsets of the voxels in the ball from the inside voxel of the face. The first index is the
+    /// axis of the face, the second tells whether the face is on the upper side of the voxel.
     balls: [[Vec<[isize; 3]>; 2]; 3],
 }
 
@@ -241,9 +249,10 @@ impl Shapes {
         let outward = -(mass * geometry.spacing).normalize_or_zero();
         let voxel = geometry.mean_spacing();
         let walk = |direction: DVec3, from_inside: bool| {
-            let steps = (REACH / STEP) as usize;
-            // the first sample is 1.5 steps away, at a safe distance from the face
-            let ways = (1..=steps).map(|n| (n as f64 + 0.5) * STEP);
+            let steps = (WALK_LENGTH / WALK_STEP) as usize;
+            // the first sample is 0.75 voxel away; a closer sample may be on the wrong side of the
+            // staircase
+            let ways = (1..=steps).map(|n| (n as f64 + 0.5) * WALK_STEP);
             let ends = |way: &f64| {
                 let index = geometry.grid_to_index(position + direction * (way * voxel));
                 is_own(index.to_array().map(|n| n.round() as isize)) != from_inside

@@ -11,8 +11,8 @@ pub const OUTSIDE: u16 = 0;
 /// Maximum number of classes, excluding [`OUTSIDE`].
 pub const MOST_CLASSES: usize = u16::MAX as usize;
 
-/// Maximum range of labels for a lookup table. A hash map replaces the table for a larger range. At
-/// two bytes per label, a table takes at most 128 KiB.
+/// Maximum range of labels for a lookup table. A table of this range takes 128 KiB, at two bytes
+/// per label. A hash map replaces the table for a larger range.
 const LARGEST_TABLE: i64 = 1 << 16;
 
 /// Maps the value of a voxel to its class.
@@ -88,8 +88,7 @@ pub struct Classes<'a> {
 struct Layer<'a> {
     voxels: &'a Voxels,
     rule: Rule,
-    /// Class of each byte value. The table speeds up the lookup for 8-bit voxels, the usual type of
-    /// large label maps.
+    /// Class of each byte value, for a fast lookup in 8-bit volumes.
     of_byte: [u16; 256],
 }
 

@@ -14,7 +14,7 @@ use serde::Serialize;
 
 /// Ratio of the edge length to the radius of mean curvature. A grid search over this constant,
 /// [`EDGE_OVER_THICKNESS`], [`STAIRCASE`] and [`BALL`] minimised the scatter between predicted and
-/// actual vertex counts of fourteen surfaces; a factor of 1.3 remains.
+/// actual vertex counts of fourteen surfaces. A factor of 1.3 remains.
 /// `stages/distfield/benches/predicted.py` lists the surfaces, compares the counts and prints the
 /// gradation factors below.
 const EDGE_OVER_RADIUS: f64 = 0.30;
@@ -34,17 +34,18 @@ const SMALLEST_VOXELS: f64 = 0.75;
 const LARGEST_DIAGONALS: f64 = 0.1;
 
 /// Ratio of the actual vertex count to the count from h at the sampled faces, for label maps. The
-/// gradient limit spreads small h to nearby regions. With this value, the mean logarithm of the
-/// ratio is zero (`predicted.py`).
+/// ratio exceeds 1 because the gradient limit spreads small h to nearby regions. The value is the
+/// geometric mean of the ratios of the surfaces in `predicted.py`.
 const GRADATION_LABELS: f64 = 1.82;
 
-/// Ratio of the actual vertex count to the count from h at the sampled faces, for scans. The
-/// surface of a scan is not smoothed. It can also pass between voxel centres without separating any
-/// of them, so that there is no face to count.
+/// Ratio of the actual vertex count to the count from h at the sampled faces, for scans, from the
+/// same measurement as [`GRADATION_LABELS`]. It is larger because the surface of a scan is not
+/// smoothed. The surface can also pass between voxel centres without separating any of them, where
+/// there is no face to sample.
 const GRADATION_SCAN: f64 = 2.22;
 
 /// Expected maximum ratio between the predicted and the actual vertex count, in either direction.
-/// For all of the fourteen surfaces except the smallest, the ratio is within 1.43.
+/// The ratio is within 1.43 for all of the fourteen surfaces except the smallest (`predicted.py`).
 pub const UNCERTAINTY: f64 = 1.5;
 
 /// Minimum number of vertices of a part with default sizes; equal to `MIN_PARTICLES` of
@@ -60,8 +61,8 @@ struct Rates {
     stage: &'static str,
     /// Processor seconds: fixed, and per million nodes, faces and vertices.
     seconds: [f64; 4],
-    /// Bytes: fixed, and per node, face and vertex. The list has an entry for each program that may
-    /// need the most memory of the group. The prediction is the maximum over the entries.
+    /// Bytes: fixed, and per node, face and vertex. The list has an entry for each program of the
+    /// group that may need the most memory. The prediction is the maximum over the entries.
     bytes: &'static [[f64; 4]],
 }
 
@@ -90,11 +91,11 @@ const RATES: [Rates; 4] = [
 ];
 
 /// Memory of distfield in bytes per node of the padded grid, without its input. Measured on the
-/// whole grid of 512^3 voxels: 5.98 for labels, 5.16 for scalars (`docs/developer/performance.md`,
-/// "Memory").
+/// whole grid of 512^3 voxels: 5.98 for labels and 5.16 for scalars
+/// (`docs/developer/performance.md`, "Memory").
 const DISTFIELD_BYTES: f64 = 6.0;
 
-/// Constant edge lengths, in mean voxels, for which the number of vertices is also predicted.
+/// Constant edge lengths in mean voxels for which the number of vertices is also predicted.
 const SIZES: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
 
 /// Predicted cost of meshing an object.
@@ -166,8 +167,9 @@ pub fn cost(boundary: &Boundary, parts: Option<usize>, geometry: &Geometry, kind
     }
 }
 
-/// Returns the number of nodes of the grid of F. The grid covers the object's bounding box with
-/// [`ROOM`] voxels on each side, clipped to the volume, and five more voxels on each side.
+/// Returns the number of nodes of the grid of F. The grid covers the bounding box of the object
+/// with [`ROOM`] voxels on each side, clipped to the volume. Five more voxels are added on each
+/// side.
 fn nodes(boundary: &Boundary, geometry: &Geometry) -> f64 {
     let along = |axis: usize| {
         let voxels = boundary.extent()[axis] / geometry.spacing[axis] + 1.0 + 2.0 * ROOM as f64;

@@ -1,10 +1,10 @@
 //! Determines whether a volume is a scan or a label map.
 //!
-//! A label map consists of regions of constant value. Two consecutive changes of value along an
-//! axis are therefore rare. In a scan, noise and blurred edges change the value from voxel to
-//! voxel, even if large parts are saturated or padded. The number of distinct values is a weaker
-//! criterion: an 8-bit scan has 256, and a parcellation can have more. A scan with few levels also
-//! has regions of constant value, but each region borders on regions of the next level.
+//! A label map consists of regions of constant value, so two consecutive changes of value along an
+//! axis are rare. In a scan, noise and blurred edges change the value from voxel to voxel, even if
+//! large parts are saturated or padded. The number of distinct values is a weaker criterion: an
+//! 8-bit scan has up to 256, and a parcellation can have more. A scan with few levels also has
+//! regions of constant value, but neighbouring regions have consecutive levels.
 
 use crate::survey::{Survey, UNCLEAR};
 use serde::Serialize;
@@ -62,24 +62,25 @@ pub struct Judgement {
     pub reason: String,
 }
 
-/// Minimum share of changes to the next occurring value (`steps` / `jumps`) for a scan with few
-/// levels, in which consecutive levels touch in space. The share is at least 0.54 for scans in 8 to
-/// 128 levels. It is at most 0.3 for label maps with more than 8 labels (`isoparticles-volume info
-/// --json -`).
+/// Minimum share of jumps between consecutive occurring values (`steps` / `jumps`) for a scan with
+/// few levels, in which neighbouring regions have consecutive levels. The share is at least 0.54
+/// for scans in 8 to 128 levels, and at most 0.3 for label maps with more than 8 labels
+/// (`isoparticles-volume info VOLUME --json -`).
 const STEPS_ABOVE: f64 = 0.5;
 
 /// Minimum number of distinct values for the test with [`STEPS_ABOVE`]. With three labels, two of
-/// three pairs are consecutive, and nested layers are often numbered from the outside in.
+/// the three pairs are consecutive, and nested layers are often numbered in order.
 const FEWEST_LEVELS: usize = 8;
 
 /// Maximum number of distinct values for which a label map is certain. The finest brain atlases
-/// have a few hundred labels. A volume with more values in large regions can also be a scan that
-/// was enlarged by repeating voxels.
-const MANY_LABELS: usize = 1000;
+/// have a few hundred labels. A volume with more values in regions of constant value can also be a
+/// scan that was enlarged by repeating voxels.
+const MOST_CERTAIN_LABELS: usize = 1000;
 
-/// Minimum number of changes of value for which the kind is certain. With fewer changes, random
-/// variation dominates the shares.
-const FEW_JUMPS: usize = 100;
+/// Minimum number of jumps for which the kind is certain. The share of double jumps among 100
+/// independent jumps has a standard deviation of at most sqrt(0.25 / 100) = 0.05. The range
+/// [`UNCLEAR`] is nine times as wide.
+const FEWEST_JUMPS: usize = 100;
 
 /// Determines the kind of a volume. `named` is the number of labels that have a name in the file. A
 /// file with label names is a label map.
@@ -105,7 +106,7 @@ pub fn judge(survey: &Survey, named: usize) -> Judgement {
         None => "very many distinct whole numbers".to_owned(),
     };
     let percent = 100.0 * share;
-    let is_enough = survey.jumps >= FEW_JUMPS;
+    let is_enough = survey.jumps >= FEWEST_JUMPS;
     let is_clear = is_enough && !UNCLEAR.contains(&share);
     let are_levels = survey.distinct().is_some_and(|distinct| distinct >= FEWEST_LEVELS);
     if share >= UNCLEAR.end {
@@ -121,7 +122,7 @@ pub fn judge(survey: &Survey, named: usize) -> Judgement {
         let reason = format!(
             "{values} in pieces of one value each: only {percent:.0} % of the changes along an axis follow on another one"
         );
-        is(Kind::Labels, is_clear && survey.distinct().is_some_and(|distinct| distinct <= MANY_LABELS), reason)
+        is(Kind::Labels, is_clear && survey.distinct().is_some_and(|distinct| distinct <= MOST_CERTAIN_LABELS), reason)
     }
 }
 

@@ -42,16 +42,18 @@ pub enum Inside {
     Below,
 }
 
-/// Number of faces sampled to predict the cost of an object. With this number, the predicted vertex
-/// count varies by 2 %.
-const SAMPLE: usize = 6000;
+/// Number of faces sampled to predict the cost of an object. With this number, random variation
+/// changes the predicted vertex count by 2 %.
+const SAMPLED_FACES: usize = 6000;
 
-/// Total number of faces sampled for the label table.
-const TABLE_SAMPLE: usize = 200_000;
+/// Total number of faces sampled for the label table. It bounds the time for the table, and allows
+/// the maximum of [`LABEL_FACES`] for up to 100 labels.
+const TABLE_FACES: usize = 200_000;
 
-/// Minimum and maximum number of faces sampled per label of the table. The maximum saves time if
-/// there are few labels, and the minimum limits the random variation if there are many.
-const LABEL_SAMPLE: std::ops::RangeInclusive<usize> = 100..=2000;
+/// Minimum and maximum number of faces sampled per label of the table. Random variation is
+/// inversely proportional to the square root of the number: 2 % with [`SAMPLED_FACES`] (6000),
+/// hence 15 % with 100 faces and 3.5 % with 2000 faces.
+const LABEL_FACES: std::ops::RangeInclusive<usize> = 100..=2000;
 
 /// Options that the user specified for the volume.
 #[derive(Clone, Debug, Default)]
@@ -87,7 +89,7 @@ pub struct VolumeInfo {
     pub scalar_type: &'static str,
     /// Number of label layers. Labels of different layers may overlap.
     pub layers: usize,
-    /// Kind of the volume, with certainty and reason.
+    /// Kind of the volume, whether the kind is certain, and the reason.
     #[serde(flatten)]
     pub judgement: Judgement,
     /// Whether the values look like Hounsfield units; false for label maps.
@@ -98,10 +100,9 @@ pub struct VolumeInfo {
     pub distinct: Option<usize>,
     /// All labels except 0; empty for a scan.
     pub labels: Vec<LabelInfo>,
-    /// Objects that could be meshed: the object that the user specified, or otherwise all
-    /// candidates.
+    /// The object that the user specified. If the user specified none, all candidates.
     pub objects: Vec<Object>,
-    /// Remarks on assumptions of the reader, NaN among labels, and shear.
+    /// Remarks on assumptions made while reading the file, on NaN among labels, and on shear.
     pub remarks: Vec<String>,
 }
 
@@ -142,8 +143,8 @@ pub struct Object {
     pub cost: Option<Cost>,
 }
 
-/// Describes a volume. The cost is predicted for the object in `wishes`, or otherwise for the
-/// candidates.
+/// Describes a volume. Predicts the cost of the object in `wishes`, or of all candidates if
+/// `wishes` specifies no object.
 ///
 /// # Errors
 /// If the run is interrupted, or if the kind is labels and a value other than NaN is not an
@@ -173,7 +174,7 @@ pub fn examine(volume: &Volume, wishes: &Wishes, monitor: &dyn Monitor) -> Resul
         let geometry = classes.geometry;
         let voxels = classes.counts()[1];
         let parts = parts(&classes).map(|parts| parts[0]);
-        let boundary = boundaries(&classes, SAMPLE).remove(0);
+        let boundary = boundaries(&classes, SAMPLED_FACES).remove(0);
         let is_something = boundary.faces.iter().sum::<usize>() > 0;
         let count = parts.map(|parts| parts.count);
         let cost = is_something.then(|| cost(&boundary, count, geometry, judgement.kind));
@@ -229,7 +230,7 @@ fn label_table(volume: &Volume, shear: Option<&Shear>) -> Result<Vec<LabelInfo>>
         let mut present = voxels.label_set()?;
         present.retain(|label| *label != 0);
         present.truncate(MOST_CLASSES);
-        let sample = (TABLE_SAMPLE / present.len().max(1)).clamp(*LABEL_SAMPLE.start(), *LABEL_SAMPLE.end());
+        let sample = (TABLE_FACES / present.len().max(1)).clamp(*LABEL_FACES.start(), *LABEL_FACES.end());
         let classes = Classes::new(&volume.geometry, vec![(voxels, Rule::each_of(&present))], present.len());
         let moved = shear.map(|shear| moved(&classes, shear));
         let classes = unsheared(classes, shear.zip(moved.as_ref()));
@@ -252,12 +253,12 @@ fn label_table(volume: &Volume, shear: Option<&Shear>) -> Result<Vec<LabelInfo>>
     Ok(table)
 }
 
-/// Description of an object, the `make` variables that select it, the reason for proposing it, and
-/// the layers with the rules that define it.
+/// An object that could be meshed: its description, the `make` variables that select it, the reason
+/// for proposing it, and the layers with their rules.
 type Candidate<'a> = (String, String, String, Vec<(&'a Voxels, Rule)>);
 
-/// Returns the object in `wishes`. If there is none, returns the proposed iso values of a scan, or
-/// the union of all labels except 0.
+/// Returns the object in `wishes`. If `wishes` specifies none, returns an object for each proposed
+/// iso value of a scan, or the union of all labels except 0.
 fn candidates<'a>(
     volume: &'a Volume,
     wishes: &Wishes,

@@ -4,8 +4,9 @@ use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::{LayerLabel, Volume};
 use std::str::FromStr;
 
-/// Maximum number of labels listed in an error message.
-const MOST_LISTED: usize = 40;
+/// Maximum number of labels listed in an error message or a description. Forty labels fill a
+/// screen; a description lists the largest labels.
+pub(crate) const MOST_LISTED: usize = 40;
 
 /// A selection of labels, as specified by the user. [`Selection::resolve`] finds the labels in a
 /// volume.

@@ -6,21 +6,23 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::HashMap;
 
-/// Maximum number of distinct integers that are counted individually. If there are more, only the
-/// histogram is computed.
+/// Maximum number of distinct integers that are counted individually: the number of 16-bit values.
+/// A table of this size takes 512 KiB per task. If there are more values, only the histogram is
+/// computed.
 const MOST_DISTINCT: usize = 1 << 16;
 
-/// Maximum number of bins of the histogram.
-const BINS: usize = 256;
+/// Maximum number of bins of the histogram: one for each 8-bit value.
+const MOST_BINS: usize = 256;
 
-/// Number of voxels per task.
+/// Number of voxels per task. Counting them takes much longer than adding the table of the task,
+/// which has at most [`MOST_DISTINCT`] entries, to the sum.
 const CHUNK: usize = 1 << 20;
 
-/// Shares of double jumps (`double_jumps` / `jumps`) that do not distinguish between scans and
-/// label maps. Lower shares indicate a label map, and higher shares a scan. Among the shared
-/// volumes, the share is at most 0.28 for label maps (`brain_parcellation`) and at least 0.91 for
-/// scans (`thorax_ct_native_u8`). It is 0.30 to 0.83 for scans in 8 to 64 levels. Measured with
-/// `isoparticles-volume info VOLUME --json -`.
+/// Range of the share of double jumps (`double_jumps` / `jumps`) that does not distinguish between
+/// scans and label maps. A lower share indicates a label map, and a higher share a scan. Among the
+/// shared volumes, the share is at most 0.28 for label maps (`brain_parcellation`) and at least
+/// 0.91 for scans (`thorax_ct_native_u8`). It is 0.30 to 0.83 for scans in 8 to 64 levels. Measured
+/// with `isoparticles-volume info VOLUME --json -`.
 pub const UNCLEAR: std::ops::Range<f64> = 0.29..0.75;
 
 /// Statistics of the voxels.
@@ -39,10 +41,9 @@ pub struct Survey {
     #[serde(skip)]
     pub values: Option<Vec<(i64, usize)>>,
     /// Number of jumps. A jump is a triple of consecutive voxels along an axis whose last two
-    /// voxels differ.
+    /// values differ.
     pub jumps: usize,
-    /// Number of double jumps. A double jump is a jump in which the first two voxels differ as
-    /// well.
+    /// Number of double jumps. A double jump is a jump whose first two values also differ.
     pub double_jumps: usize,
     /// Number of steps. A step is a jump between two values with no other occurring value between
     /// them. Steps are counted only if the share of double jumps is in [`UNCLEAR`]; otherwise, this
@@ -295,8 +296,8 @@ fn count_whole<T: Cell>(values: &[T], [low, high]: [f64; 2]) -> Option<Vec<(i64,
 }
 
 fn histogram<T: Cell>(values: &[T], [low, high]: [f64; 2], counted: Option<&[(i64, usize)]>) -> Histogram {
-    let narrow = counted.is_some() && high - low < BINS as f64;
-    let bins = if narrow { (high - low) as usize + 1 } else { BINS };
+    let narrow = counted.is_some() && high - low < MOST_BINS as f64;
+    let bins = if narrow { (high - low) as usize + 1 } else { MOST_BINS };
     // if every integer has its own bin, the bin width is 1
     let width = if narrow { 1.0 } else { ((high - low) / bins as f64).max(f64::MIN_POSITIVE) };
     let bin = |value: f64| (((value - low) / width) as usize).min(bins - 1);

@@ -3,18 +3,18 @@
 use crate::boundary::BALL;
 use crate::cost::{Cost, UNCERTAINTY};
 use crate::kind::Kind;
+use crate::selection::MOST_LISTED;
 use crate::{LabelInfo, Object, VolumeInfo};
 use isoparticles_volume::Space;
 use std::fmt::Write;
 
-/// Maximum number of rows of the histogram.
+/// Maximum number of rows of the histogram. Sixteen rows divide the 256 bins evenly and fit on a
+/// screen of 24 lines.
 const ROWS: usize = 16;
 
-/// Length of the longest bar, in characters.
+/// Length of the longest bar of the histogram in characters. With the 27 characters before the bar,
+/// a row fits in 80 columns.
 const BAR: f64 = 40.0;
-
-/// Maximum number of labels that are listed. The largest labels are listed.
-const MOST_LABELS: usize = 40;
 
 impl VolumeInfo {
     /// Formats the description of the volume called `name`. The string has several lines.
@@ -96,10 +96,10 @@ impl VolumeInfo {
 
     fn write_labels(&self, out: &mut String) -> std::fmt::Result {
         let mut labels: Vec<&LabelInfo> = self.labels.iter().collect();
-        let left_out = labels.len().saturating_sub(MOST_LABELS);
+        let left_out = labels.len().saturating_sub(MOST_LISTED);
         if left_out > 0 {
             labels.sort_by_key(|label| std::cmp::Reverse(label.voxels));
-            labels.truncate(MOST_LABELS);
+            labels.truncate(MOST_LISTED);
         }
         let layer = if self.layers > 1 { "  layer" } else { "" };
         writeln!(out, "\n    label{layer}        voxels          mm^3    parts    vertices  name")?;

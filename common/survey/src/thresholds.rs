@@ -24,20 +24,23 @@ fn side<S: serde::Serializer>(inside: &Inside, serializer: S) -> Result<S::Ok, S
     })
 }
 
-/// In Hounsfield units, the minimum value is below this threshold (air). The maximum is above
-/// [`BONE_ABOVE`], and nearly all values are within [`SCANNER`].
-const AIR_BELOW: f64 = -800.0;
+/// A scan in Hounsfield units contains values below this threshold. Air has -1000 by definition;
+/// the difference allows for noise and for voxels that are partly air.
+const AIR: f64 = -800.0;
 
-/// In Hounsfield units, the maximum value is above this threshold (bone).
-const BONE_ABOVE: f64 = 200.0;
+/// A scan in Hounsfield units contains values above this threshold, the iso value of bone in
+/// [`LEVELS`].
+const BONE: f64 = 200.0;
 
 /// Range of values that scanners write: from -1024 for air, with padding down to -3024 (GE: -2000,
-/// 3D Slicer: -3024), to 3071 for metal at 12 bits. In Hounsfield units, the minimum value is in
-/// this range.
-const SCANNER: [f64; 2] = [-3100.0, 3100.0];
+/// 3D Slicer: -3024), to 3071 for metal at 12 bits. The range is rounded outwards to hundreds. The
+/// minimum of a scan in Hounsfield units is in this range.
+const SCANNER_RANGE: [f64; 2] = [-3100.0, 3100.0];
 
-/// Minimum share of voxels within [`SCANNER`] for Hounsfield units.
-const SHARE_WITHIN: f64 = 0.99;
+/// Minimum share of voxels in [`SCANNER_RANGE`] for Hounsfield units. A few voxels of metal can
+/// exceed the range. `isoparticles-volume info VOLUME --json -` gives shares of 0.99994 for
+/// `heart_ct` and 1 for `thorax_ct`.
+const LEAST_SHARE_IN_RANGE: f64 = 0.99;
 
 /// Iso values for CT: textbook values half-way between the tissues that they separate.
 const LEVELS: [(f64, Inside, &str); 4] = [
@@ -47,9 +50,11 @@ const LEVELS: [(f64, Inside, &str); 4] = [
     (700.0, Inside::Above, "Hounsfield: compact bone and teeth"),
 ];
 
-/// If the share of voxels in the most frequent bin exceeds this value, the bin is treated as
-/// padding or saturation. The thresholds ignore this bin. Each of the other values of a scan occurs
-/// in a few per cent of the voxels.
+/// If the most frequent bin contains a larger share of the voxels, the bin is treated as padding or
+/// saturation, and the thresholds ignore this bin. By `isoparticles-volume info VOLUME --json -`,
+/// the most frequent bin contains 0.05 to 0.10 of `heart_ct`, `trabecular_bone` and `tooth_ct`, and
+/// 0.55 of `thorax_ct`, whose background has a constant value. The limit is about the geometric
+/// mean of 0.10 and 0.55.
 const PADDING_SHARE: f64 = 0.25;
 
 /// Returns whether the values look like Hounsfield units.
@@ -58,14 +63,14 @@ pub fn is_hounsfield(survey: &Survey) -> bool {
     let Histogram { counts, .. } = &survey.histogram;
     let total: usize = counts.iter().sum();
     let within: usize = (0..counts.len())
-        .filter(|&n| (SCANNER[0]..=SCANNER[1]).contains(&survey.histogram.middle(n)))
+        .filter(|&n| (SCANNER_RANGE[0]..=SCANNER_RANGE[1]).contains(&survey.histogram.middle(n)))
         .map(|n| counts[n])
         .sum();
-    low < AIR_BELOW && high > BONE_ABOVE && low >= SCANNER[0] && within as f64 >= SHARE_WITHIN * total as f64
+    low < AIR && high > BONE && low >= SCANNER_RANGE[0] && within as f64 >= LEAST_SHARE_IN_RANGE * total as f64
 }
 
-/// Returns the iso values proposed for a scan. A value is omitted if its distance from an earlier
-/// value is at most 1 % of the range of the scan.
+/// Returns the iso values proposed for a scan. Omits a value whose distance from an earlier value
+/// is at most 1 % of the range of the scan.
 pub fn iso_values(survey: &Survey) -> Vec<IsoValue> {
     let Some([low, high]) = survey.range.filter(|[low, high]| low < high) else { return Vec::new() };
     let mut found: Vec<IsoValue> = Vec::new();

@@ -11,12 +11,12 @@ use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Fill of a brick without a filling material. All materials present in such a brick are known
+/// Fill of a brick without a filling material. Every material that occurs in such a brick is known
 /// there.
-const NONE: u16 = u16::MAX;
+const NO_FILL: u16 = u16::MAX;
 
 /// Assumed maximum difference, in voxels, between the two indicators at a position on their
-/// interface. Projections leave a far smaller difference.
+/// interface. Projections leave at most twice their tolerance, which is far smaller.
 pub const ON_INTERFACE: f64 = 0.01;
 
 /// A material that is known in a brick.
@@ -27,12 +27,13 @@ struct Entry {
     brick: u32,
 }
 
-/// The indicators of all materials on one grid, each known near its own border.
+/// The indicators of all materials on one grid. Each indicator is known only near the border of its
+/// material.
 ///
 /// The cost of a look-up is proportional to the number of materials near the position. For each
 /// brick of 4 x 4 x 4 cells, an index contains the materials known in the brick and the material
-/// that fills the rest of it. Memory is proportional to the area of the interfaces: each side of an
-/// interface needs a layer of 14 coefficients of 4 bytes on average.
+/// that fills the rest of the brick. Memory is proportional to the area of the interfaces. On
+/// average, each side of an interface needs a layer of 14 coefficients, at 4 bytes each.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Materials {
     geometry: Geometry,
@@ -41,7 +42,7 @@ pub struct Materials {
     /// First entry of each brick, followed by the end of the last brick.
     start: Vec<u32>,
     entries: Vec<Entry>,
-    /// Material that fills each brick, or [`NONE`].
+    /// Material that fills each brick, or [`NO_FILL`].
     fill: Vec<u16>,
 }
 
@@ -54,7 +55,7 @@ impl Materials {
     /// If there are no materials, too many materials, or a brick number beyond the grid.
     pub fn new(geometry: Geometry, materials: Vec<(Material, Indicator, Vec<u32>)>) -> Result<Self, Error> {
         let count = bricks_along(geometry.size).iter().product::<usize>();
-        let mut fill = vec![NONE; count];
+        let mut fill = vec![NO_FILL; count];
         for (id, (_, _, negative)) in materials.iter().enumerate().take(MOST_MATERIALS) {
             for &brick in negative {
                 *fill.get_mut(brick as usize).ok_or(Error::Bricks { count })? = id as u16;
@@ -81,7 +82,7 @@ impl Materials {
         if u32::try_from(bricks).is_err() {
             return Err(Error::Grid { size: geometry.size });
         }
-        let largest = fill.iter().copied().filter(|&id| id != NONE).max();
+        let largest = fill.iter().copied().filter(|&id| id != NO_FILL).max();
         if fill.len() != bricks || largest.is_some_and(|id| usize::from(id) >= found) {
             return Err(Error::Fill { found: fill.len(), largest, bricks, materials: found });
         }
@@ -187,16 +188,16 @@ impl Materials {
         &self.entries[self.start[brick] as usize..self.start[brick + 1] as usize]
     }
 
-    /// Returns the coefficients of a material that a stencil uses. Far from the border of the
-    /// material, returns as an error whether the position is inside the material.
+    /// Returns the coefficients of a material that a stencil uses. If some of them are not known,
+    /// returns an error that tells whether the position is inside the material.
     #[inline(always)]
     fn gathered(&self, entry: Entry, stencil: &Stencil) -> Result<[f32; 64], bool> {
         let indicator = &self.indicators[usize::from(entry.material)];
         indicator.gather(entry.brick, stencil, self.geometry.size).ok_or(indicator.surrounds())
     }
 
-    /// Returns the stencil of a position and the coefficients of a material. Far from the border of
-    /// the material, returns as an error whether the position is inside the material.
+    /// Returns the stencil of a position and the coefficients of a material. If some of them are
+    /// not known, returns an error that tells whether the position is inside the material.
     #[inline]
     fn of(&self, id: MaterialId, grid: DVec3) -> Result<(Stencil, [f32; 64]), bool> {
         let stencil = Stencil::new(&self.geometry, grid);
@@ -204,8 +205,8 @@ impl Materials {
         self.read(id, brick, &stencil).map(|read| (stencil.gathered(), read))
     }
 
-    /// Returns the coefficients of a material that a stencil uses in a brick. Far from the border
-    /// of the material, returns as an error whether the position is inside the material.
+    /// Returns the coefficients of a material that a stencil uses in a brick. If some of them are
+    /// not known, returns an error that tells whether the position is inside the material.
     #[inline(always)]
     fn read(&self, id: MaterialId, brick: usize, stencil: &Stencil) -> Result<[f32; 64], bool> {
         match self.known(brick).iter().find(|entry| entry.material == id.0) {
@@ -220,7 +221,7 @@ impl Indicators for Materials {
         let stencil = Stencil::new(&self.geometry, grid);
         let brick = self.brick(&stencil);
         let mut near = Near::default();
-        if self.fill[brick] != NONE {
+        if self.fill[brick] != NO_FILL {
             near.insert(MaterialId(self.fill[brick]), f64::NEG_INFINITY);
         }
         let known = self.known(brick);
@@ -245,7 +246,8 @@ impl Indicators for Materials {
         }
     }
 
-    /// Subtracts the coefficients of the two materials, so that only one spline is evaluated.
+    /// Evaluates a single spline, whose coefficients are the differences between the coefficients
+    /// of the two materials.
     #[inline(always)]
     fn difference_gradient(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> (f64, DVec3) {
         let stencil = Stencil::new(&self.geometry, grid);
@@ -265,7 +267,7 @@ impl Indicators for Materials {
         let stencil = Stencil::new(&self.geometry, grid);
         let brick = self.brick(&stencil);
         let is_own = |material: u16| material == own[0].0 || material == own[1].0;
-        let is_filled_by_other = self.fill[brick] != NONE && !is_own(self.fill[brick]);
+        let is_filled_by_other = self.fill[brick] != NO_FILL && !is_own(self.fill[brick]);
         let mut others = self.known(brick).iter().filter(|entry| !is_own(entry.material)).peekable();
         // in most bricks no third material is known, and no indicator needs to be evaluated
         if others.peek().is_none() && !is_filled_by_other {

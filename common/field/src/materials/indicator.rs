@@ -19,20 +19,21 @@ pub const CELLS: usize = 4;
 pub const BLOCK: usize = CELLS * CELLS * CELLS;
 
 /// Distance in voxels from its zero set within which an indicator is always known. A brick is known
-/// if the coefficients that its cells use, or that cells up to two cells away use, do not all have
-/// the same sign.
+/// unless all coefficients have the same sign, from [`CELLS`] nodes before its first node to
+/// [`CELLS`] - 1 nodes after its last node. These include all coefficients that cells up to
+/// [`CELLS`] - 2 cells away use.
 pub const KNOWN_VOXELS: usize = 2;
 
-/// Distance in nodes beyond which a sample is assumed not to affect a coefficient. Beyond it, a
-/// coefficient changes by less than 2e-5 of the change of the sample.
+/// Distance in nodes beyond which a sample is assumed not to affect a coefficient. At the next
+/// node, a coefficient changes by sqrt(3) (2 - sqrt(3))^9 = 1.2e-5 of the change of the sample.
 const CARDINAL_REACH: usize = 8;
 
 /// Maximum number of blocks along an axis that contain affected coefficients.
 const CARDINAL_BLOCKS: usize = 2 * CARDINAL_REACH / CELLS + 1;
 
 /// Returns a coefficient of the cubic spline that is one at a node and zero at all other nodes.
-/// `nodes` is the distance in nodes from the centre along one axis. The coefficients follow from
-/// the pole of the inverse filter (Unser, Aldroubi and Eden 1993, part II).
+/// `nodes` is the distance in nodes from that node along one axis. The coefficients follow from the
+/// pole of the inverse filter (Unser, Aldroubi and Eden 1993, part II).
 fn cardinal_coefficient(nodes: usize) -> f64 {
     let root = 3f64.sqrt();
     root * (root - 2.0).powi(nodes as i32)
@@ -57,9 +58,9 @@ pub fn bricks_along(size: [usize; 3]) -> [usize; 3] {
     size.map(|n| n.saturating_sub(1).div_ceil(CELLS).max(1))
 }
 
-/// Returns the positions of the eight blocks that the cells of a brick use, x fastest. Block c
-/// contains the coefficients of nodes 4 c - 1 to 4 c + 2 along each axis, so a cell of brick b uses
-/// blocks b and b + 1.
+/// Returns the indices of the eight blocks that the cells of a brick use, x fastest, in the grid of
+/// blocks. Along each axis, block c contains the coefficients of nodes 4 c - 1 to 4 c + 2, so a
+/// cell of brick b uses blocks b and b + 1.
 fn blocks_of(brick: u32, bricks: [usize; 3]) -> [u32; 8] {
     let [bx, by, _] = bricks;
     let n = brick as usize;
@@ -84,7 +85,7 @@ pub struct Indicator {
     bricks: Vec<u32>,
     /// Indices of the eight blocks that each known brick uses.
     blocks: Vec<[u32; 8]>,
-    /// Coefficients, block by block in ascending order of block position.
+    /// Coefficients, block by block, in ascending order of the block indices in the grid.
     coefficients: Vec<f32>,
 }
 
@@ -337,7 +338,7 @@ impl Indicator {
     }
 }
 
-/// Returns the positions of the blocks that the given bricks use, ascending.
+/// Returns the indices of the blocks that the given bricks use, ascending, in the grid of blocks.
 fn places(known: &[u32], bricks: [usize; 3]) -> Vec<u32> {
     let mut places: Vec<u32> = known.iter().flat_map(|&brick| blocks_of(brick, bricks)).collect();
     places.sort_unstable();

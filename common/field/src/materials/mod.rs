@@ -5,8 +5,8 @@
 //! Meshing of Surfaces in Multimaterial Volumes, IEEE TVCG 14(6), 2008), with signed distances (mm,
 //! negative inside) as indicators. The material at a position is the material with the smallest
 //! indicator, so there are neither gaps nor overlaps. The two smallest indicators are equal on a
-//! material interface, the three smallest on a *junction curve*, and the four
-//! smallest at a *junction point*. All three are *strata*.
+//! *material interface*, the three smallest on a *junction curve*, and the four smallest at a
+//! *junction point*. Interfaces, curves and points are called *strata*.
 //!
 //! [`Indicators`] is the interface for algorithms. [`Materials`] implements it for samples on a
 //! grid, and [`Analytic`] implements it for functions.
@@ -59,13 +59,13 @@ pub struct Material {
     pub labels: Vec<LayerLabel>,
 }
 
-/// Maximum number of indicators returned for one position. More materials meet only in noise, where
-/// the largest indicators are dropped.
+/// Maximum number of indicators returned for one position: the eight voxels around a grid corner
+/// have at most eight labels. If more indicators are known, the largest are dropped.
 pub const MOST_NEAR: usize = 8;
 
 /// The indicators known at a position, smallest first. Equal indicators are ordered by material
-/// number. The value is minus infinity for a material that fills the surroundings, if the position
-/// is farther from its border than its indicator is known.
+/// number. A material that fills the surroundings of the position has the value minus infinity if
+/// its indicator is not known there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Near {
     entries: [(MaterialId, f64); MOST_NEAR],

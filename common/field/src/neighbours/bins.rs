@@ -7,10 +7,12 @@ use isoparticles_mesh::buckets::{Buckets, parts_mut};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Number of rows of bins that are sorted per parallel task.
-const ROWS: usize = 1 << 8;
+/// Number of rows of bins that are sorted per parallel task. A level of the maximum extent has 2^20
+/// rows, hence 4096 tasks.
+const ROWS_PER_TASK: usize = 1 << 8;
 
-/// Maximum number of bins along an axis of a level.
+/// Maximum number of bins along an axis of a level. A level has at most 2^20 rows, whose table
+/// takes 4 MiB.
 const MOST_BINS: f64 = 1024.0;
 
 /// Position and size of the bins of every level.
@@ -99,8 +101,10 @@ impl Level {
             items.into_par_iter().map(|item| (bin_of[item as usize], members[item as usize])).collect();
         drop(bin_of);
         let row_ends = |rows: &[u32]| (rows[rows.len() - 1] - rows[0]) as usize;
-        let some: Vec<&[u32]> =
-            (0..starts.len() - 1).step_by(ROWS).map(|n| &starts[n..starts.len().min(n + ROWS + 1)]).collect();
+        let some: Vec<&[u32]> = (0..starts.len() - 1)
+            .step_by(ROWS_PER_TASK)
+            .map(|n| &starts[n..starts.len().min(n + ROWS_PER_TASK + 1)])
+            .collect();
         let parts = parts_mut(&mut entries, some.iter().map(|rows| row_ends(rows)));
         parts.into_par_iter().zip(some).for_each(|(own, rows)| {
             for row in rows.windows(2) {

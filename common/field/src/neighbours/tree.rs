@@ -7,7 +7,7 @@ use glam::DVec3;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
 
-/// Number of points per lane operation.
+/// Number of points per lane operation: eight doubles fill a vector register of 512 bits.
 pub(super) const LANES: usize = 8;
 
 /// Eight consecutive points. Missing points are padded with points infinitely far away.
@@ -74,7 +74,7 @@ impl Tree {
         Self::default().anew(points, sizes, reach)
     }
 
-    /// Builds a tree like [`Self::new`], but reuses the memory of this tree, which is dropped.
+    /// Builds a tree like [`Self::new`]. Drops this tree and reuses its memory.
     pub(super) fn anew(self, points: &[DVec3], sizes: &[f64], reach: f64) -> Self {
         let Self { mut runs, mut boxes, .. } = self;
         let run = |(n, (points, sizes)): (usize, (&[DVec3], &[f64]))| {
@@ -220,10 +220,11 @@ impl Candidates {
     }
 }
 
-/// Maximum mean extent of runs, in units of the reach. If runs are larger, the points are first
-/// sorted into spatial order. Runs of particles in spatial order extend 1.7 to 2.1 reaches.
+/// Maximum mean extent of runs, in units of the reach. Runs of particles in spatial order extend
+/// 1.7 to 2.1 reaches, half of the limit. If runs are larger, the points are first sorted into
+/// spatial order.
 const MOST_EXTENT: f64 = 4.0;
 
 /// Maximum mean extent of groups of eight runs, in units of the reach. On a surface, eight runs
-/// have eight times the area of one run and sqrt 8 times its extent.
+/// have eight times the area of one run and sqrt 8 times its extent: 4 sqrt 8 = 11.3, rounded up.
 const MOST_EXTENT_OF_EIGHT: f64 = 12.0;

@@ -20,11 +20,15 @@ pub use prefilter::{Coefficients, SlabFilter};
 pub(crate) use stencil::Stencil;
 use stencil::mirror;
 
-/// Maximum number of Newton steps of a projection onto F = 0.
+/// Maximum number of Newton steps of a projection. Steps are limited to half a voxel; near F = 0,
+/// each step doubles the number of correct digits. Projections that converge take at most 15 steps
+/// onto strata of the brain crop in `materials/complex/follow.rs`, and at most 21 steps onto F = 0
+/// of `trabecular_bone` (tolerance 1e-9 voxel, starts up to a voxel away).
 pub const PROJECTION_STEPS: usize = 25;
 
-/// Maximum squared gradient at which a projection fails. F is a distance, so its slope is 1 nearly
-/// everywhere.
+/// Maximum squared gradient at which a projection fails, which corresponds to a slope of 1e-4. F is
+/// a distance, so its slope is 1 nearly everywhere. At this slope, F / slope is no distance: a
+/// value of 1e-4 voxel would give a step of a voxel.
 pub const LEAST_SQUARED_GRADIENT: f64 = 1e-8;
 
 /// Distance in voxels between a surface and the face of a grid beyond which the spline near the

@@ -6,19 +6,21 @@ use rayon::prelude::*;
 use std::collections::VecDeque;
 use std::ops::Range;
 
-const POLE: f64 = -0.267_949_192_431_122_7; // sqrt(3) - 2
+/// Pole of the cubic B-spline prefilter: sqrt(3) - 2.
+const POLE: f64 = -0.267_949_192_431_122_7;
 
 /// Number of slices beyond a slab that contribute to its coefficients. Slices farther away have
-/// weights below 1e-9, less than single precision resolves.
+/// weights below (2 - sqrt(3))^16 = 7e-10, less than single precision resolves.
 const HALO: usize = 16;
 
-/// Minimum number of nodes whose coefficients are computed at a time. It bounds the memory. Smaller
-/// images are filtered as a whole.
+/// Minimum number of nodes whose coefficients are computed at a time. Their coefficients take 32
+/// MiB. Smaller images are filtered as a whole.
 const NODES_AT_A_TIME: usize = 8 << 20;
 
-/// Number of rows along x that are filtered together. In a single row, each sum must wait for the
-/// previous sum.
-const ROWS: usize = 8;
+/// Number of rows along x that are filtered together, so that eight independent sums proceed at
+/// once and a sample of all rows fills a cache line of 64 bytes. In a single row, each sum must
+/// wait for the previous sum.
+const ROWS_AT_A_TIME: usize = 8;
 
 /// Prefilters an image that is given slice by slice, and returns the coefficients of some slices at
 /// a time. The coefficients of the whole image are therefore never stored. They equal those of
@@ -96,7 +98,7 @@ impl SlabFilter {
 
 /// Prefilters a slice along x and then along y.
 pub(super) fn filter_slice(slice: &mut [f32], nx: usize, ny: usize, scratch: &mut [f64]) {
-    for rows in slice.chunks_mut(nx * ROWS) {
+    for rows in slice.chunks_mut(nx * ROWS_AT_A_TIME) {
         let width = rows.len() / nx;
         let lines = &mut scratch[..rows.len()];
         for (x, row) in rows.chunks(nx).enumerate() {
@@ -154,8 +156,8 @@ fn filter_lines(scratch: &mut [f64], width: usize, length: usize) {
         scratch.iter_mut().for_each(|sample| *sample /= 6.0);
         return;
     }
+    // first causal value: mirrored geometric sum, up to weights of POLE^30 = 7e-18, below 2^-53
     let horizon = 30.min(length);
-    // first causal value: mirrored geometric sum
     for x in 0..width {
         scratch[x] = causal_start(|k| scratch[k * width + x], length, horizon);
     }

@@ -11,18 +11,20 @@ use rayon::prelude::*;
 
 /// Level to which every uncertain voxel cell is subdivided. A neck, gap or speck of radius r at a
 /// critical point is certain in cells of edge e < r / sqrt 3, where F differs little from its
-/// second-order expansion. A sixteenth of a voxel suffices for all but the finest features down to
-/// `RESOLUTION`.
+/// second-order expansion. Cells of a sixteenth of a voxel decide all features of radius 0.108
+/// voxel and more, almost down to `RESOLUTION` (0.1).
 pub(super) const BASE: u8 = 4;
 
-/// Finest level. It decides even the finest features, down to a fiftieth of a voxel.
+/// Finest level. In its cells, features of radius r > sqrt 3 / 128 = 0.014 voxel are certain, a
+/// seventh of `RESOLUTION`.
 pub(super) const DEPTH: u8 = 7;
 
 /// Cells are subdivided beyond [`BASE`] while at most this many cells of a voxel are uncertain. If
 /// F = 0 meets itself in a point, the number of uncertain cells is the same on every level: 14 per
-/// point (9,237 cells at 662 such points of a noisy scan, at [`BASE`]). The number doubles with
-/// each level along a curve and quadruples over a surface, where subdivision does not help.
-const UNCERTAIN: usize = 64;
+/// point (9,237 cells at 662 such points of a noisy scan, at [`BASE`]). The limit allows four such
+/// points. The number doubles with each level along a curve and quadruples over a surface, where
+/// subdivision does not help.
+const MOST_UNCERTAIN: usize = 64;
 
 /// Number of finest cells along the edge of a voxel.
 pub(super) const FINE: u64 = 1 << DEPTH;
@@ -400,7 +402,7 @@ impl Halving {
     fn voxel(&mut self, whole: &Bernstein) -> State {
         let state = self.state(whole, 0);
         for level in BASE + 1..=DEPTH {
-            if self.uncertain.len() > UNCERTAIN {
+            if self.uncertain.len() > MOST_UNCERTAIN {
                 break;
             }
             for (number, octant, own) in std::mem::take(&mut self.uncertain) {

@@ -44,10 +44,11 @@ use surface::Surface;
 pub use undecided::{Group, Groups, Undecided, UndecidedKind};
 use watch::Watch;
 
-/// Minimum radius, in voxels (geometric mean spacing), of necks, gaps and specks whose topology is
-/// resolved. The radius is the distance from the critical point to F = 0 by the second-order
-/// expansion. Smaller features are not meaningful, and resolving them would require very short
-/// mesh edges.
+/// Minimum radius, in voxels (geometric mean spacing), of necks, gaps and specks whose topology a
+/// mesh must reproduce. The radius is the distance from the critical point to F = 0 by the
+/// second-order expansion. A neck of this radius has a circumference of 0.63 voxel, so six edges
+/// around it are a tenth of a voxel long. Samples one voxel apart do not determine smaller
+/// features.
 pub const RESOLUTION: f64 = 0.1;
 
 /// A component of F = 0. Its number is its index in the list of components, which is ordered by the
@@ -68,8 +69,8 @@ pub struct Component {
     pub volume: f64,
 }
 
-/// The components of F = 0 in the volume, without the critical points. It is meant for stages that
-/// only count and distinguish components. It is cheaper than [`FieldTopology`] and gives the same
+/// The components of F = 0 in the volume, without critical points. Stages that only count and
+/// distinguish components use this type: it is cheaper than [`FieldTopology`] and has the same
 /// components.
 pub struct FieldComponents {
     cells: Cells,
@@ -160,7 +161,7 @@ impl FieldTopology {
     /// Computes the topology like [`Self::watched`], but without a monitor.
     ///
     /// # Panics
-    /// Never, because work without a monitor is not interrupted.
+    /// Never: without a monitor, nothing interrupts the computation.
     pub fn new(field: &CubicSpline) -> Self {
         Self::watched(field, &Silent).expect("what nobody watches is not interrupted")
     }

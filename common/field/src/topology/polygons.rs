@@ -1,27 +1,26 @@
-//! Represents the surface given by the signs of F at the cell corners as polygons. The corners of
-//! the polygons are the crossings of the surface with cell edges. The polygons are not
-//! triangulated, because components and Euler characteristics do not need triangles.
+//! Represents the surface given by the signs of F at the cell corners as polygons. Their corners
+//! are the crossings of the surface with cell edges. Components and Euler characteristics need no
+//! triangles.
 //!
 //! Each edge is divided as finely as the smallest cell that contains it, and each face as finely as
 //! the smaller of its two cells. All cells therefore use the same crossings, and the polygons form
 //! a closed surface, except at the border of the volume.
 
 use super::cells::{Cell, Cells, DEPTH, FINE, around};
+use crate::marching_cubes::NODE_CLEARANCE;
 use crate::spline::CubicSpline;
 use glam::DVec3;
 use std::ops::Range;
 use std::sync::OnceLock;
 
-/// Number of cached values of F; a power of two.
-const REMEMBERED: usize = 1 << 14;
+/// Number of cached values of F; a power of two. At 16 bytes each, they take 256 KiB and stay in
+/// the second-level cache.
+const CACHED_VALUES: usize = 1 << 14;
 
-/// 2^64 divided by the golden ratio. Multiplication by it spreads numbers over the upper bits
-/// (Knuth's multiplicative hashing). [`SHIFT`] keeps as many of these bits as the cache needs.
+/// 2^64 divided by the golden ratio (Knuth's multiplicative hashing): a product with this factor
+/// has well-mixed upper bits. [`SHIFT`] keeps the bits that number a cached value.
 const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
-const SHIFT: u32 = 64 - REMEMBERED.trailing_zeros();
-
-/// Minimum distance of a crossing from the ends of its edge, as a fraction of the edge length.
-const CLEARANCE: f64 = 1e-3;
+const SHIFT: u32 = 64 - CACHED_VALUES.trailing_zeros();
 
 /// Bit mask of a cell and the 26 cells around it in a block of four cells along each axis, x
 /// fastest. The lowest of these cells has the lowest bit.
@@ -125,9 +124,8 @@ pub(super) struct Reader<'a> {
     /// For each level: the cell requested last, and the octant indices of this cell and of the
     /// cells of its size around it.
     larger: Vec<Option<(Cell, [Option<u32>; 27])>>,
-    /// Sides of the polygons of a cell. Kept to reuse the memory.
+    /// Scratch space: sides of the polygons of a cell, and crossings around a face.
     sides: Vec<[Crossing; 2]>,
-    /// Crossings around a face. Kept to reuse the memory.
     crossings: Vec<(Crossing, bool)>,
 }
 
@@ -135,7 +133,7 @@ impl<'a> Reader<'a> {
     pub(super) fn new(field: &'a CubicSpline, cells: &'a Cells) -> Self {
         let corners = corners(cells);
         let present = Cell { level: 0, at: [0; 3] };
-        let remembered = vec![(u64::MAX, 0.0); REMEMBERED];
+        let remembered = vec![(u64::MAX, 0.0); CACHED_VALUES];
         Self {
             field,
             cells,
@@ -436,7 +434,7 @@ impl<'a> Reader<'a> {
         let edge = Cell { level, at: corner.map(|n| (n / (FINE >> level)) as u32) };
         let ends = self.ends(edge, axis);
         let [a, b] = ends.map(|end| self.value(end));
-        let share = (a / (a - b)).clamp(CLEARANCE, 1.0 - CLEARANCE);
+        let share = (a / (a - b)).clamp(NODE_CLEARANCE, 1.0 - NODE_CLEARANCE);
         let [from, to] = ends.map(|end| DVec3::from_array(end.map(|n| n as f64)));
         self.place(from.lerp(to, share))
     }

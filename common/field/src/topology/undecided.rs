@@ -28,7 +28,7 @@ pub struct Undecided {
     /// Components that the location touches, ascending.
     #[serde(skip)]
     pub components: Vec<u32>,
-    /// Bounding box in the grid frame, mm.
+    /// Bounding box of the location in the grid frame, mm.
     #[serde(skip)]
     pub bounds: Bounds,
 }
@@ -210,7 +210,7 @@ impl Changes {
         }
     }
 
-    /// Returns the changes that both allow together.
+    /// Returns the changes that `self` and `other` allow together.
     fn and(&self, other: &Self) -> Self {
         let mut counts = vec![[i64::MAX, i64::MIN]; self.counts.len() + other.counts.len() - 1];
         for (n, own) in self.counts.iter().enumerate() {
@@ -222,8 +222,8 @@ impl Changes {
     }
 }
 
-/// Returns whether a component is as fine throughout as at an extremum in it. The ratio of volume
-/// to area is half the thickness for a plate, and less for any other shape.
+/// Returns whether a component is thin everywhere, instead of only at an extremum of F in it. The
+/// ratio of volume to area is half the thickness for a plate, and less for any other shape.
 fn is_thin(component: &Component, resolution: f64) -> bool {
     component.volume.abs() < resolution * component.area
 }

@@ -38,8 +38,8 @@ pub(super) fn half_way(a: LatticePoint, b: LatticePoint) -> Option<LatticePoint>
 }
 
 /// Returns the rank of an edge. Edges with the highest rank are bisected first. The rank is the
-/// squared length in steps, then the numbers of the ends. It is a total order, so that both sides
-/// of a face are cut in the same way.
+/// squared length in steps, followed by the numbers of the ends. It is a total order, so both
+/// tetrahedra at a face cut the face in the same way.
 pub(super) fn rank(a: LatticePoint, b: LatticePoint) -> (u32, [u128; 2]) {
     let squared = (0..3).map(|axis| a[axis].abs_diff(b[axis]).pow(2)).sum();
     let (a, b) = (number(a), number(b));
@@ -63,8 +63,8 @@ pub(super) enum Piece {
     Curve { ends: [u8; 2] },
 }
 
-/// Passes the pieces of a tetrahedron to `hear`. They depend on the materials at the corners of the
-/// tetrahedron (Nielson and Franke 1997).
+/// Calls `hear` with each piece of a tetrahedron. The materials at the corners of the tetrahedron
+/// determine the pieces (Nielson and Franke 1997).
 pub(super) fn pieces(of: [MaterialId; 4], mut hear: impl FnMut(Piece)) {
     let bit = |corner: usize| 1u8 << corner;
     let same = |a: usize, b: usize| of[a] == of[b];

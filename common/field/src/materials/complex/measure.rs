@@ -8,8 +8,8 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Number of triangles that are summed sequentially. The sum therefore does not depend on the
-/// number of threads.
+/// Number of triangles that are summed sequentially. A fixed number makes the sum independent of
+/// the number of threads.
 const CHUNK: usize = 1 << 14;
 
 /// Number of lattice particles that one particle on a junction curve replaces. It covers half the

@@ -20,8 +20,8 @@ mod measure;
 mod tests;
 
 pub use cells::{Triangle, Vertex};
-pub use chains::{Chain, End, JunctionPoint, SAME_JUNCTION};
-pub use follow::{way_along, way_from, way_round, ways_along};
+pub use chains::{Chain, End, JunctionPoint};
+pub use follow::{SAME_JUNCTION, way_along, way_from, way_round, ways_along};
 
 use super::{Indicators, Materials, Stratum};
 use cells::{Name, Part, part};
@@ -34,7 +34,7 @@ use serde::Serialize;
 /// Counts of lattice vertices and curves that were found, projected, dropped or merged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Tally {
-    /// JunctionPoint points found on the lattice.
+    /// Junction points found on the lattice.
     pub points: usize,
     /// Lattice junction points that Newton's method could not project.
     pub points_not_projected: usize,
@@ -48,12 +48,12 @@ pub struct Tally {
     pub curve_vertices_not_clear: usize,
     /// Ends of curves that could not be followed further.
     pub curves_lost: usize,
-    /// JunctionPoint points that were merged with another junction point of the same materials.
+    /// Junction points that were merged with another junction point of the same materials.
     pub points_merged: usize,
-    /// JunctionPoint points that were removed, because the curves that end there continue through
+    /// Junction points that were removed, because the curves that end there continue through
     /// them.
     pub points_passed: usize,
-    /// JunctionPoint points at which, for some three of the four materials, the number of curve
+    /// Junction points at which, for some three of the four materials, the number of curve
     /// ends is not one.
     pub points_irregular: usize,
     /// Closed curves that were dropped, because they are far shorter than a voxel.
