@@ -63,7 +63,7 @@ pub enum Error {
         path: PathBuf,
         /// The problem, including the invalid value and its location.
         problem: String,
-        /// Why the problem matters.
+        /// The reason why the problem matters.
         reason: String,
         /// Instructions for the user.
         remedy: String,

@@ -1,5 +1,5 @@
-//! A flag that requests the run to stop. Stage programs set it on SIGINT and SIGTERM, and code that
-//! writes files checks it.
+//! A flag that requests the run to stop. Stage programs set the flag on SIGINT, SIGTERM and SIGHUP,
+//! and code that writes files checks the flag.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -1,16 +1,15 @@
 //! Disjoint sets, and connected components of a mesh.
 
+use crate::buckets::TASK_ITEMS;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-/// Minimum number of triangles per task.
-const CHUNK: usize = 1 << 12;
-
-/// Component of a vertex that belongs to no triangle.
+/// Component number of a vertex without triangles. A mesh has fewer components than vertices, and
+/// at most `u32::MAX` vertices.
 pub const NO_COMPONENT: u32 = u32::MAX;
 
-/// Union-find with path halving. The smallest member represents a set, so the result does not
-/// depend on the order of the joins.
+/// Union-find with path halving. The smallest member of a set represents the set, so the result
+/// does not depend on the order of the joins.
 #[derive(Clone, Debug)]
 pub struct DisjointSets {
     parent: Vec<u32>,
@@ -73,12 +72,12 @@ impl SharedSets {
 
 /// Returns the component of each vertex, and the number of components. Triangles connect the
 /// vertices of a component. Components are numbered in the order of their first vertices. Vertices
-/// of no triangle get [`NO_COMPONENT`].
+/// without triangles get [`NO_COMPONENT`].
 pub fn of_vertices(count: usize, triangles: &[[u32; 3]]) -> (Vec<u32>, usize) {
     let sets = SharedSets((0..count as u32).map(AtomicU32::new).collect());
     let used: Vec<AtomicU32> = (0..count).map(|_| AtomicU32::new(NO_COMPONENT)).collect();
     const USED: u32 = 0;
-    triangles.par_iter().with_min_len(CHUNK).for_each(|&[a, b, c]| {
+    triangles.par_iter().with_min_len(TASK_ITEMS).for_each(|&[a, b, c]| {
         sets.join(a, b);
         sets.join(b, c);
         for v in [a, b, c] {

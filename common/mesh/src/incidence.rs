@@ -2,16 +2,16 @@
 //! The lists are computed by counting instead of sorting, because the refinement needs them in
 //! every round.
 
-use crate::buckets::Buckets;
+use crate::buckets::{Buckets, TASK_ITEMS};
 use rayon::prelude::*;
 
-/// Number of vertices per task. It is small enough that a small mesh still gives several tasks.
-const CHUNK: usize = 1 << 11;
+/// Number of vertices per task: a closed surface has about half as many vertices as triangles.
+const TASK_VERTICES: usize = TASK_ITEMS / 2;
 
 /// Buffers of [`Incidence::fans_at`], which are reused between vertices.
 #[derive(Default)]
 pub struct FanWork {
-    /// Other end of an edge at the vertex, and local index of the triangle.
+    /// Other end of each edge at the vertex, with the local index of a triangle at the edge.
     ends: Vec<(u32, u32)>,
     /// Fan number of each triangle at the vertex.
     fan: Vec<u32>,
@@ -50,17 +50,17 @@ impl<'a> Incidence<'a> {
         self.starts.len() - 1
     }
 
-    /// Calls `hear` for each edge from `vertex` to a vertex with a larger index. The arguments are
+    /// Calls `found` for each edge from `vertex` to a vertex with a larger index. The arguments are
     /// the other end, and the pair (other end, triangle) for each triangle at the edge. Edges and
     /// triangles are in ascending order.
-    fn edges_from(&self, vertex: u32, ends: &mut Vec<(u32, u32)>, mut hear: impl FnMut(u32, &[(u32, u32)])) {
+    fn edges_from(&self, vertex: u32, ends: &mut Vec<(u32, u32)>, mut found: impl FnMut(u32, &[(u32, u32)])) {
         ends.clear();
         for &t in self.of(vertex) {
             let others = self.triangles[t as usize].into_iter().filter(|&other| other > vertex);
             ends.extend(others.map(|other| (other, t)));
         }
         ends.sort_unstable();
-        ends.chunk_by(|a, b| a.0 == b.0).for_each(|edge| hear(edge[0].0, edge));
+        ends.chunk_by(|a, b| a.0 == b.0).for_each(|edge| found(edge[0].0, edge));
     }
 
     /// Returns the number of triangle fans at a vertex. Two triangles that share an edge at the
@@ -102,7 +102,7 @@ impl<'a> Incidence<'a> {
     /// class number of each triangle, and all numbers must be below `classes`. A vertex or edge
     /// counts once in each class that uses it.
     pub fn euler_characteristics(&self, class: &[u32], classes: usize) -> Vec<i64> {
-        let chunks = (0..self.vertex_count()).into_par_iter().step_by(CHUNK);
+        let chunks = (0..self.vertex_count()).into_par_iter().step_by(TASK_VERTICES);
         let sums = chunks.map(|first| {
             let mut euler = vec![0i64; classes];
             let (mut ends, mut seen) = (Vec::new(), Vec::new());
@@ -115,7 +115,7 @@ impl<'a> Incidence<'a> {
                     }
                 }
             };
-            for v in first as u32..(first + CHUNK).min(self.vertex_count()) as u32 {
+            for v in first as u32..(first + TASK_VERTICES).min(self.vertex_count()) as u32 {
                 count(&mut self.of(v).iter().copied(), 1);
                 self.edges_from(v, &mut ends, |_, edge| count(&mut edge.iter().map(|end| end.1), -1));
             }

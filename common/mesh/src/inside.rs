@@ -64,8 +64,8 @@ pub fn count_nodes_inside(mesh: &TriangleMesh, geometry: &Geometry) -> usize {
 pub struct Crossing {
     /// Row number, k * ny + j.
     pub row: usize,
-    /// Index i of the first node beyond the crossing. If there is no such node, the number of nodes
-    /// in the row.
+    /// Index i of the first node beyond the crossing, or the number of nodes in the row if there is
+    /// no such node.
     pub first: usize,
 }
 
@@ -109,7 +109,7 @@ fn moved_turn(a: Coord<f64>, b: Coord<f64>, p: Coord<f64>) -> i8 {
 }
 
 /// Returns the index of the first node beyond the plane of a triangle, in the row at (y, z) = `at`.
-/// The row crosses the triangle.
+/// The row must cross the triangle.
 fn first_beyond(corners: [DVec3; 3], side: i8, at: Coord<f64>, geometry: &Geometry) -> usize {
     let spacing = geometry.spacing.x;
     let count = geometry.size[0];

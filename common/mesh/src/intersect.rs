@@ -61,9 +61,9 @@ fn turned(t: [DVec3; 3], first: usize) -> [DVec3; 3] {
 
 /// Returns whether a fast floating-point test proves that two triangles do not intersect. The test
 /// uses the plane of `t`, and the planes perpendicular to `t` through the two edges at its first
-/// corner. It succeeds if all `points` (corners of `other`) are on the free side of one of these
-/// planes by more than the rounding error. If `points` omits a corner of `other`, that corner must
-/// be the first corner of `t`.
+/// corner. The test succeeds if all `points` (corners of `other`) are on one side of the plane of
+/// `t`, or separated from `t` by one of the other two planes, by more than the rounding error. If
+/// `points` omits a corner of `other`, that corner must be the first corner of `t`.
 fn clearly_apart(t: [DVec3; 3], other: [DVec3; 3], points: &[DVec3]) -> bool {
     let (u, v) = (t[1] - t[0], t[2] - t[0]);
     let normal = u.cross(v);

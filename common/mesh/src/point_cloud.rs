@@ -5,7 +5,7 @@
 use crate::error::bad;
 use crate::error::{Error, Result};
 use crate::points::positions;
-use crate::vtk_legacy;
+use crate::vtk_legacy::{self, is_normals};
 use glam::DVec3;
 use isoparticles_file::history::History;
 use isoparticles_volume::Space;
@@ -89,11 +89,6 @@ fn unusable(path: &Path, what: &str) -> Error {
         "a point cloud with finite coordinates is needed",
         "use a .ply file, a .xyz file with lines 'x y z' or 'x y z nx ny nz', or a .vtp or .vtk file",
     )
-}
-
-/// Returns whether a point array has the name of normals.
-pub(crate) fn is_normals(name: &str) -> bool {
-    name.eq_ignore_ascii_case("normals") || name.eq_ignore_ascii_case("normal")
 }
 
 fn finite_or_zero(normal: DVec3) -> DVec3 {
@@ -300,7 +295,7 @@ fn ply_points(bytes: &[u8]) -> std::result::Result<PointCloud, String> {
     Ok(PointCloud::unplaced(positions, directions.map(|_| normals)))
 }
 
-/// Iterator over the records of an element.
+/// The records of an element that have not been read yet.
 enum Rows<'a> {
     Words(std::str::SplitAsciiWhitespace<'a>),
     Bytes(&'a [u8], Encoding),

@@ -80,17 +80,24 @@ pub fn analyse(mesh: &TriangleMesh) -> Topology {
         }
     }
     find_components(mesh, &mut topology);
-
-    let sides = sorted_sides(mesh);
-    // Two corners at a vertex are joined if their triangles share an edge at the vertex. If one set
-    // remains, the vertex has one fan.
-    let mut fans = DisjointSets::new(3 * mesh.triangles.len());
     let mut faulty = vec![false; topology.components.len()];
-    let mut from = 0;
-    while from < sides.len() {
-        let key = sides[from].key;
-        let to = from + sides[from..].iter().take_while(|s| s.key == key).count();
-        let group = &sides[from..to];
+    let fans = examine_edges(mesh, &mut topology, &mut faulty);
+    examine_vertices(mesh, fans, &mut topology, &mut faulty);
+    for (component, faulty) in topology.components.iter_mut().zip(faulty) {
+        component.euler = component.vertices as i64 - component.edges as i64 + component.triangles as i64;
+        component.genus = (!faulty).then_some((2 - component.euler) / 2);
+        topology.euler += component.euler;
+    }
+    topology
+}
+
+/// Counts the edges, and lists the edges that violate a condition. Marks the components of these
+/// edges in `faulty`. Returns the disjoint sets of triangle corners: two corners at a vertex are in
+/// the same set if edges at the vertex connect their triangles.
+fn examine_edges(mesh: &TriangleMesh, topology: &mut Topology, faulty: &mut [bool]) -> DisjointSets {
+    let mut fans = DisjointSets::new(3 * mesh.triangles.len());
+    for group in sorted_sides(mesh).chunk_by(|a, b| a.key == b.key) {
+        let key = group[0].key;
         let edge = [(key >> 32) as u32, key as u32];
         let component = topology.component_of_vertex[edge[0] as usize] as usize;
         topology.edges += 1;
@@ -111,9 +118,14 @@ pub fn analyse(mesh: &TriangleMesh) -> Topology {
                 fans.join(corner_of(mesh, pair[0].triangle, vertex), corner_of(mesh, pair[1].triangle, vertex));
             }
         }
-        from = to;
     }
+    fans
+}
 
+/// Lists the vertices without triangles and the vertices with more than one fan. Marks the
+/// components of the latter in `faulty`. The number of fans at a vertex is the number of sets of
+/// its corners.
+fn examine_vertices(mesh: &TriangleMesh, mut fans: DisjointSets, topology: &mut Topology, faulty: &mut [bool]) {
     let mut fan_count = vec![0u32; mesh.vertices.len()];
     for corner in 0..3 * mesh.triangles.len() as u32 {
         let vertex = mesh.triangles[corner as usize / 3][corner as usize % 3];
@@ -132,12 +144,6 @@ pub fn analyse(mesh: &TriangleMesh) -> Topology {
             }
         }
     }
-    for (component, faulty) in topology.components.iter_mut().zip(faulty) {
-        component.euler = component.vertices as i64 - component.edges as i64 + component.triangles as i64;
-        component.genus = (!faulty).then_some((2 - component.euler) / 2);
-        topology.euler += component.euler;
-    }
-    topology
 }
 
 /// A side of a triangle, with the sort key of the edge.

@@ -25,11 +25,11 @@ pub enum Kind {
 pub struct Error {
     /// Kind of failure, which determines the exit code.
     pub kind: Kind,
-    /// What happened, with the file and the value.
+    /// The problem, with the file and the value.
     pub what: String,
-    /// Why the stage cannot continue.
+    /// The reason why the stage cannot continue.
     pub why: String,
-    /// What the user can do next.
+    /// Instructions for the user.
     pub next: String,
 }
 

@@ -72,7 +72,7 @@ pub fn write_field(
 ) -> Result<()> {
     let mut document = Document::new("ImageData");
     vti::open_image(&mut document, &image.geometry);
-    // sort the keys, so that they do not depend on the order of the struct fields
+    // a JSON value has sorted keys, which do not depend on the order of the struct fields
     let meta = serde_json::to_value(meta).unwrap_or(Value::Null);
     let texts = [("geometry", ascii_json(&image.geometry)), ("meta", ascii_json(&meta))];
     document.identity(kind.name(), VERSION, &texts, history);
@@ -89,7 +89,7 @@ pub fn read_field(path: &Path, expected: FieldKind) -> Result<Field> {
     let image = file.data_set("ImageData")?;
     let found = file.text(image, "isoparticles_kind")?;
     if found.as_deref() == Some(materials_file::KIND) {
-        return Err(materials_file::not_one_object(path, expected));
+        return Err(not_one_object(path, expected));
     }
     if let Some(found) = found.filter(|found| found != expected.name()) {
         return Err(wrong_kind(path, expected, &format!("is a {found} file")));
@@ -143,6 +143,16 @@ pub fn check_same_grid(first: (&Path, &Geometry), second: (&Path, &Geometry)) ->
         "their voxels cannot be matched",
         "use files made from the same distance field",
     ))
+}
+
+/// Returns the error for a file with several materials if the stage needs a single object.
+fn not_one_object(path: &Path, expected: FieldKind) -> Error {
+    Error::of_file(
+        path,
+        "contains the indicators of many materials",
+        format!("this stage needs the field '{}' of one object", expected.array_name()),
+        "use the field of one object: LABELS=A,B (distfield --labels A,B) joins labels to one object",
+    )
 }
 
 fn wrong_kind(path: &Path, expected: FieldKind, what: &str) -> Error {

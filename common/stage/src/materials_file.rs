@@ -6,7 +6,6 @@
 //! bricks. Indicators are read back bit for bit.
 
 use crate::error::{Error, Result};
-use crate::field_file::FieldKind;
 use crate::output::write_atomically;
 use isoparticles_field::materials::{Indicator, IndicatorParts, Material, Materials};
 use isoparticles_file::history::History;
@@ -51,10 +50,11 @@ struct Row {
     first: [usize; 3],
     /// Number of nodes of the box along each axis.
     size: [usize; 3],
-    /// Whether everything outside the box is inside the material.
+    /// True if the material contains everything outside the box.
     surrounds: bool,
-    /// Number of bricks of this material. The next field is the number of its coefficients.
+    /// Number of bricks of this material.
     bricks: usize,
+    /// Number of coefficients of this material.
     coefficients: usize,
 }
 
@@ -158,7 +158,22 @@ pub fn read_materials(path: &Path) -> Result<MaterialsFile> {
     let Voxels::F32(coefficients) = file.all_numbers(array("indicator_coefficients")?)? else {
         return Err(wrong_type("indicator_coefficients"));
     };
-    let (mut bricks, mut coefficients) = (bricks.as_slice(), coefficients.as_slice());
+    let materials = materials_of(path, rows, (&bricks, &coefficients), geometry.size)?;
+    let materials = Materials::from_parts(geometry, materials, fill)
+        .map_err(|error| damaged(path, &format!("its indicators are inconsistent: {error}")))?;
+    let meta = file.text(image, "meta")?.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or(Value::Null);
+    let history = file.text(image, "history")?.and_then(|text| serde_json::from_str(&text).ok());
+    Ok(MaterialsFile { materials, meta, history })
+}
+
+/// Builds the indicators of all materials from the rows of the table and the concatenated bricks
+/// and coefficients.
+fn materials_of(
+    path: &Path,
+    rows: Vec<Row>,
+    (mut bricks, mut coefficients): (&[u32], &[f32]),
+    grid: [usize; 3],
+) -> Result<Vec<(Material, Indicator)>> {
     let mut materials = Vec::with_capacity(rows.len());
     for row in rows {
         let short = || damaged(path, &format!("has too few bricks or coefficients for '{}'", row.material.name));
@@ -172,30 +187,16 @@ pub fn read_materials(path: &Path) -> Result<MaterialsFile> {
             bricks: own_bricks.to_vec(),
             coefficients: own.to_vec(),
         };
-        let indicator = Indicator::from_parts(parts, geometry.size)
+        let indicator = Indicator::from_parts(parts, grid)
             .map_err(|error| damaged(path, &format!("the indicator of '{}' is damaged: {error}", row.material.name)))?;
         materials.push((row.material, indicator));
     }
-    if !bricks.is_empty() || !coefficients.is_empty() {
-        return Err(damaged(path, "has more bricks or coefficients than its materials"));
+    if bricks.is_empty() && coefficients.is_empty() {
+        return Ok(materials);
     }
-    let materials = Materials::from_parts(geometry, materials, fill)
-        .map_err(|error| damaged(path, &format!("its indicators are inconsistent: {error}")))?;
-    let meta = file.text(image, "meta")?.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or(Value::Null);
-    let history = file.text(image, "history")?.and_then(|text| serde_json::from_str(&text).ok());
-    Ok(MaterialsFile { materials, meta, history })
+    Err(damaged(path, "has more bricks or coefficients than its materials"))
 }
 
 fn damaged(path: &Path, what: &str) -> Error {
     Error::of_file(path, what, "the file is damaged or was written by another program", "run distfield again")
-}
-
-/// Returns the error for a file with several materials if the stage needs a single object.
-pub(crate) fn not_one_object(path: &Path, expected: FieldKind) -> Error {
-    Error::of_file(
-        path,
-        "contains the indicators of many materials",
-        format!("this stage needs the field '{}' of one object", expected.array_name()),
-        "use the field of one object: LABELS=A,B (distfield --labels A,B) joins labels to one object",
-    )
 }

@@ -17,12 +17,13 @@ use serde_json::Value;
 use std::io::Read;
 use std::path::Path;
 
+/// First bytes of every particle file.
 const MAGIC: [u8; 8] = *b"ISOPART\n";
 /// Container version of files with a single object.
 const VERSION: u32 = 1;
 /// Container version of files with several materials.
 const VERSION_OF_STRATA: u32 = 2;
-/// Size in bytes of the header before the payload.
+/// Size in bytes of the header before the payload: 8 + 4 + 4 + 8 + 32.
 const HEADER_BYTES: usize = 56;
 
 /// The type of the particles in a file.
@@ -186,53 +187,9 @@ fn write(
 
 /// Reads particles. Returns an error if their kind is not accepted, or if the file is damaged.
 pub fn read_particles(path: &Path, accepted: &[ParticleKind]) -> Result<ParticleFile> {
-    let cannot = |error: std::io::Error| Error::file(path, "read", &error, "check the name of the particle file");
-    let mut file = std::fs::File::open(path).map_err(cannot)?;
-    let length = file.metadata().map_err(cannot)?.len();
-    let mut header = Vec::new();
-    Read::take(&mut file, HEADER_BYTES as u64).read_to_end(&mut header).map_err(cannot)?;
-    let wanted: Vec<&str> = accepted.iter().map(|kind| kind.name()).collect();
-    let stage = accepted.first().map_or("seed", |kind| kind.stage());
-    let refuse = |what: String, why: String| Error::of_file(path, what, why, format!("run {stage} again"));
-    if !header.starts_with(&MAGIC) {
-        return Err(refuse(
-            "is not a particle file of this program".to_owned(),
-            format!("this stage reads {}", wanted.join(" or ")),
-        ));
-    }
-    let cut_short = || refuse("is truncated".to_owned(), "some of its particles are missing".to_owned());
-    let header: [u8; HEADER_BYTES] = header.try_into().map_err(|_| cut_short())?;
-    let word = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
-    let (number, version) = (word(8), word(12));
-    if ![VERSION, VERSION_OF_STRATA].contains(&version) {
-        return Err(refuse(
-            format!("has format version {version}; this program reads versions {VERSION} and {VERSION_OF_STRATA}"),
-            "other versions store the data differently".to_owned(),
-        ));
-    }
-    let kind = ParticleKind::ALL.into_iter().find(|kind| kind.number() == number);
-    let kind = kind.filter(|kind| accepted.contains(kind)).ok_or_else(|| {
-        let found = kind.map_or(format!("particles of the unknown kind {number}"), |kind| kind.name().to_owned());
-        refuse(format!("contains {found}"), format!("this stage reads {}", wanted.join(" or ")))
-    })?;
-    let promised = u64::from(word(16)) | u64::from(word(20)) << 32;
-    let found = length.saturating_sub(HEADER_BYTES as u64);
-    if found < promised {
-        return Err(cut_short());
-    }
-    if found > promised {
-        return Err(refuse(
-            format!("has {} extra bytes at its end", found - promised),
-            "other data was appended to it".to_owned(),
-        ));
-    }
-    check_memory(path, promised.saturating_mul(2))?;
-    let mut payload = Vec::new();
-    file.read_to_end(&mut payload).map_err(cannot)?;
-    let damaged = |what: &str| refuse(what.to_owned(), "the file is damaged".to_owned());
-    if blake3::hash(&payload).as_bytes() != &header[24..] {
-        return Err(damaged("does not match its checksum"));
-    }
+    let container = Container { path, accepted };
+    let (kind, version, payload) = container.read()?;
+    let damaged = |what: &str| container.damaged(what);
     let undecodable = |error: bincode::error::DecodeError| damaged(&format!("cannot be decoded: {error}"));
     let (decoded, mut used): (PayloadIn, usize) =
         bincode::serde::decode_from_slice(&payload, configuration()).map_err(undecodable)?;
@@ -253,6 +210,74 @@ pub fn read_particles(path: &Path, accepted: &[ParticleKind]) -> Result<Particle
     let meta = serde_json::from_slice(&decoded.meta).map_err(|_| damaged("its metadata cannot be read"))?;
     let history = serde_json::from_slice(&decoded.history).map_err(|_| damaged("its history cannot be read"))?;
     Ok(ParticleFile { kind, particles: decoded.particles, strata, meta, history, extra: decoded.extra })
+}
+
+/// The container of a file, and the kinds that the reading stage accepts.
+struct Container<'a> {
+    path: &'a Path,
+    accepted: &'a [ParticleKind],
+}
+
+impl Container<'_> {
+    /// Reads and checks the container. Returns the kind, the version and the payload.
+    fn read(&self) -> Result<(ParticleKind, u32, Vec<u8>)> {
+        let cannot =
+            |error: std::io::Error| Error::file(self.path, "read", &error, "check the name of the particle file");
+        let mut file = std::fs::File::open(self.path).map_err(cannot)?;
+        let length = file.metadata().map_err(cannot)?.len();
+        let mut header = Vec::new();
+        Read::take(&mut file, HEADER_BYTES as u64).read_to_end(&mut header).map_err(cannot)?;
+        if !header.starts_with(&MAGIC) {
+            return Err(self.not_accepted("is not a particle file of this program"));
+        }
+        let header: [u8; HEADER_BYTES] = header.try_into().map_err(|_| self.truncated())?;
+        let word = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
+        let (number, version) = (word(8), word(12));
+        if ![VERSION, VERSION_OF_STRATA].contains(&version) {
+            let what =
+                format!("has format version {version}; this program reads versions {VERSION} and {VERSION_OF_STRATA}");
+            return Err(self.refused(&what, "other versions store the data differently"));
+        }
+        let kind = ParticleKind::ALL.into_iter().find(|kind| kind.number() == number);
+        let kind = kind.filter(|kind| self.accepted.contains(kind)).ok_or_else(|| {
+            let found = kind.map_or(format!("particles of the unknown kind {number}"), |kind| kind.name().to_owned());
+            self.not_accepted(&format!("contains {found}"))
+        })?;
+        let promised = u64::from(word(16)) | u64::from(word(20)) << 32;
+        let found = length.saturating_sub(HEADER_BYTES as u64);
+        if found < promised {
+            return Err(self.truncated());
+        }
+        if found > promised {
+            let what = format!("has {} extra bytes at its end", found - promised);
+            return Err(self.refused(&what, "other data was appended to it"));
+        }
+        check_memory(self.path, promised.saturating_mul(2))?;
+        let mut payload = Vec::new();
+        file.read_to_end(&mut payload).map_err(cannot)?;
+        if blake3::hash(&payload).as_bytes() != &header[24..] {
+            return Err(self.damaged("does not match its checksum"));
+        }
+        Ok((kind, version, payload))
+    }
+
+    fn refused(&self, what: &str, why: &str) -> Error {
+        let stage = self.accepted.first().map_or("seed", |kind| kind.stage());
+        Error::of_file(self.path, what, why, format!("run {stage} again"))
+    }
+
+    fn not_accepted(&self, what: &str) -> Error {
+        let names: Vec<&str> = self.accepted.iter().map(|kind| kind.name()).collect();
+        self.refused(what, &format!("this stage reads {}", names.join(" or ")))
+    }
+
+    fn truncated(&self) -> Error {
+        self.refused("is truncated", "some of its particles are missing")
+    }
+
+    fn damaged(&self, what: &str) -> Error {
+        self.refused(what, "the file is damaged")
+    }
 }
 
 /// Checks the properties that all stages require: arrays of equal length, finite values and

@@ -24,7 +24,8 @@ impl Quality {
     }
 
     /// Returns the minimum h in units of the mean voxel spacing. Triangles with edges below 0.75
-    /// voxels add no information about the data.
+    /// voxels add no information about the data. Twice this length gives a quarter as many
+    /// triangles; two thirds give 2.25 times as many.
     #[must_use]
     pub fn smallest_size_voxels(self) -> f64 {
         match self {

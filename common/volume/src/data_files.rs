@@ -1,5 +1,5 @@
-//! Finds the additional files that belong to a volume's header, so that callers can detect changes
-//! in any of them.
+//! Finds the additional files that belong to a volume's header. Callers use the list to detect
+//! changes.
 
 use crate::error::{Error, Result};
 use crate::voxel_data::DataFiles;
@@ -8,9 +8,9 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
-/// Returns the additional files of a volume. For a detached NRRD or MetaImage header, these are the
-/// files that contain the voxels, in order. For one file of a NIfTI pair, it is the other file. For
-/// any other file, the list is empty.
+/// Returns the additional files of a volume. For a detached NRRD or MetaImage header, the list
+/// contains the files with the voxels, in order. For a file of a NIfTI pair, the list contains the
+/// other file of the pair. For any other file, the list is empty.
 ///
 /// # Errors
 /// If the header cannot be read.

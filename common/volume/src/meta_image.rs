@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::geometry::{Geometry, Space};
 use crate::limit::{geometry_from_steps, voxel_count};
 use crate::volume::Volume;
-use crate::voxel_data::{Coding, DataFiles, Layout, numbered_names, read_line, read_voxels};
+use crate::voxel_data::{Coding, DataFiles, Layout, MOST_HEADER_BYTES, numbered_names, read_line, read_voxels};
 use crate::voxels::{Endian, ScalarType};
 use glam::DVec3;
 use isoparticles_file::limit::check_memory;
@@ -19,10 +19,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
-/// Maximum header size in bytes, which is sufficient for a list of 100,000 file names.
-const MOST_HEADER_BYTES: u64 = 16 << 20;
-
-/// Maximum number of dimensions, as in MetaIO.
+/// Maximum number of dimensions. The arrays of MetaIO's class `MetaObject` have ten entries.
 const MOST_DIMENSIONS: usize = 10;
 
 /// Possible first fields of a header. ITK always writes `ObjectType` first; other programs may omit

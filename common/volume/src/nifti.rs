@@ -1,8 +1,8 @@
 //! Reads NIfTI-1 volumes, the format of neuroimaging: `.nii`, `.nii.gz`, and pairs of `.hdr` and
 //! `.img` files. The RAS world frame of NIfTI is converted to LPS.
 //!
-//! The `nifti` crate parses the header. This module reads the voxels itself, so that it allocates
-//! memory only for data that is present in the file.
+//! The `nifti` crate parses the header. This module reads the voxels itself, and allocates memory
+//! only for data that is present in the file.
 
 mod names;
 
@@ -20,7 +20,7 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-/// Size of a NIfTI-1 header in bytes.
+/// Size of a NIfTI-1 header in bytes (`sizeof_hdr` of the format).
 const HEADER_BYTES: u64 = 348;
 
 /// Default byte offset of the voxels in a single file: the header and four bytes that indicate
@@ -250,7 +250,7 @@ fn qform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
 }
 
 /// Maximum number of bytes of extensions that are read. This is sufficient for the names of 65,535
-/// labels with 250 bytes per name.
+/// labels with 256 bytes per name.
 const MOST_EXTENSIONS: u64 = 1 << 24;
 
 /// Skips the `skip` bytes between the header and the voxels. Returns the first [`MOST_EXTENSIONS`]

@@ -8,8 +8,8 @@ use crate::{dicom, meta_image, nifti, nrrd, vti};
 use std::io::Read;
 use std::path::Path;
 
-/// Number of bytes used to detect the format. This covers the 128-byte preamble of DICOM and the
-/// first elements of an XML file.
+/// Number of bytes used to detect the format. DICOM needs the first 132 bytes. The XML declaration
+/// and the `VTKFile` tag of VTK have up to 151 bytes, and a comment may precede the tag.
 const START_BYTES: u64 = 512;
 
 /// Options for reading a volume.

@@ -24,7 +24,7 @@ const IGNORED_SHIFT: f64 = 0.1;
 pub struct Shear {
     /// The orthonormal grid.
     pub geometry: Geometry,
-    /// Maximum deviation in degrees of the angle between two old axes from a right angle.
+    /// Maximum difference in degrees between a right angle and the angle of two old axes.
     pub degrees: f64,
     passes: Vec<Pass>,
 }
@@ -34,8 +34,9 @@ pub struct Shear {
 struct Pass {
     /// The axis of the rows: 0 or 1.
     axis: usize,
-    /// Grid size before and after the pass.
+    /// Grid size before the pass.
     from: [usize; 3],
+    /// Grid size after the pass.
     to: [usize; 3],
     /// Shift in voxels of row `o` in slice `k`: `start + per_row * o + per_slice * k`.
     start: f64,
@@ -153,7 +154,8 @@ impl Pass {
     }
 }
 
-/// Rounds a shift in voxels to an integer if the difference is less than 1e-6.
+/// Rounds a shift in voxels to an integer if the difference is less than 1e-6. An integer shift
+/// then moves the values unchanged, despite rounding errors.
 fn snapped(shift: f64) -> f64 {
     if (shift - shift.round()).abs() < 1e-6 { shift.round() } else { shift }
 }

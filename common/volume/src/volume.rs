@@ -1,8 +1,14 @@
-//! Volumes as read from files: voxels in their original number type, on a grid.
+//! Volumes as read from files: voxels in their original number type, on a grid, and the lookup of
+//! labels by name or number.
 
+use crate::error::{Error, Result};
 use crate::geometry::Geometry;
-use crate::segments::Segment;
+use crate::segments::{LayerLabel, Segment};
 use crate::voxels::Voxels;
+
+/// Maximum number of segments that an error message lists. With a mean of 20 characters per name
+/// and label, the list fills eight lines of 100 columns.
+const MOST_LISTED: usize = 40;
 
 /// A volume with its geometry. The x axis varies fastest.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,5 +40,155 @@ impl Volume {
             voxels.crop(whole, first, size);
         }
         self.geometry = self.geometry.cropped(first, size);
+    }
+
+    /// Returns the number of layers, which is at least 1.
+    pub fn layer_count(&self) -> usize {
+        1 + self.more_layers.len()
+    }
+
+    /// Returns the layers in order. The first layer is [`Volume::voxels`].
+    pub fn layers(&self) -> impl Iterator<Item = &Voxels> {
+        std::iter::once(&self.voxels).chain(&self.more_layers)
+    }
+
+    /// Returns a remark on the treatment of NaN voxels, if there are any.
+    pub fn nan_remark(&self) -> Option<String> {
+        let count: usize = self.layers().map(Voxels::nan_count).sum();
+        (count > 0).then(|| format!("{count} voxels are NaN and are treated as background (label 0)"))
+    }
+
+    /// Returns the name of a label, if the file contains one.
+    pub fn name_of(&self, at: LayerLabel) -> Option<&str> {
+        self.segments.iter().find(|segment| segment.at == at).map(|segment| segment.name.as_str())
+    }
+
+    /// Returns all labels and their layers in ascending order. NaN counts as label 0.
+    ///
+    /// # Errors
+    /// If a value is neither an integer nor NaN.
+    pub fn label_set(&self) -> Result<Vec<LayerLabel>> {
+        let mut all = Vec::new();
+        for (layer, voxels) in self.layers().enumerate() {
+            all.extend(voxels.label_set()?.into_iter().map(|label| LayerLabel { layer, label }));
+        }
+        Ok(all)
+    }
+
+    /// Finds the segment called `name`. If there is no exact match, the search ignores case.
+    ///
+    /// # Errors
+    /// If no segment or several segments match. The error lists the candidates.
+    pub fn segment_named(&self, name: &str) -> Result<LayerLabel> {
+        let exact: Vec<&Segment> = self.segments.iter().filter(|segment| segment.name == name).collect();
+        let found = if exact.is_empty() {
+            let lower = name.to_lowercase();
+            self.segments.iter().filter(|segment| segment.name.to_lowercase() == lower).collect()
+        } else {
+            exact
+        };
+        match found.as_slice() {
+            [one] => Ok(one.at),
+            [] => Err(Error::SegmentMissing { name: name.to_owned(), present: self.listed(&self.segments) }),
+            several => Err(Error::SegmentAmbiguous {
+                name: name.to_owned(),
+                count: several.len(),
+                present: self.listed(several.iter().copied()),
+            }),
+        }
+    }
+
+    /// Finds the layer that contains a label. If no layer contains it, returns the first layer.
+    ///
+    /// # Errors
+    /// If several layers contain the label, or if the volume has several layers and a value is not
+    /// a label.
+    pub fn label_numbered(&self, label: i64) -> Result<LayerLabel> {
+        if self.more_layers.is_empty() {
+            return Ok(LayerLabel { layer: 0, label });
+        }
+        let found: Vec<LayerLabel> = self.label_set()?.into_iter().filter(|at| at.label == label).collect();
+        match found.as_slice() {
+            [] => Ok(LayerLabel { layer: 0, label }),
+            [one] => Ok(*one),
+            _ => {
+                let segments: Vec<&Segment> =
+                    self.segments.iter().filter(|segment| segment.at.label == label).collect();
+                Err(Error::LabelAmbiguous {
+                    label,
+                    found: found.len(),
+                    layers: self.layer_count(),
+                    present: self.listed(segments),
+                })
+            }
+        }
+    }
+
+    /// Returns a mask of the voxels that have one of the labels in the layer of that label.
+    pub fn label_mask(&self, labels: &[LayerLabel]) -> Vec<bool> {
+        let of_layer =
+            |layer: usize| -> Vec<i64> { labels.iter().filter(|at| at.layer == layer).map(|at| at.label).collect() };
+        let mut mask = self.voxels.label_mask(&of_layer(0));
+        for (layer, voxels) in self.layers().enumerate().skip(1) {
+            let wanted = of_layer(layer);
+            if !wanted.is_empty() {
+                mask.iter_mut().zip(voxels.label_mask(&wanted)).for_each(|(mask, more)| *mask |= more);
+            }
+        }
+        mask
+    }
+
+    /// Lists segments and their labels for a message.
+    fn listed<'a>(&self, segments: impl IntoIterator<Item = &'a Segment>) -> String {
+        let of = |segment: &Segment| match self.more_layers.is_empty() {
+            true => format!("'{}' ({})", segment.name, segment.at.label),
+            false => format!("'{}' ({} of layer {})", segment.name, segment.at.label, segment.at.layer),
+        };
+        let all: Vec<String> = segments.into_iter().map(of).collect();
+        match all.len() {
+            n if n > MOST_LISTED => format!("{}, ... ({n} in all)", all[..MOST_LISTED].join(", ")),
+            _ => all.join(", "),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    /// Creates a volume with two layers. The first contains a lung (1) and a heart (2), and the
+    /// second a vessel (1) that overlaps both.
+    fn overlapping() -> Volume {
+        let segment = |name: &str, layer, label| Segment { name: name.to_owned(), at: LayerLabel { layer, label } };
+        Volume {
+            more_layers: vec![Voxels::U8(vec![0, 1, 1, 0, 0, 0, 0, 0])],
+            segments: vec![segment("Lung", 0, 1), segment("heart", 0, 2), segment("vessel", 1, 1)],
+            ..Volume::new(Geometry::axis_aligned([2, 2, 2], DVec3::ONE), Voxels::U8(vec![1, 1, 2, 2, 0, 0, 0, 0]))
+        }
+    }
+
+    #[test]
+    fn segments_are_found_by_name_and_where_it_is_clear_by_number() {
+        let volume = overlapping();
+        assert_eq!(volume.segment_named("vessel").expect("there"), LayerLabel { layer: 1, label: 1 });
+        assert_eq!(volume.segment_named("lung").expect("in other case"), LayerLabel { layer: 0, label: 1 });
+        assert_eq!(volume.label_numbered(2).expect("in one layer"), LayerLabel { layer: 0, label: 2 });
+        let error = volume.label_numbered(1).expect_err("in two layers");
+        assert!(error.remedy().contains("'Lung' (1 of layer 0), 'vessel' (1 of layer 1)"), "{error}");
+        let error = volume.segment_named("liver").expect_err("not there");
+        assert!(error.remedy().contains("'heart'"), "{error}");
+        assert_eq!(volume.label_numbered(9).expect("nowhere"), LayerLabel { layer: 0, label: 9 });
+        let twice = Volume { segments: [volume.segments.clone(), volume.segments.clone()].concat(), ..volume };
+        assert!(twice.segment_named("heart").is_err());
+    }
+
+    #[test]
+    fn several_segments_are_their_union() {
+        let volume = overlapping();
+        let at = |name: &str| volume.segment_named(name).expect("there");
+        let mask = volume.label_mask(&[at("heart"), at("vessel")]);
+        assert_eq!(mask, [false, true, true, true, false, false, false, false]);
+        assert_eq!(volume.label_mask(&[at("vessel")]), [false, true, true, false, false, false, false, false]);
     }
 }

@@ -11,6 +11,10 @@ use std::io::{self, BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 pub(crate) use stream::Stream;
 
+/// Maximum size in bytes of a text header. It is sufficient for a list of 100,000 data files with
+/// 167 bytes per name. A longer header is an error, so a damaged file cannot fill the memory.
+pub(crate) const MOST_HEADER_BYTES: u64 = 16 << 20;
+
 /// Encoding of the voxels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Coding {
@@ -212,8 +216,8 @@ fn read_text(reader: &mut impl BufRead, scalar: ScalarType, count: usize) -> io:
     let mut line = Vec::new();
     loop {
         line.clear();
-        // A long line is read in parts. Each part is extended to the next separator, so that no
-        // number is split.
+        // A long line is read in parts. Each part extends to a separator, because a number must not
+        // be split.
         Read::take(&mut *reader, 1 << 16).read_until(b'\n', &mut line)?;
         if line.len() == 1 << 16 {
             while let Some(&byte) = reader.fill_buf()?.first() {

@@ -71,9 +71,10 @@ pub enum Voxels {
     F64(Vec<f64>),
 }
 
-/// Number of bytes that each thread reads at a time. Reopening the file for each chunk takes about
-/// 1 % of the reading time.
-const CHUNK: usize = 1 << 20;
+/// Number of bytes that each thread reads at a time. Reopening the file takes 6 us per chunk, 4 %
+/// of the 150 us that reading the chunk from the page cache takes (a loop of open, seek and close,
+/// and of read; 2 busy cores, 2026-11-27).
+const CHUNK_BYTES: usize = 1 << 20;
 
 /// Evaluates an expression with the inner vector of any variant.
 macro_rules! each_type {
@@ -348,14 +349,14 @@ impl Voxels {
         });
     }
 
-    /// Reads `count` values. Allocates memory as data arrives, so that a wrong header cannot cause
-    /// a large allocation.
+    /// Reads `count` values. Allocates memory only as data arrives, because a damaged header may
+    /// declare too many values.
     pub fn read_from(reader: &mut dyn Read, scalar: ScalarType, endian: Endian, count: usize) -> std::io::Result<Self> {
         with_type!(scalar, Value, variant => {
             let mut values: Vec<Value> = Vec::new();
             while values.len() < count {
                 let first = values.len();
-                values.resize(count.min(first + CHUNK / size_of::<Value>()), Value::default());
+                values.resize(count.min(first + CHUNK_BYTES / size_of::<Value>()), Value::default());
                 let chunk = &mut values[first..];
                 let bytes: &mut [u8] = bytemuck::cast_slice_mut(chunk);
                 let got = fill(reader, bytes)?;
@@ -383,10 +384,10 @@ impl Voxels {
         }
         with_type!(scalar, Value, variant => {
             let mut values = vec![Value::default(); count];
-            let chunks = values.par_chunks_mut(CHUNK / size_of::<Value>()).enumerate();
+            let chunks = values.par_chunks_mut(CHUNK_BYTES / size_of::<Value>()).enumerate();
             chunks.try_for_each(|(number, chunk)| {
                 let mut file = File::open(path)?;
-                file.seek(SeekFrom::Start(start + (number * CHUNK) as u64))?;
+                file.seek(SeekFrom::Start(start + (number * CHUNK_BYTES) as u64))?;
                 file.read_exact(bytemuck::cast_slice_mut(chunk))?;
                 Value::arrange(chunk, endian);
                 std::io::Result::Ok(())

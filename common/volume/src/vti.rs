@@ -101,7 +101,7 @@ pub fn same_grid(a: &Geometry, b: &Geometry) -> bool {
 
 /// Kind of the files that [`write_volume`] writes.
 const KIND: &str = "volume";
-/// Version of the file layout.
+/// Version of the file layout. No other version exists.
 const VERSION: u32 = 1;
 
 /// Returns the name of the point array that contains a layer.
@@ -126,8 +126,8 @@ pub fn write_volume(path: &Path, volume: &Volume, history: &History) -> Result<(
     Ok(write_atomically(path, |file| document.write(file))?)
 }
 
-/// Returns the scalar array of point or cell data: the active array, or the only array if none is
-/// active.
+/// Returns the scalar array of point or cell data: the active array, or the only array with one
+/// component if no such array is active.
 fn scalars(arrays: Option<&Element>) -> Option<&Element> {
     let arrays = arrays?;
     let active = arrays.attribute("Scalars").and_then(|name| arrays.array(name));

@@ -29,7 +29,7 @@ pub(crate) const LOGS: &str = ".batch";
 const COMMENT: char = '#';
 
 /// Keys that apply to the whole batch and cannot be columns.
-const FOR_ALL: [&str; 3] = ["CASE", "OUT", "VERBOSITY"];
+const BATCH_KEYS: [&str; 3] = ["CASE", "OUT", "VERBOSITY"];
 
 /// A list of cases, and how to run it.
 #[derive(Debug)]
@@ -99,7 +99,7 @@ pub struct Ending {
     pub seconds: f64,
     /// The outcome in one sentence.
     pub headline: String,
-    /// What the user should do, if anything.
+    /// Instructions for the user; empty if there is nothing to do.
     pub next: String,
     /// Path of the volume.
     pub input: String,
@@ -136,7 +136,7 @@ impl Batch<'_> {
     ///
     /// # Errors
     /// If the list is unreadable, a column is not a key, or two rows have the same name; no row has
-    /// run in these cases. Also if the summary or a log cannot be written.
+    /// run in these cases. If the summary or a log cannot be written.
     pub fn make(&self, programs: &Programs) -> Result<Vec<Ending>> {
         let settings = Settings::read(&[], self.common, None, self.known)?;
         let out = out(&settings);
@@ -213,7 +213,7 @@ impl Batch<'_> {
         for (position, column) in columns.iter().enumerate() {
             let set_by = format!("a column of {}", self.list.display());
             let key = keys::find(column, self.known, &set_by)?;
-            if FOR_ALL.contains(&key.name) {
+            if BATCH_KEYS.contains(&key.name) {
                 let what = format!("{column} cannot be a column; it applies to all rows");
                 return Err(bad(what, &format!("remove the column, and set {column}=... together with LIST")));
             }
@@ -249,7 +249,7 @@ impl Batch<'_> {
 
     fn row<'a>(&self, line: u64, cells: impl Iterator<Item = (&'a str, &'a str)>) -> Row {
         let cell = |(column, value): (&str, &str)| match column {
-            // Relative to the list's folder, so that a list and its volumes can be moved together.
+            // A list and its volumes can be moved together.
             "INPUT" => format!("INPUT={}", self.list.parent().unwrap_or(Path::new("")).join(value).display()),
             _ => format!("{column}={value}"),
         };
@@ -351,7 +351,7 @@ fn line_of(text: &str, byte: usize) -> u64 {
 
 /// Returns the keys that may be columns of a list.
 pub fn columns() -> impl Iterator<Item = &'static str> {
-    KEYS.iter().map(|key| key.name).filter(|name| !FOR_ALL.contains(name))
+    KEYS.iter().map(|key| key.name).filter(|name| !BATCH_KEYS.contains(name))
 }
 
 /// Returns the exit code of a batch: 0 if every row is fit, 1 if any row is not fit, 130 after an
@@ -425,21 +425,11 @@ pub(crate) fn refused_status(row: &Row, error: &Problem) -> Status {
 
 /// Returns the last three-part error in a log file.
 pub(crate) fn last_error_in(log: &Path) -> Problem {
-    last_error(&std::fs::read_to_string(log).unwrap_or_default()).unwrap_or_else(|| Problem {
+    Problem::last_in(&std::fs::read_to_string(log).unwrap_or_default()).unwrap_or_else(|| Problem {
         what: "ended without an error message".to_owned(),
         why: "the case has no result".to_owned(),
         next: format!("read {}", log.display()),
     })
-}
-
-/// Returns the last three-part error in the output of a program.
-pub(crate) fn last_error(text: &str) -> Option<Problem> {
-    let lines: Vec<&str> = text.lines().collect();
-    let at = lines.iter().rposition(|line| line.starts_with("error: "))?;
-    let part = |start: &str| {
-        lines[at..].iter().find_map(|line| line.trim_start().strip_prefix(start)).unwrap_or_default().to_owned()
-    };
-    Some(Problem { what: part("error: "), why: part("why it matters: "), next: part("what to do: ") })
 }
 
 /// Writes the summary with one CSV line per row.

@@ -1,12 +1,11 @@
 //! Checks the command lines of the stages with `--check-options` before anything is removed or
 //! started.
 
-use crate::batch::last_error;
 use crate::folder::{CaseFolder, STAGES, report_name};
 use crate::program;
 use crate::run::Case;
 use crate::stages::{Planned, Programs, Volume, command_of};
-use crate::status::{State, Status};
+use crate::status::{Problem, State, Status};
 use isoparticles_stage::cli::check::{CHECK_OPTIONS, Known};
 use isoparticles_stage::error::{Error, Result};
 use std::collections::BTreeMap;
@@ -54,7 +53,7 @@ impl Answers {
     /// # Errors
     /// If a stage rejects its options.
     pub fn check(&mut self, case: &Case, goal: &str, programs: &Programs) -> Result<()> {
-        // A fixed folder instead of the case's own, so that equal options give equal command lines.
+        // With a fixed folder, equal options give equal command lines.
         let folder = CaseFolder::new(Path::new("OUT"), "NAME");
         let mut known = Known::default();
         for stage in STAGES.iter().map(|stage| stage.stage) {
@@ -87,7 +86,7 @@ fn ask(stage: &str, program: &Path, arguments: &[OsString], known: &Known) -> Re
     {
         return Ok(known);
     }
-    let told = last_error(&String::from_utf8_lossy(&output.stderr));
+    let told = Problem::last_in(&String::from_utf8_lossy(&output.stderr));
     let Some(error) = told else {
         return Err(Error::input(
             format!("{stage}: failed to check its options ({})", output.status),

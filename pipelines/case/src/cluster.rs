@@ -25,7 +25,7 @@ pub const FOLDER: &str = ".cluster";
 
 /// A row of the list in the form that the scheduler reads.
 #[derive(Debug, Serialize)]
-struct Told {
+struct ListedRow {
     name: String,
     line: u64,
     /// Settings of the row, including settings from the command line.
@@ -34,7 +34,7 @@ struct Told {
     info: Option<Vec<String>>,
     /// Error of a row that cannot be made.
     error: Option<Problem>,
-    stages: Vec<ToldStage>,
+    stages: Vec<ListedStage>,
     /// Command that makes the page about the case.
     page: Option<Vec<String>>,
     /// Working directory of all commands.
@@ -42,7 +42,8 @@ struct Told {
 }
 
 #[derive(Debug, Serialize)]
-struct ToldStage {
+struct ListedStage {
+    /// Name of the stage.
     stage: &'static str,
     /// Files that the stage reads, apart from the results of earlier stages.
     inputs: Vec<PathBuf>,
@@ -53,7 +54,7 @@ struct ToldStage {
 
 /// Describes each row of a list in one line of JSON.
 ///
-/// Also removes the scheduler's marks (`OUT/.cluster/made/NAME/STAGE`) of results that are missing
+/// Removes the scheduler's marks (`OUT/.cluster/made/NAME/STAGE`) of results that are missing
 /// or were made with other settings. The scheduler tracks marks instead of results, because it
 /// changes the modification time of the files that it tracks.
 ///
@@ -79,7 +80,7 @@ pub fn rows(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<String>> {
             let words = batch.arguments(goal, row, programs);
             std::iter::once(this.clone().into_os_string()).chain(words).map(text).collect::<Vec<_>>()
         };
-        let mut told = Told {
+        let mut told = ListedRow {
             name: row.name.clone(),
             line: row.line,
             settings: BTreeMap::new(),
@@ -100,7 +101,12 @@ pub fn rows(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<String>> {
                 .map(|stage| {
                     let mut depends = stages::depends_on(stage, &case.settings);
                     depends.push(hashes[stage].clone());
-                    ToldStage { stage, inputs: inputs_of(stage, case), depends, command: command(goal_of_stage(stage)) }
+                    ListedStage {
+                        stage,
+                        inputs: inputs_of(stage, case),
+                        depends,
+                        command: command(goal_of_stage(stage)),
+                    }
                 })
                 .collect();
         }

@@ -1,5 +1,5 @@
-//! The folder of a case: which files belong to which stage, how they are removed or kept after a
-//! failure, and the lock that admits one run at a time.
+//! The folder of a case: the files of each stage, their removal or renaming after a failure, and
+//! the lock that allows only one run at a time.
 
 use crate::status::{Identity, Stage, State, Status, Verdict};
 use isoparticles_stage::error::{Error, Result};
@@ -15,7 +15,7 @@ pub struct CaseFolder {
     pub name: String,
 }
 
-/// Files of a stage in the folder of a case, and the endings of those that are kept if the stage
+/// Files of a stage in the folder of a case, and the endings of the files that stay if the stage
 /// fails.
 #[derive(Clone, Copy, Debug)]
 pub struct Belongings {
@@ -103,26 +103,27 @@ pub const PAGE: &str = "report.html";
 pub const REPORTS: &str = "reports";
 /// Folder of the pictures, within the folder of the case.
 pub const PICTURES: &str = "pictures";
+/// Name of the lock file in the folder of a case.
 const LOCK: &str = ".lock";
 /// Names of unfinished files start with the first string and contain the second
 /// (`common/file/src/output.rs`, `files.py` of tetmesh-check).
-const PARTIAL: (&str, &str) = (".isoparticles-", ".partial");
+const PARTIAL_NAME: (&str, &str) = (".isoparticles-", ".partial");
 
 /// Returns the files of the stage called `stage`.
 ///
 /// # Panics
-/// Panics if there is no such stage.
+/// If there is no such stage.
 #[must_use]
 pub fn belongings(stage: &str) -> &'static Belongings {
     STAGES.iter().find(|known| known.stage == stage).expect("a stage of the table")
 }
 
-/// Lock that a run holds while it works in a folder. The operating system releases it when the
-/// process ends for any reason.
+/// Lock that a run holds while it works in a folder. The operating system releases the lock when
+/// the process ends for any reason.
 #[derive(Debug)]
 pub struct Lock {
     _file: File,
-    /// Whether the file system supports locks, so that no other run can hold this lock.
+    /// True if the file system supports locks. No other run can then hold this lock.
     certain: bool,
 }
 
@@ -173,13 +174,13 @@ impl CaseFolder {
         Ok(lock)
     }
 
-    /// Removes unfinished files. Files that cannot be removed are left; they do no harm.
+    /// Removes unfinished files. Ignores errors, because later runs do not read these files.
     fn remove_partial(&self) {
         let folders = [self.path.clone(), self.path.join(REPORTS), self.path.join(PICTURES)];
         for entry in folders.iter().filter_map(|folder| std::fs::read_dir(folder).ok()).flatten().flatten() {
             let name = entry.file_name();
             let name = name.to_string_lossy();
-            if name.starts_with(PARTIAL.0) && name.contains(PARTIAL.1) {
+            if name.starts_with(PARTIAL_NAME.0) && name.contains(PARTIAL_NAME.1) {
                 let _ = std::fs::remove_file(entry.path());
             }
         }
@@ -193,7 +194,7 @@ impl CaseFolder {
         match file.try_lock() {
             Ok(()) => Ok(Some(Lock { _file: file, certain: true })),
             Err(std::fs::TryLockError::WouldBlock) => Ok(None),
-            // Without file locks a second run cannot be detected; most runs are alone.
+            // On a file system without locks, a second run cannot be detected.
             Err(std::fs::TryLockError::Error(_)) => Ok(Some(Lock { _file: file, certain: false })),
         }
     }
@@ -262,7 +263,7 @@ impl CaseFolder {
             }
         }
         for folder in stage.folders {
-            // Fails if the folder contains other files. These files stay.
+            // If the folder contains other files, this fails and the files stay.
             let _ = std::fs::remove_dir(self.path.join(folder));
         }
         self.remove(&report_name(stage.stage))

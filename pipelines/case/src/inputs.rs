@@ -2,19 +2,18 @@
 //! in the value of an option.
 
 use crate::settings::Settings;
-use crate::status::{Identity, Input, Status};
+use crate::status::{Identity, Input, Status, VOLUME};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::data_files;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// Role of the volume itself.
-pub const VOLUME: &str = "volume";
 /// Role of the data files to which a detached header refers.
 const VOLUME_DATA: &str = "data of the volume";
 
 /// Options of a stage that take the path of an output.
-const WRITTEN: [&str; 8] = ["-o", "--output", "--report", "--log", "--checkpoint", "--pictures", "--json", "--truth"];
+const OUTPUT_OPTIONS: [&str; 8] =
+    ["-o", "--output", "--report", "--log", "--checkpoint", "--pictures", "--json", "--truth"];
 
 /// Returns the volume and its data files in their current state. The hash of a file that is
 /// unchanged since `before` is reused.
@@ -78,7 +77,7 @@ fn files_in_words(words: &[String]) -> Vec<PathBuf> {
             _ => (option, word.as_str()),
         };
         option = if word.starts_with('-') { word } else { "" };
-        if WRITTEN.contains(&name) {
+        if OUTPUT_OPTIONS.contains(&name) {
             continue;
         }
         for path in parts(value).map(PathBuf::from) {

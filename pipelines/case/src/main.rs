@@ -85,7 +85,7 @@ fn main() -> ExitCode {
             return ExitCode::from(if error.use_stderr() { 2 } else { 0 });
         }
     };
-    match go(arguments) {
+    match go(&arguments) {
         Ok(code) => ExitCode::from(code),
         Err(error) => {
             eprintln!("error: {error}");
@@ -111,43 +111,55 @@ fn told() -> Option<ExitCode> {
     }
 }
 
-fn go(arguments: Arguments) -> Result<u8> {
-    let mut tetmesh_files = arguments.tetmesh_files;
-    if tetmesh_files.is_empty() {
-        tetmesh_files.push(arguments.tetmesh_check.clone());
+impl Arguments {
+    fn programs(&self) -> Programs {
+        let mut tetmesh_files = self.tetmesh_files.clone();
+        if tetmesh_files.is_empty() {
+            tetmesh_files.push(self.tetmesh_check.clone());
+        }
+        Programs {
+            bin: self.bin.clone(),
+            tetmesh_check: self.tetmesh_check.clone(),
+            tetmesh_files,
+            page_files: self.page_files.clone(),
+        }
     }
-    let programs = Programs {
-        bin: arguments.bin,
-        tetmesh_check: arguments.tetmesh_check,
-        tetmesh_files,
-        page_files: arguments.page_files,
+}
+
+/// Performs a goal that concerns a list of cases.
+fn go_through_list(arguments: &Arguments, programs: &Programs) -> Result<u8> {
+    let Some(list) = &arguments.list else {
+        return Err(Error::input(
+            "LIST is not set",
+            "LIST is the file with the cases to make",
+            format!(
+                "set LIST=cases.csv, a file whose header has some of {}",
+                batch::columns().collect::<Vec<_>>().join(",")
+            ),
+        ));
     };
-    if ["batch", "rows", "summary"].contains(&arguments.goal.as_str()) {
-        let Some(list) = &arguments.list else {
-            return Err(Error::input(
-                "LIST is not set",
-                "LIST is the file with the cases to make",
-                format!(
-                    "set LIST=cases.csv, a file whose header has some of {}",
-                    batch::columns().collect::<Vec<_>>().join(",")
-                ),
-            ));
-        };
-        let common: Vec<String> = arguments.preset.into_iter().chain(arguments.set).collect();
-        let (known, goal) = (&arguments.known, arguments.as_far_as.as_str());
-        stage_named(goal)?;
-        let limit = arguments.time_limit.as_deref().map(batch::time_limit).transpose()?;
-        let batch = Batch { list, common: &common, known, goal, limit };
-        return match arguments.goal.as_str() {
-            "rows" => {
-                for row in cluster::rows(&batch, &programs)? {
-                    println!("{row}");
-                }
-                Ok(0)
+    let common: Vec<String> = arguments.preset.iter().chain(&arguments.set).cloned().collect();
+    let (known, goal) = (&arguments.known, arguments.as_far_as.as_str());
+    stage_named(goal)?;
+    let limit = arguments.time_limit.as_deref().map(batch::time_limit).transpose()?;
+    let batch = Batch { list, common: &common, known, goal, limit };
+    match arguments.goal.as_str() {
+        "rows" => {
+            for row in cluster::rows(&batch, programs)? {
+                println!("{row}");
             }
-            "summary" => close_batch(&batch, &cluster::summary(&batch, &programs)?, &programs),
-            _ => close_batch(&batch, &batch.make(&programs)?, &programs),
-        };
+            Ok(0)
+        }
+        "summary" => close_batch(&batch, &cluster::summary(&batch, programs)?, programs),
+        _ => close_batch(&batch, &batch.make(programs)?, programs),
+    }
+}
+
+/// Performs the goal of the command line. Returns the exit code.
+fn go(arguments: &Arguments) -> Result<u8> {
+    let programs = arguments.programs();
+    if ["batch", "rows", "summary"].contains(&arguments.goal.as_str()) {
+        return go_through_list(arguments, &programs);
     }
     let settings = Settings::read(&arguments.set, &arguments.preset, arguments.case_file.as_deref(), &arguments.known)?;
     match arguments.goal.as_str() {

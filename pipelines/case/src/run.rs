@@ -2,11 +2,11 @@
 //! the stages and updates the status.
 
 use crate::folder::{Belongings, CHECKPOINT, CaseFolder, PAGE, STAGES, belongings, report_name};
-use crate::inputs::{self, VOLUME, hash_program};
+use crate::inputs::{self, hash_program};
 use crate::program::{self, Ended};
 use crate::settings::Settings;
 use crate::stages::{Plan, Planned, Programs, Volume, plan};
-use crate::status::{FORMAT, Input, Problem, Stage, State, Status, VERSION, Verdict};
+use crate::status::{FORMAT, Input, Problem, Stage, State, Status, VERSION, VOLUME, Verdict};
 use crate::{check, name, verdict};
 use isoparticles_stage::error::{Error, Result};
 use std::io::Write;
@@ -55,7 +55,7 @@ impl Case {
     /// Checks the settings before any work starts.
     ///
     /// # Errors
-    /// If the volume is missing, when none of ISO, LABELS and MATERIALS is set, or when INSIDE is
+    /// If the volume is missing, if none of ISO, LABELS and MATERIALS is set, or if INSIDE is
     /// combined with labels.
     pub fn check(&self) -> Result<()> {
         if let Volume::At(path) = &self.volume
@@ -99,8 +99,8 @@ pub fn out(settings: &Settings) -> PathBuf {
 /// failed.
 ///
 /// # Errors
-/// If the run cannot start; the results of an earlier run are then unchanged. Also if a file of the
-/// case cannot be written or removed.
+/// If the run cannot start; the results of an earlier run are then unchanged. If a file of the case
+/// cannot be written or removed.
 pub fn make(case: &Case, goal: &str, programs: &Programs) -> Result<Status> {
     case.check()?;
     let folder = &case.folder;

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 /// Source of a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum By {
+pub enum Source {
     /// The user, on the command line.
     User,
     /// The case file, or the Makefile's own default.
@@ -17,7 +17,7 @@ pub enum By {
 /// The keys that are set, with their values.
 #[derive(Clone, Debug, Default)]
 pub struct Settings {
-    values: BTreeMap<&'static str, (String, By)>,
+    values: BTreeMap<&'static str, (String, Source)>,
     case_file: Option<String>,
     /// Description of the source of the user's settings, for messages.
     by_user: String,
@@ -30,17 +30,18 @@ const EXCLUSIVE: [(&str, &str, &str); 11] = [
     ("ISO", "MATERIALS", "a volume is meshed either as a scan or as a label map"),
     ("LABELS", "MATERIALS", "LABELS joins labels to one object, MATERIALS keeps them apart"),
     ("TET_ORDER", "MATERIALS", "mid-edge nodes are supported for one object only"),
-    ("SIZE", "EPSILON", LEAVES_NOTHING),
-    ("SIZE", "DELTA", LEAVES_NOTHING),
-    ("SIZE", "MIN_SIZE", LEAVES_NOTHING),
-    ("SIZE", "MAX_SIZE", LEAVES_NOTHING),
-    ("SIZE", "QUALITY", LEAVES_NOTHING),
+    ("SIZE", "EPSILON", SIZE_IS_UNIFORM),
+    ("SIZE", "DELTA", SIZE_IS_UNIFORM),
+    ("SIZE", "MIN_SIZE", SIZE_IS_UNIFORM),
+    ("SIZE", "MAX_SIZE", SIZE_IS_UNIFORM),
+    ("SIZE", "QUALITY", SIZE_IS_UNIFORM),
     ("SIZE", "VERTICES", "each of them sets the edge length"),
 ];
-const LEAVES_NOTHING: &str = "SIZE sets one edge length everywhere, without grading or bounds";
+/// Reason why SIZE excludes the keys that grade or bound the edge length.
+const SIZE_IS_UNIFORM: &str = "SIZE sets one edge length everywhere, without grading or bounds";
 
 /// Pairs (user's key, case file's key): if the user sets the first, the second is dropped.
-const GOES_WITH: [(&str, &str); 6] = [
+const DROPPED_WITH: [(&str, &str); 6] = [
     ("LABELS", "INSIDE"),
     ("MATERIALS", "INSIDE"),
     ("SIZE", "SCALE"),
@@ -73,7 +74,7 @@ impl Settings {
 
     fn filled(mut self, user: &[String], case: &[String], known: &[String]) -> Result<Self> {
         let settings = &mut self;
-        for (assignments, by) in [(case, By::Case), (user, By::User)] {
+        for (assignments, by) in [(case, Source::Case), (user, Source::User)] {
             for assignment in assignments {
                 let set_by = settings.hand(by);
                 let (name, value) = assignment.split_once('=').ok_or_else(|| {
@@ -117,29 +118,29 @@ impl Settings {
         told.filter_map(|key| Some((key.name.to_owned(), self.get(key.name)?.to_owned()))).collect()
     }
 
-    fn by(&self, key: &str) -> Option<By> {
+    fn by(&self, key: &str) -> Option<Source> {
         self.values.get(key).map(|(_, by)| *by)
     }
 
     /// Describes the source of a setting for messages.
-    fn hand(&self, by: By) -> String {
+    fn hand(&self, by: Source) -> String {
         match (by, &self.case_file) {
-            (By::User, _) => self.by_user.clone(),
-            (By::Case, Some(file)) => format!("in pipelines/{file}.mk"),
-            (By::Case, None) => "by default".to_owned(),
+            (Source::User, _) => self.by_user.clone(),
+            (Source::Case, Some(file)) => format!("in pipelines/{file}.mk"),
+            (Source::Case, None) => "by default".to_owned(),
         }
     }
 
     fn give_way(&mut self) -> Result<()> {
-        for (mine, other) in GOES_WITH {
-            if self.by(mine) == Some(By::User) && self.by(other) == Some(By::Case) {
+        for (mine, other) in DROPPED_WITH {
+            if self.by(mine) == Some(Source::User) && self.by(other) == Some(Source::Case) {
                 self.values.remove(other);
             }
         }
         for (one, two, why) in EXCLUSIVE {
             match (self.by(one), self.by(two)) {
-                (Some(By::User), Some(By::Case)) => drop(self.values.remove(two)),
-                (Some(By::Case), Some(By::User)) => drop(self.values.remove(one)),
+                (Some(Source::User), Some(Source::Case)) => drop(self.values.remove(two)),
+                (Some(Source::Case), Some(Source::User)) => drop(self.values.remove(one)),
                 (Some(by), Some(_)) => {
                     let value = |key| self.get(key).unwrap_or_default().to_owned();
                     return Err(Error::input(

@@ -11,6 +11,8 @@ use std::path::{Path, PathBuf};
 pub const FORMAT: &str = "isoparticles-status";
 /// Version of the layout.
 pub const VERSION: u32 = 1;
+/// Role of the volume itself among the inputs.
+pub const VOLUME: &str = "volume";
 
 /// State of a case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -18,7 +20,7 @@ pub const VERSION: u32 = 1;
 pub enum Verdict {
     /// All requested results exist, and every check passed.
     Passed,
-    /// Like `Passed`, but with warnings.
+    /// All requested results exist and every check passed, but there are warnings.
     Warning,
     /// A check failed.
     Failed,
@@ -87,12 +89,24 @@ pub struct Input {
 /// An error message in three parts.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Problem {
-    /// What happened.
+    /// The problem.
     pub what: String,
-    /// Why it matters.
+    /// The reason why the problem matters.
     pub why: String,
-    /// What to do next.
+    /// Instructions for the user.
     pub next: String,
+}
+
+impl Problem {
+    /// Returns the last three-part error in the output of a program.
+    pub(crate) fn last_in(text: &str) -> Option<Self> {
+        let lines: Vec<&str> = text.lines().collect();
+        let at = lines.iter().rposition(|line| line.starts_with("error: "))?;
+        let part = |start: &str| {
+            lines[at..].iter().find_map(|line| line.trim_start().strip_prefix(start)).unwrap_or_default().to_owned()
+        };
+        Some(Self { what: part("error: "), why: part("why it matters: "), next: part("what to do: ") })
+    }
 }
 
 /// One stage of a case.
@@ -102,7 +116,7 @@ pub struct Stage {
     pub stage: String,
     /// State of the stage.
     pub state: State,
-    /// Whether the last run made the result; `false` if that run only confirmed an earlier result.
+    /// True if the last run made the result, and false if it only confirmed an earlier result.
     pub made: bool,
     /// Exit code; `None` if a signal ended the program or the stage never ran.
     pub exit_code: Option<i32>,
@@ -209,6 +223,6 @@ impl Status {
     /// Returns the input entry of the volume itself, or `None` for a phantom that has not been made
     /// yet.
     pub fn volume(&self) -> Option<&Input> {
-        self.inputs.iter().find(|input| input.role == crate::inputs::VOLUME)
+        self.inputs.iter().find(|input| input.role == VOLUME)
     }
 }

@@ -1,18 +1,21 @@
 //! Writes surfaces for other programs: PLY (binary, 64-bit positions and data), STL (binary, 32-bit
-//! positions by definition) and OBJ (text, positions with full precision).
+//! positions by definition), OBJ (text, positions with full precision) and legacy VTK (binary, with
+//! vtkio).
 
 use super::{DataArray, Surface};
 use isoparticles_file::history::History;
-use isoparticles_volume::Space;
 use isoparticles_volume::vtk_xml::ascii_json;
+use isoparticles_volume::{Space, Voxels};
 use std::io::{self, Write};
+use vtkio::model::{Attribute, Attributes, ByteOrder, DataSet, IOBuffer, PolyDataPiece, Version, VertexNumbers, Vtk};
 
-/// Maximum length of a part of the history in one comment line. Some readers have short line
-/// buffers.
+/// Maximum length of a part of the history in one comment line. With the words before it, a line
+/// has at most 216 characters. The PLY reader RPly has buffers of 256 characters per word and 1,024
+/// per line (`WORDSIZE` and `LINESIZE` in `rply.c`).
 const COMMENT_WIDTH: usize = 200;
 
 /// Returns a line with the program that wrote a surface, and the frame and unit of its positions.
-pub(crate) fn provenance(surface: &Surface, history: &History) -> String {
+fn provenance(surface: &Surface, history: &History) -> String {
     let frame = match surface.space {
         Space::Lps => "LPS",
         Space::Unnamed => "of the input",
@@ -118,4 +121,57 @@ pub(super) fn write_obj(file: &mut dyn Write, surface: &Surface, history: &Histo
         writeln!(file, "f {} {} {}", u64::from(*a) + 1, u64::from(*b) + 1, u64::from(*c) + 1)?;
     }
     Ok(())
+}
+
+/// Writes a surface as binary `POLYDATA` with its data. The format cannot store the history.
+pub(super) fn write_vtk(file: &mut dyn Write, surface: &Surface, history: &History) -> io::Result<()> {
+    let triangles = &surface.mesh.triangles;
+    let piece = PolyDataPiece {
+        points: IOBuffer::F64(surface.mesh.vertices.iter().flat_map(|vertex| vertex.to_array()).collect()),
+        polys: Some(VertexNumbers::Legacy {
+            num_cells: u32::try_from(triangles.len()).map_err(io::Error::other)?,
+            vertices: triangles.iter().flat_map(|&[a, b, c]| [3, a, b, c]).collect(),
+        }),
+        data: Attributes {
+            point: surface.point_data.iter().map(attribute).collect(),
+            cell: surface.cell_data.iter().map(attribute).collect(),
+        },
+        ..PolyDataPiece::default()
+    };
+    let file_of_vtk = Vtk {
+        version: Version::new_legacy(3, 0),
+        title: provenance(surface, history),
+        byte_order: ByteOrder::BigEndian,
+        data: DataSet::inline(piece),
+        file_path: None,
+    };
+    file_of_vtk.write_legacy(file).map_err(io::Error::other)
+}
+
+fn attribute(array: &DataArray) -> Attribute {
+    let name: String = array.name.chars().map(|c| if c.is_ascii_graphic() { c } else { '_' }).collect();
+    let data = buffer(&array.values);
+    let attribute = match array.components {
+        3 if name.eq_ignore_ascii_case("normals") => Attribute::normals(name),
+        3 => Attribute::vectors(name),
+        // the format allows up to four components; arrays of this project have one
+        components => Attribute::scalars(name, u32::try_from(components).unwrap_or(u32::MAX)),
+    };
+    attribute.with_data(data)
+}
+
+/// Converts numbers to types that all programs can read. The name of the 64-bit integer type
+/// differs between versions of the format. 64-bit integers are therefore converted to 32-bit
+/// integers, or to doubles if they do not fit.
+fn buffer(values: &Voxels) -> IOBuffer {
+    match values {
+        Voxels::F32(values) => IOBuffer::F32(values.clone()),
+        Voxels::U8(values) => IOBuffer::U8(values.clone()),
+        Voxels::I32(values) => IOBuffer::I32(values.clone()),
+        Voxels::I64(values) => match values.iter().map(|&value| i32::try_from(value)).collect() {
+            Ok(values) => IOBuffer::I32(values),
+            Err(_) => IOBuffer::F64(values.iter().map(|&value| value as f64).collect()),
+        },
+        other => IOBuffer::F64(other.to_f64()),
+    }
 }

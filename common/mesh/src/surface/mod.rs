@@ -8,13 +8,11 @@
 mod interchange;
 mod vtp;
 
-pub(crate) use interchange::provenance;
 pub use vtp::read_surface;
 
 use crate::TriangleMesh;
 use crate::error::bad;
 use crate::error::{Error, Result};
-use crate::vtk_legacy;
 use glam::DVec3;
 use isoparticles_file::history::History;
 use isoparticles_file::output::write_atomically;
@@ -72,7 +70,7 @@ pub struct Surface {
 
 impl Surface {
     /// Maps a mesh from the grid frame to the world. Reverses the triangles if the volume is
-    /// left-handed, so that they stay counter-clockwise as seen from outside.
+    /// left-handed, because triangles must be counter-clockwise as seen from outside.
     pub fn from_grid(mesh: &TriangleMesh, geometry: &Geometry) -> Self {
         let turn = geometry.is_left_handed();
         let triangles = mesh.triangles.iter().map(|&[a, b, c]| if turn { [a, c, b] } else { [a, b, c] }).collect();
@@ -156,7 +154,7 @@ pub fn write_surface(path: &Path, surface: &Surface, meta: &Value, history: &His
         Format::Ply => Ok(write_atomically(path, |file| interchange::write_ply(file, surface, history))?),
         Format::Stl => Ok(write_atomically(path, |file| interchange::write_stl(file, surface, history))?),
         Format::Obj => Ok(write_atomically(path, |file| interchange::write_obj(file, surface, history))?),
-        Format::Vtk => Ok(write_atomically(path, |file| vtk_legacy::write(file, surface, history))?),
+        Format::Vtk => Ok(write_atomically(path, |file| interchange::write_vtk(file, surface, history))?),
     }
 }
 

@@ -1,4 +1,4 @@
-//! VTK polygon files with all data and 64-bit positions, so that vertices are stored exactly.
+//! Reads and writes VTK polygon files with all data. Positions have 64 bits, so they are exact.
 
 use super::{DataArray, Simplices, Surface, SurfaceFile, check_indices};
 use crate::TriangleMesh;
@@ -12,6 +12,7 @@ use isoparticles_volume::{Space, Voxels};
 use serde_json::Value;
 use std::path::Path;
 
+/// Name of the file kind.
 const KIND: &str = "surface";
 /// Version of the surface files that are written. Version 1 stored strings as VTK strings instead
 /// of bytes. Both versions can be read.

@@ -2,8 +2,8 @@
 //! writes no files, and reads the volume only if the volume is known to exist.
 //!
 //! isoparticles-case runs this for every stage of a case before it removes or starts anything. Like
-//! `--command-line`, `--check-options` is not a regular option. The exit code is 0, or that of the
-//! refused run.
+//! `--command-line`, `--check-options` is not a regular option. The exit code is 0, or
+//! the exit code of the refused run.
 
 use super::{Outcome, exit_code};
 use crate::error::{Error, Result};
@@ -20,7 +20,7 @@ pub struct Known {
     /// Names of the materials, starting with the outside. Empty for a single object; `None` if the
     /// names depend on a volume that has not been read.
     pub materials: Option<Vec<String>>,
-    /// Whether the volume on the command line exists, so that the stage may read it.
+    /// True if the volume on the command line exists. The stage may then read the volume.
     pub volume: bool,
 }
 

@@ -188,7 +188,8 @@ impl Context {
         Ok(hashes)
     }
 
-    /// Returns the history for the outputs of this run. All parameters and inputs must be known.
+    /// Returns the history for the outputs of this run. All parameters and inputs must
+    /// have been added.
     pub fn history(&self) -> History {
         let state = self.state();
         History {

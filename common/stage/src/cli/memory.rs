@@ -39,6 +39,7 @@ pub fn particles_bytes(particles: f64, nodes: usize) -> f64 {
     1403.0 * particles + 15.5 * nodes as f64
 }
 
+/// Number of bytes in a GiB.
 const GIB: f64 = (1u64 << 30) as f64;
 
 /// Formats a number of bytes in GiB or MiB, for messages.

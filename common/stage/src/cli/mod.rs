@@ -136,7 +136,7 @@ pub fn exit_code(result: &Result<Outcome>) -> u8 {
 }
 
 /// Stack size of each thread in bytes. It equals the stack size of the main thread on Linux.
-const STACK: usize = 8 << 20;
+const STACK_BYTES: usize = 8 << 20;
 
 /// Runs a stage program. Parses the command line, sets up threads and signals, checks the outputs,
 /// calls `run`, prints the closing table and errors, writes the report, and returns the exit code.
@@ -209,7 +209,7 @@ fn same_file(a: &Path, b: &Path) -> bool {
 fn prepare<A: StageArgs>(args: &A, context: &Context) -> Result<()> {
     let common = args.common();
     // 0 means one thread per core
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(common.threads).stack_size(STACK);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(common.threads).stack_size(STACK_BYTES);
     if pool.build_global().is_err() {
         context.verbose("the thread pool already exists; --threads has no effect");
     }

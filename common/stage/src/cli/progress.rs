@@ -7,7 +7,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Time between two progress lines.
+/// Time between two progress lines. A log then has at most 720 lines per hour.
 const LINE_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Progress of one computation. Several threads may share it. The display ends when the value is
@@ -17,10 +17,10 @@ pub struct Progress {
     total: Option<u64>,
     done: AtomicU64,
     started: Instant,
-    shown: Shown,
+    shown: Display,
 }
 
-enum Shown {
+enum Display {
     Bar(ProgressBar),
     Lines(Mutex<Lines>),
     Nothing,
@@ -43,19 +43,19 @@ impl Progress {
         }
         bar.set_prefix(label.to_owned());
         bar.enable_steady_tick(Duration::from_millis(250));
-        Self::new(label, total, Shown::Bar(bar))
+        Self::new(label, total, Display::Bar(bar))
     }
 
     pub(super) fn lines(label: &str, total: Option<u64>) -> Self {
         let lines = Lines { last: Instant::now(), message: String::new() };
-        Self::new(label, total, Shown::Lines(Mutex::new(lines)))
+        Self::new(label, total, Display::Lines(Mutex::new(lines)))
     }
 
     pub(super) fn nothing(label: &str, total: Option<u64>) -> Self {
-        Self::new(label, total, Shown::Nothing)
+        Self::new(label, total, Display::Nothing)
     }
 
-    fn new(label: &str, total: Option<u64>, shown: Shown) -> Self {
+    fn new(label: &str, total: Option<u64>, shown: Display) -> Self {
         Self { label: label.to_owned(), total, done: AtomicU64::new(0), started: Instant::now(), shown }
     }
 
@@ -76,21 +76,21 @@ impl Progress {
     /// particles".
     pub fn message(&self, text: impl Into<String>) {
         match &self.shown {
-            Shown::Bar(bar) => bar.set_message(text.into()),
-            Shown::Lines(lines) => {
+            Display::Bar(bar) => bar.set_message(text.into()),
+            Display::Lines(lines) => {
                 if let Ok(mut lines) = lines.lock() {
                     lines.message = text.into();
                 }
                 self.show(self.done.load(Ordering::Relaxed));
             }
-            Shown::Nothing => {}
+            Display::Nothing => {}
         }
     }
 
     fn show(&self, done: u64) {
         match &self.shown {
-            Shown::Bar(bar) => bar.set_position(done),
-            Shown::Lines(lines) => {
+            Display::Bar(bar) => bar.set_position(done),
+            Display::Lines(lines) => {
                 let Ok(mut lines) = lines.try_lock() else { return };
                 if lines.last.elapsed() < LINE_INTERVAL {
                     return;
@@ -99,14 +99,14 @@ impl Progress {
                 let text = line(&self.label, self.total, done, self.started.elapsed(), &lines.message);
                 let _ = writeln!(std::io::stderr(), "{text}");
             }
-            Shown::Nothing => {}
+            Display::Nothing => {}
         }
     }
 }
 
 impl Drop for Progress {
     fn drop(&mut self) {
-        if let Shown::Bar(bar) = &self.shown {
+        if let Display::Bar(bar) = &self.shown {
             bar.finish_and_clear();
         }
     }

@@ -34,7 +34,7 @@ pub struct StageOption {
     pub value: Option<String>,
     /// Allowed values; empty if any value is allowed.
     pub words: Vec<String>,
-    /// Whether the value is a file or folder.
+    /// True if the value is a file or folder.
     pub is_path: bool,
     /// Help text.
     pub help: String,
@@ -51,7 +51,7 @@ impl CommandLine {
                 short: arg.get_short(),
                 value: (!is_switch(arg)).then(|| value.unwrap_or_default()),
                 words: if is_switch(arg) { Vec::new() } else { words },
-                is_path: PATHS.contains(&arg.get_value_hint()),
+                is_path: PATH_HINTS.contains(&arg.get_value_hint()),
                 help: arg.get_help().map(ToString::to_string).unwrap_or_default(),
             })
         };
@@ -86,10 +86,10 @@ impl CommandLine {
 }
 
 /// Value hints for files and folders.
-const PATHS: [ValueHint; 3] = [ValueHint::AnyPath, ValueHint::FilePath, ValueHint::DirPath];
+const PATH_HINTS: [ValueHint; 3] = [ValueHint::AnyPath, ValueHint::FilePath, ValueHint::DirPath];
 
-/// Returns whether an option takes no value. The help and version switches of clap, which every
-/// program has, are not included.
+/// Returns whether an option takes no value. Returns false for the help and version switches of
+/// clap.
 fn is_switch(arg: &Arg) -> bool {
     matches!(arg.get_action(), ArgAction::SetTrue | ArgAction::SetFalse | ArgAction::Count)
 }

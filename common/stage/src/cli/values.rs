@@ -42,7 +42,7 @@ pub fn bytes(text: &str) -> Result<u64, String> {
 }
 
 /// Formats a length, area or volume with four decimals. Uses four significant digits for absolute
-/// values below 0.01, so that small values do not become 0.
+/// values below 0.01, because four decimals could show them as 0.
 pub fn significant(value: f64) -> String {
     if value != 0.0 && value.abs() < 0.01 { format!("{value:.3e}") } else { format!("{value:.4}") }
 }

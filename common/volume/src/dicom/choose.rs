@@ -56,7 +56,7 @@ fn is_stack(group: &Group) -> bool {
     group.len() > 1 && group.iter().all(|picture| picture.slice.is_ok())
 }
 
-/// Describes a series. If it is not a stack, includes the reason.
+/// Describes a series. Includes the error of the first image that is not a slice, if there is one.
 fn described(group: &Group) -> String {
     let SeriesName { uid, number, description, modality } = &group[0].series;
     let why = group.iter().find_map(|picture| picture.slice.as_ref().err());

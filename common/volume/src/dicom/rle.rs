@@ -3,7 +3,8 @@
 //!
 //! This module replaces the decoder of dicom-rs 0.10, which panics on damaged data.
 
-/// Size of the header in bytes: the number of planes and up to fifteen plane offsets, 4 bytes each.
+/// Size of the header in bytes (PS3.5, annex G.5): the number of planes and fifteen plane offsets,
+/// with 4 bytes each.
 const HEADER_BYTES: usize = 64;
 
 /// Decodes a frame of `pixels` pixels with `width` bytes each. Returns `None` if the data is

@@ -11,6 +11,13 @@ use glam::DVec3;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
+/// Maximum error of the directions in a header: of the length of a unit vector, of the product of
+/// perpendicular unit vectors, and of the difference between equal vectors relative to their
+/// length. Directions are decimal strings, which some programs round to four decimals. This changes
+/// a unit vector by at most sqrt(3) * 5e-5 = 8.7e-5, so the limit is more than 5 times the error of
+/// two vectors.
+pub(super) const DIRECTION_TOLERANCE: f64 = 1e-3;
+
 /// UID of the RLE transfer syntax, which [`rle`] decodes.
 const RLE_LOSSLESS: &str = "1.2.840.10008.1.2.5";
 
@@ -111,9 +118,8 @@ impl Slice {
         // the first number is the distance between rows, the second the distance between columns
         let spacing = header.numbers::<2>(tags::PIXEL_SPACING, "PixelSpacing")?;
         let (row, column) = (DVec3::from_slice(&orientation[..3]), DVec3::from_slice(&orientation[3..]));
-        // directions are stored as decimal strings, which some programs round to four digits
-        let is_unit = |v: DVec3| (v.length() - 1.0).abs() < 1e-3;
-        if !is_unit(row) || !is_unit(column) || row.dot(column).abs() > 1e-3 {
+        let is_unit = |v: DVec3| (v.length() - 1.0).abs() < DIRECTION_TOLERANCE;
+        if !is_unit(row) || !is_unit(column) || row.dot(column).abs() > DIRECTION_TOLERANCE {
             return Err(header.meaningless("ImageOrientationPatient", &format!("{orientation:?}")));
         }
         Ok(Self {

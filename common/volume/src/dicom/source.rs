@@ -1,23 +1,23 @@
-//! Provides the bytes of a DICOM file. If the start that the standard requires is missing, it is
-//! added.
+//! Provides the bytes of a DICOM file. Adds the start that the standard requires (PS3.10, section
+//! 7) if it is missing.
 
 use dicom_dictionary_std::uids;
 use std::fs::File;
 use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Length in bytes of the preamble, whose contents are arbitrary. The preamble is followed by the
-/// letters DICM.
+/// Length in bytes of the preamble, whose contents are arbitrary.
 pub(super) const PREAMBLE: usize = 128;
+/// Length in bytes of the preamble and the letters DICM that follow the preamble.
 pub(super) const START: usize = PREAMBLE + 4;
 
-/// Start of the file meta group (the tag of its first element) and start of a data set (its group
-/// number). Both are little-endian.
+/// First bytes of the file meta group: the tag (0002,0000) in little-endian order.
 const FILE_GROUP: &[u8] = &[2, 0, 0, 0];
+/// First bytes of a data set: the group number 0008 in little-endian order.
 const FIRST_GROUP: &[u8] = &[8, 0];
 
-/// Maximum length in bytes of the first element of a data set. The possible elements (character
-/// sets, dates and identifiers) are not longer.
+/// Maximum length in bytes of the first element of a data set. UIDs, the longest identifiers of
+/// group 0008, have at most 64 bytes (PS3.5, table 6.2-1).
 const LARGEST_LENGTH: u8 = 64;
 
 /// Returns the bytes that are missing before the first bytes `start` of a file, or `None` if

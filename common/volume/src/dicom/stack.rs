@@ -1,6 +1,6 @@
 //! Sorts slices and computes the grid that they form. Fails if they do not form a regular grid.
 
-use super::slice::{Pixels, Slice};
+use super::slice::{DIRECTION_TOLERANCE, Pixels, Slice};
 use crate::error::Result;
 use crate::error::bad;
 use crate::geometry::{Geometry, Space};
@@ -10,19 +10,14 @@ use glam::DVec3;
 use std::path::Path;
 
 /// Maximum distance between a slice and its position in an evenly spaced stack, in units of the
-/// slice distance. If a slice is missing, the distance of at least one slice is 0.5 or more.
+/// slice distance. If one of N + 1 slices is missing, this distance is 1/3 or more for N = 3, and
+/// at least (N - 2) / (2 N) for larger N: 0.25 for N = 4, and more for larger stacks.
 const LARGEST_SHIFT: f64 = 0.1;
 
-/// Deviations above this limit are reported, in units of the slice distance. Rounding positions to
-/// 0.01 mm causes a deviation of 0.5 % for slices 1 mm apart.
-const TOLD_SHIFT: f64 = 0.01;
-
-/// Positions closer than this limit are considered equal, in units of the mean slice distance.
-const SAME_PLACE: f64 = 0.01;
-
-/// Maximum difference between the pixel vectors of two slices, relative to the length of the
-/// vectors. The limit allows for rounded decimal strings in the headers.
-const LARGEST_TURN: f64 = 1e-3;
+/// Maximum effect of rounded positions, in units of the slice distance. Rounding to 0.01 mm moves a
+/// slice by 0.5 % of the distance if slices are 1 mm apart. Larger deviations from the regular
+/// stack are reported. Two slices that are not farther apart than this have the same position.
+const ROUNDING: f64 = 0.01;
 
 /// The slices of a volume in spatial order, and the grid that they form.
 pub(super) struct Stack {
@@ -81,7 +76,7 @@ impl Stack {
     /// Describes the conversion of the stored numbers and any uneven spacing of the slices.
     pub(super) fn remarks(&self) -> Vec<String> {
         let first = self.slices[0].pixels;
-        let uneven = (self.shift > TOLD_SHIFT).then(|| {
+        let uneven = (self.shift > ROUNDING).then(|| {
             format!(
                 "the slices are unevenly spaced: they deviate by up to {:.1} % of the slice distance from the \
                  regular grid that is used, with a distance of {:.4} mm",
@@ -101,7 +96,7 @@ impl Stack {
 
 /// Fails unless all slices have the same size, pixel spacing and orientation.
 fn check_alike(first: &Slice, slices: &[Slice]) -> Result<()> {
-    let differs = |a: DVec3, b: DVec3| (a - b).length() > LARGEST_TURN * a.length();
+    let differs = |a: DVec3, b: DVec3| (a - b).length() > DIRECTION_TOLERANCE * a.length();
     for slice in slices {
         let what = match () {
             () if (slice.columns, slice.rows) != (first.columns, first.rows) => {
@@ -130,7 +125,7 @@ fn name(slices: &[Slice], n: usize) -> String {
 /// Fails if two slices have the same position.
 fn check_doubles(slices: &[Slice], places: &[f64]) -> Result<()> {
     let mean = (places[places.len() - 1] - places[0]) / (places.len() - 1) as f64;
-    if let Some(n) = places.windows(2).position(|pair| pair[1] - pair[0] <= SAME_PLACE * mean) {
+    if let Some(n) = places.windows(2).position(|pair| pair[1] - pair[0] <= ROUNDING * mean) {
         return Err(bad(
             &slices[n + 1].path,
             format!("is at the same position as {}, {:.3} mm along the normal", name(slices, n), places[n]),

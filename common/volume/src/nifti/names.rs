@@ -9,12 +9,12 @@ use crate::segments::{LayerLabel, Segment};
 use crate::voxels::Endian;
 use quick_xml::events::Event;
 
-/// Size in bytes of the length and code of an extension.
-const HEAD: usize = 8;
+/// Size in bytes of the length and code of an extension, with 4 bytes each.
+const HEAD_BYTES: usize = 8;
 
 /// Returns the label names in all extensions. `bytes` are the bytes between the header and the
-/// voxels. The first of them is nonzero if there are extensions. Adds a remark for a table that
-/// cannot be parsed.
+/// voxels; the first byte is nonzero if there are extensions. Adds a remark for a table that cannot
+/// be parsed.
 pub(super) fn names(bytes: &[u8], endian: Endian, remarks: &mut Vec<String>) -> Vec<Segment> {
     let mut segments = Vec::new();
     let Some((flag, mut rest)) = bytes.split_at_checked(4) else { return segments };
@@ -26,7 +26,7 @@ pub(super) fn names(bytes: &[u8], endian: Endian, remarks: &mut Vec<String>) -> 
             Endian::Little => u32::from_le_bytes(*head),
             Endian::Big => u32::from_be_bytes(*head),
         } as usize;
-        let Some(extension) = rest.get(HEAD..length) else { break };
+        let Some(extension) = rest.get(HEAD_BYTES..length) else { break };
         rest = &rest[length..];
         let text = String::from_utf8_lossy(extension);
         if text.contains("<LabelTable") {
@@ -74,7 +74,7 @@ mod tests {
         </Label><Label Key="3"></Label></LabelTable></VolumeInformation></CaretExtension>"#;
 
     fn extension(text: &str, endian: Endian) -> Vec<u8> {
-        let length = (HEAD + text.len()).next_multiple_of(16) as u32;
+        let length = (HEAD_BYTES + text.len()).next_multiple_of(16) as u32;
         let numbers = [length, 30].map(|n| if endian == Endian::Big { n.to_be_bytes() } else { n.to_le_bytes() });
         let mut bytes = [numbers.concat(), text.as_bytes().to_vec()].concat();
         bytes.resize(length as usize, 0);

@@ -3,15 +3,13 @@
 
 use crate::error::bad;
 use crate::error::{Error, Result};
-use crate::voxel_data::{Coding, DataFiles, Layout, numbered_names, read_line};
+use crate::voxel_data::{Coding, DataFiles, Layout, MOST_HEADER_BYTES, numbered_names, read_line};
 use crate::voxels::{Endian, ScalarType};
 use std::collections::BTreeMap;
 use std::io::{BufRead, Read};
 use std::path::Path;
 
-/// Maximum header size in bytes, which is sufficient for a list of 100,000 file names.
-const MOST_HEADER_BYTES: u64 = 16 << 20;
-/// Maximum number of axes in NRRD.
+/// Maximum number of axes (`NRRD_DIM_MAX` of Teem).
 const MOST_AXES: usize = 16;
 
 /// The contents of a header.

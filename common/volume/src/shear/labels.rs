@@ -17,10 +17,10 @@ use rayon::prelude::*;
 const VOTE: [f64; 5] = [0.0625, 0.25, 0.375, 0.25, 0.0625];
 
 /// Number of voxels that the filter covers on each side of its centre.
-const REACH: isize = VOTE.len() as isize / 2;
+const FILTER_RADIUS: isize = VOTE.len() as isize / 2;
 
 /// A new voxel that lies between two old voxels with different labels.
-struct Open<T> {
+struct Undecided<T> {
     /// Index of the voxel in the slice.
     at: usize,
     /// The two labels. The label with the lower key is first.
@@ -64,13 +64,13 @@ impl Shear {
 }
 
 /// The labels before a pass.
-struct Old<'a, T> {
+struct OldLabels<'a, T> {
     pass: &'a Pass,
     values: &'a [T],
     beyond: Option<T>,
 }
 
-impl<T: Label> Old<'_, T> {
+impl<T: Label> OldLabels<'_, T> {
     fn at(&self, n: isize, row: usize, k: usize) -> T {
         let last = self.pass.from[self.pass.axis] as isize - 1;
         match self.beyond {
@@ -83,15 +83,15 @@ impl<T: Label> Old<'_, T> {
     fn vote(&self, [a, b]: [T; 2], n: usize, row: usize, k: usize) -> f64 {
         let side = |label: T| f64::from(u8::from(label == a)) - f64::from(u8::from(label == b));
         let mut sum = 0.0;
-        for (slice, by_slice) in (k as isize - REACH..).zip(VOTE) {
-            for (line, by_row) in (row as isize - REACH..).zip(VOTE) {
+        for (slice, by_slice) in (k as isize - FILTER_RADIUS..).zip(VOTE) {
+            for (line, by_row) in (row as isize - FILTER_RADIUS..).zip(VOTE) {
                 let [slices, rows] = [self.pass.from[2], self.pass.rows()].map(|count| 0..count as isize);
                 if !slices.contains(&slice) || !rows.contains(&line) {
                     continue;
                 }
                 let (first, part) = self.pass.shift(line, slice);
                 let side = |n| side(self.at(n, line as usize, slice as usize));
-                for (n, by_place) in (n as isize - REACH - first..).zip(VOTE) {
+                for (n, by_place) in (n as isize - FILTER_RADIUS - first..).zip(VOTE) {
                     sum += by_slice * by_row * by_place * ((1.0 - part) * side(n) + part * side(n + 1));
                 }
             }
@@ -102,7 +102,7 @@ impl<T: Label> Old<'_, T> {
 
 impl Pass {
     fn move_labels<T: Label>(&self, values: &[T], beyond: Option<T>) -> Vec<T> {
-        let old = Old { pass: self, values, beyond };
+        let old = OldLabels { pass: self, values, beyond };
         let mut moved = vec![values[0]; self.to.iter().product()];
         moved.par_chunks_mut(self.to[0] * self.to[1]).enumerate().for_each(|(k, slice)| {
             let mut open = Vec::new();
@@ -116,7 +116,7 @@ impl Pass {
                     let is_thin = || old.at(at - 1, row, k) != a || old.at(at + 2, row, k) != b;
                     if a.key() != b.key() && part > 0.0 && !is_thin() {
                         let (pair, share) = if a.key() < b.key() { ([a, b], 1.0 - part) } else { ([b, a], part) };
-                        open.push(Open { at: place, pair, score: old.vote(pair, n, row, k), share });
+                        open.push(Undecided { at: place, pair, score: old.vote(pair, n, row, k), share });
                     }
                 }
             }
@@ -129,8 +129,8 @@ impl Pass {
 /// Assigns the first label of each pair to the voxels with the highest scores, and the second label
 /// to the other voxels. The number of voxels with the first label is the rounded sum of their
 /// shares.
-fn share_out<T: Label>(slice: &mut [T], mut open: Vec<Open<T>>) {
-    let key = |open: &Open<T>| open.pair.map(Label::key);
+fn share_out<T: Label>(slice: &mut [T], mut open: Vec<Undecided<T>>) {
+    let key = |open: &Undecided<T>| open.pair.map(Label::key);
     open.sort_by(|a, b| key(a).cmp(&key(b)).then(b.score.total_cmp(&a.score)).then(a.at.cmp(&b.at)));
     for own in open.chunk_by(|a, b| key(a) == key(b)) {
         let count = own.iter().map(|open| open.share).sum::<f64>().round() as usize;

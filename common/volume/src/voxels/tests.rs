@@ -92,7 +92,10 @@ fn what_all_threads_read_of_a_file_is_what_one_reader_finds() {
         for (endian, start) in [(Endian::Little, 0), (Endian::Big, 13)] {
             let mut bytes = vec![0xaa; start];
             voxels.write_to(&mut bytes, endian).expect("written");
-            assert!(voxels.is_empty() || bytes.len() > 2 * CHUNK && bytes.len() % CHUNK != 0, "chunks and a part");
+            assert!(
+                voxels.is_empty() || bytes.len() > 2 * CHUNK_BYTES && bytes.len() % CHUNK_BYTES != 0,
+                "chunks and a part"
+            );
             std::fs::write(&path, &bytes).expect("written");
             let read = |start: u64, count| Voxels::read_file(&path, start, voxels.scalar_type(), endian, count);
             assert_eq!(read(start as u64, voxels.len()).expect("read"), voxels);

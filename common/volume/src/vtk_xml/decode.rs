@@ -8,7 +8,7 @@ use std::io::{self, BufRead, Read};
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Layout {
     pub(super) endian: Endian,
-    /// Whether the numbers in array headers have 64 bits instead of 32.
+    /// True if the numbers in array headers have 64 bits, and false if they have 32 bits.
     pub(super) wide_header: bool,
     pub(super) compressed: bool,
 }
@@ -63,8 +63,7 @@ impl Read for ArrayReader<'_> {
             let mut compressed = Read::take(&mut self.source, compressed_bytes);
             let mut decoder = flate2::read::ZlibDecoder::new(&mut compressed);
             let mut block = Vec::new();
-            // A block that is longer than its header declares is damaged. The limit keeps it from
-            // using up the memory.
+            // the limit bounds the memory if a damaged block is longer than the header declares
             Read::take(&mut decoder, blocks.block_bytes).read_to_end(&mut block)?;
             io::copy(&mut compressed, &mut io::sink())?;
             blocks.current = io::Cursor::new(block);

@@ -12,7 +12,8 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// Maximum nesting depth. The files that VTK writes need six levels.
+/// Maximum nesting depth, which bounds the recursion when the tree of elements is dropped. The
+/// files that VTK writes need six levels.
 const MOST_DEPTH: usize = 32;
 
 /// An XML element with its contents.
@@ -118,7 +119,7 @@ impl VtkFile {
     /// Reads an array of `count` numbers. Fails if the array has a different length.
     pub fn numbers(&self, array: &Element, count: usize) -> Result<Voxels> {
         let scalar = self.scalar(array)?;
-        // saturate, because no memory can hold a number of bytes that overflows
+        // an overflow saturates and then fails the check of memory
         let expected = (count as u64).saturating_mul(scalar.bytes() as u64);
         check_memory(&self.path, expected)?;
         let wrong = |error: std::io::Error| self.array_error(array, &error);
@@ -230,8 +231,9 @@ type Appended = Option<(u64, bool)>;
 /// data.
 fn read_head(path: &Path, reader: &mut impl BufRead) -> Result<(Vec<u8>, Appended)> {
     const TAG: &[u8] = b"<AppendedData";
-    // XML with appended data is short. If the XML is longer, it contains the arrays itself.
-    const SHORT: usize = 64 << 20;
+    // XML with appended data has about 100 bytes per array. Longer XML contains the arrays, and is
+    // in memory twice after parsing.
+    const SHORT_XML: usize = 64 << 20;
     let mut head = Vec::new();
     let mut searched = 0usize;
     loop {
@@ -241,7 +243,7 @@ fn read_head(path: &Path, reader: &mut impl BufRead) -> Result<(Vec<u8>, Appende
         if chunk.is_empty() {
             return Ok((head, None));
         }
-        if head.len() < SHORT && head.len() + chunk.len() >= SHORT {
+        if head.len() < SHORT_XML && head.len() + chunk.len() >= SHORT_XML {
             let length = std::fs::metadata(path).map_or(0, |metadata| metadata.len());
             check_memory(path, 2 * length)?;
         }

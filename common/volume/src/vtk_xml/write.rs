@@ -63,7 +63,7 @@ impl Payload<'_> {
 }
 
 fn write_f32(values: &[f32], file: &mut dyn Write) -> io::Result<()> {
-    // write chunks of 1 MiB, so that an interrupt takes effect between them
+    // an interrupt takes effect between two chunks of 1 MiB
     for chunk in values.chunks(1 << 18) {
         if cfg!(target_endian = "little") {
             file.write_all(bytemuck::cast_slice(chunk))?;

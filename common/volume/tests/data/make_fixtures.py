@@ -1,4 +1,4 @@
-"""Write the fixtures of the format tests with other programs, and where these place the voxels.
+"""Write the fixtures of the format tests and the values and positions that other programs read.
 
     pip install numpy pydicom pynrrd SimpleITK nibabel pyvista
     UNU=/usr/bin/teem-unu python make_fixtures.py [NAME ...]
@@ -37,7 +37,7 @@ expected = {"volumes": {}, "refused": {}}
 
 
 def voxels(name):
-    """Values by place, x fastest, as an array indexed [x, y, z]."""
+    """Return an array indexed [x, y, z] whose values depend on the voxel number (x fastest)."""
     index = np.arange(24)
     values = {
         "int8": index - 12, "uint8": index + 200, "int16": (index - 12) * 1000, "uint16": index + 65000,
@@ -55,7 +55,7 @@ def expect(file, array, positions, teller):
 
 
 def by_itk(file, name=None, check_values=True):
-    """What SimpleITK makes of a file."""
+    """Record what SimpleITK reads from a file."""
     image = sitk.ReadImage(str(HERE / file))
     if image.GetDimension() == 4:
         image = image[:, :, :, 0]
@@ -66,7 +66,7 @@ def by_itk(file, name=None, check_values=True):
 
 
 def by_unu(file, name, positions):
-    """What Teem makes of a file; positions are given by hand, because unu prints none."""
+    """Record what Teem reads from a file. unu prints no positions, so the caller gives them."""
     out = subprocess.run([UNU, "save", "-f", "nrrd", "-e", "raw", "-en", "little", "-i", file, "-o", "-"],
                          cwd=HERE, check=True, capture_output=True).stdout
     array = np.frombuffer(out.split(b"\n\n", 1)[1], dtype=name).reshape(SIZE, order="F")
@@ -120,7 +120,7 @@ def make_nrrd():
                            cwd=folder, check=True)
             by_unu(f"nrrd/{name}", "int16", UNIT)
         name = f"unu_detached_{encoding}.nhdr"
-        # Teem 1.12 writes text with swapped bytes when asked for the other byte order.
+        # Teem 1.12 writes text with swapped bytes if the other byte order is requested.
         order = "little" if encoding == "ascii" else "big"
         subprocess.run([UNU, "save", "-f", "nrrd", "-e", encoding, "-en", order, "-i", "plain.nrrd", "-o", name],
                        cwd=folder, check=True)
@@ -227,7 +227,7 @@ def make_nifti():
     scaled[112:120] = struct.pack("<ff", 0.5, -2.0)
     (folder / "scaled.nii.gz").write_bytes(gzip.compress(bytes(scaled), mtime=0))
     by_itk("nifti/scaled.nii.gz", check_values=False)
-    # SimpleITK gives doubles; here the values that fit are kept as 32-bit numbers.
+    # SimpleITK returns 64-bit numbers; this project uses 32-bit numbers for scaled 16-bit integers.
     entry = expected["volumes"]["nifti/scaled.nii.gz"]
     assert entry["values"] == [str(float(v)) for v in (voxels("int16") * 0.5 - 2.0).flatten(order="F")]
     entry["type"] = "float32"
@@ -283,14 +283,14 @@ def make_vti():
                         writer.SetHeaderTypeToUInt64()
                     else:
                         writer.SetHeaderTypeToUInt32()
-                    # Several blocks, the last one shorter.
+                    # The array has several blocks, and the last block is shorter.
                     writer.SetBlockSize(40)
                     writer.Write()
                     told(file, name)
 
 
 def make_meta():
-    """MetaImage: by SimpleITK, and by hand what it does not write but reads."""
+    """Write MetaImage files: with SimpleITK, and by hand the variants that SimpleITK only reads."""
     folder = HERE / "meta"
     folder.mkdir(exist_ok=True)
     for name in NAMES:
@@ -337,7 +337,7 @@ def make_meta():
 
 
 def make_segmentation():
-    """Segmentations as 3D Slicer writes them: one layer, and two that overlap."""
+    """Write segmentations as 3D Slicer does: with one layer, and with two overlapping layers."""
     folder = HERE / "segmentation"
     folder.mkdir(exist_ok=True)
     labels = (np.arange(24) % 3).astype(np.uint8).reshape(SIZE, order="F")
@@ -363,7 +363,7 @@ def make_segmentation():
 
 
 def make_dicom():
-    """Oblique series of two slices, the second first by name: not compressed, and in RLE."""
+    """Write two oblique slices, uncompressed and in RLE. The upper slice is first by name."""
     for folder, compressed in [("dicom/oblique", False), ("dicom/rle", True)]:
         (HERE / folder).mkdir(parents=True, exist_ok=True)
         for n in range(2):
@@ -386,7 +386,7 @@ def make_dicom():
             if compressed:
                 ds.compress(pydicom.uid.RLELossless)
             ds.save_as(HERE / folder / f"{'ba'[n]}.dcm", enforce_file_format=True)
-        if compressed:  # which SimpleITK does not decode when it is so small
+        if compressed:  # SimpleITK does not decode such small slices
             told = [pydicom.dcmread(HERE / folder / f"{name}.dcm").pixel_array.T.astype(np.int16) - 1024 for name in "ba"]
             expect(folder, np.stack(told, axis=-1), affine_positions(OBLIQUE, [10.5, -20.25, 30.0]), "pydicom")
             continue
@@ -398,7 +398,7 @@ def make_dicom():
 
 
 def make_edited():
-    """The golden size field, doubled and saved by pyvista; the golden surfaces, opened by VTK."""
+    """Double the golden size field and save it with pyvista; open the golden surfaces with VTK."""
     folder = STAGE / "edited"
     folder.mkdir(exist_ok=True)
     steps = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [-0.48, -0.64, -0.6]]) * np.array([[0.5], [1.25], [3.0]])
@@ -418,7 +418,7 @@ def make_edited():
 
     opened().save(str(folder / "edited.vti"))
     opened().save(str(folder / "edited_ascii.vti"), binary=False)
-    # version 2 has bytes in place of strings
+    # version 2 stores bytes instead of strings
     image = pyvista.read(str(STAGE / "golden" / "field_v2.sizefield.vti"))
     image.point_data["sizing"] = image.point_data["sizing"] * np.float32(2)
     image.save(str(folder / "edited_v2.vti"))
@@ -434,7 +434,7 @@ def make_edited():
         assert mesh.n_cells == 4 and mesh.is_all_triangles, suffix
         for point in world:
             assert np.abs(mesh.points - point).max(axis=1).min() <= max(tolerance, 1e-14) * 30, (suffix, point)
-        # Outward normals, although the volume is left-handed.
+        # The normals point outward, although the volume is left-handed.
         assert np.isclose(mesh.volume, 1 / 18, atol=1e-6), (suffix, mesh.volume)
         normals = mesh.compute_normals(consistent_normals=False, auto_orient_normals=False, point_normals=False)
         out = normals.cell_centers().points - mesh.points.mean(axis=0)
