@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+# Phantom options, object, and options of sizefield.
 PHANTOMS = [
     ("torso --part heart", "--iso=100", ""),
     ("torso --part ribs", "--iso=370", ""),
@@ -31,6 +32,7 @@ PHANTOMS = [
     ("gyroid --size 112 --kind label", "--labels=1", ""),
     ("torus --size 96 --noise 40", "--iso=100", ""),
 ]
+# For each group of stages, 1 if its rates depend on the nodes, the faces and the vertices.
 GROUPS = {"fields": (1, 1, 0), "particles": (1, 0, 1), "triangles": (1, 0, 1)}
 
 

@@ -7,7 +7,8 @@
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Number of nodes per parallel task: a multiple of 64, so that each task owns whole words.
+/// Number of nodes per parallel task: a multiple of 64, so that each task owns whole words. A task
+/// writes 2 KiB.
 const CHUNK: usize = 1 << 14;
 
 /// A set of nodes.
@@ -124,7 +125,8 @@ fn ones(words: &[u64]) -> usize {
     words.iter().map(|word| word.count_ones() as usize).sum()
 }
 
-/// Words per stored count of a [`Numbering`].
+/// Words per stored count of a [`Numbering`]: one cache line of 64 bytes. The counts take an eighth
+/// of the memory of the words.
 const BLOCK: usize = 8;
 
 /// Maps the nodes of a set to consecutive numbers, in ascending order.
@@ -206,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_and_alternating_faces_are_those_of_the_nodes() {
+    fn neighbours_and_alternating_faces_match_a_direct_search() {
         let size = [13usize, 12, 11];
         let steps = [1, size[0], size[0] * size[1]];
         let count = steps[2] * size[2];

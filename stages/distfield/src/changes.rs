@@ -17,15 +17,18 @@ use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Maximum number of events of each kind listed in the report. All events are counted.
-const LISTED: usize = 20;
+const MOST_LISTED: usize = 20;
 
-/// The level of removed parts is at most minus this value.
+/// The level of the voxels of removed parts becomes at most minus this value. At the slope of a
+/// plane (1 / (sqrt(2 pi) sigma) per voxel), it is a distance of 0.13 standard deviations from a
+/// surface.
 const CLEARLY_OUTSIDE: f32 = 0.05;
 
-/// Losses below this fraction of the original volume are reported as specks.
-pub const SPECKS: f64 = 1e-3;
+/// Losses below this fraction of the original volume are reported as specks. It is a twentieth of
+/// the change of volume above which a warning is printed (`SCALED_VOLUME_LIMITS`).
+pub const SPECK_SHARE: f64 = 1e-3;
 
-/// What happened to a part of the object.
+/// The kind of change to a part of the object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
@@ -45,7 +48,7 @@ pub enum Kind {
 /// A change to a part, with its position.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Event {
-    /// The kind of change.
+    /// The kind.
     pub kind: Kind,
     /// Volume in mm^3, by voxel count. Gone, shortened, filled: the voxels lost or filled. Broken:
     /// the part that broke. Joined: the merged part. For shortened ends and filled gaps, only
@@ -141,7 +144,7 @@ impl Changes {
             *volumes.entry(event.kind).or_insert(0.0) += event.volume;
             let number = counts.entry(event.kind).or_insert(0);
             *number += 1;
-            *number <= LISTED
+            *number <= MOST_LISTED
         });
         Ok(Some(Self {
             volume_before: volume,
@@ -204,11 +207,11 @@ fn depth(old: &Bits, geometry: &Geometry, n: usize) -> f64 {
     best
 }
 
-/// Voxel count and sum of positions of a part.
+/// The voxel count of a part and the sum of its voxel positions (index space).
 #[derive(Clone, Copy, Default)]
 struct Sum {
     voxels: usize,
-    place: DVec3,
+    positions: DVec3,
 }
 
 impl Sum {
@@ -216,11 +219,11 @@ impl Sum {
         let (count, ends) = (columns.len(), columns.start + columns.end);
         let middle = 0.5 * (ends as f64 - 1.0);
         self.voxels += count;
-        self.place += count as f64 * DVec3::new(middle, row[0] as f64, row[1] as f64);
+        self.positions += count as f64 * DVec3::new(middle, row[0] as f64, row[1] as f64);
     }
 
     fn event(&self, kind: Kind, pieces: usize, geometry: &Geometry) -> Event {
-        let centre = geometry.index_to_grid(self.place / self.voxels.max(1) as f64);
+        let centre = geometry.index_to_grid(self.positions / self.voxels.max(1) as f64);
         Event {
             kind,
             volume: self.voxels as f64 * geometry.spacing.element_product(),

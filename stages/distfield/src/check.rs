@@ -1,11 +1,11 @@
 //! Checks that need no computation: conflicting options and, if the volume can be read, labels,
 //! names and iso values that the volume does not contain.
 
+use crate::args::Args;
 use crate::choose::Object;
 use crate::input::check_kind;
 use crate::materials::choice::{names, resolve};
 use crate::materials::program::check_options;
-use crate::run::Args;
 use isoparticles_stage::cli::Context;
 use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::error::{Error, Result};

@@ -3,7 +3,7 @@
 //!
 //! The scale is twice the standard deviation of the Gaussian, in mm. Scale 0 means no smoothing.
 
-use crate::changes::{Changes, Event, Kind, SPECKS};
+use crate::changes::{Changes, Event, Kind, SPECK_SHARE};
 use crate::crop::{Grid, VoxelBox, cut_in_turn};
 use crate::field::Demands;
 use crate::mask::Mask;
@@ -72,6 +72,14 @@ impl ScaleChoice {
         } else {
             Self { length: 0.0, reason: format!("{whose} does not exceed {limit}") }
         }
+    }
+}
+
+/// Returns the option value of a side.
+pub(crate) fn inside_name(inside: Inside) -> &'static str {
+    match inside {
+        Inside::Above => "above",
+        Inside::Below => "below",
     }
 }
 
@@ -227,7 +235,7 @@ pub fn extract_scaled(
             json!({ "source": "labels", "labels": told })
         }
         Object::Iso(iso, inside) => {
-            json!({ "source": "scalar", "iso": iso, "inside": crate::run::inside_name(*inside) })
+            json!({ "source": "scalar", "iso": iso, "inside": inside_name(*inside) })
         }
     };
     drop(volume);
@@ -235,7 +243,7 @@ pub fn extract_scaled(
     let smoothed = scaled(occupancy, Scale { length, keep_thin }, grid)?
         .ok_or_else(|| nothing_left(&format!("a scale of {length:.4} mm ({reason})"), volume_before))?;
     drop(step);
-    tell(&smoothed.changes, length, context);
+    report_changes(&smoothed.changes, length, context);
     meta["scale"] = json!(length);
     meta["scale_reason"] = json!(reason);
     meta["keep_thin"] = json!(keep_thin);
@@ -257,10 +265,10 @@ fn occupancy(volume: &Volume, object: &Object) -> Occupancy {
 }
 
 /// Maximum number of events of each kind listed on the terminal.
-const NAMED: usize = 3;
+const MOST_NAMED: usize = 3;
 
 /// Reports the changes: a summary, and a message for each kind of event.
-fn tell(changes: &Changes, length: f64, context: &Context) {
+fn report_changes(changes: &Changes, length: f64, context: &Context) {
     let depth = changes.depth;
     context.summary(
         "voxel centres that changed side",
@@ -273,7 +281,7 @@ fn tell(changes: &Changes, length: f64, context: &Context) {
     context.summary("components of the data", format!("{before} -> {after}"));
     context.summary("Euler characteristic of the data (solid)", format!("{euler_before} -> {euler_after}"));
     for (&kind, &count) in &changes.counts {
-        let events: Vec<&Event> = changes.events.iter().filter(|event| event.kind == kind).take(NAMED).collect();
+        let events: Vec<&Event> = changes.events.iter().filter(|event| event.kind == kind).take(MOST_NAMED).collect();
         let named: Vec<String> = events.iter().map(|event| event_told(event)).collect();
         let more = if count > named.len() { format!(", and {} more", count - named.len()) } else { String::new() };
         let what = match kind {
@@ -285,7 +293,7 @@ fn tell(changes: &Changes, length: f64, context: &Context) {
         };
         let (volume, named) = (changes.volumes.get(&kind).copied().unwrap_or(0.0), named.join("; "));
         let said = format!("at a scale of {length:.4} mm, {what} ({count}, {volume:.4} mm^3 in total): {named}{more}");
-        if kind == Kind::Gone && changes.lost() < SPECKS * changes.volume_before {
+        if kind == Kind::Gone && changes.lost() < SPECK_SHARE * changes.volume_before {
             context.info(said);
         } else {
             context.warn(format!(

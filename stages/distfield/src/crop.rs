@@ -2,8 +2,8 @@
 //! room, clipped at the border of the volume. Later steps treat this box as the volume. Beyond a
 //! face of the box that is not a border of the volume, there is only background.
 //!
-//! The room covers the voxels that F near the surface depends on, so that F there equals F on the
-//! whole volume to the accuracy given at `SPLINE_ROOM`.
+//! The room covers the voxels that F near the surface depends on. F there equals F on the whole
+//! volume to the accuracy given at [`ROOM`](isoparticles_field::spline::ROOM).
 
 use crate::nearest::STRIDE;
 use isoparticles_volume::{LayerLabel, Volume};

@@ -5,14 +5,16 @@
 //! the lower envelope of the parabolas (Felzenszwalb and Huttenlocher 2012). The cost per node does
 //! not depend on the distance to the surface.
 
-use crate::nearest::NONE;
 use glam::Vec3;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
+/// Sample number of a node without a sample.
+pub const NO_SAMPLE: u32 = u32::MAX;
+
 /// Replaces the sample number of every node (x fastest) with the number of the nearest sample
-/// stored at any node. If no node has a sample, all numbers stay [`NONE`]. Samples are in the grid
-/// frame (mm).
+/// stored at any node. If no node has a sample, all numbers stay [`NO_SAMPLE`]. Samples are in the
+/// grid frame (mm).
 ///
 /// The result is exact if every sample lies on the node that stores its number. Otherwise a nearer
 /// sample can be missed, with a distance error of the order of the offsets.
@@ -54,8 +56,8 @@ impl Parabola {
     /// Returns the parabola along the first of the three axes. `at` contains the positions (mm) of
     /// the line along the other two axes.
     fn new(samples: &[Vec3], number: u32, [along, u, v]: [usize; 3], at: [f64; 2]) -> Self {
-        let place = samples[number as usize].as_dvec3();
-        Self { number, centre: place[along], least: (place[u] - at[0]).powi(2) + (place[v] - at[1]).powi(2) }
+        let position = samples[number as usize].as_dvec3();
+        Self { number, centre: position[along], least: (position[u] - at[0]).powi(2) + (position[v] - at[1]).powi(2) }
     }
 }
 
@@ -85,9 +87,9 @@ impl Envelope {
     /// Replaces the sample numbers on a line with those of the nearest samples on the line.
     fn fill(&mut self, line: &mut [u32], spacing: f64, parabola: impl Fn(u32) -> Parabola) {
         self.all.clear();
-        let mut last = NONE;
+        let mut last = NO_SAMPLE;
         for &number in line.iter() {
-            if number != NONE && number != last {
+            if number != NO_SAMPLE && number != last {
                 self.all.push(parabola(number));
                 last = number;
             }
@@ -112,7 +114,7 @@ impl Envelope {
             }
         }
         let mut lowest = self.lowest.iter().peekable();
-        let mut number = NONE;
+        let mut number = NO_SAMPLE;
         for (n, own) in line.iter_mut().enumerate() {
             while let Some((parabola, _)) = lowest.next_if(|(_, from)| *from <= n as f64 * spacing) {
                 number = parabola.number;
@@ -145,15 +147,15 @@ mod tests {
         for (n, count, off) in [(0u64, 1, 0.0), (1, 7, 0.0), (2, 60, 0.0), (3, 60, 0.1)] {
             let geometry = Geometry::axis_aligned([13, 9, 11], DVec3::new(1.0, 0.7, 1.6));
             // at most one sample per node, so that no sample is lost
-            let mut sample = vec![NONE; geometry.voxel_count()];
+            let mut sample = vec![NO_SAMPLE; geometry.voxel_count()];
             let mut samples = Vec::new();
             for s in 0..count {
-                let place = |axis: u64| uniform(5, axis, 1000 * n + s);
-                let index = [0, 1, 2].map(|a| (place(a as u64) * geometry.size[a] as f64) as usize);
+                let random = |axis: u64| uniform(5, axis, 1000 * n + s);
+                let index = [0, 1, 2].map(|a| (random(a as u64) * geometry.size[a] as f64) as usize);
                 let at = geometry.linear(index[0], index[1], index[2]);
-                if sample[at] == NONE {
+                if sample[at] == NO_SAMPLE {
                     sample[at] = samples.len() as u32;
-                    let off = off * DVec3::new(place(3) - 0.5, place(4) - 0.5, place(5) - 0.5);
+                    let off = off * DVec3::new(random(3) - 0.5, random(4) - 0.5, random(5) - 0.5);
                     let index = DVec3::from_array(index.map(|i| i as f64));
                     samples.push((geometry.index_to_grid(index) + off).as_vec3());
                 }
@@ -174,10 +176,10 @@ mod tests {
     }
 
     #[test]
-    fn without_samples_nothing_is_given() {
+    fn without_samples_no_node_has_a_sample() {
         let geometry = Geometry::axis_aligned([3, 2, 2], DVec3::ONE);
-        let mut sample = vec![NONE; 12];
+        let mut sample = vec![NO_SAMPLE; 12];
         spread(&geometry, &[], &mut sample);
-        assert!(sample.iter().all(|&number| number == NONE));
+        assert!(sample.iter().all(|&number| number == NO_SAMPLE));
     }
 }

@@ -1,7 +1,8 @@
-//! Checks the input before any work: rejects labels for a scan, an iso value for a label map, and a
+//! Checks the input and crops it: rejects labels for a scan, an iso value for a label map, and a
 //! field that exceeds the available memory.
 
-use crate::run::Args;
+use crate::args::Args;
+use crate::crop::{CutFaces, Grid, VoxelBox, crop};
 use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_survey::cost::distfield_bytes;
@@ -81,4 +82,21 @@ pub fn check_room(args: &Args, voxels: [usize; 3], context: &Context) -> Result<
         &format!("a field of {nx} x {ny} x {nz} nodes"),
         "crop the volume to the object, or resample it",
     )
+}
+
+/// Crops the volume to the grid that `--grid` selects. Returns the faces where the volume was cut.
+///
+/// # Errors
+/// If F needs more memory than is available.
+pub(crate) fn take_out(
+    args: &Args,
+    volume: &mut Volume,
+    found: Option<VoxelBox>,
+    room: [usize; 3],
+    context: &Context,
+) -> Result<CutFaces> {
+    let size = volume.geometry.size;
+    let kept = found.filter(|_| args.grid == Grid::Object).map(|object| object.with_room(room, size).on_coarse_nodes());
+    check_room(args, kept.map_or(size, |kept| kept.size()), context)?;
+    Ok(kept.map_or_else(CutFaces::default, |kept| crop(volume, kept)))
 }

@@ -3,7 +3,7 @@
 //!
 //! Parts are connected as in marching cubes: through nodes that share a grid edge, and through
 //! opposite corners of a grid face that are connected by the saddle of the face
-//! ([`crate::junctions`]).
+//! ([`crate::ambiguous_faces`]).
 
 use crate::ambiguous_faces::AmbiguousFace;
 use crate::bits::Bits;
@@ -74,7 +74,7 @@ pub fn drop_parts(nodes: &mut Image<f32>, margin: usize, faces: &[AmbiguousFace]
     }
     let inside = Runs::of(nodes.geometry.size, |n| nodes.data[n] < 0.0);
     let part = parts_of_runs(&inside, nodes.geometry.size, faces)?;
-    // number of nodes of each part, stored at its first run
+    // number of nodes of each part, stored at the index of its first run
     let mut count = vec![0usize; part.len()];
     let [nx, ny, nz] = nodes.geometry.size;
     let own = |n: usize, size: usize| (margin..size - margin).contains(&n);
@@ -121,7 +121,7 @@ pub fn drop_parts(nodes: &mut Image<f32>, margin: usize, faces: &[AmbiguousFace]
     Ok(dropped)
 }
 
-/// Returns, for each run, the first run of its part.
+/// Returns, for each run, the index of the first run of the part that contains it.
 pub(crate) fn parts_of_runs(inside: &Runs, size: [usize; 3], faces: &[AmbiguousFace]) -> Result<Vec<u32>> {
     let [_, ny, nz] = size;
     let Ok(count) = u32::try_from(inside.all().len()) else {

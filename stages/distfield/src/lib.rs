@@ -7,12 +7,13 @@
 //! level set of the smoothed occupancy ([`mask`], [`occupancy`], `level`). [`field`] computes the
 //! distances to the surface ([`samples`], [`nearest`], [`closest`]) and fits the zero set of the
 //! spline to the surface ([`fit`]). It connects ambiguous faces in the same way as the source
-//! ([`junctions`]) and closes the object at the border ([`cap`]). [`keep`] drops parts,
-//! [`topology`] counts the parts of the result, and [`run`] is the program. [`materials`] computes
-//! one field for each of several materials. [`input`] rejects labels for a scan and iso values for
-//! a label map.
+//! ([`ambiguous_faces`]) and closes the object at the border ([`cap`]). [`keep`] drops parts, and
+//! [`topology`] counts the parts of the result. [`materials`] computes one field for each of
+//! several materials. [`run`] is the program and [`args`] contains its options. [`input`] rejects
+//! labels for a scan and iso values for a label map.
 
 pub mod ambiguous_faces;
+pub mod args;
 pub mod bits;
 pub mod cap;
 pub mod changes;
@@ -32,6 +33,7 @@ pub mod mask;
 pub mod materials;
 pub mod nearest;
 pub mod occupancy;
+mod report;
 pub mod run;
 pub mod runs;
 pub mod samples;

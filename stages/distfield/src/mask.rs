@@ -52,7 +52,7 @@ mod tests {
     use isoparticles_field::random::uniform;
 
     #[test]
-    fn beyond_a_cut_the_mask_is_empty_and_elsewhere_it_goes_on() {
+    fn the_padded_mask_is_empty_only_beyond_cuts() {
         let size = [6, 5, 4];
         let geometry = Geometry::axis_aligned(size, DVec3::ONE);
         let data = (0..geometry.voxel_count()).map(|n| uniform(9, 0, n as u64) < 0.5).collect();

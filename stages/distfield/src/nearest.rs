@@ -1,23 +1,22 @@
 //! Finds the nearest, or nearly the nearest, surface sample of every node. Samples propagate from
 //! node to node (a vector distance transform after Danielsson 1980).
 //!
-//! Far from the surface, many samples are about equally near, each being the nearest in a region
-//! thinner than a voxel, and propagation in few steps becomes inaccurate. The far field is
+//! Far from the surface, many samples are about equally near. The region where one of them is the
+//! nearest can be thinner than a voxel, and propagation misses such regions. The far field is
 //! therefore computed on a grid of every second node, whose nearest samples are found line by line
 //! (`envelope.rs`). Every node tests the samples of the surrounding coarse nodes. Nodes far away
 //! then take samples only from the adjacent slices. The fine grid is processed in slabs, so only
 //! the coarse grid is in memory as a whole.
 
+pub use crate::envelope::NO_SAMPLE;
 use crate::envelope::spread;
 use glam::{DVec3, Vec3};
 use isoparticles_volume::{Geometry, reverse_slices};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Marks a node without a sample.
-pub const NONE: u32 = u32::MAX;
-
-/// Ratio of the coarse spacing to the fine spacing along each axis.
+/// Ratio of the coarse spacing to the fine spacing along each axis. With 2, the coarse grid has an
+/// eighth of the nodes.
 pub(crate) const STRIDE: usize = 2;
 
 /// Nodes farther from the surface than `near` plus this many voxels (of the maximum spacing) take
@@ -27,11 +26,13 @@ pub(crate) const STRIDE: usize = 2;
 /// neighbours.
 const FAR_BEYOND: f64 = 4.0;
 
-/// Approximate number of nodes of a slab, which bounds the memory. Smaller grids form a single
-/// slab.
-const SLAB: usize = 10 << 20;
+/// Approximate number of nodes of a slab. It bounds the memory: the sample numbers of a slab take
+/// 40 MiB. Smaller grids form a single slab.
+const SLAB_NODES: usize = 10 << 20;
 
-/// Minimum number of slices in a slab.
+/// Minimum number of slices in a slab. With isotropic voxels and a band of 4 voxels, a slab
+/// computes six more slices than it returns: one before and five after its own slices. With eight
+/// slices of its own, the work is less than doubled.
 const LEAST_SLICES: usize = 8;
 
 /// The nearest samples of the nodes in a range of slices.
@@ -40,15 +41,15 @@ pub struct Slab {
     pub own: Range<usize>,
     /// Index of the first slice in `sample`: one before `own`, if there is one.
     pub first: usize,
-    /// Sample numbers of the nodes (x fastest), or [`NONE`], from slice `first` to a few slices
-    /// beyond `own`.
+    /// Sample numbers of the nodes (x fastest), or [`NO_SAMPLE`], from slice `first` to a few
+    /// slices beyond `own`.
     pub sample: Vec<u32>,
 }
 
 /// Computes the nearest sample of every node within `limit` mm of the surface, slab by slab from
-/// the first slice to the last. Nodes farther away get some sample or none. If the limit is
-/// infinite, samples up to `near` mm away are the nearest, and samples farther away are nearly the
-/// nearest.
+/// the first slice to the last. Nodes farther away have an arbitrary sample or none. If the limit
+/// is infinite, samples up to `near` mm away are the nearest, and samples farther away are nearly
+/// the nearest.
 ///
 /// `values` has one entry per node. For each slab, `visit` receives the entries of the slab's own
 /// nodes. These entries contain the squared distances (mm^2) from the nodes to their samples, or
@@ -71,14 +72,14 @@ pub fn nearest_samples(
     let plane = nx * ny;
     // a sample propagates from a corner of its cell, which may be a voxel farther away
     let ahead = (limit.min(near) / geometry.spacing.z).ceil() as usize + 1;
-    let slices = (SLAB / plane).max(LEAST_SLICES);
+    let slices = (SLAB_NODES / plane).max(LEAST_SLICES);
     let mut slab = Slab { own: 0..0, first: 0, sample: Vec::new() };
     while slab.own.end < nz {
         let own = slab.own.end..(slab.own.end + slices).min(nz);
         let first = own.start.saturating_sub(1);
         let end = (own.end + ahead).min(nz);
         slab.keep(first..own.start, plane);
-        slab.sample.resize((end - first) * plane, NONE);
+        slab.sample.resize((end - first) * plane, NO_SAMPLE);
         slab.own = own.clone();
         let part = Geometry { size: [nx, ny, end - first], ..geometry.clone() };
         let transform = Transform { geometry: &part, first, ..fine };
@@ -86,12 +87,12 @@ pub fn nearest_samples(
         let squared = &mut values[first * plane..end * plane];
         transform.measure(&slab.sample, squared);
         let mut nearest = Nearest { sample: &mut slab.sample, squared };
-        transform.offer_to_cells(&mut nearest, &by_slice);
+        transform.assign_in_cells(&mut nearest, &by_slice);
         if let Some(coarse) = &mut coarse {
             transform.take_from_coarse(&mut nearest, coarse);
-            coarse.forget_below(own.end - 1);
+            coarse.free_below(own.end - 1);
         }
-        transform.hand_on(&mut nearest);
+        transform.propagate(&mut nearest);
         values[first * plane..own.start * plane].copy_from_slice(&before);
         visit(&slab, &mut values[own.start * plane..own.end * plane]);
     }
@@ -109,7 +110,7 @@ impl Slab {
 
 /// Nearest samples of nodes (x fastest), with their squared distances.
 struct Nearest<'a> {
-    /// Number of the sample, or [`NONE`].
+    /// Number of the sample, or [`NO_SAMPLE`].
     sample: &'a mut [u32],
     /// Squared distance, mm^2; infinite where there is no sample.
     squared: &'a mut [f32],
@@ -137,7 +138,7 @@ impl Coarse {
     }
 
     /// Frees the slices that nodes of the fine grid from slice `k` on do not need.
-    fn forget_below(&mut self, k: usize) {
+    fn free_below(&mut self, k: usize) {
         let [nx, ny, nz] = self.geometry.size;
         self.sample.truncate(nz.saturating_sub(k / STRIDE) * nx * ny);
         self.sample.shrink_to_fit();
@@ -176,13 +177,13 @@ impl Transform<'_> {
             spacing: self.geometry.spacing * STRIDE as f64,
             ..self.geometry.clone()
         };
-        let mut sample = vec![NONE; geometry.voxel_count()];
+        let mut sample = vec![NO_SAMPLE; geometry.voxel_count()];
         let mut squared = vec![f32::INFINITY; geometry.voxel_count()];
         let transform = Transform { geometry: &geometry, far: f32::INFINITY, ..*self };
-        transform.offer_to_cells(&mut Nearest { sample: &mut sample, squared: &mut squared }, &transform.by_slice());
+        transform.assign_in_cells(&mut Nearest { sample: &mut sample, squared: &mut squared }, &transform.by_slice());
         spread(&geometry, self.samples, &mut sample);
         transform.measure(&sample, &mut squared);
-        transform.hand_on(&mut Nearest { sample: &mut sample, squared: &mut squared });
+        transform.propagate(&mut Nearest { sample: &mut sample, squared: &mut squared });
         drop(squared);
         reverse_slices(&mut sample, geometry.size[0] * geometry.size[1]);
         Coarse { geometry, sample }
@@ -205,22 +206,22 @@ impl Transform<'_> {
         let mut next = start.clone();
         let mut numbers = vec![0; self.samples.len()];
         for (number, &sample) in self.samples.iter().enumerate() {
-            let place = &mut next[slice(sample)];
-            numbers[*place] = number as u32;
-            *place += 1;
+            let index = &mut next[slice(sample)];
+            numbers[*index] = number as u32;
+            *index += 1;
         }
         BySlice { start, numbers }
     }
 
     /// Replaces a node's sample with that of another node if the latter is nearer. Both nodes
-    /// usually have the same sample, so `place()` computes the node's position only if the samples
-    /// differ.
+    /// usually have the same sample, so `position()` computes the node's position only if the
+    /// samples differ.
     #[inline(always)]
-    fn take(&self, place: impl Fn() -> Vec3, own: &mut (u32, f32), other: (u32, f32)) {
-        if other.0 == own.0 || other.0 == NONE || other.1 > self.limit {
+    fn take(&self, position: impl Fn() -> Vec3, own: &mut (u32, f32), other: (u32, f32)) {
+        if other.0 == own.0 || other.0 == NO_SAMPLE || other.1 > self.limit {
             return;
         }
-        let squared = place().distance_squared(self.samples[other.0 as usize]);
+        let squared = position().distance_squared(self.samples[other.0 as usize]);
         if squared < own.1 {
             *own = (other.0, squared);
         }
@@ -232,7 +233,7 @@ impl Transform<'_> {
         squared.par_chunks_mut(nx).zip(sample.par_chunks(nx)).enumerate().for_each(|(row, (squared, sample))| {
             for (i, (squared, &number)) in squared.iter_mut().zip(sample).enumerate() {
                 *squared = match number {
-                    NONE => f32::INFINITY,
+                    NO_SAMPLE => f32::INFINITY,
                     number => self.node(i, row % ny, row / ny).distance_squared(self.samples[number as usize]),
                 };
             }
@@ -240,7 +241,7 @@ impl Transform<'_> {
     }
 
     /// Tests every sample at the eight nodes of its cell.
-    fn offer_to_cells(&self, nearest: &mut Nearest, by_slice: &BySlice) {
+    fn assign_in_cells(&self, nearest: &mut Nearest, by_slice: &BySlice) {
         let [nx, ny, _] = self.geometry.size;
         nearest.chunks(nx * ny).enumerate().for_each(|(k, (sample, squared))| {
             let slice = self.first + k;
@@ -281,7 +282,7 @@ impl Transform<'_> {
     }
 
     /// Propagates samples over the grid.
-    fn hand_on(&self, nearest: &mut Nearest) {
+    fn propagate(&self, nearest: &mut Nearest) {
         self.within_planes(nearest);
         self.between_planes(nearest, true);
         self.between_planes(nearest, false);
@@ -296,10 +297,10 @@ impl Transform<'_> {
             let rows = (0..ny).map(|j| (j, j.checked_sub(1)));
             let back = (0..ny).rev().map(|j| (j, Some(j + 1).filter(|&before| before < ny)));
             for (j, before) in rows.chain(back) {
-                let mut ask = |i: usize, others: Range<usize>| {
+                let mut visit = |i: usize, others: Range<usize>| {
                     let mut own = (sample[j * nx + i], squared[j * nx + i]);
                     // a node without a sample is at infinite distance but still needs a sample
-                    if own.0 != NONE && own.1 > self.far {
+                    if own.0 != NO_SAMPLE && own.1 > self.far {
                         return;
                     }
                     for n in others {
@@ -309,11 +310,11 @@ impl Transform<'_> {
                 };
                 if let Some(before) = before {
                     let row = before * nx;
-                    (0..nx).for_each(|i| ask(i, row + i.saturating_sub(1)..row + (i + 2).min(nx)));
+                    (0..nx).for_each(|i| visit(i, row + i.saturating_sub(1)..row + (i + 2).min(nx)));
                 }
                 let row = j * nx;
-                (1..nx).for_each(|i| ask(i, row + i - 1..row + i));
-                (0..nx - 1).rev().for_each(|i| ask(i, row + i + 1..row + i + 2));
+                (1..nx).for_each(|i| visit(i, row + i - 1..row + i));
+                (0..nx - 1).rev().for_each(|i| visit(i, row + i + 1..row + i + 2));
             }
         });
     }
@@ -339,7 +340,7 @@ impl Transform<'_> {
             rows.enumerate().for_each(|(j, (sample, squared))| {
                 for i in 0..nx {
                     let mut own = (sample[i], squared[i]);
-                    let mut tried = NONE;
+                    let mut tried = NO_SAMPLE;
                     for near_j in j.saturating_sub(1)..(j + 2).min(ny) {
                         for near_i in i.saturating_sub(1)..(i + 2).min(nx) {
                             let near = near_j * nx + near_i;

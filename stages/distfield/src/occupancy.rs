@@ -137,7 +137,7 @@ mod tests {
     use glam::DVec3;
 
     #[test]
-    fn a_plane_leaves_the_share_of_each_voxel_below_it() {
+    fn occupancy_of_a_plane_is_the_share_below_it() {
         let geometry = Geometry::axis_aligned([4, 4, 8], DVec3::new(1.0, 2.0, 0.5));
         let values = (0..geometry.voxel_count()).map(|n| 10.0 * (n / 16) as f32).collect();
         for (inside, want) in

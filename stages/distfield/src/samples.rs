@@ -3,8 +3,10 @@
 //! paper, with the sign corrected). Distances are measured to these samples, and [`crate::fit`]
 //! pins the zero set of F to them.
 
+use crate::cap::BorderBox;
 use fearless_simd::{Level, dispatch};
 use glam::DVec3;
+use isoparticles_field::spline::BrickSpline;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::buckets::joined;
 use isoparticles_volume::Image;
@@ -22,19 +24,68 @@ impl<T: Fn(DVec3) -> (f64, DVec3) + Sync> ValueGradient for T {
     }
 }
 
-/// Number of samples per parallel task.
+/// The implicit function whose zero set is the surface. It is evaluated only near the surface.
+pub struct Source {
+    /// The spline whose zero set is the surface, without the cut at the border.
+    pub spline: BrickSpline,
+    /// The box that closes the object at the border, if any.
+    pub cap: Option<BorderBox>,
+}
+
+impl ValueGradient for Source {
+    /// Returns the first-order distance (mm) to the surface, cut at the border, and the gradient of
+    /// this distance. Without a box, returns the value and the gradient of the spline.
+    #[inline(always)]
+    fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
+        let (f, g) = self.spline.value_gradient(grid);
+        self.cap
+            .as_ref()
+            .map_or((f, g), |cap| cap.intersect(grid, first_order_distance(f, g.length()), g.normalize_or_zero()))
+    }
+}
+
+/// Returns the value over the slope. If the slope vanishes, returns 1e6 mm, which exceeds the size
+/// of any volume, with the sign of the value; zero counts as outside.
+#[inline(always)]
+pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
+    if slope > 1e-12 {
+        value / slope
+    } else if value < 0.0 {
+        -1e6
+    } else {
+        1e6
+    }
+}
+
+/// Number of samples per parallel task: enough that the cost of a task is negligible, and few
+/// enough that small meshes still give a task to every thread. The samples do not depend on it.
 const CHUNK: usize = 256;
 
-/// Maximum number of Newton steps per sample.
-const STEPS: usize = 12;
+/// Maximum number of Newton steps per sample. Two steps of [`LONGEST_STEP`] exceed
+/// [`MAX_PROJECTION`]. The other ten steps reach [`SURFACE_TOLERANCE`] even if each of them only
+/// divides the distance by four: 0.4 / 4^10 = 4e-7.
+const MAX_NEWTON_STEPS: usize = 12;
+
+/// Maximum length of a Newton step, in units of the minimum voxel spacing. A step from the surface
+/// of a layer one voxel thick stays below the middle of the layer (0.5), where the gradient changes
+/// its sign.
+const LONGEST_STEP: f64 = 0.4;
 
 /// A sample is on the surface if its first-order distance |f| / slope is at most this value, in
-/// units of the minimum voxel spacing.
-const TOLERANCE: f64 = 1e-6;
+/// units of the minimum voxel spacing. It is a thousandth of the tolerance of the pinned zero set
+/// (0.001, `field::PINNED`). Newton's method converges quadratically, so one step covers this
+/// factor.
+const SURFACE_TOLERANCE: f64 = 1e-6;
 
 /// Maximum distance of a sample from its start on the marching-cubes mesh, in units of the minimum
-/// voxel spacing. Beyond this distance, the sample has moved to another part of the surface.
-const REACH: f64 = 0.75;
+/// voxel spacing. The two surfaces of a layer one voxel thick are about one voxel apart, so a
+/// sample that moves farther has probably reached another part of the surface.
+const MAX_PROJECTION: f64 = 0.75;
+
+const _: () = assert!(LONGEST_STEP < 0.5 && 2.0 * LONGEST_STEP > MAX_PROJECTION, "see MAX_NEWTON_STEPS");
+
+/// Number of bisections of a grid edge. The interval is then 2^-40 = 1e-12 edges long.
+const BISECTIONS: usize = 40;
 
 /// Computes samples of the zero set of `implicit` from its marching-cubes mesh at the nodes of
 /// `image`.
@@ -69,24 +120,24 @@ pub fn surface_samples<I: ValueGradient>(implicit: &I, image: &Image<f32>, mesh:
     joined(vertices.chain(centres).collect())
 }
 
-/// Projects `start` onto the zero set. Returns `None` if the result is more than `REACH` voxels
-/// away, if the gradient vanishes, or if Newton's method does not converge. `voxel` is the minimum
-/// spacing, mm.
+/// Projects `start` onto the zero set. Returns `None` if the result is more than `MAX_PROJECTION`
+/// voxels away, if the gradient vanishes, or if Newton's method does not converge. `voxel` is the
+/// minimum spacing, mm.
 #[inline(always)]
 pub fn project<I: ValueGradient>(implicit: &I, start: DVec3, voxel: f64) -> Option<DVec3> {
     let mut p = start;
-    for _ in 0..STEPS {
+    for _ in 0..MAX_NEWTON_STEPS {
         let (f, g) = implicit.value_gradient(p);
         let slope = g.length();
         if slope.is_nan() || slope <= 1e-12 {
             return None;
         }
         let distance = f / slope;
-        if distance.abs() <= TOLERANCE * voxel {
+        if distance.abs() <= SURFACE_TOLERANCE * voxel {
             return Some(p);
         }
-        p -= g / slope * distance.clamp(-0.4 * voxel, 0.4 * voxel);
-        if p.distance(start) > REACH * voxel {
+        p -= g / slope * distance.clamp(-LONGEST_STEP * voxel, LONGEST_STEP * voxel);
+        if p.distance(start) > MAX_PROJECTION * voxel {
             return None;
         }
     }
@@ -109,7 +160,7 @@ fn bisect_edge<I: ValueGradient>(implicit: &I, image: &Image<f32>, v: DVec3) -> 
         // an extra vertex within a cell, or an edge whose end is on the surface up to rounding
         return v;
     }
-    for _ in 0..40 {
+    for _ in 0..BISECTIONS {
         let middle = 0.5 * (low + high);
         if (implicit.value_gradient(middle).0 < 0.0) == inside {
             low = middle;

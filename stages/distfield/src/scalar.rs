@@ -7,7 +7,8 @@
 
 use crate::cap::BorderBox;
 use crate::crop::{CutFaces, VoxelBox};
-use crate::field::{Demands, LeastDistances, Redistanced, Source, first_order_distance, redistance};
+use crate::field::{Demands, LeastDistances, Redistanced, redistance};
+use crate::samples::{Source, first_order_distance};
 use crate::{Border, Inside, Keep};
 use fearless_simd::{Level, dispatch};
 use glam::DVec3;
@@ -19,8 +20,9 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Minimum |F| at a node, in units of the minimum voxel spacing. Nodes equal to the iso value get
-/// this value and are outside.
-const CLEARANCE: f64 = 1e-3;
+/// this value and are outside. It equals the tolerance of the pinned zero set (`field::PINNED`): at
+/// a smaller distance, the side of a node would be arbitrary.
+const LEAST_NODE_DISTANCE: f64 = 1e-3;
 
 /// Options for computing F from an isosurface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,7 +64,7 @@ pub fn from_voxels(
 ) -> Result<Redistanced> {
     let mut input = Input { voxels, geometry, iso, inside: options.inside, scale: 1.0, padding: 0 };
     input.scale = power_of_two_below_inverse(input.check()?);
-    input.redistance(CLEARANCE, options, &Demands::default(), monitor)
+    input.redistance(LEAST_NODE_DISTANCE, options, &Demands::default(), monitor)
 }
 
 /// Computes F from a level set sampled at voxels. Values are positive inside and may be positive
@@ -83,7 +85,7 @@ pub(crate) fn from_level(
     let Image { geometry, data } = level;
     let voxels = Voxels::F32(data);
     let input = Input { voxels, geometry, iso: 0.0, inside: Inside::Above, scale: 1.0, padding };
-    input.redistance(clearance.max(CLEARANCE), options, demands, monitor)
+    input.redistance(clearance.max(LEAST_NODE_DISTANCE), options, demands, monitor)
 }
 
 /// Checks the voxels and the iso value like [`from_voxels`]. Returns the volume and the bounding
@@ -122,7 +124,7 @@ fn power_of_two_below_inverse(range: f64) -> f64 {
 
 impl Input {
     /// Computes F. Its absolute value is at least `clearance` voxels at voxel centres and at nodes
-    /// beyond a closed border, and at least [`CLEARANCE`] at nodes beyond an open border.
+    /// beyond a closed border, and at least [`LEAST_NODE_DISTANCE`] at nodes beyond an open border.
     fn redistance(
         mut self,
         clearance: f64,
@@ -136,7 +138,7 @@ impl Input {
         let (nodes, source) = self.source(options);
         drop(step);
         let voxel = nodes.geometry.min_spacing();
-        let beyond = if options.border == Border::Cap { clearance } else { CLEARANCE };
+        let beyond = if options.border == Border::Cap { clearance } else { LEAST_NODE_DISTANCE };
         let [within, beyond] = [clearance, beyond].map(|least| (least * voxel) as f32);
         let [px, py, _] = nodes.geometry.size;
         let at = move |n: usize| {

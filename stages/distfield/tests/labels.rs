@@ -240,7 +240,7 @@ fn flat_faces_and_caps_stay_flat() {
 
 /// The object consists of a ball, a smaller ball, and two single voxels.
 #[test]
-fn small_parts_are_dropped_and_told() {
+fn small_parts_are_dropped_and_reported() {
     let mask = sampled([30, 20, 20], DVec3::ONE, |p| {
         let in_ball = |x: f64, r: f64| p.distance(DVec3::new(x, 9.0, 9.0)) <= r;
         in_ball(8.0, 6.0) || in_ball(22.0, 3.0) || p == DVec3::new(28.0, 2.0, 2.0) || p == DVec3::new(2.0, 17.0, 17.0)
@@ -271,7 +271,7 @@ fn small_parts_are_dropped_and_told() {
 }
 
 #[test]
-fn parts_at_an_open_border_count_their_own_voxels_alone() {
+fn parts_at_an_open_border_count_only_their_voxels() {
     let block = |p: DVec3, low: [f64; 3], high: [f64; 3]| {
         p.cmpge(DVec3::from_array(low) - 0.5).all() && p.cmplt(DVec3::from_array(high) - 0.5).all()
     };

@@ -147,7 +147,7 @@ impl Made {
 }
 
 #[test]
-fn every_voxel_centre_keeps_its_material_whatever_touches() {
+fn every_voxel_centre_keeps_its_material() {
     let within = |at: [usize; 3], low: usize, high: usize| at.iter().all(|n| (low..high).contains(n));
     type Labels = Box<dyn Fn([usize; 3]) -> u8>;
     let cases: [(&str, Labels); 7] = [
@@ -341,7 +341,7 @@ fn a_scale_preserves_volumes_of_materials_far_from_outside() {
 }
 
 #[test]
-fn lost_parts_of_each_material_are_warned_of_with_their_volume() {
+fn lost_parts_of_each_material_are_reported_with_their_volume() {
     let folder = tempfile::tempdir().expect("folder");
     let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
     let (input, output, report) = (at("in.nrrd"), at("out.vti"), at("report.json"));
@@ -401,7 +401,7 @@ fn scale_for_vertices_uses_the_area_of_all_interfaces() {
 }
 
 #[test]
-fn one_material_at_a_scale_is_what_one_object_is() {
+fn one_material_at_a_scale_equals_one_object() {
     let folder = tempfile::tempdir().expect("folder");
     let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
     let input = at("in.nrrd");
@@ -544,7 +544,7 @@ fn materials_file_reads_back_for_any_number_of_threads() {
 }
 
 #[test]
-fn what_cannot_be_meant_is_refused() {
+fn invalid_material_choices_are_rejected() {
     let folder = tempfile::tempdir().expect("folder");
     let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
     let (input, output) = (at("in.nrrd"), at("out.vti"));

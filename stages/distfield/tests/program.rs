@@ -32,7 +32,7 @@ fn radius(i: usize, j: usize, k: usize) -> f32 {
 }
 
 #[test]
-fn a_volume_becomes_a_field_with_its_story() {
+fn a_volume_gives_a_field_with_history() {
     let folder = tempfile::tempdir().expect("folder");
     let (input, output) = (folder.path().join("in.nrrd"), folder.path().join("f.vti"));
     write_nrrd(&input, [13, 13, 13], |i, j, k| 10.0 - radius(i, j, k));
@@ -58,7 +58,7 @@ fn a_volume_becomes_a_field_with_its_story() {
 }
 
 #[test]
-fn labels_come_to_the_same_bytes_on_any_number_of_threads() {
+fn labels_give_the_same_bytes_on_any_number_of_threads() {
     let folder = tempfile::tempdir().expect("folder");
     let input = folder.path().join("in.nrrd");
     // a ball and a separate voxel, on more nodes than one task processes
@@ -76,7 +76,7 @@ fn labels_come_to_the_same_bytes_on_any_number_of_threads() {
 }
 
 #[test]
-fn a_scale_of_nothing_changes_nothing_and_a_chosen_one_says_why() {
+fn scale_zero_changes_nothing_and_a_chosen_scale_has_a_reason() {
     let folder = tempfile::tempdir().expect("folder");
     let input = folder.path().join("in.nrrd");
     write_nrrd(&input, [40, 40, 40], |i, j, k| if [i, j, k].iter().all(|n| (9..30).contains(n)) { 1.0 } else { 0.0 });

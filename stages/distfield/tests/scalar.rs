@@ -151,7 +151,7 @@ fn shift_within(result: &Redistanced, image: &Image<f32>, inset: f64) -> (f64, f
 }
 
 #[test]
-fn noise_leaves_the_zero_set_where_it_was() {
+fn noise_does_not_move_the_zero_set() {
     let noisy = |p: DVec3| {
         let counter = (p.x + 100.0 * p.y + 10_000.0 * p.z) as u64;
         (9.0 - p.distance(DVec3::splat(15.2)) + 1.5 * (isoparticles_field::random::uniform(3, 0, counter) - 0.5)) as f32
@@ -191,7 +191,7 @@ fn a_cylinder_is_closed_at_the_border() {
 }
 
 #[test]
-fn an_iso_value_that_voxels_take_simply_works() {
+fn voxels_equal_to_the_iso_value_are_handled() {
     // integer values, many of them equal to the iso value
     let image = sampled([21, 21, 21], DVec3::ONE, |p| (20.0 - (p - DVec3::splat(10.0)).length()).round() as f32);
     assert!(image.data.iter().filter(|v| **v == 13.0).count() > 300);

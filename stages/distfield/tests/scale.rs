@@ -76,7 +76,7 @@ fn a_small_part_keeps_its_own_volume_beside_a_large_one() {
 }
 
 #[test]
-fn parts_that_go_or_join_are_named_with_their_place() {
+fn lost_and_merged_parts_are_reported_with_their_position() {
     let pair = |gap: f64| {
         let (a, b) = (DVec3::new(14.0, 16.0, 16.0), DVec3::new(34.0 + gap, 16.0, 16.0));
         let speck = DVec3::new(24.0, 28.0, 28.0);
@@ -97,7 +97,7 @@ fn parts_that_go_or_join_are_named_with_their_place() {
 }
 
 #[test]
-fn thin_parts_stay_where_they_are_to_be_kept() {
+fn keep_thin_preserves_a_thin_rod() {
     let (centre, axis) = (DVec3::new(14.0, 18.0, 18.0), DVec3::new(44.0, 18.0, 18.0));
     let inside = sampled([64, 36, 36], DVec3::ONE, |p| {
         (p - centre).length() < 9.0 || (p.y - axis.y).hypot(p.z - axis.z) < 2.8 && (p.x - axis.x).abs() < 14.0
@@ -117,7 +117,7 @@ fn thin_parts_stay_where_they_are_to_be_kept() {
 }
 
 #[test]
-fn a_scalar_volume_goes_the_way_of_labels() {
+fn a_scalar_ball_keeps_its_radius_at_a_scale() {
     let centre = DVec3::splat(20.2);
     let ball = |p: DVec3| 13.0 - (p - centre).length();
     // bright metal and a dark hole away from the object have no effect
@@ -137,7 +137,7 @@ fn a_scalar_volume_goes_the_way_of_labels() {
 }
 
 #[test]
-fn the_edge_length_is_that_of_the_area() {
+fn edge_length_matches_the_area_of_a_ball() {
     let centre = DVec3::new(30.0, 30.0, 30.0);
     let ball = Occupancy::of_mask(&Mask::from(&sampled([40, 40, 60], DVec3::new(1.5, 1.5, 1.0), |p| {
         (p - centre).length() < 22.0

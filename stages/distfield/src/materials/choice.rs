@@ -102,13 +102,7 @@ pub fn resolve(choices: &[MaterialChoice], volume: &Volume) -> Result<Chosen> {
         let (name, labels) = match choice {
             MaterialChoice::All => continue,
             MaterialChoice::Named(name) => (name, vec![of_name(name, volume, &present)?]),
-            MaterialChoice::Labels(name, selections) => {
-                let mut labels = Vec::new();
-                for selection in selections {
-                    labels.extend(selection.resolve(volume)?);
-                }
-                (name, labels)
-            }
+            MaterialChoice::Labels(name, selections) => (name, of_selections(selections, volume)?),
         };
         if named.iter().any(|other| other.name == *name) {
             return Err(wrong(
@@ -138,14 +132,7 @@ pub fn resolve(choices: &[MaterialChoice], volume: &Volume) -> Result<Chosen> {
         named.push(Material { name: name.clone(), labels: own });
     }
     if choices.contains(&MaterialChoice::All) {
-        for &label in present.iter().filter(|at| at.label != 0) {
-            if number.contains_key(&label) {
-                continue;
-            }
-            let name = unused_name(label, volume, &named);
-            named.push(Material { name, labels: vec![label] });
-            number.insert(label, u16::try_from(named.len()).unwrap_or(u16::MAX));
-        }
+        add_rest(volume, &present, &mut named, &mut number);
     }
     if named.is_empty() || named.len() >= MOST_MATERIALS {
         return Err(Error::input(
@@ -157,6 +144,32 @@ pub fn resolve(choices: &[MaterialChoice], volume: &Volume) -> Result<Chosen> {
     let rest = present.iter().copied().filter(|label| !number.contains_key(label)).collect();
     let outside = Material { name: OUTSIDE.to_owned(), labels: rest };
     Ok(Chosen { table: std::iter::once(outside).chain(named).collect(), number })
+}
+
+/// Adds one material for each label except 0 that no material contains.
+fn add_rest(
+    volume: &Volume,
+    present: &[LayerLabel],
+    named: &mut Vec<Material>,
+    number: &mut BTreeMap<LayerLabel, u16>,
+) {
+    for &label in present.iter().filter(|at| at.label != 0) {
+        if number.contains_key(&label) {
+            continue;
+        }
+        let name = unused_name(label, volume, named);
+        named.push(Material { name, labels: vec![label] });
+        number.insert(label, u16::try_from(named.len()).unwrap_or(u16::MAX));
+    }
+}
+
+/// Returns the labels of all selections.
+fn of_selections(selections: &[Selection], volume: &Volume) -> Result<Vec<LayerLabel>> {
+    let mut labels = Vec::new();
+    for selection in selections {
+        labels.extend(selection.resolve(volume)?);
+    }
+    Ok(labels)
 }
 
 /// Returns the label with this name in the file, if at least one voxel has the label.
@@ -247,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told_with_what_is_there() {
+    fn errors_name_what_the_volume_contains() {
         for (choices, what, next) in [
             (&["a=8"][..], "no voxel has the label 8", "2 'left lung'"),
             (&["a=1", "a=2"], "the name 'a' is already used", "a=1"),

@@ -25,10 +25,11 @@ use rayon::prelude::*;
 /// Accuracy required of each indicator.
 ///
 /// Distances are needed up to 7 voxels: an indicator is known two to three voxels from its zero
-/// set, plus a brick of four cells. Fewer conjugate-gradient steps than for a single object
-/// suffice: interfaces lie where two indicators are equal, between their zero sets, so the zero
-/// sets need not be pinned to full precision. `brain_parcellation` takes 165 s of processor time
-/// with 160 steps, as for a single object, and 89 s with 40 steps.
+/// set, plus a brick of four cells. The tolerance is half that of a single object, because the
+/// deviations of two indicators add up at their interface. Fewer conjugate-gradient steps than for
+/// a single object suffice: an interface lies between the zero sets of its two indicators.
+/// `brain_parcellation` takes 165 s of processor time with 160 steps, as for a single object, and
+/// 89 s with 40 steps.
 const DEMANDS: Demands = Demands { limit: 7.0, pinned: 0.0005, pin_steps: 40 };
 
 /// Options for computing indicators from labels.
@@ -118,28 +119,21 @@ pub fn extract(
     for id in std::iter::once(0).chain(order) {
         monitor.check()?;
         let extent = if id == 0 { all } else { extents[id] };
-        let name = &chosen.table[id].name;
         let no_outside = id == 0 && grid.border == Border::Open && all.count == grid.numbers.len();
-        let (indicator, negative) = if no_outside {
+        made[id] = Some(if no_outside {
             (Indicator::constant(false), Vec::new())
         } else {
-            let one = One { grid, id: MaterialId(id as u16), extent };
-            let made = match (&levels, options.scale) {
-                // an outside without voxels is the space beyond the volume, at any scale
-                (Some(levels), Some(scale)) if extents[id].count > 0 => one.scaled(levels, scale, &Quiet(monitor)),
-                _ => one.make(options, &Quiet(monitor)).map(|(own, tally)| (Some(own), one.kept().low, tally)),
-            };
-            let (own, first, tally) =
-                made.map_err(|error| Error { what: format!("material '{name}': {}", error.what), ..error })?;
+            let one = OneMaterial { grid, id: MaterialId(id as u16), extent };
+            // an outside without voxels is the space beyond the volume, at any scale
+            let scaled = levels.as_ref().zip(options.scale).filter(|_| extents[id].count > 0);
+            let (indicator, tally) = one.indicator(scaled, options, &Quiet(monitor)).map_err(|error| Error {
+                what: format!("material '{}': {}", chosen.table[id].name, error.what),
+                ..error
+            })?;
             tallies[id] = tally;
-            match own {
-                Some(own) => Indicator::new(&own, first, padded.size, id == 0),
-                // nothing is left of the material, or of the union of all other materials
-                None => (Indicator::constant(id == 0), Vec::new()),
-            }
-        };
+            indicator
+        });
         tallies[id].voxels = extents[id].count;
-        made[id] = Some((indicator, negative));
         progress.add(1);
     }
     let table = chosen.table.iter().cloned().zip(made);
@@ -159,13 +153,37 @@ pub fn extract(
 
 /// A material whose indicator is computed. The outside is computed as the complement of the union
 /// of all other materials, so a volume with one material has one indicator and its negative.
-struct One<'a> {
+struct OneMaterial<'a> {
     grid: &'a LabelGrid,
     id: MaterialId,
     extent: Extent,
 }
 
-impl One<'_> {
+impl OneMaterial<'_> {
+    /// Computes the indicator, the bricks where it is negative throughout, and its tally. `scaled`
+    /// contains the level sets and the scale, if there is one.
+    fn indicator(
+        &self,
+        scaled: Option<(&Levels, Scale)>,
+        options: &MaterialOptions,
+        monitor: &dyn Monitor,
+    ) -> Result<((Indicator, Vec<u32>), Tally)> {
+        let is_outside = self.id == MaterialId::OUTSIDE;
+        let (own, first, tally) = match scaled {
+            Some((levels, scale)) => self.scaled(levels, scale, monitor)?,
+            None => {
+                let (own, tally) = self.make(options, monitor)?;
+                (Some(own), self.kept().low, tally)
+            }
+        };
+        let indicator = match own {
+            Some(own) => Indicator::new(&own, first, self.grid.padded().size, is_outside),
+            // nothing is left of the material, or of the union of all other materials
+            None => (Indicator::constant(is_outside), Vec::new()),
+        };
+        Ok((indicator, tally))
+    }
+
     /// Returns the box to compute: the bounding box of the voxels, enlarged by the reach of their
     /// smoothed occupancy.
     fn kept(&self) -> VoxelBox {
@@ -185,7 +203,7 @@ impl One<'_> {
         let Some(Redistanced { mut field, parts_before, parts_after, undecided, .. }) = result else {
             return Ok((None, first, Tally::default()));
         };
-        self.turn(&mut field);
+        self.negate_if_outside(&mut field);
         // the parts of the voxels, not of the smoothed object
         let components = changes.as_ref().map_or(parts_before.components, |changes| changes.components[0]);
         let before = Parts { components, ..parts_before };
@@ -193,13 +211,14 @@ impl One<'_> {
         Ok((Some(field), first, tally))
     }
 
-    /// Negates the field of the outside, which was computed from the union of all other materials.
-    fn turn(&self, field: &mut Image<f32>) {
+    /// Negates the field of the outside, which is computed from the union of all other materials.
+    fn negate_if_outside(&self, field: &mut Image<f32>) {
         if self.id == MaterialId::OUTSIDE {
             field.data.par_iter_mut().for_each(|f| *f = -*f);
         }
     }
 
+    /// Computes the indicator without a scale.
     fn make(&self, options: &MaterialOptions, monitor: &dyn Monitor) -> Result<(Image<f32>, Tally)> {
         let kept = self.kept();
         let (size, id, numbers) = (kept.size(), self.id.0, &self.grid.numbers);
@@ -224,7 +243,7 @@ impl One<'_> {
         };
         let result = from_mask_with(mask, gives_way, &options, &DEMANDS, monitor)?;
         let Redistanced { mut field, parts_before, parts_after, changed, undecided, .. } = result;
-        self.turn(&mut field);
+        self.negate_if_outside(&mut field);
         let parts = [parts_before, parts_after];
         Ok((field, Tally { voxels: 0, parts, changed: changed.unwrap_or(0), undecided, changes: None }))
     }

@@ -18,7 +18,7 @@ pub struct Islands {
     pub material: MaterialId,
     /// Name of the material.
     pub name: String,
-    /// Whether the material had only islands and was removed.
+    /// True if the material had only islands and was removed.
     #[serde(rename = "all")]
     pub is_all: bool,
     /// Number of islands.
@@ -70,7 +70,7 @@ pub fn remove_islands(grid: &mut LabelGrid, table: &mut Vec<Material>, least: us
 fn remove_outermost(grid: &mut LabelGrid, least: usize, found: &mut BTreeMap<u16, Islands>) -> bool {
     let (runs, start) = runs(grid);
     let [nx, ny, _] = grid.geometry.size;
-    // the preceding rows along y and z, so that each pair of rows is visited once
+    // only the preceding rows along y and z: each pair of rows is visited once
     let neighbours =
         |row: usize| [(!row.is_multiple_of(ny)).then(|| row - 1), row.checked_sub(ny)].into_iter().flatten();
     let mut sets = DisjointSets::new(runs.len());
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn islands_go_to_the_material_they_share_the_most_faces_with() {
+    fn islands_go_to_the_material_with_the_most_shared_faces() {
         // single voxels: 1 in the outside, 2 in 1, and the outside in 1, between 1 and 2, and at
         // the end of 1
         let (mut given, mut table) = grid(&["...1....", "111.1122", "12111.22", "1111111."]);

@@ -8,10 +8,12 @@ use super::grid::LabelGrid;
 use super::islands::remove_islands;
 use super::scaled::edge_length;
 use super::survey::{Survey, distance_limit, survey};
-use crate::changes::{Changes, Kind, SPECKS};
+use crate::args::Args;
+use crate::changes::{Changes, Kind, SPECK_SHARE};
 use crate::crop::VoxelBox;
+use crate::input::take_out;
 use crate::labels::LABEL_ROOM;
-use crate::run::{Args, SCALED_VOLUME_LIMITS, VOLUME_LIMITS, take_out, tell_grid};
+use crate::report::{SCALED_VOLUME_LIMITS, VOLUME_LIMITS, tell_grid};
 use crate::scale::{Scale, room_round};
 use crate::{Border, Keep};
 use isoparticles_field::materials::{MaterialId, Materials};
@@ -24,10 +26,10 @@ use serde_json::{Map, Value, json};
 use std::path::Path;
 
 /// Maximum number of materials and of pairs in the closing table. The report contains all of them.
-const SHOWN: usize = 12;
+const MOST_ROWS: usize = 12;
 
 /// Maximum number of names listed in a warning or a failed check.
-const NAMED: usize = 3;
+const MOST_NAMES: usize = 3;
 
 /// Computes the indicators of the chosen materials and writes them.
 ///
@@ -64,18 +66,7 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     context.report("voxels_changed", changed);
     context.report("state_bytes", materials.bytes());
     describe(&materials, &tallies, &found, context);
-    let ContactReport { crossed, undecided, raised, left, near } = contacts;
-    context.summary(
-        "contacts to correct, open decisions",
-        format!("{crossed}, {undecided} ({raised} samples raised, {near} margins still too small)"),
-    );
-    context.report("contacts", json!(contacts));
-    if left > 0 {
-        context.warn(format!(
-            "at {left} places between grid nodes, the indicators select a material that none of the nodes has; raising \
-             samples did not correct this"
-        ));
-    }
+    tell_contacts(contacts, context);
     if let Some(scale) = scale {
         tell_changes(&materials, &tallies, scale, context);
     }
@@ -102,6 +93,22 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     Ok(Outcome::from_failed_checks(failed))
 }
 
+/// Reports the corrections where several materials meet. Warns if some could not be made.
+fn tell_contacts(contacts: ContactReport, context: &Context) {
+    let ContactReport { crossed, undecided, raised, left, near } = contacts;
+    context.summary(
+        "contacts to correct, open decisions",
+        format!("{crossed}, {undecided} ({raised} samples raised, {near} margins still too small)"),
+    );
+    context.report("contacts", json!(contacts));
+    if left > 0 {
+        context.warn(format!(
+            "at {left} places between grid nodes, the indicators select a material that none of the nodes has; raising \
+             samples did not correct this"
+        ));
+    }
+}
+
 /// Merges islands into the surrounding materials and reports the islands.
 fn remove_small(grid: &mut LabelGrid, chosen: &mut Chosen, least: usize, context: &Context) {
     if least < 2 {
@@ -121,8 +128,8 @@ fn remove_small(grid: &mut LabelGrid, chosen: &mut Chosen, least: usize, context
     ));
     let gone: Vec<&str> = found.iter().filter(|own| own.is_all).map(|own| own.name.as_str()).collect();
     if !gone.is_empty() {
-        let more = if gone.len() > NAMED { ", ..." } else { "" };
-        let named = gone[..gone.len().min(NAMED)].join(", ");
+        let more = if gone.len() > MOST_NAMES { ", ..." } else { "" };
+        let named = gone[..gone.len().min(MOST_NAMES)].join(", ");
         context.warn(format!(
             "{} materials consisted of such islands only and were removed: {named}{more}; to keep them, lower the \
              number in DISTFIELD_OPTIONS=\"--smallest-island VOXELS\"",
@@ -213,7 +220,7 @@ fn describe(materials: &Materials, tallies: &[Tally], found: &Survey, context: &
     let mut order: Vec<usize> = (1..tallies.len()).collect();
     order.sort_by_key(|&id| (std::cmp::Reverse(tallies[id].voxels), id));
     context.summary("number of materials", format!("{} and the outside", order.len()));
-    for &id in order.iter().take(SHOWN) {
+    for &id in order.iter().take(MOST_ROWS) {
         let (tally, before) = (&tallies[id], tallies[id].voxels as f64 * voxel);
         let told = format!(
             "{} voxels, {before:.6e} -> {:.6e} mm^3 ({:+.2} %), {} -> {} components",
@@ -228,7 +235,7 @@ fn describe(materials: &Materials, tallies: &[Tally], found: &Survey, context: &
     let mut pairs: Vec<_> = found.interfaces.iter().collect();
     pairs.sort_by(|a, b| b.area.total_cmp(&a.area));
     context.summary("pairs of materials in contact", pairs.len());
-    for pair in pairs.into_iter().take(SHOWN) {
+    for pair in pairs.into_iter().take(MOST_ROWS) {
         let [a, b] = pair.materials.map(|id| name(id.index()));
         context.summary(format!("  {a} | {b}"), format!("{:.6e} mm^2", pair.area));
     }
@@ -289,8 +296,8 @@ fn tell_changes(materials: &Materials, tallies: &[Tally], scale: Scale, context:
     tell_losses(losses, &at_scale, context);
 }
 
-/// Warns about the losses of each material at a scale. Losses below the fraction [`SPECKS`] of a
-/// material are combined in one warning.
+/// Warns about the losses of each material at a scale. Losses below the fraction [`SPECK_SHARE`] of
+/// a material are combined in one warning.
 fn tell_losses(losses: Vec<(&str, &Changes)>, at_scale: &str, context: &Context) {
     let mut specks = Vec::new();
     for (name, changes) in losses {
@@ -299,7 +306,7 @@ fn tell_losses(losses: Vec<(&str, &Changes)>, at_scale: &str, context: &Context)
         let lost = counted.map(|(count, what)| format!("{count} {what}")).collect::<Vec<_>>().join(" and ");
         let told = format!("{lost}, {:.4} mm^3", changes.lost());
         let share = changes.lost() / changes.volume_before;
-        if share < SPECKS {
+        if share < SPECK_SHARE {
             specks.push((changes.lost(), format!("'{name}' {told}")));
         } else {
             let percent = 100.0 * share;
@@ -312,11 +319,11 @@ fn tell_losses(losses: Vec<(&str, &Changes)>, at_scale: &str, context: &Context)
         return;
     }
     specks.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let named: Vec<&str> = specks.iter().take(SHOWN).map(|(_, told)| told.as_str()).collect();
+    let named: Vec<&str> = specks.iter().take(MOST_ROWS).map(|(_, told)| told.as_str()).collect();
     let rest = &specks[named.len()..];
     let volume: f64 = rest.iter().map(|(volume, _)| volume).sum();
     let more = if rest.is_empty() { String::new() } else { format!("; {} more, {volume:.4} mm^3", rest.len()) };
-    let (percent, named) = (100.0 * SPECKS, named.join("; "));
+    let (percent, named) = (100.0 * SPECK_SHARE, named.join("; "));
     context.warn(format!("{at_scale} specks are lost (less than {percent:.1} % of each material): {named}{more}"));
 }
 
@@ -337,8 +344,8 @@ fn failed_at_scale(materials: &Materials, tallies: &[Tally], found: &Survey) -> 
 }
 
 fn listed(names: &[String]) -> String {
-    let more = if names.len() > NAMED { ", ..." } else { "" };
-    format!("{}{more}", names[..names.len().min(NAMED)].join(", "))
+    let more = if names.len() > MOST_NAMES { ", ..." } else { "" };
+    format!("{}{more}", names[..names.len().min(MOST_NAMES)].join(", "))
 }
 
 /// Returns the failed checks of a run without a scale. The method is designed to pass these checks.

@@ -1,14 +1,14 @@
 //! Applies `--scale` to several materials. The occupancy of each material is smoothed, and a level
-//! set preserves its local volume, as for a single object ([`crate::scale`]). Comparing how far
-//! each material exceeds its level assigns every position to one material, without gaps or
-//! overlaps.
+//! set preserves its local volume, as for a single object ([`crate::scale`]). A comparison of how
+//! far the materials exceed their levels then assigns every position to one material, without gaps
+//! or overlaps.
 //!
 //! Where only two materials are near, their occupancies sum to one, and so do their levels: both
-//! give the same surface as a single object. Where three materials meet, each has a different
-//! border. A corner of a material is rounded, and its level there is far from 1/2. A straight
-//! border where two other materials meet is unchanged, and its level is 1/2. Between two materials,
-//! the border whose level is closer to 1/2 therefore has more weight. The outer border of an organ
-//! of several materials is then as smooth as that of a single material.
+//! give the same surface as a single object. Where three materials meet, their borders differ. A
+//! corner of a material is rounded, and its level there is far from 1/2. A straight border where
+//! two other materials meet is unchanged, and its level is 1/2. Between two materials, the border
+//! whose level is closer to 1/2 therefore has more weight. The outer border of an organ of several
+//! materials is then as smooth as that of a single material.
 
 use super::grid::{Extent, LabelGrid};
 use crate::bits::{Bits, Numbering};
@@ -33,15 +33,16 @@ use rayon::prelude::*;
 const UNIT: f32 = i16::MAX as f32;
 
 /// Value where a material is absent, and of parts that are too small for the scale.
-const NOWHERE: i16 = i16::MIN;
+const ABSENT: i16 = i16::MIN;
 
 /// A third material counts as near above this value. At a level of 1/2, its smoothed occupancy is
 /// then above 0.01, and the values of the other two materials are no longer the negatives of each
 /// other.
-const IS_NEAR: i16 = -((0.49 * UNIT) as i16);
+const NEAR_VALUE: i16 = -((0.49 * UNIT) as i16);
 
-/// Maximum number of materials stored at a voxel where more than two are near.
-const MOST: usize = 4;
+/// Maximum number of materials stored at a voxel where more than two are near. Interfaces in
+/// general position meet four at a time, at junction points.
+const MOST_NEAR: usize = 4;
 
 /// Deviation of the level from 1/2 that counts as a rounded border. For comparison, the level is
 /// 0.3 at a right-angled edge and 0.43 on a ball with a radius of six standard deviations.
@@ -50,7 +51,7 @@ const MOST: usize = 4;
 /// (root mean square, away from the edges). The deviation is 2.2 degrees if both borders have equal
 /// weight, and 0.7 degrees if the ball is a single object (test
 /// `a_scale_keeps_the_volumes_of_all_and_smooths_their_borders`).
-const ROUNDED: f32 = 0.1;
+const ROUNDED_DEVIATION: f32 = 0.1;
 
 /// A material at a voxel.
 #[derive(Clone, Copy)]
@@ -62,15 +63,16 @@ struct Share {
     off: u8,
 }
 
-const NOBODY: Share = Share { material: u16::MAX, above: NOWHERE, off: 0 };
+/// Entry of [`Levels::near`] without a material.
+const NO_SHARE: Share = Share { material: u16::MAX, above: ABSENT, off: 0 };
 
 /// Returns the border function of two materials, which is positive in the first material.
 fn between(a: Share, b: Share) -> f32 {
     // weight of the first material, from the squared deviations of both levels in units of
-    // `ROUNDED`
-    let off = |share: Share| (f32::from(share.off) / 255.0 / ROUNDED).powi(2);
-    let say = 1.0 / (1.0 + (off(a) - off(b)).exp());
-    (say * f32::from(a.above) - (1.0 - say) * f32::from(b.above)) / UNIT
+    // `ROUNDED_DEVIATION`
+    let off = |share: Share| (f32::from(share.off) / 255.0 / ROUNDED_DEVIATION).powi(2);
+    let weight = 1.0 / (1.0 + (off(a) - off(b)).exp());
+    (weight * f32::from(a.above) - (1.0 - weight) * f32::from(b.above)) / UNIT
 }
 
 /// The smoothed occupancy of a material minus the level that preserves its volume, in a box around
@@ -109,9 +111,9 @@ pub struct Levels<'a> {
     levels: Vec<Level>,
     highest: Vec<Highest>,
     /// The voxels where more than two materials are near. For each of these voxels, `near` contains
-    /// up to [`MOST`] of the materials in descending order of their values.
+    /// up to [`MOST_NEAR`] of the materials in descending order of their values.
     several: Numbering,
-    near: Vec<[Share; MOST]>,
+    near: Vec<[Share; MOST_NEAR]>,
 }
 
 /// The indicator of one material at a scale.
@@ -131,7 +133,7 @@ impl<'a> Levels<'a> {
     /// If there are too many runs of voxels to label the parts of a material, or the run is
     /// interrupted.
     pub fn new(grid: &'a LabelGrid, extents: &[Extent], scale: Scale, monitor: &dyn Monitor) -> Result<Self> {
-        let nothing = Highest { material: 0, above: [NOWHERE; 3] };
+        let nothing = Highest { material: 0, above: [ABSENT; 3] };
         let highest = vec![nothing; grid.numbers.len()];
         let several = Numbering::new(Bits::none(grid.numbers.len()));
         let mut new = Self { grid, levels: Vec::new(), highest, several, near: Vec::new() };
@@ -141,8 +143,7 @@ impl<'a> Levels<'a> {
             let level = if extent.count == 0 {
                 Level { first: [0; 3], size: [0; 3], above: Vec::new(), off: Vec::new() }
             } else {
-                // the indicator of the outside is computed from all other materials, wherever they
-                // are
+                // the outside is the complement of all other materials, which can be anywhere
                 let whole = Extent { low: [0; 3], high: grid.geometry.size.map(|n| n - 1), count: extent.count };
                 smoothed(grid, MaterialId(id as u16), if id == 0 { &whole } else { extent }, scale)
             };
@@ -165,7 +166,7 @@ impl<'a> Levels<'a> {
     fn compare(&mut self) {
         let Self { grid, levels, highest, several, near } = self;
         let size = grid.geometry.size;
-        highest.par_iter_mut().for_each(|highest| highest.above = [NOWHERE; 3]);
+        highest.par_iter_mut().for_each(|highest| highest.above = [ABSENT; 3]);
         for (id, level) in levels.iter().enumerate() {
             for (to, from) in level.rows(size) {
                 for (highest, &value) in highest[to..].iter_mut().zip(&level.above[from..][..level.size[0]]) {
@@ -178,17 +179,17 @@ impl<'a> Levels<'a> {
                 }
             }
         }
-        *several = Numbering::new(Bits::of(highest.len(), |n| highest[n].above[2] > IS_NEAR));
-        *near = vec![[NOBODY; MOST]; several.count];
+        *several = Numbering::new(Bits::of(highest.len(), |n| highest[n].above[2] > NEAR_VALUE));
+        *near = vec![[NO_SHARE; MOST_NEAR]; several.count];
         for (id, level) in levels.iter().enumerate() {
             for (in_grid, in_box) in level.rows(size) {
                 several.each(in_grid..in_grid + level.size[0], |n, number| {
                     let at = in_box + n - in_grid;
                     let share = Share { material: id as u16, above: level.above[at], off: level.off[at] };
                     let near = &mut near[number];
-                    if let Some(place) = near.iter().position(|other| share.above > other.above) {
-                        near[place..].rotate_right(1);
-                        near[place] = share;
+                    if let Some(index) = near.iter().position(|other| share.above > other.above) {
+                        near[index..].rotate_right(1);
+                        near[index] = share;
                     }
                 });
             }
@@ -200,7 +201,7 @@ impl<'a> Levels<'a> {
     fn above_others(&self, voxel: usize, own: Share) -> f32 {
         if let Some(number) = self.several.find(voxel) {
             let others =
-                self.near[number].iter().filter(|other| other.material != own.material && other.above > NOWHERE);
+                self.near[number].iter().filter(|other| other.material != own.material && other.above > ABSENT);
             return others.map(|&other| between(own, other)).fold(1.0, f32::min);
         }
         let Highest { material, above: [first, second, _] } = self.highest[voxel];
@@ -231,7 +232,7 @@ impl<'a> Levels<'a> {
         let level = &mut self.levels[id];
         level.above.par_iter_mut().zip(before.par_iter().zip(&after)).for_each(|(value, (before, after))| {
             if before != after {
-                *value = NOWHERE;
+                *value = ABSENT;
             }
         });
         Ok(())

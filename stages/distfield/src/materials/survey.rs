@@ -55,7 +55,7 @@ pub struct Survey {
     pub volumes: Vec<f64>,
     /// The pairs of materials that touch.
     pub interfaces: Vec<Interface>,
-    /// JunctionCounts where more than two materials meet.
+    /// Numbers of junctions, where more than two materials meet.
     pub junctions: JunctionCounts,
 }
 
@@ -89,35 +89,12 @@ pub fn survey(
     materials: usize,
     monitor: &dyn Monitor,
 ) -> Result<Survey> {
-    let [nx, ny, _] = geometry.size;
-    let plane = nx * ny;
-    let limit = distance_limit(geometry) as f32;
-    let (mut material, mut distance) = (vec![0u16; geometry.voxel_count()], vec![0.0f32; geometry.voxel_count()]);
     // beyond an open border, interfaces continue straight but do not belong to the volume
     let counted: [Range<usize>; 3] = std::array::from_fn(|a| match grid.border {
         Border::Cap => 0..geometry.size[a],
         Border::Open => grid.margin..geometry.size[a] - grid.margin,
     });
-    let counted_at = |node: [usize; 3]| (0..3).all(|a| counted[a].contains(&node[a]));
-    let place = |i: usize, j: usize, k: usize| geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64));
-    let slices = material.par_chunks_mut(plane).zip(distance.par_chunks_mut(plane)).enumerate();
-    let changed: Vec<BTreeMap<MaterialId, usize>> = slices
-        .map(|(k, (material, distance))| {
-            let mut changed = BTreeMap::new();
-            for (n, (material, distance)) in material.iter_mut().zip(distance).enumerate() {
-                let (i, j) = (n % nx, n / nx);
-                let near = indicators.near(place(i, j, k));
-                let own = near.first().unwrap_or(MaterialId::OUTSIDE);
-                *material = own.0;
-                *distance = (near.interface_distance() as f32).min(limit);
-                let label = grid.at([i, j, k]);
-                if label != own && counted_at([i, j, k]) {
-                    *changed.entry(label).or_default() += 1;
-                }
-            }
-            changed
-        })
-        .collect();
+    let (material, distance, changed) = survey_nodes(indicators, geometry, grid, &counted);
     monitor.check()?;
     let slices = counted[2].clone().into_par_iter();
     let sums: Vec<Sums> = slices.map(|k| slice_sums(indicators, geometry, &material, &counted, k)).collect();
@@ -151,6 +128,42 @@ pub fn survey(
     survey.interfaces = pairs.into_iter().map(told).collect();
     (survey.material, survey.interface_distance) = (material, distance);
     Ok(survey)
+}
+
+/// Returns the material of each node and the distance (mm) from the nearest interface, at most
+/// [`distance_limit`]. Also returns, for each slice, the number of counted nodes of each material
+/// whose smallest indicator is that of another material.
+fn survey_nodes(
+    indicators: &impl Indicators,
+    geometry: &Geometry,
+    grid: &LabelGrid,
+    counted: &[Range<usize>; 3],
+) -> (Vec<u16>, Vec<f32>, Vec<BTreeMap<MaterialId, usize>>) {
+    let [nx, ny, _] = geometry.size;
+    let plane = nx * ny;
+    let limit = distance_limit(geometry) as f32;
+    let (mut material, mut distance) = (vec![0u16; geometry.voxel_count()], vec![0.0f32; geometry.voxel_count()]);
+    let counted_at = |node: [usize; 3]| (0..3).all(|a| counted[a].contains(&node[a]));
+    let position = |i: usize, j: usize, k: usize| geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64));
+    let slices = material.par_chunks_mut(plane).zip(distance.par_chunks_mut(plane)).enumerate();
+    let changed: Vec<BTreeMap<MaterialId, usize>> = slices
+        .map(|(k, (material, distance))| {
+            let mut changed = BTreeMap::new();
+            for (n, (material, distance)) in material.iter_mut().zip(distance).enumerate() {
+                let (i, j) = (n % nx, n / nx);
+                let near = indicators.near(position(i, j, k));
+                let own = near.first().unwrap_or(MaterialId::OUTSIDE);
+                *material = own.0;
+                *distance = (near.interface_distance() as f32).min(limit);
+                let label = grid.at([i, j, k]);
+                if label != own && counted_at([i, j, k]) {
+                    *changed.entry(label).or_default() += 1;
+                }
+            }
+            changed
+        })
+        .collect();
+    (material, distance, changed)
 }
 
 /// Returns the bounding box of the counted nodes of each material, or `None` for a material without
@@ -291,8 +304,7 @@ impl Sums {
         let start = geometry.index_to_grid(DVec3::from_array(at.map(|n| n as f64)));
         let value = |p: DVec3| indicators.difference_gradient(i, j, p).0;
         let (low, high) = (value(start), value(start + step));
-        // the sign changes between the two nodes; the midpoint if an indicator is not known
-        // there
+        // zero of the linear difference; the midpoint if an indicator is not known at a node
         let share = if low < 0.0 && high > 0.0 && (high - low).is_finite() { low / (low - high) } else { 0.5 };
         let (_, gradient) = indicators.difference_gradient(i, j, start + step * share);
         let face = geometry.spacing.element_product() / geometry.spacing[axis];

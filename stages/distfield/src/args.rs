@@ -1,0 +1,164 @@
+//! Command-line options of the `distfield` program.
+
+use crate::choose::{ScaleArgs, inside_name};
+use crate::crop::Grid;
+use crate::materials::MaterialChoice;
+use crate::{Border, Inside, Keep};
+use isoparticles_stage::cli::{CommonArgs, FILES, METHOD};
+use isoparticles_survey::kind::KindChoice;
+use isoparticles_survey::selection::Selection;
+use serde_json::{Value, json};
+use std::path::PathBuf;
+
+/// Computes the signed distance field F (mm) of an object, from a volume and an iso value or labels
+///
+/// F is the implicit function of section 3.1 of the paper (Kim, Chen and Hansen 2012). The output
+/// contains samples of the signed distance to the surface, negative inside; F is the cubic B-spline
+/// that interpolates these samples. For a scalar volume, the surface is where the cubic B-spline
+/// through the voxels equals the iso value. For labels, it is a smooth surface that preserves the
+/// local volume and, without a scale, keeps every voxel centre on its side. The grid has the
+/// spacing of the input. It covers the object (or the whole volume with --grid volume) and --margin
+/// more voxels on each face.
+#[derive(Clone, Debug, clap::Parser)]
+#[command(
+    name = "distfield",
+    version,
+    after_help = "Example: the tooth of a CT, integer iso values being fine\n  distfield tooth_ct.nrrd -o tooth.distfield.vti --iso 600\nExample: both lungs of a label map as one object\n  distfield lungs_label.nrrd -o lungs.distfield.vti --labels 2,3\nExample: every label of a volume as a material of its own\n  distfield brain_parcellation.nrrd -o brain.materials.vti --material all"
+)]
+pub struct Args {
+    /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha,
+    /// .mhd), VTK image (.vti), or a folder of DICOM slices
+    #[arg(value_name = "IN.nrrd", help_heading = FILES)]
+    pub input: PathBuf,
+    /// Series to read if the folder contains several: description, number or UID of the series
+    #[arg(long, value_name = "NAME", help_heading = FILES)]
+    pub series: Option<String>,
+    /// VTK image file to write: the distance field F in mm, or one field per --material
+    #[arg(short, long, value_name = "F.vti", help_heading = FILES)]
+    pub output: PathBuf,
+    /// Iso value of the surface, in the unit of the volume, between its minimum and maximum
+    #[arg(
+        long,
+        value_name = "V",
+        allow_negative_numbers = true,
+        required_unless_present_any = ["labels", "material"],
+        conflicts_with = "labels",
+        help_heading = METHOD
+    )]
+    pub iso: Option<f64>,
+    /// Side of the iso value that contains the object; for example, below for the lungs in a CT
+    #[arg(long, value_enum, value_name = "SIDE", default_value_t = Inside::Above, help_heading = METHOD)]
+    pub inside: Inside,
+    /// Labels whose union is the object, separated by commas or spaces: numbers, ranges such as
+    /// 2..5 (only labels that occur), all (every label except 0), or names from the file
+    #[arg(long, value_name = "A,B", allow_hyphen_values = true, help_heading = METHOD)]
+    pub labels: Option<Selection>,
+    /// Define a material by its labels, such as lung=2+3; may be given several times. NAME alone
+    /// means the label of that name in the file. all makes one material of each label except 0 that
+    /// no other --material specifies. Other labels belong to the material "outside". The output
+    /// contains one field for each material, including the outside
+    #[arg(
+        long,
+        value_name = "NAME=A+B",
+        allow_hyphen_values = true,
+        conflicts_with_all = ["labels", "iso"],
+        help_heading = METHOD
+    )]
+    pub material: Vec<MaterialChoice>,
+    /// With --material: reassign each component of fewer voxels than this, including components of
+    /// the outside, to the material that shares the most faces with it; 1 changes nothing. Changes
+    /// are reported
+    #[arg(long, value_name = "VOXELS", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..), requires = "material", help_heading = METHOD)]
+    pub smallest_island: u32,
+    /// Kind of the volume. auto detects the kind from the values, and rejects labels for a scan and
+    /// an iso value for a label map; give scan or labels if the detection is wrong
+    #[arg(long, value_enum, value_name = "KIND", default_value_t = KindChoice::Auto, help_heading = METHOD)]
+    pub kind: KindChoice,
+    /// Treatment of the object at the border of the volume: cap closes the object half a voxel
+    /// beyond the outermost voxel centres, with edges rounded by half a voxel; open continues the
+    /// surface straight, so that it leaves the volume
+    #[arg(long, value_enum, value_name = "HOW", default_value_t = Border::Cap, help_heading = METHOD)]
+    pub border: Border,
+    /// Extent of the grid: object is the bounding box of the object, enlarged by the voxels that F
+    /// near the surface depends on; volume is the whole volume. The surface and its world
+    /// coordinates are the same for both
+    #[arg(long, value_enum, value_name = "WHICH", default_value_t = Grid::Object, help_heading = METHOD)]
+    pub grid: Grid,
+    /// Parts of the object to keep: all, only the largest, or those of at least VOLUME mm^3.
+    /// Dropped parts are reported; cavities do not change
+    #[arg(long, value_name = "all|largest|VOLUME", default_value_t = Keep::All, help_heading = METHOD)]
+    pub keep: Keep,
+    /// Number of voxels added on each face of the grid, 3 to 64, as room for F around the surface
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(3..=64), help_heading = METHOD)]
+    pub margin: u16,
+    /// Labels without a scale: minimum distance of the surface from every voxel centre, in units of
+    /// the minimum voxel spacing, 0.01 to 0.15. The distance leaves room for the triangles, which
+    /// deviate from the curved surface
+    #[arg(long, value_name = "VOXELS", default_value_t = 0.05, value_parser = clearance_in_range, help_heading = METHOD)]
+    pub clearance: f64,
+    /// The options of the scale.
+    #[command(flatten)]
+    pub scale: ScaleArgs,
+    /// The options of all stages.
+    #[command(flatten)]
+    pub common: CommonArgs,
+}
+
+fn clearance_in_range(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if (0.01..=MOST_CLEARANCE).contains(&value) => Ok(value),
+        _ => Err(format!("{text} is not a number from 0.01 to {MOST_CLEARANCE}")),
+    }
+}
+
+/// Maximum clearance, in units of the minimum voxel spacing. The level set keeps twice this
+/// distance, 0.3, and the surface of a layer one voxel thick is half a voxel from its voxel
+/// centres.
+const MOST_CLEARANCE: f64 = 0.15;
+
+impl Args {
+    /// Returns the options that determine the result, for the history of the output file.
+    pub(crate) fn to_parameters(&self) -> Value {
+        let (border, keep) = (border_name(self.border), self.keep.to_string());
+        let mut parameters = match (&self.labels, self.iso) {
+            _ if !self.material.is_empty() => json!({
+                "material": self.material.iter().map(MaterialChoice::to_string).collect::<Vec<_>>(), "border": border,
+                "margin": self.margin, "clearance": self.clearance, "smallest_island": self.smallest_island,
+            }),
+            (Some(labels), _) => json!({
+                "labels": labels.to_string(), "border": border, "margin": self.margin, "keep": keep,
+                "clearance": self.clearance,
+            }),
+            (None, iso) => {
+                json!({
+                    "iso": iso, "inside": inside_name(self.inside), "border": border, "margin": self.margin, "keep": keep,
+                })
+            }
+        };
+        if let Some(kind) = self.kind.given() {
+            parameters["kind"] = json!(kind);
+        }
+        parameters["grid"] = json!(grid_name(self.grid));
+        self.scale.add_to(&mut parameters);
+        if let Some(series) = &self.series {
+            parameters["series"] = json!(series);
+        }
+        parameters
+    }
+}
+
+/// Returns the option value of a grid.
+fn grid_name(grid: Grid) -> &'static str {
+    match grid {
+        Grid::Object => "object",
+        Grid::Volume => "volume",
+    }
+}
+
+/// Returns the option value of a border treatment.
+fn border_name(border: Border) -> &'static str {
+    match border {
+        Border::Cap => "cap",
+        Border::Open => "open",
+    }
+}
