@@ -1,11 +1,11 @@
-// Writes the parameters of a pass for its kernels. The host may submit a pass before it has read
-// the result of the previous pass. In that case only the device knows the number of particles. If
-// the previous pass must be repeated, or if it left more particles than this pass has room for, the
-// count is set to 0. The pass then leaves its input unchanged.
+// Writes the parameters that the other kernels of a pass read. The host may submit a pass before it
+// has read the result of the previous pass. In that case only the device knows the number of
+// particles. If the previous pass must be repeated, or if it left more particles than this pass has
+// room for, the count is set to 0. The pass then leaves its input unchanged.
 
 struct Planned {
     number: u32,
-    // Number of particles. AS_LEFT stands for the number that the previous pass left.
+    // Number of particles. COUNT_ON_DEVICE stands for the number that the previous pass left.
     count: u32,
     allow_insert: u32,
     // Number of particles that this pass has room for.
@@ -26,7 +26,7 @@ struct Planned {
 @compute @workgroup_size(1)
 fn begin_pass() {
     var count = planned.count;
-    if count == AS_LEFT {
+    if count == COUNT_ON_DEVICE {
         count = words[WORD_COUNT];
         let is_to_be_redone = words[WORD_LONGEST_LIST] > planned.list_room || words[WORD_CLASSES] > planned.classes;
         if is_to_be_redone || count > planned.room {
@@ -38,5 +38,5 @@ fn begin_pass() {
     begun[2] = planned.allow_insert;
     // one flag for each particle and one for its newcomer
     begun_scan[0] = 2u * count;
-    begun_scan[1] = (2u * count + BLOCK) / BLOCK;
+    begun_scan[1] = (2u * count + SUM_BLOCK) / SUM_BLOCK;
 }

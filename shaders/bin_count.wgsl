@@ -5,13 +5,13 @@
 @group(0) @binding(3) var<storage, read_write> bin_of: array<u32>;
 @group(0) @binding(4) var<storage, read_write> bin_counts: array<atomic<u32>>;
 
-@compute @workgroup_size(NARROW)
+@compute @workgroup_size(PARTICLE_GROUP)
 fn bin_count(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_group(group, groups) * NARROW + lane;
+    let i = flat_group(group, groups) * PARTICLE_GROUP + lane;
     if i >= now.count {
         return;
     }

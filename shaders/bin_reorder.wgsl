@@ -1,6 +1,6 @@
 // Counting sort into bins, step 3: copies the particles into sorted order. Within a bin, held
-// particles come first and all others keep their previous order. The order of the atomics in step 2
-// has no influence. The sort is therefore stable, and a resumed run gives the same result.
+// particles come first, and both groups keep their previous order. The result does not depend on
+// the order of the atomic operations in step 2, so a resumed run gives the same result.
 
 @group(0) @binding(2) var<storage, read> listed_place: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> bin_of: array<u32>;
@@ -17,13 +17,13 @@ fn rank_of(i: u32) -> u32 {
     return i | select(0x80000000u, 0u, is_held(listed_normal[i].w));
 }
 
-@compute @workgroup_size(NARROW)
+@compute @workgroup_size(PARTICLE_GROUP)
 fn bin_reorder(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let slot = flat_group(group, groups) * NARROW + lane;
+    let slot = flat_group(group, groups) * PARTICLE_GROUP + lane;
     if slot >= now.count {
         return;
     }

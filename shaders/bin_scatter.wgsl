@@ -6,13 +6,13 @@
 @group(0) @binding(5) var<storage, read> bin_starts: array<u32>;
 @group(0) @binding(6) var<storage, read_write> order: array<u32>;
 
-@compute @workgroup_size(NARROW)
+@compute @workgroup_size(PARTICLE_GROUP)
 fn bin_scatter(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_group(group, groups) * NARROW + lane;
+    let i = flat_group(group, groups) * PARTICLE_GROUP + lane;
     if i >= now.count {
         return;
     }

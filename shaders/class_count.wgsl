@@ -5,7 +5,7 @@
 
 var<workgroup> here: array<atomic<u32>, CLASSES>;
 
-@compute @workgroup_size(WIDE)
+@compute @workgroup_size(SUM_GROUP)
 fn class_count(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
@@ -15,7 +15,7 @@ fn class_count(
         atomicStore(&here[lane], 0u);
     }
     workgroupBarrier();
-    let i = flat_group(group, groups) * WIDE + lane;
+    let i = flat_group(group, groups) * SUM_GROUP + lane;
     if i < now.count && classes[i] < CLASSES {
         atomicAdd(&here[classes[i]], 1u);
     }

@@ -8,7 +8,7 @@
 var<workgroup> here: array<atomic<u32>, CLASSES>;
 var<workgroup> first: array<u32, CLASSES>;
 
-@compute @workgroup_size(WIDE)
+@compute @workgroup_size(SUM_GROUP)
 fn class_scatter(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
@@ -18,7 +18,7 @@ fn class_scatter(
         atomicStore(&here[lane], 0u);
     }
     workgroupBarrier();
-    let i = flat_group(group, groups) * WIDE + lane;
+    let i = flat_group(group, groups) * SUM_GROUP + lane;
     var own = UNCLASSED;
     var rank = 0u;
     if i < now.count {

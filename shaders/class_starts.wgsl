@@ -18,9 +18,9 @@ fn class_starts_kernel() {
         start += count;
         used = select(used, c + 1u, count > 0u);
         let workgroups = (count + TEAMS - 1u) / TEAMS;
-        // at most ROW workgroups along x, the rest along y
-        class_arguments[3u * c] = min(workgroups, ROW);
-        class_arguments[3u * c + 1u] = (workgroups + ROW - 1u) / ROW;
+        // at most GROUPS_PER_ROW workgroups along x, the rest along y
+        class_arguments[3u * c] = min(workgroups, GROUPS_PER_ROW);
+        class_arguments[3u * c + 1u] = (workgroups + GROUPS_PER_ROW - 1u) / GROUPS_PER_ROW;
         class_arguments[3u * c + 2u] = 1u;
     }
     class_starts[CLASSES] = start;

@@ -13,13 +13,13 @@
 @group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;
 @group(0) @binding(15) var<storage, read_write> words: array<u32>;
 
-@compute @workgroup_size(NARROW)
+@compute @workgroup_size(PARTICLE_GROUP)
 fn compact(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_group(group, groups) * NARROW + lane;
+    let i = flat_group(group, groups) * PARTICLE_GROUP + lane;
     let kept = destinations[now.count];
     let total = destinations[2u * now.count];
     if i >= now.count || words[WORD_LONGEST_LIST] > parameters.list_room {

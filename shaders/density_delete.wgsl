@@ -17,13 +17,13 @@ fn was_there(j: u32) -> bool {
     return mark == 0u || mark == round.number;
 }
 
-@compute @workgroup_size(NARROW)
+@compute @workgroup_size(PARTICLE_GROUP)
 fn density_delete(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_group(group, groups) * NARROW + lane;
+    let i = flat_group(group, groups) * PARTICLE_GROUP + lane;
     if i >= now.count || !was_there(i) || !is_oversampled(energies[i], i) {
         return;
     }

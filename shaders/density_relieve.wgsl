@@ -5,13 +5,13 @@
 @group(0) @binding(13) var<storage, read> marks: array<u32>;
 @group(0) @binding(14) var<storage, read> touched: array<u32>;
 
-@compute @workgroup_size(NARROW)
+@compute @workgroup_size(PARTICLE_GROUP)
 fn density_relieve(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_group(group, groups) * NARROW + lane;
+    let i = flat_group(group, groups) * PARTICLE_GROUP + lane;
     if i >= now.count || marks[i] != 0u || touched[i] != round.number {
         return;
     }

@@ -14,13 +14,13 @@
 // Number of attempted steps, combined with the flags STEP_TAKEN and LATTICE_DEFECT.
 @group(0) @binding(15) var<storage, read_write> outcome: array<u32>;
 
-@compute @workgroup_size(NARROW)
+@compute @workgroup_size(PARTICLE_GROUP)
 fn energies_kernel(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_group(group, groups) * NARROW + lane;
+    let i = flat_group(group, groups) * PARTICLE_GROUP + lane;
     if i >= now.count {
         return;
     }

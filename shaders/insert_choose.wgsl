@@ -20,9 +20,9 @@ fn beats(j: u32, i: u32) -> bool {
 }
 
 // Returns whether the newcomer of i is too close to a newcomer of higher priority. The bins hold
-// the positions of the parents at the time of the sort. Since then each parent has moved by at most
-// REBUILD_MOVE + FARTHEST_MOVE in units of its h. The projection leaves a newcomer within two
-// lattice spacings of its parent.
+// the positions of the parents at the time of the sort. Since then, a parent of size h has moved by
+// at most (REBUILD_MOVE + FARTHEST_MOVE) h. A newcomer is within two lattice spacings of its
+// parent, because it is projected by at most one spacing from a point at one spacing.
 fn is_too_near(i: u32) -> bool {
     let own = newcomer_place[i];
     let facing = newcomer_normal[i];
@@ -65,13 +65,13 @@ fn is_chosen(i: u32) -> bool {
     return !is_too_near(i);
 }
 
-@compute @workgroup_size(NARROW)
+@compute @workgroup_size(PARTICLE_GROUP)
 fn insert_choose(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_group(group, groups) * NARROW + lane;
+    let i = flat_group(group, groups) * PARTICLE_GROUP + lane;
     if i >= now.count {
         return;
     }

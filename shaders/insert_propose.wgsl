@@ -84,8 +84,8 @@ fn propose(i: u32, lane: u32) {
     }
 }
 
-// Undersampled particles among the NARROW particles of the workgroup, in arbitrary order.
-var<workgroup> lacking: array<u32, NARROW>;
+// Undersampled particles among the PARTICLE_GROUP particles of the workgroup, in arbitrary order.
+var<workgroup> lacking: array<u32, PARTICLE_GROUP>;
 var<workgroup> lacking_count: atomic<u32>;
 
 @compute @workgroup_size(TEAM * TEAMS)
@@ -98,8 +98,8 @@ fn insert_propose(
         atomicStore(&lacking_count, 0u);
     }
     workgroupBarrier();
-    let first = flat_group(group, groups) * NARROW;
-    for (var i = first + local; i < min(first + NARROW, now.count); i += TEAM * TEAMS) {
+    let first = flat_group(group, groups) * PARTICLE_GROUP;
+    for (var i = first + local; i < min(first + PARTICLE_GROUP, now.count); i += TEAM * TEAMS) {
         if now.allow_insert != 0u && marks[i] == 0u && !is_held(normal[i].w) && is_undersampled(energies[i], i) {
             lacking[atomicAdd(&lacking_count, 1u)] = i;
         } else {

@@ -3,10 +3,10 @@
 // share the neighbours of the moving particle.
 //
 // Every third bin along each axis has the same colour, so there are 27 colours. Workgroups do not
-// conflict: neighbour lists reach no farther than one bin edge, so a workgroup writes its own bin
-// and reads that bin and the 26 around it. Two bins of one colour are separated by two other bins,
-// so the regions that they read are disjoint. Bins and lists do not change until the next sort, so
-// this holds for all passes in between.
+// conflict: neighbour lists reach no farther than one bin edge, so a workgroup writes one bin and
+// reads that bin and the 26 adjacent bins. Two bins of one colour are separated by two other bins,
+// so the two regions are disjoint. Bins and lists do not change until the next sort, so this also
+// holds for all passes before that sort.
 
 @group(0) @binding(5) var<storage, read> bin_starts: array<u32>;
 

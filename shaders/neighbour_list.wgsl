@@ -17,13 +17,13 @@ fn found(n: u32, j: u32) {
     }
 }
 
-@compute @workgroup_size(NARROW)
+@compute @workgroup_size(PARTICLE_GROUP)
 fn neighbour_list(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_group(group, groups) * NARROW + lane;
+    let i = flat_group(group, groups) * PARTICLE_GROUP + lane;
     if i >= now.count {
         return;
     }
@@ -32,7 +32,7 @@ fn neighbour_list(
     list_lengths[i] = length;
     let rest = length % 4u;
     if rest > 0u && length < parameters.list_room {
-        // move the remaining one to three members to the front of their group of four
+        // the last group has one to three members, which are moved to its front
         let four = select(select(vec4(last_four.w), last_four.zwzw, rest == 2u), last_four.yzwy, rest == 3u);
         lists[list_slot(i, length)] = four;
     }

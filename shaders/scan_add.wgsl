@@ -4,7 +4,7 @@
 @group(0) @binding(3) var<storage, read_write> scan_output: array<u32>;
 @group(0) @binding(4) var<storage, read_write> scan_sums: array<u32>;
 
-@compute @workgroup_size(WIDE)
+@compute @workgroup_size(SUM_GROUP)
 fn scan_add(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
@@ -15,8 +15,8 @@ fn scan_add(
         return;
     }
     let start = scan_sums[block];
-    for (var k = 0u; k < EACH; k++) {
-        let at = block * BLOCK + k * WIDE + lane;
+    for (var k = 0u; k < SUM_ELEMENTS; k++) {
+        let at = block * SUM_BLOCK + k * SUM_GROUP + lane;
         if at <= scan.length {
             scan_output[at] += start;
         }

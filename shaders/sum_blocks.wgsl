@@ -1,4 +1,4 @@
-// Totals of a pass, step 1: adds up each block of BLOCK particles.
+// Totals of a pass, step 1: adds up each block of SUM_BLOCK particles.
 
 @group(0) @binding(3) var<storage, read> energies: array<f32>;
 @group(0) @binding(4) var<storage, read> outcome: array<u32>;
@@ -7,7 +7,7 @@
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(10) var<storage, read> list_lengths: array<u32>;
 
-@compute @workgroup_size(WIDE)
+@compute @workgroup_size(SUM_GROUP)
 fn sum_blocks(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
@@ -15,8 +15,8 @@ fn sum_blocks(
 ) {
     let block = flat_group(group, groups);
     var own = Totals();
-    for (var k = 0u; k < EACH; k++) {
-        let i = (block * EACH + k) * WIDE + lane;
+    for (var k = 0u; k < SUM_ELEMENTS; k++) {
+        let i = (block * SUM_ELEMENTS + k) * SUM_GROUP + lane;
         if i < now.count {
             let particle = place[i];
             let way = distance(particle.xyz, place_at_listing[i].xyz) / particle.w;
@@ -33,7 +33,7 @@ fn sum_blocks(
         }
     }
     let total = total_of_group(own, lane);
-    if lane == 0u && block * BLOCK < now.count {
+    if lane == 0u && block * SUM_BLOCK < now.count {
         block_totals[block] = total;
     }
 }

@@ -5,11 +5,11 @@
 // The words are documented in stages/particles/src/gpu/constants.rs.
 @group(0) @binding(15) var<storage, read_write> words: array<u32>;
 
-@compute @workgroup_size(WIDE)
+@compute @workgroup_size(SUM_GROUP)
 fn sum_total(@builtin(local_invocation_index) lane: u32) {
-    let blocks = (now.count + BLOCK - 1u) / BLOCK;
+    let blocks = (now.count + SUM_BLOCK - 1u) / SUM_BLOCK;
     var own = Totals();
-    for (var block = lane; block < blocks; block += WIDE) {
+    for (var block = lane; block < blocks; block += SUM_GROUP) {
         own = add_totals(own, block_totals[block]);
     }
     let total = total_of_group(own, lane);

@@ -1,7 +1,7 @@
 // Data stored in normal.w for a particle of a multi-material run: 16 s + c, where s is the index of
 // its stratum. The code c is log10(damping / 0.001), or HELD_CODE for a held particle. The value is
 // an integer below 2^24, so f32 represents it exactly. Material interfaces have the first indices.
-// After them, each held particle has an index of its own.
+// Each held particle has a separate index after the indices of the interfaces.
 //
 // Twin: `rebuild_lists` in stages/particles/src/state.rs
 
@@ -30,10 +30,10 @@ fn materials_of(carried: f32) -> vec4<u32> {
     return materials_index[materials_index[0].x + (u32(carried) >> 4u)];
 }
 
-// Returns whether a junction stratum (`lower`) lies on the interface of two materials
-// (`interface`).
-fn is_on(lower: vec4<u32>, interface: vec4<u32>) -> bool {
-    return any(lower == vec4(interface.x)) && any(lower == vec4(interface.y));
+// Returns whether a junction stratum (`lower`) lies on the interface of the materials pair.x and
+// pair.y.
+fn is_on(lower: vec4<u32>, pair: vec4<u32>) -> bool {
+    return any(lower == vec4(pair.x)) && any(lower == vec4(pair.y));
 }
 
 // Returns whether two particles interact. A held particle interacts with all particles of the

@@ -3,7 +3,7 @@
 // Twin: `positive_definite`, `damped_newton` in stages/particles/src/movement.rs
 
 // Replaces the eigenvalues of a symmetric 2 x 2 matrix (entries uu, uv, vv) by their magnitudes and
-// bounds them away from zero, so that the Newton step is a descent step.
+// bounds them away from zero. The Newton step is then a descent step.
 fn positive_definite(m: vec3<f32>) -> vec3<f32> {
     let middle_of = 0.5 * (m.x + m.z);
     let half_gap = 0.5 * (m.x - m.z);
@@ -13,7 +13,7 @@ fn positive_definite(m: vec3<f32>) -> vec3<f32> {
     let bound = EIGENVALUE_FLOOR * max(low, high);
     let l = max(low, bound);
     let h = max(high, bound);
-    if half <= EQUAL_EIGENVALUES * abs(middle_of) {
+    if half <= EQUAL_EIGENVALUES_F32 * abs(middle_of) {
         return vec3(l, 0.0, l);
     }
     let middle = 0.5 * (l + h);

@@ -1,25 +1,26 @@
 // Coefficients of G = (F_i - F_j) / 2 at grid nodes, for the interface of materials i and j. The
 // differences are stored in blocks of 4 x 4 x 4 coefficients. The index locates the blocks by brick
 // of 4 x 4 x 4 cells (layout: stages/particles/src/gpu/differences.rs). A look-up takes two
-// dependent reads, so its result is kept until the brick changes. A projection rarely leaves its
-// brick.
+// dependent reads, so the record is kept until the brick changes. A projection rarely leaves the
+// brick where it starts.
 //
 // Twin: `gather` in common/field/src/materials/indicator.rs
 // Twin: `is_real_interface` in common/field/src/materials/index.rs
 
 // Index of the interface to evaluate.
 var<private> chosen: u32;
-// The open brick and its first node; the interface whose record is loaded; the index of the next
-// entry of the brick (0 if there is none); the index of the record, and the record.
+// The brick whose record is loaded, and the first node of the brick.
 var<private> open_brick: u32;
 var<private> open_start: vec3<u32>;
+// The interface of the record, and the index of the next entry of the brick (0 if there is none).
 var<private> open_interface: u32;
 var<private> open_next: u32;
+// The index of the record, and three of its four groups.
 var<private> open_at: u32;
 var<private> open_low: vec4<u32>;
 var<private> open_high: vec4<u32>;
 var<private> open_cells: vec4<u32>;
-// Whether the indicators of both materials are stored in the current cell.
+// True if the indicators of both materials are stored in the current cell.
 var<private> is_known: bool;
 
 // Selects the interface of a particle for subsequent calls.
@@ -82,23 +83,24 @@ fn is_of(cells: vec2<u32>, base: vec3<u32>) -> bool {
     return ((select(cells.x, cells.y, within.z >= 2u) >> bit) & 1u) != 0u;
 }
 
-// Returns the coefficient at a node. The result is zero if either material is unknown; the gradient
-// is then zero, which ends the projection.
+// Returns the coefficient at a node. If either indicator is not stored there, the result is zero.
+// The gradient is then zero, which ends the projection.
 fn node_coefficient(at: vec3<i32>) -> f32 {
     if !is_known {
         return 0.0;
     }
-    let place = vec3<u32>(at + 1) - open_start;
-    let of_four = select(open_low, open_high, place.z >= 4u);
-    let of_two = select(of_four.xy, of_four.zw, place.y >= 4u);
-    let block = select(of_two.x, of_two.y, place.x >= 4u);
-    return coefficient_at(64u * block + 16u * (place.z & 3u) + 4u * (place.y & 3u) + (place.x & 3u));
+    let node = vec3<u32>(at + 1) - open_start;
+    let of_four = select(open_low, open_high, node.z >= 4u);
+    let of_two = select(of_four.xy, of_four.zw, node.y >= 4u);
+    let block = select(of_two.x, of_two.y, node.x >= 4u);
+    return coefficient_at(64u * block + 16u * (node.z & 3u) + 4u * (node.y & 3u) + (node.x & 3u));
 }
 
-// Checks of third materials at a point on the interface: the index of the next check, the end of
-// the checks, and whether the stored difference of the open check has the opposite sign.
+// Checks of third materials at a point on the interface: the index of the next check, and the end
+// of the checks.
 var<private> next_check: u32;
 var<private> end_of_checks: u32;
+// True if the stored difference of the open check has the opposite sign.
 var<private> is_negative: bool;
 
 // Prepares the checks of a cell. The result is CHECKS_FAIL if another material fills the brick.

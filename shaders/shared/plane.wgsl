@@ -1,6 +1,6 @@
 // Two orthonormal directions that span the tangent plane.
 //
-// Twin: `TangentPlane` in stages/particles/src/movement.rs
+// Twin: `TangentPlane` in stages/particles/src/neighbourhood.rs
 
 struct Plane {
     u: vec3<f32>,

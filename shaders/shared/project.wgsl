@@ -26,7 +26,7 @@ fn projection_motion(field: vec4<f32>) -> vec3<f32> {
     return motion * select(1.0, parameters.projection_step / distance, distance > parameters.projection_step);
 }
 
-// Projects `start`. The total displacement is at most `limit`, in mm. With many materials, the end
+// Projects `start`. The total displacement is at most `limit` mm. With many materials, the end
 // point is rejected if a third material is as close as the two materials of the interface. The same
 // loop evaluates the differences from third materials, because a separate copy of the code would
 // cost registers in every step.

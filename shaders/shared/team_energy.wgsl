@@ -13,8 +13,8 @@ struct Jet {
 }
 
 // The first three neighbours of a lane as (position, h). A missing neighbour has a distant
-// position. Most lists have at most three times as many members as a team of eight lanes. Every
-// attempt reads these neighbours, so they are loaded once and together.
+// position. Most lists have at most 24 members, three for each lane of a team of eight. Every
+// attempt reads these neighbours, so all three are loaded once.
 struct Nearest {
     a: vec4<f32>,
     b: vec4<f32>,

@@ -16,7 +16,7 @@ fn move_particle(i: u32, lane: u32) {
     let list = list_of(i);
     let plane = tangent_plane(facing.xyz);
     let nearest = nearest_neighbours(list, lane);
-    // most steps end in the same brick, so its record is loaded early to hide the latency
+    // most steps end in the brick where they start; loading its record early hides the latency
     choose_surface(facing.w);
     ask_for_cell(cell_at(own.xyz));
     let jet = team_jet(own, plane, list, nearest, lane);
@@ -27,7 +27,7 @@ fn move_particle(i: u32, lane: u32) {
         var lambda = damping_of(facing.w);
         while lambda < LARGEST_LAMBDA {
             let step = damped_newton(curvature, jet.gradient, lambda);
-            if !(-0.5 * dot(step, jet.gradient) > REST * jet.energy) {
+            if !(-0.5 * dot(step, jet.gradient) > LEAST_DECREASE * jet.energy) {
                 break;
             }
             tries++;

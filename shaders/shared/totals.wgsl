@@ -12,7 +12,7 @@ struct Totals {
     longest_list: u32,
 }
 
-var<workgroup> partial: array<Totals, WIDE>;
+var<workgroup> lane_totals: array<Totals, SUM_GROUP>;
 
 fn add_totals(a: Totals, b: Totals) -> Totals {
     return Totals(
@@ -26,15 +26,15 @@ fn add_totals(a: Totals, b: Totals) -> Totals {
     );
 }
 
-// Returns the total over a workgroup of WIDE invocations. The result is valid in lane 0.
+// Returns the total over a workgroup of SUM_GROUP invocations. The result is valid in lane 0.
 fn total_of_group(own: Totals, lane: u32) -> Totals {
-    partial[lane] = own;
+    lane_totals[lane] = own;
     workgroupBarrier();
-    for (var step = WIDE / 2u; step > 0u; step >>= 1u) {
+    for (var step = SUM_GROUP / 2u; step > 0u; step >>= 1u) {
         if lane < step {
-            partial[lane] = add_totals(partial[lane], partial[lane + step]);
+            lane_totals[lane] = add_totals(lane_totals[lane], lane_totals[lane + step]);
         }
         workgroupBarrier();
     }
-    return partial[0];
+    return lane_totals[0];
 }

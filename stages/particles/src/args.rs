@@ -2,9 +2,9 @@
 //! takes its value from [`Parameters::default`] or, with `--as-printed`, from
 //! [`Parameters::as_printed`].
 
-use crate::constants::{LARGEST_SPACING, LEAST_SPACING};
+use crate::constants::{COARSE_CLOSING_PASSES, LARGEST_SPACING, LEAST_SPACING, REORDER_INTERVAL};
 use crate::ground::check_levels;
-use crate::settle::{Binning, COARSE_CLOSING_PASSES, Order, Parameters, REORDER_INTERVAL};
+use crate::settle::{Binning, Order, Parameters};
 use clap::{Parser, ValueEnum};
 use isoparticles_field::energy::lattice_energy;
 use isoparticles_stage::cli::check::Known;
@@ -209,13 +209,11 @@ impl Args {
         let [least, largest] = [LARGEST_SPACING, LEAST_SPACING].map(lattice_energy);
         if !(least..=largest).contains(&energy) {
             return Err(Error::input(
+                format!("--ideal-energy {energy}: must be from {least:.3} to {largest:.2}"),
                 format!(
-                    "--ideal-energy {energy}: the lattice of that energy has an edge outside {LEAST_SPACING} to {LARGEST_SPACING:.3} h"
+                    "neighbour lists and steps support lattice spacings from {LEAST_SPACING} to {LARGEST_SPACING:.3} h"
                 ),
-                "neighbour lists and steps are made for that range",
-                format!(
-                    "give {least:.3} to {largest:.2}; for other distances of the particles make another h (sizefield)"
-                ),
+                "change --ideal-energy; to change the distance between particles, change h (sizefield)",
             ));
         }
         if parameters.order == Order::Classes {
@@ -223,17 +221,17 @@ impl Args {
         }
         if parameters.binning == Binning::Graded {
             return Err(Error::input(
-                "--binning graded: coloured bins are of one size",
-                "of bins of several sizes two of a colour could touch the same particle",
-                "leave out --binning, or give --order classes",
+                "--binning graded: not supported with --order bins",
+                "with bins of several sizes, two bins that are processed together could have a common neighbour",
+                "leave out --binning, or set --order classes",
             ));
         }
         if on_gpu {
             return Ok(());
         }
         let (what, why) =
-            ("--order bins: no GPU moves the particles", "the CPU moves blocks of particles in an order of its own");
-        let next = "give --backend gpu (with --adapter NAME for a software adapter), or leave out --order";
+            ("--order bins: not supported on the CPU, and no GPU is used", "the CPU moves blocks of particles instead");
+        let next = "set --backend gpu (with --adapter NAME for a software adapter), or leave out --order";
         Err(if self.backend == Backend::Cpu { Error::input(what, why, next) } else { Error::gpu(what, why, next) })
     }
 }

@@ -2,11 +2,13 @@
 //! them, and repeats down to h.
 //!
 //! Where lattice patches of different orientation meet, lines of vertices of degree five and seven
-//! remain, and passes remove them slowly. A coarse lattice has few such lines, and its passes are
-//! cheap. Splitting its edges preserves its orientation, so the fine lattice starts with few
-//! defects and needs few passes.
+//! remain, and passes remove these lines slowly. A coarse lattice has few such lines, and a pass
+//! over few particles is cheap. Splitting the edges of a lattice preserves the orientation of its
+//! patches. The fine lattice therefore starts with few defects and needs few passes.
 
-use crate::constants::INITIAL_LAMBDA;
+use crate::constants::{
+    FILLER_SEPARATION, INITIAL_LAMBDA, LONGEST_EDGE, PARENT_DISTANCE, PASS_TOLERANCE, SEED_SEPARATION,
+};
 use crate::gpu::DeviceReport;
 use crate::implicit::Implicit;
 use crate::settle::{Engine, Level, Parameters, PassRecord, Summary, settle_level};
@@ -18,24 +20,6 @@ use isoparticles_field::random::bits;
 use isoparticles_stage::error::Result;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
-
-/// Thinning distance for seeds, in edge lengths: a seed closer than this to an accepted seed is
-/// skipped. With this value as many seeds remain as the hexagonal lattice has particles. Random
-/// sequential selection at distance r keeps 0.70 / r^2 points per unit area. The lattice of edge h
-/// has 1.155 / h^2 points per unit area, and 0.70 / 0.776^2 = 1.16.
-const ROOM: f64 = 0.776;
-
-/// Thinning distance for edge midpoints. These already lie on a lattice with a spacing of one edge
-/// length.
-const ROOM_ON_LATTICE: f64 = 0.6;
-
-/// Thinning distance for seeds that fill areas without particles of the coarse lattice.
-const ROOM_FOR_MORE: f64 = 0.9;
-
-/// Maximum length, in units of h, of an edge between two particles of a lattice of edge h. It
-/// exceeds the radius of the first ring ([`crate::constants::FIRST_RING`]) because edges around
-/// lattice defects are stretched. Crossing edges are rejected separately.
-const EDGE: f64 = 1.45;
 
 /// Factory that creates the engine of each level.
 pub(crate) trait MakeEngine {
@@ -107,15 +91,15 @@ fn thinned(seeds: &ParticleSet, fields: &Fields, scale: f64, parameters: &Parame
     let mut order: Vec<u32> = (0..seeds.positions.len() as u32).collect();
     order.par_sort_unstable_by_key(|&i| (bits(parameters.seed, u64::MAX, u64::from(i)), i));
     let sizes: Vec<f64> = seeds.positions.par_iter().map(|&p| scale * fields.sizing.at(p)).collect();
-    let room = ROOM * parameters.spacing();
+    let room = SEED_SEPARATION * parameters.spacing();
     let taken =
         take_with_room(&seeds.positions, &seeds.normals, &sizes, &order, parameters.normal_agreement, room, |_| room);
     pick(seeds, &sizes, &taken)
 }
 
 /// Creates the particles of the next level: the coarse particles, one particle at the middle of
-/// each edge, and seeds where there is still room (on parts of the surface that are too small for
-/// the coarse lattice).
+/// each edge, and seeds at least [`FILLER_SEPARATION`] from all of them. A midpoint closer than
+/// [`PARENT_DISTANCE`] to another particle is left out.
 fn split(
     coarse: &ParticleSet,
     seeds: &ParticleSet,
@@ -126,7 +110,7 @@ fn split(
     let (points, normals) = (&coarse.positions, &coarse.normals);
     let agree = |i: usize, j: usize| normals[i].dot(normals[j]) > parameters.normal_agreement;
     let edge = parameters.spacing();
-    let near = NeighbourLists::new(points, &coarse.sizes, EDGE * edge, agree);
+    let near = NeighbourLists::new(points, &coarse.sizes, LONGEST_EDGE * edge, agree);
     let spacing = fields.surface.min_spacing();
     let mut all = coarse.clone();
     let middle_of = |i: usize, j: usize| {
@@ -134,7 +118,7 @@ fn split(
         let half = 0.25 * points[i].distance_squared(points[j]);
         // a pair is a lattice edge if its diametral ball contains no third particle (Gabriel graph)
         let crossed = near.of(i).iter().any(|&k| k as usize != j && points[k as usize].distance_squared(middle) < half);
-        if crossed { None } else { fields.project(None, middle, half.sqrt(), 1e-5 * spacing) }
+        if crossed { None } else { fields.project(None, middle, half.sqrt(), PASS_TOLERANCE * spacing) }
     };
     let middles: Vec<_> = (0..points.len())
         .into_par_iter()
@@ -153,8 +137,8 @@ fn split(
     let mut rest: Vec<u32> = (edges as u32..all.positions.len() as u32).collect();
     rest.par_sort_unstable_by_key(|&i| (bits(parameters.seed, u64::MAX, u64::from(i)), i));
     order.extend(rest);
-    let room = |i: usize| edge * if i < edges { ROOM_ON_LATTICE } else { ROOM_FOR_MORE };
-    let most = ROOM_FOR_MORE * edge;
+    let room = |i: usize| edge * if i < edges { PARENT_DISTANCE } else { FILLER_SEPARATION };
+    let most = FILLER_SEPARATION * edge;
     let mut taken =
         take_with_room(&all.positions, &all.normals, &sizes, &order, parameters.normal_agreement, most, room);
     taken.sort_unstable();
@@ -209,8 +193,8 @@ fn pick(from: &ParticleSet, sizes: &[f64], chosen: &[u32]) -> ParticleSet {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::constants::COARSE_CLOSING_PASSES;
     use crate::cpu::OnCpu;
-    use crate::settle::COARSE_CLOSING_PASSES;
     use isoparticles_field::random::uniform;
     use isoparticles_field::sizing::SizingField;
     use isoparticles_field::spline::CubicSpline;

@@ -20,8 +20,8 @@
 //! ```
 //!
 //! The CPU rebuilds its lists before every pass, so they need to reach only this distance plus two
-//! moves ([`LISTED`], 2.052 h). Density control requires new lists in every pass anyway, and
-//! shorter lists are faster to build and to read.
+//! moves ([`CPU_LIST_REACH`], 2.052 h). Density control requires new lists in every pass anyway,
+//! and shorter lists are faster to build and to read.
 //!
 //! The bound must exceed the radius of the first ring, 1 h. Then an unlisted pair cannot collide,
 //! cannot have more energy than two lattice neighbours, and is in the lists of the next pass. The
@@ -67,14 +67,14 @@ pub(crate) const UNSEEN_DISTANCE: f64 = SUPPORT * (1.0 + SKIN) - 2.0 * (REBUILD_
 
 /// Reach of the CPU's neighbour lists, in units of the smaller h: [`UNSEEN_DISTANCE`] plus one move
 /// of each particle.
-pub(crate) const LISTED: f64 = UNSEEN_DISTANCE + 2.0 * FARTHEST_MOVE;
+pub(crate) const CPU_LIST_REACH: f64 = UNSEEN_DISTANCE + 2.0 * FARTHEST_MOVE;
 
 const _: () = assert!(
     UNSEEN_DISTANCE > 1.0,
     "particles that do not see each other could come within the first ring of the lattice"
 );
 const _: () = assert!(
-    SUPPORT * SKIN > 2.0 * REBUILD_MOVE && LISTED > SUPPORT,
+    SUPPORT * SKIN > 2.0 * REBUILD_MOVE && CPU_LIST_REACH > SUPPORT,
     "a pass could start with lists that miss an interaction"
 );
 
@@ -103,7 +103,7 @@ pub const INITIAL_LAMBDA: f64 = 0.1;
 pub(crate) const LEAST_LAMBDA: f64 = 1e-3;
 
 /// A particle whose damping reaches this limit does not move in the pass: its step would be 1e-4 of
-/// a Newton step.
+/// a Newton step. From the minimum damping, seven rejected attempts reach the limit.
 pub(crate) const LARGEST_LAMBDA: f64 = 1e4;
 
 /// Factor that multiplies the damping after a rejected attempt (Algorithm 1).
@@ -114,15 +114,34 @@ pub(crate) const LAMBDA_FALL: f64 = 0.1;
 
 /// Minimum eigenvalue of the Hessian in the tangent plane, as a share of the larger eigenvalue. It
 /// limits the step along the softer direction to 20 times the step that the stiffer direction would
-/// allow.
+/// allow. Measured with the torus described at [`REST_SHARE`], `--levels 1`, and 0.0125, 0.025,
+/// 0.05, 0.1 and 0.2: the runs take 77, 91, 89, 83 and 74 passes and keep 15.3, 13.2, 12.9, 13.7
+/// and 15.1 % lattice defects.
 pub(crate) const EIGENVALUE_FLOOR: f64 = 0.05;
 
-/// Maximum distance that the projection may add to a step, as a share of h.
-pub(crate) const PROJECTION_REACH: f64 = 0.5;
+/// Maximum gap between the two eigenvalues of a Hessian that the CPU treats as equal, as a share of
+/// their mean. At this gap the rounding error of the eigenvectors is about 2e-16 / 1e-12 = 2e-4
+/// radians.
+pub(crate) const EQUAL_EIGENVALUES_F64: f64 = 1e-12;
 
-/// Tolerance of |F| after a step, as a share of the voxel spacing. After the last pass,
-/// `settle::finish` projects with a tolerance of 1e-8.
+/// Minimum force times h, as a share of the energy. With a smaller force a particle on the CPU does
+/// not move: a step would reduce the energy by about the square of this share, 1e-24, which f64
+/// does not resolve.
+pub(crate) const LEAST_FORCE: f64 = 1e-12;
+
+/// Maximum distance that the projection may add to a step, as a share of h. A step that ends
+/// farther than [`FARTHEST_MOVE`] from the particle is rejected. By the triangle inequality, the
+/// projection of an accepted step therefore adds at most this distance to the length of the step.
+pub(crate) const PROJECTION_REACH: f64 = FARTHEST_MOVE;
+
+/// Tolerance of |F| after a step, as a share of the voxel spacing. It is near the resolution of f32
+/// positions on a GPU: from 64 to 128 voxels away from their origin, the last bit is 2^-17 = 0.8e-5
+/// voxels. After the last pass, the tolerance is [`FINAL_TOLERANCE`].
 pub(crate) const PASS_TOLERANCE: f64 = 1e-5;
+
+/// Tolerance of |F| after the last pass, as a share of the voxel spacing. It costs one Newton step:
+/// from an error of [`PASS_TOLERANCE`] e = 1e-5 voxels, a step leaves about e^2 = 1e-10 voxels.
+pub(crate) const FINAL_TOLERANCE: f64 = 1e-8;
 
 /// Minimum distance of a newcomer from all particles of its interface, including other newcomers,
 /// as a share of the lattice spacing. Subsequent passes move the neighbours apart.
@@ -136,5 +155,78 @@ pub(crate) const PASS_TOLERANCE: f64 = 1e-5;
 pub(crate) const NEWCOMER_DISTANCE: f64 = 0.45;
 
 /// Minimum distance of a newcomer from its parent after the projection, as a share of the lattice
-/// spacing. A newcomer below this distance is rejected.
+/// spacing. A newcomer below this distance is rejected. The projection moves a point at one spacing
+/// s in the tangent plane of a sphere of radius R to the distance 2 R sin(atan(s / R) / 2) from the
+/// parent. This distance is 0.6 s for R = 0.61 s. A smaller sphere has room for at most five
+/// particles of the lattice (4 pi R^2 / (0.866 s^2) = 5.4), so no particle can have six neighbours.
+///
+/// This is also the minimum distance of an edge midpoint from other particles when a level is
+/// split. Measured with the surfaces described at [`REST_SHARE`] and 0.3, 0.6 and 0.8 for
+/// midpoints: the heart takes 74, 85 and 100 passes and keeps 18.8, 18.3 and 19.5 % lattice
+/// defects. All midpoints of the torus are kept.
 pub(crate) const PARENT_DISTANCE: f64 = 0.6;
+
+/// Number of passes over which the stop test by lattice defects averages. The number of defects
+/// varies randomly from pass to pass, and a short window mistakes this for the end of the decrease.
+/// Measured with the surfaces described at [`REST_SHARE`], one level, and windows of 1, 2, 5, 10
+/// and 20 passes: the heart stops at pass 24, 33, 35, 50 and 50 with 28.6, 25.7, 25.5, 23.0 and
+/// 23.0 % defects, the torus at pass 25, 57, 77, 79 and 96 with 26.1, 17.2, 14.1, 14.1 and 12.3 %.
+pub const DEFECT_WINDOW: usize = 10;
+
+/// Default of [`Parameters::defect_tolerance`](crate::Parameters::defect_tolerance). Measured with
+/// the sizes and programs described at [`REST_SHARE`], and with 0.00375, 0.0075, 0.015 and 0.03:
+/// the heart takes 87, 85, 69 and 69 passes and keeps 18.5, 18.3, 18.6 and 20.9 % lattice defects.
+/// The torus takes 89, 88, 86 and 57 passes and keeps 4.7, 4.9, 5.3 and 7.9 %.
+pub(crate) const DEFECT_TOLERANCE: f64 = 7.5e-3;
+
+/// Default of [`Parameters::rest_share`](crate::Parameters::rest_share). Measured with the options
+/// `--backend cpu --rest-share X` for the heart of docs/developer/method.md ("Departures from the
+/// printed method") and for a torus (`phantom torus --size 128`, `distfield --iso 100`, `sizefield
+/// --uniform 1.2`). With 0.0005, 0.001, 0.002, 0.02 and 1, the heart takes 102, 88, 85, 85 and 61
+/// passes and keeps 16.7, 18.0, 18.3, 18.3 and 21.4 % lattice defects. The torus takes 88 passes
+/// from 0.002 to 1, and 99 with 0.0005.
+pub(crate) const REST_SHARE: f64 = 2e-3;
+
+/// Number of passes over which the test for balanced density control averages its counts. If h does
+/// not suit the surface (because h is large relative to the radius of curvature, or because the
+/// surface has voxel steps), density control adds and deletes particles at the same positions
+/// indefinitely. Measured with 20, 14 and 10 passes: `heart_ct` at 75,000 vertices takes 3.8, 3.2
+/// and 2.9 s with a mean radius ratio of 0.9859, 0.9856 and 0.9855. `heart_label` at h = 1.4 voxels
+/// takes 0.50, 0.38 and 0.32 s with 0.9899, 0.9892 and 0.9889.
+pub(crate) const BALANCE_WINDOW: usize = 14;
+
+/// Minimum of [`REST_SHARE`] on levels before the last: the next level replaces most of the
+/// particles that density control adds and deletes there. Measured with the surfaces described at
+/// [`REST_SHARE`] and 0.002, 0.01, 0.05 and 0.2: the heart takes 96, 85, 85 and 66 passes on all
+/// levels and keeps 19.7, 18.3, 18.3 and 20.7 % lattice defects. The torus takes 88 or 89 passes.
+pub(crate) const COARSE_REST_SHARE: f64 = 5e-2;
+
+/// Maximum number of passes without density control at the end of a level before the last. The next
+/// level moves the lattice of such a level anyway. Measured with 10 and 3: the lungs of
+/// `thorax_labels` (79,000 particles, h = 1.64 mm) take 1.67 and 1.44 s with a mean radius ratio of
+/// 0.9907 and 0.9901. `heart_label` at h = 2.1 mm takes 0.43 and 0.38 s with 0.9888 and 0.9887.
+pub(crate) const COARSE_CLOSING_PASSES: u64 = 3;
+
+/// Number of passes between two spatial sorts of the particles. Checkpoints are written only just
+/// before a sort, so this is also the minimum interval between checkpoints.
+pub const REORDER_INTERVAL: u64 = 10;
+
+/// Minimum distance between the seeds of the coarsest level, in edge lengths. With this value as
+/// many seeds remain as the hexagonal lattice has particles. Random sequential selection at
+/// distance r keeps 0.70 / r^2 points per unit area. The lattice of edge h has 1.155 / h^2 points
+/// per unit area, and 0.70 / 0.776^2 = 1.16.
+pub(crate) const SEED_SEPARATION: f64 = 0.776;
+
+/// Minimum distance, in edge lengths, of a seed from all particles when a level is split. Such
+/// seeds fill the parts of the surface that are too small for the coarser lattice, so there are
+/// few: 31 on the heart and 3 on the torus described at [`REST_SHARE`]. Measured with 0.7, 0.8, 0.9
+/// and 1: the heart ends with 4791, 4751, 4757 and 4731 particles (predicted 4847) and 18.1, 16.6,
+/// 18.3 and 20.2 % lattice defects, the torus with 17,455, 17,445, 17,411 and 17,415 particles.
+pub(crate) const FILLER_SEPARATION: f64 = 0.9;
+
+/// Maximum length, in lattice spacings, of an edge that is split. It exceeds sqrt(2), the diagonal
+/// of a square of lattice edges. Crossing edges are rejected separately. Measured with the surfaces
+/// described at [`REST_SHARE`] and 1.316 ([`FIRST_RING`]), 1.45, 1.7 and 2: the torus ends with
+/// 17,383 particles at 1.316 and with the same 17,411 particles above. The heart keeps 19.2, 18.3,
+/// 20.4 and 21.3 % lattice defects.
+pub(crate) const LONGEST_EDGE: f64 = 1.45;

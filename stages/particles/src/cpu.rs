@@ -2,11 +2,12 @@
 //! many materials.
 
 use crate::coarse::{MakeEngine, settle_levels};
+use crate::constants::REORDER_INTERVAL;
 use crate::density::{self, Limits};
 use crate::gpu::DeviceReport;
 use crate::implicit::{Implicit, Interfaces};
 use crate::movement;
-use crate::settle::{Engine, Level, Parameters, PassOutcome, PassRecord, REORDER_INTERVAL, Summary, settle_level};
+use crate::settle::{Engine, Level, Parameters, PassOutcome, PassRecord, Summary, settle_level};
 use crate::state::{Fields, Measures, State};
 use isoparticles_field::materials::{Indicators, Stratum};
 use isoparticles_field::particle_set::{ParticleSet, Strata};
@@ -106,7 +107,7 @@ impl<'a, S: Implicit> CpuEngine<'a, S> {
         parameters: &Parameters,
     ) -> Self {
         let mut state = State::unlisted(set, parameters.normal_agreement).at_spacing(parameters.spacing()).on(strata);
-        state.sort_by_place();
+        state.sort_spatially();
         Self { state, fields, parameters: parameters.clone() }
     }
 }
@@ -117,7 +118,7 @@ impl<S: Implicit> Engine for CpuEngine<'_, S> {
         if pass % REORDER_INTERVAL == 1 {
             // a resumed run also starts in this order, because checkpoints are written only just
             // before a sort
-            state.sort_by_place();
+            state.sort_spatially();
         }
         state.rebuild();
         let moves = movement::pass(state, self.fields);

@@ -8,7 +8,7 @@
 
 use crate::constants::{INITIAL_LAMBDA, NEWCOMER_DISTANCE, PARENT_DISTANCE, PASS_TOLERANCE};
 use crate::implicit::Implicit;
-use crate::movement::TangentPlane;
+use crate::neighbourhood::TangentPlane;
 use crate::state::{Fields, State};
 use glam::DVec3;
 use isoparticles_field::energy::{self, SUPPORT};
@@ -64,8 +64,8 @@ pub(crate) fn control<S: Implicit>(
     Changes { inserted, deleted: gone }
 }
 
-/// Marks particles for deletion in descending order of energy, and updates the energies of their
-/// neighbours.
+/// Marks particles for deletion in descending order of energy. Subtracts the pair energies of each
+/// deleted particle from the energies of the neighbours.
 fn delete(state: &State, energies: &mut [f64], limits: &Limits, seed: u64, pass: u64) -> Vec<bool> {
     let set = &state.set;
     let mut deleted = vec![false; state.len()];
@@ -171,9 +171,9 @@ pub(crate) fn propose<S: Implicit>(state: &State, fields: &Fields<S>, deleted: &
     has_room.then_some(Newcomer { parent: i, position, normal, size })
 }
 
-/// Returns position, normal and h of a point at one spacing from particle i, projected onto the
-/// surface. The point is in the middle of the widest gap between the neighbours within the second
-/// ring.
+/// Finds the widest gap between the neighbours of particle i within the second ring. Projects the
+/// point at one spacing from the particle, in the middle of this gap, onto the surface. Returns
+/// position, normal and h of the projected point.
 fn place_in_widest_gap<S: Implicit>(
     state: &State,
     fields: &Fields<S>,

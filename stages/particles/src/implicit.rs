@@ -13,9 +13,9 @@ pub trait Implicit: Sync {
     /// the point is not on the stratum.
     fn project(&self, stratum: Option<Stratum>, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)>;
 
-    /// Returns whether the zero set of a stratum is real at a point on it: no other material is
-    /// closer there.
-    fn is_real(&self, stratum: Option<Stratum>, place: DVec3) -> bool;
+    /// Returns whether a point on the zero set of a stratum lies on the interface, that is, whether
+    /// no third material is closer there.
+    fn is_real(&self, stratum: Option<Stratum>, point: DVec3) -> bool;
 
     /// Returns the minimum voxel edge in mm. Tolerances are fractions of it.
     fn min_spacing(&self) -> f64;
@@ -68,8 +68,8 @@ impl<I: Indicators> Implicit for Interfaces<'_, I> {
         self.indicators.place_on_interface(sides(stratum)?, start, limit, tolerance)
     }
 
-    fn is_real(&self, stratum: Option<Stratum>, place: DVec3) -> bool {
-        sides(stratum).is_some_and(|own| self.indicators.clearance(place, &own) > 0.0)
+    fn is_real(&self, stratum: Option<Stratum>, point: DVec3) -> bool {
+        sides(stratum).is_some_and(|own| self.indicators.clearance(point, &own) > 0.0)
     }
 
     #[inline(always)]

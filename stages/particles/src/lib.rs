@@ -25,10 +25,8 @@ mod scenes;
 mod settle;
 mod state;
 
-pub use constants::INITIAL_LAMBDA;
+pub use constants::{DEFECT_WINDOW, INITIAL_LAMBDA, REORDER_INTERVAL};
 pub use cpu::{OnStrata, settle, settle_interfaces};
 pub use implicit::{Implicit, Interfaces};
-pub use settle::{
-    Binning, DEFECT_WINDOW, Engine, Order, Parameters, PassOutcome, PassRecord, REORDER_INTERVAL, Summary, settle_with,
-};
+pub use settle::{Binning, Engine, Order, Parameters, PassOutcome, PassRecord, Summary, settle_with};
 pub use state::Fields;

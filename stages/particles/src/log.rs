@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// An open log. Each line is written immediately.
+/// An open log. Lines are not buffered.
 pub(crate) struct Log {
     path: PathBuf,
     file: File,

@@ -2,17 +2,17 @@
 //!
 //! A particle takes a damped Newton step of its energy in the tangent plane of F and is projected
 //! back onto F = 0 (Eq. 5). The step is accepted if it lowers the energy. Otherwise lambda grows
-//! tenfold and the particle tries again. The particles of a block move one after the other, and the
-//! blocks of an independent class move at the same time. Blocks of a class do not interact. The
-//! pass is therefore the paper's Gauss-Seidel sweep in another order, and its result does not
-//! depend on the number of threads.
+//! tenfold and the particle tries again. The particles of a block move one after the other. The
+//! blocks of an independent class move at the same time, because these blocks do not interact. The
+//! pass is therefore the paper's Gauss-Seidel sweep in another order, and the result of a pass does
+//! not depend on the number of threads.
 
 use crate::constants::{
-    EIGENVALUE_FLOOR, FARTHEST_MOVE, LAMBDA_FALL, LAMBDA_GROWTH, LARGEST_LAMBDA, LEAST_LAMBDA, LONGEST_STEP,
-    PASS_TOLERANCE, PROJECTION_REACH,
+    EIGENVALUE_FLOOR, EQUAL_EIGENVALUES_F64, FARTHEST_MOVE, LAMBDA_FALL, LAMBDA_GROWTH, LARGEST_LAMBDA, LEAST_FORCE,
+    LEAST_LAMBDA, LONGEST_STEP, PASS_TOLERANCE, PROJECTION_REACH,
 };
 use crate::implicit::Implicit;
-use crate::neighbourhood::{Neighbourhood, Record};
+use crate::neighbourhood::{Neighbourhood, Record, TangentPlane};
 use crate::state::{Fields, State};
 use fearless_simd::{Level, Simd, dispatch};
 use glam::DVec3;
@@ -61,10 +61,10 @@ pub(crate) fn pass<S: Implicit>(state: &mut State, fields: &Fields<S>) -> Moves 
             .collect();
         let ranges: Vec<Range<usize>> = class.iter().map(|&block| members_of(state, block)).collect();
         let set = &mut state.set;
-        let places = ranges_mut(&mut set.positions, &ranges).into_par_iter().zip(ranges_mut(&mut set.normals, &ranges));
+        let points = ranges_mut(&mut set.positions, &ranges).into_par_iter().zip(ranges_mut(&mut set.normals, &ranges));
         let others = ranges_mut(&mut set.sizes, &ranges).into_par_iter().zip(ranges_mut(&mut set.lambdas, &ranges));
         let records = ranges_mut(&mut state.records, &ranges);
-        places.zip(others).zip(records).zip(&steps).for_each(
+        points.zip(others).zip(records).zip(&steps).for_each(
             |((((positions, normals), (sizes, lambdas)), records), steps)| {
                 for (k, step) in steps.iter().enumerate() {
                     (positions[k], normals[k]) = (step.position, step.normal);
@@ -90,8 +90,8 @@ fn block_steps<S: Implicit>(
     members: Range<usize>,
 ) -> Vec<Step> {
     let mut steps = Vec::with_capacity(members.len());
-    // records of the particles of this block, updated as they move; no other neighbour moves
-    // meanwhile
+    // records of the particles of this block, updated as the particles move; their neighbours in
+    // other blocks do not move at the same time
     let mut own = state.records[members.clone()].to_vec();
     let first = members.start;
     dispatch!(Level::new(), simd => {
@@ -128,7 +128,7 @@ fn step<L: Simd, S: Implicit>(simd: L, state: &State, fields: &Fields<S>, near: 
     // Eq. 4 plus the derivative through the particle's own h; the Hessian holds h fixed
     let along_size = plane.coordinates(fields.sizing.value_gradient(position).1);
     let force = [0, 1].map(|a| jet.gradient[a] + jet.by_size * along_size[a]);
-    if (force[0] * force[0] + force[1] * force[1]).sqrt() * size < 1e-12 * jet.energy {
+    if (force[0] * force[0] + force[1] * force[1]).sqrt() * size < LEAST_FORCE * jet.energy {
         return result;
     }
     let curvature = positive_definite(jet.hessian);
@@ -152,39 +152,8 @@ fn step<L: Simd, S: Implicit>(simd: L, state: &State, fields: &Fields<S>, near: 
     result
 }
 
-/// Two orthonormal directions that span the tangent plane of F.
-pub(crate) struct TangentPlane {
-    pub u: DVec3,
-    pub v: DVec3,
-}
-
-impl TangentPlane {
-    #[inline(always)]
-    pub(crate) fn new(normal: DVec3) -> Self {
-        let u = normal.any_orthonormal_vector();
-        Self { u, v: normal.cross(u) }
-    }
-
-    #[inline(always)]
-    pub(crate) fn coordinates(&self, x: DVec3) -> [f64; 2] {
-        [self.u.dot(x), self.v.dot(x)]
-    }
-
-    #[inline(always)]
-    pub(crate) fn out_of_plane(&self, x: [f64; 2]) -> DVec3 {
-        self.u * x[0] + self.v * x[1]
-    }
-
-    /// Returns the restriction of a symmetric 3 x 3 matrix to the plane: entries uu, uv, vv.
-    #[cfg(test)]
-    pub(crate) fn restrict(&self, m: &glam::DMat3) -> [f64; 3] {
-        let (mu, mv) = (*m * self.u, *m * self.v);
-        [self.u.dot(mu), self.u.dot(mv), self.v.dot(mv)]
-    }
-}
-
 /// Replaces the eigenvalues of a symmetric 2 x 2 matrix (entries uu, uv, vv) by their magnitudes
-/// and bounds them away from zero, so that the Newton step is a descent step.
+/// and bounds them away from zero. The Newton step is then a descent step.
 #[inline(always)]
 fn positive_definite(m: [f64; 3]) -> [f64; 3] {
     let [a, b, c] = m;
@@ -192,7 +161,7 @@ fn positive_definite(m: [f64; 3]) -> [f64; 3] {
     let (low, high) = (mean - half, mean + half);
     let floor = EIGENVALUE_FLOOR * low.abs().max(high.abs());
     let (l, h) = (low.abs().max(floor), high.abs().max(floor));
-    if half <= 1e-12 * mean.abs() {
+    if half <= EQUAL_EIGENVALUES_F64 * mean.abs() {
         return [l, 0.0, l];
     }
     // the eigenvector of the higher eigenvalue is (cos t, sin t)

@@ -2,14 +2,44 @@
 //! tests, `reference.rs` computes the same sums pair by pair with the exact functions.
 
 use crate::constants::FIRST_RING;
-use crate::movement::TangentPlane;
 use fearless_simd::{Simd, f64x8, prelude::*};
 use glam::DVec3;
 use isoparticles_field::energy::{Pairs, SUPPORT, sum};
 
-/// Number of pairs per SIMD operation. It is the same for every instruction set, so that the order
-/// of summation is always the same.
+/// Number of pairs per SIMD operation: the lanes of `f64x8`, for every instruction set. The order
+/// of summation is therefore always the same.
 const LANES: usize = 8;
+
+/// Two orthonormal directions that span the tangent plane of F.
+pub(crate) struct TangentPlane {
+    pub u: DVec3,
+    pub v: DVec3,
+}
+
+impl TangentPlane {
+    #[inline(always)]
+    pub(crate) fn new(normal: DVec3) -> Self {
+        let u = normal.any_orthonormal_vector();
+        Self { u, v: normal.cross(u) }
+    }
+
+    #[inline(always)]
+    pub(crate) fn coordinates(&self, x: DVec3) -> [f64; 2] {
+        [self.u.dot(x), self.v.dot(x)]
+    }
+
+    #[inline(always)]
+    pub(crate) fn out_of_plane(&self, x: [f64; 2]) -> DVec3 {
+        self.u * x[0] + self.v * x[1]
+    }
+
+    /// Returns the restriction of a symmetric 3 x 3 matrix to the plane: entries uu, uv, vv.
+    #[cfg(test)]
+    pub(crate) fn restrict(&self, m: &glam::DMat3) -> [f64; 3] {
+        let (mu, mv) = (*m * self.u, *m * self.v);
+        [self.u.dot(mu), self.u.dot(mv), self.v.dot(mv)]
+    }
+}
 
 /// Data of a particle that its neighbours read: position and 1/h. It fills half a cache line.
 #[derive(Clone, Copy, Debug)]
@@ -32,8 +62,9 @@ struct Block {
     inverse_size: [f64; LANES],
 }
 
-/// Padding for incomplete blocks, outside the support of any particle.
-const NOBODY: Block = Block { offset: [[1e100; LANES]; 3], inverse_size: [1.0; LANES] };
+/// Padding for incomplete blocks: outside the support of any particle, and with a finite squared
+/// distance (3e200) in f64.
+const PADDING: Block = Block { offset: [[1e100; LANES]; 3], inverse_size: [1.0; LANES] };
 
 /// The neighbours of one particle.
 #[derive(Default)]
@@ -54,16 +85,16 @@ pub(crate) struct PlaneJet {
 }
 
 impl Neighbourhood {
-    /// Loads the neighbours in `list`, relative to `place`. `record_of` returns the record of a
+    /// Loads the neighbours in `list`, relative to `position`. `record_of` returns the record of a
     /// particle.
     #[inline(always)]
-    pub(crate) fn gather(&mut self, record_of: impl Fn(usize) -> Record, list: &[u32], place: DVec3) {
+    pub(crate) fn gather(&mut self, record_of: impl Fn(usize) -> Record, list: &[u32], position: DVec3) {
         self.blocks.clear();
         for members in list.chunks(LANES) {
-            let mut block = NOBODY;
+            let mut block = PADDING;
             let mut set = |lane: usize, j: u32| {
                 let record = record_of(j as usize);
-                let offset = record.position - place;
+                let offset = record.position - position;
                 for axis in 0..3 {
                     block.offset[axis][lane] = offset[axis];
                 }
@@ -84,7 +115,7 @@ impl Neighbourhood {
     }
 
     /// Returns the squared scaled distances (Eq. 2) between a block and a particle with this 1/h,
-    /// with intermediate values. `moved` is the particle's displacement since `gather`.
+    /// and intermediate values. `moved` is the particle's displacement since `gather`.
     #[inline(always)]
     fn distances<S: Simd>(simd: S, block: &Block, moved: DVec3, inverse_size: f64) -> Distances<S> {
         let along = |axis: usize| f64x8::simd_from(simd, block.offset[axis]) - moved[axis];

@@ -4,15 +4,15 @@
 use crate::args::{Args, Backend};
 use crate::checkpoint::{Progress, cpu_engine, keep, resume};
 use crate::coarse::{MakeEngine, settle_levels};
-use crate::cpu::{CpuEngine, OnCpu, settle_interfaces_with};
+use crate::cpu::{CpuEngine, OnCpu, OnStrata, settle_interfaces_with};
 use crate::gpu::{self, AdapterChoice, DeviceReport, Gpu, GpuEngine};
 use crate::ground::{Ground, check_kind, check_levels};
 use crate::implicit::Interfaces;
 use crate::log::Log;
-use crate::settle::{Engine, Order, Parameters, PassRecord};
+use crate::settle::{Engine, Order, Parameters, PassRecord, Summary};
 use crate::state::Fields;
 use isoparticles_field::materials::{Materials, Stratum};
-use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_field::sizing::SizingField;
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
@@ -21,6 +21,7 @@ use isoparticles_stage::materials_file::is_materials;
 use isoparticles_stage::particle_file::{ParticleKind, read_particles, write_material_particles, write_particles};
 use serde_json::json;
 use std::cell::Cell;
+use std::path::Path;
 
 /// Maximum memory in bytes per particle on the CPU, excluding the fields. Measured: 190 to 510 for
 /// the phantoms of `stages/distfield/benches/costs.py`.
@@ -60,7 +61,7 @@ fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
 struct Engines<'a> {
     gpu: Option<&'a Gpu>,
     parameters: &'a Parameters,
-    /// Whether the CPU may replace the GPU if the GPU cannot hold the data.
+    /// True if the CPU may replace the GPU when the data exceeds the limits of the GPU.
     may_fall_back: bool,
     fell_back: Cell<bool>,
     context: &'a Context,
@@ -150,16 +151,218 @@ fn tell(report: &DeviceReport, context: &Context) {
     context.report("device", json!(report));
 }
 
+/// Paths of the input and output files.
+#[derive(Clone, Copy)]
+struct Files<'a> {
+    seeds: &'a Path,
+    distance: &'a Path,
+    sizing: &'a Path,
+    output: &'a Path,
+}
+
+impl<'a> Files<'a> {
+    /// Returns the files of a command line. Returns `None` if they are missing, which the parser
+    /// allows only with --list-adapters.
+    fn of(args: &'a Args) -> Option<Self> {
+        Some(Self {
+            seeds: args.seeds.as_deref()?,
+            distance: args.distfield.as_deref()?,
+            sizing: args.sizefield.as_deref()?,
+            output: args.output.as_deref()?,
+        })
+    }
+}
+
+/// Contents of the input files.
+struct Inputs {
+    /// Seeds with their strata, which are empty for one object.
+    seeds: OnStrata,
+    ground: Ground,
+    sizing: SizingField,
+    /// Hashes of seeds, distance field and sizing field.
+    hashes: [String; 3],
+}
+
+impl Inputs {
+    /// Reads the input files and rejects inputs that do not match or that need too much memory.
+    fn read(files: Files<'_>, many: bool, context: &Context) -> Result<Self> {
+        let (seeds, (ground, sizing)) = rayon::join(
+            || read_particles(files.seeds, &[ParticleKind::Seeds, ParticleKind::Particles]),
+            || rayon::join(|| Ground::read(files.distance, many), || read_field(files.sizing, FieldKind::Sizing)),
+        );
+        let seeds = seeds?;
+        check_kind((files.distance, many), (files.seeds, seeds.strata.is_some()))?;
+        let (ground, sizing) = (ground?, sizing?);
+        check_same_grid((files.distance, ground.geometry()), (files.sizing, &sizing.image.geometry))?;
+        check_same_grid((files.distance, ground.geometry()), (files.seeds, &seeds.particles.geometry))?;
+        let hashes = context.add_inputs([
+            (files.seeds, Some(seeds.history.clone())),
+            (files.distance, ground.history()),
+            (files.sizing, sizing.history.clone()),
+        ])?;
+        let count = seeds.particles.positions.len();
+        context.check_memory(
+            BYTES_PER_PARTICLE * count as f64,
+            &format!("{}: settling {count} particles", files.seeds.display()),
+            "raise SIZE or MIN_SIZE (sizefield --uniform, --min-size), or set QUALITY=coarse (sizefield --quality)",
+        )?;
+        if count == 0 {
+            return Err(Error::input(
+                format!("{}: contains no particles", files.seeds.display()),
+                "there is nothing to settle",
+                "run seed again",
+            ));
+        }
+        let seeds = (seeds.particles, seeds.strata.unwrap_or_default());
+        Ok(Self { seeds, ground, sizing: SizingField::new(sizing.image), hashes })
+    }
+}
+
+/// Particles, strata and records of the passes already run, read from a checkpoint.
+type Resumed = (ParticleSet, Option<Strata>, Vec<PassRecord>);
+
+/// Result of settling.
+struct Settled {
+    particles: ParticleSet,
+    strata: Strata,
+    summary: Summary,
+    device: Option<DeviceReport>,
+    /// Records of all passes, including those before a resume.
+    records: Vec<PassRecord>,
+}
+
+/// Options and device of a run.
+struct Run<'a> {
+    args: &'a Args,
+    context: &'a Context,
+    gpu: Option<&'a Gpu>,
+    parameters: &'a Parameters,
+}
+
+impl Run<'_> {
+    /// Returns the name of the engine for checkpoints.
+    fn engine(&self) -> String {
+        self.gpu.map_or_else(cpu_engine, |gpu| format!("gpu: {}", gpu.summary().name))
+    }
+
+    /// Reads the checkpoint if --resume is given and the file exists.
+    fn resume(&self, inputs: &Inputs) -> Result<Option<Resumed>> {
+        match &self.args.checkpoint {
+            Some(path) if self.args.resume && path.exists() => {
+                resume(path, self.parameters, &inputs.hashes, &self.engine(), self.context).map(Some)
+            }
+            _ => Ok(None),
+        }
+    }
+
+    /// Settles the particles. Writes the log and the checkpoints.
+    fn settle(&self, inputs: &Inputs, resumed: Option<Resumed>) -> Result<Settled> {
+        let Self { args, context, gpu, parameters } = *self;
+        let records = resumed.as_ref().map_or_else(Vec::new, |r| r.2.clone());
+        let mut log = args.log.as_deref().map(|path| Log::create(path, &records)).transpose()?;
+        let most = parameters.max_passes + u64::from(parameters.level_count() - 1) * parameters.coarse_passes;
+        let progress = context.progress(Some(most), "pass");
+        let mut kept = Progress {
+            parameters: parameters.clone(),
+            inputs: inputs.hashes.clone(),
+            records: records.clone(),
+            engine: self.engine(),
+        };
+        let engines = Engines {
+            gpu,
+            parameters,
+            // the CPU does not support the order of bins
+            may_fall_back: args.backend == Backend::Auto
+                && args.adapter.is_none()
+                && parameters.order == Order::Classes,
+            fell_back: Cell::new(false),
+            context,
+        };
+        let mut observe = |record: &PassRecord, engine: &mut dyn Engine| {
+            progress.set(record.pass);
+            progress.message(progress_of(record));
+            if let Some(log) = &mut log {
+                log.write(record)?;
+            }
+            kept.records.push(*record);
+            if let Some(path) = &args.checkpoint
+                && record.pass.is_multiple_of(args.checkpoint_interval)
+            {
+                if engines.fell_back.get() {
+                    kept.engine = cpu_engine();
+                }
+                keep(path, engine, &inputs.seeds.1.segments, &kept, context)?;
+            }
+            context.check_interrupt()
+        };
+        let resumed = resumed.map(|(set, strata, _)| ((set, strata.unwrap_or_default()), records.as_slice()));
+        let ((particles, strata), summary, device) = match &inputs.ground {
+            Ground::Object { surface, .. } => {
+                let fields = Fields { surface, sizing: &inputs.sizing };
+                let resumed = resumed.map(|((set, _), records)| (set, records));
+                let (set, summary, device) =
+                    settle_levels(&inputs.seeds.0, resumed, &fields, parameters, &engines, &mut observe)?;
+                ((set, Strata::default()), summary, device)
+            }
+            Ground::Materials(file) => {
+                let surface = Interfaces::new(&file.materials, file.materials.geometry().min_spacing());
+                let fields = Fields { surface: &surface, sizing: &inputs.sizing };
+                let make = |set, strata| engines.make_for_materials(&file.materials, &fields, (set, strata));
+                settle_interfaces_with(make, &inputs.seeds, resumed, &fields, parameters, &mut observe)?
+            }
+        };
+        Ok(Settled { particles, strata, summary, device, records: kept.records })
+    }
+}
+
+/// Returns the progress message of a pass.
+fn progress_of(record: &PassRecord) -> String {
+    format!(
+        "{} particles ({} added, {} deleted), mean energy {:.5}",
+        record.count,
+        record.inserted,
+        record.deleted,
+        record.energy / record.count.max(1) as f64
+    )
+}
+
+/// Writes the results to the closing table and to the report.
+fn summarise(settled: &Settled, ground: &Ground, context: &Context) {
+    let summary = &settled.summary;
+    if summary.escaped > 0 {
+        context.warn(format!("{} particles could not be kept on {} and were removed", summary.escaped, ground.name()));
+    }
+    context.summary("particles", settled.particles.positions.len());
+    if matches!(ground, Ground::Materials(_)) {
+        let held = settled.strata.of.iter().filter(|stratum| stratum.dimension() < 2).count();
+        context.summary("  of junctions", held);
+    }
+    context.summary("passes", summary.passes);
+    context.summary("stopped by", if summary.settled { "the stop test" } else { "the pass limit" });
+    context.summary("escaped", summary.escaped);
+    context.summary("energy over ideal", format!("{:.4}", summary.energy_ratio));
+    context.summary("backend", settled.backend());
+    if let Some(device) = &settled.device {
+        tell(device, context);
+    }
+    context.report("settling", json!(summary));
+    context.report("passes", json!(settled.records));
+}
+
+impl Settled {
+    /// Returns the name of the backend that finished the run.
+    fn backend(&self) -> &'static str {
+        if self.device.is_some() { "gpu" } else { "cpu" }
+    }
+}
+
 /// Runs the program: reads the inputs, settles the particles and writes the results.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
-    let (Some(seeds_file), Some(distance_file), Some(sizing_file), Some(output)) =
-        (&args.seeds, &args.distfield, &args.sizefield, &args.output)
-    else {
-        // the files are optional only with --list-adapters
+    let Some(files) = Files::of(args) else {
         list_adapters();
         return Ok(Outcome::Passed);
     };
-    let many = is_materials(distance_file);
+    let many = is_materials(files.distance);
     if many {
         check_levels(args.levels)?;
     }
@@ -167,137 +370,33 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let parameters = args.settling(gpu.is_some(), many);
     args.check(&parameters, gpu.is_some())?;
     let step = context.step("read");
-    let (seeds, (ground, sizing)) = rayon::join(
-        || read_particles(seeds_file, &[ParticleKind::Seeds, ParticleKind::Particles]),
-        || rayon::join(|| Ground::read(distance_file, many), || read_field(sizing_file, FieldKind::Sizing)),
-    );
-    let seeds = seeds?;
-    check_kind((distance_file, many), (seeds_file, seeds.strata.is_some()))?;
-    let (ground, sizing) = (ground?, sizing?);
-    check_same_grid((distance_file, ground.geometry()), (sizing_file, &sizing.image.geometry))?;
-    check_same_grid((distance_file, ground.geometry()), (seeds_file, &seeds.particles.geometry))?;
-    let inputs = context.add_inputs([
-        (seeds_file, Some(seeds.history.clone())),
-        (distance_file, ground.history()),
-        (sizing_file, sizing.history.clone()),
-    ])?;
-    let count = seeds.particles.positions.len();
-    context.check_memory(
-        BYTES_PER_PARTICLE * count as f64,
-        &format!("{}: settling {count} particles", seeds_file.display()),
-        "raise SIZE or MIN_SIZE (sizefield --uniform, --min-size), or set QUALITY=coarse (sizefield --quality)",
-    )?;
-    if seeds.particles.positions.is_empty() {
-        return Err(Error::input(
-            format!("{}: contains no particles", seeds_file.display()),
-            "there is nothing to settle",
-            "run seed again",
-        ));
-    }
-    let engine = gpu.as_ref().map_or_else(cpu_engine, |gpu| format!("gpu: {}", gpu.summary().name));
+    let inputs = Inputs::read(files, many, context)?;
     context.set_parameter("levels", parameters.levels);
     context.set_parameter("order", json!(parameters.order));
-    let resumed = match &args.checkpoint {
-        Some(path) if args.resume && path.exists() => Some(resume(path, &parameters, &inputs, &engine, context)?),
-        _ => None,
-    };
-    let records = resumed.as_ref().map_or_else(Vec::new, |r| r.2.clone());
-    let sizing = SizingField::new(sizing.image);
+    let run = Run { args, context, gpu: gpu.as_ref(), parameters: &parameters };
+    let resumed = run.resume(&inputs)?;
     drop(step);
-
     let step = context.step("settle");
-    let mut log = args.log.as_deref().map(|path| Log::create(path, &records)).transpose()?;
-    let progress = context.progress(
-        Some(parameters.max_passes + u64::from(parameters.level_count() - 1) * parameters.coarse_passes),
-        "pass",
-    );
-    let mut kept = Progress { parameters: parameters.clone(), inputs, records: records.clone(), engine };
-    let engines = Engines {
-        gpu: gpu.as_ref(),
-        parameters: &parameters,
-        // the CPU does not support the order of bins
-        may_fall_back: args.backend == Backend::Auto && args.adapter.is_none() && parameters.order == Order::Classes,
-        fell_back: Cell::new(false),
-        context,
-    };
-    let (first, strata) = (seeds.particles, seeds.strata.unwrap_or_default());
-    let segments = strata.segments.clone();
-    let mut observe = |record: &PassRecord, engine: &mut dyn Engine| {
-        progress.set(record.pass);
-        progress.message(format!(
-            "energy {:.5} per particle, {} particles (+{} -{})",
-            record.energy / record.count.max(1) as f64,
-            record.count,
-            record.inserted,
-            record.deleted
-        ));
-        if let Some(log) = &mut log {
-            log.write(record)?;
-        }
-        kept.records.push(*record);
-        if let Some(path) = &args.checkpoint
-            && record.pass.is_multiple_of(args.checkpoint_interval)
-        {
-            if engines.fell_back.get() {
-                kept.engine = cpu_engine();
-            }
-            keep(path, engine, &segments, &kept, context)?;
-        }
-        context.check_interrupt()
-    };
-    let resumed = resumed.map(|(set, strata, _)| ((set, strata.unwrap_or_default()), records.as_slice()));
-    let ((particles, strata), summary, device) = match &ground {
-        Ground::Object { surface, .. } => {
-            let fields = Fields { surface, sizing: &sizing };
-            let resumed = resumed.map(|((set, _), records)| (set, records));
-            let (set, summary, device) = settle_levels(&first, resumed, &fields, &parameters, &engines, &mut observe)?;
-            ((set, strata), summary, device)
-        }
-        Ground::Materials(file) => {
-            let surface = Interfaces::new(&file.materials, file.materials.geometry().min_spacing());
-            let fields = Fields { surface: &surface, sizing: &sizing };
-            let make = |set, strata| engines.make_for_materials(&file.materials, &fields, (set, strata));
-            settle_interfaces_with(make, &(first, strata), resumed, &fields, &parameters, &mut observe)?
-        }
-    };
-    let backend = if device.is_some() { "gpu" } else { "cpu" };
-    context.set_parameter("backend", backend);
-    if let Some(device) = &device {
+    let settled = run.settle(&inputs, resumed)?;
+    context.set_parameter("backend", settled.backend());
+    if let Some(device) = &settled.device {
         context.set_parameter("adapter", device.adapter.clone());
     }
-    drop((progress, step));
-    if particles.positions.is_empty() {
+    drop(step);
+    if settled.particles.positions.is_empty() {
         return Err(Error::input(
-            format!("{}: no particle remained on the surface", seeds_file.display()),
+            format!("{}: no particle remained on the surface", files.seeds.display()),
             "there is nothing to write",
             "use the distance field that the seeds were made from (--distfield), or run seed again",
         ));
     }
-    if summary.escaped > 0 {
-        context.warn(format!("{} particles could not be kept on {} and were removed", summary.escaped, ground.name()));
-    }
-    context.summary("particles", particles.positions.len());
-    if many {
-        let held = strata.of.iter().filter(|stratum| stratum.dimension() < 2).count();
-        context.summary("  of junctions", held);
-    }
-    context.summary("passes", summary.passes);
-    context.summary("stopped by", if summary.settled { "the stop test" } else { "the pass limit" });
-    context.summary("escaped", summary.escaped);
-    context.summary("energy over ideal", format!("{:.4}", summary.energy_ratio));
-    context.summary("backend", backend);
-    if let Some(device) = &device {
-        tell(device, context);
-    }
-    let meta = json!(summary);
-    context.report("settling", meta.clone());
-    context.report("passes", json!(kept.records));
+    summarise(&settled, &inputs.ground, context);
     let _step = context.step("write");
-    let (kind, history) = (ParticleKind::Particles, context.history());
+    let (kind, meta, history) = (ParticleKind::Particles, json!(settled.summary), context.history());
     if many {
-        write_material_particles(output, kind, &particles, &strata, &meta, &history)?;
+        write_material_particles(files.output, kind, &settled.particles, &settled.strata, &meta, &history)?;
     } else {
-        write_particles(output, kind, &particles, &meta, &history)?;
+        write_particles(files.output, kind, &settled.particles, &meta, &history)?;
     }
     Ok(Outcome::Passed)
 }

@@ -70,8 +70,8 @@ impl Scene {
     }
 
     /// Returns four particles on each of eight meridians of a ball, with gaps of h, 2.35 h and h.
-    /// The inner two particles are not in each other's lists. Both place their newcomers towards
-    /// each other, at distance h.
+    /// The inner two particles are not in each other's lists. Each places its newcomer at distance
+    /// h towards the other.
     pub(crate) fn meeting_newcomers() -> Self {
         let mut scene = Self::ball(0, 1.6);
         let centre = 0.5 * scene.surface.geometry().upper_corner();

@@ -2,6 +2,10 @@
 //! density, and repeats until a stop test is met or the pass limit is reached. The engines that run
 //! a pass are in `cpu.rs` and `gpu/`.
 
+use crate::constants::{
+    BALANCE_WINDOW, COARSE_CLOSING_PASSES, COARSE_REST_SHARE, DEFECT_TOLERANCE, DEFECT_WINDOW, FINAL_TOLERANCE,
+    REST_SHARE,
+};
 use crate::gpu::DeviceReport;
 use crate::implicit::Implicit;
 use crate::state::{Fields, State};
@@ -42,8 +46,8 @@ pub struct Parameters {
     pub add_below: f64,
     /// Delete a particle where E > this times E_ideal.
     pub delete_above: f64,
-    /// Whether particles may be added. The paper's synthetic test (Table 3) does not add particles;
-    /// then there is only one level.
+    /// True if particles may be added. The paper's synthetic test (Table 3) does not add particles.
+    /// If false, there is only one level.
     pub allow_insert: bool,
     /// Number of passes without density control at the end, in which the last newcomers settle. On
     /// levels before the last there are at most three such passes.
@@ -89,21 +93,26 @@ pub enum Order {
 impl Default for Parameters {
     fn default() -> Self {
         Self {
+            // on one level, the torus described at `REST_SHARE` takes 89 passes
             max_passes: 150,
-            defect_tolerance: 7.5e-3,
+            defect_tolerance: DEFECT_TOLERANCE,
             energy_tolerance: None,
+            // docs/developer/method.md measures the energy window, the closing passes and the
+            // levels (runs A to H)
             energy_window: 5,
-            rest_share: 2e-3,
+            rest_share: REST_SHARE,
             ideal_energy: energy::ideal_energy(),
             // the printed 0.75 and 1.35 leave larger gaps: on a heart the energy reaches 0.92 of
-            // the ideal energy instead of 0.94 (docs/developer/method.md)
+            // the ideal energy instead of 0.94 (runs B and C)
             add_below: 0.8,
             delete_above: 1.25,
             allow_insert: true,
             closing_passes: 10,
+            // normals less than 90 degrees apart: the faces of a thin wall have opposite normals
             normal_agreement: 0.0,
             seed: 0,
             levels: 3,
+            // the coarsest level of the torus takes 53 passes
             coarse_passes: 100,
             binning: Binning::Graded,
             order: Order::Classes,
@@ -146,31 +155,6 @@ impl Parameters {
     }
 }
 
-/// Number of passes over which the stop test by lattice defects averages.
-pub const DEFECT_WINDOW: usize = 10;
-
-/// Number of passes over which the test for balanced density control averages its counts. Where h
-/// does not suit the surface (coarse relative to its curvature, or on voxel steps), density control
-/// adds and deletes particles at the same positions indefinitely. Measured with 20, 14 and 10
-/// passes: `heart_ct` at 75,000 vertices takes 3.8, 3.2 and 2.9 s with a mean radius ratio of
-/// 0.9859, 0.9856 and 0.9855. `heart_label` at h = 1.4 voxels takes 0.50, 0.38 and 0.32 s with
-/// 0.9899, 0.9892 and 0.9889.
-const BALANCE_WINDOW: usize = 14;
-
-/// On levels before the last, density control is at rest if it adds and deletes at most this share
-/// of the particles per pass. The next level replaces most of these particles anyway.
-const COARSE_REST: f64 = 5e-2;
-
-/// Maximum number of passes without density control at the end of a level before the last. The next
-/// level moves the lattice of such a level anyway. Measured with 10 and 3: the lungs of
-/// `thorax_labels` (79,000 particles, h = 1.64 mm) take 1.67 and 1.44 s with a mean radius ratio of
-/// 0.9907 and 0.9901. `heart_label` at h = 2.1 mm takes 0.43 and 0.38 s with 0.9888 and 0.9887.
-pub(crate) const COARSE_CLOSING_PASSES: u64 = 3;
-
-/// Number of passes between two spatial sorts of the particles. Checkpoints are written just before
-/// a sort.
-pub const REORDER_INTERVAL: u64 = 10;
-
 /// One line of the log. With many materials, all numbers refer to the particles on interfaces and
 /// exclude the held particles of junction points and curves.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -207,7 +191,7 @@ pub struct PassRecord {
 pub struct Summary {
     /// Number of passes, including those before a resume.
     pub passes: u64,
-    /// Whether the stop test ended the run; if false, the pass limit ended it.
+    /// True if the stop test ended the run, false if the pass limit ended it.
     pub settled: bool,
     /// Number of particles of the last level that the final projection could not place on the
     /// surface.
@@ -344,8 +328,7 @@ fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64>
     let window = if parameters.energy_tolerance.is_some() { parameters.energy_window.max(1) } else { DEFECT_WINDOW };
     (window..records.len()).find_map(|last| {
         let (old, new) = (&records[last - window], &records[last]);
-        // values per particle, so that a changing count neither looks like an improvement nor hides
-        // one
+        // values per particle: a change of the count alone must not look like an improvement
         let before_control = |r: &PassRecord| (r.count + r.deleted - r.inserted).max(1) as f64;
         let change = |quantity: &dyn Fn(&PassRecord) -> f64| {
             let (old, new) = (quantity(old) / before_control(old), quantity(new) / before_control(new));
@@ -356,16 +339,16 @@ fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64>
             None => new.lattice_defects == 0 || change(&|r| r.lattice_defects as f64) < parameters.defect_tolerance,
         };
         let churn = records[last + 1 - window..=last].iter().map(|r| r.inserted + r.deleted).sum::<usize>();
-        // the next level settles most of the particles that a coarse level adds and deletes again
-        let allowed = if new.scale > 1.0 { parameters.rest_share.max(COARSE_REST) } else { parameters.rest_share };
+        let allowed =
+            if new.scale > 1.0 { parameters.rest_share.max(COARSE_REST_SHARE) } else { parameters.rest_share };
         let rest = allowed >= 1.0 || churn as f64 <= allowed * window as f64 * new.count as f64;
         ((settled && rest) || is_balanced(&records[..=last], parameters)).then_some(new.pass)
     })
 }
 
-/// Returns whether density control adds as many particles as it deletes while lattice defects do
-/// not decrease. Applies `defect_tolerance` and `rest_share` to the means over the last
-/// [`BALANCE_WINDOW`] passes and over the same number of passes before them.
+/// Returns whether density control adds as many particles as it deletes while the number of lattice
+/// defects does not decrease. Applies `defect_tolerance` and `rest_share` to the means over the
+/// last [`BALANCE_WINDOW`] passes and over the same number of passes before them.
 fn is_balanced(records: &[PassRecord], parameters: &Parameters) -> bool {
     let window = BALANCE_WINDOW;
     let Some(before) = records.len().checked_sub(2 * window) else { return false };
@@ -382,17 +365,17 @@ fn is_balanced(records: &[PassRecord], parameters: &Parameters) -> bool {
 
 /// Projects every particle, except held particles, onto F = 0 or its interface with a tolerance of
 /// 1e-8 voxels, and removes particles whose projection fails. Returns the number of removed
-/// particles. Sorts the particles spatially first, so that a run resumed after its last pass gives
-/// the same result.
+/// particles. Sorts the particles spatially first; a run that is resumed after the last pass then
+/// gives the same result.
 fn finish<S: Implicit>(state: &mut State, fields: &Fields<S>) -> usize {
-    state.sort_by_place();
+    state.sort_spatially();
     let spacing = fields.surface.min_spacing();
     let set = &state.set;
     let projected: Vec<_> = (state.held..state.len())
         .into_par_iter()
         .map(|i| {
             let limit = 0.5 * set.sizes[i].max(spacing);
-            fields.project(state.stratum(i), set.positions[i], limit, 1e-8 * spacing)
+            fields.project(state.stratum(i), set.positions[i], limit, FINAL_TOLERANCE * spacing)
         })
         .collect();
     let mut kept: Vec<u32> = (0..state.held as u32).collect();

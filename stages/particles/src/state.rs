@@ -1,20 +1,17 @@
 //! State of the particles while they move: positions and dependent values, neighbour lists, and the
 //! classes of particles that may move together.
 
-use crate::constants::{FIRST_RING, LATTICE_NEIGHBOURS, LISTED};
+use crate::constants::{CPU_LIST_REACH, FIRST_RING, LATTICE_NEIGHBOURS};
 use crate::implicit::Implicit;
 use crate::neighbourhood::{Neighbourhood, Record};
 use fearless_simd::{Level, dispatch};
 use glam::DVec3;
 use isoparticles_field::materials::Stratum;
-use isoparticles_field::neighbours::{NeighbourLists, space_order};
+use isoparticles_field::neighbours::{BLOCK, NeighbourLists, space_order};
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use rayon::prelude::*;
-
-/// Number of particles per task of [`State::measure`].
-const CHUNK: usize = 256;
 
 /// The implicit function and the sizing field of a run.
 pub struct Fields<'a, S = CubicSpline> {
@@ -50,8 +47,8 @@ pub(crate) struct State {
     /// zero for one object. Held particles are never moved or deleted, get no newcomers, and do not
     /// enter the statistics. Particles on the adjoining interfaces interact with them.
     pub held: usize,
-    /// Minimum dot product of the normals of two interacting particles. Below it they belong to
-    /// different parts of the surface.
+    /// Minimum dot product of the normals of two interacting particles. If the dot product is
+    /// smaller, the particles belong to different parts of the surface.
     pub normal_agreement: f64,
     /// Edge of the target lattice in units of h ([`crate::Parameters::spacing`]).
     pub spacing: f64,
@@ -92,7 +89,7 @@ impl State {
     /// Sorts the particles spatially and builds lists and classes.
     #[cfg(test)]
     pub(crate) fn in_order(mut self) -> Self {
-        self.sort_by_place();
+        self.sort_spatially();
         self.rebuild();
         self
     }
@@ -112,11 +109,11 @@ impl State {
         self.set.positions.len()
     }
 
-    /// Sorts the particles spatially, so that neighbours are close in memory. Held particles stay
-    /// at the front and keep their order.
-    pub(crate) fn sort_by_place(&mut self) {
+    /// Sorts the particles spatially to keep neighbours close in memory. Held particles stay at the
+    /// front and keep their order.
+    pub(crate) fn sort_spatially(&mut self) {
         let held = self.held;
-        let order = space_order(&self.set.positions[held..], &self.set.sizes[held..], LISTED);
+        let order = space_order(&self.set.positions[held..], &self.set.sizes[held..], CPU_LIST_REACH);
         let order: Vec<u32> = (0..held as u32).chain(order.into_iter().map(|i| i + held as u32)).collect();
         self.take(&order);
     }
@@ -144,10 +141,10 @@ impl State {
         self.classes = self.neighbours.independent_blocks();
     }
 
-    /// Rebuilds only the lists, which suffices for computing energies. Particles interact if their
+    /// Rebuilds only the lists, which is enough to compute energies. Particles interact if their
     /// normals agree. With many materials, two particles must also be on the same interface. A held
-    /// particle interacts, for any normals, with the particles of the interfaces that it borders.
-    /// Held particles thus separate the interfaces.
+    /// particle interacts with all particles of the interfaces that it borders, whatever their
+    /// normals.
     pub(crate) fn rebuild_lists(&mut self) {
         let normals = &self.set.normals;
         let agreement = self.normal_agreement;
@@ -162,12 +159,12 @@ impl State {
         let (positions, sizes) = (&self.set.positions, &self.set.sizes);
         let former = std::mem::take(&mut self.neighbours);
         self.neighbours = if strata.is_empty() {
-            former.anew(positions, sizes, LISTED, agree)
+            former.anew(positions, sizes, CPU_LIST_REACH, agree)
         } else {
-            former.anew(positions, sizes, LISTED, meet)
+            former.anew(positions, sizes, CPU_LIST_REACH, meet)
         };
-        let places = positions.par_iter().zip(sizes);
-        places.map(|(&position, &size)| Record::new(position, size)).collect_into_vec(&mut self.records);
+        let points = positions.par_iter().zip(sizes);
+        points.map(|(&position, &size)| Record::new(position, size)).collect_into_vec(&mut self.records);
     }
 
     /// Returns whether a held particle is in the first ring of particle i.
@@ -186,12 +183,12 @@ impl State {
         energies.resize(self.len(), 0.0);
         let (positions, sizes) = (&self.set.positions, &self.set.sizes);
         let lattice_defects = energies
-            .par_chunks_mut(CHUNK)
+            .par_chunks_mut(BLOCK)
             .enumerate()
             .map_init(Neighbourhood::default, |near, (chunk, energies)| {
                 dispatch!(Level::new(), simd => {
                     let mut defects = 0;
-                    for (i, to) in (chunk * CHUNK..).zip(energies) {
+                    for (i, to) in (chunk * BLOCK..).zip(energies) {
                         if i < self.held {
                             *to = 0.0;
                             continue;

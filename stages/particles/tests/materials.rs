@@ -93,12 +93,12 @@ impl Files {
     }
 }
 
-const ALL: &str = "seeds.bin --distfield m.vti --sizefield h.vti";
+const INPUT_FILES: &str = "seeds.bin --distfield m.vti --sizefield h.vti";
 
 #[test]
 fn interfaces_are_settled_and_a_broken_run_goes_on() {
     let files = Files::new();
-    let whole = files.run(&format!("{ALL} -o whole.bin --max-passes 30 --backend cpu"));
+    let whole = files.run(&format!("{INPUT_FILES} -o whole.bin --max-passes 30 --backend cpu"));
     assert!(whole.status.success(), "{}", String::from_utf8_lossy(&whole.stderr));
     let whole = files.particles("whole.bin");
     let strata = whole.strata.as_ref().expect("strata");
@@ -112,8 +112,8 @@ fn interfaces_are_settled_and_a_broken_run_goes_on() {
     }
     // the checkpoint of pass 20 remains after the run, so --resume repeats the passes after it
     let kept = "--checkpoint c.bin --max-passes 30 --checkpoint-interval 20 --backend cpu";
-    assert!(files.run(&format!("{ALL} -o first.bin {kept}")).status.success());
-    let resumed = files.run(&format!("{ALL} -o resumed.bin {kept} --resume --levels 1"));
+    assert!(files.run(&format!("{INPUT_FILES} -o first.bin {kept}")).status.success());
+    let resumed = files.run(&format!("{INPUT_FILES} -o resumed.bin {kept} --resume --levels 1"));
     let said = String::from_utf8_lossy(&resumed.stderr);
     assert!(resumed.status.success() && said.contains("resuming after pass 20"), "{said}");
     let resumed = files.particles("resumed.bin");
@@ -130,7 +130,7 @@ fn what_does_not_go_together_is_refused() {
             2,
             "seeds.bin: contains particles of many materials",
         ),
-        (&format!("{ALL} -o o.bin --levels 2"), 2, "--levels 2"),
+        (&format!("{INPUT_FILES} -o o.bin --levels 2"), 2, "--levels 2"),
     ] {
         let ended = files.run(words);
         let said = String::from_utf8_lossy(&ended.stderr);

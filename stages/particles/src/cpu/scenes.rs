@@ -25,7 +25,7 @@ pub(crate) struct Body {
     pub indicators: Analytic,
     pub sizing: SizingField,
     pub seeds: OnStrata,
-    /// Interfaces, each with its area (mm^2) and the length of its border (mm).
+    /// Interfaces with their areas in mm^2 and the lengths of their borders in mm.
     pub interfaces: Vec<(Stratum, f64, f64)>,
 }
 
@@ -34,13 +34,15 @@ pub(crate) fn stratum(ids: &[u16]) -> Stratum {
     Stratum::new(&ids.iter().map(|&id| MaterialId(id)).collect::<Vec<_>>()).expect("two to four materials")
 }
 
-/// A junction curve: its stratum, its length (mm), the indices of the particles at its ends, and a
-/// function from the share of the length to a point.
+/// A junction curve.
 struct Curve {
     on: Stratum,
+    /// Length in mm.
     length: f64,
+    /// Indices of the particles at the ends.
     ends: [u32; 2],
-    place: Box<dyn Fn(f64) -> DVec3>,
+    /// Returns the point at a share of the length, from 0 to 1.
+    point_at: Box<dyn Fn(f64) -> DVec3>,
 }
 
 impl Body {
@@ -74,8 +76,8 @@ impl Body {
             let mut last = curve.ends[0];
             for n in 1..pieces as usize {
                 let share = n as f64 / pieces;
-                let tangent = (curve.place)(share + 1e-6) - (curve.place)(share - 1e-6);
-                let own = add(curve.on, (curve.place)(share), tangent.normalize());
+                let tangent = (curve.point_at)(share + 1e-6) - (curve.point_at)(share - 1e-6);
+                let own = add(curve.on, (curve.point_at)(share), tangent.normalize());
                 strata.segments.push([last, own]);
                 last = own;
             }
@@ -147,7 +149,7 @@ pub(crate) fn sectors(h: f64, count: usize) -> Body {
         on: stratum(&[1, 2, 3]),
         length: 2.0 * RADIUS,
         ends: [0, 1],
-        place: Box::new(|share| CENTRE + RADIUS * (1.0 - 2.0 * share) * DVec3::Z),
+        point_at: Box::new(|share| CENTRE + RADIUS * (1.0 - 2.0 * share) * DVec3::Z),
     }];
     let mut interfaces = Vec::new();
     // plane n lies between sector n - 1 and sector n
@@ -158,7 +160,9 @@ pub(crate) fn sectors(h: f64, count: usize) -> Body {
             on: stratum(&[0, sides[0], sides[1]]),
             length: PI * RADIUS,
             ends: [0, 1],
-            place: Box::new(move |share| CENTRE + RADIUS * ((PI * share).cos() * DVec3::Z + (PI * share).sin() * out)),
+            point_at: Box::new(move |share| {
+                CENTRE + RADIUS * ((PI * share).cos() * DVec3::Z + (PI * share).sin() * out)
+            }),
         });
         interfaces.push((stratum(&sides), 0.5 * PI * RADIUS * RADIUS, (2.0 + PI) * RADIUS));
         interfaces.push((stratum(&[0, n as u16 + 1]), 4.0 / 3.0 * PI * RADIUS * RADIUS, 2.0 * PI * RADIUS));
@@ -190,7 +194,7 @@ pub(crate) fn corners(h: f64, count: usize) -> Body {
             on: stratum(&others(&[n])),
             length: RADIUS,
             ends: [0, n as u32 + 1],
-            place: Box::new(move |share| CENTRE + RADIUS * share * out),
+            point_at: Box::new(move |share| CENTRE + RADIUS * share * out),
         });
     }
     let angle = ray(0).angle_between(ray(1));
@@ -202,7 +206,7 @@ pub(crate) fn corners(h: f64, count: usize) -> Body {
                 on: stratum(&[&[0], sides.as_slice()].concat()),
                 length: RADIUS * angle,
                 ends: [c as u32 + 1, d as u32 + 1],
-                place: Box::new(move |share| {
+                point_at: Box::new(move |share| {
                     let part = |share: f64| (share * angle).sin() / angle.sin();
                     CENTRE + RADIUS * (part(1.0 - share) * from + part(share) * to)
                 }),

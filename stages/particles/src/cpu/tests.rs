@@ -3,7 +3,8 @@
 use super::scenes::{Body, CENTRE, RADIUS, corners, nested, sectors, stratum};
 use super::*;
 use crate::constants::NEWCOMER_DISTANCE;
-use crate::movement::{TangentPlane, step_alone};
+use crate::movement::step_alone;
+use crate::neighbourhood::TangentPlane;
 use crate::reference;
 use glam::DVec3;
 use isoparticles_field::energy::{ideal_energy, pair_energy, scaled_distance};
@@ -117,14 +118,14 @@ fn rows_along_a_straight_border_are_those_of_the_lattice() {
     assert!(of_row.iter().all(|count| (count - 10.0).abs() < 0.5), "{of_row:?}");
 }
 
-/// Returns the energy of particle i at `place` as a direct sum over all particles that interact
-/// with it.
-fn energy_of((set, strata): &OnStrata, i: usize, place: DVec3) -> f64 {
+/// Returns the energy that particle i has at a point, as a direct sum over all particles that
+/// interact with particle i.
+fn energy_of((set, strata): &OnStrata, i: usize, point: DVec3) -> f64 {
     let meets = |j: usize| match strata.of[j].dimension() {
         2 => strata.of[j] == strata.of[i] && set.normals[j].dot(set.normals[i]) > 0.0,
         _ => strata.of[i].materials().iter().all(|id| strata.of[j].materials().contains(id)),
     };
-    let pair = |j: usize| pair_energy(scaled_distance(place.distance(set.positions[j]), set.sizes[i], set.sizes[j]));
+    let pair = |j: usize| pair_energy(scaled_distance(point.distance(set.positions[j]), set.sizes[i], set.sizes[j]));
     (0..strata.of.len()).filter(|&j| j != i && meets(j)).map(pair).sum()
 }
 

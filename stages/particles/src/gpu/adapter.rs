@@ -2,6 +2,7 @@
 //! instead of wgpu's defaults.
 
 use super::kernels::Kernels;
+use super::shaders::Variant;
 use isoparticles_stage::error::{Error, Result};
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -72,7 +73,7 @@ pub struct Gpu {
     pub(crate) largest_slab: u64,
     /// Number of lanes of a team; `None` if subgroup operations are not used.
     pub(crate) subgroup_team: Option<u32>,
-    /// Whether timestamp queries are enabled.
+    /// True if timestamp queries are enabled.
     pub(crate) timestamps: bool,
     summary: AdapterSummary,
     /// First error that the device reported outside the result of a call.
@@ -126,6 +127,77 @@ fn found(instance: &wgpu::Instance) -> Vec<wgpu::Adapter> {
     adapters
 }
 
+/// Returns the adapter that matches the criteria.
+///
+/// # Errors
+/// If no adapter has the given name, or if no name is given and there is no GPU.
+fn select<'a>(all: &'a [wgpu::Adapter], choice: &AdapterChoice) -> Result<&'a wgpu::Adapter> {
+    let listed = || {
+        let names: Vec<String> = all.iter().map(|a| summary(a).to_string()).collect();
+        if names.is_empty() { "none".to_owned() } else { names.join("; ") }
+    };
+    match &choice.name {
+        Some(name) => {
+            all.iter().find(|a| a.get_info().name.to_lowercase().contains(&name.to_lowercase())).ok_or_else(|| {
+                Error::gpu(
+                    format!("--adapter {name}: no adapter has this name"),
+                    "the run was requested on this adapter",
+                    format!(
+                        "set BACKEND=cpu (--backend cpu), or select one of these adapters in \
+                         PARTICLES_OPTIONS=\"--adapter NAME\": {}",
+                        listed()
+                    ),
+                )
+            })
+        }
+        None => all.iter().find(|a| a.get_info().device_type != wgpu::DeviceType::Cpu).ok_or_else(|| {
+            Error::gpu(
+                "no GPU was found",
+                "BACKEND=gpu (--backend gpu) needs one",
+                format!(
+                    "install its Vulkan, Metal or DX12 driver, set BACKEND=cpu (--backend cpu), or select a \
+                     software adapter in PARTICLES_OPTIONS=\"--adapter NAME\" (found: {})",
+                    listed()
+                ),
+            )
+        }),
+    }
+}
+
+/// Opens the device of an adapter with the given features and with the limits of the adapter. The
+/// first error that the device reports outside the result of a call is stored in `failure`.
+fn request_device(
+    adapter: &wgpu::Adapter,
+    features: wgpu::Features,
+    failure: &Arc<Mutex<Option<String>>>,
+) -> Result<(wgpu::Device, wgpu::Queue)> {
+    let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+        label: Some("particles"),
+        required_features: features,
+        required_limits: adapter.limits(),
+        memory_hints: MEMORY_BLOCKS,
+        ..wgpu::DeviceDescriptor::default()
+    }))
+    .map_err(|error| {
+        Error::gpu(
+            format!("{}: cannot be opened: {error}", summary(adapter).name),
+            "the particles are moved on this adapter",
+            "close other programs that use it, update its driver, or set BACKEND=cpu (--backend cpu)",
+        )
+    })?;
+    let keep = |failure: &Arc<Mutex<Option<String>>>, text: String| {
+        failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(text);
+    };
+    let (uncaptured, lost) = (failure.clone(), failure.clone());
+    device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| keep(&uncaptured, error.to_string())));
+    device.set_device_lost_callback(move |reason, text| {
+        if reason != wgpu::DeviceLostReason::Destroyed {
+            keep(&lost, format!("the device was lost: {text}"));
+        }
+    });
+    Ok((device, queue))
+}
+
 impl Gpu {
     /// Opens the selected adapter.
     ///
@@ -134,37 +206,7 @@ impl Gpu {
     pub fn open(choice: &AdapterChoice) -> Result<Self> {
         let instance = instance();
         let all = found(&instance);
-        let listed = || {
-            let names: Vec<String> = all.iter().map(|a| summary(a).to_string()).collect();
-            if names.is_empty() { "none".to_owned() } else { names.join("; ") }
-        };
-        let adapter = match &choice.name {
-            Some(name) => all
-                .iter()
-                .find(|a| a.get_info().name.to_lowercase().contains(&name.to_lowercase()))
-                .ok_or_else(|| {
-                    Error::gpu(
-                        format!("--adapter {name}: no adapter has this name"),
-                        "the run was requested on this adapter",
-                        format!(
-                            "set BACKEND=cpu (--backend cpu), or select one of these adapters in \
-                             PARTICLES_OPTIONS=\"--adapter NAME\": {}",
-                            listed()
-                        ),
-                    )
-                })?,
-            None => all.iter().find(|a| a.get_info().device_type != wgpu::DeviceType::Cpu).ok_or_else(|| {
-                Error::gpu(
-                    "no GPU was found",
-                    "BACKEND=gpu (--backend gpu) needs one",
-                    format!(
-                        "install its Vulkan, Metal or DX12 driver, set BACKEND=cpu (--backend cpu), or select a \
-                         software adapter in PARTICLES_OPTIONS=\"--adapter NAME\" (found: {})",
-                        listed()
-                    ),
-                )
-            })?,
-        };
+        let adapter = select(&all, choice)?;
         let summary = summary(adapter);
         let features = adapter.features();
         let limits = adapter.limits();
@@ -176,31 +218,8 @@ impl Gpu {
         let mut wanted = wgpu::Features::empty();
         wanted.set(wgpu::Features::SUBGROUP, subgroups);
         wanted.set(wgpu::Features::TIMESTAMP_QUERY, timestamps);
-        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
-            label: Some("particles"),
-            required_features: wanted,
-            required_limits: limits.clone(),
-            memory_hints: MEMORY_BLOCKS,
-            ..wgpu::DeviceDescriptor::default()
-        }))
-        .map_err(|error| {
-            Error::gpu(
-                format!("{}: cannot be opened: {error}", summary.name),
-                "the particles are moved on this adapter",
-                "close other programs that use it, update its driver, or set BACKEND=cpu (--backend cpu)",
-            )
-        })?;
         let failure = Arc::new(Mutex::new(None));
-        let keep = |failure: &Arc<Mutex<Option<String>>>, text: String| {
-            failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(text);
-        };
-        let (uncaptured, lost) = (failure.clone(), failure.clone());
-        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| keep(&uncaptured, error.to_string())));
-        device.set_device_lost_callback(move |reason, text| {
-            if reason != wgpu::DeviceLostReason::Destroyed {
-                keep(&lost, format!("the device was lost: {text}"));
-            }
-        });
+        let (device, queue) = request_device(adapter, wanted, &failure)?;
         let subgroup_team = subgroups.then_some(choice.team.unwrap_or(8));
         Ok(Self {
             device,
@@ -219,12 +238,14 @@ impl Gpu {
     /// Compiles them on first use.
     pub(super) fn kernels(&self, several: bool, materials: bool) -> Result<Arc<Kernels>> {
         let mut known = self.kernels.lock().unwrap_or_else(PoisonError::into_inner);
-        let place = &mut known[usize::from(several) + 2 * usize::from(materials)];
-        if let Some(kernels) = place {
+        let slot = &mut known[usize::from(several) + 2 * usize::from(materials)];
+        if let Some(kernels) = slot {
             return Ok(Arc::clone(kernels));
         }
-        let kernels = Arc::new(Kernels::new(self, several, materials)?);
-        *place = Some(Arc::clone(&kernels));
+        let variant = Variant { slabs: several, subgroup_team: self.subgroup_team, materials };
+        let kernels = Arc::new(Kernels::new(&self.device, variant));
+        self.check()?;
+        *slot = Some(Arc::clone(&kernels));
         Ok(kernels)
     }
 
@@ -238,7 +259,7 @@ impl Gpu {
         self.timestamps
     }
 
-    /// Returns the limits as text for verbose mode.
+    /// Returns a description of the limits for verbose mode.
     pub fn limits_in_words(&self) -> String {
         format!(
             "limits: {} storage buffers per kernel, {} bytes of workgroup memory, subgroups of {} to {}; sums by {}",

@@ -3,14 +3,11 @@
 //! takes the device, so the next pass is encoded while the device works.
 
 use super::adapter::Gpu;
+use super::constants::GROUPS_PER_ROW;
 use super::kernels::Kernels;
 use super::memory::{read_staging, staging};
 use isoparticles_stage::error::Result;
 use std::collections::BTreeMap;
-
-/// Maximum number of workgroups along the first axis of a dispatch that every adapter supports.
-/// Additional workgroups go along the second axis.
-pub(crate) const ROW: u32 = 65_535;
 
 /// One command of a pass.
 pub(crate) enum Command<'a> {
@@ -41,8 +38,10 @@ pub(crate) struct Profile {
     pub times: BTreeMap<&'static str, (f64, u64)>,
 }
 
-/// Maximum number of dispatches with timestamps per pass; additional dispatches are not measured.
-const MOST_QUERIES: u32 = 512;
+/// Maximum number of dispatches with timestamps per pass; additional dispatches are not measured. A
+/// pass has at most 70 dispatches ([`steps`](super::schedule::steps) with density control and 32
+/// classes).
+const MOST_TIMED_DISPATCHES: u32 = 128;
 
 /// Encoded commands that can be submitted once.
 pub(crate) struct Encoded {
@@ -54,21 +53,7 @@ pub(crate) struct Encoded {
 /// Encodes the commands in order.
 pub(crate) fn encode(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], profile: &mut Profile) -> Encoded {
     let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    if gpu.timestamps && profile.queries.is_none() {
-        let set = gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
-            label: Some("timestamps"),
-            ty: wgpu::QueryType::Timestamp,
-            count: 2 * MOST_QUERIES,
-        });
-        let bytes = u64::from(2 * MOST_QUERIES) * 8;
-        let resolved = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("timestamps"),
-            size: bytes,
-            usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
-            mapped_at_creation: false,
-        });
-        profile.queries = Some((set, resolved, staging(gpu, bytes)));
-    }
+    profile.prepare(gpu);
     let mut pass: Option<wgpu::ComputePass<'static>> = None;
     let mut timed = Vec::new();
     for command in commands {
@@ -84,7 +69,7 @@ pub(crate) fn encode(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], pro
             Command::Run { group, .. } | Command::RunIndirect { group, .. } => {
                 let Some(kernel) = command.kernel() else { continue };
                 let timestamp_writes =
-                    profile.queries.as_ref().filter(|_| timed.len() < MOST_QUERIES as usize).map(|q| {
+                    profile.queries.as_ref().filter(|_| timed.len() < MOST_TIMED_DISPATCHES as usize).map(|q| {
                         // timestamps belong to compute passes, so each kernel gets a separate
                         // compute pass
                         pass = None;
@@ -103,15 +88,7 @@ pub(crate) fn encode(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], pro
                 });
                 current.set_pipeline(&kernels.get(kernel).pipeline);
                 current.set_bind_group(0, *group, &[]);
-                match command {
-                    Command::Run { workgroups, .. } if *workgroups > 0 => {
-                        current.dispatch_workgroups((*workgroups).min(ROW), workgroups.div_ceil(ROW), 1);
-                    }
-                    Command::RunIndirect { arguments, offset, .. } => {
-                        current.dispatch_workgroups_indirect(arguments, *offset);
-                    }
-                    _ => {}
-                }
+                dispatch(current, command);
             }
         }
     }
@@ -124,6 +101,19 @@ pub(crate) fn encode(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], pro
     Encoded { buffer: encoder.finish(), timed }
 }
 
+/// Dispatches a kernel whose pipeline and bind group are set. Zero workgroups dispatch nothing.
+fn dispatch(pass: &mut wgpu::ComputePass<'_>, command: &Command<'_>) {
+    match command {
+        Command::Run { workgroups, .. } if *workgroups > 0 => {
+            pass.dispatch_workgroups((*workgroups).min(GROUPS_PER_ROW), workgroups.div_ceil(GROUPS_PER_ROW), 1);
+        }
+        Command::RunIndirect { arguments, offset, .. } => {
+            pass.dispatch_workgroups_indirect(arguments, *offset);
+        }
+        _ => {}
+    }
+}
+
 /// Submits encoded commands. Returns the submission to wait for and the kernels whose timestamps
 /// [`Profile::collect`] reads.
 pub(crate) fn submit(gpu: &Gpu, encoded: Encoded) -> (wgpu::SubmissionIndex, Vec<&'static str>) {
@@ -131,6 +121,25 @@ pub(crate) fn submit(gpu: &Gpu, encoded: Encoded) -> (wgpu::SubmissionIndex, Vec
 }
 
 impl Profile {
+    /// Creates the timestamp queries on first use if timestamps are enabled.
+    fn prepare(&mut self, gpu: &Gpu) {
+        if gpu.timestamps && self.queries.is_none() {
+            let set = gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
+                label: Some("timestamps"),
+                ty: wgpu::QueryType::Timestamp,
+                count: 2 * MOST_TIMED_DISPATCHES,
+            });
+            let bytes = u64::from(2 * MOST_TIMED_DISPATCHES) * 8;
+            let resolved = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("timestamps"),
+                size: bytes,
+                usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+                mapped_at_creation: false,
+            });
+            self.queries = Some((set, resolved, staging(gpu, bytes)));
+        }
+    }
+
     /// Waits for the device and adds the timestamps of the last submission.
     pub(crate) fn collect(&mut self, gpu: &Gpu, timed: &[&'static str]) -> Result<()> {
         let Some((_, _, host)) = &self.queries else { return Ok(()) };

@@ -2,10 +2,7 @@
 //! declarations under their Rust names. A second definition in a `.wgsl` file is a redefinition
 //! error in naga.
 
-use super::commands::ROW;
 use super::differences::{INDEX_BRICKS, MORE_INTERFACES, NEVER_REAL};
-use super::parameters::MOST_LEVELS;
-use super::shaders::Variant;
 use crate::constants::{
     EIGENVALUE_FLOOR, FARTHEST_MOVE, LAMBDA_FALL, LAMBDA_GROWTH, LARGEST_LAMBDA, LATTICE_NEIGHBOURS, LEAST_LAMBDA,
     LONGEST_STEP, PROJECTION_REACH, REBUILD_MOVE, SKIN,
@@ -14,14 +11,21 @@ use isoparticles_field::energy::{LEAST_SCALED_DISTANCE, SUPPORT};
 use isoparticles_field::spline::{LEAST_SQUARED_GRADIENT, PROJECTION_STEPS};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-/// Workgroup size of kernels that use one invocation per particle and read neighbours.
-pub(crate) const NARROW: u32 = 64;
-/// Workgroup size of kernels with workgroup-wide sums.
-pub(crate) const WIDE: u32 = 256;
-/// Number of elements per invocation in a prefix sum or in the totals.
-pub(crate) const EACH: u32 = 8;
+/// Maximum number of workgroups along the first axis of a dispatch: WebGPU's default for
+/// `maxComputeWorkgroupsPerDimension`. Further workgroups go along the second axis.
+pub(crate) const GROUPS_PER_ROW: u32 = 65_535;
+
+/// Workgroup size of kernels that use one invocation per particle and read neighbours: two
+/// subgroups of 32 lanes, or one of 64.
+pub(crate) const PARTICLE_GROUP: u32 = 64;
+/// Workgroup size of kernels with workgroup-wide sums: the maximum that every WebGPU adapter
+/// supports (default of `maxComputeInvocationsPerWorkgroup`).
+pub(crate) const SUM_GROUP: u32 = 256;
+/// Number of elements per invocation in a prefix sum or in the totals. With eight, the single
+/// workgroup of `scan_sums` processes the blocks of 524,288 elements (8 x 256 x 256) in one round.
+pub(crate) const SUM_ELEMENTS: u32 = 8;
 /// Number of elements per workgroup in a prefix sum or in the totals.
-pub(crate) const BLOCK: u32 = WIDE * EACH;
+pub(crate) const SUM_BLOCK: u32 = SUM_GROUP * SUM_ELEMENTS;
 
 /// Maximum number of classes: one for each bit of a word.
 pub(crate) const CLASSES: u32 = 32;
@@ -34,8 +38,8 @@ pub(crate) const UNCLASSED: u32 = u32::MAX;
 pub(crate) const COLOUR_STRIDE: u32 = 3;
 
 /// Minimum edge of a bin, in units of the largest h of its level: the reach of the neighbour lists.
-/// The list members of the particles of a bin are therefore in that bin or in an adjacent bin. In
-/// the paper the edge is max(h), so interactions reach two bins away.
+/// The list members of the particles of a bin are therefore in that bin or in an adjacent bin. With
+/// the edge of the paper, max(h), interactions reach two bins away.
 pub(crate) const BIN_REACH: f64 = SUPPORT * (1.0 + SKIN);
 
 const _: () = assert!(
@@ -43,14 +47,19 @@ const _: () = assert!(
     "a particle could go in a pass to where it interacts with those beyond the next bin"
 );
 
+/// Maximum number of bin levels, which is the size of an array in the shaders. Twelve octaves cover
+/// a ratio of 4096 between maximum and minimum h. Particles with smaller h use the last level,
+/// whose bins then contain more particles.
+pub(crate) const MOST_LEVELS: usize = 12;
+
 /// Flag in the word `outcome` of a particle: the particle took a step. The low bits contain the
 /// number of attempted steps.
 const STEP_TAKEN: u32 = 1 << 31;
 /// Flag in the word `outcome` of a particle: the particle is a lattice defect.
 const LATTICE_DEFECT: u32 = 1 << 30;
 
-/// Damping code of a held particle (see `shaders/shared/carried_materials.wgsl`). It is larger than
-/// all powers of ten in use.
+/// Damping code of a held particle (see `shaders/shared/carried_materials.wgsl`). The codes of
+/// other particles are 0 to 7, log10(damping / [`LEAST_LAMBDA`]).
 pub(crate) const HELD_CODE: u32 = 15;
 
 /// Brick index if no brick is open.
@@ -59,17 +68,19 @@ const NO_BRICK: u32 = u32::MAX;
 /// Result of the checks of third materials: no third material is as close as the two materials of
 /// the interface.
 const CHECKS_PASS: u32 = 0;
-/// Result of the checks of third materials: a third material is as close.
+/// Result of the checks of third materials: a third material is as close as the two materials.
 const CHECKS_FAIL: u32 = 1;
 /// Result of the checks of third materials: another difference must be evaluated.
 const CHECKS_GO_ON: u32 = 2;
 
-/// Minimum relative energy decrease of a step; a particle with a smaller decrease does not move.
-/// The value is near the resolution of f32.
-const REST: f64 = 1e-6;
-/// Maximum gap between two eigenvalues of a Hessian that count as equal, as a share of their mean.
-/// Below it f32 does not resolve the eigenvectors.
-const EQUAL_EIGENVALUES: f64 = 1e-6;
+/// Minimum relative energy decrease that the quadratic model predicts for a step; a particle with a
+/// smaller decrease does not move. The value is eight ulps of f32 (eight times 2^-23). An energy is
+/// a sum over about 18 neighbours, so its rounding error is a few ulps.
+const LEAST_DECREASE: f64 = 1e-6;
+/// Maximum gap between the two eigenvalues of a Hessian that the kernels treat as equal, as a share
+/// of their mean. At this gap the rounding error of the eigenvectors in f32 is about 1.2e-7 / 1e-6
+/// = 0.1 radians.
+const EQUAL_EIGENVALUES_F32: f64 = 1e-6;
 
 /// Index of the word with the energy, as bits of an f32. The host reads the words after a pass.
 pub(crate) const WORD_ENERGY: usize = 0;
@@ -97,15 +108,15 @@ pub(crate) const WORDS: usize = 10;
 
 /// Particle count of a pass if the host does not know it yet: the number that the previous pass
 /// left.
-pub(crate) const AS_LEFT: u32 = u32::MAX;
+pub(crate) const COUNT_ON_DEVICE: u32 = u32::MAX;
 
 /// Number of particles whose neighbour lists are interleaved: the subgroup size of most adapters.
 pub(crate) const LIST_TILE: u32 = 32;
 
 /// Initial room of each neighbour list. In the lattice a list has 18 members (three rings are
 /// within `SUPPORT (1 + SKIN)`), and no list for the seeds of `make bench-gpu` has more than 32. If
-/// a list is longer (crowds, junctions of many interfaces), all lists get more room and the pass is
-/// repeated.
+/// a list is longer (very dense particles, junctions of many interfaces), all lists get more room
+/// and the pass is repeated.
 pub(crate) const FIRST_LIST_ROOM: u32 = 32;
 
 /// Value of a constant together with its WGSL type.
@@ -124,7 +135,7 @@ macro_rules! wholes {
 }
 
 /// Returns the name and value of every constant.
-pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
+pub(crate) fn constants((lanes, teams): (u32, u32)) -> Vec<(&'static str, Value)> {
     let mut all = Vec::new();
     all.extend(reals![
         SUPPORT,
@@ -140,8 +151,8 @@ pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
         LAMBDA_GROWTH,
         LAMBDA_FALL,
         EIGENVALUE_FLOOR,
-        EQUAL_EIGENVALUES,
-        REST,
+        EQUAL_EIGENVALUES_F32,
+        LEAST_DECREASE,
         PROJECTION_REACH,
         LEAST_SQUARED_GRADIENT,
     ]);
@@ -149,11 +160,11 @@ pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
         PROJECTION_STEPS,
         LATTICE_NEIGHBOURS,
         MOST_LEVELS,
-        NARROW,
-        WIDE,
-        EACH,
-        BLOCK,
-        ROW,
+        PARTICLE_GROUP,
+        SUM_GROUP,
+        SUM_ELEMENTS,
+        SUM_BLOCK,
+        GROUPS_PER_ROW,
         CLASSES,
         UNCLASSED,
         COLOUR_STRIDE,
@@ -169,7 +180,7 @@ pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
         WORD_DEFECTS,
         WORD_LONGEST_LIST,
         WORD_CLASSES,
-        AS_LEFT,
+        COUNT_ON_DEVICE,
         LIST_TILE,
         HELD_CODE,
         NO_BRICK,
@@ -180,14 +191,13 @@ pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
         CHECKS_FAIL,
         CHECKS_GO_ON,
     ]);
-    let (lanes, teams) = variant.team();
     all.extend([("TEAM", Value::Whole(lanes)), ("TEAMS", Value::Whole(teams))]);
     all
 }
 
 /// Returns the WGSL declarations of the constants, one per line.
-pub(crate) fn declarations(variant: Variant) -> String {
-    constants(variant)
+pub(crate) fn declarations(team: (u32, u32)) -> String {
+    constants(team)
         .iter()
         .map(|(name, value)| match value {
             // `{:?}` prints the shortest decimal number that gives the same f32

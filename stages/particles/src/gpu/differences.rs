@@ -1,12 +1,12 @@
 //! Multi-material data on the device: half differences of indicators, G = (F_high - F_low) / 2. A
-//! difference is stored for every pair of materials whose interface has particles, wherever both
-//! materials are known. Where a third material may be equally close, its difference from the higher
-//! material is stored too.
+//! difference is stored for every pair of materials whose interface has particles, in all bricks
+//! where both indicators are stored. Where a third material may be equally close, the difference
+//! between the third material and the higher of the two is stored too.
 //!
 //! A particle therefore reads one coefficient per node, as with a single object. Two look-ups find
 //! the coefficients: the entry of the brick, and a record with the eight blocks of coefficients
-//! that the brick reads. The result is valid within the brick of 4 x 4 x 4 cells. For most cells
-//! the record states that the interface is real everywhere. Storing the two indicators of an
+//! that the brick reads. The result is valid within the brick of 4 x 4 x 4 cells. For most cells,
+//! the record states that no third material can be closer. Storing the two indicators of an
 //! interface instead would need twice the memory.
 //!
 //! The index consists of groups of four words:
@@ -38,14 +38,15 @@ pub(crate) const INDEX_BRICKS: usize = 1;
 const NO_INTERFACE: u32 = u32::MAX;
 /// Marks a pair that links to the next entry.
 pub(crate) const MORE_INTERFACES: u32 = u32::MAX - 1;
-/// Number of checks of a brick that another material fills; no interface is real in such a brick.
+/// Number of checks of a brick that a third material fills: no point of the brick lies on the
+/// interface.
 pub(crate) const NEVER_REAL: u32 = u32::MAX;
 
-/// Fill of a brick that no material fills; also the padding of strata.
+/// Marks a brick that no material fills; also the padding of strata.
 const NO_MATERIAL: u16 = u16::MAX;
 
 /// Number of nodes along each axis that the cells of a brick read.
-const NODES: usize = CELLS + 3;
+const NODES_PER_AXIS: usize = CELLS + 3;
 
 /// Coefficients of the differences, and the index that locates them.
 pub(super) struct Differences {
@@ -53,7 +54,7 @@ pub(super) struct Differences {
     pub index: Vec<[u32; 4]>,
 }
 
-/// A pair of materials in a brick where both are known.
+/// A pair of materials whose indicators are both stored in a brick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Pair {
     low: u16,
@@ -152,7 +153,8 @@ impl Differences {
     }
 }
 
-/// Returns the interfaces whose two materials are both known in a brick, the most likely first.
+/// Returns the interfaces whose two materials are both stored in a brick. The interface whose two
+/// materials are closest to the centre of the brick is first.
 fn entries_of(materials: &Materials, interfaces: &[Stratum], brick: usize) -> Vec<Entry> {
     let known = materials.known_in(brick);
     let mut entries = Vec::new();
@@ -178,7 +180,7 @@ fn entries_of(materials: &Materials, interfaces: &[Stratum], brick: usize) -> Ve
     let farther = |entry: &Entry| {
         let [low, high] = entry.pair.indicators(materials);
         let [a, b] = entry.pair.numbers.map(|number| number as usize);
-        coefficient(low, a, [NODES / 2; 3]).max(coefficient(high, b, [NODES / 2; 3]))
+        coefficient(low, a, [NODES_PER_AXIS / 2; 3]).max(coefficient(high, b, [NODES_PER_AXIS / 2; 3]))
     };
     entries.sort_by(|a, b| farther(a).total_cmp(&farther(b)));
     entries
@@ -192,20 +194,20 @@ fn near_cells(materials: &Materials, pair: &Pair, (third, number): (MaterialId, 
     let indicator = &materials.indicators()[usize::from(third.0)];
     let [low, high] = pair.indicators(materials);
     let [a, b] = pair.numbers.map(|number| number as usize);
-    let mut least: Vec<f32> = (0..NODES * NODES * NODES)
+    let mut least: Vec<f32> = (0..NODES_PER_AXIS * NODES_PER_AXIS * NODES_PER_AXIS)
         .map(|n| {
-            let node = [n % NODES, n / NODES % NODES, n / (NODES * NODES)];
+            let node = [n % NODES_PER_AXIS, n / NODES_PER_AXIS % NODES_PER_AXIS, n / (NODES_PER_AXIS * NODES_PER_AXIS)];
             coefficient(indicator, number, node) - 0.5 * (coefficient(low, a, node) + coefficient(high, b, node))
         })
         .collect();
-    // takes the minimum over the four nodes that a cell reads, along x, y and z in turn; each
-    // iteration makes its axis the slowest
+    // takes the minimum over the four nodes that a cell reads, first along x, then y, then z; each
+    // iteration moves its axis to the slowest position
     for _ in 0..3 {
-        let rows = least.len() / NODES;
+        let rows = least.len() / NODES_PER_AXIS;
         least = (0..CELLS * rows)
             .map(|n| {
                 let (first, row) = (n / rows, n % rows);
-                least[row * NODES + first..][..4].iter().copied().fold(f32::INFINITY, f32::min)
+                least[row * NODES_PER_AXIS + first..][..4].iter().copied().fold(f32::INFINITY, f32::min)
             })
             .collect();
     }
@@ -236,14 +238,15 @@ fn cells_within(materials: &Materials, indicator: &Indicator, brick: u32) -> u64
     })
 }
 
-/// Returns one bit for each cell of a brick, set if both materials are known there.
+/// Returns one bit for each cell of a brick, set if the indicators of both materials are stored
+/// there.
 fn known_cells(materials: &Materials, pair: &Pair) -> u64 {
     pair.indicators(materials)
         .iter()
         .fold(u64::MAX, |bits, indicator| bits & cells_within(materials, indicator, pair.brick))
 }
 
-/// For a pair of materials: the two source blocks of each block of their difference, and the blocks
+/// Blocks of the difference of two materials: the two source blocks of each block, and the blocks
 /// that each brick reads.
 type Part = (Vec<[u32; 2]>, Vec<[u32; 8]>);
 

@@ -1,7 +1,7 @@
 //! Avoids an error message of Mesa's Vulkan layer device_select. The layer queries the display to
-//! find the adapter that drives it. Without a display, as on servers, its Wayland library prints
-//! `error: XDG_RUNTIME_DIR is invalid or not set` to stderr. The order of adapters in this program
-//! does not depend on a display.
+//! find the adapter that drives the display. On a server without a display, its Wayland library
+//! prints `error: XDG_RUNTIME_DIR is invalid or not set` to stderr. The order of adapters in this
+//! program does not depend on a display.
 
 /// If there is no Wayland display, restarts this program in the same process, with the same
 /// arguments and without the layer device_select. An environment variable disables the layer, and a
@@ -16,18 +16,18 @@ pub fn leave_alone() {
         let set = |name: &str| std::env::var_os(name).is_some();
         let reachable =
             std::env::var_os("XDG_RUNTIME_DIR").is_some_and(|folder| std::path::Path::new(&folder).is_absolute());
-        if reachable || set(SWITCH) || set("MESA_VK_DEVICE_SELECT") {
+        if reachable || set(DISABLE_LAYER) || set("MESA_VK_DEVICE_SELECT") {
             return;
         }
         if let Ok(program) = std::env::current_exe() {
             let mut arguments = std::env::args_os();
             let name = arguments.next().unwrap_or_else(|| program.clone().into_os_string());
             // `exec` returns only if it fails.
-            let _ = std::process::Command::new(program).arg0(name).args(arguments).env(SWITCH, "1").exec();
+            let _ = std::process::Command::new(program).arg0(name).args(arguments).env(DISABLE_LAYER, "1").exec();
         }
     }
 }
 
 /// Environment variable that disables the layer (`disable_environment` in the layer's manifest).
 #[cfg(target_os = "linux")]
-const SWITCH: &str = "NODEVICE_SELECT";
+const DISABLE_LAYER: &str = "NODEVICE_SELECT";

@@ -1,21 +1,20 @@
 //! The particles on the device, and their transfer from and to the host.
 //!
-//! Between passes the state is in one of two sets of buffers. In the *sorted* buffers (`place`,
-//! `normal`) the particles are in the order of the bins. Neighbour lists and classes refer to the
-//! sorted buffers, and movement changes them in place. Density control writes its result to one of
-//! two sets of *listed* buffers, and the next pass sorts that result again (`passes.rs`).
+//! Between passes the state is in the sorted or in the listed buffers. In the *sorted* buffers
+//! (`place`, `normal`) the particles are in the order of the bins. Neighbour lists and classes
+//! refer to these buffers, and movement overwrites them. Density control writes its result to one
+//! of two sets of *listed* buffers, and the next pass sorts that result again (`passes.rs`).
 
 use super::adapter::Gpu;
-use super::commands::Profile;
-use super::constants::{BLOCK, CLASSES, FIRST_LIST_ROOM, LIST_TILE};
+use super::commands::{Encoded, Profile};
+use super::constants::{CLASSES, FIRST_LIST_ROOM, LIST_TILE, SUM_BLOCK};
 use super::kernels::{Kernels, ROUND_STRIDE};
-use super::levels::Levels;
-use super::materials::{Carried, Ground};
+use super::levels::{BinLevels, device_origin};
+use super::materials::{Carried, DeviceSurface};
 use super::memory::{Memory, download, staging, upload};
-use super::parameters::{device_origin, run_block, scan_block, scan_blocks};
-use super::passes::{Ahead, Flight};
+use super::parameters::{run_block, scan_block, scan_blocks};
 use super::report::{DeviceReport, KernelTime};
-use super::schedule::listed;
+use super::schedule::{Plan, listed};
 use crate::settle::{Binning, Parameters};
 use crate::state::Fields;
 use isoparticles_field::materials::{Materials, Stratum};
@@ -27,6 +26,25 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Instant;
+
+/// Commands of the next pass, encoded while the device runs the current pass.
+pub(super) struct EncodedPass {
+    pub(super) plan: Plan,
+    /// Number of particles that the commands have room for.
+    pub(super) room: u32,
+    pub(super) encoded: Encoded,
+}
+
+/// A submitted pass.
+pub(super) struct SubmittedPass {
+    pub(super) pass: u64,
+    pub(super) plan: Plan,
+    /// Number of particles that the pass has room for.
+    pub(super) room: u32,
+    pub(super) submission: wgpu::SubmissionIndex,
+    /// Kernels with timestamps.
+    pub(super) timed: Vec<&'static str>,
+}
 
 /// Engine that moves the particles on a GPU.
 pub struct GpuEngine<'a> {
@@ -43,18 +61,18 @@ pub struct GpuEngine<'a> {
     /// Strata of the particles at the last readback.
     pub(super) strata: Vec<Stratum>,
     pub(super) settling: Parameters,
-    pub(super) levels: Levels,
+    pub(super) levels: BinLevels,
     slab_length: u32,
     pub(super) count: u32,
     /// Number of particles that the buffers have room for.
     pub(super) rows: u32,
     /// Number of members that each list has room for.
     pub(super) list_room: u32,
-    /// Whether the state is in the listed buffers.
+    /// True if the state is in the listed buffers.
     pub(super) listed: bool,
     /// Set of listed buffers that contains the state or contained it last.
     pub(super) set: usize,
-    /// Whether a particle has moved so far that the lists must be rebuilt.
+    /// True if a particle has moved so far that the lists must be rebuilt.
     pub(super) stale: bool,
     /// Number of classes that a pass dispatches. Each class costs a dispatch, so this is only
     /// slightly more than the number in use.
@@ -65,81 +83,54 @@ pub struct GpuEngine<'a> {
     pub(super) last_control: u64,
     pub(super) profile: Profile,
     /// Commands encoded for the next pass.
-    pub(super) ahead: Option<Ahead>,
+    pub(super) encoded_next: Option<EncodedPass>,
     /// The next pass, if it was submitted early.
-    pub(super) flight: Option<Flight>,
+    pub(super) submitted: Option<SubmittedPass>,
     started: Instant,
-    /// Times so far; [`GpuEngine::report`] fills in the other members.
+    /// Times so far. [`GpuEngine::report`] adds the other members.
     pub(super) spent: DeviceReport,
 }
 
 impl<'a> GpuEngine<'a> {
     /// Creates an engine and uploads fields and particles.
     pub fn new(gpu: &'a Gpu, fields: &Fields, set: &ParticleSet, settling: &Parameters) -> Result<Self> {
-        let levels = Levels::new(fields, settling.binning == Binning::Graded);
-        let ground = Ground::object(fields.surface);
-        Self::over(gpu, &ground, (fields.sizing, levels), (set, &[]), Carried::default(), settling)
+        let levels = BinLevels::new(fields, settling.binning == Binning::Graded);
+        let surface = DeviceSurface::object(fields.surface);
+        Self::over(gpu, &surface, (fields.sizing, levels), (set, &[]), Carried::default(), settling)
     }
 
-    /// Creates an engine and uploads the differences of many materials, h, and particles with their
-    /// strata. Held particles must come first.
+    /// Creates an engine for many materials. Uploads the differences of the materials, h, and the
+    /// particles with their strata. Held particles must come first.
     pub(crate) fn of_materials(
         gpu: &'a Gpu,
         (materials, sizing): (&Materials, &SizingField),
         (set, strata): (&ParticleSet, &[Stratum]),
         settling: &Parameters,
     ) -> Result<Self> {
-        let levels = Levels::everywhere(sizing, settling.binning == Binning::Graded);
+        let levels = BinLevels::everywhere(sizing, settling.binning == Binning::Graded);
         let carried = Carried::new(set, strata)?;
-        let ground = Ground::materials(materials, &carried);
-        Self::over(gpu, &ground, (sizing, levels), (set, strata), carried, settling)
+        let surface = DeviceSurface::materials(materials, &carried);
+        Self::over(gpu, &surface, (sizing, levels), (set, strata), carried, settling)
     }
 
     fn over(
         gpu: &'a Gpu,
-        ground: &Ground<'_>,
-        (sizing, levels): (&SizingField, Levels),
+        surface: &DeviceSurface<'_>,
+        (sizing, levels): (&SizingField, BinLevels),
         (set, strata): (&ParticleSet, &[Stratum]),
         carried: Carried,
         settling: &Parameters,
     ) -> Result<Self> {
         let compiling = Instant::now();
-        let geometry = ground.geometry.clone();
-        let longest = ground.coefficients.len().max(geometry.voxel_count()) as u64;
+        let geometry = surface.geometry.clone();
+        let longest = surface.coefficients.len().max(geometry.voxel_count()) as u64;
         let slab_length = slab_length(gpu, longest)?;
-        let kernels = gpu.kernels(u64::from(slab_length) < longest, ground.index.is_some())?;
+        let kernels = gpu.kernels(u64::from(slab_length) < longest, surface.index.is_some())?;
         let compile_seconds = compiling.elapsed().as_secs_f64();
         let started = Instant::now();
         let mut memory = Memory::default();
-        let uniform = wgpu::BufferUsages::UNIFORM;
-        memory.make(gpu, "parameters", 1024, uniform)?;
-        memory.make(gpu, "planned", 32, uniform)?;
-        for name in ["now", "scan_bins", "scan_keep"] {
-            memory.make(gpu, name, 16, uniform)?;
-        }
-        memory.make(gpu, "round", u64::from(CLASSES) * ROUND_STRIDE, uniform)?;
-        let numbers: Vec<u32> = (0..CLASSES).flat_map(|n| std::iter::once(n).chain([0; 63])).collect();
-        upload(gpu, memory.get("round"), &numbers)?;
-        for (name, values) in [("surface", ground.coefficients.as_ref()), ("sizing", sizing.image().data.as_slice())] {
-            let mut slabs = values.chunks(slab_length as usize);
-            for k in 0..4 {
-                let slab = slabs.next().unwrap_or(&[0.0]);
-                let name = format!("{name}_{k}");
-                memory.make(gpu, &name, 4 * slab.len() as u64, wgpu::BufferUsages::empty())?;
-                upload(gpu, memory.get(&name), slab)?;
-            }
-        }
-        if let Some(index) = &ground.index {
-            memory.make(gpu, "materials_index", 16 * index.len() as u64, wgpu::BufferUsages::empty())?;
-            upload(gpu, memory.get("materials_index"), index)?;
-        }
-        let bins = u64::from(levels.bin_total());
-        memory.make(gpu, "bin_counts", 4 * bins, wgpu::BufferUsages::empty())?;
-        memory.make(gpu, "bin_starts", 4 * (bins + 1), wgpu::BufferUsages::empty())?;
-        memory.make(gpu, "class_counts", 4 * u64::from(CLASSES), wgpu::BufferUsages::empty())?;
-        memory.make(gpu, "class_starts", 4 * u64::from(CLASSES + 1), wgpu::BufferUsages::empty())?;
-        memory.make(gpu, "class_arguments", 12 * u64::from(CLASSES), wgpu::BufferUsages::INDIRECT)?;
-        memory.make(gpu, "words", 64, wgpu::BufferUsages::empty())?;
+        make_fixed_buffers(gpu, &mut memory, levels.bin_total())?;
+        upload_surface(gpu, &mut memory, surface, sizing, slab_length)?;
         let mut engine = Self {
             gpu,
             kernels,
@@ -162,8 +153,8 @@ impl<'a> GpuEngine<'a> {
             changed: 0,
             last_control: 0,
             profile: Profile::default(),
-            ahead: None,
-            flight: None,
+            encoded_next: None,
+            submitted: None,
             started,
             spent: DeviceReport { compile_seconds, ..DeviceReport::default() },
         };
@@ -176,6 +167,7 @@ impl<'a> GpuEngine<'a> {
 
     fn upload_particles(&mut self, set: &ParticleSet, strata: &[Stratum]) -> Result<()> {
         let count = u32::try_from(set.positions.len()).unwrap_or(u32::MAX);
+        // spare room for the first passes; `grow` enlarges the buffers later
         self.make_room(count.saturating_add(count / 8 + 512))?;
         let origin = device_origin(&self.geometry);
         let largest = self.levels.levels[0].largest;
@@ -229,7 +221,7 @@ impl<'a> GpuEngine<'a> {
         for name in ["keep", "destinations"] {
             self.memory.make(self.gpu, name, 8 * u64::from(rows) + 4, none)?;
         }
-        self.memory.make(self.gpu, "block_totals", 28 * u64::from(rows.div_ceil(BLOCK)), none)?;
+        self.memory.make(self.gpu, "block_totals", 28 * u64::from(rows.div_ceil(SUM_BLOCK)), none)?;
         let blocks = scan_blocks(self.levels.bin_total()).max(scan_blocks(2 * rows));
         self.memory.make(self.gpu, "scan_sums", 4 * u64::from(blocks), none)?;
         self.rows = rows;
@@ -251,7 +243,7 @@ impl<'a> GpuEngine<'a> {
         let block = run_block(&self.geometry, &self.levels, &self.settling, self.slab_length, self.list_room);
         self.write("parameters", block.bytes());
         self.groups.clear();
-        self.ahead = None;
+        self.encoded_next = None;
         Ok(())
     }
 
@@ -317,6 +309,53 @@ impl<'a> GpuEngine<'a> {
             ..self.spent.clone()
         }
     }
+}
+
+/// Creates the buffers whose size does not depend on the particles. `bins` is the number of bins in
+/// all levels.
+fn make_fixed_buffers(gpu: &Gpu, memory: &mut Memory, bins: u32) -> Result<()> {
+    let uniform = wgpu::BufferUsages::UNIFORM;
+    memory.make(gpu, "parameters", 1024, uniform)?;
+    memory.make(gpu, "planned", 32, uniform)?;
+    for name in ["now", "scan_bins", "scan_keep"] {
+        memory.make(gpu, name, 16, uniform)?;
+    }
+    memory.make(gpu, "round", u64::from(CLASSES) * ROUND_STRIDE, uniform)?;
+    let numbers: Vec<u32> = (0..CLASSES).flat_map(|n| std::iter::once(n).chain([0; 63])).collect();
+    upload(gpu, memory.get("round"), &numbers)?;
+    let bins = u64::from(bins);
+    memory.make(gpu, "bin_counts", 4 * bins, wgpu::BufferUsages::empty())?;
+    memory.make(gpu, "bin_starts", 4 * (bins + 1), wgpu::BufferUsages::empty())?;
+    memory.make(gpu, "class_counts", 4 * u64::from(CLASSES), wgpu::BufferUsages::empty())?;
+    memory.make(gpu, "class_starts", 4 * u64::from(CLASSES + 1), wgpu::BufferUsages::empty())?;
+    memory.make(gpu, "class_arguments", 12 * u64::from(CLASSES), wgpu::BufferUsages::INDIRECT)?;
+    memory.make(gpu, "words", 64, wgpu::BufferUsages::empty())?;
+    Ok(())
+}
+
+/// Uploads the coefficients of the surface, the index of the coefficients, and the samples of h.
+/// Coefficients and samples are split into slabs of `slab_length` values.
+fn upload_surface(
+    gpu: &Gpu,
+    memory: &mut Memory,
+    surface: &DeviceSurface<'_>,
+    sizing: &SizingField,
+    slab_length: u32,
+) -> Result<()> {
+    for (name, values) in [("surface", surface.coefficients.as_ref()), ("sizing", sizing.image().data.as_slice())] {
+        let mut slabs = values.chunks(slab_length as usize);
+        for k in 0..4 {
+            let slab = slabs.next().unwrap_or(&[0.0]);
+            let name = format!("{name}_{k}");
+            memory.make(gpu, &name, 4 * slab.len() as u64, wgpu::BufferUsages::empty())?;
+            upload(gpu, memory.get(&name), slab)?;
+        }
+    }
+    if let Some(index) = &surface.index {
+        memory.make(gpu, "materials_index", 16 * index.len() as u64, wgpu::BufferUsages::empty())?;
+        upload(gpu, memory.get("materials_index"), index)?;
+    }
+    Ok(())
 }
 
 /// Returns the number of values in each slab of a field with `voxels` values. If the field fits

@@ -1,15 +1,12 @@
 //! The compute pipelines, compiled once, and their bind groups.
 
-use super::adapter::Gpu;
-use super::memory::Memory;
 use super::shaders::{Access, Binding, Variant, bindings, sources};
-use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::num::NonZeroU64;
 
-/// Distance in bytes between the values in the buffer `round`. On every adapter it is a valid
-/// alignment of uniform offsets.
+/// Distance in bytes between the values in the buffer `round`: the maximum alignment of uniform
+/// offsets that a WebGPU adapter may require (default of `minUniformBufferOffsetAlignment`).
 pub(crate) const ROUND_STRIDE: u64 = 256;
 
 /// A pipeline and its bindings.
@@ -25,14 +22,12 @@ pub(crate) struct Kernels {
 }
 
 impl Kernels {
-    /// Compiles every kernel.
-    pub(crate) fn new(gpu: &Gpu, slabs: bool, materials: bool) -> Result<Self> {
-        let variant = Variant { slabs, subgroup_team: gpu.subgroup_team, materials };
+    /// Compiles every kernel. The device reports compilation errors separately.
+    pub(crate) fn new(device: &wgpu::Device, variant: Variant) -> Self {
         let all: Vec<_> = sources().collect();
         // in parallel because drivers compile slowly
-        let kernels = all.par_iter().map(|s| (s.name, kernel(gpu, s.name, s.compose(variant)))).collect();
-        gpu.check()?;
-        Ok(Self { kernels })
+        let kernels = all.par_iter().map(|s| (s.name, kernel(device, s.name, s.compose(variant)))).collect();
+        Self { kernels }
     }
 
     /// Returns the pipeline of a kernel.
@@ -42,10 +37,10 @@ impl Kernels {
 
     /// Creates the bind group of a kernel. `aliases` maps names in the kernel to other buffers.
     /// `round` selects the value of the kernel's variable `round`.
-    pub(crate) fn bind(
+    pub(crate) fn bind<'m>(
         &self,
-        gpu: &Gpu,
-        memory: &Memory,
+        device: &wgpu::Device,
+        buffer_called: impl Fn(&str) -> &'m wgpu::Buffer,
         name: &str,
         round: u32,
         aliases: &[(&str, &str)],
@@ -56,7 +51,7 @@ impl Kernels {
             .iter()
             .map(|binding| {
                 let buffer = aliases.iter().find(|a| a.0 == binding.name).map_or(binding.name.as_str(), |a| a.1);
-                let buffer = memory.get(buffer);
+                let buffer = buffer_called(buffer);
                 let resource = if binding.name == "round" {
                     wgpu::BindingResource::Buffer(wgpu::BufferBinding {
                         buffer,
@@ -69,7 +64,7 @@ impl Kernels {
                 wgpu::BindGroupEntry { binding: binding.number, resource }
             })
             .collect();
-        gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+        device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(name),
             layout: &kernel.layout,
             entries: &entries,
@@ -77,7 +72,7 @@ impl Kernels {
     }
 }
 
-fn kernel(gpu: &Gpu, name: &'static str, text: String) -> Kernel {
+fn kernel(device: &wgpu::Device, name: &'static str, text: String) -> Kernel {
     let bindings = bindings(&text);
     let entries: Vec<_> = bindings
         .iter()
@@ -96,7 +91,6 @@ fn kernel(gpu: &Gpu, name: &'static str, text: String) -> Kernel {
             count: None,
         })
         .collect();
-    let device = &gpu.device;
     let layout =
         device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(name), entries: &entries });
     let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {

@@ -1,13 +1,12 @@
-//! Levels of bins, one for each octave of h. They are laid out once per run from the fields near
-//! the surface. They do not depend on the particles, so a resumed run has the same levels.
+//! Levels of bins, one for each octave of h. The levels are computed once per run from the fields
+//! near the surface. They do not depend on the particles, so a resumed run has the same levels.
 //!
-//! Level k contains the particles with h up to `largest / 2^k` that are too large for level k + 1.
-//! The bin edge of a level is the reach of its neighbour lists, [`BIN_REACH`] largest / 2^k, so a
-//! query visits at most 27 bins of the level. A single level corresponds to the paper's global bin
-//! edge.
+//! A particle belongs to the last level k with `largest / 2^k` of at least its h. The bin edge of a
+//! level is the maximum reach of the neighbour lists of its particles, [`BIN_REACH`] largest / 2^k.
+//! A query therefore visits at most 27 bins of the level. A single level corresponds to the global
+//! bin edge of the paper.
 
-use super::constants::BIN_REACH;
-use super::parameters::{MOST_LEVELS, device_origin};
+use super::constants::{BIN_REACH, MOST_LEVELS};
 use crate::state::Fields;
 use glam::{DVec3, UVec3, Vec3};
 use isoparticles_field::sizing::SizingField;
@@ -15,12 +14,24 @@ use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
 /// Maximum number of bins in a level. If more would be needed, the bins are made wider, which gives
-/// the same results.
+/// the same results. A bin has a count and a start, 8 bytes, so a level needs at most 32 MB.
 const MOST_BINS: f64 = 4e6;
+
+/// Returns the voxel whose centre is the origin of device positions, near the middle of the grid.
+/// There f32 positions have the best resolution. Because the origin is the centre of a voxel, the
+/// fraction within a cell is exact.
+pub(crate) fn centre_voxel(geometry: &Geometry) -> UVec3 {
+    UVec3::from_array(geometry.size.map(|n| n as u32 / 2))
+}
+
+/// Returns the origin of device positions, in mm in the grid frame.
+pub(crate) fn device_origin(geometry: &Geometry) -> DVec3 {
+    geometry.index_to_grid(centre_voxel(geometry).as_dvec3())
+}
 
 /// One level of bins.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Level {
+pub(crate) struct BinLevel {
     /// Edge of a bin in mm.
     pub edge: f32,
     /// Maximum h in mm.
@@ -33,10 +44,10 @@ pub(crate) struct Level {
 
 /// All levels, from the coarsest to the finest.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Levels {
+pub(crate) struct BinLevels {
     /// Device position in mm of the corner of bin (0, 0, 0).
     pub origin: Vec3,
-    pub levels: Vec<Level>,
+    pub levels: Vec<BinLevel>,
 }
 
 /// Ranges of h and of position near the surface.
@@ -62,10 +73,11 @@ impl Range {
     }
 }
 
-impl Levels {
+impl BinLevels {
     /// Creates the levels from the fields near the surface. If `graded` is false, there is one
     /// level.
     pub(crate) fn new(fields: &Fields, graded: bool) -> Self {
+        // the cells that contain F = 0, and the cells around them
         let near = near_surface(fields, 2.0 * fields.surface.geometry().spacing.length());
         let range = if near.largest > 0.0 { near } else { near_surface(fields, f64::INFINITY) };
         Self::of_range(fields.surface.geometry(), &range, graded)
@@ -102,13 +114,14 @@ impl Levels {
         let levels = (0..count)
             .map(|k| {
                 let largest = largest / (1u32 << k) as f32;
+                // widened because the device computes bin coordinates in f32
                 let reach = 1.0001 * BIN_REACH * f64::from(largest);
                 let bins_at = |edge: f64| (extent / edge).floor() + 1.0;
                 let mut edge = reach;
                 while bins_at(edge).element_product() > MOST_BINS {
                     edge *= 1.1;
                 }
-                let level = Level { edge: edge as f32, largest, first_bin, bins: bins_at(edge).as_uvec3() };
+                let level = BinLevel { edge: edge as f32, largest, first_bin, bins: bins_at(edge).as_uvec3() };
                 first_bin += level.bins.element_product();
                 level
             })
@@ -122,8 +135,8 @@ impl Levels {
     }
 }
 
-/// Returns the range over the voxels with |F| <= `band`. Approximates F by its spline coefficients,
-/// which differ from F by a small fraction of a voxel.
+/// Returns the ranges of h and of position over the voxels with |F| <= `band` mm. Uses the spline
+/// coefficients instead of F; the difference is a small fraction of a voxel.
 fn near_surface(fields: &Fields, band: f64) -> Range {
     let geometry = fields.surface.geometry();
     let [nx, ny, _] = geometry.size;

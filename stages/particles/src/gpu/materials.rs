@@ -12,11 +12,11 @@ use isoparticles_volume::Geometry;
 use std::borrow::Cow;
 
 /// Maximum number of interfaces and held particles in total: 16 times the stratum index must be
-/// below 2^24, so that f32 represents it exactly.
+/// below 2^24, because f32 represents integers up to 2^24 exactly.
 const MOST_STRATA: usize = 1 << 20;
 
 /// Coefficients on the device, and the index that locates them.
-pub(super) struct Ground<'a> {
+pub(super) struct DeviceSurface<'a> {
     pub geometry: &'a Geometry,
     /// Coefficients of F, or of the differences between materials.
     pub coefficients: Cow<'a, [f32]>,
@@ -24,7 +24,7 @@ pub(super) struct Ground<'a> {
     pub index: Option<Vec<[u32; 4]>>,
 }
 
-impl<'a> Ground<'a> {
+impl<'a> DeviceSurface<'a> {
     /// Creates the surface of one object.
     pub(super) fn object(surface: &'a CubicSpline) -> Self {
         let coefficients = Cow::Borrowed(surface.coefficients());
@@ -38,13 +38,13 @@ impl<'a> Ground<'a> {
     }
 }
 
-/// Data that each particle carries in addition to its normal: its damping and, with many materials,
-/// its stratum.
+/// Data that is stored with the normal of each particle: the damping and, with many materials, the
+/// stratum.
 ///
 /// With many materials the value is 16 times the index of the stratum, plus the power of ten of the
-/// damping or [`HELD_CODE`]. Interfaces have the first indices, in ascending order. After them each
-/// held particle has an index of its own, which restores its position in the particle set after a
-/// readback.
+/// damping or [`HELD_CODE`]. Interfaces have the first indices, in ascending order. Each held
+/// particle has a separate index after the indices of the interfaces. After a readback, this index
+/// gives the position of the held particle in the particle set.
 #[derive(Debug, Default)]
 pub(super) struct Carried {
     /// Strata by index; empty for one object.
@@ -105,8 +105,8 @@ impl Carried {
     }
 
     /// Restores the order after a readback: the unchanged held particles first, then the other
-    /// particles. Returns the particles and their strata. With one object the particles stay as
-    /// they are.
+    /// particles. Returns the particles and their strata. With one object, returns the particles
+    /// unchanged.
     pub(super) fn put_back(&self, mut set: ParticleSet) -> (ParticleSet, Vec<Stratum>) {
         let Some(held) = &self.held else { return (set, Vec::new()) };
         let mut all = held.clone();

@@ -13,7 +13,7 @@ pub(crate) struct Memory {
     peak: u64,
 }
 
-const PLAIN: wgpu::BufferUsages =
+const STORAGE_USAGES: wgpu::BufferUsages =
     wgpu::BufferUsages::STORAGE.union(wgpu::BufferUsages::COPY_SRC).union(wgpu::BufferUsages::COPY_DST);
 
 impl Memory {
@@ -35,7 +35,7 @@ impl Memory {
         }
         self.remove(name);
         let guard = gpu.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
-        let usage = PLAIN | extra;
+        let usage = STORAGE_USAGES | extra;
         let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(name),
             size,
@@ -82,9 +82,9 @@ impl Memory {
 }
 
 /// Copies values into a buffer in batches of 12 pieces of 512 KiB. All threads copy the pieces of a
-/// batch in parallel, because the first access to staging memory takes most of the time. Waiting
-/// between batches lets wgpu reuse that memory, so a second copy of a whole field is never
-/// allocated.
+/// batch in parallel, because the first access to staging memory takes most of the time. After each
+/// batch the function waits, and wgpu reuses the staging memory. The copy therefore needs at most
+/// 6 MiB of staging memory instead of the size of the field.
 pub(crate) fn upload<T: bytemuck::NoUninit + Sync>(gpu: &Gpu, buffer: &wgpu::Buffer, values: &[T]) -> Result<()> {
     const PIECE_BYTES: usize = 1 << 19;
     const BATCH: usize = 12;

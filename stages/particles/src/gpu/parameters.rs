@@ -1,15 +1,12 @@
 //! Uniform blocks of the kernels as bytes: named words in the order of the WGSL structs
 //! (`shaders/shared/parameters.wgsl`). The tests compare the layouts with those that naga computes.
 
-use super::constants::BLOCK;
-use super::levels::Levels;
+use super::constants::{MOST_LEVELS, SUM_BLOCK};
+use super::levels::{BinLevels, centre_voxel};
 use crate::constants::{FIRST_RING, INITIAL_LAMBDA, NEWCOMER_DISTANCE, PARENT_DISTANCE, PASS_TOLERANCE};
 use crate::settle::Parameters;
-use glam::{DVec3, UVec3};
+use glam::DVec3;
 use isoparticles_volume::Geometry;
-
-/// Maximum number of levels, which is the size of an array in the shaders.
-pub(crate) const MOST_LEVELS: usize = 12;
 
 /// Named words of a uniform block, in order and without padding.
 #[derive(Clone, Debug, Default)]
@@ -36,18 +33,6 @@ impl Block {
     }
 }
 
-/// Returns the voxel whose centre is the origin of device positions, near the middle of the grid.
-/// There f32 positions have the best resolution. Because the origin is the centre of a voxel, the
-/// fraction within a cell is exact.
-pub(crate) fn centre_voxel(geometry: &Geometry) -> UVec3 {
-    UVec3::from_array(geometry.size.map(|n| n as u32 / 2))
-}
-
-/// Returns the origin of device positions in the grid frame, in mm.
-pub(crate) fn device_origin(geometry: &Geometry) -> DVec3 {
-    geometry.index_to_grid(centre_voxel(geometry).as_dvec3())
-}
-
 /// Returns the tolerance of |F| = 0 on the device in mm: the tolerance of the CPU's passes, or the
 /// resolution of f32 positions if that is coarser.
 pub(crate) fn tolerance(geometry: &Geometry) -> f64 {
@@ -58,7 +43,7 @@ pub(crate) fn tolerance(geometry: &Geometry) -> f64 {
 /// Returns the block `Parameters`, which contains the values that are constant during a run.
 pub(crate) fn run_block(
     geometry: &Geometry,
-    levels: &Levels,
+    levels: &BinLevels,
     settling: &Parameters,
     slab_length: u32,
     list_room: u32,
@@ -146,5 +131,5 @@ pub(crate) fn scan_block(length: u32) -> Block {
 /// Returns the number of blocks of a prefix sum over `length` elements. The result of the prefix
 /// sum has one more element.
 pub(crate) fn scan_blocks(length: u32) -> u32 {
-    (length + 1).div_ceil(BLOCK)
+    (length + 1).div_ceil(SUM_BLOCK)
 }

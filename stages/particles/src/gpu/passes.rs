@@ -1,51 +1,35 @@
-//! Runs passes on the device: submits them, waits for them, and repeats a pass if its lists or
-//! classes overflowed.
+//! Runs passes on the device: submits a pass, waits for it, and repeats it if the neighbour lists
+//! or the classes overflowed.
 //!
 //! A pass with density control reads one set of listed buffers and writes the other. It can
 //! therefore be submitted before the host has read the result of the previous pass, so the device
 //! does not idle. The number of particles stays on the device (`shaders/begin_pass.wgsl`). A pass
-//! submitted early is invalid if the run ends, if lists overflowed, or if there are more particles
-//! than the pass has room for. In these cases its input is still intact.
+//! submitted early is discarded if the run ends, if lists or classes overflowed, or if there are
+//! more particles than the pass has room for. In these cases the input of the pass is unchanged.
 
 use super::commands::{Command, Encoded, encode, submit};
 use super::constants::{
-    AS_LEFT, CLASSES, WORD_CLASSES, WORD_COUNT, WORD_DEFECTS, WORD_ENERGY, WORD_KEPT, WORD_LISTED, WORD_LONGEST_LIST,
-    WORD_LONGEST_WAY, WORD_MOVED, WORD_TRIES, WORDS,
+    CLASSES, COUNT_ON_DEVICE, WORD_CLASSES, WORD_COUNT, WORD_DEFECTS, WORD_ENERGY, WORD_KEPT, WORD_LISTED,
+    WORD_LONGEST_LIST, WORD_LONGEST_WAY, WORD_MOVED, WORD_TRIES, WORDS,
 };
-use super::engine::GpuEngine;
+use super::engine::{EncodedPass, GpuEngine, SubmittedPass};
 use super::memory::read_staging;
 use super::parameters::plan_block;
 use super::report::DeviceReport;
 use super::schedule::{Plan, Step, listed, steps};
-use crate::constants::REBUILD_MOVE;
-use crate::settle::{Engine, PassOutcome, REORDER_INTERVAL};
+use crate::constants::{REBUILD_MOVE, REORDER_INTERVAL};
+use crate::settle::{Engine, PassOutcome};
 use isoparticles_field::materials::Stratum;
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_stage::error::Result;
 use std::time::Instant;
 
-/// Number of classes dispatched in addition to those in use. The number in use varies where
-/// particles are crowded, and a pass that needs more classes must be repeated.
+/// Number of classes dispatched in addition to the classes in use. The number in use varies where
+/// particles are dense, and a pass that needs more classes must be repeated. Measured
+/// with 0, 2 and 4 (heart of docs/developer/method.md, also with `seed --from marching-cubes`;
+/// `--backend gpu --adapter llvmpipe --max-passes 60`): no pass is repeated because of its classes.
+/// Each additional class costs an empty dispatch.
 const CLASSES_TO_SPARE: u32 = 2;
-
-/// Commands of the next pass, encoded while the device runs the current pass.
-pub(super) struct Ahead {
-    plan: Plan,
-    /// Number of particles that the commands have room for.
-    room: u32,
-    encoded: Encoded,
-}
-
-/// A submitted pass.
-pub(super) struct Flight {
-    pass: u64,
-    plan: Plan,
-    /// Number of particles that the pass has room for.
-    room: u32,
-    submission: wgpu::SubmissionIndex,
-    /// Kernels with timestamps.
-    timed: Vec<&'static str>,
-}
 
 impl GpuEngine<'_> {
     /// Runs individual steps and returns the words that the host reads.
@@ -55,8 +39,8 @@ impl GpuEngine<'_> {
         let mut all = vec![super::schedule::beginning()];
         all.extend(steps.into_iter().filter(|step| step.kernel != "begin_pass"));
         let encoded = self.encode(&all, plan, self.count);
-        let flight = self.hand_over(pass, Ahead { plan, room: self.count, encoded }, self.count, plan)?;
-        self.wait_for(&flight)
+        let submitted = self.submit_pass(pass, EncodedPass { plan, room: self.count, encoded }, self.count, plan)?;
+        self.wait_for(&submitted)
     }
 
     /// Returns the room for a pass with an unknown number of particles: 1/16 more than the current
@@ -68,24 +52,25 @@ impl GpuEngine<'_> {
 
     /// Returns the commands of a pass over at least `least` particles. Uses the commands already
     /// encoded if they fit; otherwise encodes new commands for `room` particles.
-    fn commands(&mut self, plan: Plan, least: u32, room: u32) -> Ahead {
-        let ready = self.ahead.take().filter(|ahead| ahead.plan == plan && least <= ahead.room);
+    fn commands(&mut self, plan: Plan, least: u32, room: u32) -> EncodedPass {
+        let ready = self.encoded_next.take().filter(|ahead| ahead.plan == plan && least <= ahead.room);
         ready.unwrap_or_else(|| self.make_commands(plan, room))
     }
 
-    fn make_commands(&mut self, plan: Plan, room: u32) -> Ahead {
+    fn make_commands(&mut self, plan: Plan, room: u32) -> EncodedPass {
         let steps = steps(room, &self.levels, self.settling.order, plan);
         let encoded = self.encode(&steps, plan, room);
-        Ahead { plan, room, encoded }
+        EncodedPass { plan, room, encoded }
     }
 
     /// Encodes steps. If the plan requires it, the particles are first copied back to the listed
     /// buffers.
     fn encode(&mut self, steps: &[Step], plan: Plan, room: u32) -> Encoded {
         let key = |step: &Step| (step.label, step.round, step.aliases.first().map_or("", |alias| alias.1));
+        let buffer_called = |name: &str| self.memory.get(name);
         for step in steps {
             if !self.groups.contains_key(&key(step)) {
-                let group = self.kernels.bind(self.gpu, &self.memory, step.kernel, step.round, step.aliases);
+                let group = self.kernels.bind(&self.gpu.device, buffer_called, step.kernel, step.round, step.aliases);
                 self.groups.insert(key(step), group);
             }
         }
@@ -119,28 +104,28 @@ impl GpuEngine<'_> {
 
     /// Submits a pass over `count` particles. `before` is the plan of the previous pass, which may
     /// still be running.
-    fn hand_over(&self, pass: u64, ahead: Ahead, count: u32, before: Plan) -> Result<Flight> {
-        let Ahead { plan, room, encoded } = ahead;
+    fn submit_pass(&self, pass: u64, ahead: EncodedPass, count: u32, before: Plan) -> Result<SubmittedPass> {
+        let EncodedPass { plan, room, encoded } = ahead;
         let rooms = (self.list_room, before.classes);
         let block = plan_block(pass, count, self.settling.allow_insert, room, rooms);
         self.write("planned", block.bytes());
         let (submission, timed) = submit(self.gpu, encoded);
         self.gpu.check()?;
-        Ok(Flight { pass, plan, room, submission, timed })
+        Ok(SubmittedPass { pass, plan, room, submission, timed })
     }
 
     /// Submits a pass after the previous one has ended.
-    fn set_off(&mut self, pass: u64, plan: Plan) -> Result<Flight> {
+    fn submit_now(&mut self, pass: u64, plan: Plan) -> Result<SubmittedPass> {
         let begun = Instant::now();
         let commands = self.commands(plan, self.count, self.count);
-        let flight = self.hand_over(pass, commands, self.count, plan)?;
+        let submitted = self.submit_pass(pass, commands, self.count, plan)?;
         self.spent.encode_seconds += begun.elapsed().as_secs_f64();
-        Ok(flight)
+        Ok(submitted)
     }
 
     /// Prepares passes while the device runs a pass: submits the next pass if it is likely to be
     /// valid, and encodes the pass after it.
-    fn look_ahead(&mut self, now: &Flight) -> Result<()> {
+    fn look_ahead(&mut self, now: &SubmittedPass) -> Result<()> {
         let after = |plan: Plan, pass: u64| {
             let density = plan.density && pass < self.last_control;
             let sort = plan.sort || (pass + 1) % REORDER_INTERVAL == 1;
@@ -150,57 +135,58 @@ impl GpuEngine<'_> {
         let next = after(now.plan, now.pass);
         let mut to_make = next;
         // timestamp queries support only one pass at a time
-        if next.density && self.flight.is_none() && self.changed <= self.count / 16 && !self.gpu.timestamps {
+        if next.density && self.submitted.is_none() && self.changed <= self.count / 16 && !self.gpu.timestamps {
             let one_after = after(next, now.pass + 1);
             // existing commands are one pass old and may have less room; half of the spare room
             // suffices
             let least = self.count.midpoint(self.room_ahead());
             let commands = self.commands(next, least, self.room_ahead());
-            self.flight = Some(self.hand_over(now.pass + 1, commands, AS_LEFT, now.plan)?);
+            self.submitted = Some(self.submit_pass(now.pass + 1, commands, COUNT_ON_DEVICE, now.plan)?);
             to_make = one_after;
         }
-        if self.ahead.is_none() {
-            self.ahead = Some(self.make_commands(to_make, self.room_ahead()));
+        if self.encoded_next.is_none() {
+            self.encoded_next = Some(self.make_commands(to_make, self.room_ahead()));
         }
         Ok(())
     }
 
     /// Waits for a pass and returns its words.
-    fn wait_for(&self, flight: &Flight) -> Result<Vec<u32>> {
-        read_staging(self.gpu, &self.words[flight.plan.set], 4 * WORDS as u64, Some(&flight.submission))
+    fn wait_for(&self, submitted: &SubmittedPass) -> Result<Vec<u32>> {
+        read_staging(self.gpu, &self.words[submitted.plan.set], 4 * WORDS as u64, Some(&submitted.submission))
     }
 
-    /// Runs a pass and repeats it until its lists and classes suffice. Returns its plan and words.
-    fn fly(&mut self, pass: u64, density: bool) -> Result<(Plan, Vec<u32>)> {
+    /// Runs a pass and repeats it until the lists and classes have enough room. Returns the plan
+    /// and the words of the pass.
+    fn run_until_valid(&mut self, pass: u64, density: bool) -> Result<(Plan, Vec<u32>)> {
         // discard an early submission that does not match this pass
-        let ready = self.flight.take().filter(|flight| density && flight.pass == pass);
+        let ready = self.submitted.take().filter(|submitted| density && submitted.pass == pass);
         let sort = density || self.listed || self.stale || pass % REORDER_INTERVAL == 1;
         let mut plan = Plan { sort, bring: sort && !self.listed, density, set: self.set, classes: self.classes };
-        let mut flight = match ready {
-            Some(flight) => flight,
-            None => self.set_off(pass, plan)?,
+        let mut submitted = match ready {
+            Some(submitted) => submitted,
+            None => self.submit_now(pass, plan)?,
         };
         loop {
-            self.look_ahead(&flight)?;
+            self.look_ahead(&submitted)?;
             let waiting = Instant::now();
-            self.profile.collect(self.gpu, &flight.timed)?;
-            let words = self.wait_for(&flight)?;
+            self.profile.collect(self.gpu, &submitted.timed)?;
+            let words = self.wait_for(&submitted)?;
             self.spent.wait_seconds += waiting.elapsed().as_secs_f64();
             let (longest, classes) = (words[WORD_LONGEST_LIST], words[WORD_CLASSES]);
             // begin_pass.wgsl applies the same test before the next pass
-            if longest <= self.list_room && classes <= flight.plan.classes {
+            if longest <= self.list_room && classes <= submitted.plan.classes {
                 if classes + CLASSES_TO_SPARE / 2 > self.classes || self.classes == CLASSES {
                     self.classes = (classes + CLASSES_TO_SPARE).min(CLASSES);
                 }
-                return Ok((flight.plan, words));
+                return Ok((submitted.plan, words));
             }
             // the output of this pass is discarded, and passes submitted after it have done nothing
-            (self.flight, self.listed, self.classes) = (None, true, CLASSES);
+            (self.submitted, self.listed, self.classes) = (None, true, CLASSES);
             (plan.bring, plan.classes) = (false, CLASSES);
             if longest > self.list_room {
                 self.make_lists(longest)?;
             }
-            flight = self.set_off(pass, plan)?;
+            submitted = self.submit_now(pass, plan)?;
         }
     }
 }
@@ -215,7 +201,7 @@ impl Engine for GpuEngine<'_> {
     }
 
     fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome> {
-        let (plan, words) = self.fly(pass, density)?;
+        let (plan, words) = self.run_until_valid(pass, density)?;
         let before = self.count;
         let (after, kept) = (words[WORD_COUNT], words[WORD_KEPT]);
         self.listed = plan.density;
@@ -223,8 +209,8 @@ impl Engine for GpuEngine<'_> {
         self.stale = f64::from(f32::from_bits(words[WORD_LONGEST_WAY])) > REBUILD_MOVE;
         self.count = after;
         self.changed = after.abs_diff(before);
-        if self.flight.as_ref().is_some_and(|flight| after > flight.room) {
-            self.flight = None;
+        if self.submitted.as_ref().is_some_and(|submitted| after > submitted.room) {
+            self.submitted = None;
         }
         if after > self.rows {
             self.grow()?;

@@ -29,12 +29,12 @@ enum Piece {
 /// Properties of the adapter and of the surface that select pieces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Variant {
-    /// Whether the fields are split into slabs.
+    /// True if the fields are split into slabs.
     pub slabs: bool,
     /// Number of lanes of a team that sums by subgroup operations; `None` for sums through
     /// workgroup memory.
     pub subgroup_team: Option<u32>,
-    /// Whether the run has many materials.
+    /// True if the run has many materials.
     pub materials: bool,
 }
 
@@ -198,8 +198,8 @@ pub(crate) fn sources() -> impl Iterator<Item = &'static Source> {
 
 impl Source {
     /// Returns the variant for this kernel. In `move_bins` a workgroup is one team of up to 32
-    /// lanes that processes a bin. Its particles move one after the other, so more lanes make each
-    /// step faster.
+    /// lanes that processes a bin. The particles of the bin move one after the other, so more lanes
+    /// make each step faster.
     pub(crate) fn variant(&self, variant: Variant) -> Variant {
         match self.name {
             "move_bins" => Variant { subgroup_team: variant.subgroup_team.map(|_| 32), ..variant },
@@ -210,7 +210,7 @@ impl Source {
     /// Returns the complete source for a variant.
     pub(crate) fn compose(&self, variant: Variant) -> String {
         let variant = self.variant(variant);
-        let mut text = declarations(variant);
+        let mut text = declarations(variant.team());
         for piece in self.pieces {
             let piece = match piece {
                 Piece::Text(text) => text,
@@ -254,7 +254,7 @@ pub(crate) enum Access {
     ReadWrite,
 }
 
-/// Returns the buffers that a source declares, parsed from its lines `@group(0) @binding(n)
+/// Returns the buffers that a source declares. Parses lines of the form `@group(0) @binding(n)
 /// var<...> name: type;`.
 pub(crate) fn bindings(text: &str) -> Vec<Binding> {
     text.lines()

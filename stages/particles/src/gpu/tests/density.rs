@@ -7,13 +7,13 @@ use crate::constants::{FARTHEST_MOVE, NEWCOMER_DISTANCE};
 use crate::density::{Newcomer, propose};
 use crate::gpu::adapter::{AdapterChoice, Gpu};
 use crate::gpu::constants::{
-    BLOCK, COLOUR_STRIDE, NARROW, WORD_COUNT, WORD_DEFECTS, WORD_ENERGY, WORD_KEPT, WORD_LONGEST_WAY, WORD_MOVED,
-    WORD_TRIES,
+    COLOUR_STRIDE, PARTICLE_GROUP, SUM_BLOCK, WORD_COUNT, WORD_DEFECTS, WORD_ENERGY, WORD_KEPT, WORD_LONGEST_WAY,
+    WORD_MOVED, WORD_TRIES,
 };
 use crate::gpu::engine::GpuEngine;
+use crate::gpu::levels::device_origin;
 use crate::gpu::memory::download;
-use crate::gpu::parameters::device_origin;
-use crate::gpu::schedule::{COLOURS, SETS, Step, bins_of, scan};
+use crate::gpu::schedule::{COLOURS, LISTED_SETS, Step, bins_of, scan};
 use crate::movement;
 use crate::neighbourhood::Record;
 use crate::reference::energy_at;
@@ -25,8 +25,9 @@ use isoparticles_field::energy::{SUPPORT, pair_energy, scaled_distance};
 
 /// Pass number used for the random numbers.
 const PASS: u32 = 7;
-/// Decisions within this relative distance of a threshold may differ in f32.
-const EDGE: f64 = 1e-5;
+/// Decisions within this relative distance of a threshold may differ in f32: about 100 roundings of
+/// 2^-23.
+const ROUNDING: f64 = 1e-5;
 
 /// Returns random bits; the twin of `shaders/shared/random.wgsl`.
 fn random_bits(stream: u32, counter: u32) -> u32 {
@@ -74,7 +75,7 @@ impl<'a> Rig<'a> {
     }
 
     fn run(&mut self, kernel: &'static str, round: u32) {
-        let each = self.engine.count.div_ceil(NARROW);
+        let each = self.engine.count.div_ceil(PARTICLE_GROUP);
         self.engine.run_steps(u64::from(PASS), vec![Step::over(kernel, round, each)], false).unwrap();
     }
 
@@ -96,9 +97,9 @@ impl<'a> Rig<'a> {
     }
 }
 
-/// Returns whether value > threshold, or `None` if the difference is too small to decide.
+/// Returns the result of `value > threshold`, or `None` if the difference is too small to decide.
 fn beyond(value: f64, threshold: f64) -> Option<bool> {
-    ((value - threshold).abs() > EDGE * (1.0 + threshold.abs())).then_some(value > threshold)
+    ((value - threshold).abs() > ROUNDING * (1.0 + threshold.abs())).then_some(value > threshold)
 }
 
 /// Returns the logical and. The result is `None` only if it depends on an undecided operand.
@@ -325,7 +326,7 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
 
     let mut last = Vec::new();
     scan(&mut last, "keep", 2 * count as u32);
-    last.push(Step { aliases: SETS[1], ..Step::over("compact", 0, rig.engine.count.div_ceil(NARROW)) });
+    last.push(Step { aliases: LISTED_SETS[1], ..Step::over("compact", 0, rig.engine.count.div_ceil(PARTICLE_GROUP)) });
     let words = rig.engine.run_steps(u64::from(PASS), last, false).unwrap();
     let stay = (0..count).filter(|&i| keep[i] == 1).map(|i| rig.places[i]);
     let come = (0..count).filter(|&i| keep[count + i] == 1).map(|i| newcomers[i]);
@@ -345,7 +346,7 @@ fn totals_are_those_of_the_particles() {
     for count in [1, 2048, 4500] {
         let mut rig = Rig::new(&gpu, &Scene::ball(count, 0.9));
         let energies: Vec<f32> = rig.take("energies", rig.count());
-        let blocks = rig.engine.count.div_ceil(BLOCK);
+        let blocks = rig.engine.count.div_ceil(SUM_BLOCK);
         let steps = vec![Step::over("sum_blocks", 0, blocks), Step::over("sum_total", 0, 1)];
         let words = rig.engine.run_steps(u64::from(PASS), steps, false).unwrap();
         let energy: f64 = energies.iter().map(|&e| f64::from(e)).sum();
@@ -370,6 +371,6 @@ fn on_the_edge(state: &State, i: usize) -> bool {
     let set = &state.set;
     state.neighbours.of(i).iter().any(|&j| {
         let ratio = set.positions[i].distance(set.positions[j as usize]) / set.sizes[i].min(set.sizes[j as usize]);
-        (ratio / crate::constants::FIRST_RING - 1.0).abs() < EDGE || (ratio / SUPPORT - 1.0).abs() < EDGE
+        (ratio / crate::constants::FIRST_RING - 1.0).abs() < ROUNDING || (ratio / SUPPORT - 1.0).abs() < ROUNDING
     })
 }

@@ -6,8 +6,8 @@ use crate::cpu::scenes::{Body, corners, nested, sectors};
 use crate::cpu::{OnStrata, settle_interfaces, settle_interfaces_with};
 use crate::gpu::adapter::{AdapterChoice, Gpu};
 use crate::gpu::engine::GpuEngine;
+use crate::gpu::levels::device_origin;
 use crate::gpu::memory::download;
-use crate::gpu::parameters::device_origin;
 use crate::gpu::schedule::Step;
 use crate::implicit::Interfaces;
 use crate::settle::{Binning, Engine, Order, Parameters, PassRecord, Summary};
@@ -109,8 +109,8 @@ fn differences_and_their_reality_are_those_of_the_cpu() {
             let (mut set, strata) = (body.seeds.0.clone(), &body.seeds.1.of);
             let held = strata.partition_point(|on| on.dimension() < 2);
             let own = |n: usize| [strata[n].materials()[1], strata[n].materials()[0]];
-            // a third of the particles are at random points; the others are on their interface,
-            // even where another material is closer
+            // a third of the particles are at random points; the others are on the zero set of
+            // their interface, even where another material is closer
             let corner = set.geometry.upper_corner();
             for n in held..strata.len() {
                 let at = |axis| isoparticles_field::random::uniform(3, axis, n as u64);

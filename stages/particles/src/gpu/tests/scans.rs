@@ -4,9 +4,9 @@
 use super::any_gpu;
 use crate::gpu::adapter::{AdapterChoice, Gpu};
 use crate::gpu::commands::{Command, Profile, encode, submit};
-use crate::gpu::constants::{BLOCK, LIST_TILE, NARROW};
+use crate::gpu::constants::{LIST_TILE, PARTICLE_GROUP, SUM_BLOCK};
 use crate::gpu::kernels::Kernels;
-use crate::gpu::levels::Levels;
+use crate::gpu::levels::BinLevels;
 use crate::gpu::memory::{Memory, download, upload};
 use crate::gpu::parameters::{pass_block, run_block, scan_block};
 use crate::gpu::schedule::{Step, scan};
@@ -14,18 +14,19 @@ use glam::{DVec3, Vec3};
 use isoparticles_field::energy::{pair_energy, scaled_distance};
 use isoparticles_field::random::{bits, uniform};
 use isoparticles_volume::Geometry;
+use std::sync::Arc;
 
 /// Manually filled buffers, and a way to run individual steps on them.
 struct Rig {
     gpu: Gpu,
-    kernels: Kernels,
+    kernels: Arc<Kernels>,
     memory: Memory,
 }
 
 impl Rig {
     fn new(what: &str) -> Option<Self> {
         let gpu = any_gpu(what, AdapterChoice::default())?;
-        let kernels = Kernels::new(&gpu, false, false).unwrap();
+        let kernels = gpu.kernels(false, false).unwrap();
         Some(Self { gpu, kernels, memory: Memory::default() })
     }
 
@@ -36,8 +37,9 @@ impl Rig {
     }
 
     fn run(&mut self, steps: &[Step]) {
-        let groups: Vec<_> =
-            steps.iter().map(|s| self.kernels.bind(&self.gpu, &self.memory, s.kernel, s.round, s.aliases)).collect();
+        let buffer_called = |name: &str| self.memory.get(name);
+        let bind = |s: &Step| self.kernels.bind(&self.gpu.device, buffer_called, s.kernel, s.round, s.aliases);
+        let groups: Vec<_> = steps.iter().map(bind).collect();
         let commands: Vec<_> = steps
             .iter()
             .zip(&groups)
@@ -58,7 +60,7 @@ fn prefix_sums_are_exact() {
         let numbers: Vec<u32> = (0..count as u64).map(|n| (bits(3, 0, n) % 9) as u32).collect();
         rig.put("keep", &numbers);
         rig.put("destinations", &vec![77u32; count + 1]);
-        rig.put("scan_sums", &vec![77u32; count / BLOCK as usize + 2]);
+        rig.put("scan_sums", &vec![77u32; count / SUM_BLOCK as usize + 2]);
         rig.put("scan_keep", bytemuck::cast_slice::<u8, u32>(scan_block(count as u32).bytes()));
         let mut steps = Vec::new();
         scan(&mut steps, "keep", count as u32);
@@ -78,7 +80,7 @@ fn prefix_sums_are_exact() {
 fn check_sort(rig: &mut Rig, count: usize, largest: f32, contrast: f64, levels: usize) {
     let geometry = Geometry::axis_aligned([9, 9, 9], DVec3::ONE);
     let (low, high) = (Vec3::splat(-4.0), Vec3::splat(4.0));
-    let levels = Levels::over(low, high, largest, levels);
+    let levels = BinLevels::over(low, high, largest, levels);
     let place: Vec<[f32; 4]> = (0..count as u64)
         .map(|n| {
             let at = |axis| (10.0 * uniform(5, axis, n) - 5.0) as f32;
@@ -100,9 +102,9 @@ fn check_sort(rig: &mut Rig, count: usize, largest: f32, contrast: f64, levels: 
     let bins = levels.bin_total();
     rig.put("bin_counts", &vec![0u32; bins as usize]);
     rig.put("bin_starts", &vec![0u32; bins as usize + 1]);
-    rig.put("scan_sums", &vec![0u32; bins as usize / BLOCK as usize + 2]);
+    rig.put("scan_sums", &vec![0u32; bins as usize / SUM_BLOCK as usize + 2]);
     rig.put("scan_bins", &words(scan_block(bins)));
-    let each = count.div_ceil(NARROW as usize) as u32;
+    let each = count.div_ceil(PARTICLE_GROUP as usize) as u32;
     let mut steps = vec![Step::over("bin_count", 0, each)];
     scan(&mut steps, "bins", bins);
     steps.push(Step::over("bin_scatter", 0, each));
@@ -160,7 +162,7 @@ fn energies_and_totals_of_more_than_65535_workgroups() {
     let lengths: Vec<u32> = (0..count).map(|i| u32::from(i < last)).collect();
     let lists: Vec<[u32; 4]> = (0..count.next_multiple_of(LIST_TILE)).map(|i| [i ^ 1; 4]).collect();
     let geometry = Geometry::axis_aligned([9; 3], DVec3::ONE);
-    let levels = Levels::over(Vec3::ZERO, Vec3::splat(4.0), 1.0, 1);
+    let levels = BinLevels::over(Vec3::ZERO, Vec3::splat(4.0), 1.0, 1);
     let words = |block: &crate::gpu::parameters::Block| bytemuck::cast_slice::<u8, u32>(block.bytes()).to_vec();
     rig.put("parameters", &words(&run_block(&geometry, &levels, &crate::Parameters::default(), 729, 4)));
     rig.put("now", &words(&pass_block(1, count, true)));
@@ -176,10 +178,10 @@ fn energies_and_totals_of_more_than_65535_workgroups() {
     for name in ["energies", "marks", "touched"] {
         rig.put(name, &vec![7u32; count as usize]);
     }
-    let blocks = count.div_ceil(BLOCK);
+    let blocks = count.div_ceil(SUM_BLOCK);
     rig.put("block_totals", &vec![0u32; 7 * blocks as usize]);
     rig.put("words", &[0u32; 16]);
-    let each = Step::over("energies", 0, count.div_ceil(NARROW));
+    let each = Step::over("energies", 0, count.div_ceil(PARTICLE_GROUP));
     rig.run(&[each, Step::over("sum_blocks", 0, blocks), Step::over("sum_total", 0, 1)]);
     let energies = rig.take("energies", count as usize);
     let pair = |pair: u32| pair_energy(scaled_distance(f64::from(distance(pair)), 0.5, 0.5));

@@ -2,7 +2,7 @@
 //! with those that naga computes.
 
 use crate::gpu::constants::{Value, constants};
-use crate::gpu::levels::Levels;
+use crate::gpu::levels::BinLevels;
 use crate::gpu::parameters::{Block, pass_block, plan_block, run_block, scan_block};
 use crate::gpu::shaders::{Access, Variant, bindings, sources};
 use glam::{DVec3, Vec3};
@@ -93,7 +93,7 @@ fn same_layout(kernel: &str, name: &str, block: &Block) {
 #[test]
 fn layouts_are_those_of_naga() {
     let geometry = Geometry::axis_aligned([9, 8, 7], DVec3::new(0.5, 0.75, 1.0));
-    let levels = Levels::over(Vec3::ZERO, Vec3::splat(4.0), 1.0, 3);
+    let levels = BinLevels::over(Vec3::ZERO, Vec3::splat(4.0), 1.0, 3);
     same_layout("move_particles", "Parameters", &run_block(&geometry, &levels, &crate::Parameters::default(), 504, 99));
     same_layout("move_particles", "Pass", &pass_block(3, 4, true));
     same_layout("begin_pass", "Planned", &plan_block(3, 4, true, 5, (6, 7)));
@@ -116,7 +116,7 @@ fn constants_of(module: &naga::Module) -> Vec<(String, Value)> {
 fn kernels_have_exactly_the_constants_of_rust() {
     for variant in VARIANTS {
         for source in sources() {
-            let wanted = constants(source.variant(variant)).into_iter();
+            let wanted = constants(source.variant(variant).team()).into_iter();
             let wanted: Vec<_> = wanted.map(|(name, value)| (name.to_owned(), value)).collect();
             let text = source.compose(variant);
             assert_eq!(constants_of(&module(&text, source.name)), wanted, "{}", source.name);
