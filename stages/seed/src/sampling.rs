@@ -15,17 +15,26 @@ use isoparticles_mesh::buckets::joined;
 use isoparticles_stage::monitor::{Interrupted, Monitor};
 use rayon::prelude::*;
 
-/// Number of candidates per particle that the sizing field requires.
+/// Number of candidates per particle that the sizing field predicts. More candidates fill more of
+/// the gaps between disks: the constant 16 instead of 8 raises the count by 7 % at the same radius.
 pub(crate) const OVERSAMPLING: f64 = 8.0;
 /// Memory in bytes per seeded particle: the candidates with their order and bins. Measured: the
 /// peak memory grows by 660 bytes per particle from 8,514 to 99,084 particles on one grid (`make
 /// bench-stages`, table in `docs/developer/performance.md`). The constant is twice as large,
 /// because vectors grow by doubling.
 pub const BYTES_PER_PARTICLE: f64 = 1300.0;
-/// Disk radius in units of h at which this sampling has the density of the hexagonal lattice of
-/// spacing h. Random disks jam at a covered area fraction of 0.55; the lattice covers 0.91.
-/// Measured at this oversampling.
+/// Minimum distance of two seeds in units of h. In a plane, this sampling then has 0.94 times the
+/// density of the hexagonal lattice of spacing h (`cargo test -p isoparticles-seed density`).
+/// Density control closes the difference. The upper bound is 0.777: there, random disks jam (at a
+/// covered fraction of 0.547) with the density of the lattice, however many candidates there are.
 pub(crate) const DISK_RADIUS: f64 = 0.71;
+/// Maximum distance from a point on a triangle of marching cubes to F = 0, in voxels. F changes
+/// sign on the cell edge of each vertex, so a vertex is less than one voxel from the surface. The
+/// remainder covers points inside a triangle.
+pub(crate) const MAX_PROJECTION: f64 = 1.5;
+/// Tolerance of the projection, in voxels: a tenth of the tolerance of |F| after a pass of
+/// `particles` (1e-5).
+pub(crate) const PROJECTION_TOLERANCE: f64 = 1e-6;
 /// Minimum number of particles per component. Fewer do not make a closed surface of
 /// near-equilateral triangles; an icosahedron has 12 vertices.
 pub const COMPONENT_MINIMUM: usize = 12;
@@ -58,9 +67,9 @@ pub(crate) struct Candidates {
     pub(crate) component: Vec<u32>,
 }
 
-/// Seeds the surface F = 0, sampled on the triangles of marching cubes, at the density of `spread`.
-/// The particles get their sizes from `sizing`, which differs from `spread` by a factor if the
-/// count is given (the paper's Table 3). The result depends only on the arguments.
+/// Seeds the surface F = 0 at the density of `spread`, with samples on the triangles of marching
+/// cubes. The sizes of the particles come from `sizing`, which differs from `spread` by a factor if
+/// the count is given (the paper's Table 3). The result depends only on the arguments.
 ///
 /// # Errors
 /// If the monitor interrupts the run.
@@ -148,12 +157,15 @@ fn on_every_component(
     (set, Summary { components, underpopulated_components, not_projected, ..Summary::default() })
 }
 
-/// Projects points with their normals onto F = 0. Returns the projected points at which grad F
-/// points to the side of the normal, each with grad F, and the number of discarded points.
+/// Projects points with normals onto F = 0. Returns pairs of projected point and grad F, and the
+/// number of discarded points. A point is discarded if the projection fails or if grad F and the
+/// normal point to opposite sides.
 fn onto_surface(surface: &CubicSpline, picked: &[(DVec3, DVec3)]) -> (Vec<(DVec3, DVec3)>, usize) {
     let spacing = surface.geometry().mean_spacing();
     let project = |&(p, n): &(DVec3, DVec3)| {
-        surface.project_with_gradient(p, 1.5 * spacing, 1e-6 * spacing).filter(|(_, g)| g.dot(n) > 0.0)
+        surface
+            .project_with_gradient(p, MAX_PROJECTION * spacing, PROJECTION_TOLERANCE * spacing)
+            .filter(|(_, g)| g.dot(n) > 0.0)
     };
     let found: Vec<_> = picked.par_iter().filter_map(project).collect();
     let lost = picked.len() - found.len();
@@ -166,8 +178,8 @@ pub(crate) fn centre_and_normal(mesh: &TriangleMesh, triangle: usize) -> (DVec3,
     ((a + b + c) / 3.0, (b - a).cross(c - a))
 }
 
-/// Returns random points on the triangles in `members`, with `density(centre, unit normal)` points
-/// per mm^2.
+/// Returns random points on the triangles in `members`. A triangle gets on average
+/// `density(centre, unit normal)` points per mm^2.
 pub(crate) fn sample(
     mesh: &TriangleMesh,
     members: &[u32],
@@ -176,6 +188,7 @@ pub(crate) fn sample(
     size: impl Fn(DVec3) -> f64 + Sync,
     seed: u64,
 ) -> Candidates {
+    // number of triangles in one parallel task; it does not affect the result
     const CHUNK: usize = 4096;
     let mut parts: Vec<Candidates> = members
         .par_chunks(CHUNK)
@@ -211,8 +224,8 @@ pub(crate) fn sample(
     }
 }
 
-/// Concatenates one list of all parts. The list is moved out of the parts, so that only one list at
-/// a time exists twice.
+/// Moves one list out of every part and concatenates the lists. Only one kind of list exists twice
+/// at a time.
 fn taken<T: Copy + Default + Send + Sync>(
     parts: &mut [Candidates],
     list: impl Fn(&mut Candidates) -> &mut Vec<T>,
@@ -242,4 +255,27 @@ pub(crate) fn sample_alone(mesh: &TriangleMesh, members: &[u32], seed: u64, c: u
     let candidates = sample(mesh, members, |_| c as u32, density, |_| h, seed.wrapping_add(c + 1));
     let chosen = eliminate(&candidates, seed, |_, _| true);
     chosen.into_iter().map(|i| (candidates.points[i as usize], candidates.normals[i as usize])).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn disks_have_094_of_the_density_of_the_lattice() {
+        // a square with 60 steps of length h = 1 along each edge
+        let side = 60.0;
+        let vertices = vec![DVec3::ZERO, DVec3::X * side, DVec3::new(side, side, 0.0), DVec3::Y * side];
+        let mesh = TriangleMesh { vertices, triangles: vec![[0, 1, 2], [0, 2, 3]] };
+        let lattice = 2.0 / 3f64.sqrt();
+        let all = sample(&mesh, &[0, 1], |_| 0, |_, _| OVERSAMPLING * lattice, |_| 1.0, 1);
+        let inner = |&i: &u32| {
+            all.points[i as usize].truncate().cmpge(glam::DVec2::splat(5.0)).all()
+                && all.points[i as usize].truncate().cmple(glam::DVec2::splat(side - 5.0)).all()
+        };
+        let count = eliminate(&all, 1, |_, _| true).iter().filter(|i| inner(i)).count() as f64;
+        let density = count / (side - 10.0).powi(2);
+        println!("density: {:.3} of the lattice", density / lattice);
+        assert!((density / lattice - 0.94).abs() < 0.03, "{}", density / lattice);
+    }
 }

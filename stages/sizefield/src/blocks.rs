@@ -1,29 +1,38 @@
 //! Gradation by marching in blocks of the grid. A block fits into the cache of a core, and blocks
 //! run in parallel.
 //!
-//! A front that covers the whole grid is no longer in the cache when the next bucket begins. Each
-//! block therefore has its own queue and processes several buckets at a time. Changes at the faces
-//! of a block are sent to the adjacent blocks (two-scale methods: Chacon and Vladimirsky 2012).
-//! Blocks are coloured like a chessboard. Blocks of one colour run in parallel and do not read each
-//! other's values, so the result does not depend on the number of threads.
+//! With one queue for the whole grid, the front leaves the cache before the next bucket begins.
+//! Each block therefore has its own queue and processes several buckets at a time. Changes at the
+//! faces of a block are sent to the adjacent blocks (two-scale methods: Chacon and Vladimirsky
+//! 2012). Blocks are coloured like a chessboard. Blocks of one colour run in parallel and do not
+//! read each other's values, so the result does not depend on the number of threads.
 
-use crate::gradation::{NodeSet, Scheme, Values};
+use crate::scheme::{NodeSet, Scheme, Values};
 use rayon::prelude::*;
 use std::collections::VecDeque;
 
-/// Number of nodes of a block along each axis. With the border, a block has 34^3 values (157 kB).
-const SIDE: usize = 32;
+/// Number of nodes of a block along each axis. With the border, a block has 34^3 values (157 kB),
+/// which fit into a second-level cache of 256 kB. It is also the largest power of two for which 16
+/// bits can index a block.
+const BLOCK_SIDE: usize = 32;
 
 /// Width of a bucket as a fraction of the minimum, over the axes, of the allowed change of h
-/// between adjacent nodes.
-const BUCKET: f64 = 0.5;
+/// between adjacent nodes. A node exceeds the smallest neighbour that it depends on by at least 1 /
+/// sqrt(3) of this minimum, so this neighbour is always in an earlier bucket. Around a sphere in
+/// 128^3 nodes, the march lowers or tests a node 2.95, 3.03, 3.22 and 3.48 times at widths of 0.25,
+/// 0.5, 1 and 2.
+const BUCKET_WIDTH: f64 = 0.5;
+const _: () = assert!(3.0 * BUCKET_WIDTH * BUCKET_WIDTH < 1.0, "a bucket is wider than a step along a diagonal");
 
-/// Number of buckets that a block processes before it receives messages from other blocks.
-const AT_A_TIME: u64 = 8;
+/// Number of buckets that a block processes before it receives messages from other blocks. In the
+/// same example, 1, 8, 16 and 64 buckets need 3.00, 3.03, 3.14 and 3.81 tests of a node. The number
+/// of parallel turns is inversely proportional to this number.
+const BUCKETS_PER_TURN: u64 = 8;
 
-/// Number of nodes of a block along each axis, including one border node on each side.
-const WIDE: usize = SIDE + 2;
-const _: () = assert!(WIDE * WIDE * WIDE <= 1 << 16, "places that are asked for have 16 bits");
+/// Number of nodes of a block along each axis, including one border node at each end.
+const BORDERED_SIDE: usize = BLOCK_SIDE + 2;
+const _: () =
+    assert!(BORDERED_SIDE * BORDERED_SIDE * BORDERED_SIDE <= 1 << 16, "places that are asked for have 16 bits");
 
 /// Index of a node in the block with border, and the value of the node when it was queued.
 type Queued = (u32, f32);
@@ -36,7 +45,7 @@ pub(crate) struct Blocks<'a> {
     scheme: &'a Scheme,
     values: &'a Values,
     blocks: Vec<Block>,
-    /// Whether the march ends once all requested nodes have their final values.
+    /// If true, the march ends when all requested nodes have their final values.
     ends: bool,
 }
 
@@ -59,14 +68,14 @@ impl<'a> Blocks<'a> {
     /// Divides a grid of `size` into blocks and queues all nodes with finite values. If `asked` is
     /// given, only the nodes in it need final values.
     pub(crate) fn new(size: [usize; 3], scheme: &'a Scheme, values: &'a Values, asked: Option<&NodeSet>) -> Self {
-        let count = size.map(|n| n.div_ceil(SIDE));
+        let count = size.map(|n| n.div_ceil(BLOCK_SIDE));
         let step = [1, count[0], count[0] * count[1]];
-        let width = BUCKET * scheme.rise.iter().copied().fold(f64::INFINITY, f64::min);
+        let width = BUCKET_WIDTH * scheme.rise.iter().copied().fold(f64::INFINITY, f64::min);
         let block = |n: usize| {
             let place = [n % count[0], n / count[0] % count[1], n / (count[0] * count[1])];
             let mut block = Block {
-                origin: (0..3).map(|a| SIDE * place[a] * scheme.strides[a]).sum(),
-                size: std::array::from_fn(|a| SIDE.min(size[a] - SIDE * place[a])),
+                origin: (0..3).map(|a| BLOCK_SIDE * place[a] * scheme.strides[a]).sum(),
+                size: std::array::from_fn(|a| BLOCK_SIDE.min(size[a] - BLOCK_SIDE * place[a])),
                 beside: std::array::from_fn(|a| {
                     [(place[a] > 0).then(|| n - step[a]), (place[a] + 1 < count[a]).then(|| n + step[a])]
                 }),
@@ -75,7 +84,7 @@ impl<'a> Blocks<'a> {
                 queue: Queue::new(width),
             };
             if let Some(asked) = asked {
-                let first = place.map(|n| SIDE * n);
+                let first = place.map(|n| BLOCK_SIDE * n);
                 let number = |[i, j, k]: [usize; 3]| {
                     first[0] + i - 1 + size[0] * (first[1] + j - 1 + size[1] * (first[2] + k - 1))
                 };
@@ -99,14 +108,14 @@ impl<'a> Blocks<'a> {
                     break;
                 }
                 for colour in 0..2 {
-                    self.turn(colour, first + AT_A_TIME);
+                    self.turn(colour, first + BUCKETS_PER_TURN);
                 }
             }
         });
     }
 
-    /// Returns whether any requested node has a value above the lower end of a bucket. The other
-    /// requested nodes are final and are removed from `asked`.
+    /// Returns whether any requested node has a value above the lower end of a bucket. Removes the
+    /// other requested nodes from `asked`, because their values are final.
     fn is_any_above(&mut self, bucket: u64) -> bool {
         let (scheme, values, reached) = (self.scheme, self.values, self.blocks[0].queue.least(bucket));
         self.blocks.par_iter_mut().for_each(|block| {
@@ -161,8 +170,8 @@ impl Block {
             for (at, value) in self.queue.take(first) {
                 let place = place(at);
                 let node = self.node(scheme, place);
-                // a node that was lowered after this entry was made is queued again, so this entry
-                // is outdated
+                // a node that was lowered after this entry has a later entry, so this one is
+                // outdated
                 if values.get(node) >= value {
                     self.lower_neighbours(scheme, values, (place, node, value), &mut messages);
                 }
@@ -171,8 +180,8 @@ impl Block {
         messages
     }
 
-    /// Lowers those neighbours of a node that are the block's own. The node is given by its
-    /// position in the block, its index in the grid with border, and its value.
+    /// Lowers the neighbours of a node that belong to this block. The node is given by its position
+    /// in the block, its index in the grid with border, and its value.
     #[inline]
     fn lower_neighbours(
         &mut self,
@@ -215,10 +224,10 @@ impl Block {
             let [before, after] = self.beside[axis];
             let mut there = place;
             if let Some(before) = before.filter(|_| place[axis] == 1) {
-                there[axis] = SIDE + 1;
+                there[axis] = BLOCK_SIDE + 1;
                 messages.push((before, (index(there), value)));
             }
-            if let Some(after) = after.filter(|_| place[axis] == SIDE) {
+            if let Some(after) = after.filter(|_| place[axis] == BLOCK_SIDE) {
                 there[axis] = 0;
                 messages.push((after, (index(there), value)));
             }
@@ -228,13 +237,13 @@ impl Block {
 
 /// Returns the index of a position in a block with border.
 fn index([i, j, k]: [usize; 3]) -> u32 {
-    (i + WIDE * (j + WIDE * k)) as u32
+    (i + BORDERED_SIDE * (j + BORDERED_SIDE * k)) as u32
 }
 
 /// Returns the position of an index.
 fn place(index: u32) -> [usize; 3] {
     let index = index as usize;
-    [index % WIDE, index / WIDE % WIDE, index / (WIDE * WIDE)]
+    [index % BORDERED_SIDE, index / BORDERED_SIDE % BORDERED_SIDE, index / (BORDERED_SIDE * BORDERED_SIDE)]
 }
 
 /// A queue that sorts nodes into buckets by value.
@@ -244,8 +253,8 @@ struct Queue {
     rate: f64,
     /// The initial nodes, in descending order of value.
     sources: Vec<Queued>,
-    /// Buckets of the other nodes, from bucket number `start`. The first bucket is never empty. A
-    /// node is at most one step above the node that lowered it, so few buckets are in use.
+    /// Buckets of the other nodes, starting with bucket number `start`. The first bucket is never
+    /// empty. A node is at most one step above the node that lowered it, so few buckets are in use.
     buckets: VecDeque<Vec<Queued>>,
     start: u64,
 }

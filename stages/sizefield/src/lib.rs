@@ -16,7 +16,9 @@ pub mod medial;
 pub mod noise;
 pub mod patch;
 pub mod region;
+mod report;
 pub mod run;
+mod scheme;
 pub mod vertices;
 
 use averages::average;
@@ -29,16 +31,25 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use region::SizedNode;
 
-/// Number of averaging rounds that smooth the graded h along the surface, and the maximum factor by
-/// which they may enlarge h. Particles settle poorly where h is rough. On a label map at voxel
-/// scale, smoothing raises the mean radius ratio by 0.01.
-const SMOOTHING: (usize, f64) = (6, 1.3);
+/// Number of averaging rounds that smooth the graded h along the surface. Six rounds have a
+/// standard deviation of sqrt(6 / 3) = 1.4 edges of marching cubes ([`averages`]), about one voxel.
+/// Particles settle poorly where h is rough. On a label map at voxel scale, smoothing raises the
+/// mean radius ratio by 0.01.
+const SMOOTHING_ROUNDS: usize = 6;
 
-/// Lower bound of h on small components, as a fraction of the minimum h.
+/// Maximum factor by which the smoothing may enlarge h.
+const LARGEST_GROWTH: f64 = 1.3;
+
+/// Lower bound of h on small components, as a fraction of the minimum h. It takes effect if
+/// [`MIN_PARTICLES`] need a smaller h. With the default minimum h of 0.75 voxel, this is the case
+/// for areas below 32 sqrt(3)/2 (0.25 0.75)^2 = 0.97 of a voxel face, which the data does not
+/// resolve.
 const SMALLEST_SHARE: f64 = 0.25;
 
-/// Minimum number of particles for which h leaves room on every component, unless
-/// [`SMALLEST_SHARE`] bounds h.
+/// Number of particles for which h leaves room on every component, unless [`SMALLEST_SHARE`] bounds
+/// h. It is the smallest number of vertices with which a sphere has a triangulation of degrees 5
+/// and 6 and no two adjacent vertices of degree 5 (the dual of C60, the smallest fullerene with
+/// isolated pentagons).
 const MIN_PARTICLES: f64 = 32.0;
 
 /// Parameters of the sizing field. All lengths are in mm.
@@ -59,7 +70,7 @@ pub struct Parameters {
     pub min_particles: f64,
     /// Factor on the h that results from all parameters above.
     pub scale: f64,
-    /// Nodes at which the user limits h to a value in mm. These values may be below the minimum h.
+    /// Nodes at which the user limits h, with the limits in mm. A limit may be below the minimum h.
     pub refined: Vec<SizedNode>,
 }
 
@@ -82,8 +93,8 @@ pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
         .collect()
 }
 
-/// Returns the sizing field on the grid of the distance field. The sizes of the samples are graded,
-/// smoothed along the surface, and graded into the volume.
+/// Returns the sizing field on the grid of the distance field. Grades the sizes of the samples,
+/// smooths them along the surface, and grades them into the volume.
 pub fn size_field(distance: &Image<f32>, features: &Features, parameters: &Parameters) -> SizingField {
     let wanted = wanted_sizes(features, parameters);
     let samples = Samples { geometry: &distance.geometry, points: &features.points, triangles: &features.triangles };
@@ -100,9 +111,9 @@ pub(crate) struct Samples<'a> {
     pub(crate) triangles: &'a [[u32; 3]],
 }
 
-/// Returns the sizing field for the sizes `wanted` at the samples. These are graded, smoothed along
-/// the surface, and graded into the volume. Smoothing does not raise a sample above its value in
-/// `most`; an empty `most` sets no limits.
+/// Returns the sizing field for the sizes `wanted` at the samples. Grades the sizes, smooths them
+/// along the surface, and grades them into the volume. Smoothing does not raise a size above the
+/// value of the sample in `most`; an empty `most` sets no limits.
 pub(crate) fn graded_field(
     samples: &Samples<'_>,
     wanted: &[f64],
@@ -119,9 +130,9 @@ pub(crate) fn graded_field(
     spread(samples, &smooth, parameters, None)
 }
 
-/// Sets the nodes of the cell at each triangle's centre to the minimum size of the triangle's
-/// corners, so that the trilinear h is no larger there. Then grades the remaining nodes, or at
-/// least the nodes in `asked`.
+/// Limits h at the nodes of the cell at each triangle's centre to the minimum size of the
+/// triangle's corners. The trilinear h in this cell is then at most this size. Grades h from these
+/// nodes to all nodes, or at least to the nodes in `asked`.
 fn spread(samples: &Samples<'_>, sizes: &[f64], parameters: &Parameters, asked: Option<&NodeSet>) -> SizingField {
     let geometry = samples.geometry;
     let mut h = Image::filled(geometry.clone(), f32::INFINITY);
@@ -151,10 +162,10 @@ pub(crate) fn cell_nodes(geometry: &Geometry, p: DVec3) -> [usize; 8] {
     })
 }
 
-/// Smooths the sizes along the surface. [`SMOOTHING`] limits their growth.
+/// Smooths the sizes along the surface. No size grows by more than [`LARGEST_GROWTH`].
 fn smooth_over_surface(sizes: &mut [f64], incidence: &Incidence<'_>) {
-    let limit: Vec<f64> = sizes.iter().map(|h| SMOOTHING.1 * h).collect();
-    for _ in 0..SMOOTHING.0 {
+    let limit: Vec<f64> = sizes.iter().map(|h| LARGEST_GROWTH * h).collect();
+    for _ in 0..SMOOTHING_ROUNDS {
         average(incidence, sizes, 0.0, 1);
         sizes.iter_mut().zip(&limit).for_each(|(size, limit)| *size = size.min(*limit));
     }

@@ -9,10 +9,10 @@ use isoparticles_stage::error::{Error, Result};
 use serde::Serialize;
 use std::path::Path;
 
-/// Minimum number of particles of the largest component with a constant h. `seed` gives every
-/// component at least this many particles, and fewer particles do not make a closed surface. Twelve
-/// vertices make an icosahedron, the coarsest surface with five triangles at each vertex.
-const FEWEST: f64 = 12.0;
+/// Minimum number of particles of a component. `seed` gives every component at least this many
+/// particles. Twelve vertices make an icosahedron, the coarsest closed surface of equilateral
+/// triangles with five triangles at each vertex.
+const FEWEST_PARTICLES: f64 = 12.0;
 
 /// Particles of the hexagonal lattice of spacing h per mm^2.
 fn density(h: f64) -> f64 {
@@ -30,14 +30,14 @@ pub struct TooSmall {
     pub h: f64,
 }
 
-/// Returns the components of F = 0 on which h gives fewer particles than a closed surface needs, in
-/// the order of `components`.
+/// Returns the components of F = 0 on which h gives fewer than twelve particles, in the
+/// order of `components`.
 pub fn too_small(components: &[Component], sizing: &SizingField) -> Vec<TooSmall> {
     let told = |component: &Component| {
         let h = sizing.at(component.place);
         let place = sizing.image().geometry.grid_to_world(component.place).to_array();
         let size = (component.bounds.high - component.bounds.low).max_element();
-        (component.area * density(h) < FEWEST).then_some(TooSmall { place, size, h })
+        (component.area * density(h) < FEWEST_PARTICLES).then_some(TooSmall { place, size, h })
     };
     components.iter().filter_map(told).collect()
 }
@@ -64,19 +64,19 @@ pub fn too_small_told(found: &[TooSmall], components: usize) -> Option<String> {
 /// If there would be too few particles. The message suggests an edge length.
 pub fn check_size(path: &Path, size: f64, area: f64) -> Result<()> {
     let count = area * density(size);
-    if count >= FEWEST {
+    if count >= FEWEST_PARTICLES {
         return Ok(());
     }
-    // room for a shape: about 100 vertices
+    // about 100 vertices can represent a simple shape
     let would_do = (area * density(1.0) / 100.0).sqrt();
-    let largest = (area * density(1.0) / FEWEST).sqrt();
+    let largest = (area * density(1.0) / FEWEST_PARTICLES).sqrt();
     Err(Error::input(
         format!(
             "{}: h = {size} mm is too large for the object: {count:.1} particles on its largest part",
             path.display()
         ),
         format!(
-            "a closed surface needs at least {FEWEST} particles; the largest part has an area of {} mm^2",
+            "a closed surface needs at least {FEWEST_PARTICLES} particles; the largest part has an area of {} mm^2",
             significant(area)
         ),
         format!(

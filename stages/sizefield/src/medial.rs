@@ -6,15 +6,15 @@
 //! therefore gives two balls. Balls of unstable branches of the axis are pruned (Chazal and
 //! Lieutier 2005) by two criteria:
 //!
-//! - The two touching points are seen from the centre under a small angle. Such a ball belongs to
-//!   ripple or to the outermost part of an end of the axis. Pruning shortens ends only slightly:
+//! - The angle between the two touching points, seen from the centre, is small. Such a ball belongs
+//!   to ripple or to the outermost part of an end of the axis. Pruning shortens ends only slightly:
 //!   the feature size at the tip of an ellipsoid is 0.4 % too large.
 //! - The surface has noise ([`crate::noise`]), and the cap of the ball between the two points is no
 //!   higher than twice the noise. Such a ball belongs to a bump of the noise.
 //!
 //! Two upper bounds of the radius save time. One comes from the distance field, and the other from
-//! the sample that the previous ball touches. Balls that touch the surface at one sample from one
-//! side are nested, so a single query that shrinks the ball finds the smallest ball.
+//! the sample that the previous ball touches. All balls at one sample and side are nested, so a
+//! single query that shrinks the ball finds the smallest ball.
 
 use glam::DVec3;
 use isoparticles_field::sizing::trilinear;
@@ -23,12 +23,17 @@ use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// Minimum angle in radians between the two touching points of a ball, seen from its centre. Balls
-/// with smaller angles are pruned.
+/// with smaller angles are pruned. With 20 degrees, the minimum feature size in the test
+/// `a_half_noisy_ball_has_its_radius_everywhere` falls from 17.4 to 13.9 voxels. With 80 degrees,
+/// ends of the axis are lost: the 5th percentile on an ellipsoid with semi-axes of 20, 10 and 10
+/// voxels rises from 5.3 to 6.3 voxels.
 pub const MIN_SEPARATION_ANGLE: f64 = 40.0 * std::f64::consts::PI / 180.0;
 
 /// Minimum height of the cap of a ball between the touching points, as a multiple of the noise.
-/// Balls with lower caps are pruned.
-const PLAIN_BUMP: f64 = 2.0;
+/// Balls with lower caps are pruned. With 1, the minimum feature size in the test
+/// `a_half_noisy_ball_has_its_radius_everywhere` falls from 17.4 to 1.3 voxels; 4 gives the same as
+/// 2.
+const LEAST_CAP: f64 = 2.0;
 
 /// Maximum number of leaves of the sample tree that one query visits, starting with the most likely
 /// leaf. The limit is needed for a ball that fits the whole surface, because all samples are near
@@ -37,13 +42,15 @@ const PLAIN_BUMP: f64 = 2.0;
 const MOST_LEAVES: usize = 100;
 
 /// Number of consecutive samples in a run. Consecutive samples are mostly neighbours, so each ball
-/// of a run starts with the sample that the previous ball touches.
+/// of a run starts with the sample that the previous ball touches. Only one ball in 64 has no such
+/// start.
 const RUN: usize = 64;
 
-/// A ball certainly contains samples if its radius exceeds the distance field at its centre by half
-/// the diagonal of a cell plus this fraction of the maximum spacing. The first term covers the
-/// interpolation error at the tip of a cone; the second term covers the errors of the samples.
-const SURE: f64 = 0.2;
+/// A ball counts as containing samples if its radius exceeds the distance field at its centre by
+/// half the diagonal of a cell plus this fraction of the maximum spacing. The first term covers the
+/// interpolation error at the tip of a cone; the second term covers the errors of the samples. With
+/// 0 and with 0.4, the feature sizes of balls, tori, an ellipsoid and a slab are the same.
+const SAMPLE_ERROR: f64 = 0.2;
 
 /// The samples of the surface and their distance field.
 pub struct Surface<'a> {
@@ -51,7 +58,7 @@ pub struct Surface<'a> {
     pub points: &'a [DVec3],
     /// Unit normals, outward.
     pub normals: &'a [DVec3],
-    /// Tolerance of each sample in mm. Samples that penetrate its medial ball by less than this do
+    /// Tolerance of each sample in mm. Other samples at a smaller depth inside the medial ball do
     /// not shrink the ball; near the tangent point they are ripple or noise, not shape.
     pub blur: &'a [f64],
     /// Height in mm of the noise at each sample.
@@ -77,16 +84,16 @@ pub fn medial_points(surface: &Surface<'_>, largest: f64) -> Vec<[Option<DVec3>;
         };
         (start..count.min(start + RUN)).map(of_sample).collect()
     };
-    // runs are split by index, so that they do not depend on the number of threads
+    // runs begin at fixed indices and thus do not depend on the number of threads
     let runs: Vec<usize> = (0..count).step_by(RUN).collect();
     runs.into_par_iter().flat_map_iter(of_run).collect()
 }
 
 impl Surface<'_> {
-    /// Finds the largest ball that touches the surface at sample i, lies in `direction`, and has no
-    /// other sample deeper inside than the blur. Returns the radius at which the ball touches the
-    /// limiting sample, and that sample, or `None` if no sample limits the ball up to the radius
-    /// `largest`. `hint` is a sample that may limit the ball.
+    /// Finds the largest ball that touches the surface at sample i, lies in `direction`, and
+    /// contains no other sample deeper than the blur. Returns the sample that limits the ball, and
+    /// the radius at which the ball touches it. Returns `None` if no sample limits the ball up to
+    /// the radius `largest`. `hint` is a sample that may limit the ball.
     fn largest_empty(
         &self,
         tree: &KdTree,
@@ -133,19 +140,19 @@ impl Surface<'_> {
         let centre = p + direction * radius;
         let angle = (p - centre).angle_between(self.points[touching] - centre);
         let height = radius * (1.0 - (0.5 * angle).cos());
-        (angle >= MIN_SEPARATION_ANGLE && height >= PLAIN_BUMP * self.noise[i]).then_some(centre)
+        (angle >= MIN_SEPARATION_ANGLE && height >= LEAST_CAP * self.noise[i]).then_some(centre)
     }
 
-    /// Returns a radius slightly above that of the largest empty ball, for which the distance field
-    /// shows that the ball contains samples. Returns `largest` if the field shows no such radius.
+    /// Returns a radius slightly above that of the largest empty ball, from the distance field.
+    /// Returns `largest` if the field gives no such radius.
     fn upper_bound(&self, i: usize, direction: DVec3, largest: f64) -> f64 {
         let (p, geometry) = (self.points[i], &self.distance.geometry);
-        let sure = 0.5 * geometry.spacing.length() + SURE * geometry.spacing.max_element() + self.blur[i];
+        let margin = 0.5 * geometry.spacing.length() + SAMPLE_ERROR * geometry.spacing.max_element() + self.blur[i];
         let corner = geometry.upper_corner();
         let is_full = |radius: f64| {
             let centre = p + direction * radius;
             let is_within = centre.cmpge(DVec3::ZERO).all() && centre.cmple(corner).all();
-            is_within.then(|| radius - trilinear(self.distance, centre).abs() > sure)
+            is_within.then(|| radius - trilinear(self.distance, centre).abs() > margin)
         };
         let (mut low, mut high) = (0.0, geometry.mean_spacing());
         while is_full(high) == Some(false) && high < largest {
@@ -154,6 +161,7 @@ impl Surface<'_> {
         if high >= largest || is_full(high).is_none() {
             return largest;
         }
+        // the radii have a ratio of 1.5, so three halvings leave 1 / 24 = 4 % of `high`
         for _ in 0..3 {
             let middle = 0.5 * (low + high);
             if is_full(middle) == Some(true) { high = middle } else { low = middle }

@@ -3,9 +3,9 @@
 //! The residual of a least-squares patch ([`crate::patch`]) grows with the radius of the patch. If
 //! the shape is more complex than a quadric, the residual grows with a power of the radius. If the
 //! samples scatter about a quadric, as with intensity noise, the residual hardly grows. A patch is
-//! therefore widened as long as its residual stays nearly the same, so the data determines the
-//! scale at each sample (like Lepski 1990). If the first widening already shows shape, the surface
-//! is left unchanged.
+//! therefore widened as long as its residual stays nearly the same, and the data determines the
+//! radius at each sample (as in Lepski 1990). If the residual already grows with the first
+//! widening, the surface is left unchanged.
 //!
 //! Ripple of the sampling, such as terraces of thick slices on a clean surface, scatters about a
 //! quadric in the same way and is treated as noise.
@@ -16,7 +16,8 @@ use glam::{DVec2, DVec3};
 use isoparticles_mesh::incidence::Incidence;
 use rayon::prelude::*;
 
-/// Radius of the first patches, in voxels.
+/// Radius of the first patches, in voxels. A radius of two voxels is needed for enough samples:
+/// some of these patches have fewer than 18 samples, and [`crate::patch`] needs 9.
 const FIRST_RADIUS: f64 = 2.0;
 
 /// Radii in voxels of the wider patches, and the maximum factor by which the residual (root mean
@@ -27,23 +28,28 @@ const FIRST_RADIUS: f64 = 2.0;
 /// such bumps.
 const WIDER: [(f64, f64); 3] = [(3.0, 1.8), (4.0, 1.25), (6.0, 1.2)];
 
-/// Maximum residual (root mean square, in voxels) that counts as noise. Larger residuals always
-/// count as shape, for example the steps of a coarse mask.
+/// Maximum residual (root mean square, in voxels) that counts as noise: half the residual of steps
+/// one voxel high, 1 / sqrt(12) = 0.29. Larger residuals always count as shape, for example the
+/// steps of a coarse mask.
 const LARGEST_NOISE: f64 = 0.15;
 
-/// Residuals are measured at every `EVERY`-th sample ...
-const EVERY: usize = 12;
+/// Residuals are measured at every `RESIDUAL_STRIDE`-th sample. An average of [`AVERAGING_ROUNDS`]
+/// then still covers about 16 residuals: a Gaussian of variance 40 / 3 has the weight of 4 pi 40 /
+/// 3 = 168 squared edges, and a sample covers 12 sqrt(3) / 2 = 10.4 of them.
+const RESIDUAL_STRIDE: usize = 12;
 
-/// ... and averaged along the surface in this many rounds.
-const ROUNDS: usize = 40;
+/// Number of averaging rounds along the surface, for the residuals and for the vote on which
+/// samples are noisy. Forty rounds have a standard deviation of sqrt(40 / 3) = 3.7 edges of
+/// marching cubes ([`crate::averages`]). With 20 rounds for either, the test
+/// `a_half_noisy_ball_has_its_radius_everywhere` measures a minimum feature size of 1.2 instead of
+/// 17.4 voxels. With 80 rounds, it is 18.1, but the noise covers nearly the whole clean half.
+const AVERAGING_ROUNDS: usize = 40;
 
-/// Number of averaging rounds along the surface before the vote. A sample is noisy if most samples
-/// around it are noisy.
-const VOTE_ROUNDS: usize = 40;
-
-/// Number of rounds that extend the noise, by one triangle per round, beyond the edge of a noisy
-/// region. Samples with and without noise are adjacent there.
-const EDGE_ROUNDS: usize = 4;
+/// Number of triangles by which the noise is extended beyond the edge of a noisy region, where
+/// samples with and without noise alternate. With 2 triangles, the test
+/// `a_half_noisy_ball_has_its_radius_everywhere` measures a minimum feature size of 1.5 instead of
+/// 17.4 voxels; 8 triangles give the same as 4.
+const EDGE_TRIANGLES: usize = 4;
 
 /// Number of samples in one parallel task.
 const CHUNK: usize = 4096;
@@ -52,8 +58,8 @@ const CHUNK: usize = 4096;
 pub struct Smoothed {
     /// The patch under the noise; `None` where there is no significant noise.
     pub patches: Vec<Option<Patch>>,
-    /// Root mean square height of the noise in mm, extended slightly beyond the edge of noisy
-    /// regions.
+    /// Root mean square height of the noise in mm, extended by a few triangles beyond the edge of
+    /// noisy regions.
     pub noise: Vec<f64>,
 }
 
@@ -66,7 +72,7 @@ impl Smoothed {
             samples.patch(i, radius * voxel, marks)
         });
         let mut noise: Vec<f64> = patches.iter().map(|patch| patch.map_or(0.0, |patch| patch.residual)).collect();
-        for _ in 0..EDGE_ROUNDS {
+        for _ in 0..EDGE_TRIANGLES {
             spread_largest(&mut noise, incidence.triangles());
         }
         Self { patches, noise }
@@ -79,8 +85,8 @@ impl Smoothed {
     }
 }
 
-/// Returns, for each sample, the number of the widest patch that still fits. Patches are counted
-/// from 1 in [`WIDER`]; 0 means that no wider patch fits.
+/// Returns, for each sample, the number of the widest patch whose residual is noise. Patches are
+/// counted from 1 in [`WIDER`]; 0 means that the sample has no noise.
 fn scales(samples: &Samples<'_>, incidence: &Incidence<'_>, voxel: f64) -> Vec<usize> {
     let limit = LARGEST_NOISE * voxel;
     let mut scale = vec![0; samples.points.len()];
@@ -93,7 +99,7 @@ fn scales(samples: &Samples<'_>, incidence: &Incidence<'_>, voxel: f64) -> Vec<u
             _ => DVec3::ZERO,
         };
         let mut sums: Vec<DVec3> = before.iter().zip(&after).map(squares).collect();
-        average(incidence, &mut sums, DVec3::ZERO, ROUNDS);
+        average(incidence, &mut sums, DVec3::ZERO, AVERAGING_ROUNDS);
         let mut is_wider = false;
         for (scale, sum) in scale.iter_mut().zip(&sums).filter(|(scale, _)| **scale == n) {
             if sum.z > 0.0 && sum.y <= growth * growth * sum.x && sum.y <= limit * limit * sum.z {
@@ -110,10 +116,11 @@ fn scales(samples: &Samples<'_>, incidence: &Incidence<'_>, voxel: f64) -> Vec<u
     scale
 }
 
-/// Decides by a vote among nearby samples which samples are noisy, and at which scale.
+/// Decides by a majority of the nearby samples whether a sample is noisy. The patch of a noisy
+/// sample is the rounded mean over the nearby noisy samples.
 fn vote(scale: &mut [usize], incidence: &Incidence<'_>) {
     let mut votes: Vec<DVec2> = scale.iter().map(|&s| DVec2::new(s.min(1) as f64, s as f64)).collect();
-    average(incidence, &mut votes, DVec2::ZERO, VOTE_ROUNDS);
+    average(incidence, &mut votes, DVec2::ZERO, AVERAGING_ROUNDS);
     for (scale, vote) in scale.iter_mut().zip(votes) {
         *scale = if vote.x > 0.5 { (vote.y / vote.x).round() as usize } else { 0 };
     }
@@ -128,11 +135,14 @@ fn spread_largest(values: &mut [f64], triangles: &[[u32; 3]]) {
     }
 }
 
-/// Returns the residuals (mm) of patches of a radius, at every [`EVERY`]-th sample if `wanted` is
-/// true for it.
+/// Returns the residuals (mm) of patches of a radius, at every [`RESIDUAL_STRIDE`]-th sample for
+/// which `wanted` is true.
 fn residuals(samples: &Samples<'_>, radius: f64, wanted: impl Fn(usize) -> bool + Sync) -> Vec<Option<f64>> {
     in_chunks(samples.points.len(), |i, marks| {
-        (i % EVERY == 0 && wanted(i)).then(|| samples.patch(i, radius, marks)).flatten().map(|patch| patch.residual)
+        (i % RESIDUAL_STRIDE == 0 && wanted(i))
+            .then(|| samples.patch(i, radius, marks))
+            .flatten()
+            .map(|patch| patch.residual)
     })
 }
 

@@ -1,19 +1,22 @@
 //! Fits least-squares patches to the surface. A patch is a quadric over the tangent plane of a
 //! sample, fitted to the samples around it.
 //!
-//! This is a second-order jet fit (Cazals and Pouget 2005). The residual of a patch contains noise
-//! and shape details finer than the patch.
+//! This is a second-order jet fit (Cazals and Pouget 2005). The residual of a patch consists of
+//! noise and of shape that a quadric cannot represent.
 
 use crate::connections::Connections;
 use glam::{DMat3, DVec2, DVec3};
 
-/// Minimum cosine between the normals of a sample and of the central sample. Samples below it are
-/// on another part of the surface.
-const SAME_INTERFACE: f64 = 0.5;
+/// Minimum cosine between the normals of a sample and of the central sample. Samples below it
+/// belong to another part of the surface. On a ball, the angle of 60 degrees is reached at a chord
+/// of one radius, so a patch can be as wide as the radius of curvature.
+const LEAST_COSINE: f64 = 0.5;
 
-/// Minimum number of samples of a patch. A patch has six unknowns.
-const FEWEST: usize = 9;
+/// Minimum number of samples of a patch: three more than unknowns, so that the residual has degrees
+/// of freedom. A minimum of 7 gives the same feature sizes on balls, tori and an ellipsoid.
+const FEWEST_SAMPLES: usize = UNKNOWNS + 3;
 
+/// Number of coefficients of a patch: height, two slopes and three second derivatives.
 const UNKNOWNS: usize = 6;
 
 /// The surface around a sample, to second order.
@@ -40,7 +43,7 @@ pub struct Samples<'a> {
     pub connections: &'a Connections,
 }
 
-/// Marks on the samples that a walk has visited, so that each sample is visited once.
+/// Marks of the samples that a breadth-first search has visited.
 pub struct Marks {
     seen: Vec<u32>,
     now: u32,
@@ -55,11 +58,11 @@ impl Marks {
 }
 
 impl Samples<'_> {
-    /// Fits a patch to the samples within `radius` (mm) of sample i that are connected with sample
-    /// i. Returns `None` if there are too few samples or the system is singular.
+    /// Fits a patch to the samples that lie within `radius` (mm) of sample i and are connected with
+    /// it. Returns `None` if there are too few samples or the system is singular.
     pub fn patch(&self, i: usize, radius: f64, marks: &mut Marks) -> Option<Patch> {
         self.gather(i, radius, marks);
-        if marks.found.len() < FEWEST {
+        if marks.found.len() < FEWEST_SAMPLES {
             return None;
         }
         let origin = self.points[i];
@@ -113,7 +116,7 @@ impl Samples<'_> {
                 if marks.seen[at] != marks.now {
                     marks.seen[at] = marks.now;
                     let near = self.points[at].distance_squared(self.points[i]) < radius * radius;
-                    if near && self.normals[at].dot(self.normals[i]) > SAME_INTERFACE {
+                    if near && self.normals[at].dot(self.normals[i]) > LEAST_COSINE {
                         marks.found.push(to);
                     }
                 }
@@ -122,9 +125,9 @@ impl Samples<'_> {
     }
 }
 
-/// Returns the basis functions: 1, u, v and the three second-order terms. The second-order terms
-/// are stretched by (r^2 + z^2) / r^2, so that a ball fits without error: the height of a ball is z
-/// = (r^2 + z^2) k / 2.
+/// Returns the basis functions: 1, u, v and the three second-order terms. The factor (r^2 + z^2) /
+/// r^2 on the second-order terms makes the fit of a ball exact, because a ball of curvature k has
+/// the height z = (r^2 + z^2) k / 2.
 fn basis(at: DVec2, height: f64) -> [f64; UNKNOWNS] {
     let stretch = 1.0 + height * height / at.length_squared().max(1e-6).max(height * height);
     [1.0, at.x, at.y, 0.5 * stretch * at.x * at.x, stretch * at.x * at.y, 0.5 * stretch * at.y * at.y]

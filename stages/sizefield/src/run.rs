@@ -2,9 +2,10 @@
 //! defaults from the data, and fills in the report.
 
 use crate::feature::{Bumps, Features, Purpose};
-use crate::limits::{TooSmall, check_count, check_size, too_small, too_small_told};
+use crate::limits::{check_count, check_size, too_small, too_small_told};
 use crate::materials::{Given, GivenSize};
 use crate::region::{Refinement, SizedNode};
+use crate::report::{describe, noise_told, warn_if_too_coarse};
 use crate::vertices::{predicted_for, scaled_to_vertices, size_for_vertices};
 use crate::{MIN_PARTICLES, Parameters, size_field, uniform_field, wanted_sizes};
 use clap::Parser;
@@ -13,15 +14,14 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldComponents;
 use isoparticles_stage::cli::check::Known;
-use isoparticles_stage::cli::values::{not_negative, place, positive, significant};
+use isoparticles_stage::cli::values::{not_negative, positive, significant};
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind, read_field, write_field};
 use isoparticles_stage::materials_file::is_materials;
-use isoparticles_stage::meta::{self, DistanceMeta, SizeMeta, Source};
+use isoparticles_stage::meta::{self, DistanceMeta, Source};
 use isoparticles_stage::quality::Quality;
 use isoparticles_volume::{Geometry, Image};
-use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -33,9 +33,9 @@ pub(crate) struct Defaults {
     pub(crate) min_size_voxels: f64,
     /// Maximum h in units of the diagonal of the object's bounding box.
     pub(crate) max_size_diagonals: f64,
-    /// Maximum deviation in units of the mean voxel spacing. The default of 0.1 is also the
-    /// distance that distfield keeps between the surface of labels and the voxel centres. The
-    /// triangles must not cross voxel centres.
+    /// Maximum deviation in units of the mean voxel spacing. distfield keeps the surface of labels
+    /// 0.1 voxel away from voxel centres. With the same deviation, triangles do not cross voxel
+    /// centres.
     pub(crate) deviation_voxels: f64,
 }
 
@@ -59,8 +59,8 @@ impl Defaults {
     }
 }
 
-/// Maximum radius of medial balls in units of the diagonal of the volume. Larger features do not
-/// change h.
+/// Maximum radius of medial balls in units of the diagonal of the volume. With the defaults of
+/// every quality, features above 0.2 diagonals of the object (maximum h / epsilon) do not change h.
 const LARGEST_FEATURE_DIAGONALS: f64 = 0.25;
 
 /// Computes the target edge length h (mm) on the grid of a distance field, from local feature size
@@ -228,27 +228,78 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         return crate::materials::run(args, context);
     }
     args.refuse_sizes()?;
-    let step = context.step("read");
-    let field = read_field(&args.input, FieldKind::Distance)?;
-    context.add_input(&args.input, field.history.clone())?;
-    let surface = CubicSpline::new(&field.image);
-    drop(step);
-    let step = context.step("topology");
-    let components = FieldComponents::new(&surface, context)?;
-    drop(step);
+    let input = Input::read(args, context)?;
+    let measured = measure(args, &input, context)?;
+    let sizing = sized(args, &input, &measured, context)?;
+    let (features, geometry) = (&measured.features, &input.field.image.geometry);
+    if let Some(told) = noise_told(&features.noise, geometry.spacing) {
+        context.info(told);
+    }
+    let small = too_small(input.components.all(), &sizing);
+    if let Some(told) = too_small_told(&small, input.components.all().len()) {
+        context.warn(told);
+    }
+    let predicted = predicted(args, &input, &measured, &sizing, context);
+    let meta = describe(features, &sizing, predicted, (measured.largest, &small), context);
+    check_count(&args.input, meta.predicted_count, geometry.voxel_count(), context)?;
+    if let Some(size) = measured.one_size {
+        warn_if_too_coarse(features, geometry, size, context);
+    }
+    context.check_interrupt()?;
+    let _step = context.step("write");
+    write_field(&args.output, FieldKind::Sizing, sizing.image(), &meta, &context.history())?;
+    Ok(Outcome::Passed)
+}
+
+/// The distance field of one object.
+struct Input {
+    field: Field,
+    surface: CubicSpline,
+    components: FieldComponents,
+}
+
+impl Input {
+    fn read(args: &Args, context: &Context) -> Result<Self> {
+        let step = context.step("read");
+        let field = read_field(&args.input, FieldKind::Distance)?;
+        context.add_input(&args.input, field.history.clone())?;
+        let surface = CubicSpline::new(&field.image);
+        drop(step);
+        let _step = context.step("topology");
+        let components = FieldComponents::new(&surface, context)?;
+        Ok(Self { field, surface, components })
+    }
+}
+
+/// The measured surface.
+struct Measured {
+    features: Features,
+    /// The constant h in mm, if the options select one.
+    one_size: Option<f64>,
+    /// Maximum feature size in mm that the measurement distinguishes.
+    largest: f64,
+    /// Whether the input is smooth at the scale of a voxel: a label map or a scaled field.
+    is_smooth: bool,
+}
+
+/// Measures the surface.
+///
+/// # Errors
+/// If there is no surface, or if a constant h is too large for it.
+fn measure(args: &Args, input: &Input, context: &Context) -> Result<Measured> {
     let step = context.step("measure features");
-    let geometry = &field.image.geometry;
-    let largest = LARGEST_FEATURE_DIAGONALS * geometry.upper_corner().length();
-    let one_size = args.one_size(&field.image, &surface);
+    let image = &input.field.image;
+    let largest = LARGEST_FEATURE_DIAGONALS * image.geometry.upper_corner().length();
+    let one_size = args.one_size(image, &input.surface);
     // a constant h is compared only with smaller features, and the centre of an empty ball is
     // nearer than h only if its radius is below h
     let largest = one_size.map_or(largest, |size| largest.min(size));
     // for a constant h, the question is whether it resolves the surface as it is, including noise
-    let origin: DistanceMeta = meta::typed(&args.input, &field.meta, "distfield")?;
+    let origin: DistanceMeta = meta::typed(&args.input, &input.field.meta, "distfield")?;
     let is_smooth = origin.source == Some(Source::Labels) || origin.is_scaled();
     let bumps = if one_size.is_some() || is_smooth { Bumps::AreShape } else { Bumps::MayBeNoise };
     let purpose = if one_size.is_some() { Purpose::OneSize } else { Purpose::Grading };
-    let features = Features::new(&field.image, &surface, &components, largest, (bumps, purpose));
+    let features = Features::new(image, &input.surface, &input.components, largest, (bumps, purpose));
     drop(step);
     if features.triangles.is_empty() {
         return Err(Error::input(
@@ -261,53 +312,46 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         let largest = features.component_area.iter().copied().fold(0.0, f64::max);
         check_size(&args.input, size, largest)?;
     }
-    let refined = refined_nodes(args, geometry, context)?;
+    Ok(Measured { features, one_size, largest, is_smooth })
+}
+
+/// Computes the sizing field from the measured surface and the options.
+fn sized(args: &Args, input: &Input, measured: &Measured, context: &Context) -> Result<SizingField> {
+    let image = &input.field.image;
+    let refined = refined_nodes(args, &image.geometry, context)?;
     context.check_interrupt()?;
-    let step = context.step("size and grade");
-    let sizing = match one_size {
-        Some(size) => uniform_field(&field.image, size),
+    let _step = context.step("size and grade");
+    let sizing = match measured.one_size {
+        Some(size) => uniform_field(image, size),
         None => {
-            let parameters = resolve(args, &field, &features, refined, context)?;
-            let sizing = size_field(&field.image, &features, &parameters);
+            let parameters = resolve(args, &input.field, &measured.features, refined, context)?;
+            let sizing = size_field(image, &measured.features, &parameters);
             match args.vertices {
-                Some(vertices) => scaled_to_vertices(sizing, &surface, vertices as f64),
+                Some(vertices) => scaled_to_vertices(sizing, &input.surface, vertices as f64),
                 None => sizing,
             }
         }
     };
-    if let (Some(size), Some(vertices)) = (one_size, args.vertices) {
+    if let (Some(size), Some(vertices)) = (measured.one_size, args.vertices) {
         context.info(format!("h: {} mm ({vertices} vertices)", significant(size)));
         context.set_parameter("uniform", size);
     }
-    drop(step);
-    if let Some(told) = noise_told(&features.noise, geometry.spacing) {
-        context.info(told);
+    Ok(sizing)
+}
+
+/// Returns the number of particles that the sizing field predicts.
+fn predicted(args: &Args, input: &Input, measured: &Measured, sizing: &SizingField, context: &Context) -> f64 {
+    let _step = context.step("predict the count");
+    // a constant h from --vertices is derived from the count
+    if let Some(vertices) = args.vertices.filter(|_| measured.one_size.is_some()) {
+        return predicted_for(vertices as f64);
     }
-    let small = too_small(components.all(), &sizing);
-    if let Some(told) = too_small_told(&small, components.all().len()) {
-        context.warn(told);
-    }
-    // the count is known for a constant h from --vertices
-    let known = args.vertices.filter(|_| one_size.is_some()).map(|vertices| predicted_for(vertices as f64));
-    let step = context.step("predict the count");
-    // the count on triangles ignores details finer than they are, which a smooth surface lacks; a
+    // the count on triangles ignores smaller details, which a smooth surface does not have; a
     // requested number needs the exact count
-    let by_triangles = is_smooth && args.vertices.is_none();
-    let counted = || match by_triangles {
-        true => sizing.count_on(&features.points, &features.triangles),
-        false => sizing.predicted_count(&surface),
-    };
-    let predicted = known.unwrap_or_else(counted);
-    drop(step);
-    let meta = describe(&features, &sizing, predicted, (largest, &small), context);
-    check_count(&args.input, meta.predicted_count, geometry.voxel_count(), context)?;
-    if let Some(size) = one_size {
-        warn_if_too_coarse(&features, geometry, size, context);
+    if measured.is_smooth && args.vertices.is_none() {
+        return sizing.count_on(&measured.features.points, &measured.features.triangles);
     }
-    context.check_interrupt()?;
-    let _step = context.step("write");
-    write_field(&args.output, FieldKind::Sizing, sizing.image(), &meta, &context.history())?;
-    Ok(Outcome::Passed)
+    sizing.predicted_count(&input.surface)
 }
 
 /// Returns the nodes of all `--refine` options, and adds the files of these options to the inputs.
@@ -324,7 +368,7 @@ pub(crate) fn refined_nodes(args: &Args, geometry: &Geometry, context: &Context)
     Ok(refined)
 }
 
-/// Sets the parameters that depend on the data, and reports the origin of each parameter.
+/// Derives the parameters from the options and the data, and reports the origin of each parameter.
 fn resolve(
     args: &Args,
     field: &Field,
@@ -391,110 +435,4 @@ fn describe_extent(path: &Path, low: DVec3, high: DVec3) -> String {
     let extent = high - low;
     let extent = extent.to_array().map(significant).join(" x ");
     format!("the surface in {} measures {extent} mm", path.display())
-}
-
-/// Minimum ratio of slice thickness to voxel width at which slices leave ripple on a clean surface.
-/// This ripple scatters like noise.
-const THICK_SLICES: f64 = 1.5;
-
-/// Returns a message about the fraction of the surface with noise and the height of the noise. The
-/// patches cannot distinguish noise from the ripple of thick slices, so the message mentions both
-/// if `spacing` (mm) indicates such slices.
-fn noise_told(noise: &[f64], spacing: DVec3) -> Option<String> {
-    let found: Vec<f64> = noise.iter().copied().filter(|&noise| noise > 0.0).collect();
-    if found.is_empty() {
-        return None;
-    }
-    let mean = (found.iter().map(|noise| noise * noise).sum::<f64>() / found.len() as f64).sqrt();
-    let thickness = spacing.max_element() / spacing.min_element();
-    let what = if thickness < THICK_SLICES {
-        "noise".to_owned()
-    } else {
-        format!("noise, or ripple from slices {thickness:.1} times as thick as the voxels are wide,")
-    };
-    Some(format!(
-        "{what} of {} mm (root mean square) on {:.1} % of the surface does not affect h",
-        significant(mean),
-        100.0 * found.len() as f64 / noise.len() as f64
-    ))
-}
-
-/// Writes figures of the field to the report and the closing table. Returns the metadata of the
-/// file.
-fn describe(
-    features: &Features,
-    sizing: &SizingField,
-    predicted: f64,
-    (largest, small): (f64, &[TooSmall]),
-    context: &Context,
-) -> SizeMeta {
-    let mut at_surface: Vec<f64> = features.points.par_iter().map(|&p| sizing.at(p)).collect();
-    let mut feature_size = features.feature_size.clone();
-    let notes = [
-        ("size_at_surface", percentiles(&mut at_surface)),
-        ("local_feature_size", percentiles(&mut feature_size)),
-        ("noise", percentiles(&mut features.noise.clone())),
-        ("largest_feature_looked_for", json!(largest)),
-        ("too_small", json!(small)),
-    ];
-    let meta = SizeMeta {
-        version: meta::VERSION,
-        components: features.component_area.len(),
-        predicted_count: predicted.round(),
-        notes: notes.into_iter().map(|(key, value)| (key.to_owned(), value)).collect(),
-    };
-    context.summary("components", features.component_area.len());
-    context.summary("predicted particles", predicted.round());
-    context.summary(
-        "h at the surface (mm)",
-        [at_surface[0], at_surface[at_surface.len() - 1]].map(significant).join(" to "),
-    );
-    context.report("fields", json!(meta));
-    meta
-}
-
-/// Returns the minimum, percentiles and maximum by name. Sorts the values.
-pub(crate) fn percentiles(values: &mut [f64]) -> Value {
-    values.par_sort_unstable_by(f64::total_cmp);
-    let at = |percent: usize| values[(values.len() - 1) * percent / 100];
-    json!({ "min": at(0), "p1": at(1), "p5": at(5), "median": at(50), "p95": at(95), "max": at(100) })
-}
-
-/// Warns if a constant h is too coarse for thin parts. The warning gives the position of the
-/// minimum feature size.
-fn warn_if_too_coarse(features: &Features, geometry: &Geometry, size: f64, context: &Context) {
-    let coarse = features.feature_size.iter().filter(|&&lfs| size > lfs).count();
-    if coarse == 0 {
-        return;
-    }
-    let worst = (0..features.points.len())
-        .min_by(|&a, &b| features.feature_size[a].total_cmp(&features.feature_size[b]))
-        .unwrap_or(0);
-    context.warn(format!(
-        "h = {size} mm is larger than the local feature size on {:.1} % of the surface (minimum {} mm, at {} mm); \
-         thin parts may be lost or merged. Lower SIZE (--uniform) or raise VERTICES (--vertices); without them, h \
-         follows the shape",
-        100.0 * coarse as f64 / features.points.len() as f64,
-        significant(features.feature_size[worst]),
-        place(geometry.grid_to_world(features.points[worst]).to_array()),
-    ));
-}
-
-#[cfg(test)]
-mod tests {
-    use super::noise_told;
-    use glam::DVec3;
-
-    #[test]
-    fn noise_message_names_ripple_only_for_thick_slices() {
-        assert_eq!(noise_told(&[0.0; 4], DVec3::ONE), None);
-        let told = noise_told(&[0.0, 0.02, 0.02, 0.0], DVec3::new(1.0, 1.0, 1.25)).expect("noise");
-        assert!(told.starts_with("noise of 0.0200 mm (root mean square)"), "{told}");
-        assert!(told.contains("on 50.0 % of the surface"), "{told}");
-        let told = noise_told(&[0.0, 0.02, 0.02, 0.0], DVec3::new(0.5, 0.5, 2.0)).expect("ripple or noise");
-        assert!(
-            told.starts_with("noise, or ripple from slices 4.0 times as thick as the voxels are wide, of 0.0200 mm"),
-            "{told}"
-        );
-    }
 }

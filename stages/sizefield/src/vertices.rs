@@ -14,11 +14,13 @@ const FINISHED_OVER_PREDICTED: f64 = 0.95;
 
 /// Number of iterations for the factor of a graded field. The count is not exactly inversely
 /// proportional to the square of the factor, because the factor also changes the slope of h.
-const ROUNDS: usize = 3;
+const GRADED_ROUNDS: usize = 3;
 
-/// Number of iterations for a constant h with several materials, where junction curves also affect
-/// the count.
-const ROUNDS_OF_ONE_SIZE: usize = 6;
+/// Number of iterations for a constant h with several materials. The particles on junction curves
+/// are inversely proportional to h, not to its square, so an iteration multiplies the relative
+/// error of h by half their share of the count. At a share of a third, six iterations reduce an
+/// initial error of a factor of ten to 10^(1 / 6^6), which is below 1e-4.
+const CONSTANT_ROUNDS: usize = 6;
 
 /// Returns the constant h in mm that gives a surface with this number of vertices.
 pub fn size_for_vertices(distance: &Image<f32>, surface: &CubicSpline, vertices: f64) -> f64 {
@@ -26,16 +28,16 @@ pub fn size_for_vertices(distance: &Image<f32>, surface: &CubicSpline, vertices:
     (FINISHED_OVER_PREDICTED * at_one / vertices).sqrt()
 }
 
-/// Returns the count that the sizing field predicts if [`size_for_vertices`] is called with this
-/// number of vertices.
+/// Returns the count that the sizing field predicts for the h that [`size_for_vertices`] returns.
 pub(crate) fn predicted_for(vertices: f64) -> f64 {
     vertices / FINISHED_OVER_PREDICTED
 }
 
-/// Does the same as [`size_for_vertices`] for a function that returns the count for an edge length.
+/// Returns the constant h in mm that gives a surface with this number of vertices. `count` returns
+/// the predicted count for an edge length.
 pub(crate) fn size_for_count(count: impl Fn(f64) -> f64, vertices: f64) -> f64 {
     let mut size = 1.0;
-    for _ in 0..ROUNDS_OF_ONE_SIZE {
+    for _ in 0..CONSTANT_ROUNDS {
         size *= (FINISHED_OVER_PREDICTED * count(size) / vertices).sqrt();
     }
     size
@@ -46,12 +48,12 @@ pub fn scaled_to_vertices(sizing: SizingField, surface: &CubicSpline, vertices: 
     scaled_to_count(sizing, |sizing| sizing.predicted_count(surface), vertices)
 }
 
-/// Does the same as [`scaled_to_vertices`] for a function that returns the count for a sizing
-/// field.
+/// Returns the sizing field times the factor that gives a surface with this number of vertices.
+/// `count` returns the predicted count for a sizing field.
 pub(crate) fn scaled_to_count(sizing: SizingField, count: impl Fn(&SizingField) -> f64, vertices: f64) -> SizingField {
     let mut factor = 1.0;
     let mut scaled = sizing.clone();
-    for _ in 0..ROUNDS {
+    for _ in 0..GRADED_ROUNDS {
         factor *= (FINISHED_OVER_PREDICTED * count(&scaled) / vertices).sqrt();
         scaled = sizing.scaled(factor);
     }

@@ -254,3 +254,24 @@ fn h_is_set_wherever_it_is_read_at_the_surface() {
         }
     }
 }
+
+/// White noise of 0.1 voxel on one half of a ball does not reduce the feature size of either half.
+#[test]
+fn a_half_noisy_ball_has_its_radius_everywhere() {
+    let geometry = Geometry::axis_aligned([46; 3], DVec3::ONE);
+    let centre = 0.5 * geometry.upper_corner();
+    let noise = |n: u64| {
+        let [u, v] = [0, 1].map(|stream| isoparticles_field::random::uniform(11, stream, n));
+        0.1 * (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+    };
+    let value = |n: usize| {
+        let p = DVec3::new((n % 46) as f64, (n / 46 % 46) as f64, (n / 46 / 46) as f64) - centre;
+        (p.length() - 19.0 + if p.x > 0.0 { noise(n as u64 + 1) } else { 0.0 }) as f32
+    };
+    let image = Image { data: (0..geometry.voxel_count()).map(value).collect(), geometry };
+    let found = features(&image);
+    let smallest = found.feature_size.iter().copied().fold(f64::INFINITY, f64::min);
+    let largest = found.feature_size.iter().copied().fold(0.0, f64::max);
+    println!("feature size {smallest:.3} to {largest:.3}");
+    assert!(smallest > 17.0 && largest < 19.5, "{smallest} to {largest}");
+}

@@ -1,34 +1,45 @@
 //! Places particles at junction points and along junction curves.
 
 use super::{between, is_length};
+use crate::sampling::DISK_RADIUS;
 use glam::DVec3;
-use isoparticles_field::materials::complex::{Chain, Complex, End};
+use isoparticles_field::materials::complex::{Chain, Complex, End, SAME_JUNCTION};
 use isoparticles_field::materials::{Indicators, MaterialId};
 use isoparticles_field::particle_set::Strata;
 use isoparticles_field::sizing::SizingField;
 use std::collections::BTreeSet;
 
-/// Maximum step along a curve in units of h. Rounding the number of steps gives steps of up to 1.5
-/// h. If the steps would exceed this limit, the curve gets one more step.
+/// Maximum step along a curve in units of h. A curve is divided into the rounded number of steps,
+/// which are at most 1.25 h long for two or more steps. A single step could be 1.5 h long; above
+/// this limit it becomes two steps of at least 0.65 h. Every point of a step must be nearer than
+/// [`DISK_RADIUS`] to an end of the step, so that particles on interfaces keep clear of the curve.
 const LONGEST_STEP: f64 = 1.3;
+const _: () = assert!(LONGEST_STEP > 1.25 && LONGEST_STEP < 2.0 * DISK_RADIUS, "a step has a wrong length");
 
-/// A closed curve shorter than h and than this many voxels gets one particle instead of a ring of
-/// three: it is below the resolution of the data.
+/// A closed curve shorter than h and shorter than this many voxels gets one particle instead of a
+/// ring of three. Its extent is at most half its length, one voxel, so the data does not resolve
+/// its shape.
 const TINY_VOXELS: f64 = 2.0;
 
-/// Minimum number of particles on other closed curves, because fewer particles do not make a ring.
+/// Minimum number of particles on other closed curves: a closed polygon has at least three sides.
 const RING: usize = 3;
 
 /// A particle is skipped if its distance from the previous particle is below this fraction of a
-/// step. This happens if the curve is shorter than its chain.
-const NEAREST: f64 = 0.3;
+/// step. This happens if the curve is shorter than its chain. Bends alone do not cause it: on a
+/// circle of three steps, adjacent particles are sqrt(3) / (2 pi / 3) = 0.83 step apart.
+const LEAST_STEP_SHARE: f64 = 0.3;
 
-/// Maximum distance in voxels of particles that count as coincident. Such particles occur on chains
-/// that exist only in the grid complex.
-const DUPLICATE_DISTANCE: f64 = 0.01;
+/// Maximum distance in voxels of particles that count as coincident: half the distance at which the
+/// complex merges junction points. Coincident particles occur on chains that exist only in the grid
+/// complex.
+const DUPLICATE_DISTANCE: f64 = 0.5 * SAME_JUNCTION;
 
-/// Maximum distance from the chain to the curve and tolerance of the projection, both in voxels.
-const FARTHEST: f64 = 1.0;
+/// Maximum distance from a chain to its curve, in voxels: the limit with which the complex projects
+/// the vertices of a chain (`LONGEST_PROJECTION` in `complex/chains.rs`).
+const MAX_PROJECTION: f64 = 1.0;
+
+/// Tolerance of the projection, in voxels, as in the complex: about one ulp of a coefficient, which
+/// is an f32 of about one voxel near the zero set (2^-23 = 1.2e-7).
 const TOLERANCE: f64 = 1e-7;
 
 /// Particles at junction points, in the order of the complex, followed by particles on curves.
@@ -59,8 +70,8 @@ pub fn seed_curves<I: Indicators>(
         found.normals.push(DVec3::ZERO);
         found.strata.of.push(point.stratum);
     }
-    // pairs of points that a curve of one step connects; a second such curve needs a particle
-    // between the points
+    // pairs of points that a curve of one step connects; a second curve between the same points
+    // needs a particle, because its segment would coincide with the first
     let mut joined = BTreeSet::new();
     for chain in &complex.chains {
         let line = complex.line(chain);
@@ -76,7 +87,7 @@ pub fn seed_curves<I: Indicators>(
             }
             _ => {}
         }
-        let nearest = |p: DVec3| NEAREST * spread.at(p) * along.total() / steps as f64;
+        let nearest = |p: DVec3| LEAST_STEP_SHARE * spread.at(p) * along.total() / steps as f64;
         found.add(indicators, chain, &along, steps, nearest);
     }
     found.set_sizes(sizing);
@@ -84,9 +95,9 @@ pub fn seed_curves<I: Indicators>(
 }
 
 impl Curves {
-    /// Adds the particles of a chain that is divided into `steps` steps. A particle is skipped if
-    /// its distance from the previous particle or from an end is below `nearest` (mm) at its
-    /// position.
+    /// Adds the particles of a chain that is divided into `steps` steps. Skips a particle whose
+    /// distance from the previous particle or from an end of the chain is below `nearest(position)`
+    /// (mm).
     fn add<I: Indicators>(
         &mut self,
         indicators: &I,
@@ -112,7 +123,7 @@ impl Curves {
         let mut previous = point(chain.ends[0]);
         for n in (0..=steps).filter(|&n| is_free(n)) {
             let (place, way) = along.at(n as f64 / steps as f64);
-            let met = indicators.project_onto_curve(own, place, FARTHEST * voxel, TOLERANCE * voxel);
+            let met = indicators.project_onto_curve(own, place, MAX_PROJECTION * voxel, TOLERANCE * voxel);
             let Some(position) = met.filter(|&p| indicators.clearance(p, &own) >= -TOLERANCE * voxel) else {
                 self.not_projected += 1;
                 continue;

@@ -2,7 +2,8 @@
 
 use super::Curves;
 use crate::sampling::{
-    COMPONENT_MINIMUM, Candidates, DISK_RADIUS, OVERSAMPLING, centre_and_normal, eliminate, sample, sample_alone,
+    COMPONENT_MINIMUM, Candidates, DISK_RADIUS, MAX_PROJECTION, OVERSAMPLING, PROJECTION_TOLERANCE, centre_and_normal,
+    eliminate, sample, sample_alone,
 };
 use glam::DVec3;
 use isoparticles_field::materials::complex::Complex;
@@ -13,18 +14,13 @@ use isoparticles_mesh::TriangleMesh;
 use rayon::prelude::*;
 
 /// Minimum distance, in units of h, from a particle on an interface to the particles on the border
-/// of the interface.
-const FROM_BORDER: f64 = DISK_RADIUS;
+/// of the interface: the same as between two particles on the interface.
+const BORDER_DISTANCE: f64 = DISK_RADIUS;
 
-/// Maximum distance from the triangles to their interface and tolerance of the projection, both in
-/// voxels. The values are the same as for one object.
-const FARTHEST: f64 = 1.5;
-const TOLERANCE: f64 = 1e-6;
-
-/// Area in squared voxels below which a component with a border gets no particle. The border of
-/// such a component is a closed curve that is about half a voxel long or shorter. The complex omits
-/// curves shorter than half a voxel.
-const SPECK: f64 = 0.05;
+/// Area in squared voxels below which a component with a border gets no particle. A disc of this
+/// area has a diameter of 0.25 voxel and a circumference of 0.8 voxel. The complex itself drops
+/// closed curves shorter than 0.5 voxel (`SPECK` in `complex/chains.rs`).
+const SPECK_AREA: f64 = 0.05;
 
 /// The particles on interfaces.
 #[derive(Clone, Debug, Default)]
@@ -45,7 +41,7 @@ pub struct InterfaceParticles {
     pub crowded: usize,
     /// Number of components that have no particle even after separate sampling.
     pub bare: usize,
-    /// Number of components that were skipped because they are far smaller than a voxel's face.
+    /// Number of components that were skipped because their area is below `SPECK_AREA`.
     pub specks: usize,
     /// Number of points that were skipped because the projection failed or a third material is
     /// nearer.
@@ -67,61 +63,98 @@ pub fn seed_interfaces<I: Indicators>(
     curves: &Curves,
     seed: u64,
 ) -> InterfaceParticles {
-    let vertices = complex.vertices.iter().map(|vertex| vertex.position).collect();
-    let mesh = TriangleMesh { vertices, triangles: complex.triangles.iter().map(|t| t.corners).collect() };
-    let (component, count) = complex.interface_components();
-    let mut members = vec![Vec::new(); count];
-    let mut is_closed = vec![true; count];
-    for (t, &c) in (0..).zip(&component) {
-        members[c as usize].push(t);
-        let corners = mesh.triangles[t as usize];
-        is_closed[c as usize] &= corners.iter().all(|&v| complex.vertices[v as usize].stratum.dimension() == 2);
-    }
-    let interface_of: Vec<Stratum> = members.iter().map(|own| complex.triangles[own[0] as usize].interface).collect();
-    let every: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
-    let density = |p, normal| OVERSAMPLING * spread.lattice_density(p, normal);
-    let all = sample(&mesh, &every, |t| component[t], density, |p| spread.at(p), seed);
+    let parts = Components::new(complex);
+    let count = parts.interface.len();
     let border = Border::new(curves, spread);
-    let all = border.beyond(all, &interface_of);
-    let mut chosen = eliminate(&all, seed, |a, b| all.component[a] == all.component[b]);
-    chosen.sort_unstable();
-    let place = |point: DVec3, normal: DVec3, component: u32| {
-        met(indicators, interface_of[component as usize], point, normal).map(|(position, normal)| Placed {
-            position,
-            normal,
-            component,
-        })
-    };
-    let placed: Vec<Option<Placed>> = chosen
-        .par_iter()
-        .map(|&i| place(all.points[i as usize], all.normals[i as usize], all.component[i as usize]))
-        .collect();
+    let placed = parts.sampled(indicators, &border, spread, seed);
     let mut found = InterfaceParticles { components: count, ..InterfaceParticles::default() };
     found.not_projected = placed.iter().filter(|placed| placed.is_none()).count();
     let mut counts = vec![0usize; count];
     placed.iter().flatten().for_each(|placed| counts[placed.component as usize] += 1);
-    let is_bare = |c: usize| if is_closed[c] { counts[c] < COMPONENT_MINIMUM } else { counts[c] == 0 };
+    let is_bare = |c: usize| if parts.is_closed[c] { counts[c] < COMPONENT_MINIMUM } else { counts[c] == 0 };
     for placed in placed.into_iter().flatten().filter(|placed| !is_bare(placed.component as usize)) {
-        found.add(placed, &interface_of, sizing);
+        found.add(placed, &parts.interface, sizing);
     }
-    let area =
-        |c: usize| members[c].iter().map(|&t| 0.5 * centre_and_normal(&mesh, t as usize).1.length()).sum::<f64>();
-    let least = SPECK * indicators.voxel().powi(2);
+    let least = SPECK_AREA * indicators.voxel().powi(2);
     for c in (0..count).filter(|&c| is_bare(c)) {
-        if !is_closed[c] && area(c) < least {
+        if !parts.is_closed[c] && parts.area(c) < least {
             found.specks += 1;
             continue;
         }
-        let own = sample_alone(&mesh, &members[c], seed, c as u64);
-        let mut own: Vec<Placed> = own.into_iter().filter_map(|(p, normal)| place(p, normal, c as u32)).collect();
-        if !is_closed[c] {
-            own = border.farthest(own, interface_of[c]).into_iter().collect();
+        let own = sample_alone(&parts.mesh, &parts.members[c], seed, c as u64);
+        let mut own: Vec<Placed> =
+            own.into_iter().filter_map(|(p, normal)| parts.place(indicators, p, normal, c as u32)).collect();
+        if !parts.is_closed[c] {
+            own = border.farthest(own, parts.interface[c]).into_iter().collect();
         }
         found.crowded += 1;
         found.bare += usize::from(own.is_empty());
-        own.into_iter().for_each(|placed| found.add(placed, &interface_of, sizing));
+        own.into_iter().for_each(|placed| found.add(placed, &parts.interface, sizing));
     }
     found
+}
+
+/// The triangles of a complex, divided into the components of its interfaces.
+struct Components {
+    mesh: TriangleMesh,
+    /// Component of each triangle.
+    of_triangle: Vec<u32>,
+    /// Triangles of each component.
+    members: Vec<Vec<u32>>,
+    /// Whether a component has no border.
+    is_closed: Vec<bool>,
+    /// Interface of each component.
+    interface: Vec<Stratum>,
+}
+
+impl Components {
+    fn new(complex: &Complex) -> Self {
+        let vertices = complex.vertices.iter().map(|vertex| vertex.position).collect();
+        let mesh = TriangleMesh { vertices, triangles: complex.triangles.iter().map(|t| t.corners).collect() };
+        let (of_triangle, count) = complex.interface_components();
+        let mut members = vec![Vec::new(); count];
+        let mut is_closed = vec![true; count];
+        for (t, &c) in (0..).zip(&of_triangle) {
+            members[c as usize].push(t);
+            let corners = mesh.triangles[t as usize];
+            is_closed[c as usize] &= corners.iter().all(|&v| complex.vertices[v as usize].stratum.dimension() == 2);
+        }
+        let interface = members.iter().map(|own| complex.triangles[own[0] as usize].interface).collect();
+        Self { mesh, of_triangle, members, is_closed, interface }
+    }
+
+    /// Samples all components at the density of `spread`, apart from the particles on the border.
+    /// Returns `None` for a sample that cannot be placed on its interface.
+    fn sampled<I: Indicators>(
+        &self,
+        indicators: &I,
+        border: &Border<'_>,
+        spread: &SizingField,
+        seed: u64,
+    ) -> Vec<Option<Placed>> {
+        let every: Vec<u32> = (0..self.mesh.triangles.len() as u32).collect();
+        let density = |p, normal| OVERSAMPLING * spread.lattice_density(p, normal);
+        let all = sample(&self.mesh, &every, |t| self.of_triangle[t], density, |p| spread.at(p), seed);
+        let all = border.beyond(all, &self.interface);
+        let mut chosen = eliminate(&all, seed, |a, b| all.component[a] == all.component[b]);
+        chosen.sort_unstable();
+        let place = |&i: &u32| {
+            let i = i as usize;
+            self.place(indicators, all.points[i], all.normals[i], all.component[i])
+        };
+        chosen.par_iter().map(place).collect()
+    }
+
+    /// Projects a point of a component onto the interface of the component.
+    fn place<I: Indicators>(&self, indicators: &I, point: DVec3, normal: DVec3, component: u32) -> Option<Placed> {
+        let (position, normal) = met(indicators, self.interface[component as usize], point, normal)?;
+        Some(Placed { position, normal, component })
+    }
+
+    /// Returns the area of a component in mm^2.
+    fn area(&self, c: usize) -> f64 {
+        self.members[c].iter().map(|&t| 0.5 * centre_and_normal(&self.mesh, t as usize).1.length()).sum()
+    }
 }
 
 impl InterfaceParticles {
@@ -139,14 +172,15 @@ impl InterfaceParticles {
 fn met<I: Indicators>(indicators: &I, interface: Stratum, point: DVec3, normal: DVec3) -> Option<(DVec3, DVec3)> {
     let &[low, high] = interface.materials() else { return None };
     let voxel = indicators.voxel();
-    let position = indicators.project_onto_interface([high, low], point, FARTHEST * voxel, TOLERANCE * voxel)?;
+    let position =
+        indicators.project_onto_interface([high, low], point, MAX_PROJECTION * voxel, PROJECTION_TOLERANCE * voxel)?;
     let own = indicators.difference_gradient(high, low, position).1.try_normalize()?;
     let is_real = indicators.clearance(position, &[low, high]) > 0.0;
     (is_real && own.dot(normal) > 0.0).then_some((position, own))
 }
 
-/// The particles at points and on curves. Particles on interfaces keep a minimum distance from
-/// them.
+/// The particles at points and on curves. Particles on interfaces keep the distance
+/// [`BORDER_DISTANCE`] from these particles.
 struct Border<'a> {
     curves: &'a Curves,
     sizes: Vec<f64>,
@@ -156,19 +190,19 @@ struct Border<'a> {
 impl<'a> Border<'a> {
     fn new(curves: &'a Curves, spread: &SizingField) -> Self {
         let sizes: Vec<f64> = curves.positions.iter().map(|&p| spread.at(p)).collect();
-        let bins = LevelBins::new(&curves.positions, &sizes, FROM_BORDER);
+        let bins = LevelBins::new(&curves.positions, &sizes, BORDER_DISTANCE);
         Self { curves, sizes, bins }
     }
 
-    /// Returns the candidates that are far enough from the particles on the borders of their
-    /// interfaces.
+    /// Returns the candidates that are at least [`BORDER_DISTANCE`] from the particles on the
+    /// border of their interface.
     fn beyond(&self, all: Candidates, interface_of: &[Stratum]) -> Candidates {
         let is_beyond = |i: usize| {
             let (p, h, interface) = (all.points[i], all.sizes[i], &interface_of[all.component[i] as usize]);
             let mut far = true;
             self.bins.visit(p, h, |j| {
                 let j = j as usize;
-                let radius = FROM_BORDER * h.min(self.sizes[j]);
+                let radius = BORDER_DISTANCE * h.min(self.sizes[j]);
                 let is_near = p.distance_squared(self.curves.positions[j]) < radius * radius;
                 far &= !(is_near && self.curves.strata.of[j].is_on(interface));
             });
@@ -183,8 +217,7 @@ impl<'a> Border<'a> {
         }
     }
 
-    /// Returns the particle in `own` that is farthest from the particles on the border of the
-    /// interface `interface`.
+    /// Returns the particle in `own` with the maximum distance from the border of `interface`.
     fn farthest(&self, own: Vec<Placed>, interface: Stratum) -> Option<Placed> {
         let border: Vec<DVec3> = (0..self.curves.positions.len())
             .filter(|&j| self.curves.strata.of[j].is_on(&interface))

@@ -3,42 +3,49 @@
 use glam::DVec3;
 use isoparticles_field::materials::complex::{Complex, End};
 
-/// Half the length in voxels of the piece of a curve over which curvature is measured. Vertices of
-/// a chain are at most one voxel apart.
-const REACH: f64 = 1.5;
+/// Minimum distance in voxels from a vertex to the two vertices whose circle gives the curvature.
+/// It is the minimum radius that changes h with the defaults of the qualities, minimum h / epsilon.
+/// A circle of this radius still has points at this distance.
+const CHORD: f64 = 1.5;
 
-/// Minimum number of steps on a curve between two junction points, and on a closed curve.
-const STEPS: [f64; 2] = [2.0, 6.0];
+/// Minimum number of steps on a curve between two junction points. With a single step, two curves
+/// between the same points would coincide.
+const OPEN_STEPS: f64 = 2.0;
 
-/// Returns the edge length for a radius of curvature (mm), from the same two criteria as on
-/// interfaces: `epsilon` times the radius, and the height of a chord above the curve, h^2 / (8 R).
+/// Minimum number of steps on a closed curve: the border of the coarsest disc of the hexagonal
+/// lattice, six equilateral triangles around a vertex.
+const CLOSED_STEPS: f64 = 6.0;
+
+/// Returns the edge length for a radius of curvature (mm). The criteria are those of interfaces:
+/// `epsilon` times the radius, and a chord no farther than `max_deviation` from the curve. A chord
+/// of length h is h^2 / (8 R) from the curve.
 fn by_radius(radius: f64, epsilon: f64, max_deviation: f64) -> f64 {
     (epsilon * radius).min((8.0 * max_deviation * radius).sqrt())
 }
 
-/// Lowers the sizes (mm) of the vertices of junction curves to the bounds from curvature and
-/// length.
+/// Lowers the sizes (mm) of the vertices of junction curves to the bounds from the curvature and
+/// length of the curves.
 pub(super) fn lower(complex: &Complex, voxel: f64, epsilon: f64, max_deviation: f64, sizes: &mut [f64]) {
     for chain in &complex.chains {
         let line = complex.line(chain);
         let length = complex.length(chain);
         let by_length = match chain.ends {
-            [End::Point(_), End::Point(_)] => length / STEPS[0],
-            [End::Closed, _] => length / STEPS[1],
+            [End::Point(_), End::Point(_)] => length / OPEN_STEPS,
+            [End::Closed, _] => length / CLOSED_STEPS,
             _ => f64::INFINITY,
         };
         let skipped = usize::from(matches!(chain.ends[0], End::Point(_)));
         for (n, &v) in chain.vertices.iter().enumerate() {
-            let radius = radius(&line, n + skipped, chain.is_closed(), REACH * voxel);
+            let radius = radius(&line, n + skipped, chain.is_closed(), CHORD * voxel);
             let own = &mut sizes[v as usize];
             *own = own.min(by_length).min(by_radius(radius, epsilon, max_deviation));
         }
     }
 }
 
-/// Returns the radius in mm of the circle through a vertex of a line and the vertices at least
-/// `reach` before and behind it. The radius is infinite if the line ends earlier.
-fn radius(line: &[DVec3], at: usize, is_closed: bool, reach: f64) -> f64 {
+/// Returns the radius in mm of the circle through a vertex of a line and the first vertex in each
+/// direction at a distance of `chord` or more. The radius is infinite if the line ends earlier.
+fn radius(line: &[DVec3], at: usize, is_closed: bool, chord: f64) -> f64 {
     let count = line.len();
     let beyond = |forth: bool| {
         let place = |step: usize| match (is_closed, forth) {
@@ -47,7 +54,7 @@ fn radius(line: &[DVec3], at: usize, is_closed: bool, reach: f64) -> f64 {
             (false, true) => Some(at + step).filter(|&n| n < count),
             (false, false) => at.checked_sub(step),
         };
-        (1..count).map_while(place).map(|n| line[n]).find(|p| p.distance(line[at]) >= reach)
+        (1..count).map_while(place).map(|n| line[n]).find(|p| p.distance(line[at]) >= chord)
     };
     let (Some(a), Some(b)) = (beyond(false), beyond(true)) else { return f64::INFINITY };
     let (u, v, w) = (line[at] - a, b - line[at], b - a);
@@ -58,6 +65,7 @@ fn radius(line: &[DVec3], at: usize, is_closed: bool, reach: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DVec2;
 
     #[test]
     fn a_circle_has_its_radius_everywhere_and_a_straight_line_none() {
@@ -70,6 +78,4 @@ mod tests {
         let straight: Vec<DVec3> = (0..9).map(|n| DVec3::X * f64::from(n)).collect();
         assert!(radius(&straight, 4, false, 1.5).is_infinite());
     }
-
-    use glam::DVec2;
 }

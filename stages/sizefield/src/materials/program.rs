@@ -5,7 +5,8 @@ use super::features::{StrataFeatures, measure};
 use super::given::Given;
 use super::lines;
 use crate::limits::check_count;
-use crate::run::{Args, Defaults, check_bounds, percentiles, refined_nodes};
+use crate::report::percentiles;
+use crate::run::{Args, Defaults, check_bounds, refined_nodes};
 use crate::vertices::{scaled_to_count, size_for_count};
 use crate::{Parameters, SMALLEST_SHARE, Samples, graded_field};
 use glam::DVec3;
@@ -81,7 +82,7 @@ fn uniform(geometry: &Geometry, size: f64) -> SizingField {
     SizingField::new(Image::filled(geometry.clone(), size as f32))
 }
 
-/// Computes h from the shape of the strata and from the sizes given with `--size`.
+/// Computes h from the shape of the strata and from the sizes of `--size`.
 fn by_shape(
     args: &Args,
     materials: &Materials,
@@ -100,7 +101,8 @@ fn by_shape(
         }
         None => {
             let step = context.step("measure features");
-            // thicker layers would need an h above the maximum
+            // thicker layers do not limit h, because epsilon times half of their thickness exceeds
+            // the maximum h
             let thickest = 2.0 * largest.largest() / parameters.epsilon;
             let features = measure(materials, materials.geometry(), complex, thickest);
             drop(step);
@@ -143,8 +145,8 @@ fn by_features(
     }
 }
 
-/// Returns the minimum h of each vertex, and the maximum h with which a closed interface gets its
-/// minimum number of particles. The maximum takes precedence.
+/// Returns the minimum h and the maximum h of each vertex. The maximum is the h at which a closed
+/// interface gets its minimum number of particles. It takes precedence over the minimum.
 fn smallest_sizes(complex: &Complex, parameters: &Parameters) -> Vec<(f64, f64)> {
     let (component, count) = complex.interface_components();
     let mut areas = vec![(0.0, true); count];
@@ -190,8 +192,8 @@ impl LargestSizes {
         )
     }
 
-    /// Returns the maximum h of an interface: the smaller value of its materials, ignoring the
-    /// outside.
+    /// Returns the maximum h of an interface: the smaller maximum of its two materials. The outside
+    /// does not count.
     fn of(&self, interface: &Stratum) -> f64 {
         let named = interface.materials().iter().filter(|&&id| id != MaterialId::OUTSIDE);
         named.map(|id| self.0[id.index()]).fold(f64::INFINITY, f64::min)
@@ -202,7 +204,7 @@ impl LargestSizes {
     }
 }
 
-/// Sets the parameters that depend on the data, and reports the origin of each parameter.
+/// Derives the parameters from the options and the data, and reports the origin of each parameter.
 fn resolve(args: &Args, materials: &Materials, refined: Vec<(usize, f64)>, context: &Context) -> Result<Parameters> {
     let voxel = materials.voxel();
     let quality = args.quality().name();
@@ -229,8 +231,8 @@ fn resolve(args: &Args, materials: &Materials, refined: Vec<(usize, f64)>, conte
     Ok(parameters)
 }
 
-/// Writes figures of the field to the report and the closing table; returns the metadata of the
-/// file.
+/// Adds statistics of the field to the report and to the closing table. Returns the metadata of the
+/// output file.
 fn describe(complex: &Complex, sizing: &SizingField, predicted: f64, context: &Context) -> SizeMeta {
     let mut sizes: Vec<f64> = complex.vertices.iter().map(|vertex| sizing.at(vertex.position)).collect();
     let (_, components) = complex.interface_components();
