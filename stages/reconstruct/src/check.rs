@@ -215,42 +215,42 @@ impl CheckReport {
     /// The checks that failed, in words; empty when the mesh is what it should be.
     pub fn failed_checks(&self) -> Vec<String> {
         if !self.well_formed {
-            return vec![
-                "a coordinate is not a finite number, or a triangle names a vertex that does not exist".into(),
-            ];
+            return vec!["a coordinate is not finite, or a triangle refers to a vertex that does not exist".into()];
         }
         if self.triangles == 0 {
             return vec!["the mesh has no triangles".into()];
         }
         let counts = [
-            (self.open_edges, "open edges (in one triangle only)"),
-            (self.non_manifold_edges, "non-manifold edges (in more than two triangles)"),
-            (self.badly_oriented_edges, "badly oriented edges (both triangles run the same way)"),
-            (self.non_manifold_vertices, "non-manifold vertices (more than one fan of triangles)"),
-            (self.unused_vertices, "vertices of no triangle"),
-            (self.repeated_triangles, "triangles that repeat a vertex or another triangle"),
-            (self.zero_area_triangles, "triangles without area"),
-            (self.self_intersections, "pairs of triangles that cross"),
-            (self.inward_components.unwrap_or(0), "components that face into the object"),
-            (self.nodes_on_wrong_side.unwrap_or(0), "grid nodes on the wrong side of the mesh"),
+            (self.open_edges, "open edges (edges of only one triangle)"),
+            (self.non_manifold_edges, "non-manifold edges (edges of more than two triangles)"),
+            (self.badly_oriented_edges, "edges between triangles of opposite orientation"),
+            (self.non_manifold_vertices, "non-manifold vertices (vertices with more than one fan of triangles)"),
+            (self.unused_vertices, "unused vertices"),
+            (self.repeated_triangles, "triangles with a repeated vertex, or equal to another triangle"),
+            (self.zero_area_triangles, "triangles of zero area"),
+            (self.self_intersections, "pairs of intersecting triangles"),
+            (self.inward_components.unwrap_or(0), "components with inward normals"),
+            (self.nodes_on_wrong_side.unwrap_or(0), "voxel centres on the wrong side of the mesh"),
         ];
         let mut failed: Vec<String> =
             counts.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
         if self.inward_components.is_none() && self.volume <= 0.0 {
-            failed.push(format!("the mesh faces inward: its volume is {:.6}", self.volume));
+            failed.push(format!("the normals point inward: the volume is {:.6}", self.volume));
         }
         if let Some(limit) = self.min_radius_ratio_allowed
             && self.quality.radius_ratio_min < limit
         {
             let (count, smallest) = (self.offenders.poor_triangles.len(), self.quality.radius_ratio_min);
-            failed.push(format!("{count} triangles with a radius ratio below {limit} (smallest {smallest:.4})"));
+            failed.push(format!("{count} triangles with a radius ratio below {limit} (minimum {smallest:.4})"));
         }
         if let (Some(limit), Some(distance)) = (self.max_vertex_distance_allowed, self.vertex_distance)
             && !self.offenders.distant_vertices.is_empty()
         {
             let count = self.offenders.distant_vertices.len();
-            failed
-                .push(format!("{count} vertices farther than {limit} voxel from F = 0 (farthest {:.6})", distance.max));
+            failed.push(format!(
+                "{count} vertices with a deviation of more than {limit} voxel from F = 0 (maximum {:.6})",
+                distance.max
+            ));
         }
         failed
     }
@@ -354,30 +354,30 @@ mod tests {
 
         let mut open = good.clone();
         open.triangles.pop();
-        assert_eq!(failed(&open), "3 open edges (in one triangle only)");
+        assert_eq!(failed(&open), "3 open edges (edges of only one triangle)");
 
         let mut inward = good.clone();
         inward.triangles.iter_mut().for_each(|t| t.swap(0, 1));
-        assert_eq!(failed(&inward), "1 components that face into the object");
-        assert!(check(&inward, &CheckOptions::default()).failed_checks()[0].contains("faces inward"));
+        assert_eq!(failed(&inward), "1 components with inward normals");
+        assert!(check(&inward, &CheckOptions::default()).failed_checks()[0].contains("point inward"));
 
         let mut crossing = good.clone();
         crossing.vertices[0] = DVec3::splat(5.7) * 2.0 - crossing.vertices[0];
         let told = failed(&crossing);
-        assert!(told.contains("cross") && !told.contains("edges"), "{told}");
+        assert!(told.contains("intersecting") && !told.contains("edges"), "{told}");
 
         let mut distant = good.clone();
         distant.vertices[3] = DVec3::splat(5.7) + 1.025 * (good.vertices[3] - DVec3::splat(5.7));
-        assert!(failed(&distant).contains("1 vertices farther than 0.1 voxel"));
+        assert!(failed(&distant).contains("1 vertices with a deviation of more than 0.1 voxel"));
 
         let mut flat = good.clone();
         let [a, b, c] = flat.triangles[5];
         flat.vertices[c as usize] = 0.5 * (flat.vertices[a as usize] + flat.vertices[b as usize]);
         let told = failed(&flat);
-        assert!(told.contains("1 triangles without area") && told.contains("radius ratio below 0.3"), "{told}");
+        assert!(told.contains("1 triangles of zero area") && told.contains("radius ratio below 0.3"), "{told}");
 
         let twice = shapes::union(&[good.clone(), good.clone()]);
-        assert!(failed(&twice).contains("cross"), "{}", failed(&twice));
+        assert!(failed(&twice).contains("intersecting"), "{}", failed(&twice));
 
         let mut broken = good;
         broken.triangles[0][0] = 1_000_000;

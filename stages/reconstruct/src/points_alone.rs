@@ -61,7 +61,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let failed = checked.failed_checks();
     drop(step);
     warn(&cocone, context);
-    let skipped = "skipped: there is no distance field";
+    let skipped = "skipped: no distance field was given";
     for key in ["refine", "improve", "topology"] {
         context.report(key, skipped);
     }
@@ -127,10 +127,10 @@ pub(crate) fn warn(cocone: &CoconeReport, context: &Context) {
         ));
     }
     if share(cocone.unused) > MANY_UNUSED {
-        context.warn(format!("{} of {} points are in no triangle", cocone.unused, cocone.points));
+        context.warn(format!("{} of {} points are not vertices of the mesh", cocone.unused, cocone.points));
     }
     if cocone.normals_near_poles.is_some() && !cocone.normals_taken {
-        context.warn("the normals given do not agree with the shape of the points and were not used");
+        context.warn("the given normals contradict the shape of the points and were not used");
     }
 }
 

@@ -44,14 +44,14 @@ pub struct SurfacePoints {
 pub fn not_triangulated(error: isoparticles_delaunay::Error) -> Error {
     use isoparticles_delaunay::Error as Cause;
     let (why, next) = match error {
-        Cause::Coordinate(_) => {
-            ("the exact predicates hold up to 1e50", "check the program or file that the points come from")
-        }
+        Cause::Coordinate(_) => ("the exact predicates work up to 1e50", "check the source of the points"),
         Cause::TooFew(_) | Cause::Collinear(_) | Cause::Coplanar(_) => (
-            "a triangulation of space needs four points that are not in one plane",
-            "check that the points sample a closed surface and that no axis was flattened",
+            "a tetrahedralization needs four points that are not coplanar",
+            "check that the points sample a closed surface and that no coordinate is constant",
         ),
-        Cause::TooManyPoints(_) | Cause::TooManyTetrahedra(_) => ("they are counted with 32 bits", "thin the points"),
+        Cause::TooManyPoints(_) | Cause::TooManyTetrahedra(_) => {
+            ("the limit is 2^32 points", "reduce the number of points")
+        }
     };
     Error::input(error.to_string(), why, next)
 }
@@ -160,8 +160,8 @@ pub fn prepare(particles: &ParticleSet, field: &CubicSpline) -> Result<SurfacePo
     if particles.sizes.len() != count {
         return Err(Error::input(
             format!("{count} particles with {} target edge lengths", particles.sizes.len()),
-            "each particle needs its own",
-            "rerun the stage `particles`",
+            "each particle needs one",
+            "run the stage `particles` again",
         ));
     }
     let mut report = PrepareReport { particles: count, ..Default::default() };
@@ -188,8 +188,8 @@ pub fn prepare(particles: &ParticleSet, field: &CubicSpline) -> Result<SurfacePo
     if positions.len() < 4 || positions.len() * 2 < count {
         return Err(Error::input(
             format!("only {} of {count} particles lie within {LONGEST_MOVE} voxel of F = 0", positions.len()),
-            "a surface needs particles on it; the particles and the distance field do not seem to belong together",
-            "give the distance field that the particles were made from, or rerun `seed` and `particles`",
+            "the particles do not lie on the surface of this distance field, so the files probably do not belong together",
+            "pass the distance field that the particles were made from, or run `seed` and `particles` again",
         ));
     }
     Ok(SurfacePoints { positions, sizes, report, ..SurfacePoints::default() })

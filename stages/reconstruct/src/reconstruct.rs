@@ -232,7 +232,7 @@ fn judge(
     failed.extend(wrong);
     if let Some(count) = refined.unresolved.get(&Reason::CriticalPoint) {
         doubtful.push(format!(
-            "{count} critical points of F on the wrong side: necks, gaps or specks there are thinner than the particles can tell"
+            "{count} critical points of F are on the wrong side of the mesh: necks, gaps or specks there are too thin for the particle spacing"
         ));
     }
     (failed, doubtful)

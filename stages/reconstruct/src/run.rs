@@ -174,13 +174,13 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         (None, Method::TightCocone) => points_alone::run(args, context),
         (None, Method::Restricted) => Err(Error::input(
             format!("{particles}: no distance field is given"),
-            "--method restricted tells inside from outside by it",
-            "give --distfield F.vti, or --method tight-cocone to go by the points alone",
+            "--method restricted needs it to separate inside from outside",
+            "pass --distfield F.vti, or use --method tight-cocone to mesh the points without a field",
         )),
         (Some(field), _) if is_point_cloud(&args.particles) => Err(Error::input(
-            format!("{particles}: is a point cloud, and {} the distance field of a volume", field.display()),
-            "only particles know their place in the grid of the field",
-            "leave out --distfield and give --method tight-cocone, or give the particles made from the field",
+            format!("{particles}: is a point cloud, but {} is the distance field of a volume", field.display()),
+            "a point cloud has no position in the grid of the field",
+            "omit --distfield and use --method tight-cocone, or pass the particles made from the field",
         )),
         (Some(field), _) if is_materials(field) => crate::materials::run::run(args, field, context),
         (Some(field), _) => {
@@ -198,7 +198,7 @@ fn check_each(args: &Args, field: &Path) -> Result<()> {
     Err(Error::input(
         format!("{}: is the distance field of one object", field.display()),
         "--each writes the surfaces of many materials",
-        "leave out --each, or give the file that distfield --material writes",
+        "omit --each, or pass the file that distfield --material writes",
     ))
 }
 
@@ -208,7 +208,7 @@ pub(crate) fn read_settled(args: &Args, context: &Context) -> Result<ParticleSet
     let file = read_particles(&args.particles, &kinds)?;
     if file.kind != ParticleKind::Particles {
         let (path, kind) = (args.particles.display(), file.kind.name());
-        context.warn(format!("{path}: holds {kind}, not settled particles; expect worse triangles"));
+        context.warn(format!("{path}: contains {kind} instead of settled particles, so the triangles will be worse"));
     }
     context.add_input(&args.particles, Some(file.history))?;
     Ok(file.particles)
@@ -229,7 +229,7 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
     context.check_memory(
         particles_bytes(count as f64, field.image.geometry.voxel_count()),
         &format!("{}: {count} particles", args.particles.display()),
-        "make fewer of them: sizefield --min-size, --scale or --quality coarse",
+        "reduce their number: sizefield --min-size, --scale or --quality coarse",
     )?;
     let sizing = match (&args.sizefield, sizing) {
         (Some(path), Some(sizing)) => {
@@ -280,12 +280,12 @@ pub(crate) fn check_offenders(args: &Args) -> Result<()> {
         None => Ok(()),
         Some(input) => Err(Error::input(
             format!(
-                "{}: is an input, and the name for the offending simplices of {}",
+                "{}: this input has the name of the file for the offending simplices of {}",
                 input.display(),
                 args.output.display()
             ),
-            "that file is replaced when a check fails, and removed when all hold",
-            "give the output or the input another name",
+            "that file is replaced if a check fails, and removed if all checks pass",
+            "rename the output or the input",
         )),
     }
 }
@@ -334,7 +334,7 @@ fn remove_stale(path: &Path, context: &Context) {
     if path.exists()
         && let Err(error) = std::fs::remove_file(path)
     {
-        context.warn(format!("{}: is left from an earlier run and cannot be removed: {error}", path.display()));
+        context.warn(format!("{}: cannot remove this file of an earlier run: {error}", path.display()));
     }
 }
 
@@ -358,11 +358,11 @@ fn tell(made: &Reconstruction, context: &Context) {
     if let (Some(v), Some(c)) = (checked.vertex_distance, checked.centroid_distance) {
         context.summary(
             "distance from F = 0, voxels",
-            format!("vertices at most {:.1e}; centroids mean {:.4}, largest {:.3}", v.max, c.mean, c.max),
+            format!("vertices at most {:.1e}; centroids mean {:.4}, maximum {:.3}", v.max, c.mean, c.max),
         );
     }
     if let Some(nodes) = checked.nodes_on_wrong_side {
-        context.summary("grid nodes on the wrong side", nodes);
+        context.summary("voxel centres on the wrong side", nodes);
     }
 }
 
@@ -378,10 +378,10 @@ pub(crate) fn describe_mesh(
     context.summary("components", format!("{}{expected}", checked.components.len()));
     context.summary("Euler characteristic", checked.euler);
     let dropped = prepared.invalid + prepared.not_projected + prepared.crowded;
-    context.summary("particles taken, not taken", format!("{taken}, {dropped}"));
+    context.summary("particles used, not used", format!("{taken}, {dropped}"));
     context.summary(
         "radius ratio",
-        format!("mean {:.4}, smallest {:.4}", quality.radius_ratio_mean, quality.radius_ratio_min),
+        format!("mean {:.4}, minimum {:.4}", quality.radius_ratio_mean, quality.radius_ratio_min),
     );
     context.summary("angles, degrees", format!("{:.1} to {:.1}", quality.angle_min, quality.angle_max));
     context.summary("area, mm^2; volume, mm^3", format!("{:.6e}; {:.6e}", checked.area, checked.volume));

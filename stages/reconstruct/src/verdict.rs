@@ -3,10 +3,12 @@
 
 use crate::defects::{Defects, Found};
 use crate::object::component_at;
+use glam::DVec3;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::{FieldTopology, TopologySummary};
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_stage::cli::values::place;
+use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -21,7 +23,7 @@ pub struct TopologyReport {
     pub euler: i64,
     /// Triangles whose corners lie on different components of F = 0 that no undecided place can join.
     pub joining_triangles: usize,
-    /// Components of F = 0 that the mesh lacks, each by a place next to it, grid frame, mm.
+    /// Components of F = 0 that the mesh lacks: a point near each of them, in world coordinates (mm).
     pub missing: Vec<[f64; 3]>,
     /// Components of the mesh that lie near none of F = 0, beyond those that undecided places may be.
     pub superfluous: usize,
@@ -32,7 +34,7 @@ pub struct TopologyReport {
 /// A group of components that mesh and F have in different ways.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Difference {
-    /// A place next to its first component, grid frame, mm.
+    /// A point near its first component, in world coordinates (mm).
     pub place: [f64; 3],
     /// What the mesh has there.
     pub mesh: Found,
@@ -50,7 +52,9 @@ impl TopologyReport {
         let component_of: Vec<u32> = mesh.vertices.par_iter().map(|&p| component_at(p, field, topology)).collect();
         // what is no manifold is told elsewhere
         let defects = Defects::find(&mesh.triangles, &component_of, topology, |_, _| true);
-        let difference = |found: &Found| Difference::new(*found, topology);
+        let geometry = field.geometry();
+        let missing = |&c: &u32| geometry.grid_to_world(topology.components()[c as usize].place).to_array();
+        let difference = |found: &Found| Difference::new(*found, topology, geometry);
         let specks = topology.groups().all().iter().filter(|group| group.components.is_empty());
         let specks: usize = specks.map(|group| *group.component_count.end()).sum();
         Self {
@@ -58,7 +62,7 @@ impl TopologyReport {
             components: defects.component_count,
             euler: defects.euler,
             joining_triangles: defects.bridges.len(),
-            missing: defects.missing.iter().map(|&c| topology.components()[c as usize].place.to_array()).collect(),
+            missing: defects.missing.iter().map(missing).collect(),
             superfluous: defects.strangers.saturating_sub(specks),
             wrong: defects.in_pieces.iter().chain(&defects.wrong_genus).map(difference).collect(),
         }
@@ -69,14 +73,14 @@ impl TopologyReport {
     pub fn differences(&self, is_open: bool) -> (Vec<String>, Vec<String>) {
         let mut failed = Vec::new();
         if self.joining_triangles > 0 {
-            failed.push(format!("{} triangles that join different components of F = 0", self.joining_triangles));
+            failed.push(format!("{} triangles join different components of F = 0", self.joining_triangles));
         }
         if let Some(first) = self.missing.first() {
             let count = self.missing.len();
             failed.push(format!("{count} components of F = 0 are missing, the first at {} mm", place(*first)));
         }
         if self.superfluous > 0 {
-            failed.push(format!("{} components that F = 0 does not have", self.superfluous));
+            failed.push(format!("{} components do not exist in F = 0", self.superfluous));
         }
         let (wrong, open): (Vec<_>, Vec<_>) =
             self.wrong.iter().partition(|d| !is_open || d.mesh.components > d.components[2]);
@@ -95,14 +99,14 @@ impl TopologyReport {
 }
 
 impl Difference {
-    fn new(mesh: Found, topology: &FieldTopology) -> Self {
+    fn new(mesh: Found, topology: &FieldTopology, geometry: &Geometry) -> Self {
         let group = &topology.groups().all()[mesh.group as usize];
         let components = || group.components.iter().map(|&c| &topology.components()[c as usize]);
         let euler = components().map(|c| c.euler).sum();
-        let place = components().next().map(|c| c.place.to_array());
-        let speck = || group.undecided.first().map(|&n| topology.undecided()[n as usize].place);
+        let place = components().next().map(|c| c.place);
+        let speck = || group.undecided.first().map(|&n| DVec3::from_array(topology.undecided()[n as usize].place));
         Self {
-            place: place.or_else(speck).unwrap_or_default(),
+            place: place.or_else(speck).map(|p| geometry.grid_to_world(p).to_array()).unwrap_or_default(),
             mesh,
             components: [group.components.len(), *group.component_count.start(), *group.component_count.end()],
             euler: [euler, *group.euler.start(), *group.euler.end()],
@@ -168,7 +172,7 @@ mod tests {
         joined.triangles.extend([[p, q, u], [q, w, u], [q, r, w], [r, v, w], [r, p, v], [p, u, v]]);
         joined.triangles.retain(|t| *t != good.triangles[a] && *t != good.triangles[b]);
         let (failed, _) = report(&joined, &scene).differences(false);
-        assert!(failed[0].contains("6 triangles that join different components"), "{failed:?}");
+        assert!(failed[0].contains("6 triangles join different components"), "{failed:?}");
 
         // a third ball beside them
         let mut more = good.clone();
@@ -177,7 +181,7 @@ mod tests {
         more.vertices.extend(beside);
         more.triangles.extend(lost.triangles.iter().map(|t| t.map(|v| v + count)));
         let (failed, _) = report(&more, &scene).differences(false);
-        assert_eq!(failed, ["1 components that F = 0 does not have"]);
+        assert_eq!(failed, ["1 components do not exist in F = 0"]);
 
         let holed = report(&marching_cubes(&scenes::pierced().image, 0.0), &scenes::pierced());
         let (failed, _) = holed.differences(false);

@@ -262,12 +262,12 @@ def test_what_to_do_stands_beside_a_failed_check(case: Path, tmp_path: Path) -> 
     (folder / "a&b.report.json").write_text(json.dumps(report))
     (folder / "a&b.volume.vtu").rename(folder / "a&b.volume.failed.vtu")
     own = {"state": "failed", "outputs": [], "kept": ["a&b.volume.failed.vtu"]}
-    surface = {"state": "failed", "failed_checks": ["3 pairs of triangles that cross"]}
+    surface = {"state": "failed", "failed_checks": ["3 pairs of intersecting triangles"]}
     status = write_status(folder, "a&b", verdict="failed", stages={"tetmesh-check": own, "reconstruct": surface})
     elements = made(status, folder / "x.html")
     assert ADVICE["min_dihedral"] in elements.words
     assert ADVICE["bodies"] not in elements.words
-    assert "reconstruct: 3 pairs of triangles that cross" + advice_for("", "triangles that cross") in elements.words
+    assert "reconstruct: 3 pairs of intersecting triangles" + advice_for("", "intersecting triangles") in elements.words
     assert "Not fit for simulation: 2 checks failed, 1 warning" in elements.words
     assert "kept, although a check failed" in elements.words
     assert "In three dimensions" in elements.words  # what failed is there to be looked at

@@ -182,7 +182,7 @@ pub fn check(interfaces: &Interfaces, options: &CheckOptions) -> ComplexReport {
     let mut report =
         ComplexReport { vertices: mesh.vertices.len(), triangles: mesh.triangles.len(), ..ComplexReport::default() };
     if !mesh.is_well_formed() || mesh.triangles.is_empty() {
-        report.failed.push("the mesh has no triangles, or coordinates that are no numbers".to_owned());
+        report.failed.push("the mesh has no triangles, or a coordinate is not finite".to_owned());
         return report;
     }
     report.quality = summarise(mesh);
@@ -381,15 +381,15 @@ fn look_at_nodes(
 fn failed(report: &ComplexReport, offenders: &Offenders, options: &CheckOptions) -> Vec<String> {
     let kept = if options.keeps_nodes { report.nodes_changed } else { 0 };
     let counts = [
-        (report.bad_edges, "edges in another number of triangles than the materials round them tell"),
-        (report.spurious_junction_edges, "edges of more than two triangles that lie on no junction curve"),
-        (report.missing_segments, "segments of junction curves that are no edges between their materials"),
-        (report.material_edges_not_closed, "edges at which a material's surface is open or touches itself"),
-        (report.material_vertices_pinched, "vertices at which a material's surface touches itself"),
-        (report.zero_area_triangles, "triangles without area"),
-        (report.self_intersections, "pairs of triangles that cross"),
-        (report.missing_components, "components of materials that are missing"),
-        (kept, "grid nodes in another material"),
+        (report.bad_edges, "edges with a number of triangles that contradicts the materials around them"),
+        (report.spurious_junction_edges, "edges of more than two triangles away from junction curves"),
+        (report.missing_segments, "segments of junction curves that are not edges between their materials"),
+        (report.material_edges_not_closed, "edges where the surface of a material is open or touches itself"),
+        (report.material_vertices_pinched, "vertices where the surface of a material touches itself"),
+        (report.zero_area_triangles, "triangles of zero area"),
+        (report.self_intersections, "pairs of intersecting triangles"),
+        (report.missing_components, "missing components of materials"),
+        (kept, "voxel centres in the wrong material"),
     ];
     let mut failed: Vec<String> =
         counts.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
@@ -397,7 +397,7 @@ fn failed(report: &ComplexReport, offenders: &Offenders, options: &CheckOptions)
         && !offenders.poor.is_empty()
     {
         let (count, smallest) = (offenders.poor.len(), report.smallest_elsewhere);
-        failed.push(format!("{count} triangles with a radius ratio below {limit} (smallest {smallest:.4})"));
+        failed.push(format!("{count} triangles with a radius ratio below {limit} (minimum {smallest:.4})"));
     }
     if !options.accept_forced
         && let Some(forced) = report.forced()
@@ -408,7 +408,7 @@ fn failed(report: &ComplexReport, offenders: &Offenders, options: &CheckOptions)
         let (count, limit, farthest) =
             (offenders.distant.len(), options.max_vertex_distance, report.vertex_distance.max);
         failed.push(format!(
-            "{count} vertices farther than {limit} voxel from a sheet of theirs (farthest {farthest:.6})"
+            "{count} vertices with a deviation of more than {limit} voxel from their interface (maximum {farthest:.6})"
         ));
     }
     failed

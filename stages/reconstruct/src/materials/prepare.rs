@@ -102,8 +102,8 @@ pub fn prepare(particles: &ParticleSet, strata: &Strata, indicators: &dyn Indica
                 particles.sizes.len(),
                 strata.of.len()
             ),
-            "each particle needs its own",
-            "rerun the stages `seed` and `particles`",
+            "each particle needs one",
+            "run the stages `seed` and `particles` again",
         ));
     }
     let mut report =
@@ -124,8 +124,8 @@ pub fn prepare(particles: &ParticleSet, strata: &Strata, indicators: &dyn Indica
     if taken < 4 || taken * 2 < count {
         return Err(Error::input(
             format!("only {taken} of {count} particles lie within {LONGEST_MOVE} voxel of their strata"),
-            "interfaces need particles on them; the particles and the materials do not seem to belong together",
-            "give the materials that the particles were made from, or rerun `seed` and `particles`",
+            "the particles do not lie on the interfaces of these materials, so the files probably do not belong together",
+            "pass the file of materials that the particles were made from, or run `seed` and `particles` again",
         ));
     }
     let mut points = points;

@@ -108,7 +108,7 @@ fn what_cannot_be_is_refused_and_a_failed_check_is_shown() {
     refused(&["plain.bin", "--distfield", "f.vti", "-o", "s.vtp"], "no strata");
     let open = Case::new(&scenes::two_balls(), &json!({"version": 1, "border": "open"}));
     let error = open.run(&["p.bin", "--distfield", "f.vti", "-o", "s.vtp"]).expect_err("open");
-    assert!(error.what.contains("beyond the border"), "{error:?}");
+    assert!(error.what.contains("open at the border"), "{error:?}");
     let words = ["p.bin", "--distfield", "f.vti", "-o", "s.vtp", "--min-radius-ratio", "1"];
     let Outcome::ChecksFailed(failed) = case.run(&words).expect("made") else { panic!("passed") };
     assert!(failed.len() == 1 && failed[0].contains("radius ratio"), "{failed:?}");

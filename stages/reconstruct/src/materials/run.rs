@@ -27,9 +27,9 @@ pub(crate) fn check_method(args: &Args, path: &Path) -> Result<()> {
         return Ok(());
     }
     Err(Error::input(
-        format!("{}: holds the indicators of many materials", path.display()),
-        "--method tight-cocone knows one object and its outside",
-        "leave out --method",
+        format!("{}: contains the indicators of many materials", path.display()),
+        "--method tight-cocone meshes only one object",
+        "omit --method",
     ))
 }
 
@@ -47,13 +47,13 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
     let Some(strata) = file.strata else {
         return Err(Error::input(
             format!("{}: the particles have no strata", args.particles.display()),
-            "each must know the materials that meet where it is",
-            "give the particles made from the same materials",
+            "each particle needs the materials that meet at it",
+            "pass the particles made from the same materials",
         ));
     };
     if file.kind != ParticleKind::Particles {
         let (path, kind) = (args.particles.display(), file.kind.name());
-        context.warn(format!("{path}: holds {kind}, not settled particles; expect worse triangles"));
+        context.warn(format!("{path}: contains {kind} instead of settled particles, so the triangles will be worse"));
     }
     context.add_input(&args.particles, Some(file.history))?;
     let given = read_materials(path)?;
@@ -62,8 +62,8 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
     let told: MaterialsMeta = meta::typed(path, &given.meta, "distfield")?;
     if told.border == Some(Border::Open) {
         return Err(Error::input(
-            format!("{}: its materials run on beyond the border of the volume", path.display()),
-            "their interfaces cannot be closed there",
+            format!("{}: the materials are open at the border of the volume", path.display()),
+            "interfaces of many materials must be closed there",
             "run distfield with --border cap",
         ));
     }
@@ -71,7 +71,7 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
     context.check_memory(
         particles_bytes(count as f64, geometry.voxel_count()),
         &format!("{}: {count} particles", args.particles.display()),
-        "make fewer of them: sizefield --min-size or --quality coarse",
+        "reduce their number: sizefield --min-size or --quality coarse",
     )?;
     context.add_input(path, given.history.clone())?;
     let sizing = args.sizefield.as_deref().map(|size| read_sizing(size, (path, &geometry), context)).transpose()?;
@@ -105,7 +105,7 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
     };
     if args.output.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("vtp")) {
         context.warn(format!(
-            "{}: the names of the materials are written to .vtp alone, and .stl keeps no numbers of triangles either",
+            "{}: only .vtp files store the names of the materials; .stl files do not store the materials of the triangles either",
             args.output.display()
         ));
     }
@@ -148,9 +148,9 @@ fn write_each(
     let step = context.step("write each");
     std::fs::create_dir_all(folder).map_err(|error| {
         Error::input(
-            format!("{}: cannot be made: {error}", folder.display()),
-            "the surface of each material goes into this folder",
-            "name a folder that may be written",
+            format!("{}: cannot create the folder: {error}", folder.display()),
+            "the surfaces of the materials are written to this folder",
+            "choose a folder that you can write to",
         )
     })?;
     let ending = args.output.extension().map_or_else(|| "vtp".into(), |ending| ending.to_string_lossy().into_owned());
@@ -229,7 +229,7 @@ fn tell(made: &Reconstruction, context: &Context) {
     describe(checked, context);
     let lost = &taken.particles;
     context.summary(
-        "particles taken, not taken",
+        "particles used, not used",
         format!(
             "{}, {}",
             lost.particles - lost.not_projected.min(lost.particles),
@@ -238,7 +238,7 @@ fn tell(made: &Reconstruction, context: &Context) {
     );
     context.summary(
         "points added",
-        format!("{}, of these {} on junction curves", refined.inserted.values().sum::<usize>(), refined.on_curves),
+        format!("{}, {} of them on junction curves", refined.inserted.values().sum::<usize>(), refined.on_curves),
     );
     if !refined.unresolved.is_empty() {
         let left: Vec<String> =
@@ -268,16 +268,16 @@ fn describe(checked: &ComplexReport, context: &Context) {
         "components missing, specks missing",
         format!("{}, {}", checked.missing_components, checked.missing_specks),
     );
-    context.summary("grid nodes in another material", checked.nodes_changed);
+    context.summary("voxel centres in the wrong material", checked.nodes_changed);
     context.summary(
         "radius ratio",
-        format!("mean {:.4}, smallest {:.4}", quality.radius_ratio_mean, quality.radius_ratio_min),
+        format!("mean {:.4}, minimum {:.4}", quality.radius_ratio_mean, quality.radius_ratio_min),
     );
     context.summary("angles, degrees", format!("{:.1} to {:.1}", quality.angle_min, quality.angle_max));
     context.summary(
-        "distance from the sheets, voxels",
+        "distance from the interfaces, voxels",
         format!(
-            "vertices at most {:.1e}; centroids mean {:.4}, largest {:.3}",
+            "vertices at most {:.1e}; centroids mean {:.4}, maximum {:.3}",
             checked.vertex_distance.max, checked.centroid_distance.mean, checked.centroid_distance.max
         ),
     );

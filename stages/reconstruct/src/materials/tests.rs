@@ -439,15 +439,15 @@ fn each_check_finds_what_is_damaged() {
             let t = plain(i);
             i.mesh.triangles[t].swap(0, 1);
         }),
-        ("no edges between their materials", &|i| {
+        ("not edges between their materials", &|i| {
             i.segments.push(([0, i.mesh.vertices.len() as u32 - 1], stratum(&[1, 2, 3])))
         }),
-        ("on no junction curve", &|i| i.segments.truncate(i.segments.len() - 1)),
-        ("triangles that cross", &|i| {
+        ("away from junction curves", &|i| i.segments.truncate(i.segments.len() - 1)),
+        ("intersecting triangles", &|i| {
             let v = i.mesh.triangles[plain(i)][0];
             i.mesh.vertices[v as usize] = CENTRE - 0.6 * (i.mesh.vertices[v as usize] - CENTRE);
         }),
-        ("from a sheet of theirs", &|i| {
+        ("from their interface", &|i| {
             let v = i.mesh.triangles[plain(i)][0];
             i.mesh.vertices[v as usize] += DVec3::splat(0.01);
         }),
@@ -456,7 +456,7 @@ fn each_check_finds_what_is_damaged() {
             i.mesh.vertices[a as usize] = i.mesh.vertices[a as usize].lerp(i.mesh.vertices[b as usize], 0.9);
         }),
         ("in another material", &|i| i.mesh.vertices.iter_mut().for_each(|p| *p = CENTRE + 0.8 * (*p - CENTRE))),
-        ("components of materials that are missing", &|i| {
+        ("missing components of materials", &|i| {
             let whole = MaterialId(1);
             for between in &mut i.between {
                 *between = between.map(|id| if id.0 > 1 { whole } else { id });

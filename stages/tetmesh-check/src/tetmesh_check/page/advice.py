@@ -54,15 +54,15 @@ _WORDS: tuple[tuple[str, str], ...] = (
         "use a smaller gradient of the edge length (DELTA=0.3) or smaller edges there (MIN_SIZE); the 3-D view shows "
         "the worst triangles ('worst 1 %')",
     ),
-    ("farther than", "use smaller edges (MIN_SIZE); RECONSTRUCT_OPTIONS='--max-vertex-distance' sets the limit"),
+    ("deviation of more than", "use smaller edges (MIN_SIZE); RECONSTRUCT_OPTIONS='--max-vertex-distance' sets the limit"),
     (
         "wrong side of the mesh",
         "use smaller edges (SIZE, MIN_SIZE); a mesh cannot represent features smaller than two edges",
     ),
-    ("that cross", _THIN),
+    ("intersecting triangles", _THIN),
     ("manifold", _THIN),
     ("open edges", _THIN),
-    ("without area", _THIN),
+    ("zero area", _THIN),
     ("different components", _THIN),
 )
 """By words in the failed checks of the other stages; the first match applies."""
