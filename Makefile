@@ -13,7 +13,7 @@ CARGO ?= cargo
 CARGO_TARGET_DIR ?= target
 # Folder of the programs. With NO_BUILD=yes they are not built first, as in tests of this file.
 BIN ?= $(CARGO_TARGET_DIR)/release
-# Where tetmesh-check finds isoparticles-volume, which reads volumes.
+# Folder in which tetmesh-check finds isoparticles-volume, which reads volumes.
 export ISOPARTICLES_BIN := $(abspath $(BIN))
 NO_BUILD ?=
 # The Python environment of tetmesh-check.
@@ -78,8 +78,8 @@ endif
 quote = '$(subst ','\'',$(1))'
 # $(call set,KEY): the user's setting, or the case file's as a --preset that the user can replace.
 set = $(if $(call by_user,$(1)),$(call quote,$(1)=$($(1))),$(if $($(1)),--preset $(call quote,$(1)=$($(1)))))
-# If these files change, the tetrahedra, or the page, are made again. convergence.py makes no
-# tetrahedra.
+# If one of these files changes, the tetrahedra or the page are made again. convergence.py is left
+# out because it makes no tetrahedra.
 TETMESH_FILES = $(wildcard stages/tetmesh-check/requirements*.lock) \
                 $(filter-out %/convergence.py,$(sort $(wildcard stages/tetmesh-check/src/tetmesh_check/*.py)))
 PAGE_FILES = $(sort $(wildcard stages/tetmesh-check/src/tetmesh_check/page/*.*))
@@ -171,7 +171,7 @@ export HELP
 help:
 	@printf '%s\n' "$$HELP"
 
-# These goals need the Python environment. The other ones make a page only if it is installed.
+# These goals need the Python environment. Other goals make a page only if it is installed.
 mesh page: build env
 distfield sizefield seed particles reconstruct surface verdict info clean: build
 $(CASE_GOALS):
@@ -192,9 +192,9 @@ TIME_LIMIT ?=
 batch: build env
 	@$(call case,batch) $(if $(LIST),--list $(call quote,$(LIST))) $(if $(TIME_LIMIT),--time-limit $(call quote,$(TIME_LIMIT))) --as-far-as $(GOAL)
 
-# The same list with Snakemake. PROFILE is local, slurm or a folder with a config.yaml;
-# CLUSTER_OPTIONS go to Snakemake. An invalid list is refused before any job; the summary and the
-# index are made however the jobs end.
+# Makes the rows of a list with Snakemake. PROFILE is local, slurm or a folder with a config.yaml;
+# CLUSTER_OPTIONS are passed to Snakemake. An invalid list is refused before any job starts. The
+# summary and the index are also made if jobs fail.
 PROFILE ?= local
 CLUSTER_OPTIONS ?=
 SNAKEMAKE_VENV ?= .venv-snakemake
@@ -221,7 +221,7 @@ $(SNAKEMAKE_VENV)/.made: pipelines/snakemake.lock | env
 	  --require-hashes -r pipelines/snakemake.lock
 	@touch $@
 
-# Index over all cases in OUT, also those that failed.
+# Makes the index of all cases in OUT, including failed cases.
 index: build env
 	@$(call case,index)
 
@@ -318,7 +318,7 @@ test-python: build env wheel
 	  && $(abspath $(VENV))/bin/mypy --strict --python-version 3.11 src/isoparticles \
 	  && WHEEL=$(abspath $(WHEEL)) $(abspath $(VENV))/bin/pytest -q -c pytest.ini
 
-# The documentation site, target/docs/index.html; every warning is an error.
+# Builds the documentation site, target/docs/index.html. Every warning is an error.
 docs: $(DOCS_VENV)/.made
 	$(DOCS_VENV)/bin/sphinx-build -W --keep-going --quiet docs $(CARGO_TARGET_DIR)/docs
 	@echo $(CARGO_TARGET_DIR)/docs/index.html
@@ -339,13 +339,13 @@ FUZZ_JOBS ?= 1
 fuzz:
 	@tests/fuzz/run.sh --seconds $(FUZZ_SECONDS) --jobs $(FUZZ_JOBS) $(FUZZ_TARGETS)
 
-# Licences, advisories and sources of the linked crates (deny.toml), and RustSec's own check. Needs
-# cargo-deny, cargo-audit and the network.
+# Checks licences, advisories and sources of the linked crates (deny.toml), and runs RustSec's own
+# check. Needs cargo-deny, cargo-audit and the network.
 deny:
 	$(CARGO) deny --locked check
 	$(CARGO) audit
 
-# Every stage on the torso phantom of the paper's size, from scratch; GOAL=surface omits the
+# Runs every stage from scratch on the torso phantom of the paper's size. GOAL=surface omits the
 # tetrahedra.
 PARTS ?= heart lungs ribs
 GOAL ?= mesh
@@ -356,24 +356,24 @@ bench-stages: build env
 	done; \
 	python3 tests/stage_table.py $(addprefix $(OUT)/bench/torso-,$(PARTS)) && exit $$status
 
-# The particles stage on the GPU against one CPU thread, for example with BENCH_OPTIONS="--adapter
-# NAME --sizes '2 1'".
+# Compares the particles stage on the GPU with one CPU thread. Example:
+# BENCH_OPTIONS="--adapter NAME --sizes '2 1'".
 BENCH_OPTIONS ?=
 bench-gpu: build
 	@stages/particles/benches/bench_gpu.sh --bin $(BIN) --work $(OUT)/bench-gpu $(BENCH_OPTIONS)
 
-# The particles stage on the CPU; BENCH_OPTIONS="--beside OLDER/particles" alternates with another
-# build.
+# Times the particles stage on the CPU. BENCH_OPTIONS="--beside OLDER/particles" alternates with
+# another build.
 bench-particles: build
 	@stages/particles/benches/bench_cpu.sh --bin $(BIN) --work $(OUT)/bench-gpu $(BENCH_OPTIONS)
 
-# The Delaunay triangulation against CGAL's, on the same particles. Needs g++, libcgal-dev and
-# libtbb-dev.
+# Compares the Delaunay triangulation with that of CGAL on the same particles. Needs g++,
+# libcgal-dev and libtbb-dev.
 bench-delaunay: build
 	@$(CARGO) build --release --locked -p isoparticles-delaunay --example bench_delaunay
 	@common/delaunay/benches/compare.sh --bin $(BIN) --work $(OUT)/bench-delaunay $(BENCH_OPTIONS)
 
-# The error of Poisson's equation on the ball at several edge lengths, mm.
+# Measures the error of Poisson's equation on the ball at several edge lengths (mm).
 SIZES ?= 4 2 1
 bench-convergence: build env
 	@for size in $(SIZES); do \
@@ -381,9 +381,8 @@ bench-convergence: build env
 	done
 	$(TETMESH_CHECK)-convergence $(foreach size,$(SIZES),$(OUT)/bench/ball-$(size)/ball-$(size).volume.vtu)
 
-# Our surfaces against marching cubes and a remesher on the same distance field, with the same
-# tetrahedralizer; for example COMPARE_OPTIONS="--surfaces particles remesh_botsch --fill-seconds
-# 600".
+# Compares our surfaces with marching cubes and a remesher on the same distance field, with the same
+# tetrahedralizer. Example: COMPARE_OPTIONS="--surfaces particles remesh_botsch --fill-seconds 600".
 COMPARED ?= ball mickey
 COMPARE_OPTIONS ?=
 # The remesher has a separate environment; REMESHER=no leaves it out.
@@ -403,21 +402,21 @@ $(BENCH_VENV)/.made: $(BENCH_LOCK) | env
 	$(BENCH_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes -r $(BENCH_LOCK)
 	@touch $@
 
-# N kills at random moments of a small chain; the results of the next run are compared with those of
-# an undisturbed run. KILL_SEED=2 gives other moments.
+# Kills a small chain N times at random moments and compares the results of the next run with those
+# of an undisturbed run. KILL_SEED=2 gives other moments.
 N ?= 100
 KILL_SEED ?= 1
 bench-kills: build env
 	@$(VENV)/bin/python tests/kills.py --count $(N) --seed $(KILL_SEED) --bin $(abspath $(BIN)) --tetmesh-check $(abspath $(TETMESH_CHECK))
 
-# Fifty phantoms, the small volumes of DATA and five broken rows as one batch: interrupted, run
-# again and checked. GOAL=mesh continues up to the tetrahedra.
+# Runs fifty phantoms, the small volumes of DATA and five broken rows as one batch. Interrupts the
+# batch, runs it again and checks the results. GOAL=mesh continues up to the tetrahedra.
 bench-batch: build env
 	@$(VENV)/bin/python tests/batch.py --bin $(abspath $(BIN)) --tetmesh-check $(abspath $(TETMESH_CHECK)) --goal $(if $(call by_user,GOAL),$(GOAL),surface) \
 	  $(if $(wildcard $(DATA)/mickey_labels.nrrd),--data $(DATA))
 
-# CalculiX, GetDP, FreeFEM and dolfinx, if installed (Debian: calculix-ccx getdp freefem++
-# libfreefem++ python3-dolfinx).
+# Solves with those of CalculiX, GetDP, FreeFEM and dolfinx that are installed (Debian: calculix-ccx
+# getdp freefem++ libfreefem++ python3-dolfinx).
 bench-solvers: build env
 	@for order in 1 2; do \
 	  $(MAKE) --no-print-directory mesh PHANTOM="ball --size 32" NAME=order-$$order ISO=100 SIZE=2 BACKEND=cpu TET_ORDER=$$order OUT=$(OUT)/bench/solvers NO_BUILD=yes VERBOSITY=-q \
@@ -439,9 +438,10 @@ $(NOTEBOOK_ENV)/.made: docs/notebooks/requirements.lock | env
 	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes --target $(NOTEBOOK_ENV) -r docs/notebooks/requirements.lock
 	@touch $@
 
-# Coarse meshes of the real volumes in DATA against those of gpytoolbox and CGAL from the same
-# smoothed fields. REMESHER=no makes only ours; with BENCH_OPTIONS=--no-distances any Python then
-# suffices. Another example: BENCH_OPTIONS="--tetrahedra .venv/bin/tetmesh-check --backend gpu".
+# Compares coarse meshes of the real volumes in DATA with those of gpytoolbox and CGAL from the same
+# smoothed fields. REMESHER=no makes only our meshes, which needs no Python package with
+# BENCH_OPTIONS=--no-distances. Another example: BENCH_OPTIONS="--tetrahedra
+# .venv/bin/tetmesh-check --backend gpu".
 SCALE_BENCH = stages/distfield/benches
 SCALE_CASES ?= @$(SCALE_BENCH)/solid.txt @$(SCALE_BENCH)/thin.txt
 SCALE_VERTICES ?= 1000 5000 20000 75000
@@ -451,15 +451,15 @@ bench-scale: build $(SCALE_PEERS)
 	DATA=$(DATA) $(SCALE_PYTHON) $(SCALE_BENCH)/scale.py $(SCALE_CASES) --vertices $(SCALE_VERTICES) --bin $(BIN) --work $(OUT)/bench-scale \
 	  $(if $(SCALE_PEERS),--peers $(BENCH_VENV)-scale/bin/python) $(BENCH_OPTIONS)
 
-# Blurred label maps, remeshed by every packaged remesher at several numbers of vertices, and the
-# plain meshes of marching cubes and surface nets.
+# Remeshes blurred label maps with every packaged remesher at several numbers of vertices. Also
+# makes the plain meshes of marching cubes and surface nets.
 REMESHER_CASES ?= @$(SCALE_BENCH)/remeshers.txt
 REMESHER_VERTICES ?= 5000 20000 75000 400000
 bench-remeshers: build env $(BENCH_VENV)-scale/.made
 	DATA=$(DATA) $(VENV)/bin/python $(SCALE_BENCH)/scale.py $(REMESHER_CASES) --vertices $(REMESHER_VERTICES) --bin $(BIN) --work $(OUT)/bench-remeshers \
 	  --peers $(BENCH_VENV)-scale/bin/python --programs marching-cubes surface-nets botsch cgal mmg pymeshlab instant-meshes acvd $(BENCH_OPTIONS)
 
-# Many materials against CGAL's Mesh_3 (g++, libcgal-dev), Cleaver and surface nets.
+# Compares meshes of many materials with CGAL's Mesh_3 (g++, libcgal-dev), Cleaver and surface nets.
 MATERIALS_CASES ?= 'mickey=$$DATA/mickey_labels.nrrd;--material all' 'torso=torso --kind label --size 134,65,89 --spacing 2.6;--material all --scale-for-size 3;--uniform 3'
 MATERIALS_BENCH = stages/reconstruct/benches
 bench-materials-peers: build env $(BENCH_VENV)-cleaver/.made
@@ -473,28 +473,28 @@ $(BENCH_VENV)-cleaver/.made: $(MATERIALS_BENCH)/cleaver.lock | env
 	$(BENCH_VENV)-cleaver/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes -r $(MATERIALS_BENCH)/cleaver.lock
 	@touch $@
 
-# From label maps to triangles of one edge length, against the remeshing of gpytoolbox and CGAL on
+# Compares triangles of one edge length from label maps with the remeshing of gpytoolbox and CGAL on
 # the same blurred labels.
 PEER_CASES ?= @$(SCALE_BENCH)/peers.txt
 bench-peers: build env $(SCALE_PEERS)
 	DATA=$(DATA) $(VENV)/bin/python $(SCALE_BENCH)/scale.py $(PEER_CASES) --as-given --no-distances --bin $(BIN) --work $(OUT)/bench-peers \
 	  $(if $(SCALE_PEERS),--peers $(BENCH_VENV)-scale/bin/python) $(BENCH_OPTIONS)
 
-# The same volumes through all stages on 1, 2, 4 ... threads, step by step; for example
+# Times each step of all stages on 1, 2, 4 ... threads, with the same volumes. Example:
 # BENCH_OPTIONS="--threads 2 4 8 16 --rounds 3".
 bench-scaling: build
 	DATA=$(DATA) python3 tests/scaling.py $(PEER_CASES) --bin $(BIN) --work $(OUT)/bench-scaling $(BENCH_OPTIONS)
 
-# The tables and figures of the paper, and the growth of every stage. Both need a GPU for all their
-# rows and resume where they were stopped. Examples: BENCH_OPTIONS="--tables 2 1", "--series cores",
-# "--time-limit 540", "--quick --no-gpu --json FILE".
+# Measures the tables and figures of the paper, and the growth of every stage. A GPU is needed for
+# complete tables. A stopped benchmark resumes. Examples: BENCH_OPTIONS="--tables 2 1", "--series
+# cores", "--time-limit 540", "--quick --no-gpu --json FILE".
 bench-paper: build
 	@python3 tests/results/paper.py --data $(DATA) --bin $(BIN) --work $(OUT)/paper --keep $(OUT)/paper-surfaces $(BENCH_OPTIONS)
 
 bench-growth: build
 	@python3 tests/results/growth.py --bin $(BIN) --work $(OUT)/growth $(BENCH_OPTIONS)
 
-# The page and the pictures of these two benchmarks.
+# Makes the page and the pictures of these two benchmarks.
 results-page: env
 	@$(VENV)/bin/python tests/results/page.py && $(VENV)/bin/python tests/results/plots.py \
 	  && { [ ! -d $(OUT)/paper-surfaces ] || $(VENV)/bin/python tests/results/plots.py --closeups $(OUT)/paper-surfaces; }

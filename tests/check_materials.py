@@ -4,7 +4,7 @@
 
 LABELS.vti is the output of `isoparticles-volume convert VOLUME -o LABELS.vti`. If
 `--smallest-island` has reassigned voxels, use the indicator file of distfield instead, which
-contains the material of each node; then only distfield itself has compared these with the labels.
+contains the material of each node. The check then does not compare these materials with the labels.
 The material of every voxel centre is found by tracing lines through the voxel centres and the
 triangles, starting outside. Junctions are compared by position; triangles and tetrahedra are
 measured. The check shares no code with the programs that made the files. The last line is `PASSED`

@@ -1,7 +1,7 @@
 """Comments and prose have at most 100 columns.
 
-Links, tables, code blocks and generated pages may be wider. The rooms that are to be rebuilt,
-``stages/reconstruct`` and ``stages/tetmesh-check``, are not looked at yet.
+Links, tables, code blocks and generated pages may be wider. ``stages/reconstruct`` and
+``stages/tetmesh-check`` are not checked yet.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ NAMES = {"Makefile", "Snakefile", "Containerfile", "run"}
 
 
 def files() -> list[str]:
-    """The tracked files that are checked."""
+    """Return the tracked files to check."""
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True)
     paths = [path for path in listed.stdout.splitlines() if (ROOT / path).is_file()]
     return [
@@ -36,7 +36,7 @@ def files() -> list[str]:
 
 
 def prose_of_markdown(text: str) -> Iterator[tuple[int, str]]:
-    """Lines that are neither in a code block nor a table."""
+    """Yield the numbers and text of lines outside code blocks and tables."""
     fenced = False
     for number, line in enumerate(text.splitlines(), 1):
         fence = line.lstrip().startswith("```")
@@ -46,7 +46,7 @@ def prose_of_markdown(text: str) -> Iterator[tuple[int, str]]:
 
 
 def prose_of_python(text: str) -> Iterator[tuple[int, str]]:
-    """Comments, and the lines of strings that are statements of their own."""
+    """Yield the numbers and text of lines with comments or docstrings."""
     lines = text.splitlines()
     before = tokenize.NEWLINE
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
@@ -59,14 +59,14 @@ def prose_of_python(text: str) -> Iterator[tuple[int, str]]:
 
 
 def prose_of_code(text: str, marks: tuple[str, ...]) -> Iterator[tuple[int, str]]:
-    """Lines that begin with a comment mark."""
+    """Yield the numbers and text of lines that begin with a comment mark."""
     for number, line in enumerate(text.splitlines(), 1):
         if line.lstrip().startswith(marks) and not line.lstrip().startswith(("#[", "#!")):
             yield number, line
 
 
 def prose(path: str, text: str) -> Iterator[tuple[int, str]]:
-    """Number and text of the lines of prose in a file."""
+    """Yield the numbers and text of the lines of prose in a file."""
     suffix = Path(path).suffix
     if suffix == ".md":
         return prose_of_markdown(text)
@@ -76,7 +76,7 @@ def prose(path: str, text: str) -> Iterator[tuple[int, str]]:
 
 
 def wide(path: str, text: str) -> list[str]:
-    """The lines of prose that are too wide; a line with a link may be."""
+    """Return messages about lines of prose that are too wide; a line with a link may be wider."""
     return [
         f"{path}:{number}: {len(line)} columns"
         for number, line in prose(path, text)

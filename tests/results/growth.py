@@ -4,8 +4,8 @@
     tests/results/growth.py [--bin target/release]                       # or: make bench-growth
     tests/results/growth.py --series cores materials --time-limit 540    # a part of it
 
-Needs only the stage programs and Python. A row of the JSON file is one stage at one size of a
-series, with the seconds and the peak memory of its report. The sizes of a series run in ascending
+Needs only the stage programs and Python. A row of the JSON file contains the seconds and the peak
+memory of one stage at one size of a series. The sizes of a series run in ascending
 order. A stage whose extrapolated time exceeds `--longest` is omitted at this and all larger sizes,
 and a row records this. Another call continues after the existing rows. `page.py` fits the
 exponents.
@@ -24,14 +24,14 @@ from pathlib import Path
 from measured import SHRINK, Bench, Row, Rows, begin, end, options, settled, stage_row
 
 VOLUMES = [64, 96, 128, 192, 256, 384, 512]
-"""Voxels along an edge; each volume contains the same torus with about PARTICLES particles."""
+"""Numbers of voxels along an edge; the torus is the same and has about PARTICLES particles."""
 EDGE = 128.0
 """Edge length of the volumes, mm."""
 PARTICLES = 50_000
 COUNTS = [10_000, 30_000, 100_000, 300_000, 1_000_000, 2_000_000, 5_000_000]
 """Numbers of particles on the bumpy torus of 128 x 128 x 128 voxels."""
 MATERIALS = [1, 3, 10, 30, 100]
-"""Numbers of cells that the ball is cut into."""
+"""Numbers of Voronoi cells in the ball."""
 CELLS_EDGE = 96
 """Number of voxels of 1 mm along an edge of the volume with several materials."""
 CELLS_H = 1.5
@@ -50,7 +50,7 @@ def cells(materials: int, edge: int) -> bytes:
     """Return an NRRD file of a ball that is divided into the Voronoi cells of random points.
 
     The labels are 1 to `materials`, and 0 outside. Along a row of voxels, the squared distance to a
-    point is x^2 + a x + b, with a and b depending on the point. So the nearest points are the lower
+    point is x^2 + a x + b, where a and b depend on the point. The nearest points are thus the lower
     envelope of lines.
     """
     numbers = random.Random(materials)

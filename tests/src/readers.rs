@@ -170,8 +170,8 @@ fn sealed(bytes: &[u8]) -> Option<Vec<u8>> {
 /// Offset in bytes of the letters DICM in a slice.
 const SLICE_MAGIC: usize = 128;
 
-/// Splits concatenated slices. Each slice starts 128 bytes before the letters DICM. A volume needs
-/// at least two slices, so the reader would refuse a single slice before reading its pixels.
+/// Splits concatenated slices. Each slice starts 128 bytes before the letters DICM. The reader
+/// refuses a single slice before it reads the pixels, because a volume needs at least two slices.
 fn slices(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     let mut rest = Some(bytes);
     std::iter::from_fn(move || {

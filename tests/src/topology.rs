@@ -51,9 +51,8 @@ pub fn of_voxels(mask: &Image<bool>) -> Topology {
     Topology { components, cavities, euler: euler(&inside, padded.size) }
 }
 
-/// Returns the number of vertices - edges + faces - voxels of the cubical complex. A cell at the
-/// lower corner of voxel `(i, j, k)` belongs to the complex if any voxel that contains the cell is
-/// inside.
+/// Returns the Euler characteristic of the cubical complex: vertices - edges + faces - voxels. A
+/// cell belongs to the complex if any voxel that contains the cell is inside.
 fn euler(inside: &[bool], size: [usize; 3]) -> i64 {
     let stride = [1, size[0], size[0] * size[1]];
     let mut sum = 0;

@@ -7,11 +7,11 @@ use isoparticles_field::random;
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
-/// Width of the edge profile in units of the mean voxel spacing. The rise from 10 to 90 % takes 2.2
-/// widths.
+/// Width of the edge profile in units of the mean voxel spacing. The profile rises from 10 to 90 %
+/// over 2.2 widths (ln 9), which are 2.75 voxels.
 pub const EDGE_WIDTH_VOXELS: f64 = 1.25;
 
-/// Stream of the counter-based random numbers for the noise.
+/// Stream of the counter-based random numbers for the noise. Its bytes spell "noise!".
 const NOISE_STREAM: u64 = 0x6e6f_6973_6521;
 
 fn sampled<T: Copy + Send>(grid: &Geometry, f: impl Fn(DVec3, u64) -> T + Sync) -> Image<T> {

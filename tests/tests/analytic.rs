@@ -219,8 +219,8 @@ fn local_feature_size_stands_the_ripple_of_an_edge() {
     }
 }
 
-/// h on the surface is epsilon times the local feature size, which has a closed form for these
-/// shapes. The volume contains the exact distance, and the curvature bound is disabled.
+/// Tests that h on the surface is epsilon times the local feature size, which has a closed form for
+/// these shapes. The volume contains the exact distance, and the curvature bound is disabled.
 #[test]
 fn size_is_epsilon_times_local_feature_size() {
     let geometry = cube(64);
@@ -306,8 +306,8 @@ fn noisy_sizes(shape: Shape, n: usize, noise: f64) -> [f64; 4] {
 
 /// Noise of 5 % of the edge height makes bumps of 0.1 voxel (root mean square) on the surface and
 /// changes the medians by at most 10 %. Measured (ball, torus, two balls): local feature size -5,
-/// -4 and -7 %, h -4, 0 and -3 %. Measured on F itself, the local feature size of each shape falls
-/// to 1.3 voxels.
+/// -4 and -7 %, h -4, 0 and -3 %. If the noise counted as shape, the minimum local feature size of
+/// each shape would be 1.3 voxels.
 #[test]
 fn local_feature_size_and_h_stand_noise() {
     for (shape, n) in [(Shape::Ball, 56), (Shape::Torus, 64), (Shape::TwoBalls, 56)] {

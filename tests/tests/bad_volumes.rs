@@ -1,5 +1,5 @@
-//! Bad input of `distfield`, which reads the user's files. Tests that the exit code is 2, a
-//! three-part message describes the problem, and no file is left behind.
+//! Tests bad input of `distfield`, which reads the user's files. The exit code is 2, a three-part
+//! message describes the problem, and no file is left behind.
 
 mod support;
 

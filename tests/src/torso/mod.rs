@@ -17,7 +17,8 @@ use std::collections::BTreeMap;
 
 /// Number of voxels of the paper's volume along each axis.
 pub const PAPER_SIZE: [usize; 3] = [268, 129, 177];
-/// Spacing in mm that gives the volume the size of a chest.
+/// Spacing in mm. It gives the volume the size of a chest: 347.1 x 166.4 x 228.8 mm between the
+/// outermost voxel centres.
 pub const PAPER_SPACING: f64 = 1.3;
 
 /// Part of the torso.

@@ -2,8 +2,8 @@
 
 use glam::{DMat3, DVec3};
 
-/// Maximum of distance-like values, in mm of the reference frame. It exceeds the widths of every
-/// edge profile and blend, so pieces that are farther away can be skipped.
+/// Maximum of distance-like values, in mm of the reference frame. Every edge profile and blend is
+/// narrower, so pieces at a larger distance have no effect and are skipped.
 pub(super) const FAR: f64 = 25.0;
 
 /// Returns the smooth minimum, which is the union of two values, rounded over a width of `blend`.
@@ -46,7 +46,7 @@ impl Ellipsoid {
     }
 }
 
-/// Number of straight pieces of a tube that share a bounding box.
+/// Number of straight pieces of a tube that share a bounding box. It affects only the time.
 const RUN: usize = 8;
 
 /// A tube along a polyline, with a radius at each point.

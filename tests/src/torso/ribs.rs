@@ -46,8 +46,8 @@ impl Blade {
     }
 }
 
-/// Returns the semi-axes of the elliptic hoop of a rib. Ribs are counted from 0, and fractions lie
-/// between two ribs. Hoops are narrow at the top and wide below.
+/// Returns the semi-axes of the elliptic hoop of a rib. Ribs are counted from 0; fractions give
+/// hoops between two ribs. Hoops are narrow at the top and wide below.
 fn hoop(rib: f64) -> (f64, f64) {
     let down = 1.0 - rib / 11.0;
     (142.0 * (1.0 - 0.58 * down.powi(3)), 64.0 * (1.0 - 0.45 * down.powi(3)))

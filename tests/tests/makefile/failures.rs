@@ -175,9 +175,9 @@ fn a_killed_run_is_told() {
     assert_eq!(case.status()["verdict"], "passed");
 }
 
-/// The stage of a killed program may write its output late: after the next run has removed old
-/// files, but before the next run starts the stage. Such a file does not belong to the user, so the
-/// status lists the file as the stage's result.
+/// The stage of a killed run may still write its output after the next run has removed old files
+/// and before the next run starts the stage. Such a file does not belong to the user, so the status
+/// lists the file as the stage's result.
 #[test]
 #[cfg(unix)]
 fn late_output_of_a_killed_run_is_made_again() {
@@ -196,8 +196,7 @@ fn late_output_of_a_killed_run_is_made_again() {
     assert!(!case.has("seeds.bin"));
 }
 
-/// Of two simultaneous runs of one case, the second run is refused and does not disturb the first
-/// run.
+/// A second simultaneous run of a case is refused and does not disturb the first run.
 #[test]
 fn two_runs_on_one_name_do_not_meet() {
     let case = Case::new();

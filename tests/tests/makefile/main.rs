@@ -149,7 +149,7 @@ fn make() -> Command {
 }
 
 /// Stand-ins for tetmesh-check and its page and index programs. The stand-in for tetmesh-check ends
-/// with the exit code from `end_with`. The pages contain the status files that they are made from.
+/// with the exit code from `end_with`. Each page contains the status files that it is made from.
 struct StandIn {
     folder: tempfile::TempDir,
 }

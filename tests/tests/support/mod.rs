@@ -40,7 +40,7 @@ pub fn binaries() -> &'static Path {
     })
 }
 
-/// How a program ended.
+/// Exit code and output of a program.
 #[derive(Debug)]
 pub struct Ended {
     /// Exit code.
@@ -75,7 +75,7 @@ impl Ended {
     }
 }
 
-/// Runs a program to its end.
+/// Runs a program and waits for its end.
 pub fn run(command: &mut Command) -> Ended {
     let output = command.stdin(Stdio::null()).output().unwrap_or_else(|e| panic!("{command:?} cannot be started: {e}"));
     Ended {
