@@ -1,4 +1,4 @@
-//! ContactReport: corrects the indicators so that materials touch exactly where their nodes do.
+//! Corrects the indicators so that materials touch exactly where their nodes do.
 //!
 //! Each indicator is computed separately and recedes where its material protrudes by a voxel. At a
 //! hole of one voxel in a thin layer, the materials on both sides recede, so the indicator of the
