@@ -4,7 +4,7 @@ use super::complex::{Complex, Mend, Violation};
 use super::prepare::onto;
 use super::segments::segment;
 use crate::labelled::Facet;
-use crate::queue::{Reason, Simplex};
+use crate::queue::{NEAREST_FOR_TOPOLOGY, Reason, Simplex};
 use crate::refine::nodes::AT_A_VERTEX;
 use glam::DVec3;
 use isoparticles_delaunay::INFINITE;
@@ -157,11 +157,16 @@ impl Nodes {
         };
         let size = complex.sizes[near as usize];
         let vertices_of = |t: Option<u32>| t.map_or(vec![near], |t| complex.labelled.delaunay().vertices(t).to_vec());
-        // where it cannot be at the foot, a facet round the node is refined
+        // Where the point cannot be at the foot, a facet around the node is refined. In a tube far
+        // thinner than h, all facets that pass the node by may be too small; any other is refined.
         let by_split = |vertices: Vec<u32>| {
-            let finite = vertices.into_iter().filter(|&v| v != INFINITE);
-            let splits = finite.filter_map(|v| self.by_split(complex, node, v));
-            splits.max_by(|a, b| a.radius.total_cmp(&b.radius).then(b.near.cmp(&a.near)))
+            let widest = |must_pass_by: bool| {
+                let finite = vertices.iter().filter(|&&v| v != INFINITE);
+                let splits = finite.filter_map(|&v| self.by_split(complex, node, v, must_pass_by));
+                let has_room = |split: &Violation| split.radius >= NEAREST_FOR_TOPOLOGY * split.size;
+                splits.filter(has_room).max_by(|a, b| a.radius.total_cmp(&b.radius).then(b.near.cmp(&a.near)))
+            };
+            widest(true).or_else(|| widest(false))
         };
         let Some((foot, stratum)) = target else {
             return by_split(vertices_of(t)).or_else(|| Some(of(Mend::None, 0.0, size, near)));
@@ -176,8 +181,9 @@ impl Nodes {
         by_split(vec![vertex]).or_else(|| by_split(vertices_of(t))).or(Some(at_foot))
     }
 
-    /// Refines a facet at a vertex next to a node that passes the node by: at the middle of its longest edge.
-    fn by_split(&self, complex: &Complex, node: usize, vertex: u32) -> Option<Violation> {
+    /// Refines a facet at a vertex next to a node, at the middle of its longest edge: one that
+    /// passes the node by, or any facet.
+    fn by_split(&self, complex: &Complex, node: usize, vertex: u32, must_pass_by: bool) -> Option<Violation> {
         let (place, own) = (self.place(node), MaterialId(self.material[node]));
         let passes_by = |f: &Facet| {
             let [a, b, c] = f.vertices.map(|v| complex.points()[v as usize]);
@@ -191,7 +197,8 @@ impl Nodes {
             let edge = (0..3).map(ends).max_by(|a, b| length(*a).total_cmp(&length(*b)))?;
             Some((length(edge), segment(edge[0], edge[1]), complex.sheet(f)))
         };
-        let facets = complex.labelled.facets_at(vertex).into_iter().filter(passes_by).filter_map(|f| longest(&f));
+        let is_meant = |f: &Facet| !must_pass_by || passes_by(f);
+        let facets = complex.labelled.facets_at(vertex).into_iter().filter(is_meant).filter_map(|f| longest(&f));
         let (length, edge, [i, j]) = facets.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)))?;
         let [a, b] = edge.map(|v| complex.points()[v as usize]);
         let size = complex.sizes[vertex as usize];
