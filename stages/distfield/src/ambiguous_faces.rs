@@ -1,9 +1,9 @@
 //! Finds ambiguous faces: grid faces whose opposite corners are on the same side and whose adjacent
-//! corners are not. Two parts of the object, or two gaps, touch only along an edge there.
+//! corners are not. Two parts of the object, or two gaps, touch there only along a voxel edge.
 //!
-//! The signs at the nodes do not determine whether the parts are connected there. Marching cubes
-//! decides by the saddle of the face. [`make_agree`] changes F until its saddles give the same
-//! decisions as those of the source. For labels, the level set follows a rule ([`crate::labels`]).
+//! The signs at the nodes do not determine whether these parts are connected. Marching cubes uses
+//! the sign of F at the saddle of the face. [`make_agree`] changes F until these signs are those of
+//! the source of F. For labels, a rule decides ([`crate::labels`]).
 
 use isoparticles_field::marching_cubes::saddle_value;
 use isoparticles_volume::Image;

@@ -53,6 +53,11 @@ impl Bits {
         }
     }
 
+    /// Adds the nodes of another set over the same nodes.
+    pub fn add(&mut self, other: &Self) {
+        self.words.iter_mut().zip(&other.words).for_each(|(word, other)| *word |= other);
+    }
+
     /// Returns the union of four copies of the set, each shifted up by one of `numbers`. No shifted
     /// node may lie beyond the grid.
     pub fn moved(&self, numbers: [usize; 4]) -> Self {

@@ -6,7 +6,7 @@
 //! through faces.
 
 use crate::bits::Bits;
-use crate::keep::parts_of_runs;
+use crate::keep::{Keep, parts_of_runs};
 use crate::occupancy::Occupancy;
 use crate::runs::Runs;
 use glam::DVec3;
@@ -120,11 +120,11 @@ pub fn remove_crumbs(level: &mut [f32], geometry: &Geometry, smallest: f64) -> R
 impl Changes {
     /// Compares the occupancy before smoothing with `level > 0`. Returns `None` if no level is
     /// positive. `volume` is the volume of the whole object before smoothing (mm^3), and `scale` is
-    /// the scale (mm).
+    /// the scale (mm). Vanished parts that `keep` drops anyway are not counted.
     ///
     /// # Errors
     /// If there are too many runs of voxels to label the parts.
-    pub fn between(before: &Occupancy, level: &[f32], volume: f64, scale: f64) -> Result<Option<Self>> {
+    pub fn between(before: &Occupancy, level: &[f32], volume: f64, scale: f64, keep: Keep) -> Result<Option<Self>> {
         let geometry = &before.geometry;
         let count = level.len();
         let old = Bits::of(count, |n| before.is_inside(n));
@@ -135,7 +135,8 @@ impl Changes {
         let changed: Vec<usize> = (0..count).into_par_iter().filter(|&n| old.holds(n) != new.holds(n)).collect();
         let mut depths: Vec<f64> = changed.par_iter().map(|&n| depth(&old, geometry, n)).collect();
         depths.par_sort_by(f64::total_cmp);
-        let (mut events, components) = compare_parts(&old, &new, geometry)?;
+        let (mut events, components, largest) = compare_parts(&old, &new, geometry)?;
+        events.retain(|event| event.kind != Kind::Gone || keep.keeps(event.volume, largest));
         events.extend(reaching_out(&old, &new, geometry, scale, Kind::Shortened)?);
         events.extend(reaching_out(&new, &old, geometry, scale, Kind::Filled)?);
         events.sort_by(|a, b| a.kind.cmp(&b.kind).then(b.volume.total_cmp(&a.volume)));
@@ -253,9 +254,9 @@ impl Parts {
     }
 }
 
-/// Returns events for parts that vanished, broke or merged, and the number of parts before and
-/// after.
-fn compare_parts(old: &Bits, new: &Bits, geometry: &Geometry) -> Result<(Vec<Event>, [usize; 2])> {
+/// Returns events for parts that vanished, broke or merged, the number of parts before and after,
+/// and the volume of the largest part before (mm^3).
+fn compare_parts(old: &Bits, new: &Bits, geometry: &Geometry) -> Result<(Vec<Event>, [usize; 2], f64)> {
     let [_, ny, nz] = geometry.size;
     let (before, after) = (Parts::of(old, geometry.size)?, Parts::of(new, geometry.size)?);
     let both = Runs::of(geometry.size, |n| old.holds(n) && new.holds(n));
@@ -281,13 +282,15 @@ fn compare_parts(old: &Bits, new: &Bits, geometry: &Geometry) -> Result<(Vec<Eve
     for (part, from) in came_from.iter().filter(|(_, from)| from.len() > 1) {
         events.push(after.sums[part].event(Kind::Joined, from.len(), geometry));
     }
-    Ok((events, [before.sums.len(), after.sums.len()]))
+    let largest = before.sums.values().map(|sum| sum.voxels).max().unwrap_or(0) as f64;
+    let largest = largest * geometry.spacing.element_product();
+    Ok((events, [before.sums.len(), after.sums.len()], largest))
 }
 
-/// Returns events for the regions of `from` outside `kept` that extend farther than `scale` (mm)
-/// from `kept`. The distance counts steps between face neighbours within the region, at the mean
-/// spacing. The volume of an event includes only voxels farther away than half the scale. Regions
-/// without a face neighbour in `kept` are excluded.
+/// Returns an event for each region of `from` outside `kept` that extends farther than `scale` (mm)
+/// from `kept`. The distance is the number of steps between face neighbours within the region,
+/// times the mean spacing. The volume of an event includes only voxels farther away than half the
+/// scale. Regions without a face neighbour in `kept` are excluded.
 fn reaching_out(from: &Bits, kept: &Bits, geometry: &Geometry, scale: f64, kind: Kind) -> Result<Vec<Event>> {
     let size = geometry.size;
     let gone = Runs::of(size, |n| from.holds(n) && !kept.holds(n));

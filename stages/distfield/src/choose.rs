@@ -10,8 +10,8 @@ use crate::mask::Mask;
 use crate::occupancy::Occupancy;
 use crate::scalar::{ScalarOptions, check_scalar, from_level};
 use crate::scale::{SCALE_OVER_SIZE, Scale, edge_length, scaled};
-use crate::{Border, Inside, Redistanced};
-use isoparticles_stage::cli::values::{not_negative, positive};
+use crate::{Border, Inside, Keep, Redistanced};
+use isoparticles_stage::cli::values::{not_negative, positive, significant};
 use isoparticles_stage::cli::{Context, METHOD};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::quality::Quality;
@@ -65,7 +65,7 @@ impl ScaleChoice {
     /// Chooses the scale for an edge length (mm). `whose` describes the edge length in the reason;
     /// `voxel` is the mean spacing (mm).
     fn for_length(length: f64, whose: &str, voxel: f64) -> Self {
-        let limit = format!("{FINE_ENOUGH} times the voxel size of {voxel:.4} mm");
+        let limit = format!("{FINE_ENOUGH} times the voxel size of {} mm", significant(voxel));
         if length > FINE_ENOUGH * voxel {
             let reason = format!("{SCALE_OVER_SIZE} times {whose}, which exceeds {limit}");
             Self { length: SCALE_OVER_SIZE * length, reason }
@@ -140,7 +140,7 @@ impl ScaleArgs {
         }
         if let Some(quality) = self.quality {
             let smallest = quality.smallest_size_voxels() * voxel;
-            let whose = format!("the minimum h of {smallest:.4} mm for quality {}", quality.name());
+            let whose = format!("the minimum h of {} mm for quality {}", significant(smallest), quality.name());
             return Some(ScaleChoice::for_length(smallest, &whose, voxel));
         }
         let given = ScaleChoice { length: self.scale.unwrap_or(0.0), reason: "given".into() };
@@ -162,7 +162,7 @@ impl ScaleArgs {
         let vertices = self.scale_for_vertices.unwrap_or(0);
         let length = edge_length(vertices as f64, self.keep_thin)?
             .ok_or_else(|| nothing_left(&format!("a mesh of {vertices} vertices"), volume))?;
-        let whose = format!("the edge length of {length:.4} mm for {vertices} vertices");
+        let whose = format!("the edge length of {} mm for {vertices} vertices", significant(length));
         Ok(ScaleChoice::for_length(length, &whose, geometry.mean_spacing()))
     }
 }
@@ -173,7 +173,7 @@ fn nothing_left(by: &str, volume: f64) -> Error {
     let area = (36.0 * PI * volume * volume).cbrt();
     let size = (2.0 * area / (3f64.sqrt() * 100.0)).sqrt();
     Error::input(
-        format!("{by}: nothing is left of the object of {volume:.4} mm^3"),
+        format!("{by}: nothing is left of the object of {} mm^3", significant(volume)),
         "parts smaller than the scale are smoothed away, and every part is smaller",
         format!(
             "set SIZE (--scale-for-size) to {size:.3} mm or less, which gives about 100 vertices; or lower SCALE \
@@ -208,7 +208,7 @@ pub fn choose_scale(
         }
     };
     let ScaleChoice { length, reason } = &choice;
-    context.summary("scale, mm", format!("{length:.4} ({reason})"));
+    context.summary("scale, mm", format!("{} ({reason})", significant(*length)));
     context.set_parameter("scale", *length);
     context.set_parameter("scale_reason", reason.clone());
     Ok((volume, (choice.length > 0.0).then_some(choice)))
@@ -240,10 +240,10 @@ pub fn extract_scaled(
     };
     drop(volume);
     let volume_before = occupancy.volume();
-    let smoothed = scaled(occupancy, Scale { length, keep_thin }, grid)?
-        .ok_or_else(|| nothing_left(&format!("a scale of {length:.4} mm ({reason})"), volume_before))?;
+    let smoothed = scaled(occupancy, Scale { length, keep_thin }, options.keep, grid)?
+        .ok_or_else(|| nothing_left(&format!("a scale of {} mm ({reason})", significant(length)), volume_before))?;
     drop(step);
-    report_changes(&smoothed.changes, length, context);
+    report_changes(&smoothed.changes, length, options.keep, context);
     meta["scale"] = json!(length);
     meta["scale_reason"] = json!(reason);
     meta["keep_thin"] = json!(keep_thin);
@@ -267,14 +267,18 @@ fn occupancy(volume: &Volume, object: &Object) -> Occupancy {
 /// Maximum number of events of each kind listed on the terminal.
 const MOST_NAMED: usize = 3;
 
-/// Reports the changes: a summary, and a message for each kind of event.
-fn report_changes(changes: &Changes, length: f64, context: &Context) {
+/// Reports the changes: a summary, and a message for each kind of event. The parts that `keep`
+/// drops are only known later.
+fn report_changes(changes: &Changes, length: f64, keep: Keep, context: &Context) {
     let depth = changes.depth;
     context.summary(
         "voxel centres that changed side",
         format!(
-            "{}; depth: mean {:.3} mm, 99th percentile {:.3} mm, maximum {:.3} mm",
-            changes.voxels_changed, depth.mean, depth.p99, depth.max
+            "{}; depth: mean {} mm, 99th percentile {} mm, maximum {} mm",
+            changes.voxels_changed,
+            significant(depth.mean),
+            significant(depth.p99),
+            significant(depth.max)
         ),
     );
     let ([before, after], [euler_before, euler_after]) = (changes.components, changes.euler);
@@ -292,7 +296,12 @@ fn report_changes(changes: &Changes, length: f64, context: &Context) {
             Kind::Filled => "narrow gaps are filled",
         };
         let (volume, named) = (changes.volumes.get(&kind).copied().unwrap_or(0.0), named.join("; "));
-        let said = format!("at a scale of {length:.4} mm, {what} ({count}, {volume:.4} mm^3 in total): {named}{more}");
+        let of_all = if keep == Keep::All || kind == Kind::Gone { "" } else { " of all parts, before --keep" };
+        let said = format!(
+            "at a scale of {} mm, {what} ({count}{of_all}, {} mm^3 in total): {named}{more}",
+            significant(length),
+            significant(volume)
+        );
         if kind == Kind::Gone && changes.lost() < SPECK_SHARE * changes.volume_before {
             context.info(said);
         } else {
@@ -310,5 +319,5 @@ fn event_told(event: &Event) -> String {
         Kind::Joined => format!(" from {} parts", event.pieces),
         _ => String::new(),
     };
-    format!("{:.4} mm^3{pieces} at ({x:.1}, {y:.1}, {z:.1}) mm", event.volume)
+    format!("{} mm^3{pieces} at ({x:.1}, {y:.1}, {z:.1}) mm", significant(event.volume))
 }

@@ -24,9 +24,10 @@ const LEAST_DETERMINANT: f32 = 0.01;
 /// last patch, the distance to the nearest point so far is used.
 const MAX_PATCHES: usize = 8;
 
-/// Maximum length of a step from patch to patch, in units of the minimum voxel spacing. A step in
-/// the tangent plane of a sphere of radius R ends 2^2 / (2 R) voxels from the sphere. [`project`]
-/// moves a point by at most 0.75 voxel, so the limit suits radii above 2.7 voxels.
+/// Maximum length of a step from patch to patch, in units of the minimum voxel spacing. A step of
+/// this length in the tangent plane of a sphere of radius R voxels ends about 2^2 / (2 R) voxels
+/// from the sphere. [`project`] moves a point by at most 0.75 voxel, so it can return the point to
+/// the sphere if R is above 2.7.
 const LONGEST_SURFACE_STEP: f32 = 2.0;
 
 /// Maximum distance between a sample and the foot of a node for the second-order approximation, in

@@ -134,15 +134,65 @@ pub fn redistance(
     demands: &Demands,
     monitor: &dyn Monitor,
 ) -> Result<Redistanced> {
+    let dropped_from = |nodes: &mut Image<f32>| match keep {
+        Keep::All => Ok(Dropped::default()),
+        _ => {
+            let faces = ambiguous_faces(nodes);
+            drop_parts(nodes, margin, &faces, keep)
+        }
+    };
+    let mut dropped = dropped_from(&mut nodes)?;
+    let mut fitted = fit_field(nodes, source, &least, demands, monitor)?;
+    loop {
+        // F may cut a neck of the source that is thinner than a voxel. Each round drops a part.
+        let cut_off = dropped_from(&mut fitted.field)?;
+        if cut_off.components == 0 {
+            break;
+        }
+        dropped.add_cut_off(cut_off);
+        fitted = fit_field(fitted.field, source, &least, demands, monitor)?;
+    }
+    let Fitted { field, parts_before, held_nodes, undecided, fit } = fitted;
+
+    let _step = monitor.phase("result checked");
+    let Measured { parts: parts_after, volumes, shift } = measure(&field, source);
+    Ok(Redistanced {
+        field,
+        dropped,
+        parts_before,
+        parts_after,
+        volumes,
+        shift,
+        held_nodes,
+        undecided,
+        fit,
+        changed: None,
+    })
+}
+
+/// F whose zero set is pinned; see [`Redistanced`] for the fields.
+struct Fitted {
+    field: Image<f32>,
+    parts_before: Parts,
+    held_nodes: usize,
+    undecided: usize,
+    fit: FitReport,
+}
+
+/// Computes F from a source, for the part of its zero set that `nodes` crosses. `nodes` contains
+/// values of the source or of an earlier F.
+fn fit_field(
+    nodes: Image<f32>,
+    source: &Source,
+    least: &LeastDistances<impl Fn(usize) -> f32 + Sync>,
+    demands: &Demands,
+    monitor: &dyn Monitor,
+) -> Result<Fitted> {
     let voxel = nodes.geometry.mean_spacing();
     let band = (EXACT_BAND * voxel).max(1.5 * nodes.geometry.spacing.max_element());
 
     let step = monitor.phase("surface samples");
-    let mut choices = ambiguous_faces(&nodes);
-    let dropped = drop_parts(&mut nodes, margin, &choices, keep)?;
-    if dropped.nodes.is_some() {
-        choices = ambiguous_faces(&nodes);
-    }
+    let choices = ambiguous_faces(&nodes);
     let mesh = marching_cubes(&nodes, 0.0);
     if mesh.triangles.is_empty() {
         return Err(no_surface());
@@ -164,26 +214,12 @@ pub fn redistance(
 
     let step = monitor.phase("zero set pinned");
     let fit = pin_zero_set(&mut field, samples, demands.pinned * voxel, demands.pin_steps);
-    let held_nodes = hold_nodes(&mut field, &inside, &least);
+    let held_nodes = hold_nodes(&mut field, &inside, least);
     let undecided = make_agree(&mut field, &choices, &least.at);
     drop(inside);
     drop(step);
     monitor.check()?;
-
-    let _step = monitor.phase("result checked");
-    let Measured { parts: parts_after, volumes, shift } = measure(&field, source);
-    Ok(Redistanced {
-        field,
-        dropped,
-        parts_before,
-        parts_after,
-        volumes,
-        shift,
-        held_nodes,
-        undecided,
-        fit,
-        changed: None,
-    })
+    Ok(Fitted { field, parts_before, held_nodes, undecided, fit })
 }
 
 fn no_surface() -> Error {

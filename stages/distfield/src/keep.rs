@@ -9,6 +9,7 @@ use crate::ambiguous_faces::AmbiguousFace;
 use crate::bits::Bits;
 use crate::runs::Runs;
 use isoparticles_mesh::components::DisjointSets;
+use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::Image;
 use serde::Serialize;
@@ -23,6 +24,17 @@ pub enum Keep {
     Largest,
     /// Parts of at least this volume, mm^3.
     Volume(f64),
+}
+
+impl Keep {
+    /// Returns whether a part of a volume is kept. `largest` is the volume of the largest part.
+    pub(crate) fn keeps(self, volume: f64, largest: f64) -> bool {
+        match self {
+            Self::All => true,
+            Self::Largest => volume >= largest,
+            Self::Volume(least) => volume >= least,
+        }
+    }
 }
 
 impl FromStr for Keep {
@@ -57,9 +69,26 @@ pub struct Dropped {
     pub volume: f64,
     /// Volume of the largest dropped part, mm^3.
     pub largest: f64,
+    /// Number of these parts that the source connects to a kept part, at necks that F cuts.
+    pub cut_off: usize,
     /// The nodes of the dropped parts; `None` if no part was dropped.
     #[serde(skip)]
     pub nodes: Option<Bits>,
+}
+
+impl Dropped {
+    /// Adds parts that F separates from the kept parts.
+    pub(crate) fn add_cut_off(&mut self, other: Self) {
+        self.components += other.components;
+        self.volume += other.volume;
+        self.largest = self.largest.max(other.largest);
+        self.cut_off += other.components;
+        match (&mut self.nodes, other.nodes) {
+            (Some(nodes), Some(others)) => nodes.add(&others),
+            (nodes @ None, others) => *nodes = others,
+            (Some(_), None) => {}
+        }
+    }
 }
 
 /// Moves the nodes of dropped parts to the outside (`nodes` is negative inside). Nodes within
@@ -103,7 +132,7 @@ pub fn drop_parts(nodes: &mut Image<f32>, margin: usize, faces: &[AmbiguousFace]
     }
     if dropped.components > 0 && dropped.components == parts.len() {
         return Err(Error::input(
-            format!("--keep {keep}: the largest part of the object has {:.6} mm^3", largest as f64 * voxel),
+            format!("--keep {keep}: the largest part of the object has {} mm^3", significant(largest as f64 * voxel)),
             "no part would be kept",
             "set a smaller volume in DISTFIELD_OPTIONS=\"--keep MM3\", or DISTFIELD_OPTIONS=\"--keep largest\"",
         ));

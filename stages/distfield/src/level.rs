@@ -95,9 +95,9 @@ const ROUNDS: usize = 6;
 /// together can change the level by 0.6, more than the distance from 1/2 to its bounds.
 const LONGEST_STEP: f64 = 0.1;
 
-/// Added to the surface density so that the step stays finite where there is no surface. The sum
-/// over a block of eight voxels is 8 * 0.62 = 5 for a plane through the middle of the window, where
-/// 0.62 is the ratio of the standard deviations 1 and 1.6. The step there changes by 0.04 %.
+/// Added to the surface density to keep the step finite where there is no surface. For a plane
+/// through the middle of the window, a block of eight voxels has a density of 8 / [`WINDOW`] = 5.
+/// The step at such a plane changes by 0.04 %.
 const LEAST_DENSITY: f64 = 0.002;
 
 /// Minimum slope used to compute distances, relative to the slope at a plane. The actual slope

@@ -4,6 +4,7 @@
 use crate::Redistanced;
 use crate::changes::SPECK_SHARE;
 use isoparticles_stage::cli::Context;
+use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::meta::DistanceMeta;
 use isoparticles_volume::Geometry;
 use serde_json::json;
@@ -62,19 +63,26 @@ pub(crate) fn describe(result: &Redistanced, meta: &DistanceMeta, context: &Cont
     let dropped = &result.dropped;
     if dropped.components > 0 {
         let told = format!(
-            "{} of {:.6e} mm^3 together, the largest of {:.6e}",
-            dropped.components, dropped.volume, dropped.largest
+            "{} of {} mm^3 together, the largest of {}",
+            dropped.components,
+            significant(dropped.volume),
+            significant(dropped.largest)
         );
         context.summary("components dropped", told);
+    }
+    if dropped.cut_off > 0 {
+        let told = format!("{}: F cuts the neck to a kept part, which is thinner than a voxel", dropped.cut_off);
+        context.summary("  of these", told);
     }
     context.summary("components", format!("{} -> {}", before.components, after.components));
     context.summary("cavities", format!("{} -> {}", before.cavities, after.cavities));
     match volume_change(result, meta) {
         Some(change) => {
             let (voxels, change) = (after.volume / (1.0 + change), 100.0 * change);
-            context.summary("volume, mm^3", format!("{voxels:.6e} -> {:.6e} ({change:+.2} %)", after.volume));
+            let told = format!("{} -> {} ({change:+.2} %)", significant(voxels), significant(after.volume));
+            context.summary("volume, mm^3", told);
         }
-        None => context.summary("volume, mm^3", format!("{:.6e}", after.volume)),
+        None => context.summary("volume, mm^3", significant(after.volume)),
     }
     if let Some(changed) = result.changed {
         context.summary("voxel centres that changed side", changed);
@@ -101,7 +109,7 @@ pub(crate) fn describe(result: &Redistanced, meta: &DistanceMeta, context: &Cont
 /// Checks that components, cavities and the sides of voxel centres are preserved. Label surfaces
 /// guarantee this, so a difference is a failed check. An isosurface can fold within a voxel, where
 /// the number of parts depends on rounding; a difference is then only a warning.
-pub(crate) fn failed_checks(result: &Redistanced, context: &Context) -> Vec<String> {
+pub(crate) fn failed_checks(result: &Redistanced, meta: &DistanceMeta, context: &Context) -> Vec<String> {
     let (before, after) = (result.parts_before, result.parts_after);
     let mut failed = Vec::new();
     if (before.components, before.cavities) != (after.components, after.cavities) {
@@ -112,7 +120,14 @@ pub(crate) fn failed_checks(result: &Redistanced, context: &Context) -> Vec<Stri
         if result.changed.is_some() {
             failed.push(difference);
         } else {
-            context.warn(difference);
+            let advice = if meta.is_scaled() {
+                "lower SCALE (--scale) or set DISTFIELD_OPTIONS=\"--keep-thin\""
+            } else {
+                "smooth the volume or choose another ISO (--iso)"
+            };
+            context.warn(format!(
+                "{difference}: F cuts necks or closes gaps that are thinner than a voxel; if they matter, {advice}"
+            ));
         }
     }
     if let Some(changed) = result.changed.filter(|&changed| changed > 0) {

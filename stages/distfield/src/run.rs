@@ -68,7 +68,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("write");
     write_field(&args.output, FieldKind::Distance, &result.field, &meta, &context.history())?;
     drop(step);
-    let mut failed = failed_checks(&result, context);
+    let mut failed = failed_checks(&result, &meta, context);
     failed.extend(check_volume(&result, &meta, context));
     Ok(Outcome::from_failed_checks(failed))
 }

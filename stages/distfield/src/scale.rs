@@ -7,11 +7,11 @@
 //! smoothing keep their volume, and tubes and walls keep their thickness. All other parts vanish;
 //! [`crate::changes`] reports their number, volume and position.
 
-use crate::Border;
 use crate::changes::{Changes, remove_crumbs};
 use crate::crop::{CutFaces, Grid, VoxelBox, room_of_spline};
 use crate::level::{Smoothing, level_set};
 use crate::occupancy::Occupancy;
+use crate::{Border, Keep};
 use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_mesh::measure::measure;
@@ -124,16 +124,17 @@ pub(crate) fn smallest_part(scale: f64) -> f64 {
     4.0 / 3.0 * PI * (CRUMB_RADIUS * scale).powi(3)
 }
 
-/// Smooths an object. `grid` selects the grid of the result. Returns `None` if nothing is left of
+/// Smooths an object. `grid` selects the grid of the result. Parts that `keep` will drop are
+/// smoothed, too, but their loss is not reported. Returns `None` if nothing is left of
 /// the object.
 ///
 /// # Errors
 /// If there are too many runs of voxels to label the parts.
-pub fn scaled(occupancy: Occupancy, scale: Scale, grid: Grid) -> Result<Option<Scaled>> {
+pub fn scaled(occupancy: Occupancy, scale: Scale, keep: Keep, grid: Grid) -> Result<Option<Scaled>> {
     let (geometry, volume) = (occupancy.geometry.clone(), occupancy.volume());
     let Some(Boxed { first, before, level }) = Boxed::new(&occupancy, scale)? else { return Ok(None) };
     drop(occupancy);
-    let Some(changes) = Changes::between(&before, &level, volume, scale.length)? else { return Ok(None) };
+    let Some(changes) = Changes::between(&before, &level, volume, scale.length, keep)? else { return Ok(None) };
     let size = before.geometry.size;
     drop(before);
     let whole = VoxelBox { low: [0; 3], high: geometry.size.map(|n| n - 1) };

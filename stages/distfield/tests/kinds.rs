@@ -42,7 +42,8 @@ fn signed() -> Vec<u8> {
     values().iter().flat_map(|&value| (value as i16).to_le_bytes()).collect()
 }
 
-/// Returns the voxel steps along the axes and the origin, with the signs of another world frame.
+/// Returns the step vector of each grid axis, and the origin. All are multiplied by `signs`; (-1,
+/// -1, 1) converts LPS to RAS.
 fn affine(signs: DVec3) -> ([DVec3; 3], DVec3) {
     let geometry = geometry();
     ([0, 1, 2].map(|axis| signs * geometry.directions.col(axis) * geometry.spacing[axis]), signs * geometry.origin)

@@ -161,7 +161,7 @@ fn bad_input_gives_exit_code_2_a_message_and_no_output() {
         ("flat.nrrd", &["--iso", "7"], "every voxel has the value 7"),
         ("good.nrrd", &["--iso", "100"], "ranges from 0 to 10"),
         ("good.nrrd", &["--iso=-3"], "ranges from 0 to 10"),
-        ("good.nrrd", &["--labels", "3,77"], "labels present: 0, 1, 2"),
+        ("good.nrrd", &["--labels", "3,77"], "labels present: 1, 2"),
         ("half.nrrd", &["--labels", "1"], "not whole numbers"),
         ("absent.nrrd", &["--iso", "1"], "absent.nrrd"),
     ];

@@ -247,6 +247,29 @@ fn a_part_that_is_dropped_leaves_the_distance_of_the_other() {
     assert!(band < 0.02 && all < 0.1, "band error {band}, largest {all}");
 }
 
+/// F cuts some of the necks by which noise connects parts.
+#[test]
+fn keep_largest_leaves_one_part_of_noise() {
+    let options = ScalarOptions {
+        inside: Inside::Above,
+        border: Border::Cap,
+        margin: MARGIN,
+        cut: [[false; 2]; 3],
+        keep: Keep::Largest,
+    };
+    let mut cut_off = 0;
+    for seed in 0..8 {
+        let mut image = sampled([20; 3], DVec3::ONE, |_| 0.0);
+        let noise = |n: usize| isoparticles_field::random::uniform(seed, 0, n as u64) as f32;
+        image.data.iter_mut().enumerate().for_each(|(n, value)| *value = noise(n));
+        let result = from_scalar(image, 0.7, &options, &Context::silent("distfield")).expect("some part");
+        println!("seed {seed}: {:?} {} {}", result.parts_after, result.dropped.cut_off, result.undecided);
+        assert_eq!(result.parts_after.components, 1);
+        cut_off += result.dropped.cut_off;
+    }
+    assert!(cut_off > 0, "the noise has no neck that F cuts");
+}
+
 /// Units that are powers of two lose no precision, so the results agree to the last bit.
 #[test]
 fn the_unit_of_the_voxels_does_not_matter() {

@@ -9,7 +9,7 @@ use isoparticles_distfield::crop::Grid;
 use isoparticles_distfield::mask::Mask;
 use isoparticles_distfield::occupancy::Occupancy;
 use isoparticles_distfield::scale::{Scale, Scaled, edge_length, scaled};
-use isoparticles_distfield::{Border, Inside};
+use isoparticles_distfield::{Border, Inside, Keep};
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::sizing::trilinear;
 use isoparticles_mesh::measure::measure;
@@ -18,7 +18,23 @@ use support::{directions, sampled, topology, volume};
 
 fn smoothed(inside: &Image<bool>, length: f64, keep_thin: bool) -> Scaled {
     let occupancy = Occupancy::of_mask(&Mask::from(inside));
-    scaled(occupancy, Scale { length, keep_thin }, Grid::Volume).expect("few parts").expect("something is left")
+    scaled(occupancy, Scale { length, keep_thin }, Keep::All, Grid::Volume)
+        .expect("few parts")
+        .expect("something is left")
+}
+
+#[test]
+fn parts_that_keep_drops_are_not_reported_as_lost() {
+    let [ball, speck] = [DVec3::new(12.0, 12.0, 12.0), DVec3::new(28.0, 12.0, 12.0)];
+    let balls = |p: DVec3| (8.0 - p.distance(ball)).max(1.5 - p.distance(speck)) as f32;
+    let image = sampled([36, 24, 24], DVec3::ONE, balls);
+    let inside = Image { data: image.data.iter().map(|value| *value > 0.0).collect(), geometry: image.geometry };
+    let lost = |keep: Keep| {
+        let occupancy = Occupancy::of_mask(&Mask::from(&inside));
+        let scale = Scale { length: 6.0, keep_thin: false };
+        scaled(occupancy, scale, keep, Grid::Volume).expect("few parts").expect("the ball").changes.count(Kind::Gone)
+    };
+    assert_eq!([Keep::All, Keep::Volume(5.0), Keep::Volume(50.0), Keep::Largest].map(lost), [1, 1, 0, 0]);
 }
 
 /// Returns the level set with the sign of F: negative inside.
@@ -128,7 +144,7 @@ fn a_scalar_ball_keeps_its_radius_at_a_scale() {
         let voxels = Voxels::F32(values.data.iter().map(|value| sign * value).collect());
         let occupancy = Occupancy::of_scalar(&voxels, &values.geometry, 0.0, inside);
         assert!((occupancy.volume() / (4.0 / 3.0 * std::f64::consts::PI * 13f64.powi(3)) - 1.0).abs() < 0.002);
-        let found = scaled(occupancy, Scale { length: 7.0, keep_thin: false }, Grid::Volume)
+        let found = scaled(occupancy, Scale { length: 7.0, keep_thin: false }, Keep::All, Grid::Volume)
             .expect("few parts")
             .expect("a ball");
         let radius = (volume(&field(&found)) * 0.75 / std::f64::consts::PI).cbrt();

@@ -17,6 +17,7 @@ use crate::report::{SCALED_VOLUME_LIMITS, VOLUME_LIMITS, tell_grid};
 use crate::scale::{Scale, room_round};
 use crate::{Border, Keep};
 use isoparticles_field::materials::{MaterialId, Materials};
+use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::materials_file::{Shown, write_materials};
@@ -25,7 +26,8 @@ use isoparticles_volume::Volume;
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
-/// Maximum number of materials and of pairs in the closing table. The report contains all of them.
+/// Maximum number of materials, and of pairs of materials, in the table at the end of a run. The
+/// report contains all of them.
 const MOST_ROWS: usize = 12;
 
 /// Maximum number of names listed in a warning or a failed check.
@@ -171,7 +173,7 @@ fn scale(args: &Args, volume: &Volume, chosen: &Chosen, context: &Context) -> Re
             args.scale.choose_by_area(&volume.geometry, named, found)?
         }
     };
-    context.summary("scale, mm", format!("{:.4} ({})", choice.length, choice.reason));
+    context.summary("scale, mm", format!("{} ({})", significant(choice.length), choice.reason));
     context.set_parameter("scale", choice.length);
     context.set_parameter("scale_reason", choice.reason);
     Ok((choice.length > 0.0).then_some(Scale { length: choice.length, keep_thin: args.scale.keep_thin }))
@@ -223,9 +225,10 @@ fn describe(materials: &Materials, tallies: &[Tally], found: &Survey, context: &
     for &id in order.iter().take(MOST_ROWS) {
         let (tally, before) = (&tallies[id], tallies[id].voxels as f64 * voxel);
         let told = format!(
-            "{} voxels, {before:.6e} -> {:.6e} mm^3 ({:+.2} %), {} -> {} components",
+            "{} voxels, {} -> {} mm^3 ({:+.2} %), {} -> {} components",
             tally.voxels,
-            found.volumes[id],
+            significant(before),
+            significant(found.volumes[id]),
             100.0 * (found.volumes[id] / before - 1.0),
             tally.parts[0].components,
             tally.parts[1].components,
@@ -237,7 +240,7 @@ fn describe(materials: &Materials, tallies: &[Tally], found: &Survey, context: &
     context.summary("pairs of materials in contact", pairs.len());
     for pair in pairs.into_iter().take(MOST_ROWS) {
         let [a, b] = pair.materials.map(|id| name(id.index()));
-        context.summary(format!("  {a} | {b}"), format!("{:.6e} mm^2", pair.area));
+        context.summary(format!("  {a} | {b}"), format!("{} mm^2", significant(pair.area)));
     }
     let junctions = found.junctions;
     let told = format!("{} of three, {} of four materials", junctions.edges_of_three, junctions.edges_of_four);
@@ -278,7 +281,7 @@ fn volumes_changed(materials: &Materials, tallies: &[Tally], found: &Survey, lim
 /// Warns about materials with broken or merged parts or filled gaps at a scale, and about the
 /// losses of each material.
 fn tell_changes(materials: &Materials, tallies: &[Tally], scale: Scale, context: &Context) {
-    let at_scale = format!("at a scale of {:.4} mm,", scale.length);
+    let at_scale = format!("at a scale of {} mm,", significant(scale.length));
     let changed = || {
         let names = materials.table().iter().map(|material| material.name.as_str());
         names.zip(tallies).skip(1).filter_map(|(name, tally)| Some((name, tally.changes.as_ref()?)))
@@ -304,7 +307,7 @@ fn tell_losses(losses: Vec<(&str, &Changes)>, at_scale: &str, context: &Context)
         let counted = [(Kind::Gone, "parts"), (Kind::Shortened, "thin ends")];
         let counted = counted.map(|(kind, what)| (changes.count(kind), what)).into_iter().filter(|(n, _)| *n > 0);
         let lost = counted.map(|(count, what)| format!("{count} {what}")).collect::<Vec<_>>().join(" and ");
-        let told = format!("{lost}, {:.4} mm^3", changes.lost());
+        let told = format!("{lost}, {} mm^3", significant(changes.lost()));
         let share = changes.lost() / changes.volume_before;
         if share < SPECK_SHARE {
             specks.push((changes.lost(), format!("'{name}' {told}")));
@@ -322,7 +325,8 @@ fn tell_losses(losses: Vec<(&str, &Changes)>, at_scale: &str, context: &Context)
     let named: Vec<&str> = specks.iter().take(MOST_ROWS).map(|(_, told)| told.as_str()).collect();
     let rest = &specks[named.len()..];
     let volume: f64 = rest.iter().map(|(volume, _)| volume).sum();
-    let more = if rest.is_empty() { String::new() } else { format!("; {} more, {volume:.4} mm^3", rest.len()) };
+    let more =
+        if rest.is_empty() { String::new() } else { format!("; {} more, {} mm^3", rest.len(), significant(volume)) };
     let (percent, named) = (100.0 * SPECK_SHARE, named.join("; "));
     context.warn(format!("{at_scale} specks are lost (less than {percent:.1} % of each material): {named}{more}"));
 }

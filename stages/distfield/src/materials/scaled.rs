@@ -23,6 +23,7 @@ use crate::{Border, Inside, Keep, Redistanced};
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::materials::MaterialId;
 use isoparticles_mesh::measure::measure;
+use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::{Geometry, Image};
@@ -280,7 +281,7 @@ impl<'a> Levels<'a> {
         if grid.border == Border::Open && above.par_iter().all(|&above| above > 0.0) {
             let all = if is_outside { "the other materials fill" } else { "it fills" };
             return Err(Error::input(
-                format!("at a scale of {scale:.4} mm, {all} the volume from border to border"),
+                format!("at a scale of {} mm, {all} the volume from border to border", significant(scale)),
                 "no interface is left at so large a scale",
                 "lower SCALE (--scale) or SIZE (--scale-for-size), or raise VERTICES (--scale-for-vertices)",
             ));
@@ -289,7 +290,7 @@ impl<'a> Levels<'a> {
         let last: [usize; 3] = std::array::from_fn(|a| first[a] + geometry.size[a] - 1);
         let before = Occupancy::of_mask(&grid.mask(first, last, inside));
         let volume = before.volume();
-        let Some(changes) = Changes::between(&before, &above, volume, scale)? else {
+        let Some(changes) = Changes::between(&before, &above, volume, scale, Keep::All)? else {
             return Ok(Made { result: None, first, changes: None });
         };
         drop(before);
