@@ -83,14 +83,35 @@ pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
             // h^2 / (6 R) below the surface
             let by_deviation = (6.0 * parameters.max_deviation / features.curvature[i].max(1e-12)).sqrt();
             let area = features.component_area.get(features.component[i] as usize).copied().unwrap_or(f64::INFINITY);
-            // a component below the resolution of the data still gets at least a few triangles
-            let by_component = (2.0 * area / (3f64.sqrt() * parameters.min_particles))
-                .sqrt()
-                .max(SMALLEST_SHARE * parameters.min_size);
+            let by_component = size_for_area(area, parameters);
             parameters.scale
                 * by_feature.min(by_deviation).min(parameters.max_size).max(parameters.min_size).min(by_component)
         })
         .collect()
+}
+
+/// Returns the edge length in mm that leaves room for the minimum number of particles on a
+/// component of `area` mm^2. A component below the resolution of the data still gets at least a few
+/// triangles.
+fn size_for_area(area: f64, parameters: &Parameters) -> f64 {
+    let size = (2.0 * area / (3f64.sqrt() * parameters.min_particles)).sqrt();
+    size.max(SMALLEST_SHARE * parameters.min_size)
+}
+
+/// Returns how many components are so small that h is below the minimum on them, and the minimum h
+/// (mm) on these components. Returns `None` if there are none.
+pub fn lowered(features: &Features, parameters: &Parameters) -> Option<(usize, f64)> {
+    let mut is_sampled = vec![false; features.component_area.len()];
+    for &component in &features.component {
+        if let Some(sampled) = is_sampled.get_mut(component as usize) {
+            *sampled = true;
+        }
+    }
+    let areas = features.component_area.iter().zip(is_sampled).filter(|(_, is_sampled)| *is_sampled);
+    let sizes = areas.map(|(&area, _)| size_for_area(area, parameters));
+    let low: Vec<f64> = sizes.filter(|&h| h < parameters.min_size).collect();
+    let smallest = low.iter().copied().reduce(f64::min)?;
+    Some((low.len(), parameters.scale * smallest))
 }
 
 /// Returns the sizing field on the grid of the distance field. Grades the sizes of the samples,

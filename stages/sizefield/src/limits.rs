@@ -124,7 +124,7 @@ mod tests {
         assert!(DVec3::from_array(found[0].place).distance(speck) < 0.8 && found[0].size < 1.2, "{found:?}");
         let told = too_small_told(&found, 2).expect("words");
         assert!(
-            told.starts_with("1 of 2 components are too small for their h") && told.contains("h is 2.000"),
+            told.starts_with("1 of 2 components are too small for their h") && told.contains("h is 2 mm"),
             "{told}"
         );
         assert_eq!((at(0.25), too_small_told(&[], 2)), (vec![], None));
@@ -138,6 +138,6 @@ mod tests {
         assert!(check_size(path, 10.9, area).is_ok());
         let error = check_size(path, 500.0, area).expect_err("too large");
         assert!(error.what.contains("h = 500 mm") && error.what.contains("0.0 particles"), "{error}");
-        assert!(error.next.contains("below 10.99") && error.next.contains("3.8093 mm gives about 100"), "{error}");
+        assert!(error.next.contains("below 11 mm") && error.next.contains("3.809 mm gives about 100"), "{error}");
     }
 }

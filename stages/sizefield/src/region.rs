@@ -4,6 +4,7 @@
 
 use glam::DVec3;
 use isoparticles_mesh::points::read_sized_points;
+use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::{Geometry, read_volume};
 use rayon::prelude::*;
@@ -110,12 +111,22 @@ impl Refinement {
             return Err(Error::input(
                 format!("--refine: {what} outside the grid of F"),
                 "it would have no effect",
-                "use world coordinates in mm, as in the meshes (LPS); DISTFIELD_OPTIONS=\"--grid volume\" computes F \
-                 on the whole volume",
+                format!(
+                    "use world coordinates in mm, as in the meshes (LPS): the grid covers {}; \
+                     DISTFIELD_OPTIONS=\"--grid volume\" computes F on the whole volume",
+                    extent_told(geometry)
+                ),
             ));
         }
         Ok(nodes)
     }
+}
+
+/// Describes the box of a grid in world coordinates.
+fn extent_told(geometry: &Geometry) -> String {
+    let [low, high] = geometry.world_box([DVec3::ZERO, geometry.upper_corner()]);
+    let range = |a: usize| format!("{} {} to {}", ["x", "y", "z"][a], significant(low[a]), significant(high[a]));
+    format!("{} mm", [0, 1, 2].map(range).join(", "))
 }
 
 /// Returns the nodes whose nearest voxel in the mask is not zero, and the nodes around the centre
@@ -216,7 +227,9 @@ mod tests {
         let tiny = Ball { centre: DVec3::new(9.5, 5.2, 21.0), radius: 1e-3, size: 0.25 };
         assert!(tiny.nodes(&geometry).count() >= 8);
         let elsewhere = Refinement::Ball(Ball { centre: DVec3::splat(-100.0), radius: 4.0, size: 0.5 });
-        assert!(elsewhere.nodes(&geometry).unwrap_err().what.contains("outside the grid of F"));
+        let error = elsewhere.nodes(&geometry).unwrap_err();
+        assert!(error.what.contains("outside the grid of F"), "{error}");
+        assert!(error.next.contains("the grid covers x 0 to 19, y 0 to 9.5, z 0 to 38 mm"), "{error}");
     }
 
     /// Tests a mask on a different grid, which is rotated by 90 degrees about z, finer and shifted.

@@ -108,11 +108,11 @@ mod tests {
     fn noise_message_names_ripple_only_for_thick_slices() {
         assert_eq!(noise_told(&[0.0; 4], DVec3::ONE), None);
         let told = noise_told(&[0.0, 0.02, 0.02, 0.0], DVec3::new(1.0, 1.0, 1.25)).expect("noise");
-        assert!(told.starts_with("noise of 0.0200 mm (root mean square)"), "{told}");
+        assert!(told.starts_with("noise of 0.02 mm (root mean square)"), "{told}");
         assert!(told.contains("on 50.0 % of the surface"), "{told}");
         let told = noise_told(&[0.0, 0.02, 0.02, 0.0], DVec3::new(0.5, 0.5, 2.0)).expect("ripple or noise");
         assert!(
-            told.starts_with("noise, or ripple from slices 4.0 times as thick as the voxels are wide, of 0.0200 mm"),
+            told.starts_with("noise, or ripple from slices 4.0 times as thick as the voxels are wide, of 0.02 mm"),
             "{told}"
         );
     }

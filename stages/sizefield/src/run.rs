@@ -7,7 +7,7 @@ use crate::materials::{Given, GivenSize};
 use crate::region::{Refinement, SizedNode};
 use crate::report::{describe, noise_told, warn_if_too_coarse};
 use crate::vertices::{predicted_for, scaled_to_vertices, size_for_vertices};
-use crate::{MIN_PARTICLES, Parameters, size_field, uniform_field, wanted_sizes};
+use crate::{MIN_PARTICLES, Parameters, lowered, size_field, uniform_field, wanted_sizes};
 use clap::Parser;
 use glam::DVec3;
 use isoparticles_field::sizing::SizingField;
@@ -126,7 +126,7 @@ pub struct Args {
     /// grid) are not zero, or to the point array `h` at the points of a .vtp or .vtu file. All in
     /// world coordinates, mm; h grows from there by delta. May be given several times, and may go
     /// below --min-size
-    #[arg(long, value_name = "ball:X,Y,Z,RADIUS=H|mask:FILE=H|points:FILE", help_heading = METHOD, conflicts_with = "uniform")]
+    #[arg(long, value_name = "ball:X,Y,Z,RADIUS=H|mask:FILE=H|points:FILE", help_heading = METHOD)]
     pub(crate) refine: Vec<Refinement>,
     #[command(flatten)]
     common: CommonArgs,
@@ -159,6 +159,7 @@ impl StageArgs for Args {
         if let (Some(min), Some(max)) = (self.min_size, self.max_size) {
             check_bounds((min, max), "")?;
         }
+        self.refuse_refined_constant()?;
         for file in self.refine.iter().filter_map(Refinement::file) {
             std::fs::metadata(file)
                 .map_err(|error| Error::file(file, "read", &error, "check the file name in --refine"))?;
@@ -175,6 +176,19 @@ impl StageArgs for Args {
 impl Args {
     pub(crate) fn quality(&self) -> Quality {
         self.quality.unwrap_or(Quality::Medium)
+    }
+
+    /// Rejects `--uniform` together with `--refine`.
+    fn refuse_refined_constant(&self) -> Result<()> {
+        let Some(size) = self.uniform.filter(|_| !self.refine.is_empty()) else { return Ok(()) };
+        Err(Error::input(
+            format!("SIZE={size} (--uniform) and --refine are both set"),
+            "SIZE means one edge length everywhere",
+            format!(
+                "for a uniform surface that can be refined, set MIN_SIZE and MAX_SIZE (--min-size, --max-size) to \
+                 {size} instead of SIZE"
+            ),
+        ))
     }
 
     /// Rejects `--size` for one object, which has no named materials.
@@ -224,13 +238,14 @@ impl Args {
 
 /// Computes and writes the sizing field.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
+    args.refuse_refined_constant()?;
     if is_materials(&args.input) {
         return crate::materials::run(args, context);
     }
     args.refuse_sizes()?;
     let input = Input::read(args, context)?;
     let measured = measure(args, &input, context)?;
-    let sizing = sized(args, &input, &measured, context)?;
+    let (sizing, lowered) = sized(args, &input, &measured, context)?;
     let (features, geometry) = (&measured.features, &input.field.image.geometry);
     if let Some(told) = noise_told(&features.noise, geometry.spacing) {
         context.info(told);
@@ -241,6 +256,10 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     }
     let predicted = predicted(args, &input, &measured, &sizing, context);
     let meta = describe(features, &sizing, predicted, (measured.largest, &small), context);
+    if let Some((components, size)) = lowered {
+        let told = format!("lowered to {} on {components} small components", significant(size));
+        context.summary("  below the minimum h", told);
+    }
     check_count(&args.input, meta.predicted_count, geometry.voxel_count(), context)?;
     if let Some(size) = measured.one_size {
         warn_if_too_coarse(features, geometry, size, context);
@@ -315,20 +334,26 @@ fn measure(args: &Args, input: &Input, context: &Context) -> Result<Measured> {
     Ok(Measured { features, one_size, largest, is_smooth })
 }
 
-/// Computes the sizing field from the measured surface and the options.
-fn sized(args: &Args, input: &Input, measured: &Measured, context: &Context) -> Result<SizingField> {
+/// Computes the sizing field from the measured surface and the options. Also returns the number of
+/// components on which h is below the minimum, with the smallest h (mm).
+fn sized(
+    args: &Args,
+    input: &Input,
+    measured: &Measured,
+    context: &Context,
+) -> Result<(SizingField, Option<(usize, f64)>)> {
     let image = &input.field.image;
     let refined = refined_nodes(args, &image.geometry, context)?;
     context.check_interrupt()?;
     let _step = context.step("size and grade");
     let sizing = match measured.one_size {
-        Some(size) => uniform_field(image, size),
+        Some(size) => (uniform_field(image, size), None),
         None => {
             let parameters = resolve(args, &input.field, &measured.features, refined, context)?;
             let sizing = size_field(image, &measured.features, &parameters);
             match args.vertices {
-                Some(vertices) => scaled_to_vertices(sizing, &input.surface, vertices as f64),
-                None => sizing,
+                Some(vertices) => (scaled_to_vertices(sizing, &input.surface, vertices as f64), None),
+                None => (sizing, lowered(&measured.features, &parameters)),
             }
         }
     };

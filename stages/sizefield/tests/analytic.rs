@@ -5,7 +5,7 @@ use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldComponents;
 use isoparticles_sizefield::feature::{Bumps, Features, Purpose};
 use isoparticles_sizefield::region::Ball;
-use isoparticles_sizefield::{Parameters, size_field};
+use isoparticles_sizefield::{Parameters, lowered, size_field};
 use isoparticles_stage::monitor::Silent;
 use isoparticles_volume::{Geometry, Image};
 
@@ -253,6 +253,30 @@ fn h_is_set_wherever_it_is_read_at_the_surface() {
             assert!((field.at(p) - 1.0).abs() < 0.02, "h = {} at {p}", field.at(p));
         }
     }
+}
+
+#[test]
+fn h_below_the_minimum_on_small_components_is_counted() {
+    let image = sampled(56, |p| {
+        let apart = |x: f64, radius: f64| (p - DVec3::X * x).length() - radius;
+        apart(-6.0, 12.0).min(apart(16.0, 2.0))
+    });
+    let found = features(&image);
+    let parameters = |min_size: f64| Parameters {
+        epsilon: 0.5,
+        delta: 0.4,
+        min_size,
+        max_size: 2.0,
+        max_deviation: f64::INFINITY,
+        min_particles: 32.0,
+        scale: 1.0,
+        refined: Vec::new(),
+    };
+    // 32 vertices on the area of a ball of radius 2 mm
+    let expected = (2.0 * 16.0 * std::f64::consts::PI / (3f64.sqrt() * 32.0)).sqrt();
+    let (components, size) = lowered(&found, &parameters(2.0)).expect("one component is small");
+    assert!(components == 1 && (size / expected - 1.0).abs() < 0.03, "{components} {size}, not {expected}");
+    assert_eq!(lowered(&found, &parameters(1.0)), None);
 }
 
 /// White noise of 0.1 voxel on one half of a ball does not reduce the feature size of either half.
