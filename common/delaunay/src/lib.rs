@@ -167,8 +167,7 @@ impl Delaunay {
         self.cells.tetrahedra.len()
     }
 
-    /// Returns whether a number denotes a tetrahedron. Returns false if the tetrahedron has been
-    /// removed.
+    /// Returns whether the tetrahedron with this number exists and has not been removed.
     pub fn is_alive(&self, tetrahedron: u32) -> bool {
         self.cells.tetrahedra[tetrahedron as usize].vertices[0] != DEAD
     }

@@ -18,8 +18,8 @@ use std::collections::BTreeSet;
 use std::sync::OnceLock;
 
 /// Minimum distance of vertices from the grid nodes, in edge lengths. It prevents degenerate
-/// triangles where a sample equals the iso value. It remains distinct in single precision: at index
-/// 512, an f32 has an ulp of 6e-5.
+/// triangles where a sample equals the iso value. The offset survives rounding to single precision:
+/// at index 512, an ulp of f32 is 6e-5.
 pub(crate) const NODE_CLEARANCE: f64 = 1e-3;
 
 /// Number of slices of cells per parallel task. Each task also numbers the slice after its last

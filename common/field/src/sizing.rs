@@ -60,11 +60,11 @@ impl SizingField {
     /// Returns the number of particles per mm^2 of a surface with the given unit normal at a grid
     /// position. This number is 2 / (sqrt(3) e^2), the density of the hexagonal lattice of edge e.
     ///
-    /// The distance of two particles is the smaller of their two sizes h (Eq. 2), so a step up the
-    /// slope of h has the length h. Along a direction in which h has the slope s, h grows by the
-    /// factor 1 + s with each step, and the mean step is h ln(1 + s) / s. In the direction t, the
-    /// slope is s |cos t|. The edge e is the mean over all directions, in closed form h (asin s /
-    /// s) (1 - asin s / pi).
+    /// The distance between two particles is the smaller of their sizes h (Eq. 2), so a step
+    /// towards larger h has the length h. Where h has the directional derivative d, each step
+    /// multiplies h by 1 + d, and the mean step is h ln(1 + d) / d. At the angle t to the
+    /// tangential gradient of magnitude s, d = s |cos t|. The mean over t is e = h (asin s / s) (1
+    /// - asin s / pi).
     pub fn lattice_density(&self, grid: DVec3, normal: DVec3) -> f64 {
         let (h, gradient) = self.value_gradient(grid);
         2.0 / (3f64.sqrt() * (h * edge_over_size(gradient.reject_from_normalized(normal).length())).powi(2))

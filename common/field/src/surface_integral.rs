@@ -28,7 +28,7 @@ const HALVINGS: u32 = 12;
 
 /// Maximum number of steps to find a root. A step is a Newton step if its result stays within the
 /// interval, and otherwise a bisection. Bisection alone needs log2(1 / [`ACCURACY`]) = 24 steps. On
-/// the two fields of [`LINES`], the slowest root takes 25 steps.
+/// the two volumes of the measurement of [`LINES`], the slowest root takes 25 steps.
 const ROOT_STEPS: usize = 30;
 
 /// Accuracy of a root as a fraction of a cell: about the relative precision of the coefficients,

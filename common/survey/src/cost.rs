@@ -53,7 +53,7 @@ pub const UNCERTAINTY: f64 = 1.5;
 const SPECK_VERTICES: f64 = 32.0;
 
 /// Minimum number of vertices of a part with any size; equal to `COMPONENT_MINIMUM` of `seed`.
-const FEWEST_VERTICES: f64 = 12.0;
+pub(crate) const FEWEST_VERTICES: f64 = 12.0;
 
 /// Cost of a group of stages: a fixed amount, and amounts per node of the padded grid, per face
 /// between voxels and per vertex.
@@ -61,8 +61,9 @@ struct Rates {
     stage: &'static str,
     /// Processor seconds: fixed, and per million nodes, faces and vertices.
     seconds: [f64; 4],
-    /// Bytes: fixed, and per node, face and vertex. The list has an entry for each program of the
-    /// group that may need the most memory. The prediction is the maximum over the entries.
+    /// Memory in bytes: a fixed amount, and amounts per node, face and vertex. Each entry is for a
+    /// program that can determine the peak memory of the group. The prediction is the maximum over
+    /// the entries.
     bytes: &'static [[f64; 4]],
 }
 
@@ -178,7 +179,8 @@ fn nodes(boundary: &Boundary, geometry: &Geometry) -> f64 {
     (0..3).map(along).product()
 }
 
-/// Predicts the number of vertices with default sizes from h at the sampled faces.
+/// Predicts the number of vertices of a mesh with default sizes, from the h estimated at each
+/// sampled face.
 pub fn default_vertices(boundary: &Boundary, geometry: &Geometry, kind: Kind) -> f64 {
     let voxel = geometry.mean_spacing();
     let smallest = SMALLEST_VOXELS * voxel;

@@ -105,23 +105,18 @@ pub fn judge(survey: &Survey, named: usize) -> Judgement {
         Some(distinct) => format!("{distinct} distinct whole numbers"),
         None => "very many distinct whole numbers".to_owned(),
     };
-    let percent = 100.0 * share;
     let is_enough = survey.jumps >= FEWEST_JUMPS;
     let is_clear = is_enough && !UNCLEAR.contains(&share);
     let are_levels = survey.distinct().is_some_and(|distinct| distinct >= FEWEST_LEVELS);
     if share >= UNCLEAR.end {
-        let reason = format!(
-            "{values} that change from voxel to voxel: {percent:.0} % of the changes along an axis follow on another one"
-        );
+        let reason = format!("{values}; neighbouring values change gradually, as in a scan");
         is(Kind::Scan, is_clear, reason)
     } else if share >= UNCLEAR.start && are_levels && survey.step_share() > STEPS_ABOVE {
         let steps = 100.0 * survey.step_share();
-        let reason = format!("{values} in levels: {steps:.0} % of the changes along an axis go to the next value");
+        let reason = format!("{values} in levels: {steps:.0} % of the changes between neighbours go to the next value");
         is(Kind::Scan, false, reason)
     } else {
-        let reason = format!(
-            "{values} in pieces of one value each: only {percent:.0} % of the changes along an axis follow on another one"
-        );
+        let reason = format!("{values} in regions of one value each, as in a label map");
         is(Kind::Labels, is_clear && survey.distinct().is_some_and(|distinct| distinct <= MOST_CERTAIN_LABELS), reason)
     }
 }

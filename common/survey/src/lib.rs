@@ -4,13 +4,15 @@
 //!
 //! [`survey`] computes statistics of the values in one pass, and [`kind`] determines the kind from
 //! them. [`selection`] resolves the labels that a user specifies. [`classes`] assigns the voxels to
-//! objects, [`boundary`] measures their surfaces, [`mod@parts`] counts their connected parts, and
-//! [`mod@cost`] predicts vertices, time and memory. [`thresholds`] proposes iso values,
-//! [`orientation`] names the axes, and [`text`] formats the description.
+//! objects, [`boundary`] measures their surfaces, [`mod@parts`] counts their connected parts,
+//! [`extent`] measures their boxes, and [`mod@cost`] predicts vertices, time and memory.
+//! [`thresholds`] proposes iso values, [`orientation`] names the axes, and [`text`] formats the
+//! description.
 
 pub mod boundary;
 pub mod classes;
 pub mod cost;
+pub mod extent;
 pub mod kind;
 pub mod orientation;
 pub mod parts;
@@ -22,6 +24,7 @@ pub mod thresholds;
 use boundary::{Boundary, boundaries};
 use classes::{Classes, MOST_CLASSES, OUTSIDE, Rule};
 use cost::{Cost, cost, default_vertices};
+use extent::{WorldBox, boxes};
 use isoparticles_stage::error::Result;
 use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::{Geometry, LayerLabel, Shear, Space, Volume, Voxels};
@@ -118,6 +121,8 @@ pub struct LabelInfo {
     pub voxels: usize,
     /// Volume of these voxels in mm^3.
     pub volume: f64,
+    /// Box around these voxels in world coordinates, mm; `None` if a sheared volume loses them.
+    pub bounds: Option<WorldBox>,
     /// Connected parts of the label; `None` if the volume is too noisy to count them.
     pub parts: Option<Parts>,
     /// Predicted number of vertices of a mesh of this label alone, with default sizes.
@@ -235,7 +240,7 @@ fn label_table(volume: &Volume, shear: Option<&Shear>) -> Result<Vec<LabelInfo>>
         let moved = shear.map(|shear| moved(&classes, shear));
         let classes = unsheared(classes, shear.zip(moved.as_ref()));
         let geometry = classes.geometry;
-        let counts = classes.counts();
+        let (counts, bounds) = (classes.counts(), boxes(&classes));
         let parts = parts(&classes);
         let surfaces: Vec<Boundary> = boundaries(&classes, sample);
         for (n, &label) in present.iter().enumerate() {
@@ -245,6 +250,7 @@ fn label_table(volume: &Volume, shear: Option<&Shear>) -> Result<Vec<LabelInfo>>
                 name: volume.name_of(at).map(str::to_owned),
                 voxels: counts[n + 1],
                 volume: volume_of(counts[n + 1], geometry),
+                bounds: bounds[n],
                 parts: parts.as_ref().map(|parts| parts[n]),
                 vertices: cost::two_digits(default_vertices(&surfaces[n], geometry, Kind::Labels)) as usize,
             });

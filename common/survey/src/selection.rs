@@ -165,8 +165,12 @@ pub fn no_voxel(labels: &str, volume: &Volume, present: &[LayerLabel]) -> Error 
     )
 }
 
-/// Formats labels and their names as a string.
+/// Formats labels and their names as a string. Leaves out the background, which is label 0 without
+/// a name, if there are other labels.
 pub fn listed(volume: &Volume, present: &[LayerLabel]) -> String {
+    let is_object = |at: &&LayerLabel| at.label != 0 || volume.name_of(**at).is_some();
+    let objects: Vec<LayerLabel> = present.iter().filter(is_object).copied().collect();
+    let present = if objects.is_empty() { present } else { &objects };
     let of = |at: &LayerLabel| {
         let layer = if volume.layer_count() > 1 { format!(" of layer {}", at.layer) } else { String::new() };
         match volume.name_of(*at) {

@@ -1,7 +1,7 @@
 //! Formats the description of a volume as `isoparticles-volume info` prints it.
 
-use crate::boundary::BALL;
-use crate::cost::{Cost, UNCERTAINTY};
+use crate::cost::{Cost, FEWEST_VERTICES, UNCERTAINTY, Uniform};
+use crate::extent::WorldBox;
 use crate::kind::Kind;
 use crate::selection::MOST_LISTED;
 use crate::{LabelInfo, Object, VolumeInfo};
@@ -103,7 +103,7 @@ impl VolumeInfo {
         }
         let layer = if self.layers > 1 { "  layer" } else { "" };
         writeln!(out, "\n    label{layer}        voxels          mm^3    parts    vertices  name")?;
-        for label in labels {
+        for label in &labels {
             let layer = if self.layers > 1 { format!("  {:>5}", label.at.layer) } else { String::new() };
             let parts = label.parts.map_or_else(|| "many".to_owned(), |parts| grouped(parts.count));
             let line = format!(
@@ -119,6 +119,24 @@ impl VolumeInfo {
         if left_out > 0 {
             writeln!(out, "  and {left_out} smaller ones (--json FILE has all)")?;
         }
+        self.write_boxes(&labels, out)
+    }
+
+    /// Writes the box and the centre of each label, as the options that take world positions use
+    /// them.
+    fn write_boxes(&self, labels: &[&LabelInfo], out: &mut String) -> std::fmt::Result {
+        if labels.iter().all(|label| label.bounds.is_none()) {
+            return Ok(());
+        }
+        let frame = if self.space == Space::Unnamed { "" } else { ", LPS" };
+        writeln!(out, "\n    label  box and its centre in world coordinates (mm{frame})")?;
+        for label in labels {
+            let Some(WorldBox { low, high, centre }) = label.bounds else { continue };
+            let range = |a: usize| format!("{} {} to {}", ["x", "y", "z"][a], short(low[a]), short(high[a]));
+            let (ranges, centre) = ([0, 1, 2].map(range).join(", "), centre.map(short).join(", "));
+            let layer = if self.layers > 1 { format!("  layer {}", label.at.layer) } else { String::new() };
+            writeln!(out, "  {:>7}{layer}  {ranges}; centre ({centre})", label.at.label)?;
+        }
         Ok(())
     }
 
@@ -132,8 +150,7 @@ impl VolumeInfo {
         }
         writeln!(
             out,
-            "  Vertices are predicted from balls of {BALL} voxels around sampled faces. Time is the processor time\n  \
-             of all threads; docs/user/size.md gives the rates and their machine."
+            "  Time is the processor time of all threads; docs/user/size.md gives the rates and their machine."
         )
     }
 }
@@ -154,11 +171,12 @@ fn write_object(object: &Object, out: &mut String) -> std::fmt::Result {
     writeln!(out, "    area {} mm^2", short(*area))?;
     writeln!(
         out,
-        "    vertices {} ({} to {}); {}",
+        "    vertices {} ({} to {}); {}{}",
         grouped(*vertices),
         grouped(*low),
         grouped(*high),
-        sizes.join(", ")
+        sizes.join(", "),
+        fewest_told(object.parts.map_or(1, |parts| parts.count), uniform)
     )?;
     let told: Vec<String> = stages
         .iter()
@@ -172,6 +190,16 @@ fn write_object(object: &Object, out: &mut String) -> std::fmt::Result {
         })
         .collect();
     writeln!(out, "    {}", told.join("; "))
+}
+
+/// Explains equal numbers of vertices for several edge lengths: every part has a minimum number of
+/// vertices. Returns an empty string if the minimum does not apply.
+fn fewest_told(parts: usize, uniform: &[Uniform]) -> String {
+    let fewest = two(FEWEST_VERTICES * parts as f64) as usize;
+    if parts < 2 || uniform.iter().all(|one| one.vertices > fewest) {
+        return String::new();
+    }
+    format!(" (at least {FEWEST_VERTICES} vertices for each of {} parts)", grouped(parts))
 }
 
 fn two(value: f64) -> f64 {

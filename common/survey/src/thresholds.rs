@@ -86,11 +86,11 @@ pub fn iso_values(survey: &Survey) -> Vec<IsoValue> {
     let (histogram, padding) = survey.histogram.without_padding();
     let but = padding.map_or_else(String::new, |value| format!(", but for the padding near {value:.6}"));
     if let Some(one) = otsu(&histogram) {
-        add(histogram.round(one), Inside::Above, format!("Otsu: parts the values best into two classes{but}"));
+        add(histogram.round(one), Inside::Above, format!("Otsu's threshold between two classes{but}"));
     }
     if let Some(two) = otsu_two(&histogram) {
         for (iso, which) in two.into_iter().zip(["lower", "upper"]) {
-            let why = format!("Otsu: {which} of the two that part the values best into three classes{but}");
+            let why = format!("{which} of two Otsu thresholds{but}");
             add(histogram.round(iso), Inside::Above, why);
         }
     }

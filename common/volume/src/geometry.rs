@@ -112,6 +112,14 @@ impl Geometry {
         self.index_to_grid(DVec3::new(self.size[0] as f64 - 1.0, self.size[1] as f64 - 1.0, self.size[2] as f64 - 1.0))
     }
 
+    /// Returns the minimum and maximum world coordinates of a box that is given by two opposite
+    /// corners in the grid frame.
+    pub fn world_box(&self, [low, high]: [DVec3; 2]) -> [DVec3; 2] {
+        let corner = |n: usize| DVec3::from_array([0, 1, 2].map(|a| if n >> a & 1 == 0 { low[a] } else { high[a] }));
+        let corners = (0..8).map(|n| self.grid_to_world(corner(n)));
+        corners.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], p| [low.min(p), high.max(p)])
+    }
+
     /// Returns the grid extended by `margin` voxels on every face. Grid positions increase by
     /// `margin * spacing`.
     pub fn padded(&self, margin: usize) -> Self {

@@ -1,5 +1,5 @@
-//! Reads and writes VTK image files (`.vti`), which contain a regular grid with a position in the
-//! world.
+//! Reads and writes VTK image files (`.vti`): a regular grid with an origin, a spacing and a
+//! direction in world coordinates.
 
 use crate::error::Result;
 use crate::error::bad;

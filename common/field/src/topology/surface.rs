@@ -214,7 +214,7 @@ struct Crossings {
     by_slice: Vec<Vec<Crossing>>,
     /// Number of crossings before each slice.
     before: Vec<u32>,
-    /// Size of the range of crossing numbers in one slice.
+    /// Number of crossing numbers reserved for one slice.
     span: u64,
 }
 

@@ -43,11 +43,11 @@ pub enum UndecidedKind {
     Gap,
     /// A neck of the object or of its surroundings that may be cut.
     Neck,
-    /// An extremum of F within a speck or a cavity that may be missing.
+    /// A speck or cavity that may not exist, located at the extremum of F inside it.
     Speck,
-    /// Cells in which F = 0 is not certain, with the number of critical points in them. The number
-    /// is two if none were found, for example if two critical points almost cancel. This kind is
-    /// also used, with the number one, for a component finer than [`RESOLUTION`] where F is flat.
+    /// Cells in which the topology of F = 0 is uncertain, with the number of critical points in
+    /// them. If none are found, two are assumed, because two critical points may almost cancel. A
+    /// component finer than [`RESOLUTION`] where F is flat is `Uncertain(1)`.
     Uncertain(usize),
 }
 

@@ -62,5 +62,13 @@ fn usage(tool: &str, error: &clap::Error) -> Error {
     let end = ["\n\nUsage:", "\n\nFor more information"].iter().filter_map(|part| text.find(part)).min();
     let told = &text[..end.unwrap_or(text.len())];
     let what = told.trim_start_matches("error: ").split_whitespace().collect::<Vec<_>>().join(" ");
-    Error::input(what, "the command line is invalid", format!("see {tool} --help"))
+    Error::input(what, "the command line is invalid", format!("see `{} --help`", command(tool)))
+}
+
+/// Returns the command that starts this program: the word after the user's command in
+/// ISOPARTICLES_FRONT, or else the path that the program was started with, because a clone does not
+/// have it on the PATH.
+fn command(tool: &str) -> String {
+    let path = || std::env::args().next().unwrap_or_else(|| tool.to_owned());
+    std::env::var("ISOPARTICLES_FRONT").map_or_else(|_| path(), |front| format!("{front} {tool}"))
 }

@@ -41,15 +41,23 @@ pub fn bytes(text: &str) -> Result<u64, String> {
     }
 }
 
-/// Formats a length, area or volume with four decimals. Uses four significant digits for absolute
-/// values below 0.01, because four decimals could show them as 0.
+/// Formats a number with up to four significant digits, without trailing zeros. Absolute values
+/// below 0.001 or from 1e7 on have an exponent.
 pub fn significant(value: f64) -> String {
-    if value != 0.0 && value.abs() < 0.01 { format!("{value:.3e}") } else { format!("{value:.4}") }
+    let rounded = format!("{value:.3e}").parse().unwrap_or(value);
+    if rounded == 0.0 || !rounded.is_finite() || (1e-3..1e7).contains(&rounded.abs()) {
+        // adding 0 removes the sign of -0
+        format!("{}", rounded + 0.0)
+    } else {
+        format!("{rounded:e}")
+    }
 }
 
-/// Formats a position. [`significant`] formats each coordinate.
+/// Formats a position (mm) with up to three decimals. [`significant`] formats coordinates below
+/// 0.01.
 pub fn place(position: [f64; 3]) -> String {
-    format!("({})", position.map(significant).join(", "))
+    let coordinate = |x: f64| if x.abs() < 0.01 { significant(x) } else { format!("{}", (1e3 * x).round() / 1e3) };
+    format!("({})", position.map(coordinate).join(", "))
 }
 
 fn number(text: &str, fits: impl Fn(f64) -> bool, must: &str) -> Result<f64, String> {
@@ -66,8 +74,10 @@ mod tests {
 
     #[test]
     fn small_lengths_keep_their_digits() {
-        assert_eq!([0.0, 2.5, -0.01, 0.0099].map(significant), ["0.0000", "2.5000", "-0.0100", "9.900e-3"]);
-        assert_eq!(place([1.6e-6, -2.0, 0.0]), "(1.600e-6, -2.0000, 0.0000)");
+        assert_eq!([0.0, 2.5, -0.01, 0.0099].map(significant), ["0", "2.5", "-0.01", "0.0099"]);
+        assert_eq!([-0.0, 8.22e2, 24_637.5, 0.99999].map(significant), ["0", "822", "24640", "1"]);
+        assert_eq!([1.6e-6, 9.9999e6, 1.23456e9].map(significant), ["1.6e-6", "1e7", "1.235e9"]);
+        assert_eq!(place([1.6e-6, -2.0, 1234.56789]), "(1.6e-6, -2, 1234.568)");
     }
 
     #[test]

@@ -21,7 +21,8 @@ fn numbers(elements: &mut Elements, all: &[(Tag, u16)]) {
     elements.extend(all.iter().map(|&(tag, number)| (tag, (VR::US, PrimitiveValue::from(number)))));
 }
 
-/// Creates a slice of 3 x 2 pixels with 12 bits stored of 16 allocated bits. The pixel spacing is
+/// Creates a slice of 3 x 2 pixels with 16 bits allocated and 12 bits stored per pixel. The pixel
+/// spacing is
 /// 0.5 mm within a row (along x) and 0.75 mm within a column (along y).
 fn slice(position: DVec3, pixels: [u16; 6]) -> Elements {
     let mut elements = Elements::new();

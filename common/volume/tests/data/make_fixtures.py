@@ -120,7 +120,8 @@ def make_nrrd():
                            cwd=folder, check=True)
             by_unu(f"nrrd/{name}", "int16", UNIT)
         name = f"unu_detached_{encoding}.nhdr"
-        # Teem 1.12 writes text with swapped bytes if the other byte order is requested.
+        # Teem 1.12 swaps the bytes of ASCII values if a non-native byte order is requested, so
+        # ASCII files use little endian.
         order = "little" if encoding == "ascii" else "big"
         subprocess.run([UNU, "save", "-f", "nrrd", "-e", encoding, "-en", order, "-i", "plain.nrrd", "-o", name],
                        cwd=folder, check=True)

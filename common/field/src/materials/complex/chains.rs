@@ -453,8 +453,8 @@ fn merge_points(complex: &mut Complex, same: &[[u32; 2]], voxel: f64) {
     complex.chains = left.into_iter().flatten().map(renumbered).collect();
 }
 
-/// Joins the chains that end at a point in pairs of the same curve. `same` maps joined chains to
-/// the chain that remains.
+/// Joins chains of the same curve pairwise where they end at the point `own`. `same` maps each
+/// joined chain to the chain that remains.
 fn pass(own: u32, ends: &[u32], left: &mut [Option<Chain>], same: &mut DisjointSets) {
     loop {
         let mut numbers: Vec<u32> = ends.iter().map(|&n| same.find(n)).collect();

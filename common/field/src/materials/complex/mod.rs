@@ -53,8 +53,7 @@ pub struct Tally {
     /// Junction points that were removed, because the curves that end there continue through
     /// them.
     pub points_passed: usize,
-    /// Junction points at which, for some three of the four materials, the number of curve
-    /// ends is not one.
+    /// Junction points where some three of the four materials do not have exactly one curve end.
     pub points_irregular: usize,
     /// Closed curves that were dropped, because they are far shorter than a voxel.
     pub specks: usize,
