@@ -51,8 +51,9 @@ impl Answers {
     /// volume or the folder of the case.
     ///
     /// # Errors
-    /// If a stage rejects its options.
+    /// If a stage rejects its options, or the goal does not fit the settings.
     pub fn check(&mut self, case: &Case, goal: &str, programs: &Programs) -> Result<()> {
+        case.check_goal(goal)?;
         // With a fixed folder, equal options give equal command lines.
         let folder = CaseFolder::new(Path::new("OUT"), "NAME");
         let mut known = Known::default();

@@ -59,7 +59,7 @@ pub fn paths_of_volume(volume: &Path) -> Vec<PathBuf> {
     std::iter::once(volume.to_path_buf()).chain(data.into_iter().filter(|path| path.is_file())).collect()
 }
 
-/// Returns the paths of the files in the options of a key and of their data files, without hashes.
+/// Returns the paths of all files named in the setting `key`, and of their data files.
 #[must_use]
 pub fn paths_named_in(settings: &Settings, key: &str) -> Vec<PathBuf> {
     files_in_words(&settings.words(key)).iter().flat_map(|path| paths_of_volume(path)).collect()

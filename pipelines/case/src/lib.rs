@@ -7,6 +7,7 @@
 //! that make them, and updates [`status::Status`] at each step. So every result in the folder was
 //! made or confirmed by the last run. The Makefile calls the program of this crate.
 
+mod advice;
 pub mod batch;
 pub mod check;
 pub mod cluster;

@@ -7,7 +7,7 @@ use crate::program::{self, Ended};
 use crate::settings::Settings;
 use crate::stages::{Plan, Planned, Programs, Volume, plan};
 use crate::status::{FORMAT, Input, Problem, Stage, State, Status, VERSION, VOLUME, Verdict};
-use crate::{check, name, verdict};
+use crate::{check, name, stages, verdict};
 use isoparticles_stage::error::{Error, Result};
 use std::io::Write;
 use std::ops::Range;
@@ -87,6 +87,24 @@ impl Case {
         }
         Ok(())
     }
+
+    /// Checks whether the settings allow the last stage of a goal.
+    ///
+    /// # Errors
+    /// If an open surface would have to be filled with tetrahedra.
+    pub(crate) fn check_goal(&self, stage: &str) -> Result<()> {
+        // With materials, distfield refuses an open border.
+        let of_one_object = self.settings.get("MATERIALS").is_none();
+        let Some(set_by) = stages::open_border(&self.settings).filter(|_| stage == "tetmesh-check" && of_one_object)
+        else {
+            return Ok(());
+        };
+        Err(Error::input(
+            format!("{set_by} gives an open surface"),
+            "tetrahedra cannot fill an open surface; nothing was removed or started",
+            format!("use `{} surface` to stop at the triangles, or BORDER=cap to close the surface", program::front()),
+        ))
+    }
 }
 
 /// Returns the folder OUT, which contains the folders of all cases.
@@ -103,6 +121,7 @@ pub fn out(settings: &Settings) -> PathBuf {
 /// cannot be written or removed.
 pub fn make(case: &Case, goal: &str, programs: &Programs) -> Result<Status> {
     case.check()?;
+    case.check_goal(goal)?;
     let folder = &case.folder;
     let _lock = if folder.path.is_dir() { Some(folder.lock()?) } else { None };
     let before = Status::read(&folder.status_path());
@@ -486,7 +505,7 @@ pub fn status_of(folder: &CaseFolder) -> Result<Status> {
         Error::input(
             format!("{}: not found", folder.status_path().display()),
             "this file records the outcome of the case",
-            "make the case first, or check CASE, NAME and OUT",
+            format!("run `{} mesh NAME={} ...` first, or check CASE, NAME and OUT", program::front(), folder.name),
         )
     })
 }

@@ -254,6 +254,18 @@ fn options(stage: &str, settings: &Settings) -> Vec<String> {
     words
 }
 
+/// Returns the setting that leaves the surface open at the border of the volume, if there is one.
+pub(crate) fn open_border(settings: &Settings) -> Option<&'static str> {
+    if settings.get("BORDER") == Some("open") {
+        return Some("BORDER=open");
+    }
+    let words = settings.words(options_key("distfield")).join(" ");
+    ["--border open", "--border=open"]
+        .iter()
+        .any(|it| words.contains(it))
+        .then_some("DISTFIELD_OPTIONS='--border open'")
+}
+
 /// Returns the complete arguments of a stage, and the path of its report.
 fn arguments(
     stage: &str,

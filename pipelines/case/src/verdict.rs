@@ -1,5 +1,6 @@
 //! Derives the verdict, a sentence that explains it, and the closing terminal lines from a status.
 
+use crate::advice::{advice_for, known_advice};
 use crate::folder::CaseFolder;
 use crate::status::{Stage, State, Status, Verdict};
 use isoparticles_stage::cli::FIT_BUT_FOR;
@@ -77,6 +78,9 @@ pub fn closing(folder: &CaseFolder, status: &Status) -> String {
     for stage in &status.stages {
         for check in &stage.failed_checks {
             line("failed", &format!("{}: {check}", stage.stage));
+            if let Some(advice) = advice_for(check, &status.parameters) {
+                line("what to do", &advice);
+            }
         }
         if let Some(error) = &stage.error {
             line("what to do", &error.next);
@@ -88,6 +92,11 @@ pub fn closing(folder: &CaseFolder, status: &Status) -> String {
     for stage in &status.stages {
         for warning in &stage.warnings {
             line("warning", &format!("{}: {warning}", stage.stage));
+            // The warnings of the other stages contain their advice.
+            let advice = known_advice(warning, &status.parameters).filter(|_| stage.stage == "tetmesh-check");
+            if let Some(advice) = advice {
+                line("what to do", &advice);
+            }
         }
     }
     line("status", &folder.status_path().display());
@@ -116,11 +125,11 @@ pub fn exit_code(status: &Status) -> u8 {
 mod tests {
     use super::*;
     use std::collections::BTreeMap;
+    use std::path::Path;
 
-    #[test]
-    fn the_verdict_names_accepted_elements() {
-        let mut stage = Stage::nothing("tetmesh-check", State::Done);
-        let mut status = Status {
+    /// A case with these stages.
+    fn status(stages: Vec<Stage>) -> Status {
+        Status {
             format: String::new(),
             version: 1,
             name: "case".to_owned(),
@@ -128,11 +137,27 @@ mod tests {
             verdict: Verdict::Running,
             headline: String::new(),
             inputs: Vec::new(),
-            parameters: BTreeMap::new(),
-            stages: vec![stage.clone()],
+            parameters: BTreeMap::from([("SIZE".to_owned(), "2".to_owned())]),
+            stages,
             page: None,
             page_key: String::new(),
-        };
+        }
+    }
+
+    #[test]
+    fn advice_follows_each_failed_check() {
+        let mut stage = Stage::nothing("reconstruct", State::Failed);
+        stage.failed_checks = vec!["2 pairs of intersecting triangles".to_owned()];
+        let text = closing(&CaseFolder::new(Path::new("out"), "case"), &status(vec![stage]));
+        let lines: Vec<&str> = text.lines().map(str::trim_start).collect();
+        let at = lines.iter().position(|line| line.starts_with("failed ")).expect("a failed check");
+        assert!(lines[at + 1].starts_with("what to do ") && lines[at + 1].contains("a smaller SIZE"), "{text}");
+    }
+
+    #[test]
+    fn the_verdict_names_accepted_elements() {
+        let mut stage = Stage::nothing("tetmesh-check", State::Done);
+        let mut status = status(vec![stage.clone()]);
         assert_eq!(of(&status).0, Verdict::Passed);
         stage.warnings = vec!["another".to_owned(), format!("{FIT_BUT_FOR}2 accepted tetrahedra: flat")];
         status.stages = vec![stage];

@@ -85,6 +85,9 @@ fn info_describes_a_label_map() {
     assert_eq!(table.iter().map(|label| label["label"].as_i64()).collect::<Vec<_>>(), [Some(2), Some(3), Some(9)]);
     assert_near(&table[1]["volume"], 4.0 / 3.0 * PI * 512.0, 0.05);
     assert_eq!(table[2]["parts"], json!({ "count": 1, "largest": 1 }));
+    let bounds =
+        |label: &Value| [0, 1, 2].map(|a| label["bounds"]["high"][a].as_f64() > label["bounds"]["low"][a].as_f64());
+    assert!(table.iter().all(|label| bounds(label) == [true; 3]), "{table:?}");
 }
 
 #[test]
@@ -102,7 +105,15 @@ fn info_prints_text_and_writes_the_same_as_json() {
     let case = Case::labels(0.0);
     let run = case.run(&["info", "v.nrrd", "--json", "info.json"]);
     let text = String::from_utf8_lossy(&run.stdout);
-    for part in ["36 x 34 x 18", "x right to left", "kind         labels", "LABELS=all", "right-handed", "vertices"] {
+    for part in [
+        "36 x 34 x 18",
+        "x right to left",
+        "kind         labels",
+        "LABELS=all",
+        "right-handed",
+        "vertices",
+        "; centre (",
+    ] {
         assert!(text.contains(part), "'{part}' is missing: {text}");
     }
     let file: Value = serde_json::from_slice(&std::fs::read(case.path("info.json")).expect("a file")).expect("JSON");
