@@ -156,7 +156,23 @@ fingerprint=$({
     echo "$here, HXT: $with_hxt"
 } | "$python" -c 'import hashlib, sys; print(hashlib.sha256(sys.stdin.buffer.read()).hexdigest())')
 
-if [ -x "$venv/bin/tetmesh-check" ] && [ "$(cat "$stamp" 2>/dev/null || true)" = "$fingerprint" ]; then
+is_ready() {
+    [ -x "$venv/bin/tetmesh-check" ] && [ "$(cat "$stamp" 2>/dev/null || true)" = "$fingerprint" ]
+}
+
+# lock HOW : takes the lock on file descriptor 9, which this shell holds until it ends. Returns 1 if
+# another process has the lock and HOW is "try". Some file systems have no locks; then this succeeds.
+lock() {
+    "$python" -c 'import fcntl, sys
+try:
+    fcntl.flock(9, fcntl.LOCK_EX | (fcntl.LOCK_NB if sys.argv[1] == "try" else 0))
+except BlockingIOError:
+    sys.exit(1)
+except OSError:
+    pass' "$1"
+}
+
+if is_ready; then
     if [ "$check_only" = yes ]; then
         say "ready: $venv ($("$venv/bin/python" --version))"
         can_render || warn_no_renderer
@@ -168,6 +184,20 @@ if [ "$check_only" = yes ]; then
     has_modules "$python" venv ensurepip ||
         say "Python's venv or ensurepip is missing; Debian and Ubuntu: apt-get install python3-venv"
     fail "$venv: not there, or not up to date" "tetmesh-check runs in it" "run $0"
+fi
+
+# Only one process may make the environment at a time.
+lock_file=${venv%/}.lock
+if (: >>"$lock_file") 2>/dev/null; then
+    exec 9>>"$lock_file"
+    if ! lock try; then
+        say "another make is installing into $venv; waiting"
+        lock wait
+        if is_ready; then
+            say "ready: $venv/bin/tetmesh-check"
+            exit 0
+        fi
+    fi
 fi
 
 if ! has_modules "$python" venv ensurepip; then
@@ -195,7 +225,7 @@ rm -f "$stamp"
 say "installing the packages of requirements.lock (about 260 MB to download the first time)"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes -r "$lock" ||
     fail "pip could not install the packages of requirements.lock" "tetmesh-check needs them" \
-        "see the message above; is the network reachable? Behind a proxy, configure pip (pip config) and try again"
+        "see the message above; common causes are a full disk, a network that cannot be reached, and a proxy (configure pip: pip config)"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input --no-deps --no-index --no-build-isolation \
     --editable "$here" ||
     fail "pip could not install $here" "it is the stage itself" "see the message above"

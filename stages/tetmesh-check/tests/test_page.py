@@ -17,7 +17,7 @@ from PIL import Image
 from tetmesh_check import cli, convergence, pictures
 from tetmesh_check.errors import StageError
 from tetmesh_check.page import index, measured, program
-from tetmesh_check.page.advice import ADVICE, advice_for
+from tetmesh_check.page.advice import advice_for
 from tetmesh_check.page.case import Case, read_case
 from tetmesh_check.page.charts import Axis, Limit, curve, histogram, number, ticks
 from tetmesh_check.page.html import _MESH_SHARE, filled
@@ -252,11 +252,18 @@ def test_headlines(tmp_path: Path) -> None:
     assert verdict(tmp_path, verdict="error") == ("fail", "No mesh: as make says it")
 
 
+@pytest.mark.parametrize(("goal", "title"), [("surface", "surface"), ("mesh", "surface and tetrahedra")])
+def test_the_title_says_what_was_made(tmp_path: Path, goal: str, title: str) -> None:
+    elements = made(write_status(tmp_path, "x", goal=goal, stages={}), tmp_path / "x.html")
+    assert elements.words.lstrip().startswith(f"x: {title}\n")
+
+
 def test_what_to_do_stands_beside_a_failed_check(case: Path, tmp_path: Path) -> None:
     folder = copied(case, tmp_path)
     report = json.loads((folder / "a&b.report.json").read_text())
-    of_many_materials = {"interfaces_kept", "conforming", "region_parts", "current_conserved"}
-    assert {check["name"] for check in report["results"]["checks"]} == set(ADVICE) - of_many_materials
+    parameters = read_case(folder / "a&b.status.json").parameters
+    told = [advice_for(check["words"], parameters) for check in report["results"]["checks"]]
+    assert len({*told, advice_for("unknown")}) == len(told) + 1, "each check has its own"
     report["results"]["checks"][1].update(verdict="fail", passed=False)
     report.update(failed_checks=["min_dihedral"])
     (folder / "a&b.report.json").write_text(json.dumps(report))
@@ -265,9 +272,10 @@ def test_what_to_do_stands_beside_a_failed_check(case: Path, tmp_path: Path) -> 
     surface = {"state": "failed", "failed_checks": ["3 pairs of intersecting triangles"]}
     status = write_status(folder, "a&b", verdict="failed", stages={"tetmesh-check": own, "reconstruct": surface})
     elements = made(status, folder / "x.html")
-    assert ADVICE["min_dihedral"] in elements.words
-    assert ADVICE["bodies"] not in elements.words
-    assert "reconstruct: 3 pairs of intersecting triangles" + advice_for("", "intersecting triangles") in elements.words
+    assert told[1] in elements.words
+    assert told[2] not in elements.words
+    advice = advice_for("intersecting triangles", parameters)
+    assert f"reconstruct: 3 pairs of intersecting triangles{advice}" in elements.words
     assert "Not fit for simulation: 2 checks failed, 1 warning" in elements.words
     assert "kept, although a check failed" in elements.words
     assert "In three dimensions" in elements.words  # what failed is there to be looked at
@@ -314,7 +322,7 @@ def test_the_input_is_read_as_the_stages_read_it(case: Path, tmp_path: Path, kin
     elements = made(write_status(folder, "a&b", inputs=inputs), tmp_path / "x.html")
     assert "The mesh in the volume" in elements.words
     assert "towards L, P, S" in elements.words
-    assert ("labels: 2 beside 0" in elements.words) == labels
+    assert ("labels: 2, and the background 0" in elements.words) == labels
     assert ("Colours are labels" in elements.words) == labels
     rows = re.findall(r"<tr>.*?</tr>", (tmp_path / "x.html").read_text())
     assert sum(row.endswith("<td>yes</td></tr>") for row in rows) == labels
@@ -344,7 +352,7 @@ def test_the_facts_of_a_label_volume(case: Path, tmp_path: Path, monkeypatch: py
     words = made(case / "a&b.status.json", tmp_path / "x.html").words
     for said in (
         "40 \u00d7 36 \u00d7 30", "1.5 \u00d7 1 \u00d7 2 mm", "60 \u00d7 36 \u00d7 60 mm", "towards A, S, L",
-        "uint8", "labels: 2 beside 0", "a <ball>", "Colours are labels",
+        "uint8", "labels: 2, and the background 0", "a <ball>", "Colours are labels",
     ):  # fmt: skip
         assert said in words
 
@@ -362,10 +370,10 @@ def test_bad_usage(case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
             ([status, "-o", str(tmp_path / "there.html")], "exists already"),
             ([str(tmp_path / "absent.json"), "-o", str(tmp_path / "x.html")], "cannot read"),
             ([str(tmp_path / "broken.json"), "-o", str(tmp_path / "x.html")], "cannot read"),
-            ([str(tmp_path / "other.json"), "-o", str(tmp_path / "x.html")], "is no status"),
+            ([str(tmp_path / "other.json"), "-o", str(tmp_path / "x.html")], "is not the status"),
             ([str(tmp_path / "new.json"), "-o", str(tmp_path / "x.html")], "is a status of version 2"),
-            ([str(tmp_path / "lacks.json"), "-o", str(tmp_path / "x.html")], "lacks what a status has"),
-            ([str(case / "a&b.report.json"), "-o", str(tmp_path / "x.html")], "is no status"),
+            ([str(tmp_path / "lacks.json"), "-o", str(tmp_path / "x.html")], "a field is missing"),
+            ([str(case / "a&b.report.json"), "-o", str(tmp_path / "x.html")], "is not the status"),
         ):
             assert main(words) == 2
             error = capsys.readouterr().err

@@ -11,6 +11,7 @@ import pyvista as pv
 from complexes import nested_balls
 from conftest import NEEDS_HXT, Run, ball, write_status
 
+from tetmesh_check.checks import surface_volume_checks
 from tetmesh_check.page import program
 from tetmesh_check.surface import read_surface
 from tetmesh_check.volume_table import volume_table, with_changes
@@ -38,6 +39,20 @@ def test_changes_refer_to_the_voxels_or_else_to_f() -> None:
     assert of_scalar["change_percent"] == pytest.approx({"mesh_mm3": 100.0 / 11.0})
     assert with_changes(row("empty", 0.0, 1.0, 1.0))["change_percent"] == {}
     assert volume_table([], {"object": 1.0}) == []
+
+
+def test_a_changed_volume_of_the_surface_names_the_material() -> None:
+    rows = [with_changes(row(name, 100.0, 100.0, mesh)) for name, mesh in (("head", 97.0), ("nose", 88.0))]
+    (check,) = surface_volume_checks(rows, scaled=False)
+    assert check.doubtful
+    assert check.words == "surface against the voxels: the volume changes by -12 % in nose (limit 5 %)"
+    (check,) = surface_volume_checks(rows[:1], scaled=False)
+    assert check.passed
+    assert check.words == "surface against the voxels: the volume changes by -3 % (limit 5 %)"
+    (check,) = surface_volume_checks([with_changes(row("object", None, 100.0, 97.0))], scaled=True)
+    assert check.doubtful
+    assert check.words == "surface against F: the volume changes by -3 % (limit 2 %)"
+    assert surface_volume_checks([], scaled=True) == []
 
 
 def test_the_report_of_one_object_has_a_row(tmp_path: Path, run: Run) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetmesh_check.context import Context
+from tetmesh_check.numerals import plain
 from tetmesh_check.quality import Cells, Points, TetrahedronQuality, Values, centres_of
 from tetmesh_check.topology import Topology
 
@@ -25,6 +27,15 @@ _NO_PERCENT = 5e-4
 """Changes below this, percent, are rounding errors and print as 0 %."""
 _NO_DISTANCE = 1e-6
 """Distances below this share of their limit are rounding errors and print as 0 mm."""
+
+
+SURFACE_CHANGES = {False: 5.0, True: 2.0}
+"""Largest change of the volume of the surface against the voxels, percent, without a scale and with one.
+
+``distfield`` warns of changes of F above the same limits (``VOLUME_LIMITS``, ``SCALED_VOLUME_LIMITS``).
+"""
+_MOST_NAMES = 3
+"""Most materials that a message names."""
 
 
 @dataclass(frozen=True)
@@ -197,12 +208,12 @@ def percent(change: float) -> str:
     change
         In percent.
     """
-    return "0 %" if abs(change) < _NO_PERCENT else f"{change:+.3g} %"
+    return "0 %" if abs(change) < _NO_PERCENT else f"{'+' if change > 0 else ''}{plain(change)} %"
 
 
 def _distance(value: float, limit: float) -> str:
     """A distance beside its limit, mm."""
-    return f"{0.0 if value < _NO_DISTANCE * limit else value:.3g} mm (limit {limit:.3g} mm)"
+    return f"{plain(0.0 if value < _NO_DISTANCE * limit else value)} mm (limit {plain(limit)} mm)"
 
 
 def verdict(name: str, passed: bool, value: float, limit: float, words: str, required: bool = True) -> Check:
@@ -229,7 +240,7 @@ def shape_checks(quality: TetrahedronQuality, limits: Limits, forced: Forced | N
         below = values < limit
         count, on_surface = int(below.sum()), int((below & kept).sum())
         poor = counted(count, "tetrahedron is", "tetrahedra are")
-        words = f"the minimum {what} is {values.min():.3g}{unit}; {poor} below the limit of {limit:g}"
+        words = f"the minimum {what} is {plain(float(values.min()))}{unit}; {poor} below the limit of {limit:g}"
         if on_surface:
             words += f", {on_surface} of them forced by triangles of the surface (places: {FORCED_LISTS} in the report)"
         accepted = on_surface if limits.accept_forced else 0
@@ -290,16 +301,15 @@ def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
             np.abs(change) <= limits.max_volume_change,
             change,
             limits.max_volume_change,
-            f"the volume of the tetrahedra is {volume:.6g} mm^3, the volume inside the surface "
-            f"{measured.surface_volume:.6g} mm^3; the change is {percent(change)} (limit {limits.max_volume_change:g} "
-            "%)",
+            f"tetrahedra against the surface: the volume changes by {percent(change)} (limit "
+            f"{limits.max_volume_change:g} %), from {plain(measured.surface_volume)} mm^3 to {plain(volume)} mm^3",
         ),
         verdict(
             "bodies",
             measured.bodies == measured.surface_bodies,
             measured.bodies,
             measured.surface_bodies,
-            f"the tetrahedra form {counted(measured.bodies, 'separate body', 'separate bodies')}, the surface bounds "
+            f"the tetrahedra form {counted(measured.bodies, 'separate body', 'separate bodies')}; the surface encloses "
             f"{measured.surface_bodies}",
         ),
         verdict(
@@ -338,6 +348,43 @@ def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
             required=False,
         ),
     ]
+
+
+def surface_volume_checks(rows: Sequence[dict[str, Any]], scaled: bool) -> list[Check]:
+    """Compare the volume inside the surface with that of the voxels, or of F if the voxels have none.
+
+    Parameters
+    ----------
+    rows
+        The table of volumes, with changes in percent (:func:`.volume_table`).
+    scaled
+        Whether ``distfield`` used a scale above 0.
+
+    Returns
+    -------
+    list of Check
+        One check, which is only worth a warning; none if no volumes are known.
+    """
+    known = [row for row in rows if "mesh_mm3" in row["change_percent"]]
+    if not known:
+        return []
+    changes = {row["name"]: row["change_percent"]["mesh_mm3"] for row in known}
+    names = sorted(changes, key=lambda name: -abs(changes[name]))
+    limit = SURFACE_CHANGES[scaled]
+    above = [name for name in names if abs(changes[name]) > limit]
+    if len(known) == 1:
+        told = f"the volume changes by {percent(changes[names[0]])}"
+    else:
+        listed = ", ".join(
+            f"{percent(changes[name])} in {name}" for name in (above or names)[: max(1, min(len(above), _MOST_NAMES))]
+        )
+        told = f"the volume changes by {'' if above else 'at most '}{listed}"
+        if len(above) > _MOST_NAMES:
+            told += f" and more than the limit in {len(above) - _MOST_NAMES} more materials"
+    base = "F" if all(row["voxels_mm3"] is None for row in known) else "the voxels"
+    worst = changes[names[0]]
+    words = f"surface against {base}: {told} (limit {limit:g} %)"
+    return [verdict("surface_volume", not above, worst, limit, words, required=False)]
 
 
 def conclude(checks: list[Check], quality: TetrahedronQuality, context: Context) -> list[str]:

@@ -22,14 +22,40 @@ if TYPE_CHECKING:
     from tetmesh_check.pipeline import Arguments
 
 _DESCRIPTION = """\
-Fills a closed triangle surface with tetrahedra (fTetWild, or HXT of Gmsh where that is installed), graded by the size field h of
-sizefield, and checks that they are fit for simulation. Lengths are in mm (the unit of the volume), angles in degrees. h is the sizing
-of the paper (section 3.3): the target edge length of the surface; inside the object it grows away from thin places at the rate
---delta of sizefield.
+Fills a closed triangle surface with tetrahedra and checks whether they are fit for simulation.
+
+The edge length of the tetrahedra follows the size field h of sizefield, the target edge length of
+the surface (section 3.3 of the paper). Inside the object, h grows away from thin places at the rate
+--delta of sizefield. Lengths are in the unit of the volume (mm), angles in degrees.
+"""
+_METHOD = """\
+  --method  surface                      time               result
+  ftetwild  moves within --envelope      minutes to hours   best shape; varies from run to run
+  hxt       keeps its triangles          seconds            Gmsh, GPL; reproducible
+  tetgen    keeps its triangles          seconds            AGPL, installed by hand; uses only the
+                                                            largest h
+  auto      Many materials: hxt. One object: ftetwild up to 5,000 vertices, hxt above and with
+            --order 2. If hxt is missing or fails: ftetwild. If hxt misses a limit of shape on at
+            most 20,000 vertices: ftetwild as well, and the better mesh is kept.
+"""
+_SOLVE = """\
+Test problems that are solved on the tetrahedra with linear elements (scikit-fem) and conjugate
+gradients with multigrid (PyAMG): Poisson's equation with a known solution, the potential of an
+excitation wave in tissue with fibres, and an elastic organ under its own weight.
+"""
+_MANY = """\
+A surface of many materials is filled in one run by Gmsh; materials share the triangles between
+them. With --source, the potential of its current is also computed, and the balance of currents is
+checked for each material.
 """
 _EPILOG = """\
-exit codes: 0 written and fit; 1 written, but a check failed; 2 bad usage or input, nothing written, or a fault of the program;
-130 interrupted. The mesh is written before anything is solved on it: what ends the run later leaves it there.
+exit codes:
+  0    the mesh was written, and every check passed
+  1    the mesh was written, but a check failed
+  2    bad usage, bad input or an error of the program; no mesh was written
+  130  interrupted
+The mesh is written before the test problems are solved. It is kept if a later step fails or is
+interrupted.
 
 example:
   tetmesh-check heart.surface.vtp --sizefield heart.sizefield.vti -o heart.volume.vtu \\
@@ -51,7 +77,10 @@ def build_parser() -> argparse.ArgumentParser:
 
     files = parser.add_argument_group("Files")
     files.add_argument(
-        "surface", metavar="SURFACE.vtp", type=Path, help="closed outward triangle surface (.vtp .ply .stl .obj)"
+        "surface",
+        metavar="SURFACE.vtp",
+        type=Path,
+        help="closed triangle surface whose normals point outward (.vtp, .ply, .stl, .obj)",
     )
     files.add_argument(
         "-o",
@@ -59,180 +88,177 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="VOLUME.vtu",
         type=Path,
         required=True,
-        help="the volume mesh to write; the tetrahedralizer's log is kept beside it as NAME.tetrahedra.log",
+        help="volume mesh to write. The log of the tetrahedralizer is NAME.tetrahedra.log beside it",
     )
     files.add_argument(
         "--sizefield",
         metavar="S.vti",
         type=Path,
-        help="size field h from sizefield, mm; without it all tetrahedra get the median edge length of the surface",
+        help="size field h, mm. Without it, all tetrahedra get the median edge length of the surface",
     )
     files.add_argument(
         "--labels-volume",
         metavar="L.nrrd",
         type=Path,
-        help="label volume, of any kind that distfield reads: each tetrahedron gets the label at its centre as its region, of those that "
-        "were meshed",
+        help="label volume in any format that distfield reads. The region of each tetrahedron is the meshed label at its "
+        "centroid",
     )
     files.add_argument(
         "--export",
         metavar="LIST",
         type=formats,
         default=(),
-        help="write the mesh in other formats, too: a list with commas of inp (Abaqus, CalculiX), msh (Gmsh 4.1), msh2 (Gmsh 2.2: GetDP, "
-        "FreeFEM), med (Salome, Code_Aster), xdmf (FEniCS), vtk (legacy), feb (FEBio), carp (openCARP), simvascular, and vtp (the boundary), "
-        "with regions and the parts of the boundary as sets or groups",
+        help="also write the mesh in these formats, separated by commas: inp (Abaqus, CalculiX), msh (Gmsh 4.1), msh2 (Gmsh "
+        "2.2: GetDP, FreeFEM), med (Salome, Code_Aster), xdmf (FEniCS), vtk (legacy), feb (FEBio), carp (openCARP), "
+        "simvascular, vtp (the boundary). Regions and parts of the boundary become sets or groups",
     )
     files.add_argument(
         "--unit",
         choices=["mm", "m", "um"],
         default="mm",
-        help="unit of the coordinates in the files of --export (default: %(default)s); carp is in micrometres, as openCARP reads it",
+        help="unit of the coordinates in exported files (default: %(default)s). carp files are always in micrometres",
     )
     files.add_argument(
         "--distfield",
         metavar="F.vti",
         type=Path,
-        help="distance field that the surface is F = 0 of, mm: --order 2 needs it",
+        help="distance field F whose zero set is the surface, mm. --order 2 needs it",
     )
     files.add_argument(
         "--pictures",
         metavar="DIR",
         type=Path,
-        help="write pictures (PNG) of surface, close-up, cut and histograms there",
+        help="folder for pictures (PNG): surface, close-up, cut and histograms",
     )
 
-    method = parser.add_argument_group("Method")
+    method = parser.add_argument_group("Method", _METHOD)
     method.add_argument(
         "--method",
         choices=["auto", "ftetwild", "hxt", "tetgen"],
         default="auto",
-        help="ftetwild takes long on large surfaces and may move the surface within the envelope; hxt (Gmsh) takes seconds and "
-        "keeps its triangles; tetgen (AGPL, to be installed by hand) keeps them too, and knows of the size field its largest h only; auto "
-        "is ftetwild up to 5,000 vertices, hxt beyond, and ftetwild where hxt is missing or fails or, up to 20,000, misses a limit of shape "
-        "(default auto)",
+        help="tetrahedralizer; see the table above (default auto)",
     )
     method.add_argument(
         "--order",
         type=int,
         choices=[1, 2],
         default=1,
-        help="2: NAME.volume.quadratic.vtu is written, too, and --export writes that mesh: a node amid each edge, on F = 0 on the surface "
-        "and in the middle elsewhere; one that would fold an element is drawn back. auto is hxt then, which keeps the vertices on F = 0 "
-        "(default 1)",
+        help="order of the elements (default 1). 2 also writes NAME.volume.quadratic.vtu, and --export writes this mesh. It has a "
+        "node on each edge: on F = 0 for edges of the surface, otherwise at the midpoint. A node that would fold an element is "
+        "moved towards the midpoint",
     )
     method.add_argument(
         "--tet-size-factor",
         metavar="X",
         type=number(0.1, 100.0),
         default=1.0,
-        help="edge length of the tetrahedra over h, 0.1 to 100 (default 1)",
+        help="ratio of the edge length of the tetrahedra to h, 0.1 to 100 (default 1)",
     )
     method.add_argument(
         "--envelope",
         metavar="MM",
         type=positive,
-        help="ftetwild: largest distance of the boundary of the tetrahedra from the surface, mm, above 0; both: half of the "
-        "default of --max-distance (default 0.05 of the h that 95%% of the surface exceed)",
+        help="maximum distance by which ftetwild moves the surface, mm, above 0 (default 0.05 of the h that 95%% of the surface "
+        "exceed). Twice this distance is the default of --max-distance for every method",
     )
     method.add_argument(
         "--stop-energy",
         metavar="E",
         type=number(3.0, 1e6),
-        help="ftetwild: optimize until the largest AMIPS energy is below this, from 3 (all regular); without it 1000 is tried "
-        "first, then 30, then 10 while a limit of shape is missed",
+        help="ftetwild: optimize until the largest AMIPS energy is below E, at least 3 (all tetrahedra regular). By default, "
+        "ftetwild starts with 1000, and continues with 30 and 10 while a limit of shape is missed",
     )
     method.add_argument(
         "--max-passes",
         metavar="N",
         type=whole(1),
         default=80,
-        help="ftetwild: optimize for at most N passes (default 80)",
+        help="ftetwild: maximum number of optimization passes (default 80)",
     )
     method.add_argument(
         "--max-seconds",
         metavar="S",
         type=positive,
         default=3600.0,
-        help="end the tetrahedralizer, whichever it is and all its attempts, after this time, s (default 3600)",
+        help="time limit of the tetrahedralizer, including all attempts, s (default 3600)",
     )
 
     checks = parser.add_argument_group(
-        "Checks", "A mesh beyond one of these limits is written, but the exit code is 1."
+        "Checks", "A mesh that misses one of these limits is written, but the exit code is 1."
     )
     checks.add_argument(
         "--min-dihedral",
         metavar="DEG",
         type=number(0.0, 70.0),
         default=5.0,
-        help="smallest dihedral angle, degrees, 0 to 70 (default 5)",
+        help="minimum dihedral angle, degrees, 0 to 70 (default 5)",
     )
     checks.add_argument(
         "--min-scaled-jacobian",
         metavar="X",
         type=number(0.0, 1.0),
         default=0.05,
-        help="smallest scaled Jacobian, 0 to 1 (default 0.05)",
+        help="minimum scaled Jacobian, 0 to 1 (default 0.05)",
     )
     checks.add_argument(
         "--max-volume-change",
         metavar="PERCENT",
         type=number(0.0, 100.0),
         default=1.0,
-        help="largest change of the volume, percent (default 1)",
+        help="maximum difference between the volumes of the tetrahedra and of the surface, percent (default 1)",
     )
     checks.add_argument(
         "--max-distance",
         metavar="MM",
         type=positive,
-        help="largest distance between boundary and surface, either way, mm (default twice the envelope)",
+        help="maximum distance between the boundary of the tetrahedra and the surface, in both directions, mm (default twice "
+        "the envelope)",
     )
 
     checks.add_argument(
         "--accept-forced",
         action="store_true",
-        help="many materials: pass tetrahedra below a limit of shape that triangles of the surface force below it; the verdict counts them",
+        help="many materials: accept tetrahedra below a limit of shape where the triangles of the surface allow no better ones. "
+        "The verdict counts them",
     )
 
     solve = parser.add_argument_group(
         "Solve",
-        "Problems solved on the tetrahedra with linear elements (scikit-fem) and conjugate gradients with multigrid (PyAMG): Poisson's "
-        "equation with a known solution, the potential of a wave of excitation in tissue with fibres, and an elastic organ under its own "
-        "weight.",
+        _SOLVE,
     )
     solve.add_argument(
         "--solve",
         choices=["auto", "yes", "no"],
         default="auto",
-        help="auto: on meshes of up to 150,000 tetrahedra; yes takes about 3 GB for a million (default auto)",
+        help="whether to solve the test problems (default auto: up to 150,000 tetrahedra). A million tetrahedra need about 3 GB",
     )
     solve.add_argument(
         "--solve-seconds",
         metavar="S",
         type=positive,
         default=600.0,
-        help="leave out what is not solved after this time, s, with a warning; a set-up of multigrid under way is finished (default 600)",
+        help="time limit of the test problems, s (default 600). Unsolved problems are omitted with a warning. The set-up of "
+        "multigrid is not interrupted",
     )
     solve.add_argument(
         "--compare-seconds",
         metavar="S",
         type=number(0.0, math.inf),
         default=60.0,
-        help="of these, how long conjugate gradients may go on without multigrid, s, only to tell the condition of the matrices; at least 0 "
-        "(default 60)",
+        help="time limit within --solve-seconds for conjugate gradients without multigrid, s, at least 0 (default 60). They only "
+        "measure the condition of the matrices",
     )
 
     many = parser.add_argument_group(
         "Many materials",
-        "For a surface of many materials: all are filled at once (by Gmsh) and share the triangles between them. With a source, the potential "
-        "of its current in all of them is solved for, too, and every material's current balance is checked.",
+        _MANY,
     )
     many.add_argument(
         "--source",
         metavar="NAME[=X,Y,Z]",
         type=source_of_current,
         default=None,
-        help="the material in which a current of this density arises, uA/mm^2 along the world's axes (default 1,0,0)",
+        help="material that contains the current source, and the current density in world coordinates, uA/mm^2 (default 1,0,0)",
     )
     many.add_argument(
         "--conductivity",
@@ -240,47 +266,47 @@ def build_parser() -> argparse.ArgumentParser:
         type=named_number,
         action="append",
         default=[],
-        help="conductivity of a material, S/m, above 0; may be repeated (default 1 for those not named)",
+        help="conductivity of a material, S/m, above 0 (default 1); may be repeated",
     )
 
     shared = parser.add_argument_group("Shared options")
     loudness = shared.add_mutually_exclusive_group()
-    loudness.add_argument("-v", "--verbose", action="count", default=0, help="say more on stderr")
-    loudness.add_argument("-q", "--quiet", action="store_true", help="print only warnings and errors, and no progress")
+    loudness.add_argument("-v", "--verbose", action="count", default=0, help="print more to stderr")
+    loudness.add_argument("-q", "--quiet", action="store_true", help="print only warnings and errors, no progress")
     shared.add_argument(
         "--force",
         action="store_true",
-        help="replace outputs that exist already; without it they are kept and the run is refused",
+        help="replace existing outputs; without this option they are kept and the run is refused",
     )
     shared.add_argument(
-        "--threads", metavar="N", type=whole(0), default=0, help="CPU threads to use, 0 for all cores (default 0)"
+        "--threads", metavar="N", type=whole(0), default=0, help="number of CPU threads, 0 for all cores (default 0)"
     )
     shared.add_argument(
         "--max-memory",
         metavar="BYTES",
         type=number_of_bytes,
-        help="most memory that the run may take, such as 8G or 500M: when more is expected it is refused before it starts, with the "
-        "figure (default: what the machine has free)",
+        help="maximum memory of the run, such as 8G or 500M; a run that is expected to need more is refused before it starts "
+        "(default: the free memory of the machine)",
     )
     shared.add_argument(
         "--seed",
         metavar="N",
         type=whole(0),
         default=1,
-        help="recorded only: the tetrahedralizers draw no random numbers of ours, and fTetWild's result may differ from run to "
-        "run (default 1)",
+        help="recorded only (default 1). The tetrahedralizers do not use it, and the output of ftetwild may differ "
+        "from run to run",
     )
     shared.add_argument(
         "--report",
         metavar="FILE.json",
         type=Path,
-        help="write what was done, measured and checked to this JSON file (always replaced)",
+        help="JSON file for the report: parameters, measurements and checks (always replaced)",
     )
     shared.add_argument(
         "--progress",
         choices=["auto", "bar", "lines", "none"],
         default="auto",
-        help="how to show progress on stderr (default auto: a bar on a terminal, else lines)",
+        help="how to show progress on stderr (default auto: a bar on a terminal, otherwise lines)",
     )
     shared.add_argument("--version", action="version", version=f"{TOOL} {__version__}", help="print the version")
     shared.add_argument("-h", "--help", action="help", help="print this help")

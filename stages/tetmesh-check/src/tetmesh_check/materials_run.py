@@ -19,6 +19,7 @@ from tetmesh_check.checks import (
     poor_tetrahedra,
     shape_checks,
     smallest_elsewhere,
+    surface_volume_checks,
     verdict,
 )
 from tetmesh_check.complex import Complex, check_complex, describe_complex
@@ -43,6 +44,7 @@ from tetmesh_check.quality import (
     summarize_all,
     triangle_quality,
 )
+from tetmesh_check.regions import has_scale
 from tetmesh_check.sizing import SizingField
 from tetmesh_check.solve import VolumeMesh, solve_on
 from tetmesh_check.surface import Surface
@@ -304,8 +306,9 @@ def complex_checks(
             abs(changes[worst]) <= limits.max_volume_change,
             changes[worst],
             limits.max_volume_change,
-            f"the largest change of the volume of a material is {percent(changes[worst])}, in {worst} (limit "
-            f"{limits.max_volume_change:g} %)",
+            "tetrahedra against the surface: the volume changes by "
+            + ("0 %" if percent(changes[worst]) == "0 %" else f"at most {percent(changes[worst])} in {worst}")
+            + f" (limit {limits.max_volume_change:g} %)",
         ),
     ]
 
@@ -404,6 +407,7 @@ def run_materials(
     job = arguments.picture_job
     with drawing(None if job is None else replace(job, many=True), context):
         checks = complex_checks(context.results["volume"], filled.quality, arguments.limits, filled.forced)
+        checks += surface_volume_checks(context.results["volumes"], has_scale(surface.history))
         checks += solve_on(mesh, arguments.solve, context, _forward(source, checked, filled))
     interfaces = len(counts["interfaces"])
     context.closing.append(("materials", f"{len(checked.sides.present)}, {interfaces} interfaces"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import sys
 from collections.abc import Callable
 from typing import NoReturn
@@ -22,9 +23,15 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Say what was not understood, and end the program."""
-        error = StageError(message, "the command line was not understood", f"see {self.prog} --help")
+        error = StageError(message, "the command line was not understood", f"see `{self.command()} --help`")
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(int(ExitCode.BAD_INPUT))
+
+    def command(self) -> str:
+        """Return the command that starts this program; in a clone, its path, because it is not on the PATH."""
+        if front := os.environ.get("ISOPARTICLES_FRONT"):
+            return f"{front} {self.prog}"
+        return self.prog if sys.argv[0].endswith(".py") else sys.argv[0]
 
 
 def program_parser(tool: str, description: str, epilog: str) -> Parser:

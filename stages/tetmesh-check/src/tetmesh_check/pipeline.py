@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tetmesh_check.checks import Limits, Measurements, conclude, poor_tetrahedra, run_checks
+from tetmesh_check.checks import Limits, Measurements, conclude, poor_tetrahedra, run_checks, surface_volume_checks
 from tetmesh_check.components import Components
 from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways, summarize_distances
@@ -29,6 +29,7 @@ from tetmesh_check.regions import (
     CAP,
     boundary_marks,
     check_labels,
+    has_scale,
     meshed_labels,
     regions_of,
     share_outside,
@@ -361,6 +362,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     with context.step("write"):
         write_volume(arguments.output, marked, measured.quality, context.history())
     checks = run_checks(measured, arguments.limits)
+    checks += surface_volume_checks(context.results["volumes"], has_scale(surface.history))
     exported = marked
     if field is not None:
         curved = _curve(marked, field, arguments, context)

@@ -94,15 +94,16 @@ class Quadratic:
                 folded == 0,
                 folded,
                 0,
-                f"for {folded} quadratic tetrahedra the Jacobian is not proved to be positive everywhere",
+                f"{folded} quadratic tetrahedra may have a Jacobian that is not positive everywhere",
             ),
             verdict(
                 "nodes_on_surface",
                 off == 0,
                 off,
                 0,
-                f"{off} of {self.results['surface_nodes']} mid-edge nodes of the surface are not on it: {self.results['drawn_back']} drawn "
-                f"back so that no element folds, {self.results['too_far']} with the surface too far off",
+                f"{off} of {self.results['surface_nodes']} mid-edge nodes of the surface do not lie on F = 0: "
+                f"{self.results['drawn_back']} were moved back so that no element folds, {self.results['too_far']} are too "
+                "far from it",
                 required=False,
             ),
         ]

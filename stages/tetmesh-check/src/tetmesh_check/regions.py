@@ -46,6 +46,20 @@ def meshed_labels(history: Any) -> list[int] | None:
     return None
 
 
+def has_scale(history: Any) -> bool:
+    """Tell whether ``distfield`` smoothed the object at a scale above 0.
+
+    Parameters
+    ----------
+    history
+        That of the surface.
+    """
+    scales = (
+        entry.get("parameters", {}).get("scale") for entry in _histories(history) if entry.get("tool") == "distfield"
+    )
+    return any(scales)
+
+
 def _voxels(positions: Points, volume: LabelVolume) -> Labels:
     """Grid indices of the voxels that positions lie in, shape ``(n, 3)``; some may lie outside the grid."""
     index: Labels = np.round(np.linalg.solve(volume.step, (positions - volume.origin).T).T).astype(np.int64)

@@ -117,6 +117,13 @@ class Case:
         return [check for check in checks if isinstance(check, dict) and {"verdict", "words"} <= set(check)]
 
     @property
+    def contents(self) -> str:
+        """What the case makes, for titles."""
+        if self.goal in ("mesh", STAGES[-1]):
+            return "surface and tetrahedra"
+        return "surface" if self.goal in ("surface", "reconstruct") else self.goal
+
+    @property
     def seconds(self) -> float:
         """Time of all stages together, s."""
         return float(sum(stage.seconds or 0.0 for stage in self.stages))
@@ -245,7 +252,7 @@ def read_report(path: Path) -> dict[str, Any]:
     report = _json(path, advice)
     wanted = {"tool", "seconds", "results", "command_line", "error"}
     if not isinstance(report, dict) or not wanted <= set(report) or not isinstance(report["results"], dict):
-        raise StageError(f"{path}: is no report of a stage", "the page is made from it", advice)
+        raise StageError(f"{path}: is not the report of a stage", "the page shows its results", advice)
     return report
 
 
@@ -302,7 +309,7 @@ def read_case(status: Path) -> Case:
     advice = "give NAME.status.json, which make writes into the folder of the case"
     data = _json(status, advice)
     if not isinstance(data, dict) or data.get("format") != FORMAT:
-        raise StageError(f"{status}: is no status of a case", "the page is made from it alone", advice)
+        raise StageError(f"{status}: is not the status of a case", "the page shows what the status lists", advice)
     if data.get("version") != VERSION:
         raise StageError(
             f"{status}: is a status of version {data.get('version')}",
@@ -325,8 +332,8 @@ def read_case(status: Path) -> Case:
         )
     except (KeyError, TypeError, AttributeError) as error:
         raise StageError(
-            f"{status}: lacks what a status has ({type(error).__name__} {error})",
-            "the page is made from it alone",
+            f"{status}: a field is missing or has the wrong type ({type(error).__name__} {error})",
+            "the page shows what the status lists",
             advice,
         ) from error
     for path in case.outputs("particles", ".passes.csv"):

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
+from tetmesh_check.numerals import plain
+
 _WIDTH, _HEIGHT = 560.0, 330.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 66.0, 16.0, 36.0, 46.0
 _ROW = 17.0
@@ -36,7 +38,7 @@ class Axis:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Write a number for people: thousands apart, some significant digits below one thousand.
+    """Write a number for people: whole numbers and those from 1000 on without decimals, others with few digits.
 
     Parameters
     ----------
@@ -49,8 +51,7 @@ def number(value: float, digits: int = 3) -> str:
         return "-"
     if value == round(value) and abs(value) < 1e15:
         return f"{int(value):,}".replace(",", "\u202f")
-    rounded = f"{value:.{digits}g}"
-    return f"{value:,.0f}".replace(",", "\u202f") if abs(float(rounded)) >= 1000 else rounded
+    return plain(value, digits, spaced=True)
 
 
 def ticks(low: float, high: float, about: int = 5) -> list[float]:

@@ -166,13 +166,13 @@ def index(cases: Sequence[Case], output: Path) -> str:
     )  # fmt: skip
     rows = [_row(case, output) for case in cases]
     body = (
-        '<header><p class="kicker">isoparticles: surface and tetrahedra</p><h1>Cases</h1>'
+        '<header><p class="kicker">isoparticles</p><h1>Cases</h1>'
         f'<p class="verdict {kind}">{escape(verdict)}</p></header>'
         f"<section>{table(head, rows, (0, 1), 'cases')}<p class=soft>The same data as CSV: "
         f'<a href="{quote(output.with_suffix(".csv").name)}">{escape(output.with_suffix(".csv").name)}</a>. CG: iterations of conjugate '
         "gradients with Jacobi's preconditioner, where problems were solved.</p></section>"
     )
-    return document("Cases: surfaces and tetrahedra", body)
+    return document("Cases of isoparticles", body)
 
 
 def read_cases(statuses: Sequence[Path]) -> list[Case]:
@@ -213,8 +213,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     parser = program_parser(
         TOOL,
-        description="Writes a page over many cases, those that failed included, with links to theirs, and a CSV file beside it with a line a "
-        "case. It reads the status of each case, which make writes, and the reports that this lists.",
+        description="Writes a page with a row for each case, failed ones included, and a link to the page of the case. It also writes the "
+        "rows as a CSV file. It reads NAME.status.json of each case, which make writes, and the reports that are listed there.",
         epilog="exit codes: 0 written; 2 bad usage or input, nothing written; 130 interrupted\n\nexample:\n"
         f"  {TOOL} out/*/*.status.json -o out/index.html",
     )
@@ -233,7 +233,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     def work() -> int:
         if output.suffix != ".html":
-            raise StageError(f"{output}: does not end in .html", "it is a page", "name it index.html")
+            raise StageError(f"{output}: does not end in .html", "the page is an HTML file", "name it index.html")
         refuse_existing([output, output.with_suffix(".csv")], parsed.force)
         cases = read_cases(parsed.statuses)
         page = index(cases, Path(os.path.realpath(output)))

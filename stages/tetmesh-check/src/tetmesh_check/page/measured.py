@@ -26,6 +26,9 @@ _PROBLEMS = {
     "forward": "Current source in one of several materials",
 }
 
+_NO_DIFFERENCE = 1e-3
+"""Differences of forces below this, percent, are written as less than it."""
+
 
 def _histogram(
     summary: dict[str, Any],
@@ -203,8 +206,13 @@ def _distances(case: Case) -> str:
     return (
         "<h3>Tetrahedra against the surface</h3>"
         + table(("distance, mm", "mean", "99 %", "maximum"), rows)
-        + f"<p>The boundary of the tetrahedra {kept}. The change of the volume is {percent(change)}.</p>"
+        + f"<p>The boundary of the tetrahedra {kept}. Their volume differs from that of the surface by {percent(change)}.</p>"
     )
+
+
+def _small(percent: float) -> str:
+    """A difference, percent, that only rounding causes."""
+    return "less than 0.001" if percent < _NO_DIFFERENCE else number(percent, 2)
 
 
 def _iterations(run: dict[str, Any] | None) -> str:
@@ -229,16 +237,17 @@ def solve(case: Case) -> str:
         figures = results[name]
         said = {
             "poisson": lambda f: (
-                f"error {100 * f['relative_l2_error']:.2g} % of the known solution (gradient {100 * f['relative_h1_error']:.2g} %, "
-                f"{f['best_approximation']:.2f} times that of the interpolation)"
+                f"error {number(100 * f['relative_l2_error'], 2)} % of the known solution, "
+                f"{number(100 * f['relative_h1_error'], 2)} % of its gradient ({f['best_approximation']:.2f} times the "
+                "error of interpolation)"
             ),
             "conduction": lambda f: (
                 f"potential {f['potential_range_mv'][0]:.1f} to {f['potential_range_mv'][1]:.1f} mV"
             ),
             "elasticity": lambda f: (
-                f"{100 * f['load_share']:.2g} % of its weight moves it by at most {100 * f['displacement_share']:.2g} % of its size "
-                f"({number(f['max_displacement_mm'])} mm); reaction and load differ by "
-                f"{100 * abs(f['reaction_n'] / (f['load_share'] * f['weight_n']) - 1):.1g} %"
+                f"{number(100 * f['load_share'], 2)} % of its weight moves it by at most "
+                f"{number(100 * f['displacement_share'], 2)} % of its size ({number(f['max_displacement_mm'])} mm); "
+                f"reaction and load differ by {_small(100 * abs(f['reaction_n'] / (f['load_share'] * f['weight_n']) - 1))} %"
             ),
             "forward": lambda f: f"potential {f['potential_range_mv'][0]:.1f} to {f['potential_range_mv'][1]:.1f} mV",
         }[name](figures)
@@ -248,12 +257,13 @@ def solve(case: Case) -> str:
                 title,
                 number(figures["unknowns"]),
                 *(_iterations(figures.get(run)) for run in ("multigrid", "jacobi", "plain")),
-                "-" if condition is None else number(float(f"{condition:.2g}")),
+                "-" if condition is None else number(float(f"{condition:.1e}")),
                 duration(figures["seconds"]),
                 said,
             )
         )
-    reason = "" if results["reason"] is None else f"<p>Not every problem was solved: {escape(results['reason'])}.</p>"
+    missing = "Not every test problem was solved" if rows else "No test problem was solved"
+    reason = "" if results["reason"] is None else f"<p>{missing}: {escape(results['reason'])}.</p>"
     if not rows:
         return section("Solve", reason)
     columns = ("problem", "unknowns", "CG, multigrid", "CG, Jacobi", "CG, plain", "condition", "time", "result")
@@ -264,6 +274,13 @@ def solve(case: Case) -> str:
         "only, so the load is the share of the weight that moves the organ by at most 1 % of its "
         f"size.</p>{table(columns, rows, (0, 7))}{reason}",
     )
+
+
+def _on_junctions(case: Case) -> str:
+    """A sentence about particles that ``particles`` does not move, and so does not count in its passes."""
+    total = str(dig(case.reports, "particles", "results", "particles") or "")
+    fixed = int(total) - int(case.passes[-1]["count"]) if total.isdigit() else 0
+    return f" The {number(fixed)} particles on junction curves are not counted here." if fixed > 0 else ""
 
 
 def particles(case: Case) -> str:
@@ -286,7 +303,8 @@ def particles(case: Case) -> str:
         + figure(energy, "The total energy in each pass. The passes end when it no longer falls.")
         + figure(
             count,
-            f"Particles are added in sparse regions and removed in crowded ones; {number(last['count'])} remain.",
+            f"Particles are added in sparse regions and removed in crowded ones; {number(last['count'])} remain."
+            + _on_junctions(case),
         )
         + "</div>",
     )

@@ -103,7 +103,7 @@ LISTS = (
         "sizefield",
         _at("fields", "too_small"),
         (("size", "extent, mm"), ("h", "edge length h, mm")),
-        "Each of these components gets fewer particles than a closed surface needs.",
+        "Each of these components needed more particles than h allows, and got them.",
     ),
     PlaceList(
         "Small islands given to the materials around them",

@@ -168,7 +168,7 @@ def page(case: Case, folder: Path) -> str:
     scripts = [
         name for mark, name in (("slices-data", "slices.js"), ("view-data", "view.js")) if f'id="{mark}"' in body
     ]
-    return document(f"{case.name}: surface and tetrahedra", f"{sections.head(case)}\n{contents(body)}\n{body}", scripts)
+    return document(f"{case.name}: {case.contents}", f"{sections.head(case)}\n{contents(body)}\n{body}", scripts)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -181,9 +181,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     parser = program_parser(
         TOOL,
-        description="Writes one HTML page about a case, which needs no network and no other file: verdict, what to do, the mesh in the "
-        "volume, 3-D view, pictures, checks, quality, solves, particles, stages, files, commands. It reads the status of the case, "
-        "which make writes, and the files that this lists; what is not there is left out.",
+        description="Writes the page of a case, one HTML file that works offline. It shows verdict, checks with advice, slices of the "
+        "volume with the mesh, a 3-D view, pictures, quality, solves, particles, stages, files and commands. It reads "
+        "NAME.status.json, which make writes, and the files that are listed there. A part whose files are missing is omitted.",
         epilog="exit codes: 0 written; 2 bad usage or input, nothing written; 130 interrupted\n\nexample:\n"
         f"  {TOOL} out/heart/heart.status.json -o out/heart/heart.report.html",
     )
@@ -194,7 +194,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     def work() -> int:
         if parsed.output.suffix != ".html":
-            raise StageError(f"{parsed.output}: does not end in .html", "it is a page", "name it NAME.report.html")
+            raise StageError(
+                f"{parsed.output}: does not end in .html", "the page is an HTML file", "name it NAME.report.html"
+            )
         refuse_existing([parsed.output], parsed.force)
         folder = Path(os.path.realpath(parsed.output.parent))
         write_text(parsed.output, page(read_case(Path(os.path.realpath(parsed.status))), folder))

@@ -34,7 +34,11 @@ def provenance(case: Case) -> str:
     if given:
         body += "<h3>Inputs</h3>" + table(("role", "file", "size", "BLAKE3"), given, (0, 1, 3))
     body += "<h3>Parameters</h3>" + (
-        table(("set", "to"), [(escape(k), f"<code>{escape(v)}</code>") for k, v in case.parameters.items()], (0, 1))
+        table(
+            ("variable", "value"),
+            [(escape(k), f"<code>{escape(v)}</code>") for k, v in case.parameters.items()],
+            (0, 1),
+        )
         if case.parameters
         else "<p>None was set; all stages used their defaults.</p>"
     )
@@ -86,8 +90,8 @@ def methods(case: Case) -> str:
         f"Meshes were made with isoparticles {version}. The volume was turned into a signed distance field of {what}; "
         f"on its zero set particles were distributed with {graded} by a dynamic particle system (Meyer et al. 2005; Kim et al. 2012), "
         f"and the restricted Delaunay triangulation of the particles gave a closed surface of {number(check['vertices'])} vertices and "
-        f"{number(check['triangles'])} triangles (radius ratio {check['quality']['radius_ratio_mean']:.3f} on average, "
-        f"{check['quality']['radius_ratio_min']:.3f} at least)."
+        f"{number(check['triangles'])} triangles (mean radius ratio {check['quality']['radius_ratio_mean']:.3f}, minimum "
+        f"{check['quality']['radius_ratio_min']:.3f})."
     )
     if (volume := results.get("volume")) is not None:
         method = str(dig(results, "tetrahedralizer", "method"))

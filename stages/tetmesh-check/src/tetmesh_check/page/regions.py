@@ -95,14 +95,14 @@ def _currents(case: Case) -> str:
             number(entry["conductivity_s_per_m"]),
             *(number(entry["potential_mv"][key]) for key in ("min", "mean", "max")),
             number(entry["passing_ua"]),
-            f"{entry['net_ua']:.1e}",
+            number(entry["net_ua"], 2),
         )
         for entry in figures["regions"]
     ]
     head = ("material", "conductivity, S/m", "minimum, mV", "mean", "maximum", "current in and out, \u00b5A", "net")
     return (
         f"<h3>Potential of a current in {escape(figures['source'])}</h3>{table(head, rows, (0,))}"
-        f"<p>The currents into and out of a material differ by a share of at most {figures['imbalance']:.1e}.</p>"
+        f"<p>For each material, the currents in and out differ by at most the fraction {number(figures['imbalance'], 2)}.</p>"
     )
 
 
@@ -142,7 +142,10 @@ def volumes(case: Case) -> str:
         rows.append((escape(str(row["name"])), *cells))
     if not rows:
         return ""
-    words = "<p>Percentages are relative to the voxels, or to the distance field F if the volume has no labels.</p>"
+    words = (
+        "<p>Percentages are relative to the voxels, or to the distance field F if the volume has no labels. Two checks "
+        "compare these volumes: the surface mesh against the voxels or F, and the tetrahedra against the surface mesh.</p>"
+    )
     head = ("material", *(f"{name}, mm\u00b3" for name in COLUMNS.values()))
     return section("Volumes", _long_table(head, rows, "materials") + words)
 

@@ -78,9 +78,17 @@ def head(case: Case) -> str:
         (dig(check, "vertices"), number, "surface vertices"),
         (dig(check, "triangles"), number, "surface triangles"),
         (dig(results, "volume", "tetrahedra"), number, "tetrahedra"),
-        (dig(results, "volume", "quality", "min_dihedral", "min"), "{:.1f}\u00b0".format, "minimum dihedral angle"),
-        (dig(results, "volume", "quality", "radius_ratio", "mean"), "{:.3f}".format, "mean radius ratio"),
-        (dig(results, "volume", "volume_mm3"), number, "volume, mm\u00b3"),
+        (
+            dig(results, "volume", "quality", "min_dihedral", "min"),
+            "{:.1f}\u00b0".format,
+            "minimum dihedral angle of tetrahedra",
+        ),
+        (
+            dig(results, "volume", "quality", "radius_ratio", "mean"),
+            "{:.3f}".format,
+            "mean radius ratio of tetrahedra (1 is regular)",
+        ),
+        (dig(results, "volume", "volume_mm3"), number, "volume of tetrahedra, mm\u00b3"),
     )
     facts += [(write(value), name) for value, write, name in known if value is not None]
     facts.append((duration(case.seconds), "all stages"))
@@ -88,7 +96,7 @@ def head(case: Case) -> str:
         facts.append((memory(case.peak_memory), "peak memory"))
     items = "".join(f"<li><b>{escape(value)}</b><span>{escape(name)}</span></li>" for value, name in facts)
     return (
-        f'<header><p class="kicker">isoparticles: surface and tetrahedra</p><h1>{escape(case.name)}</h1>'
+        f'<header><p class="kicker">isoparticles: {escape(case.contents)}</p><h1>{escape(case.name)}</h1>'
         f'<p class="verdict {case.kind}">{escape(case.headline)}</p><ul class="numbers">{items}</ul></header>'
     )
 
@@ -129,21 +137,25 @@ def checks(case: Case) -> str:
     passed: list[tuple[str, str, str]] = []
     for check in sorted(case.checks, key=lambda check: str(check["verdict"] != "warning")):
         kind, words = check["verdict"], check["words"]
-        advice = "" if kind == "pass" else advice_for(str(check.get("name", "")), words)
+        advice = "" if kind == "pass" else advice_for(words, case.parameters)
         row = (_tag(kind, _VERDICTS.get(kind, "unknown")), escape(words), escape(advice))
         (failed if kind == "fail" else passed).append(row)
     said = {check["words"] for check in case.checks}
-    # what tetmesh-check itself says of a failed check is its name
+    # the failed checks of tetmesh-check are among its checks
     own = [(s, w) for s, w in case.failures if s != STAGES[-1] or not case.checks]
-    failed = [(_tag("fail", "failed"), f"{s}: {escape(w)}", escape(advice_for(w, w))) for s, w in own] + failed
+    failed = [
+        (_tag("fail", "failed"), f"{s}: {escape(w)}", escape(advice_for(w, case.parameters))) for s, w in own
+    ] + failed
     warned = [(_tag("warning", "warning"), f"{s}: {escape(w)}", "") for s, w in case.warnings if w not in said]
     rows = [*failed, *warned, *passed]
     if not rows:
         return ""
     if not any(row[2] for row in rows):
-        shown = table(("verdict", "in words"), [row[:2] for row in rows], (0, 1), "checks")
+        shown = table(("verdict", "check or warning"), [row[:2] for row in rows], (0, 1), "checks")
         return section("Checks", shown + pointer(case))
-    return section("Checks", table(("verdict", "in words", "what to do"), rows, (0, 1, 2), "checks") + pointer(case))
+    return section(
+        "Checks", table(("verdict", "check or warning", "what to do"), rows, (0, 1, 2), "checks") + pointer(case)
+    )
 
 
 def stage_states(case: Case) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from tetmesh_check.numerals import plain
 from tetmesh_check.page.charts import number
 from tetmesh_check.page.html import image_data, section, table
 from tetmesh_check.page.scan import Scan
@@ -331,7 +332,7 @@ def slices(scan: Scan, mesh: tuple[Points, Cells] | None, meshed: set[int]) -> s
     shades = (
         "Colours are labels; meshed labels are bright."
         if window.colours
-        else f"Shades go from {window.low:.4g} (black) to {window.high:.4g} (white)."
+        else f"Shades go from {plain(window.low, 4)} (black) to {plain(window.high, 4)} (white)."
     )
     drawn = (
         "The line is the intersection of the slice with the triangles of the surface."
@@ -373,8 +374,8 @@ def facts(scan: Scan, name: str, meshed: set[int]) -> str:
     rows = [
         ("file", escape(name)),
         ("voxels", " \u00d7 ".join(map(str, shape))),
-        ("spacing", " \u00d7 ".join(f"{value:.4g}" for value in spacing) + " mm"),
-        ("extent", " \u00d7 ".join(f"{n * h:.4g}" for n, h in zip(shape, spacing, strict=True)) + " mm"),
+        ("spacing", " \u00d7 ".join(plain(value, 4) for value in spacing) + " mm"),
+        ("extent", " \u00d7 ".join(plain(n * h, 4) for n, h in zip(shape, spacing, strict=True)) + " mm"),
         ("grid axes run", world + ", ".join(escape(scan.letters(axis)[1]) for axis in range(3)) + tilt),
         ("stored as", escape(str(scan.values.dtype))),
     ]
@@ -392,14 +393,14 @@ def facts(scan: Scan, name: str, meshed: set[int]) -> str:
             for label, count in zip(found.tolist(), counts.tolist(), strict=True)
             if label != 0
         ]  # fmt: skip
-        rows.append(("kind", f"labels: {len(listed)} beside 0"))
+        rows.append(("kind", f"labels: {len(listed)}" + (", and the background 0" if 0 in found else "")))
         columns = ("label", "name", "voxels", "volume, cm\u00b3", "meshed")
         body = f"<details><summary>The labels</summary><div>{table(columns, listed, (1,))}</div></details>"
     else:
         finite = scan.values[np.isfinite(scan.values)]
-        low, high = (f"{float(value):.6g}" for value in (finite.min(), finite.max()))
+        low, high = (plain(float(value), 4) for value in (finite.min(), finite.max()))
         middle = ", ".join(
-            f"{value:.4g}" for value in np.percentile(finite[:: max(1, finite.size // 1_000_000)], [5, 50, 95])
+            plain(value, 4) for value in np.percentile(finite[:: max(1, finite.size // 1_000_000)], [5, 50, 95])
         )
         rows += [("kind", "scan"), ("range", f"{low} to {high} (5, 50, 95 %: {middle})")]
-    return section("Input", table(("of the volume", "is"), rows, (0, 1), "plain") + body)
+    return section("Input", table(("property", "value"), rows, (0, 1), "plain") + body)
