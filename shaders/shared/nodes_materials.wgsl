@@ -129,7 +129,7 @@ fn open_check(cell: Cell) -> u32 {
         if is_of(check.zw, base) {
             open_record(check.x);
             if !is_of(open_cells.xy, base) {
-                // the third material is not stored here, so the cell lies deep inside it
+                // a listed third material without a stored difference fills the whole cell
                 return CHECKS_FAIL;
             }
             is_negative = check.y != 0u;

@@ -99,8 +99,8 @@ pub(crate) struct Newcomer {
     pub size: f64,
 }
 
-/// Appends particles to the set where the energy is low and a gap has room. Returns them in the
-/// order of their parents.
+/// Adds a particle next to each particle (its parent) that has low energy and a wide enough gap
+/// between its neighbours. Returns the new particles in the order of their parents.
 ///
 /// Two newcomers conflict if their parents are neighbours, or if they are on the same interface and
 /// closer together than [`NEWCOMER_DISTANCE`] spacings. Of conflicting newcomers, at most one is

@@ -446,8 +446,8 @@ mod tests {
     fn passes_continue_while_defects_fall_or_density_changes() {
         let parameters = Parameters::default();
         let closing = |records: &[PassRecord]| closing_since(records, &parameters);
-        // the defects fall by 1 % per pass, then stay constant from pass 20 on; the window of ten
-        // passes still has a decrease of 0.8 % at pass 22
+        // the defects fall by 1 % per pass until pass 20 and then stay constant; at pass 22, the
+        // mean decrease over the window of ten passes is still 0.8 % per pass
         let falling = |pass: u64| (900.0 * 0.99f64.powi(pass.min(20) as i32)) as usize;
         assert_eq!(closing(&records(falling, 0, 1.0)), Some(23));
         assert_eq!(closing(&records(|pass| 900 - 9 * pass as usize, 0, 1.0)), None);

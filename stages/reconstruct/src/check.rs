@@ -9,6 +9,7 @@ use isoparticles_mesh::intersect::self_intersections;
 use isoparticles_mesh::measure::{Measure, measure_components};
 use isoparticles_mesh::quality::{QualitySummary, mean, percentile, summarise, zero_area_triangles};
 use isoparticles_mesh::topology::{ComponentTopology, analyse};
+use isoparticles_stage::cli::values::significant;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -235,7 +236,7 @@ impl CheckReport {
         let mut failed: Vec<String> =
             counts.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
         if self.inward_components.is_none() && self.volume <= 0.0 {
-            failed.push(format!("the normals point inward: the volume is {:.6}", self.volume));
+            failed.push(format!("the normals point inward: the volume is {} mm^3", significant(self.volume)));
         }
         if let Some(limit) = self.min_radius_ratio_allowed
             && self.quality.radius_ratio_min < limit
@@ -248,8 +249,8 @@ impl CheckReport {
         {
             let count = self.offenders.distant_vertices.len();
             failed.push(format!(
-                "{count} vertices with a deviation of more than {limit} voxel from F = 0 (maximum {:.6})",
-                distance.max
+                "{count} vertices with a deviation of more than {limit} voxel from F = 0 (maximum {})",
+                significant(distance.max)
             ));
         }
         failed
@@ -329,7 +330,7 @@ mod tests {
         );
         // the chords of so coarse a sphere may cut off a node or two; nothing else can fail
         let failed = report.failed_checks();
-        assert!(failed.iter().all(|f| f.contains("grid nodes")), "{failed:?}");
+        assert!(failed.iter().all(|f| f.contains("voxel centres")), "{failed:?}");
         assert_eq!((report.euler, report.components.len(), report.turned_triangles), (2, 1, Some(0)));
         assert!(report.vertex_distance.is_some_and(|d| d.max < 0.01));
         // the sagitta of a triangle with circumradius c under a sphere of radius R is about c^2 / (2 R)

@@ -12,7 +12,7 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_mesh::point_cloud::is_point_cloud;
 use isoparticles_mesh::surface::{Simplices, Surface, check_surface_name, write_simplices, write_surface};
 use isoparticles_stage::cli::check::Known;
-use isoparticles_stage::cli::values::share;
+use isoparticles_stage::cli::values::{share, significant};
 use isoparticles_stage::cli::{CHECKS, CommonArgs, Context, FILES, METHOD, Outcome, StageArgs, particles_bytes};
 use isoparticles_stage::error::{Error, Kind, Result};
 use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
@@ -23,69 +23,80 @@ use isoparticles_volume::Geometry;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// Settled particles become a watertight triangle mesh
+/// Connects settled particles to a closed triangle mesh
 ///
-/// The particles are joined by a Delaunay triangulation whose tetrahedra are inside or outside; the surface lies between them,
-/// closed in any case. --method restricted asks the sign of F at their circumcentres; where its surface is not manifold, lacks or
-/// joins components of the isosurface, or strays from F = 0, points are added until it is right. --method tight-cocone
-/// (the paper's) goes by the shape of the Voronoi cells and needs points alone, also those of other programs. Then, with a distance
-/// field, the worst triangles are lifted by local moves; and everything a simulation counts on is checked. The mesh is in
-/// world coordinates (mm), triangles counter-clockwise seen from outside.
+/// The program computes the Delaunay triangulation of the particles and decides for each
+/// tetrahedron whether it is inside or outside. The surface consists of the triangles between
+/// inside and outside, so it is closed.
+///
+/// --method restricted decides by the sign of F at the circumcentre. It adds points where the
+/// surface is not manifold, deviates from F = 0, or differs from F = 0 in its components.
+///
+/// --method tight-cocone (the method of the paper) decides by the shape of the Voronoi cells. It
+/// needs no distance field, so it also meshes point clouds of other programs.
+///
+/// With a distance field, local moves then improve the worst triangles. At the end, the program
+/// checks topology, self-intersections, distance to F = 0 and the shape of the triangles. The mesh
+/// is in world coordinates (mm). Its triangles are counter-clockwise as seen from outside.
 #[derive(Clone, Debug, clap::Parser)]
 #[command(
     name = "reconstruct",
     version,
-    after_help = "Exit code 1: the mesh was written but a check failed; the offending simplices are in NAME.offending.vtp beside it.\nExample:\n  reconstruct tooth.particles.bin --distfield tooth.distfield.vti -o tooth.surface.vtp --report tooth.json\n  reconstruct scan.ply --method tight-cocone -o scan.surface.vtp"
+    after_help = "Exit code 1: the mesh was written, but a check failed. NAME.offending.vtp beside it contains the simplices behind the failed check.\nExample:\n  reconstruct tooth.particles.bin --distfield tooth.distfield.vti -o tooth.surface.vtp --report tooth.json\n  reconstruct scan.ply --method tight-cocone -o scan.surface.vtp"
 )]
 pub struct Args {
-    /// Particles to join, made by `particles` (those of `seed` are taken too); for --method tight-cocone also a point cloud:
-    /// .ply, .xyz (lines `x y z` or `x y z nx ny nz`) or .vtp, with or without normals
+    /// Particles to connect, from `particles` or `seed`. --method tight-cocone also reads point
+    /// clouds, with or without normals: .ply, .vtp, or .xyz (lines `x y z` or `x y z nx ny nz`)
     #[arg(value_name = "P.bin", help_heading = FILES)]
     pub particles: PathBuf,
-    /// Distance field F that the particles were made from; lengths in mm. --method restricted needs it; without it nothing is
-    /// projected, improved or compared with the isosurface
+    /// Distance field F of the particles, mm. --method restricted needs it. Without it, vertices are
+    /// not projected, and triangles are neither improved nor compared with F = 0
     #[arg(long, value_name = "F.vti", help_heading = FILES)]
     pub distfield: Option<PathBuf>,
-    /// Size field h of the same grid, edge lengths in mm [default: the h that each particle carries]
+    /// Size field h on the grid of F, mm [default: the h that is stored with each particle]
     #[arg(long, value_name = "S.vti", requires = "distfield", help_heading = FILES)]
     pub sizefield: Option<PathBuf>,
     /// Surface to write: .vtp with all data, or .ply, .stl, .obj, .vtk
     #[arg(short, long, value_name = "SURFACE", help_heading = FILES)]
     pub output: PathBuf,
-    /// With the indicators of many materials in the place of F: also write the closed surface of each, outward, into this folder, as NAME and
-    /// the ending of the output; neighbours have the same vertices where they touch
+    /// Many materials: also write the closed surface of each material to this folder, as NAME with
+    /// the extension of the output. Its normals point outward. Touching materials share vertices
     #[arg(long, value_name = "FOLDER", requires = "distfield", help_heading = FILES)]
     pub each: Option<PathBuf>,
-    /// How the particles are joined
+    /// Method that connects the particles
     #[arg(long, value_enum, value_name = "METHOD", default_value_t = Method::Restricted, help_heading = METHOD)]
     pub method: Method,
-    /// Farthest that the centroid of a triangle may lie from F = 0 before points are added there, mm, above 0
-    /// [default: a quarter of the target edge length h, and of a voxel at least]
+    /// Maximum distance of a triangle's centroid from F = 0, mm, above 0. Points are added at
+    /// triangles beyond it [default: a quarter of h or of a voxel, whichever is larger]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     pub max_deviation: Option<f64>,
-    /// Most rounds of adding points, 0 to 100; a round compares the whole surface with F and adds points until all is right near those that it
-    /// added. Grid nodes on the wrong side, and each time that Tight Cocone lacks points, have as many rounds of their own
+    /// Maximum number of rounds that add points, 0 to 100. Each round compares the whole surface with
+    /// F. The limit applies separately to grid nodes on the wrong side, and to each step of Tight
+    /// Cocone that needs more points
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u16).range(0..=100), help_heading = METHOD)]
     pub max_rounds: u16,
-    /// Radius ratio (2r/R, 1 for an equilateral triangle) below which triangles are worked on by local moves, 0 to 1; 0 with
-    /// --relaxation-sweeps 0 leaves the triangulation as it is
+    /// Improve triangles below this radius ratio by local moves, 0 to 1. The ratio is 2 r / R, which
+    /// is 1 for an equilateral triangle. Together with --relaxation-sweeps 0, the value 0 leaves the
+    /// triangulation unchanged
     #[arg(long, value_name = "RATIO", default_value_t = 0.9, value_parser = share, help_heading = METHOD)]
     pub improve_below: f64,
-    /// Sweeps over the whole mesh before that, which move vertices along F = 0 and flip edges wherever the triangles gain
-    /// by it, 0 to 20; some thousand vertices have as many more as gain anything
+    /// Sweeps over the whole mesh before --improve-below applies, 0 to 20. They move vertices along
+    /// F = 0 and flip edges where this improves the triangles. Meshes of a few thousand vertices get
+    /// more sweeps, as long as these help
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(0..=20), help_heading = METHOD)]
     pub relaxation_sweeps: u16,
-    /// Passes over the worst triangles, each as long as something helps, 0 to 20
+    /// Passes over the triangles below --improve-below, 0 to 20. Each pass ends when no local move
+    /// helps
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(0..=20), help_heading = METHOD)]
     pub improve_rounds: u16,
-    /// Smallest radius ratio that passes, 0 to 1 [default: 0.3 with a distance field; without it any passes]
+    /// Minimum radius ratio of a triangle, 0 to 1 [default: 0.3 with a distance field; none without]
     #[arg(long, value_name = "RATIO", value_parser = share, help_heading = CHECKS)]
     pub min_radius_ratio: Option<f64>,
-    /// Many materials: pass triangles below --min-radius-ratio that junction curves force below it;
-    /// the verdict counts them
+    /// Many materials: accept triangles below --min-radius-ratio where junction curves allow no
+    /// better ones. The verdict counts them
     #[arg(long, help_heading = CHECKS)]
     pub accept_forced: bool,
-    /// Farthest from F = 0 that a vertex may lie, voxels (geometric mean spacing), above 0
+    /// Maximum distance of a vertex from F = 0, in voxels (geometric mean of the spacing), above 0
     #[arg(long, value_name = "VOXELS", default_value_t = 1e-4, value_parser = positive, help_heading = CHECKS)]
     pub max_vertex_distance: f64,
     /// The options that every stage has.
@@ -358,7 +369,12 @@ fn tell(made: &Reconstruction, context: &Context) {
     if let (Some(v), Some(c)) = (checked.vertex_distance, checked.centroid_distance) {
         context.summary(
             "distance from F = 0, voxels",
-            format!("vertices at most {:.1e}; centroids mean {:.4}, maximum {:.3}", v.max, c.mean, c.max),
+            format!(
+                "vertices at most {}; centroids mean {}, maximum {}",
+                significant(v.max),
+                significant(c.mean),
+                significant(c.max)
+            ),
         );
     }
     if let Some(nodes) = checked.nodes_on_wrong_side {
@@ -384,5 +400,6 @@ pub(crate) fn describe_mesh(
         format!("mean {:.4}, minimum {:.4}", quality.radius_ratio_mean, quality.radius_ratio_min),
     );
     context.summary("angles, degrees", format!("{:.1} to {:.1}", quality.angle_min, quality.angle_max));
-    context.summary("area, mm^2; volume, mm^3", format!("{:.6e}; {:.6e}", checked.area, checked.volume));
+    let (area, volume) = (significant(checked.area), significant(checked.volume));
+    context.summary("area, mm^2; volume, mm^3", format!("{area}; {volume}"));
 }

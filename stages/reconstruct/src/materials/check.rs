@@ -16,7 +16,7 @@ use isoparticles_mesh::intersect::self_intersections;
 use isoparticles_mesh::measure::measure;
 use isoparticles_mesh::quality::{QualitySummary, radius_ratios, summarise, zero_area_triangles};
 use isoparticles_mesh::topology::analyse;
-use isoparticles_stage::cli::values::place;
+use isoparticles_stage::cli::values::{place, significant};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -408,7 +408,8 @@ fn failed(report: &ComplexReport, offenders: &Offenders, options: &CheckOptions)
         let (count, limit, farthest) =
             (offenders.distant.len(), options.max_vertex_distance, report.vertex_distance.max);
         failed.push(format!(
-            "{count} vertices with a deviation of more than {limit} voxel from their interface (maximum {farthest:.6})"
+            "{count} vertices with a deviation of more than {limit} voxel from their interface (maximum {})",
+            significant(farthest)
         ));
     }
     failed

@@ -10,6 +10,7 @@ use crate::volumes::of_materials;
 use isoparticles_field::materials::{Material, MaterialId};
 use isoparticles_mesh::quality::radius_ratios;
 use isoparticles_mesh::surface::{DataArray, Simplices, Surface, write_surface};
+use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::cli::{Context, FIT_BUT_FOR, Outcome, particles_bytes};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::check_same_grid;
@@ -277,8 +278,10 @@ fn describe(checked: &ComplexReport, context: &Context) {
     context.summary(
         "distance from the interfaces, voxels",
         format!(
-            "vertices at most {:.1e}; centroids mean {:.4}, maximum {:.3}",
-            checked.vertex_distance.max, checked.centroid_distance.mean, checked.centroid_distance.max
+            "vertices at most {}; centroids mean {}, maximum {}",
+            significant(checked.vertex_distance.max),
+            significant(checked.centroid_distance.mean),
+            significant(checked.centroid_distance.max)
         ),
     );
 }

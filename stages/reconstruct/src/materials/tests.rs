@@ -431,7 +431,7 @@ fn each_check_finds_what_is_damaged() {
     };
     type Damage<'a> = &'a dyn Fn(&mut Interfaces);
     let damages: [(&str, Damage); 9] = [
-        ("another number of triangles", &|i| {
+        ("edges with a number of triangles", &|i| {
             i.mesh.triangles.pop();
             i.between.pop();
         }),
@@ -455,7 +455,7 @@ fn each_check_finds_what_is_damaged() {
             let [a, b, _] = i.mesh.triangles[plain(i)];
             i.mesh.vertices[a as usize] = i.mesh.vertices[a as usize].lerp(i.mesh.vertices[b as usize], 0.9);
         }),
-        ("in another material", &|i| i.mesh.vertices.iter_mut().for_each(|p| *p = CENTRE + 0.8 * (*p - CENTRE))),
+        ("in the wrong material", &|i| i.mesh.vertices.iter_mut().for_each(|p| *p = CENTRE + 0.8 * (*p - CENTRE))),
         ("missing components of materials", &|i| {
             let whole = MaterialId(1);
             for between in &mut i.between {
