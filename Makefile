@@ -158,11 +158,15 @@ Parameters of a case; they take precedence over the case file, and unset ones ke
   VERTICES=...  number of vertices, instead of a size    QUALITY=...   coarse, medium or fine
   SCALE=...     smooth away smaller features, mm         BORDER=...    cap or open
   SEED=...      seed of the random numbers               BACKEND=...   auto, gpu or cpu
+  COUNT=...     number of particles to seed              PHANTOM=...   shape to mesh instead of INPUT: "ball --size 32"
   SERIES=...    the series to mesh, if a folder of DICOM files holds several
   THREADS=...   CPU threads [all]                        MAX_MEMORY=.. maximum memory of a stage
   TET_ORDER=2   also quadratic tetrahedra, with their mid-edge nodes on the surface
   ACCEPT_FORCED=yes  accept elements that the surface of many materials forces below a limit; the verdict counts them
   HXT=no        without Gmsh: large surfaces take hours
+  VERBOSITY=... -q, -v or -vv                            DATA=...      folder of the volumes of pipelines/ [../shared/data]
+  DISTFIELD_OPTIONS="..."  SIZEFIELD_OPTIONS="..."  PARTICLES_OPTIONS="..."  RECONSTRUCT_OPTIONS="..."  TETMESH_OPTIONS="..."
+                more options of a stage, such as DISTFIELD_OPTIONS="--keep largest"; docs/commands.md lists them
 Results: OUT/NAME/NAME.{distfield.vti,sizefield.vti,seeds.bin,particles.bin,surface.vtp,volume.vtu,report.json},
 the page in NAME.report.html, the state in NAME.status.json; for several cases OUT/index.html and OUT/index.csv
 endef

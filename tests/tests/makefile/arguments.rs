@@ -1,8 +1,9 @@
 //! Tests arguments: missing, contradictory, misspelled or out-of-range values, precedence, blanks
 //! in names, and the goals.
 
-use super::support::run;
+use super::support::{binaries, run};
 use super::{Case, PARAMETERS, STAGES, ball, make};
+use std::process::Command;
 
 #[test]
 fn missing_and_contradicting_parameters_are_explained() {
@@ -30,6 +31,15 @@ fn missing_and_contradicting_parameters_are_explained() {
     let help = run(&mut make()).expect_success("make without a goal").stdout;
     for goal in ["make demo", "make mesh INPUT=", "make clean", "make info", "make verdict", "VERTICES="] {
         assert!(help.contains(goal), "{goal}: {help}");
+    }
+}
+
+#[test]
+fn help_lists_every_variable_of_a_case() {
+    let help = run(&mut make()).expect_success("make without a goal").stdout;
+    let keys = run(Command::new(binaries().join("isoparticles-case")).arg("keys")).expect_success("keys").stdout;
+    for key in keys.lines().filter_map(|line| line.split('\t').next()).chain(["DATA"]) {
+        assert!(help.contains(&format!("{key}=")), "{key}: {help}");
     }
 }
 
@@ -105,6 +115,7 @@ fn single_stages_are_goals() {
     run(&mut case.bare("page", &["NAME=ball"])).expect_success("make page");
     assert!(case.has("report.html"));
     run(&mut case.bare("page", &["NAME=other"])).expect_error(2, &["other.status.json"]);
+    run(&mut case.bare("verdict", &["NAME=other"])).expect_error(2, &["`make mesh NAME=other ...` first"]);
 }
 
 #[test]

@@ -140,7 +140,7 @@ fn a_list_that_cannot_be_meant_is_refused_before_any_work() {
     nothing(&["LIST=nowhere.csv", "TIME_LIMIT=soon"], &["TIME_LIMIT=soon", "2h"]);
 }
 
-/// A case that exceeds the time limit is stopped, and the other cases are made.
+/// A case that exceeds the time limit is stopped, and the other cases still run.
 #[cfg(unix)]
 #[test]
 fn a_case_that_takes_too_long_is_stopped() {

@@ -136,7 +136,8 @@ fn no_stale_mesh_or_page_is_left() {
     assert_eq!(case.status()["verdict"], "passed");
 }
 
-/// The output ends with the verdict, the warnings and the page; `make verdict` repeats them later.
+/// The output ends with the verdict, the warnings and the path of the report page. `make verdict`
+/// prints the same lines again.
 #[test]
 fn the_last_lines_are_the_verdict() {
     let case = Case::new();

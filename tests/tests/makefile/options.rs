@@ -21,10 +21,14 @@ fn refused_options_leave_the_results_of_the_run_before() {
     let case = Case::new();
     case.mesh(0, &[]);
     let before = snapshot(&case.out().join("ball"));
-    let attempts: [(&[&str], &[&str]); 10] = [
+    let attempts: [(&[&str], &[&str]); 11] = [
         (&["TETMESH_OPTIONS=--export stl,feb"], &["tetmesh-check", "stl", "nothing was removed"]),
         (&["DISTFIELD_OPTIONS=--keep bigest"], &["distfield", "bigest"]),
-        (&["SIZEFIELD_OPTIONS=--sise 3"], &["sizefield", "--sise", "'--size'"]),
+        (&["SIZEFIELD_OPTIONS=--sise 3"], &["sizefield", "--sise", "'--size'", "/sizefield --help`"]),
+        (
+            &["SIZEFIELD_OPTIONS=--refine ball:0,0,0,4=1"],
+            &["sizefield", "SIZE=2.5 (--uniform) and --refine", "MIN_SIZE and MAX_SIZE"],
+        ),
         (&["SIZEFIELD_OPTIONS=--size body=8"], &["sizefield", "--size body=8 for one object"]),
         (&["SIZE=", "MIN_SIZE=5", "MAX_SIZE=4"], &["sizefield", "--min-size 5 is above --max-size 4"]),
         (&["SIZE=", "SIZEFIELD_OPTIONS=--refine mask:no.nrrd=1"], &["sizefield", "no.nrrd"]),
@@ -42,6 +46,20 @@ fn refused_options_leave_the_results_of_the_run_before() {
     assert_eq!(case.status()["verdict"], "passed");
     // Only stages that run are checked.
     case.surface(&["ISO=120", "SIZE=2.5", "TETMESH_OPTIONS=--export stl"]).expect_success("make surface");
+}
+
+#[test]
+fn an_open_surface_is_not_filled() {
+    let case = Case::new();
+    let attempts = [("BORDER=open", "BORDER=open gives"), ("DISTFIELD_OPTIONS=--border open", "--border open' gives")];
+    for (variable, what) in attempts {
+        let variables = ["PHANTOM=ball --size 24", "ISO=100", "SIZE=3", "SCALE=0", "VERBOSITY=-q", variable];
+        let told = [what, "an open surface", "`make surface`", "BORDER=cap"];
+        run(&mut case.bare("mesh", &variables)).expect_error(2, &told);
+        assert!(!case.out().exists());
+    }
+    let open = ["PHANTOM=ball --size 24", "ISO=100", "SCALE=0", "BORDER=open"];
+    run(&mut case.bare("distfield", &open)).expect_success("make distfield");
 }
 
 #[test]
