@@ -1,5 +1,6 @@
 //! Advice for failed checks, from the table that the page of a case reads as well:
-//! `stages/tetmesh-check/src/tetmesh_check/page/advice.json`. `page/advice.py` describes its format.
+//! `stages/tetmesh-check/src/tetmesh_check/page/advice.json`. `page/advice.py` describes its
+//! format.
 
 use serde::Deserialize;
 use std::collections::BTreeMap;

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-RAW = ["--relaxation-sweeps", "0", "--improve-rounds", "0"]
+RAW = ["--relaxation-sweeps", "0", "--improve-below", "0"]
 
 
 @dataclass

@@ -155,7 +155,7 @@ fn tight_cocone_on_fields_is_improved_compared_and_checked_as_well() {
     let meta = json!({"source": "scalar", "border": "cap"});
     let case = Case::new(&scene, scene.image.geometry.clone(), 0.9, &meta);
     let raw =
-        ["--method", "tight-cocone", "--relaxation-sweeps", "0", "--improve-rounds", "0", "--min-radius-ratio", "0"];
+        ["--method", "tight-cocone", "--relaxation-sweeps", "0", "--improve-below", "0", "--min-radius-ratio", "0"];
     assert_eq!(case.run("raw.vtp", &raw).unwrap(), Outcome::Passed);
     assert_eq!(case.run("full.vtp", &raw[..2]).unwrap(), Outcome::Passed);
     let [raw, full] = ["raw.vtp", "full.vtp"].map(|name| case.surface(name).surface.mesh);

@@ -54,8 +54,6 @@ pub struct Options {
     pub improve_below: f64,
     /// Sweeps over the whole mesh before that.
     pub relaxation_sweeps: usize,
-    /// Passes over the worst triangles.
-    pub improve_rounds: usize,
     /// Whether voxel centres have sides that are kept (labels at scale 0).
     pub keeps_voxels: bool,
     /// Whether the surface ends where the volume does.
@@ -76,7 +74,6 @@ impl Default for Options {
             max_rounds: 40,
             improve_below: 0.9,
             relaxation_sweeps: 3,
-            improve_rounds: 3,
             keeps_voxels: false,
             open_border: false,
             min_radius_ratio: Some(MIN_RADIUS_RATIO),
@@ -158,7 +155,6 @@ pub fn reconstruct(
     let size = |p: DVec3| sizing.map_or_else(|| size_near(p), |h| h.at(p));
     let how = ImproveOptions {
         target: options.improve_below,
-        rounds: options.improve_rounds,
         relaxation_sweeps: options.relaxation_sweeps,
         // a distance from F = 0 that was asked for wants its points
         thins: options.max_deviation.is_none(),

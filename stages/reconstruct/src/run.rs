@@ -85,10 +85,6 @@ pub struct Args {
     /// more sweeps, as long as these help
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(0..=20), help_heading = METHOD)]
     pub relaxation_sweeps: u16,
-    /// Passes over the triangles below --improve-below, 0 to 20. Each pass ends when no local move
-    /// helps
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(0..=20), help_heading = METHOD)]
-    pub improve_rounds: u16,
     /// Minimum radius ratio of a triangle, 0 to 1 [default: 0.3 with a distance field; none without]
     #[arg(long, value_name = "RATIO", value_parser = share, help_heading = CHECKS)]
     pub min_radius_ratio: Option<f64>,
@@ -119,7 +115,6 @@ impl Args {
             max_rounds: usize::from(self.max_rounds),
             improve_below: self.improve_below,
             relaxation_sweeps: usize::from(self.relaxation_sweeps),
-            improve_rounds: usize::from(self.improve_rounds),
             min_radius_ratio: self.radius_ratio_bar(),
             accept_forced: self.accept_forced,
             max_vertex_distance: self.max_vertex_distance,
@@ -156,7 +151,7 @@ impl StageArgs for Args {
         };
         json!({
             "method": method, "max_deviation": self.max_deviation, "max_rounds": self.max_rounds,
-            "improve_below": self.improve_below, "relaxation_sweeps": self.relaxation_sweeps, "improve_rounds": self.improve_rounds,
+            "improve_below": self.improve_below, "relaxation_sweeps": self.relaxation_sweeps,
             "min_radius_ratio": self.radius_ratio_bar(), "accept_forced": self.accept_forced, "max_vertex_distance": self.max_vertex_distance,
         })
     }

@@ -1,165 +1,215 @@
-//! Every number that decides something in the improvement, with its reason where it was derived or measured. Lengths over h are over the target edge length at the place.
+//! All constants that decide something in the improvement, with their derivation or measurement. h
+//! is the target edge length at the position of the triangle, edge or vertex.
 
-// --- what is asked of a triangle ---
+// --- quality of a triangle ---
 
-/// Smallest radius ratio, smallest and largest angle (degrees) that finite elements are asked for; a triangle at any of them has quality 0.5.
+/// Minimum radius ratio, and minimum and maximum angle (degrees), for finite elements. A triangle
+/// at any of these limits has quality 0.5.
 pub(super) const FIT: f64 = 0.5;
 pub(super) const FIT_ANGLES: [f64; 2] = [25.0, 120.0];
-/// The same that triangles are brought to as far as it goes, which no check asks for: quality 0.65 at any of them.
+/// Soft targets, not enforced by a check. A triangle at any of these limits has quality 0.65.
 pub(super) const AIM: f64 = 0.65;
 pub(super) const AIM_ANGLES: [f64; 2] = [28.0, 105.0];
-/// A side between two junction points, shorter than this part of h, makes every triangle on it poor: with two sides of h its radius ratio is at most twice that, 0.3.
+/// An edge between two junction points is short if it is shorter than this share s of h. A triangle
+/// on this edge with two sides of length h has the radius ratio s (2 - s) < 2 s = 0.3 (`POOR`).
 pub(super) const SHORT_SIDE: f64 = 0.15;
-/// Quality below which a triangle fails the check by default (`--min-radius-ratio`): nothing is spared on it, at junction curves either.
+/// Minimum radius ratio of the check by default (`--min-radius-ratio`). All operations apply to
+/// triangles below this quality, even next to junction curves.
 pub(super) const POOR: f64 = crate::check::MIN_RADIUS_RATIO;
-/// Quality that the worst triangles are brought to in so far as a few failures allow, and below which smoothing for the sake of the mean brings none.
+/// Default target quality of the queue (`--improve-below`), and the minimum quality that the moves
+/// of a sweep keep.
 pub(super) const GOOD: f64 = 0.9;
-/// No triangle of a higher radius ratio is held back by its smallest angle, and none by more than 0.03 by its largest one.
+/// Above this radius ratio, the minimum angle does not reduce the quality, and the maximum angle
+/// would reduce it by at most 0.03. The quality is therefore set to the radius ratio.
 pub(super) const SURELY_WIDE: f64 = 0.78;
-/// Gain that counts; what is smaller may be rounding, and would never end.
+/// Minimum gain of a move. Smaller gains may be rounding errors and could continue indefinitely.
 pub(super) const LEAST_GAIN: f64 = 1e-5;
-/// The same for a sweep, in smallest and mean quality together, or in the mean: a tenth of it raises the mean of 1,000 to 20,000 vertices by 0.0005 to 0.002, in
-/// thrice the time.
-pub(super) const LEAST_GAIN_OF_SWEEP: f64 = 1e-4;
-/// What a triangle below a bar counts for beside the square of how far: one just below is worth a move, too.
+/// Minimum gain in mean quality of a move of a sweep. A tenth of it raises the mean quality of
+/// meshes of 1,000 to 20,000 vertices by 0.0005 to 0.002, in three times the time.
+pub(super) const LEAST_MEAN_GAIN: f64 = 1e-4;
+/// Contribution of each triangle below a bar to the shortfall, in addition to the squared
+/// difference. A triangle just below the bar is therefore worth a move, too.
 pub(super) const BELOW: f64 = 1e-3;
-/// What a grid node on the wrong side counts for: more than all triangles of a patch can lack.
+/// Gain for each grid node that is brought to its correct side. It exceeds the shortfall of any
+/// patch: at most `MOST_TRIANGLES` = 4,000 triangles with at most 1 + `BELOW` each.
 pub(super) const NODE: f64 = 1e4;
 
-// --- what the guard asks for ---
+// --- limits of the acceptance test ---
 
-/// Smallest cosine between a triangle's normal and grad F at its centroid, and between the normals of neighbours.
+/// Minimum cosine between the normal of a triangle and grad F at its centroid, and between the
+/// normals of adjacent triangles.
 pub(super) const AGREEMENT: f64 = 0.3;
 pub(super) const FOLD: f64 = 0.0;
-/// Cosine to grad F from which on a triangle follows it: a fold between two such triangles is one of F.
+/// Cosine between normal and grad F above which a triangle follows F. A fold between two such
+/// triangles is a fold of F.
 pub(super) const FOLLOWS: f64 = 0.5;
-/// The same limits for a triangle below [`FIT`], and for two moves in a row on one below [`EASY`]: turned by up to a right angle, folds of F up to 143 degrees. A third of h off F = 0 in the
-/// middle of a triangle, where F has detail below h, does less harm than a needle. Moves within them leave 34 of 229 patches of the torso CT
-/// at 200 to be remeshed (restricted).
+/// Loose limits: triangles turned by up to a right angle, and folds of F of up to 143 degrees. The
+/// fold of 107 degrees is also the strict limit for folds of F. It leaves 73 degrees inside, as
+/// between the faces of a regular tetrahedron.
 pub(super) const LOOSE_AGREEMENT: f64 = 0.0;
 pub(super) const LOOSE_FOLD: f64 = -0.3;
 pub(super) const LOOSE_FOLD_OF_F: f64 = -0.8;
+/// Maximum distance of a centroid from F = 0, in units of h. With 0.15, 0.25, 0.30 and 0.33,
+/// trabecular bone (1,000 vertices requested) has 1,182, 1,095, 1,075 and 1,043 vertices, and a
+/// gyroid thinner than h loses 0.8, -, 4.9 and 5.1 % of its volume.
+pub(super) const MAX_DEVIATION: f64 = 0.3;
 pub(super) const LOOSE_DEVIATION: f64 = 0.35;
-/// Edges over h there: short enough for what bends within a tenth of h, and as long as two edges within the range in a row.
+/// Ranges of edge lengths in units of h, strict and loose. The loose minimum allows detail of a
+/// tenth of h. The loose maximum allows about the length of two edges in a row.
+pub(super) const LENGTHS: [f64; 2] = [0.5, 1.6];
 pub(super) const LOOSE_LENGTHS: [f64; 2] = [0.05, 3.0];
-/// For bringing a vertex onto F = 0, which comes before all but crossing triangles: the smallest cosine to grad F.
-pub(super) const PROJECTION_AGREEMENT: f64 = -0.2;
 
-// --- F = 0 ---
+// --- distance from F = 0 ---
 
-/// Distance from F = 0, in voxels, beyond which a vertex does not lie on it, and that a projected one may keep.
+/// Distances in voxels: a vertex farther from F = 0 is off the surface; tolerance of a projection.
 pub(super) const ON_SURFACE: f64 = 5e-5;
 pub(super) const PROJECTION_TOLERANCE: f64 = 1e-5;
-/// Distance from F = 0, over h, up to which the first order |F| / |grad F| is taken for it, and up to which a point of F = 0 is sought.
+/// Distances in units of h. Above the first, the first-order estimate |F| / |grad F| of the
+/// deviation is replaced by the distance to a point of F = 0. This point is searched for up to the
+/// second.
 pub(super) const FIRST_ORDER: f64 = 0.15;
 pub(super) const MOST_DEVIATION: f64 = 1.0;
-/// Samples on either side in the search for a crossing along a line, and halvings of the interval found (to a millionth of a sample).
+/// Number of samples on each side in the search for a crossing along a line, and number of
+/// bisections of the interval found (to 2^-20, a millionth, of the sample spacing).
 pub(super) const LINE_STEPS: usize = 16;
 pub(super) const HALVINGS: usize = 20;
 
-// --- relocation: the best place of a vertex by a search over its tangent plane ---
+// --- relocation: search for the best position of a vertex in its tangent plane ---
 
-/// Angle (radians) by which the eight directions turn when the step is halved.
+/// Angle in radians by which the eight search directions rotate when the step is halved.
 pub(super) const TURN: f64 = 0.3;
-/// First and last step, over the mean distance to the neighbours.
+/// First and last step, in units of the mean distance to the neighbours (on a junction curve: of
+/// the distance to the next vertex).
 pub(super) const FIRST_STEP: f64 = 0.25;
 pub(super) const LAST_STEP: f64 = 0.01;
-/// Part of the way to a neighbour on a junction curve that a vertex is moved at most: the edge between them keeps a tenth of its length, and what wants less is a collapse.
+/// Maximum share of the way to a neighbour on a junction curve that a vertex moves. The edge
+/// between them keeps at least a tenth of its length. Shorter edges are left to collapses.
 pub(super) const FARTHEST_ALONG: f64 = 0.9;
-/// Distance from a junction curve, over h, of the middle of an edge along it that a move may bring about: the deviation that centroids of triangles are allowed.
+/// Maximum distance between a junction curve and the midpoint of an edge on it after a move, in
+/// units of h: half the strict limit for centroids ([`MAX_DEVIATION`]). If the distance was larger
+/// before, it must not increase.
 pub(super) const CURVE_STRAYS: f64 = 0.15;
-/// Shares of the way to the best place that a vertex is brought on behalf of a bad triangle: where the guard does not let it get there, it may let it
-/// come nearer.
+/// Shares of the way to the best position that are tried, in this order. A shorter way may pass the
+/// acceptance test if the full way fails.
 pub(super) const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
-/// Times that the vertices round a move are relocated in turn.
+/// Maximum number of passes that relocate the vertices around a move.
 pub(super) const RELOCATIONS: usize = 2;
-/// Change of the smallest quality of the triangles touched, after the first of these, below which the second is left out: 22,044 of 37,157 moves in vain are below it, and 52 of
-/// 5,171 that gain (`heart_label` 1 at h = 2.1 mm, `heart_ct` and `brain_parcellation` at 20,000 vertices, `thorax_labels` 1 at 5,000).
+/// Change of the minimum quality of the touched triangles, after the first pass, below which the
+/// second pass is skipped. 22,044 of 37,157 failed moves are below it, and 52 of 5,171 successful
+/// moves (`heart_label` 1 at h = 2.1 mm, `heart_ct` and `brain_parcellation` at 20,000 vertices,
+/// `thorax_labels` 1 at 5,000).
 pub(super) const HOPELESS_AFTER_RELOCATIONS: f64 = -0.2;
 
-/// The vertices round a collapse are smoothed in turn as often as here are numbers: changes of the mean quality of the triangles touched below which it is given up, before each time. On the same particles,
-/// without these and with them: `heart_ct` at 75,000 75,499 vertices and 75,476, 5.2 and 4.5 s; ribs at 5,000 5,010 and 5,034, bone at 1,000 1,130 and 1,147; mean radius ratios by 0.001 at most.
+/// The vertices around a collapse are smoothed once for each of these numbers. Before each pass,
+/// the collapse is abandoned if the change of the mean quality of the touched triangles is below
+/// the number. On the same particles, without and with these limits: `heart_ct` at 75,000 has
+/// 75,499 and 75,476 vertices, in 5.2 and 4.5 s; ribs at 5,000 have 5,010 and 5,034; bone at 1,000
+/// has 1,130 and 1,147. The mean radius ratios differ by 0.001 at most.
 pub(super) const HOPELESS_BEFORE_SETTLINGS: [f64; 3] = [-0.30, -0.008, -0.002];
 
 // --- sweeps over the whole mesh ---
 
-/// Side of a block over the mean length of the edges. With 50, 35, 25 and 18 the heart's 15,000 vertices take 0.45, 0.39, 0.45 and 0.50 s on two threads: of few blocks the largest is waited for, and of many, more vertices lie across the
-/// faces.
+/// Side of a block in units of the mean edge length. With 50, 35, 25 and 18, the 15,000 vertices of
+/// the heart take 0.45, 0.39, 0.45 and 0.50 s on two threads. With few blocks, threads wait for the
+/// largest block. With many blocks, more vertices lie at the faces between blocks.
 pub(super) const BLOCK: f64 = 35.0;
-/// Times that the four vertices of a flip are smoothed before it is judged.
+/// Number of passes that smooth the four vertices of a flip before the acceptance test.
 pub(super) const SWEEPS_OF_FLIP: usize = 2;
-/// Change of the summed quality of the triangles touched, after a sweep of that kind, below which a flip is given up: 18,210 of 19,752 flips in vain are below it after the
-/// first, and 3 of 1,125 that are kept (`heart_label` 1, h = 2.1 mm).
+/// Change of the summed quality of the touched triangles, after each of these passes, below which a
+/// flip is abandoned. After the first pass, 18,210 of 19,752 failed flips are below it, and 3 of
+/// 1,125 successful flips (`heart_label` 1, h = 2.1 mm).
 pub(super) const HOPELESS_AFTER_SWEEP: f64 = -0.05;
-/// Visits of vertices by smoothing, beside one a vertex for each sweep asked for, after which it ends also where it still gains. The heart's 15,000 vertices with none, 25,000, 50,000 and 100,000: mean radius ratio
-/// 0.9888, 0.9893, 0.9895 and 0.9895, improvement 0.27, 0.35, 0.39 and 0.46 s; the lungs' 79,000: 0.9905, 0.9905, 0.9908 and 0.9914, 1.04, 1.13, 1.26 and 1.43 s.
+/// Number of vertex visits after which smoothing ends even if it still gains, in addition to one
+/// visit per vertex for each sweep after the first. With 0, 25,000, 50,000 and 100,000: the 15,000
+/// vertices of the heart reach a mean radius ratio of 0.9888, 0.9893, 0.9895 and 0.9895, and the
+/// improvement takes 0.27, 0.35, 0.39 and 0.46 s; the 79,000 vertices of the lungs reach 0.9905,
+/// 0.9905, 0.9908 and 0.9914 in 1.04, 1.13, 1.26 and 1.43 s.
 pub(super) const VISITS: usize = 50_000;
-/// Deviation from F = 0 that sweeps may bring about, over the ordinary one. Where vertices are taken away: those of bone asked for 1,000, and the volume that a gyroid thinner than h
-/// loses by that, at 1: 1,182, 0.8 %; 1.67: 1,095; 2: 1,075, 4.9 %; 2.1: 1,062, 4.0 %; 2.2: 1,043, 5.1 %. Where vertices move and edges are flipped, which may fold as far as [`LOOSE_FOLD`] where F folds (that leaves
-/// 73 degrees within, as between the faces of a regular tetrahedron; [`LOOSE_FOLD_OF_F`] makes flatter tetrahedra of `heart_ct` at 20,000): at [`PRICE_OF_DEVIATION`].
-pub(super) const FARTHER: f64 = 2.1;
-/// Mean quality that a sweep's move has to gain for each h that the mean deviation of the triangles touched grows by. Mean radius ratio and mean distance of centroids from F = 0 (voxels) of ribs and of bone at
-/// 5,000 and `heart_label` at h = 1.4 voxels, and area of a cylinder with sharp rims (mean of eight seeds of particles; F itself has -0.73 %), at h = 1.3: 0.5: 0.9779, 0.3583; 0.9767, 0.492; 0.9912, 0.0600;
-/// -1.025 %; 1: 0.9771, 0.3545; 0.9756, 0.486; 0.9905, 0.0592; -0.983 %; 1.5: 0.9764, 0.3537; 0.9750, 0.483; 0.9899, 0.0585; -0.965 %; 2: 0.9759, 0.3523; 0.9747, 0.480; 0.9892, 0.0581; -0.955 %. By the
-/// ordinary limits on deviation and folds, at no price, ribs have 0.9747 and 0.3596 (particles of an earlier build, 0.9788 and 0.3606 at 0.5).
+/// Minimum gain in mean quality of a sweep's move per increase of the mean deviation of the touched
+/// triangles by h. The table gives the mean radius ratio and the mean distance (voxels) of the
+/// centroids from F = 0 for ribs and bone at 5,000 vertices and `heart_label` at h = 1.4 voxels.
+/// The last column is the relative error of the area of a cylinder with sharp rims at h = 1.3 (mean
+/// of eight seeds of the particles; F itself has -0.73 %).
+///
+/// | price | ribs           | bone          | heart          | cylinder |
+/// |-------|----------------|---------------|----------------|----------|
+/// | 0.5   | 0.9779, 0.3583 | 0.9767, 0.492 | 0.9912, 0.0600 | -1.025 % |
+/// | 1     | 0.9771, 0.3545 | 0.9756, 0.486 | 0.9905, 0.0592 | -0.983 % |
+/// | 1.5   | 0.9764, 0.3537 | 0.9750, 0.483 | 0.9899, 0.0585 | -0.965 % |
+/// | 2     | 0.9759, 0.3523 | 0.9747, 0.480 | 0.9892, 0.0581 | -0.955 % |
+///
+/// With the strict limits on deviation and folds and no price, ribs have 0.9747, 0.3596. These
+/// particles differ from those of the table and give 0.9788, 0.3606 at price 0.5.
 pub(super) const PRICE_OF_DEVIATION: f64 = 1.5;
 
 // --- remeshing (Botsch and Kobbelt 2004) ---
 
-/// Edges longer and shorter than these times h are split and collapsed: either halves or doubles to the same distance from h.
+/// Edges longer than `LONG` h are split, edges shorter than `SHORT` h are collapsed. At these
+/// lengths, the edges that result are as far from h: a split halves an edge (4/3 - 1 = 1 - 2/3),
+/// and a collapse to the midpoint lengthens the adjacent edges by half (1 - 4/5 = 6/5 - 1).
 pub(super) const LONG: f64 = 4.0 / 3.0;
 pub(super) const SHORT: f64 = 4.0 / 5.0;
-/// Quality that a split, collapse or flip, and that a relaxation may leave behind where it was better: the next comes after.
+/// Minimum quality that splits, collapses and flips keep, and that relaxation keeps. The former is
+/// lower because the following steps improve the triangles.
 pub(super) const FLOOR: f64 = 0.35;
 pub(super) const FLOOR_OF_RELAXATION: f64 = 0.6;
 
-// --- the queue of bad triangles ---
+// --- queue of bad triangles ---
 
-/// Triangles, worst first, that are worked on side by side where their surroundings do not meet.
+/// Maximum number of triangles, worst first, that are processed in parallel. Their surroundings are
+/// disjoint.
 pub(super) const BATCH: usize = 32;
-/// Rings of triangles that a move with the relocations after it stays within.
+/// Number of rings of triangles around a triangle that single moves and pairs of moves, with their
+/// relocations, may change.
 pub(super) const RINGS: usize = 4;
-/// First moves, of those that leave least to do, each of which is followed by a second one.
+/// Number of first moves of a pair that are tried: those with the largest decrease of the
+/// shortfall. Each is followed by a second move.
 pub(super) const FIRST_MOVES: usize = 4;
-/// Quality below which a single move nearly always helps.
-pub(super) const EASY: f64 = 0.7;
-/// Transactions that a pass may waste beyond its useful ones: some 65 single moves, 20 pairs
-/// or one patch. With 3,000 and 2,000 `heart_ct` at 20,000 vertices reaches a minimum radius ratio
-/// of 0.754 and 0.601. With 3,000 the eight cubes of `tests/tests/labelled_cubes.rs` take half as
-/// many as with 20,000 for triangles below [`FIT`], and reach a mean of 0.937 in place of 0.935.
-pub(super) const WASTED_WORK_LIMIT: usize = 3_000;
+/// Transactions by which the wasted work at a level of a band may exceed the useful work: some 130
+/// single moves, 40 pairs of moves or two patches. With 3,000, 6,000 and 10,000, `thorax_ct` above
+/// 200 reaches a minimum radius ratio of 0.535, 0.620 and 0.659; eight labelled cubes of 6 voxels
+/// take 24, 38 and 51 thousand transactions. Attempts to remesh one patch end after as many.
+pub(super) const WASTED_WORK_LIMIT: usize = 6_000;
 
-// --- remeshing of a patch at a smaller length, where F bends within h ---
+// --- patch remeshing at a smaller target length, where F bends within h ---
 
-/// Rings round a triangle whose mean edge is the length of the mesh there, where that is below h.
-/// Six rings span eight cubes of 4^3 voxels: their smallest patch has 130 of 1,146 vertices, and
-/// they take four times as many transactions and fail the check (`tests/tests/labelled_cubes.rs`).
+/// The mean edge length in this number of rings around a triangle is the length of the mesh there,
+/// if it is below h. With six rings on eight cubes of 4^3 voxels, the rings span the cubes, the
+/// smallest patch has 130 of 1,146 vertices, and the improvement takes four times as many
+/// transactions and fails the check (`tests/tests/labelled_cubes.rs`).
 pub(super) const RINGS_OF_LENGTH: usize = 2;
-/// Radii of the patch over the length at its rim, in the order tried: the smallest that cures adds the fewest vertices (trabecular bone asked for
-/// 1,000 has 1,276 before the improvement, 1,284 after a patch of 1.6 and 1,478 after one of 2.5, before superfluous vertices are collapsed).
+/// Radii of the patch in units of the length of the mesh there, smallest first. The smallest patch
+/// that succeeds adds the fewest vertices. Trabecular bone (1,000 vertices requested) has 1,276
+/// vertices before the improvement, 1,284 after a patch of 1.6 and 1,478 after one of 2.5, before
+/// superfluous vertices are collapsed.
 pub(super) const REACHES: [f64; 4] = [1.6, 2.5, 4.0, 6.0];
-/// Lengths grow by so much with the distance, mm per mm, in the order tried. With the first alone 3 triangles of 1.8 million on noise (the torso
-/// CT at 200, both methods) stay below [`FIT`], with all three none.
+/// Rates at which target lengths grow with distance, in mm per mm, in the order tried. On noise
+/// (the torso CT at 200, both methods), 3 of 1.8 million triangles stay below [`FIT`] with the
+/// first rate alone, and none with all three.
 pub(super) const GRADATIONS: [f64; 3] = [0.45, 0.3, 0.6];
-/// Times that a patch is remeshed with each, the next with what the outcome of the one before asks
-/// for. With 4 in place of 2, minimum and mean radius ratio of `heart_ct` at 20,000 vertices,
-/// `thorax_labels` 1 with `sizefield --vertices 5000` and labelled cubes of 2 to 5 voxels are the
-/// same.
+/// Maximum number of times that a patch is remeshed with each rate. Each repetition also uses the
+/// lengths that the previous result demands. With 4 instead of 2, minimum and mean radius ratio of
+/// `heart_ct` at 20,000 vertices, `thorax_labels` 1 with `sizefield --vertices 5000` and labelled
+/// cubes of 2 to 5 voxels are the same.
 pub(super) const ATTEMPTS: usize = 2;
-/// The target length is this share of the radius of curvature, at which triangles near to equilateral stray and fold little (Amenta and Bern
-/// 1999), no less than this share of the length at the rim, and no less than this one where the patch ends.
+/// Target length as a share of the radius of curvature. At this length, nearly equilateral
+/// triangles have a small deviation and normal deviation (Amenta and Bern 1999). The next two are
+/// lower bounds of the target length as shares of the length of the mesh: in the patch, and at its
+/// rim.
 pub(super) const CHORD: f64 = 1.0;
 pub(super) const FINEST: f64 = 0.08;
 pub(super) const RIM: f64 = 0.8;
-/// A triangle of the outcome asks for a length of this share of its mean side, when its centroid is farther from F = 0 than this share of
-/// that, or the cosine between its normal and grad F is below this.
+/// After remeshing, a triangle demands a target length of `SHORTER` times its mean side if the
+/// distance of its centroid from F = 0 exceeds `STRAYS` times its mean side, or if the cosine
+/// between its normal and grad F is below `TURNED`.
 pub(super) const SHORTER: f64 = 0.5;
 pub(super) const STRAYS: f64 = 0.2;
 pub(super) const TURNED: f64 = 0.6;
-/// Rounds of splits, collapses, flips and relaxation, and the quality that the triangles of the patch are lifted to afterwards.
+/// Number of rounds of splits, collapses, flips and relaxation, and then of moves that raise the
+/// triangles of the patch to quality `TARGET`.
 pub(super) const ROUNDS: usize = 5;
 pub(super) const TARGET: f64 = 0.6;
-/// Range of edge lengths over the target length on the way.
+/// Range of edge lengths in units of the target length while a patch is remeshed.
 pub(super) const PATCH_LENGTHS: [f64; 2] = [0.35, 2.3];
-/// Most triangles that remeshing may leave in a patch.
+/// Maximum number of triangles in a remeshed patch.
 pub(super) const MOST_TRIANGLES: usize = 4000;

@@ -1,76 +1,42 @@
-//! Moves of vertices on junction curves, where three sheets meet: along the curve to where the smallest quality round them is largest, and into a neighbour on the curve.
-//! All triangles of the three sheets round them are judged together, by the same guard as every move.
+//! Moves of vertices on junction curves, where three interfaces meet: along the curve to maximise
+//! the minimum quality, and into a neighbour on the curve. The acceptance test judges the triangles
+//! of all three interfaces together.
 
 use super::constants::{CURVE_STRAYS, FARTHEST_ALONG, FIRST_STEP, LAST_STEP, LEAST_GAIN, PROJECTION_TOLERANCE};
-use super::guard::quality_facing;
 use super::sheets::Freedom;
-use super::surface::{DEAD, Surface};
+use super::surface::measure::quality_facing;
+use super::surface::{Curve, DEAD, Surface};
 use glam::DVec3;
 
-/// The junction curve at a vertex on it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Curve {
-    /// The neighbours on the curve.
-    pub(super) ends: [u32; 2],
-    /// The sheets that meet there, ascending.
-    pub(super) sheets: [u32; 3],
-}
-
 impl Surface<'_> {
-    /// The curve through a vertex, where the triangles round it are those of three sheets, of each a fan from one neighbour on the curve to the other.
-    pub(super) fn curve_through(&self, vertex: u32) -> Option<Curve> {
-        let fan: Vec<(u32, u32, u32)> = self.around[vertex as usize]
-            .iter()
-            .zip(self.link(vertex))
-            .map(|(&t, (a, b))| (self.sheet[t as usize], a, b))
-            .collect();
-        let mut neighbours: Vec<u32> = fan.iter().flat_map(|&(_, a, b)| [a, b]).collect();
-        neighbours.sort_unstable();
-        let times: Vec<(u32, usize)> = neighbours.chunk_by(|a, b| a == b).map(|same| (same[0], same.len())).collect();
-        let mut on_curve = times.iter().filter(|(_, n)| *n == 3).map(|(v, _)| *v);
-        let ends = [on_curve.next()?, on_curve.next()?];
-        let mut sheets: Vec<u32> = fan.iter().map(|&(sheet, ..)| sheet).collect();
-        sheets.sort_unstable();
-        sheets.dedup();
-        let sheets = <[u32; 3]>::try_from(sheets).ok()?;
-        let is_fan = |&sheet: &u32| {
-            let mut left: Vec<(u32, u32)> = fan.iter().filter(|own| own.0 == sheet).map(|own| (own.1, own.2)).collect();
-            let mut at = ends[0];
-            while at != ends[1] {
-                let Some(next) = left.iter().position(|&(a, b)| a == at || b == at) else { return false };
-                let (a, b) = left.swap_remove(next);
-                at = if a == at { b } else { a };
-            }
-            left.is_empty()
-        };
-        (on_curve.next().is_none() && sheets.iter().all(is_fan)).then_some(Curve { ends, sheets })
-    }
-
-    /// The same of a vertex that may move along it.
+    /// Returns the junction curve at a vertex that can move along it.
     fn way_of(&self, vertex: u32) -> Option<Curve> {
         let v = vertex as usize;
         (self.freedom[v] == Freedom::Curve && !self.frozen[v]).then(|| self.curve_through(vertex)).flatten()
     }
 
-    /// The place of a curve near another, no farther than `limit` mm.
+    /// Projects `p` onto a curve, at most `limit` mm away.
     fn onto_curve(&self, curve: &Curve, p: DVec3, limit: f64) -> Option<DVec3> {
         let [first, second, _] = curve.sheets;
         self.field.project_onto_curve([first, second], p, limit, PROJECTION_TOLERANCE * self.field.voxel())
     }
 
-    /// How far the middle between two places of a curve lies from it, mm; infinite where it is not found.
+    /// Returns the distance (mm) of the midpoint of two points of a curve from the curve, or
+    /// infinity if the projection fails.
     fn bow(&self, curve: &Curve, [p, q]: [DVec3; 2]) -> f64 {
         let middle = p.midpoint(q);
         self.onto_curve(curve, middle, 0.5 * p.distance(q)).map_or(f64::INFINITY, |foot| foot.distance(middle))
     }
 
-    /// Whether the edges of a curve that meet at a place may be bent as much as `bow` (mm) says, or were before.
+    /// Returns whether the bow (mm, [`Self::bow`]) of the edges at a vertex of a curve is
+    /// acceptable: within the limit, or not above the bow before.
     fn may_bow(&self, vertex: u32, bow: f64, before: f64) -> bool {
         bow <= before.max(CURVE_STRAYS * self.target[vertex as usize])
     }
 }
 
-/// Moves a vertex along its curve to where the smallest quality of its triangles is largest.
+/// Moves a vertex along its curve to maximise the minimum quality of its triangles. Returns whether
+/// the vertex moved.
 pub(super) fn slide(surface: &mut Surface, vertex: u32) -> bool {
     let Some(curve) = surface.way_of(vertex) else { return false };
     let start = surface.positions[vertex as usize];
@@ -91,7 +57,7 @@ pub(super) fn slide(surface: &mut Surface, vertex: u32) -> bool {
         let quality = |&(a, b, normal): &(DVec3, DVec3, DVec3)| quality_facing([p, a, b], normal);
         ring.iter().map(quality).fold(f64::INFINITY, f64::min)
     };
-    // so much of the way to the one neighbour, or to the other where it is negative
+    // position after a share of the way to the second neighbour, or to the first if negative
     let place = |along: f64| {
         let end = ends[usize::from(along > 0.0)];
         let limit = along.abs() * start.distance(end);
@@ -116,14 +82,15 @@ pub(super) fn slide(surface: &mut Surface, vertex: u32) -> bool {
     true
 }
 
-/// The place of the vertex's curve a share of the way from one place to another.
+/// Returns the point of the vertex's curve at a share of the way from one position to another.
 pub(super) fn part_of_slide(surface: &Surface, vertex: u32, [from, to]: [DVec3; 2], share: f64) -> Option<DVec3> {
     let curve = surface.way_of(vertex)?;
     surface.onto_curve(&curve, from.lerp(to, share), from.distance(to))
 }
 
-/// Merges `gone` into its neighbour `keep` on its curve, which stays where it is. A curve between two junction points keeps its last vertex where these are so near that no
-/// triangle on the edge between them could be good ([`Surface::side`]).
+/// Merges `gone` into its neighbour `keep` on its curve. `keep` does not move. The last vertex
+/// between two junction points is kept if the edge between them would be short
+/// ([`Surface::is_short_side`]). Returns whether the collapse is possible.
 pub(super) fn collapse_along(surface: &mut Surface, keep: u32, gone: u32) -> bool {
     let Some(curve) = surface.way_of(gone) else { return false };
     let Some(&other) = curve.ends.iter().find(|&&end| end != keep).filter(|_| curve.ends.contains(&keep)) else {
@@ -138,8 +105,9 @@ pub(super) fn collapse_along(surface: &mut Surface, keep: u32, gone: u32) -> boo
     let mut neighbours: Vec<u32> = surface.link(gone).flat_map(|(a, b)| [a, b]).filter(|&v| v != keep).collect();
     neighbours.sort_unstable();
     neighbours.dedup();
-    // link condition (Dey, Edelsbrunner, Guha and Nekhayev 1999), of the complex and of the curve: the ends share no neighbours but the corners opposite the edge, no two
-    // of which have an edge with each of them in a triangle, and no neighbour on the curve
+    // link condition (Dey, Edelsbrunner, Guha and Nekhayev 1999) for the complex and the curve: the
+    // ends share no neighbours except the corners opposite the edge, no two of these corners form a
+    // triangle with `gone`, and the ends share no neighbour on the curve
     let shared = neighbours.iter().filter(|&&v| surface.joined(v, keep)).count();
     let is_shared_side = |&(a, b): &(u32, u32)| corners.contains(&a) && corners.contains(&b);
     let is_held = |&v: &u32| surface.frozen[v as usize];

@@ -1,7 +1,8 @@
 //! Finds the triangles near a triangle while the mesh is being edited.
 //!
-//! A hashed grid with a level for each power of two of the triangles' extent, so that a strongly graded mesh costs no more
-//! than a uniform one. A triangle lies in the one cell that holds the centre of its box.
+//! The grid is hashed and has one level for each power of two of the triangle size, so that a
+//! strongly graded mesh costs no more than a uniform one. Each triangle is stored in the cell that
+//! contains the centre of its bounding box.
 
 use glam::DVec3;
 use isoparticles_mesh::spatial::Bounds;
@@ -9,34 +10,36 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 
-/// Levels; the coarsest takes every larger triangle.
+/// Number of levels. The coarsest level contains all larger triangles.
 const LEVELS: usize = 32;
-/// Cells an axis can have in one level.
+/// Maximum number of cells along an axis in one level: 19 bits of the key.
 const CELLS: f64 = (1 << 19) as f64;
 
-/// Parts of the cells that are filled side by side, and triangles from which on they are.
+/// Number of parts of the cells that are filled in parallel, and minimum number of triangles for
+/// this.
 const PARTS: usize = 16;
 const MANY: usize = 1 << 14;
 
-/// Triangles of each cell.
+/// The triangles in each cell.
 type Cells = HashMap<u64, Vec<u32>, BuildHasherDefault<KeyHasher>>;
 
-/// Triangles by place and size.
+/// Triangles by position and size.
 #[derive(Clone)]
 pub(super) struct TriangleGrid {
     origin: DVec3,
     finest: f64,
     population: [usize; LEVELS],
-    /// One part, or [`PARTS`] by the key.
+    /// One part, or [`PARTS`] parts by key.
     cells: Vec<Cells>,
     boxes: Vec<Bounds>,
 }
 
 impl TriangleGrid {
-    /// An empty grid for triangles within `whole` (mm), the smallest of them about `finest` mm large.
+    /// Creates an empty grid for triangles in the box `whole` (mm). The smallest triangles have a
+    /// size of about `finest` (mm).
     pub(super) fn new(whole: Bounds, finest: f64) -> Self {
         let extent = (whole.high - whole.low).max_element().max(f64::MIN_POSITIVE);
-        // so many cells that the outermost ones are never reached
+        // the cells are so coarse that the outermost ones are never reached
         let finest = finest.max(extent / (0.25 * CELLS));
         Self {
             origin: whole.low - extent,
@@ -47,12 +50,13 @@ impl TriangleGrid {
         }
     }
 
-    /// An empty grid of the same cells.
+    /// Returns an empty grid with the same cells.
     pub(super) fn emptied(&self) -> Self {
         Self { population: [0; LEVELS], cells: vec![Cells::default()], boxes: Vec::new(), ..*self }
     }
 
-    /// A grid of the same cells with the triangles of these boxes in it, [`Bounds::EMPTY`] where there is none.
+    /// Returns a grid with the same cells that contains the triangles with these boxes. A missing
+    /// triangle has the box [`Bounds::EMPTY`].
     pub(super) fn filled(&self, boxes: Vec<Bounds>) -> Self {
         let mut grid = self.emptied();
         if boxes.len() < MANY {
@@ -78,12 +82,12 @@ impl TriangleGrid {
         grid
     }
 
-    /// The part that a cell is in.
+    /// Returns the index of the part that contains a cell.
     fn part(&self, key: u64) -> usize {
         if self.cells.len() == 1 { 0 } else { part_of(key) }
     }
 
-    /// Puts a triangle in.
+    /// Inserts a triangle.
     pub(super) fn insert(&mut self, triangle: u32, bounds: Bounds) {
         let slot = triangle as usize;
         if self.boxes.len() <= slot {
@@ -97,7 +101,7 @@ impl TriangleGrid {
         self.cells[part].entry(key).or_default().push(triangle);
     }
 
-    /// Takes a triangle out that was put in.
+    /// Removes a triangle that was inserted.
     pub(super) fn remove(&mut self, triangle: u32) {
         let bounds = self.boxes[triangle as usize];
         let level = self.level(&bounds);
@@ -111,10 +115,12 @@ impl TriangleGrid {
         }
     }
 
-    /// Whether `test` holds for any triangle whose box, given along, meets the given one.
+    /// Returns whether `test` holds for any triangle whose box meets `query`. The test receives the
+    /// box.
     pub(super) fn any(&self, query: &Bounds, mut test: impl FnMut(u32, &Bounds) -> bool) -> bool {
         for level in (0..LEVELS).filter(|&l| self.population[l] > 0) {
-            // the centre of a triangle of this level is at most half a cell away from any of its points
+            // the centre of the box of a triangle of this level is at most half a cell from its
+            // points
             let reach = if level + 1 < LEVELS { 0.5 * self.size(level) } else { f64::INFINITY };
             let low = self.cell(level, query.low - reach);
             let high = self.cell(level, query.high + reach);
@@ -164,12 +170,12 @@ fn level_of(key: u64) -> usize {
     (key >> 57) as usize
 }
 
-/// The part of a cell, of many.
+/// Returns the part of a cell if there are [`PARTS`] parts.
 fn part_of(key: u64) -> usize {
     (key.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32) as usize % PARTS
 }
 
-/// Mixes one 64-bit key; the order of the map is never looked at.
+/// Hashes one 64-bit key. No result depends on the order of the map.
 #[derive(Default)]
 pub(super) struct KeyHasher(u64);
 
@@ -210,7 +216,7 @@ mod tests {
         for (t, &b) in boxes.iter().enumerate() {
             one_by_one.insert(t as u32, b);
         }
-        // the others of those filled at once are nowhere
+        // all boxes after the first 400 are empty
         let at_once = |count: usize| {
             let mut more = boxes.clone();
             more.resize(count, Bounds::EMPTY);

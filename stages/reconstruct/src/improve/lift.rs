@@ -1,14 +1,16 @@
-//! What a bad triangle is lifted by: a single move, with relocations round it where none helps alone, and two moves in a row.
+//! Improves a bad triangle by a single move, with relocations around it if needed, or by two moves
+//! in a row.
 
+use super::acceptance::{Goal, Limits, commit_or_rollback, gain, progress};
 use super::constants::{FIRST_MOVES, LEAST_GAIN};
-use super::guard::{Limits, Rule, commit_or_rollback, gain, progress};
 use super::moves::{Move, moves_near, relocate_all};
 use super::surface::Surface;
 use rayon::prelude::*;
 
-/// Triangles of a surface up to which moves with relocations, a tenth of a millisecond each, are rated on copies of it side by side: more take as long to copy.
+/// Maximum number of triangles of a surface whose moves with relocations (0.1 ms each) are rated in
+/// parallel on copies. Above this size, copying costs more than parallelism saves.
 const MOST_COPIED: usize = 1000;
-/// Moves that are worth a copy.
+/// Minimum number of moves per copy.
 const MOVES_A_COPY: usize = 4;
 
 /// What follows a move before it is judged.
@@ -16,33 +18,36 @@ const MOVES_A_COPY: usize = 4;
 pub(super) enum After {
     /// Nothing.
     Nothing,
-    /// Relocations of the vertices that gain by it.
+    /// Relocations of the vertices around the move.
     Relocations,
 }
 
-/// Commits the single move on a triangle that gains most, of those that the guard lets pass; with relocations round it where none does alone.
+/// Commits the single move on a triangle with the largest gain that passes the acceptance test. If
+/// none passes, tries moves followed by relocations. Returns whether a move passed.
 pub(super) fn lift(surface: &mut Surface, triangle: u32, limits: &Limits, bar: f64) -> bool {
     let candidates = moves_near([surface.triangles[triangle as usize]]);
     let mut by_best = |after| lift_by_best(surface, &candidates, after, limits, bar);
     by_best(After::Nothing) || by_best(After::Relocations)
 }
 
-/// Commits the move that gains most, of those that the guard lets pass.
+/// Commits the move with the largest gain that passes the acceptance test. Returns whether a move
+/// passed.
 fn lift_by_best(surface: &mut Surface, candidates: &[Move], after: After, limits: &Limits, bar: f64) -> bool {
-    // relocations that follow bring a vertex all the way
+    // the relocations that follow move a vertex all the way
     let candidates: Vec<Move> =
         candidates.iter().filter(|m| after == After::Nothing || !m.is_partial()).copied().collect();
     let rated = rated(surface, &candidates, after, gain_above(bar));
     rated.into_iter().any(|(_, candidate)| {
         let made = make(surface, candidate, after);
-        let kept = made && commit_or_rollback(surface, limits, Rule::Lift { bar }).is_some();
+        let kept = made && commit_or_rollback(surface, limits, Goal::Lift { bar }).is_some();
         surface.rollback();
         kept
     })
 }
 
-/// The same with two moves in a row: a first one on the triangle or its neighbours, which need not help by itself, and one on the worst triangle that it
-/// leaves, each with relocations.
+/// Commits a single move if one passes ([`lift`]), and otherwise two moves in a row, each with
+/// relocations. The first is on the triangle or its neighbours and may lower the minimum quality.
+/// The second is on the worst triangle after the first. Returns whether anything was committed.
 pub(super) fn lift_by_two(surface: &mut Surface, triangle: u32, limits: &Limits, bar: f64) -> bool {
     let whole = |triangles: Vec<[u32; 3]>| -> Vec<Move> {
         moves_near(triangles).into_iter().filter(|m| !m.is_partial()).collect()
@@ -63,7 +68,7 @@ pub(super) fn lift_by_two(surface: &mut Surface, triangle: u32, limits: &Limits,
             surface.rollback();
             if make(surface, first, after)
                 && make(surface, second, after)
-                && commit_or_rollback(surface, limits, Rule::Lift { bar }).is_some()
+                && commit_or_rollback(surface, limits, Goal::Lift { bar }).is_some()
             {
                 return true;
             }
@@ -73,12 +78,13 @@ pub(super) fn lift_by_two(surface: &mut Surface, triangle: u32, limits: &Limits,
     false
 }
 
-/// What the edits since the last commit gain, where that counts.
+/// Returns the gain of the edits since the last commit if it exceeds [`LEAST_GAIN`].
 fn gain_above(bar: f64) -> impl Fn(&Surface) -> Option<f64> + Sync {
     move |made| Some(gain(made, bar)).filter(|&gain| gain > LEAST_GAIN)
 }
 
-/// Moves with what a measure says of the surface that each makes, the largest first, and those left out of which it says nothing; each is taken back.
+/// Rates each move by a measure of the surface after it, and rolls it back. Returns the rates and
+/// moves, highest first, without moves that are not possible or have no rate.
 fn rated(
     surface: &mut Surface,
     candidates: &[Move],
@@ -106,12 +112,12 @@ fn rated(
     } else {
         candidates.iter().filter_map(|&candidate| rate(surface, candidate)).collect()
     };
-    // stable: the order of the moves among equals
+    // stable sort: equal moves keep their order
     rated.sort_by(|a, b| b.0.total_cmp(&a.0));
     rated
 }
 
-/// Makes a move, with what is to follow; false where it cannot be made.
+/// Makes a move and what follows it. Returns whether the move is possible.
 pub(super) fn make(surface: &mut Surface, candidate: Move, after: After) -> bool {
     let Some(involved) = candidate.make(surface) else { return false };
     if after == After::Relocations {

@@ -1,16 +1,16 @@
-//! One optimiser that lifts the worst triangles of a closed mesh on F = 0 without touching the rest.
+//! Improves the triangles of a closed mesh whose vertices lie on F = 0, and keeps its topology.
 //!
-//! A change is a transaction on a patch, made of edge flips, collapses and splits and of relocations to where the smallest quality round a vertex
-//! is largest, always projected back onto F = 0 (Eq. 5). The guard commits it when the quality rises, and rolls it back when a triangle is turned
-//! or folded, crosses another (exact predicates), strays from F = 0 by more than the bound, or carries a grid node to the other side where
-//! that is asked for. Topology cannot change. `sweep` goes over the whole mesh, `optimise` through a queue of the bad triangles, and
-//! `target_length` remeshes a patch at a smaller length where F bends within h. Optionally the whole mesh is remeshed by the same moves,
-//! which makes a good mesh even of marching cubes' output. The result depends on the input only, not on threads.
+//! All edits are transactions of edge flips, collapses, splits and relocations. They leave all
+//! vertices on F = 0 (Eq. 5). A transaction is kept if it passes the acceptance test
+//! (`acceptance`). `sweep` improves the whole mesh, `optimise` processes a queue of bad triangles,
+//! and `target_length` remeshes a patch at a smaller target length where F bends within h.
+//! Optionally, `remesh` remeshes the whole mesh towards h first, so that the input may be the
+//! output of marching cubes. The result does not depend on the number of threads.
 
+mod acceptance;
 mod constants;
 mod curves;
 mod grid;
-mod guard;
 mod lift;
 mod moves;
 mod nodes;
@@ -19,6 +19,7 @@ mod patch;
 mod remesh;
 mod ring;
 mod sheets;
+mod site;
 mod smooth;
 mod surface;
 mod sweep;
@@ -37,9 +38,9 @@ mod tests_of_smoothing;
 mod tests_of_thinning;
 mod thin;
 
+use acceptance::{Goal, Limits, commit_or_rollback};
 use constants::{GOOD, ON_SURFACE};
 use glam::DVec3;
-use guard::{Limits, Rule, commit_or_rollback};
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::quality::{QualitySummary, summarise};
@@ -51,109 +52,98 @@ use serde::Serialize;
 pub use sheets::{Freedom, Sheets};
 use surface::Surface;
 
-/// How far to go. The defaults lift what is below 0.6 and leave everything else alone.
+/// Extent of the improvement. By default, only triangles below 0.6 are improved.
 #[derive(Clone, Copy, Debug)]
 pub struct ImproveOptions<'a> {
-    /// Radius ratio below which a triangle is worked on.
+    /// Quality below which the optimiser works on a triangle; 0 disables the optimiser.
     pub target: f64,
-    /// Passes over the worst triangles, each as long as something helps; 0 for none.
-    pub rounds: usize,
-    /// Rounds of global remeshing towards h before that; 0 for none.
+    /// Number of rounds of remeshing the whole mesh towards h, before all else; 0 for none.
     pub remesh_rounds: usize,
-    /// Sweeps over the whole mesh: of flips towards degree six, and in the first of relaxation, then of smoothing, which raises the mean radius ratio and brings no
-    /// triangle below 0.9. Where meshes are small they go on for as long as they gain. 0 for none.
+    /// Number of sweeps over the whole mesh; 0 for none. The first removes vertices (if `thins`),
+    /// flips edges towards degree six and relaxes vertices. Smoothing then raises the mean quality
+    /// until nothing moves or its budget of visits is used up. Except for the removal of vertices,
+    /// no move lowers the minimum quality of its triangles below 0.9, or further if it is already
+    /// lower.
     pub relaxation_sweeps: usize,
-    /// Whether the first of these takes away vertices where the mesh is denser than h asks, and all of them may leave triangles farther from F = 0 where F bends within h.
+    /// Whether the first sweep removes vertices where the mesh is denser than h.
     pub thins: bool,
-    /// Largest distance of a triangle's centroid from F = 0 that a move may bring about, over h; twice that (at least
-    /// 0.35) for the sake of a triangle below a quality of 0.7 that nothing else can help.
-    pub max_deviation: f64,
-    /// Range of edge lengths, over h, that a move must stay in where the edges round it are within (0.05 to 3 for such a triangle).
-    pub length_range: [f64; 2],
-    /// Samples of F at whose nodes the mesh must not change sides (label volumes).
+    /// Samples of F whose grid nodes must not change sides of the mesh (label volumes).
     pub sides: Option<&'a Image<f32>>,
 }
 
 impl Default for ImproveOptions<'_> {
     fn default() -> Self {
-        Self {
-            target: 0.6,
-            rounds: 3,
-            remesh_rounds: 0,
-            relaxation_sweeps: 0,
-            thins: false,
-            max_deviation: 0.15,
-            length_range: [0.5, 1.6],
-            sides: None,
-        }
+        Self { target: 0.6, remesh_rounds: 0, relaxation_sweeps: 0, thins: false, sides: None }
     }
 }
 
 impl ImproveOptions<'_> {
-    /// For a mesh of settled particles: a few sweeps over all of it, which raise the mean as well as the minimum, then the
-    /// worst triangles.
+    /// Options for a mesh of settled particles: a few sweeps raise the mean and minimum quality of
+    /// the whole mesh, then the worst triangles are improved.
     pub fn polish() -> Self {
         Self { target: GOOD, relaxation_sweeps: 3, thins: true, ..Self::default() }
     }
 
-    /// Remeshes the whole surface towards h: a good mesh from any closed one, marching cubes' included.
+    /// Options that remesh the whole surface towards h. The input may be any closed mesh, including
+    /// the output of marching cubes.
     pub fn remesh() -> Self {
         Self { remesh_rounds: 8, relaxation_sweeps: 4, ..Self::default() }
     }
 }
 
-/// Moves made.
+/// Numbers of moves made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Tally {
-    /// Vertices brought onto F = 0 at the start.
+    /// Vertices projected onto F = 0.
     pub projections: usize,
-    /// Vertices relaxed and smoothed.
+    /// Vertices relaxed or smoothed.
     pub relocations: usize,
-    /// Edges flipped by the global passes.
+    /// Edges flipped by remeshing rounds and sweeps.
     pub flips: usize,
-    /// Edges collapsed by the global passes and by the first sweep.
+    /// Edges collapsed by remeshing rounds, by sweeps, and to remove vertices off F = 0.
     pub collapses: usize,
-    /// Edges split by the global passes.
+    /// Edges split by remeshing rounds.
     pub splits: usize,
-    /// Single moves on behalf of a bad triangle, with the relocations after them.
+    /// Single moves for bad triangles, with the relocations after them.
     pub single_moves: usize,
-    /// Pairs of moves in a row, likewise.
+    /// Pairs of moves for bad triangles, with the relocations after them.
     pub double_moves: usize,
-    /// Patches round triangles below the limits that were remeshed to follow the curvature of F.
+    /// Patches around bad triangles that were remeshed at a target length from the curvature of F.
     pub remeshed_patches: usize,
-    /// Transactions on behalf of bad triangles, kept or taken back.
+    /// Transactions for bad triangles, kept or rolled back.
     pub tried: usize,
 }
 
-/// What came of it.
+/// Result of an improvement.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ImproveReport {
-    /// Shapes before.
+    /// Quality before.
     pub before: QualitySummary,
-    /// Shapes after.
+    /// Quality after.
     pub after: QualitySummary,
-    /// Moves made.
+    /// Numbers of moves made.
     pub moves: Tally,
-    /// Triangles below the target before.
+    /// Triangles with a radius ratio below the target before.
     pub below_target_before: usize,
-    /// Triangles still below the target.
+    /// Triangles with a radius ratio below the target after.
     pub below_target: usize,
-    /// Vertices left alone because their triangles do not form one closed fan.
+    /// Frozen vertices: their triangles do not form one closed fan.
     pub frozen_vertices: usize,
-    /// Vertices that could not be brought onto F = 0 (none when they all lay there before).
+    /// Vertices that could not be brought onto F = 0 (0 if all lay on F = 0 before).
     pub off_surface: usize,
-    /// Grid nodes on the wrong side before and after; `None` when they were not guarded.
+    /// Number of grid nodes on the wrong side before and after; `None` if nodes are not guarded.
     pub nodes_on_wrong_side: Option<[usize; 2]>,
 }
 
-/// What long loops call every so often; an error stops them.
+/// Function that long loops call regularly. An error stops the work.
 pub type Step<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 
 /// Improves a mesh in the grid frame. `size` is the target edge length h (mm) at a position.
 ///
 /// # Errors
-/// When the mesh has a coordinate that is not finite or an index that names no vertex, or `size` is not positive on it; and those of `step`, which
-/// leave the mesh as it was.
+/// If a coordinate of the mesh is not finite, a triangle contains an invalid vertex index, or
+/// `size` is not positive and finite at a vertex; and the errors of `step`. The mesh is then
+/// unchanged.
 pub fn improve(
     mesh: &mut TriangleMesh,
     field: &CubicSpline,
@@ -164,7 +154,7 @@ pub fn improve(
     improve_holding(mesh, &[], field, size, options, step)
 }
 
-/// The same, where some vertices stay as they are.
+/// Improves a mesh like [`improve`], with the vertices in `held` fixed.
 ///
 /// # Errors
 /// Those of [`improve`].
@@ -187,22 +177,24 @@ pub fn improve_holding(
     )
 }
 
-/// The sheets of a mesh.
+/// The interfaces of a mesh.
 pub struct SheetsOf<'a> {
-    /// The functions that they are the zero sets of.
+    /// The implicit functions of the interfaces.
     pub field: &'a dyn Sheets,
-    /// The sheet of each triangle.
+    /// Index of the interface of each triangle.
     pub of_triangle: Vec<u32>,
     /// How each vertex may move.
     pub freedom: Vec<Freedom>,
-    /// The grid and the numbers of its nodes on the wrong side, where all nodes are guarded.
+    /// The grid and the indices of its nodes on the wrong side. If present, all nodes are guarded.
     pub wrong_nodes: Option<(&'a Geometry, Vec<usize>)>,
-    /// Afterwards the number that each vertex has in the improved mesh, `u32::MAX` where it is gone.
+    /// Output: index of each vertex in the improved mesh, `u32::MAX` if it was removed.
     pub numbers: Vec<u32>,
 }
 
-/// Improves a mesh of several sheets that meet in junction curves, whose edges are those that are not in two triangles. Vertices stay on their own sheets and curves; where
-/// one of a curve goes, an edge joins its two neighbours on the curve. The sheets of the triangles are those of the new ones afterwards, and `freedom` means nothing any more.
+/// Improves a mesh of several interfaces that meet in junction curves. The edges of junction curves
+/// are those that are not in two triangles. Vertices stay on their interfaces and curves. If a
+/// vertex of a curve is removed, an edge joins its two neighbours on the curve. Afterwards,
+/// `of_triangle` and `numbers` belong to the improved mesh, and `freedom` is no longer valid.
 ///
 /// # Errors
 /// Those of [`improve`].
@@ -241,10 +233,10 @@ pub fn improve_sheets(
     let wrong_before = surface.sides.as_ref().map(NodeSides::wrong_count);
     report.frozen_vertices = surface.frozen.iter().filter(|&&frozen| frozen).count();
 
-    let limits = Limits::new(options.max_deviation, options.length_range);
+    let limits = Limits::STRICT;
     let tally = &mut report.moves;
     project_all(&mut surface, tally);
-    // sweeps begin without a grid, and fill it at their end
+    // sweeps start without a grid and fill it at the end
     if surface.grid.is_none() && (options.remesh_rounds > 0 || options.relaxation_sweeps == 0) {
         surface.fill_grid();
     }
@@ -256,8 +248,8 @@ pub fn improve_sheets(
     if options.relaxation_sweeps > 0 {
         sweep::sweep(&mut surface, &limits, options.relaxation_sweeps, options.thins, step, tally)?;
     }
-    if options.rounds > 0 {
-        optimise::optimise(&mut surface, &limits, options.target, options.rounds, step, tally)?;
+    if options.target > 0.0 {
+        optimise::optimise(&mut surface, options.target, step, tally)?;
         project_all(&mut surface, tally);
     }
 
@@ -270,7 +262,7 @@ pub fn improve_sheets(
     Ok(report)
 }
 
-/// The vertices that do not lie on F = 0, ascending.
+/// Returns the vertices that do not lie on F = 0, ascending.
 fn off_surface(surface: &Surface) -> Vec<u32> {
     let numbers = 0..surface.positions.len() as u32;
     numbers.into_par_iter().filter(|&v| is_off_surface(surface, v as usize)).collect()
@@ -285,9 +277,10 @@ fn is_off_surface(surface: &Surface, v: usize) -> bool {
     value.abs() > ON_SURFACE * voxel * gradient.length()
 }
 
-/// Brings vertices that do not lie on F = 0 there, on a surface with a grid, which it gets where there are any; one that cannot get there gives way to a neighbour that does.
+/// Projects vertices that do not lie on F = 0 onto it, and fills the grid first if there are any. A
+/// vertex whose projection fails is merged into a neighbour on F = 0.
 fn project_all(surface: &mut Surface, tally: &mut Tally) {
-    let limits = &Limits::FOR_PROJECTION;
+    let limits = &Limits::LOOSE;
     let off = off_surface(surface);
     if !off.is_empty() && surface.grid.is_none() {
         surface.fill_grid();
@@ -301,10 +294,10 @@ fn project_all(surface: &mut Surface, tally: &mut Tally) {
         let neighbours: Vec<u32> = surface.link(v).map(|(a, _)| a).collect();
         let sum: DVec3 = neighbours.iter().map(|&u| surface.positions[u as usize]).sum();
         let moved = [from, sum / neighbours.len() as f64].into_iter().any(|start| {
-            let to = moves::projected(surface, surface.sheet_at(v), start, reach);
+            let to = surface.field.projected(surface.sheet_at(v), start, reach);
             to.is_some_and(|to| {
                 surface.move_vertex(v, to);
-                commit_or_rollback(surface, limits, Rule::Any).is_some()
+                commit_or_rollback(surface, limits, Goal::Keep { floor: 0.0 }).is_some()
             })
         });
         if moved {
@@ -314,7 +307,7 @@ fn project_all(surface: &mut Surface, tally: &mut Tally) {
         for u in neighbours {
             let at = surface.positions[u as usize];
             let keeps = !is_off_surface(surface, u as usize) && moves::collapse(surface, u, v, at);
-            if keeps && commit_or_rollback(surface, limits, Rule::Keep { floor: 0.2 }).is_some() {
+            if keeps && commit_or_rollback(surface, limits, Goal::Keep { floor: 0.2 }).is_some() {
                 tally.collapses += 1;
                 break;
             }

@@ -1,11 +1,18 @@
-//! One queue of bad triangles, worst first; a triangle nearest to a grid node on the wrong side comes before all. For each, a transaction on a
-//! patch round it: a single move with relocations, two moves in a row, or the patch remeshed at a smaller target length. Patches that do not
-//! meet are worked on side by side; what a patch commits is one commit of the whole.
+//! Improves the worst triangles: one queue, ordered by quality and effort.
+//!
+//! A triangle below its target enters the queue in one of [`BANDS`] bands of quality, at the first
+//! level of the [`schedule`]. A failure raises its level: from single moves to pairs of moves, and
+//! then to patches that are remeshed at growing reach. A success returns the changed triangles and
+//! their neighbours to the first level. Each level of each band has one budget ([`Budget`]).
+//!
+//! Worse bands come first. The first band contains the triangles nearest to grid nodes on the wrong
+//! side. Triangles with disjoint surroundings are worked on concurrently. The result does not
+//! depend on the number of threads.
 
-use super::constants::{AIM, ATTEMPTS, BATCH, EASY, FIT, POOR, REACHES, RINGS, WASTED_WORK_LIMIT};
-use super::guard::Limits;
+use super::acceptance::Limits;
+use super::constants::{AIM, ATTEMPTS, BATCH, FIT, POOR, REACHES, RINGS, WASTED_WORK_LIMIT};
 use super::lift::{lift, lift_by_two};
-use super::patch::Patch;
+use super::patch::{Edits, Patch};
 use super::surface::Surface;
 use super::target_length::{How, remesh};
 use super::{Step, Tally};
@@ -13,84 +20,130 @@ use isoparticles_mesh::spatial::Bounds;
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 use std::cmp::Reverse;
-use std::collections::{BinaryHeap, HashMap};
+use std::collections::BinaryHeap;
 
-/// What is tried on bad triangles.
+/// An operation on a triangle and its surroundings.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Means {
+enum Operation {
     /// A flip, collapse, split or relocation.
     Move,
-    /// Two of them in a row.
-    TwoMoves,
-    /// Remeshing of a patch of so many lengths' radius with a smaller target length.
+    /// Two moves in a row.
+    Pair,
+    /// Remeshes a patch at a smaller target length. The reach is the radius of the patch in units
+    /// of its edge length.
     Remesh { reach: f64 },
 }
 
-impl Means {
-    /// Whether little is touched: at a junction curve, whose vertices stay, more is seldom worth its time. With all means on all triangles the four tissues of
-    /// the torso phantom at h = 4 mm take 38 s in place of 15, and reach a smallest radius ratio of 0.493 in place of 0.475 (`make CASE=torso-tissues surface`).
-    fn is_local(self) -> bool {
-        match self {
-            Self::Move => true,
-            Self::TwoMoves => false,
-            Self::Remesh { reach } => reach <= REACHES[1],
-        }
-    }
-}
-
-/// One way through the queue.
-struct Pass {
-    means: Means,
+/// A level of effort.
+#[derive(Clone, Copy, Debug)]
+struct Level {
+    operation: Operation,
     limits: Limits,
-    /// Quality below which a triangle is in the queue.
+    /// The level applies to triangles below this quality.
     bar: f64,
 }
 
-impl Pass {
-    /// Whether it is worth trying on a triangle of some quality (0 at a grid node on the wrong side): where all corners lie on junction curves single moves are all that may help.
-    fn may_help(&self, surface: &Surface, triangle: u32, quality: f64) -> bool {
-        match self.means {
-            Means::Move => true,
-            _ if quality > 0.0 && surface.is_between_curves(triangle) => false,
-            means => means.is_local() || quality < POOR || !surface.is_held(triangle),
+/// Number of levels.
+const LEVELS: usize = 7;
+
+/// Number of bands of quality: at grid nodes on the wrong side, and below [`FIT`], [`AIM`] and the
+/// target. A band cannot use up the budget of another one.
+const BANDS: usize = 4;
+
+/// Returns the levels of effort. No level applies to triangles of quality `target` or more.
+fn schedule(target: f64) -> [Level; LEVELS] {
+    let [smallest, small, large, largest] = REACHES.map(|reach| Operation::Remesh { reach });
+    let levels = [
+        (Operation::Move, Limits::STRICT, target),
+        (Operation::Move, Limits::LOOSE, FIT),
+        (Operation::Pair, Limits::LOOSE, target),
+        (smallest, Limits::LOOSE, AIM),
+        (small, Limits::LOOSE, AIM),
+        (large, Limits::LOOSE, FIT),
+        (largest, Limits::LOOSE, FIT),
+    ];
+    levels.map(|(operation, limits, bar)| Level { operation, limits, bar: bar.min(target) })
+}
+
+impl Level {
+    /// Returns whether the level applies to a triangle of this quality (0 at a grid node on the
+    /// wrong side). Vertices on junction curves cannot leave them. Between curves, only single
+    /// moves are worth their time, and next to curves only local operations: on the four tissues of
+    /// the torso phantom at h = 4 mm, all operations on all triangles take 38 s instead of 15 s and
+    /// raise the minimum radius ratio from 0.475 to 0.493 (`make CASE=torso-tissues surface`).
+    fn applies(&self, surface: &Surface, triangle: u32, quality: f64) -> bool {
+        let is_local = match self.operation {
+            _ if quality >= self.bar => return false,
+            Operation::Move => return true,
+            Operation::Pair => false,
+            Operation::Remesh { reach } => reach <= REACHES[1],
+        };
+        if quality > 0.0 && surface.is_between_curves(triangle) {
+            return false;
         }
+        is_local || quality < POOR || !surface.is_held(triangle)
+    }
+
+    /// Returns the region that the operation on a triangle can change.
+    fn region(&self, surface: &Surface, triangle: u32) -> Bounds {
+        match self.operation {
+            Operation::Move | Operation::Pair => surface.rings(triangle, RINGS).bounds(surface),
+            Operation::Remesh { reach } => super::target_length::region(surface, triangle, reach),
+        }
+    }
+
+    /// Tries the operation on a copy of the region. Returns the work in transactions and, if the
+    /// operation succeeds, the grid nodes that change sides and the edits.
+    fn attempt(
+        &self,
+        surface: &Surface,
+        (triangle, region): (u32, Bounds),
+        side_by_side: bool,
+    ) -> (usize, Option<(Vec<usize>, Edits)>) {
+        let mut patch = Patch::within(surface, &region);
+        let local = patch.local(triangle);
+        let part = &mut patch.surface;
+        let is_better = match self.operation {
+            Operation::Move => lift(part, local, &self.limits, self.bar),
+            Operation::Pair => lift_by_two(part, local, &self.limits, self.bar),
+            Operation::Remesh { reach } => {
+                remesh(part, local, How { reach, attempts: ATTEMPTS, side_by_side }, self.bar)
+            }
+        };
+        (patch.surface.tried, is_better.then(|| (patch.turned_nodes(surface), patch.edits(surface))))
     }
 }
 
-/// The work of a pass in all rounds, in transactions, and what it gains. A pass ends when its
-/// wasted work exceeds its useful work by [`WASTED_WORK_LIMIT`]. Useful work raises the number of
-/// lifted triangles to a new maximum, so the number of bad triangles bounds the sum of both.
-#[derive(Default)]
-struct Ledger {
+/// The work at a level of a band, in transactions. The level ends when its wasted work exceeds its
+/// useful work by [`WASTED_WORK_LIMIT`]. Useful work raises the number of lifted triangles to a new
+/// maximum, so the number of poor triangles bounds the sum of both.
+#[derive(Clone, Copy, Default)]
+struct Budget {
     useful: usize,
     wasted: usize,
-    /// Triangles worked on.
-    triangles: usize,
-    /// Triangles brought above the bar and grid nodes brought to their right side, less triangles
-    /// that fell below it.
+    /// Number of attempts.
+    attempts: usize,
+    /// Triangles brought above the band and grid nodes brought to their correct side, minus
+    /// triangles that fell into the band.
     lifted: isize,
     most_lifted: isize,
-    /// The number of commits at each failure, by triangle. It is tried again only after a change
-    /// next to it.
-    failures: HashMap<u32, u32>,
 }
 
-impl Ledger {
-    /// The number of triangles to work on at once: as many as the budget allows at the mean cost so
-    /// far, and at least one while any budget is left.
-    fn batch_size(&self) -> usize {
+impl Budget {
+    /// Returns the number of attempts that are left at the mean cost so far; at least one while any
+    /// budget is left.
+    fn left(&self) -> usize {
         let left = (WASTED_WORK_LIMIT + self.useful).saturating_sub(self.wasted);
-        let mean_cost = (self.useful + self.wasted).div_ceil(self.triangles.max(1));
+        let mean_cost = (self.useful + self.wasted).div_ceil(self.attempts.max(1));
         match (left, mean_cost) {
             (0, _) => 0,
             (_, 0) => 1,
-            _ => (left / mean_cost).clamp(1, BATCH),
+            _ => (left / mean_cost).max(1),
         }
     }
 
-    /// Enters the work on one triangle.
     fn enter(&mut self, work: usize, lifted: isize) {
-        self.triangles += 1;
+        self.attempts += 1;
         self.lifted += lifted;
         if self.lifted > self.most_lifted {
             self.most_lifted = self.lifted;
@@ -101,160 +154,146 @@ impl Ledger {
     }
 }
 
-/// Lifts the triangles below a quality, `rounds` times at most: by moves within the limits; those not fit for finite elements by moves within the
-/// loosened limits, by remeshing and by two moves in a row; then those below [`AIM`] by two moves, and all of them by one, by two and by
-/// remeshing; and what is still below [`AIM`] by remeshing farther round. Each pass has a budget of
-/// work ([`Ledger`]).
-/// `step` is called before each batch and may stop it.
-///
-/// # Errors
-/// Those of `step`.
-pub(super) fn optimise(
-    surface: &mut Surface,
-    limits: &Limits,
-    target: f64,
-    rounds: usize,
-    step: Step,
-    tally: &mut Tally,
-) -> Result<()> {
-    let (loosened, unfit) = (limits.loosened(), target.min(FIT));
-    let pass = |means, limits, bar| Pass { means, limits, bar };
-    let remesh = |reach| pass(Means::Remesh { reach }, *limits, unfit);
-    let [smallest, small, large, largest] = REACHES;
-    let two_moves = |limits, bar: f64| pass(Means::TwoMoves, limits, target.min(bar));
-    // as loose as that, but no farther from F = 0
-    let within = Limits { deviation: limits.deviation, ..loosened };
-    // few are left so far below the rest, and the smallest ratio is one of theirs: `thorax_labels` 1 at h = 1 mm comes to 0.74 by it in place of 0.62. Of several sheets there
-    // are hundreds at their junctions: on all of `thorax_labels` at 3 mm it lifts 13, none of the worst, and the improvement takes 13.8 s in place of 8.9
-    let is_one_sheet = surface.sheet.windows(2).all(|pair| pair[0] == pair[1]);
-    let farther_below = if is_one_sheet { AIM } else { 0.0 };
-    let passes = [
-        pass(Means::Move, *limits, target.min(EASY)),
-        pass(Means::Move, loosened, unfit),
-        remesh(smallest),
-        remesh(small),
-        pass(Means::TwoMoves, loosened, unfit),
-        remesh(large),
-        remesh(largest),
-        two_moves(within, AIM),
-        two_moves(loosened, AIM),
-        pass(Means::Move, *limits, target),
-        two_moves(within, target),
-        two_moves(loosened, EASY),
-        pass(Means::Remesh { reach: smallest }, *limits, target),
-        pass(Means::Remesh { reach: small }, *limits, target.min(farther_below)),
-    ];
-    let mut ledgers: Vec<Ledger> = passes.iter().map(|_| Ledger::default()).collect();
-    for _ in 0..rounds {
-        let commits = surface.commits();
-        for (pass, ledger) in passes.iter().zip(&mut ledgers) {
-            drain(surface, pass, ledger, step, tally)?;
-        }
-        if surface.commits() == commits {
-            break;
-        }
-    }
-    tally.tried += ledgers.iter().map(|ledger| ledger.useful + ledger.wasted).sum::<usize>();
-    Ok(())
+/// A band and a level.
+type Stage = (usize, usize);
+
+/// Stage of a triangle that is not in the queue.
+const DONE: Stage = (BANDS, LEVELS);
+
+/// The triangles that remain to be improved.
+struct Queue {
+    levels: [Level; LEVELS],
+    /// Upper bounds of the bands.
+    bands: [f64; BANDS],
+    budgets: [[Budget; LEVELS]; BANDS],
+    /// Stages, ranks and numbers of triangles, smallest first.
+    heap: BinaryHeap<Reverse<(Stage, u64, u32)>>,
+    /// Stage of the valid entry of each triangle.
+    stage_of: Vec<Stage>,
+    /// Triangles nearest to grid nodes on the wrong side, ascending.
+    at_nodes: Vec<u32>,
 }
 
-/// Tries every triangle below the bar, worst first, and again whatever falls short next to a
-/// success, within the budget.
-fn drain(surface: &mut Surface, pass: &Pass, ledger: &mut Ledger, step: Step, tally: &mut Tally) -> Result<()> {
-    let mut at_nodes = if pass.bar > 0.0 { surface.triangles_at_wrong_nodes() } else { Vec::new() };
-    // no triangle has less than 0
-    let rank = |surface: &Surface, at_nodes: &[u32], t: u32| {
-        let is_at_node = surface.is_alive(t) && at_nodes.binary_search(&t).is_ok();
+impl Queue {
+    fn new(surface: &Surface, target: f64) -> Self {
+        let count = surface.triangles.len();
+        let mut queue = Self {
+            levels: schedule(target),
+            bands: [f64::MIN_POSITIVE, FIT, AIM, target].map(|bar| bar.min(target)),
+            budgets: [[Budget::default(); LEVELS]; BANDS],
+            heap: BinaryHeap::new(),
+            stage_of: vec![DONE; count],
+            at_nodes: surface.triangles_at_wrong_nodes(),
+        };
+        (0..count as u32).for_each(|t| queue.enter(surface, t, 0));
+        queue
+    }
+
+    /// Returns the quality of a triangle as ordered bits, 0 at a grid node on the wrong side.
+    fn rank(&self, surface: &Surface, t: u32) -> u64 {
+        let is_at_node = surface.is_alive(t) && self.at_nodes.binary_search(&t).is_ok();
+        // qualities are non-negative, so their bits have the order of their values
         if is_at_node { 0 } else { surface.facts[t as usize].quality.to_bits() }
-    };
-    let entry = |surface: &Surface, at_nodes: &[u32], t: u32| {
-        let rank = rank(surface, at_nodes, t);
-        let is_tried = rank < pass.bar.to_bits() && pass.may_help(surface, t, f64::from_bits(rank));
-        is_tried.then_some(Reverse((rank, t)))
-    };
-    let all = (0..surface.triangles.len() as u32).into_par_iter();
-    let mut queue = BinaryHeap::from(all.filter_map(|t| entry(surface, &at_nodes, t)).collect::<Vec<_>>());
-    loop {
-        let (mut batch, most) = (Vec::new(), ledger.batch_size());
-        while batch.len() < most
-            && let Some(Reverse((bits, t))) = queue.pop()
-        {
-            let is_current = surface.is_alive(t) && rank(surface, &at_nodes, t) == bits;
-            let is_as_it_was = |&commits: &u32| surface.is_unchanged_since(t, commits);
-            let is_hopeless = || ledger.failures.get(&t).is_some_and(is_as_it_was);
-            if is_current && !batch.contains(&t) && !is_hopeless() {
+    }
+
+    /// Enters a triangle at the first level from `least` on that applies to it and has budget left.
+    fn enter(&mut self, surface: &Surface, t: u32, least: usize) {
+        let rank = self.rank(surface, t);
+        let quality = f64::from_bits(rank);
+        let stage = self.bands.iter().position(|&bar| quality < bar).and_then(|band| {
+            let is_open = |&level: &usize| {
+                self.budgets[band][level].left() > 0 && self.levels[level].applies(surface, t, quality)
+            };
+            Some((band, (least..LEVELS).find(is_open)?))
+        });
+        self.stage_of[t as usize] = stage.unwrap_or(DONE);
+        self.heap.extend(stage.map(|stage| Reverse((stage, rank, t))));
+    }
+
+    /// Removes the next triangles from the queue: all of one stage, worst first, with disjoint
+    /// regions. Returns the stage and the triangles with their regions.
+    fn pop(&mut self, surface: &Surface) -> Option<(Stage, Vec<(u32, Bounds)>)> {
+        let mut batch = Vec::new();
+        let mut stage = DONE;
+        while let Some(&Reverse((next, rank, t))) = self.heap.peek() {
+            let left = self.budgets[next.0][next.1].left();
+            if !batch.is_empty() && (next != stage || batch.len() >= left.min(BATCH)) {
+                break;
+            }
+            self.heap.pop();
+            let is_valid = surface.is_alive(t) && self.stage_of[t as usize] == next && self.rank(surface, t) == rank;
+            if is_valid && left == 0 {
+                self.enter(surface, t, next.1 + 1);
+            } else if is_valid && !batch.contains(&t) {
+                stage = next;
                 batch.push(t);
             }
         }
-        if batch.is_empty() {
-            break;
+        let level = self.levels.get(stage.1)?;
+        let regions: Vec<Bounds> = batch.par_iter().map(|&t| level.region(surface, t)).collect();
+        let mut chosen = Vec::<(u32, Bounds)>::new();
+        for (t, region) in batch.into_iter().zip(regions) {
+            if chosen.iter().any(|(_, other)| other.meets(&region)) {
+                self.enter(surface, t, stage.1);
+            } else {
+                chosen.push((t, region));
+            }
         }
+        Some((stage, chosen))
+    }
+
+    /// Returns changed triangles and those around them to the first level.
+    fn reset(&mut self, surface: &Surface, touched: &[u32]) {
+        self.stage_of.resize(surface.triangles.len(), DONE);
+        let alive = touched.iter().filter(|&&t| surface.is_alive(t));
+        let corners = alive.flat_map(|&t| surface.triangles[t as usize]);
+        let mut open: Vec<u32> = corners.flat_map(|v| surface.around[v as usize].iter().copied()).collect();
+        if touched.iter().any(|t| self.at_nodes.binary_search(t).is_ok()) {
+            self.at_nodes = surface.triangles_at_wrong_nodes();
+            open.extend(&self.at_nodes);
+        }
+        open.sort_unstable();
+        open.dedup();
+        open.into_iter().for_each(|t| self.enter(surface, t, 0));
+    }
+}
+
+/// Improves the triangles whose quality is below `target`. `step` is called before each batch and
+/// can stop the work.
+///
+/// # Errors
+/// Those of `step`.
+pub(super) fn optimise(surface: &mut Surface, target: f64, step: Step, tally: &mut Tally) -> Result<()> {
+    let mut queue = Queue::new(surface, target);
+    while let Some(((band, n), batch)) = queue.pop(surface) {
         step()?;
-        let (chosen, others) = apart(surface, &batch, pass.means);
-        let try_on = |&(t, region): &(u32, Bounds)| {
-            let mut patch = Patch::within(surface, &region);
-            let local = patch.local(t);
-            let is_better = match pass.means {
-                Means::Move => lift(&mut patch.surface, local, &pass.limits, pass.bar),
-                Means::TwoMoves => lift_by_two(&mut patch.surface, local, &pass.limits, pass.bar),
-                Means::Remesh { reach } => {
-                    let side_by_side = chosen.len() == 1 && rayon::current_num_threads() > 1;
-                    let how = How { reach, attempts: ATTEMPTS, side_by_side };
-                    remesh(&mut patch.surface, local, how, &pass.limits, pass.bar)
-                }
+        let (level, bar) = (queue.levels[n], queue.bands[band]);
+        let side_by_side = batch.len() == 1 && rayon::current_num_threads() > 1;
+        let done: Vec<_> = batch.par_iter().map(|&site| level.attempt(surface, site, side_by_side)).collect();
+        for ((t, _), (work, outcome)) in batch.into_iter().zip(done) {
+            tally.tried += work;
+            let Some((nodes, edits)) = outcome else {
+                queue.budgets[band][n].enter(work, 0);
+                queue.enter(surface, t, n + 1);
+                continue;
             };
-            (patch.surface.tried, is_better.then(|| (patch.turned_nodes(surface), patch.edits(surface))))
-        };
-        let done: Vec<_> = chosen.par_iter().map(try_on).collect();
-        queue.extend(others.into_iter().filter_map(|t| entry(surface, &at_nodes, t)));
-        for ((t, _), (work, outcome)) in chosen.into_iter().zip(done) {
-            match outcome {
-                Some((nodes, edits)) => {
-                    let before = count_below(surface, &edits.touched(), pass.bar) + nodes.len();
-                    let touched = edits.commit(surface, &nodes);
-                    ledger.enter(work, before as isize - count_below(surface, &touched, pass.bar) as isize);
-                    if touched.iter().any(|t| at_nodes.binary_search(t).is_ok()) {
-                        at_nodes = surface.triangles_at_wrong_nodes();
-                        queue.extend(at_nodes.iter().filter_map(|&t| entry(surface, &at_nodes, t)));
-                    }
-                    queue.extend(touched.into_iter().filter_map(|t| entry(surface, &at_nodes, t)));
-                    match pass.means {
-                        Means::Move => tally.single_moves += 1,
-                        Means::TwoMoves => tally.double_moves += 1,
-                        Means::Remesh { .. } => tally.remeshed_patches += 1,
-                    }
-                }
-                None => {
-                    ledger.enter(work, 0);
-                    ledger.failures.insert(t, surface.commits());
-                }
+            let before = count_below(surface, &edits.touched(), bar) + nodes.len();
+            let touched = edits.commit(surface, &nodes);
+            queue.budgets[band][n].enter(work, before as isize - count_below(surface, &touched, bar) as isize);
+            queue.reset(surface, &touched);
+            match level.operation {
+                Operation::Move => tally.single_moves += 1,
+                Operation::Pair => tally.double_moves += 1,
+                Operation::Remesh { .. } => tally.remeshed_patches += 1,
             }
         }
     }
     Ok(())
 }
 
-/// How many of some triangles are below a bar.
-fn count_below(surface: &Surface, triangles: &[u32], bar: f64) -> usize {
-    triangles.iter().filter(|&&t| surface.facts[t as usize].quality < bar).count()
-}
-
-/// The triangles, in order, whose regions do not meet those before, with their regions; and the others.
-fn apart(surface: &Surface, triangles: &[u32], means: Means) -> (Vec<(u32, Bounds)>, Vec<u32>) {
-    let region = |&t: &u32| match means {
-        Means::Move | Means::TwoMoves => surface.rings(t, RINGS).bounds(surface),
-        Means::Remesh { reach } => super::target_length::region(surface, t, reach),
-    };
-    let regions: Vec<Bounds> = triangles.par_iter().map(region).collect();
-    let (mut chosen, mut others) = (Vec::<(u32, Bounds)>::new(), Vec::new());
-    for (&t, region) in triangles.iter().zip(regions) {
-        if chosen.iter().any(|(_, other)| other.meets(&region)) {
-            others.push(t);
-        } else {
-            chosen.push((t, region));
-        }
-    }
-    (chosen, others)
+/// Returns how many of some triangles are below a quality.
+fn count_below(surface: &Surface, triangles: &[u32], quality: f64) -> usize {
+    triangles.iter().filter(|&&t| surface.facts[t as usize].quality < quality).count()
 }
 
 #[cfg(test)]
@@ -267,22 +306,22 @@ mod tests {
     use isoparticles_mesh::TriangleMesh;
 
     #[test]
-    fn between_curves_single_moves_alone_are_tried_and_beside_them_all_that_there_is_on_what_fails_the_check() {
+    fn between_curves_only_single_moves_apply() {
         let vertices = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z].to_vec();
         let mesh = TriangleMesh { vertices, triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]] };
         let field = CubicSpline::new(&sampled([5; 3], DVec3::ONE, ball(DVec3::ZERO, 1.0)));
-        // of the first triangle no corner is free, and all lie on the other sheet, too; of the others one is
+        // triangle 0 has no free corner, and all its corners lie on another interface, too
         let freedom = vec![Freedom::Point, Freedom::Curve, Freedom::None, Freedom::Sheet];
         let surface = Surface::of_sheets(&mesh, vec![0, 1, 1, 1], freedom, &field, &|_| 1.0);
-        let tried = |means: Means, triangle: u32, quality: f64| {
-            let pass = Pass { means, limits: Limits::new(0.15, [0.5, 1.6]), bar: FIT };
-            pass.may_help(&surface, triangle, quality)
+        let tried = |operation: Operation, triangle: u32, quality: f64| {
+            let level = Level { operation, limits: Limits::STRICT, bar: 1.0 };
+            level.applies(&surface, triangle, quality)
         };
-        let [near, far] = [REACHES[0], REACHES[3]].map(|reach| Means::Remesh { reach });
-        let all = [Means::Move, near, far, Means::TwoMoves];
-        assert_eq!(all.map(|means| tried(means, 0, 0.1)), [true, false, false, false]);
-        assert_eq!(all.map(|means| tried(means, 1, 0.9 * POOR)), [true; 4]);
-        assert_eq!(all.map(|means| tried(means, 1, 1.1 * POOR)), [true, true, false, false]);
-        assert_eq!(all.map(|means| tried(means, 0, 0.0)), [true; 4], "a grid node on the wrong side");
+        let [near, far] = [REACHES[0], REACHES[3]].map(|reach| Operation::Remesh { reach });
+        let all = [Operation::Move, near, far, Operation::Pair];
+        assert_eq!(all.map(|operation| tried(operation, 0, 0.1)), [true, false, false, false]);
+        assert_eq!(all.map(|operation| tried(operation, 1, 0.9 * POOR)), [true; 4]);
+        assert_eq!(all.map(|operation| tried(operation, 1, 1.1 * POOR)), [true, true, false, false]);
+        assert_eq!(all.map(|operation| tried(operation, 0, 0.0)), [true; 4], "a grid node on the wrong side");
     }
 }

@@ -1,36 +1,23 @@
-//! A part of the surface as a surface of its own: what is done there, in however many commits, is one transaction of the whole, or none.
+//! A part of the surface as an independent surface. All edits and commits in the part become one
+//! transaction of the whole surface.
 
 use super::surface::{DEAD, Facts, Size, Surface};
 use glam::DVec3;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
 
-/// Triangles round a triangle, and their vertices, both ascending.
-pub(super) struct Rings {
-    pub(super) vertices: Vec<u32>,
-    pub(super) triangles: Vec<u32>,
-}
-
-impl Rings {
-    /// The box round them.
-    pub(super) fn bounds(&self, surface: &Surface) -> Bounds {
-        let positions: Vec<DVec3> = self.vertices.iter().map(|&v| surface.positions[v as usize]).collect();
-        Bounds::of(&positions)
-    }
-}
-
-/// The part and where it comes from. The numbers keep their order.
+/// The part, and the indices of its vertices and triangles in the whole. Their order is the same.
 pub(super) struct Patch<'a> {
-    /// The part. Vertices on its rim are frozen, since their triangles do not close round them.
+    /// The part. Vertices on its rim are frozen, because some of their triangles are missing.
     pub(super) surface: Surface<'a>,
-    /// The number in the whole of each of its vertices, as long as it is not a new one.
+    /// Index in the whole of each original vertex of the part.
     vertices: Vec<u32>,
-    /// The same of each of its triangles.
+    /// Index in the whole of each original triangle of the part.
     triangles: Vec<u32>,
 }
 
 impl<'a> Patch<'a> {
-    /// What of a surface meets a box, for changes that stay within the box.
+    /// Creates the part of a surface that meets a box, for changes inside the box.
     pub(super) fn within(whole: &Surface<'a>, region: &Bounds) -> Self {
         let mut triangles = Vec::new();
         if let Some(grid) = &whole.grid {
@@ -39,21 +26,22 @@ impl<'a> Patch<'a> {
                 false
             });
         }
-        // not in the order of the grid's cells
+        // independent of the order of cells in the grid
         triangles.sort_unstable();
         let mut patch = Self::of(whole, region, triangles);
         patch.fill_grid(whole);
         patch
     }
 
-    /// Gives it a grid, so that from now on nothing is committed that crosses another triangle.
+    /// Fills the grid of the part, if the whole has one. Commits are then tested for intersections.
     pub(super) fn fill_grid(&mut self, whole: &Surface) {
         if whole.grid.is_some() {
             self.surface.fill_grid();
         }
     }
 
-    /// The same where the triangles (ascending) are known, without a grid.
+    /// Creates the part that consists of some triangles (ascending) that meet a box, without a
+    /// grid.
     pub(super) fn of(whole: &Surface<'a>, region: &Bounds, triangles: Vec<u32>) -> Self {
         let mut vertices: Vec<u32> = triangles.iter().flat_map(|&t| whole.triangles[t as usize]).collect();
         vertices.sort_unstable();
@@ -64,7 +52,7 @@ impl<'a> Patch<'a> {
         Self { surface, vertices, triangles }
     }
 
-    /// All of a surface, with another target edge length (mm).
+    /// Copies a whole surface, with another target edge length (mm).
     pub(super) fn with_target(whole: &Surface<'a>, size: Size<'a>) -> Self {
         let mut surface = whole.clone();
         surface.size = size;
@@ -75,31 +63,32 @@ impl<'a> Patch<'a> {
         Self { vertices: numbers(surface.positions.len()), triangles: numbers(surface.triangles.len()), surface }
     }
 
-    /// The number in the part of a triangle of the whole that is in it.
+    /// Returns the index in the part of a triangle of the whole. The part must contain the
+    /// triangle.
     pub(super) fn local(&self, triangle: u32) -> u32 {
         self.triangles.partition_point(|&t| t < triangle) as u32
     }
 
-    /// Freezes the vertices whose numbers in the whole do not pass a test.
+    /// Freezes the vertices whose indices in the whole fail a test.
     pub(super) fn keep_free(&mut self, test: impl Fn(u32) -> bool) {
         for (frozen, &v) in self.surface.frozen.iter_mut().zip(&self.vertices) {
             *frozen |= !test(v);
         }
     }
 
-    /// What is known of the vertices of the whole, for those of the part.
+    /// Selects the values of the vertices of the part from those of the whole.
     pub(super) fn pick<T: Copy>(&self, of_whole: &[T]) -> Vec<T> {
         self.vertices.iter().map(|&v| of_whole[v as usize]).collect()
     }
 
-    /// The grid nodes that changed sides in the part since it was taken.
+    /// Returns the grid nodes that changed sides in the part since its creation.
     pub(super) fn turned_nodes(&self, whole: &Surface) -> Vec<usize> {
         let (Some(now), Some(before)) = (&self.surface.sides, &whole.sides) else { return Vec::new() };
         let before = self.surface.region.map_or_else(|| before.clone(), |region| before.within(&region));
         now.difference(&before)
     }
 
-    /// What was changed in the part since it was taken.
+    /// Returns the changes of the part since its creation.
     pub(super) fn edits(self, whole: &Surface) -> Edits {
         let part = self.surface;
         let old = self.vertices.iter().zip(part.positions.iter().zip(&part.target));
@@ -109,7 +98,7 @@ impl<'a> Patch<'a> {
         let first_added = whole.positions.len() as u32;
         let mut added = Vec::new();
         for v in number.len()..part.positions.len() {
-            // one that is gone again has no triangle to name it
+            // a removed vertex is in no triangle
             number.push(first_added + added.len() as u32);
             if !part.around[v].is_empty() {
                 added.push((part.positions[v], part.target[v]));
@@ -137,30 +126,33 @@ impl<'a> Patch<'a> {
     }
 }
 
-/// Changes of a surface, in its own numbers.
+/// Changes of a surface, in indices of the whole surface.
 pub(super) struct Edits {
-    /// The number of the first added vertex: of vertices in the surface when the changes were found.
+    /// Index of the first added vertex: the number of vertices of the whole when the changes were
+    /// found.
     first_added: u32,
-    /// Vertices, where they go, and the target length there as the part has it.
+    /// Moved vertices, their new positions, and the target lengths there in the part.
     moved: Vec<(u32, DVec3, f64)>,
-    /// Places and target lengths of vertices that follow the last one of the surface.
+    /// Positions and target lengths of the added vertices.
     added: Vec<(DVec3, f64)>,
-    /// Triangles and their new corners, [`DEAD`] where they go.
+    /// Changed triangles and their new corners, [`DEAD`] if removed.
     retriangled: Vec<(u32, [u32; 3])>,
-    /// Corners, sheets and facts of triangles that come.
+    /// Corners, interfaces and facts of the added triangles.
     new_triangles: Vec<([u32; 3], u32, Facts)>,
-    /// Facts of the other triangles that the part has changed.
+    /// Facts of all existing triangles that changed in the part.
     facts: Vec<(u32, Facts)>,
 }
 
 impl Edits {
-    /// Makes the changes in the surface that the part was taken from, which must be as it was then where the part was; nothing is committed.
+    /// Makes the changes in the whole surface without a commit. The surface must be unchanged where
+    /// the part was.
     pub(super) fn make(self, whole: &mut Surface) {
         let size = whole.size;
         self.make_with(whole, |p, _| size(p));
     }
 
-    /// The same, with the target length at a place by that of the part.
+    /// Makes the changes, with the target length at a position given by the position and the length
+    /// in the part.
     fn make_with(self, whole: &mut Surface, target: impl Fn(DVec3, f64) -> f64) {
         let shift = whole.positions.len() as u32 - self.first_added;
         let number = |v: u32| if v >= self.first_added && v != u32::MAX { v + shift } else { v };
@@ -174,12 +166,13 @@ impl Edits {
         }
     }
 
-    /// The triangles of the surface that change, without new ones.
+    /// Returns the changed triangles of the whole, without added ones.
     pub(super) fn touched(&self) -> Vec<u32> {
         self.facts.iter().map(|&(t, _)| t).collect()
     }
 
-    /// Makes and commits changes that were committed in the part, of the same target lengths; the triangles touched. `nodes` are the grid nodes that they carry to the other side.
+    /// Makes and commits changes that were committed in the part, with the same target lengths.
+    /// `nodes` are the grid nodes that change sides. Returns the touched triangles.
     pub(super) fn commit(mut self, whole: &mut Surface, nodes: &[usize]) -> Vec<u32> {
         let first_new = whole.triangles.len() as u32;
         let new = (first_new..).zip(&self.new_triangles).map(|(t, &(_, _, facts))| (t, facts));

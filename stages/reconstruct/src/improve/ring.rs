@@ -1,27 +1,29 @@
-//! The triangles round a vertex, seen from its tangent plane: their shapes with the vertex at eight places at once.
+//! The triangles around a vertex: their radius ratios for eight positions of the vertex at once
+//! (SIMD).
 
-use super::moves::Site;
+use super::site::Site;
 use fearless_simd::{Simd, f64x8, prelude::*};
 use glam::DVec3;
 
-/// Places that are looked at together.
+/// Number of positions that are evaluated together.
 pub(super) const LANES: usize = 8;
 
-/// A side opposite the vertex: its ends from the vertex, along the two axes of the tangent plane and the normal, and its length (mm).
+/// Edge opposite the vertex. `ends`: coordinates relative to the vertex along the two axes of the
+/// tangent plane and the normal. `length`: length of the edge. All in mm.
 struct Side {
     ends: [[f64; 3]; 2],
     length: f64,
 }
 
-/// What is round a vertex, and the paraboloid over its tangent plane that the surface is to second order.
+/// The triangles around a vertex, and the paraboloid that approximates the surface to second order.
 pub(super) struct Ring {
     sides: Vec<Side>,
-    /// Of the paraboloid: xx, xy, yy, per mm.
+    /// Second derivatives of the paraboloid (xx, xy, yy; per mm), see [`Site::bend`].
     bend: [f64; 3],
 }
 
 impl Ring {
-    /// Of a site.
+    /// Creates the ring of a site.
     pub(super) fn of(site: &Site) -> Self {
         let [e1, e2] = site.axes;
         let seen = |p: DVec3| [e1.dot(p - site.start), e2.dot(p - site.start), site.normal.dot(p - site.start)];
@@ -29,10 +31,13 @@ impl Ring {
         Self { sides: site.ring.iter().map(side).collect(), bend: site.bend }
     }
 
-    /// The smallest radius ratio with the vertex at places of the tangent plane (mm along its axes); that of a triangle turned against the normal counts less one.
+    /// Returns the minimum radius ratio of the triangles for each of eight positions of the vertex,
+    /// given by coordinates in the tangent plane (mm). The ratio of a triangle turned against the
+    /// normal is reduced by 1.
     ///
-    /// The ratio of a triangle of sides x, y and c is (y + c - x) (c + x - y) (x + y - c) / (x y c). No operation is fused, so the lanes give the same bits by any
-    /// instruction set.
+    /// The ratio of a triangle with sides x, y and c is
+    /// (y + c - x) (c + x - y) (x + y - c) / (x y c). No operations are fused, so all instruction
+    /// sets give identical results.
     #[inline(always)]
     pub(super) fn smallest_ratios<S: Simd>(&self, simd: S, along: [[f64; LANES]; 2]) -> [f64; LANES] {
         let (u, v) = (f64x8::simd_from(simd, along[0]), f64x8::simd_from(simd, along[1]));
@@ -44,7 +49,7 @@ impl Ring {
             let [x, y] = [distance([u, v, w], a), distance([u, v, w], b)];
             let factors = (y - x + *length) * (x - y + *length) * (x + y - *length);
             let ratio = factors / (x * y * *length);
-            // twice the area of the shadow on the tangent plane
+            // twice the area of the projection onto the tangent plane
             let area = zero + (a[0] * b[1] - a[1] * b[0]) - u * (b[1] - a[1]) + v * (b[0] - a[0]);
             least = least.min(area.simd_gt(zero).select(ratio, ratio - 1.0));
         }
@@ -52,7 +57,8 @@ impl Ring {
     }
 }
 
-/// Distances of places from a point. No closure: it would not be compiled for the instructions at hand.
+/// Returns the distances of eight positions from a point. A closure would not be compiled for the
+/// selected instruction set.
 #[inline(always)]
 fn distance<S: Simd>([u, v, w]: [f64x8<S>; 3], end: &[f64; 3]) -> f64x8<S> {
     let (x, y, z) = (u - end[0], v - end[1], w - end[2]);
@@ -68,7 +74,7 @@ mod tests {
     use isoparticles_mesh::quality::radius_ratio;
 
     #[test]
-    fn lanes_equal_the_ratios_of_the_triangles_by_the_best_and_the_least_instructions() {
+    fn all_instruction_sets_give_the_exact_radius_ratios() {
         let random = |n: u64, k: u64| uniform(5, k, n) - 0.5;
         for n in 0..100 {
             let start = DVec3::new(random(n, 0), random(n, 1), random(n, 2));

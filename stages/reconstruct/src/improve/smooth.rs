@@ -1,17 +1,18 @@
-//! Moves vertices to where the mean radius ratio round them is largest.
+//! Moves vertices to maximise the mean radius ratio of their triangles.
 
-use super::constants::{FIRST_STEP, LEAST_GAIN_OF_SWEEP, SHARES};
-use super::guard::{Limits, Rule, commit_or_rollback};
-use super::moves::{Site, projected_facing};
+use super::acceptance::{Goal, Limits, commit_or_rollback};
+use super::constants::{FIRST_STEP, LEAST_MEAN_GAIN, SHARES};
+use super::site::Site;
 use super::surface::Surface;
 use glam::{DVec2, DVec3};
 use isoparticles_mesh::quality::radius_ratio;
 
-/// Brings a vertex nearer to where the mean radius ratio of its triangles is largest, by a step of Newton's method over its tangent plane, and
-/// commits that when the mean rises by [`LEAST_GAIN_OF_SWEEP`] and the rule lets it pass.
-pub(super) fn smooth(surface: &mut Surface, vertex: u32, limits: &Limits, rule: Rule) -> bool {
+/// Moves a vertex by a Newton step in its tangent plane towards the maximum mean radius ratio of
+/// its triangles. Commits the step if the mean increases by more than [`LEAST_MEAN_GAIN`] and the
+/// acceptance test passes. Returns whether a step was committed.
+pub(super) fn smooth(surface: &mut Surface, vertex: u32, limits: &Limits, rule: Goal) -> bool {
     let Some(step) = Step::of(surface, vertex) else { return false };
-    let least = LEAST_GAIN_OF_SWEEP * step.site.ring.len() as f64;
+    let least = LEAST_MEAN_GAIN * step.site.ring.len() as f64;
     SHARES.into_iter().any(|share| {
         let kept = step.make(surface, share, least) && commit_or_rollback(surface, limits, rule).is_some();
         surface.rollback();
@@ -19,15 +20,15 @@ pub(super) fn smooth(surface: &mut Surface, vertex: u32, limits: &Limits, rule: 
     })
 }
 
-/// The same without asking whether it is kept.
+/// Moves a vertex like [`smooth`], but without a commit and without a minimum gain.
 pub(super) fn shift(surface: &mut Surface, vertex: u32) {
     if let Some(step) = Step::of(surface, vertex) {
-        // where the whole way overshoots, a part of it may not
+        // if the full step overshoots, a part of it may not
         let _ = SHARES.into_iter().any(|share| step.make(surface, share, 0.0));
     }
 }
 
-/// The way of a vertex over the surface, which is a paraboloid over its tangent plane to second order.
+/// A Newton step of a vertex. The surface is approximated by a paraboloid over the tangent plane.
 struct Step {
     vertex: u32,
     site: Site,
@@ -45,14 +46,15 @@ impl Step {
         Some(step)
     }
 
-    /// Sum of the radius ratios with the vertex at a place of the tangent plane.
+    /// Returns the sum of the radius ratios with the vertex at coordinates of the tangent plane.
     fn sum(&self, at: DVec2) -> f64 {
         let p = self.site.place(at);
         self.site.ring.iter().map(|&(a, b)| radius_ratio(p, a, b)).sum()
     }
 
-    /// That sum with the vertex where it is, its gradient and its Hessian (xx, xy, yy). The ratio of a triangle of sides x, y and c is
-    /// (y + c - x) (c + x - y) (x + y - c) / (x y c), in which c stays.
+    /// Returns the sum of the radius ratios with the vertex at its present position, the gradient
+    /// of the sum and its Hessian (xx, xy, yy). The ratio of a triangle with sides x, y and c is
+    /// (y + c - x) (c + x - y) (x + y - c) / (x y c); c is constant.
     fn derivatives(&self) -> (f64, DVec2, [f64; 3]) {
         let (mut sum, mut gradient, mut hessian) = (0.0, DVec2::ZERO, [0.0; 3]);
         for &(a, b) in &self.site.ring {
@@ -62,7 +64,7 @@ impl Step {
             let factors = [y + c - x, c + x - y, x + y - c];
             let ratio = factors[0] * factors[1] * factors[2] / (x * y * c);
             let [i, j, k] = factors.map(f64::recip);
-            // of the logarithm, by x and y
+            // derivatives of the logarithm with respect to x and y
             let (lx, ly) = (j + k - i - 1.0 / x, i + k - j - 1.0 / y);
             let squares = i * i + j * j + k * k;
             let (lxx, lxy, lyy) = (1.0 / (x * x) - squares, i * i + j * j - k * k, 1.0 / (y * y) - squares);
@@ -83,7 +85,8 @@ impl Step {
         (sum, gradient, hessian)
     }
 
-    /// Distance of a place from the vertex, with its gradient and its Hessian (xx, xy, yy) by the vertex's place in the tangent plane.
+    /// Returns the distance of the vertex from a point, and its gradient and Hessian (xx, xy, yy)
+    /// with respect to the coordinates of the vertex in the tangent plane.
     fn side(&self, other: DVec3) -> (f64, DVec2, [f64; 3]) {
         let way = self.site.start - other;
         let length = way.length();
@@ -93,9 +96,10 @@ impl Step {
         (length, gradient, [(1.0 - gx * gx - xx) / length, (-gx * gy - xy) / length, (1.0 - gy * gy - yy) / length])
     }
 
-    /// Newton's step, uphill also where the sum is not concave.
+    /// Returns the Newton step towards a maximum. It also increases the sum where the sum is not
+    /// concave.
     fn newton(&self, gradient: DVec2, [xx, xy, yy]: [f64; 3]) -> Option<DVec2> {
-        // eigenvalues and the direction of the first
+        // eigenvalues, and the direction of the first
         let (mean, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
         let spread = half.hypot(xy);
         let angle = 0.5 * xy.atan2(half);
@@ -107,14 +111,15 @@ impl Step {
         (way.is_finite() && way != DVec2::ZERO).then_some(way)
     }
 
-    /// Goes a share of the way; false where that does not raise the sum by more than `least`, on the paraboloid: most steps do not, and need not be projected to
-    /// be judged (`heart_label` 1, h = 2.1 mm: 185,000 of 238,000, of which one would have passed).
+    /// Moves the vertex by a share of the step, if this raises the sum by more than `least` on the
+    /// paraboloid. Most steps do not, so their projection is avoided (`heart_label` 1, h = 2.1 mm:
+    /// 185,000 of 238,000, of which one would have passed). Returns whether the vertex moved.
     fn make(&self, surface: &mut Surface, share: f64, least: f64) -> bool {
         let at = share * self.way;
         if self.sum(at) - self.before <= least {
             return false;
         }
-        match projected_facing(surface, self.site.sheet, self.site.place(at), self.site.normal, self.site.reach) {
+        match surface.field.projected_facing(self.site.sheet, self.site.place(at), self.site.normal, self.site.reach) {
             Some(p) => {
                 surface.move_vertex(self.vertex, p);
                 true

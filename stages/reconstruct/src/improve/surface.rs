@@ -1,46 +1,44 @@
-//! A closed triangle mesh that can be edited and taken back: positions, triangles, the triangles round each vertex, and a
-//! log from which any move can be undone. Nothing is final until [`Surface::commit`].
+//! A triangle mesh that can be edited: positions, triangles and the triangles around each vertex. A
+//! log records all edits, so that they can be rolled back until [`Surface::commit`].
 
 mod edits;
+pub(super) mod measure;
 
-use super::constants::{FIRST_ORDER, MOST_DEVIATION, POOR, SHORT_SIDE};
 use super::grid::TriangleGrid;
-use super::guard::quality_of;
-use super::moves::projected_facing;
 use super::nodes::NodeSides;
-use super::patch::Rings;
 use super::sheets::{Freedom, Sheets};
 use glam::DVec3;
-use isoparticles_field::spline::distance_estimate;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::incidence::Incidence;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
+use std::f64::consts::FRAC_PI_3;
 
-/// Corners of a triangle that is not there.
+/// Corners of a removed triangle.
 pub(super) const DEAD: [u32; 3] = [u32::MAX; 3];
 
 /// Target edge length h (mm) at a grid position.
 pub(super) type Size<'a> = &'a (dyn Fn(DVec3) -> f64 + Sync);
 
-/// What is known of a triangle as it was last committed.
+/// Measured quantities of a triangle at its last commit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Facts {
-    /// Radius ratio, or less where its angles are worse ([`quality_of`]).
+    /// Radius ratio, or less if an angle is worse ([`measure::quality_of`]).
     pub(super) quality: f64,
     /// Cosine between the normal and grad F at the centroid.
     pub(super) agreement: f64,
-    /// Distance of the centroid from F = 0 over the mean target edge length: |F| / |grad F|, or where that is large (near critical points it
-    /// says little) the distance to a point of F = 0 that faces the same way.
+    /// Distance of the centroid from F = 0 in units of the mean target edge length: |F| / |grad F|,
+    /// or, if this is large, the distance to a point of F = 0 that faces the same way. Near
+    /// critical points, the former is a poor estimate.
     pub(super) deviation: f64,
-    /// Shortest and longest side over the target edge length.
+    /// Minimum and maximum side in units of the target edge length.
     pub(super) lengths: [f64; 2],
     /// Unit normal.
     pub(super) normal: DVec3,
 }
 
 impl Facts {
-    /// Of a triangle that is not there: the best of everything.
+    /// Facts of a removed triangle: the best value of each quantity.
     pub(super) const NONE: Self = Self {
         quality: f64::INFINITY,
         agreement: 1.0,
@@ -50,7 +48,7 @@ impl Facts {
     };
 }
 
-/// One step of the log.
+/// An entry of the log.
 #[derive(Clone, Copy, Debug)]
 enum Change {
     Moved { vertex: u32, from: DVec3, target: f64 },
@@ -59,48 +57,72 @@ enum Change {
     TriangleAdded,
 }
 
-/// The mesh under edit.
+/// Rings of triangles around a triangle, and their vertices, both ascending.
+pub(super) struct Rings {
+    pub(super) vertices: Vec<u32>,
+    pub(super) triangles: Vec<u32>,
+}
+
+impl Rings {
+    /// Returns the bounding box of the vertices.
+    pub(super) fn bounds(&self, surface: &Surface) -> Bounds {
+        let positions: Vec<DVec3> = self.vertices.iter().map(|&v| surface.positions[v as usize]).collect();
+        Bounds::of(&positions)
+    }
+}
+
+/// The junction curve at one of its vertices.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Curve {
+    /// The two neighbours on the curve.
+    pub(super) ends: [u32; 2],
+    /// The three interfaces that meet on the curve, ascending.
+    pub(super) sheets: [u32; 3],
+}
+
+/// A mesh that can be edited.
 #[derive(Clone)]
 pub(super) struct Surface<'a> {
     /// The implicit functions.
     pub(super) field: &'a dyn Sheets,
     /// Target edge length h (mm) at a grid position.
     pub(super) size: Size<'a>,
-    /// Positions, also of vertices no longer used.
+    /// Positions of all vertices, including removed ones.
     pub(super) positions: Vec<DVec3>,
     /// Target edge length at each vertex, mm.
     pub(super) target: Vec<f64>,
-    /// Triangles, [`DEAD`] where one was removed.
+    /// Triangles; [`DEAD`] if removed.
     pub(super) triangles: Vec<[u32; 3]>,
-    /// The sheet of each triangle, of those removed as well: no edit changes it.
+    /// Interface of each triangle, including removed ones. No edit changes it.
     pub(super) sheet: Vec<u32>,
-    /// Triangles round each vertex, ascending, so that nothing depends on what was tried before.
+    /// Triangles around each vertex, ascending, so that the order does not depend on earlier edits.
     pub(super) around: Vec<Vec<u32>>,
-    /// Vertices whose triangles do not form one closed fan: nothing next to them is touched.
+    /// Frozen vertices do not move, and the triangles at them keep their corners: vertices whose
+    /// triangles do not form one closed fan, and in a patch all vertices that must stay.
     pub(super) frozen: Vec<bool>,
     /// How each vertex may move.
     pub(super) freedom: Vec<Freedom>,
-    /// Facts of each triangle as last committed.
+    /// Facts of each triangle at its last commit.
     pub(super) facts: Vec<Facts>,
-    /// Committed triangles by place; `None` while commits are not looked at for triangles that cross ([`Surface::crosses_in_all`] does that at the end).
+    /// Committed triangles by position. While this is `None`, commits are not tested for
+    /// intersections ([`Surface::crosses_in_all`] tests all changed triangles at the end).
     pub(super) grid: Option<TriangleGrid>,
-    /// The grid with nothing in it.
+    /// An empty grid with the same cells.
     empty: TriangleGrid,
-    /// Guard of the grid nodes, where asked for.
+    /// Sides of the grid nodes, if nodes are guarded.
     pub(super) sides: Option<NodeSides<'a>>,
-    /// What is changed must lie within, where this is a part of another surface.
+    /// Box that must contain all changes, if this is a part of another surface.
     pub(super) region: Option<Bounds>,
     log: Vec<Change>,
-    /// Number of transactions so far, kept or taken back. It measures work independently of
+    /// Number of transactions so far, kept or rolled back. It measures work independently of
     /// threads.
     pub(super) tried: usize,
-    commits: u32,
-    /// The number of the last commit that changed each triangle.
-    changed_at: Vec<u32>,
+    /// Whether each triangle has changed since the surface was created.
+    has_changed: Vec<bool>,
 }
 
 impl<'a> Surface<'a> {
-    /// Takes a well-formed mesh of one sheet over.
+    /// Creates the surface of a well-formed mesh of one interface, with a filled grid.
     #[cfg(test)]
     pub(super) fn new(mesh: &TriangleMesh, field: &'a dyn Sheets, size: Size<'a>) -> Self {
         let (sheet, freedom) = (vec![0; mesh.triangles.len()], vec![Freedom::Sheet; mesh.vertices.len()]);
@@ -109,8 +131,9 @@ impl<'a> Surface<'a> {
         new
     }
 
-    /// The same of several sheets, with the sheet of each triangle and how each vertex may move. One that is said to lie on a curve whose triangles
-    /// do not end in it, those of each of three sheets by themselves, stays. It has no grid yet ([`Self::fill_grid`]).
+    /// Creates the surface of a well-formed mesh, given the interface of each triangle and how each
+    /// vertex may move. A vertex of a curve becomes fixed if [`Self::curve_through`] finds no curve
+    /// there. The surface has no grid ([`Self::fill_grid`]).
     pub(super) fn of_sheets(
         mesh: &TriangleMesh,
         sheet: Vec<u32>,
@@ -137,8 +160,7 @@ impl<'a> Surface<'a> {
             region: None,
             log: Vec::new(),
             tried: 0,
-            commits: 0,
-            changed_at: vec![0; mesh.triangles.len()],
+            has_changed: vec![false; mesh.triangles.len()],
         };
         let is_bound = |v: u32| surface.freedom[v as usize] == Freedom::Curve && surface.curve_through(v).is_none();
         let bound: Vec<u32> = (0..mesh.vertices.len() as u32).into_par_iter().filter(|&v| is_bound(v)).collect();
@@ -149,15 +171,15 @@ impl<'a> Surface<'a> {
         surface
     }
 
-    /// Puts the triangles, all committed, into a new grid.
+    /// Creates the grid of all triangles. All edits must be committed.
     pub(super) fn fill_grid(&mut self) {
         let bounds = |t: u32| if self.is_alive(t) { self.bounds(t) } else { Bounds::EMPTY };
         let boxes = (0..self.triangles.len() as u32).into_par_iter().map(bounds).collect();
         self.grid = Some(self.empty.filled(boxes));
     }
 
-    /// A copy of some triangles (ascending) on some vertices (ascending) to try moves on, with the facts of the whole. It has no grid and guards no
-    /// nodes until it gets its own; vertices that lack triangles of theirs are frozen.
+    /// Copies some triangles (ascending) on some vertices (ascending), with their facts. The copy
+    /// has no grid and no guarded nodes. Vertices with missing triangles are frozen.
     pub(super) fn part(&self, vertices: &[u32], triangles: &[u32]) -> Self {
         let local = |list: &[u32], item: u32| list.binary_search(&item).ok().map(|n| n as u32);
         let around: Vec<Vec<u32>> = vertices
@@ -185,19 +207,18 @@ impl<'a> Surface<'a> {
             region: None,
             log: Vec::new(),
             tried: 0,
-            commits: 0,
-            changed_at: vec![0; triangles.len()],
+            has_changed: vec![false; triangles.len()],
         }
     }
 
-    /// The mesh without what was removed; vertices and triangles keep their order.
+    /// Returns the mesh without removed vertices and triangles, in the same order.
     #[cfg(test)]
     pub(super) fn into_mesh(self) -> TriangleMesh {
         self.into_sheets().0
     }
 
-    /// The mesh without what was removed, in the same order, the sheet of each of its triangles, and the number that
-    /// each vertex has in it, `u32::MAX` where it is gone.
+    /// Returns the mesh without removed vertices and triangles, in the same order; the interface of
+    /// each of its triangles; and the index in it of each vertex, `u32::MAX` if removed.
     pub(super) fn into_sheets(self) -> (TriangleMesh, Vec<u32>, Vec<u32>) {
         let mut number = vec![u32::MAX; self.positions.len()];
         let mut mesh = TriangleMesh::default();
@@ -213,73 +234,33 @@ impl<'a> Surface<'a> {
         (mesh, kept.map(|(_, sheet)| sheet).collect(), number)
     }
 
-    /// Positions of a triangle's corners.
+    /// Returns the positions of the corners of a triangle.
     pub(super) fn corners(&self, triangle: u32) -> [DVec3; 3] {
         self.triangles[triangle as usize].map(|v| self.positions[v as usize])
     }
 
-    /// Box round a triangle.
+    /// Returns the bounding box of a triangle.
     pub(super) fn bounds(&self, triangle: u32) -> Bounds {
         Bounds::of(&self.corners(triangle))
     }
 
-    /// Whether a triangle is there.
+    /// Returns whether a triangle exists, that is, has not been removed.
     pub(super) fn is_alive(&self, triangle: u32) -> bool {
         self.triangles[triangle as usize] != DEAD
     }
 
-    /// Unit normal of the triangle on three vertices.
+    /// Returns the unit normal of the triangle on three vertices.
     pub(super) fn normal_of(&self, corners: [u32; 3]) -> DVec3 {
         let [a, b, c] = corners.map(|v| self.positions[v as usize]);
         (b - a).cross(c - a).normalize_or_zero()
     }
 
-    /// Quality of a triangle as it is now, or as it would be with a side of length h in the place of one that is short and stays ([`Self::side`]), if with that
-    /// no triangle as high as it is could pass the check.
-    pub(super) fn quality(&self, triangle: u32) -> f64 {
-        let corners = self.triangles[triangle as usize];
-        let [a, b, c] = corners.map(|v| self.positions[v as usize]);
-        let longest = || a.distance(b).max(b.distance(c)).max(c.distance(a));
-        for k in 0..3 {
-            let (from, to) = (corners[k], corners[(k + 1) % 3]);
-            // a third corner may be so near to the side that a better place is nearer still
-            if let Some((p, q)) = self.stretched(from, to)
-                && 2.0 * self.length(from, to) < POOR * longest()
-            {
-                return quality_of(p, q, self.positions[corners[(k + 2) % 3] as usize]);
-            }
-        }
-        quality_of(a, b, c)
-    }
-
-    /// The ends of a side of length h in the place of one on which no triangle can be good, whatever its third corner: between two junction points far nearer to each other.
-    fn stretched(&self, a: u32, b: u32) -> Option<(DVec3, DVec3)> {
-        if !self.is_short_side(a, b) {
-            return None;
-        }
-        let (p, q) = (self.positions[a as usize], self.positions[b as usize]);
-        let (middle, half) = (p.midpoint(q), 0.5 * self.target_between(a, b) * (q - p).normalize_or_zero());
-        Some((middle - half, middle + half))
-    }
-
-    /// Whether an edge would lie between two junction points far nearer to each other than h.
-    pub(super) fn is_short_side(&self, a: u32, b: u32) -> bool {
-        let is_point = |v: u32| self.freedom[v as usize] == Freedom::Point;
-        is_point(a) && is_point(b) && self.relative_length(a, b) < SHORT_SIDE
-    }
-
-    /// The ends of a side by which a place for the third corner is looked for. Where it is short and stays, it counts as of length h, so that the third corner is drawn to the height of
-    /// a good triangle, and not towards the side, where it would spoil the other triangles round it.
-    pub(super) fn side(&self, a: u32, b: u32) -> (DVec3, DVec3) {
-        self.stretched(a, b).unwrap_or_else(|| (self.positions[a as usize], self.positions[b as usize]))
-    }
-
-    /// Length of an edge, mm.
+    /// Returns the length of an edge, mm.
     pub(super) fn length(&self, a: u32, b: u32) -> f64 {
         self.positions[a as usize].distance(self.positions[b as usize])
     }
 
-    /// A triangle and so many rings of triangles round it.
+    /// Returns a triangle and `count` rings of triangles around it.
     pub(super) fn rings(&self, triangle: u32, count: usize) -> Rings {
         let mut rings = Rings { vertices: self.triangles[triangle as usize].to_vec(), triangles: Vec::new() };
         for _ in 0..count {
@@ -293,53 +274,24 @@ impl<'a> Surface<'a> {
         rings
     }
 
-    /// Corners of a triangle and of the triangles across its sides.
+    /// Returns the corners of a triangle and of the triangles across its sides.
     pub(super) fn with_neighbours(&self, triangle: u32) -> Vec<[u32; 3]> {
         let corners @ [a, b, c] = self.triangles[triangle as usize];
         let across = |(from, to)| self.edge_triangles(from, to).map(|[_, (t, _)]| self.triangles[t as usize]);
         std::iter::once(corners).chain([(a, b), (b, c), (c, a)].into_iter().filter_map(across)).collect()
     }
 
-    /// Target length of an edge, mm.
+    /// Returns the target length of an edge, mm.
     pub(super) fn target_between(&self, a: u32, b: u32) -> f64 {
         0.5 * (self.target[a as usize] + self.target[b as usize])
     }
 
-    /// Length of an edge over its target.
+    /// Returns the length of an edge in units of its target length.
     pub(super) fn relative_length(&self, a: u32, b: u32) -> f64 {
         self.length(a, b) / self.target_between(a, b)
     }
 
-    /// Everything about a triangle as it is now.
-    pub(super) fn measure(&self, triangle: u32) -> Facts {
-        let corners = self.triangles[triangle as usize];
-        if corners == DEAD {
-            return Facts::NONE;
-        }
-        let [a, b, c] = self.corners(triangle);
-        let centroid = (a + b + c) / 3.0;
-        let sheet = self.sheet[triangle as usize];
-        let (value, gradient) = self.field.value_gradient(sheet, centroid);
-        let normal = self.normal_of(corners);
-        let mean_target = corners.iter().map(|&v| self.target[v as usize]).sum::<f64>() / 3.0;
-        let mut deviation = distance_estimate(value, gradient).abs() / mean_target;
-        if deviation > FIRST_ORDER
-            && let Some(foot) =
-                projected_facing(self, sheet, centroid, normal, deviation.min(MOST_DEVIATION) * mean_target)
-        {
-            deviation = foot.distance(centroid) / mean_target;
-        }
-        let lengths = [0, 1, 2].map(|e| self.relative_length(corners[e], corners[(e + 1) % 3]));
-        Facts {
-            quality: self.quality(triangle),
-            agreement: normal.dot(gradient.normalize_or_zero()),
-            deviation,
-            lengths: [lengths[0].min(lengths[1]).min(lengths[2]), lengths[0].max(lengths[1]).max(lengths[2])],
-            normal,
-        }
-    }
-
-    /// The sides opposite a vertex, oriented so that (vertex, first, second) is a triangle.
+    /// Returns the edges opposite a vertex, oriented so that (vertex, first, second) is a triangle.
     pub(super) fn link(&self, vertex: u32) -> impl Iterator<Item = (u32, u32)> + '_ {
         self.around[vertex as usize].iter().map(move |&t| {
             let c = self.triangles[t as usize];
@@ -348,7 +300,9 @@ impl<'a> Surface<'a> {
         })
     }
 
-    /// The two triangles of an edge with their third corners: first the one that runs from `a` to `b`.
+    /// Returns the two triangles of an edge with their third corners; the triangle with the edge
+    /// from `a` to `b` comes first. Returns `None` if the edge is not in exactly two triangles of
+    /// opposite direction.
     pub(super) fn edge_triangles(&self, a: u32, b: u32) -> Option<[(u32, u32); 2]> {
         let (mut left, mut right) = (None, None);
         for &t in &self.around[a as usize] {
@@ -370,14 +324,129 @@ impl<'a> Surface<'a> {
         Some([left?, right?])
     }
 
-    /// Whether two vertices are joined by an edge.
+    /// Returns whether two vertices are joined by an edge.
     pub(super) fn joined(&self, a: u32, b: u32) -> bool {
         self.around[a as usize].iter().any(|&t| self.triangles[t as usize].contains(&b))
     }
 
-    /// Number of triangles (and of edges) at a vertex.
+    /// Returns the number of triangles at a vertex.
     pub(super) fn degree(&self, vertex: u32) -> usize {
         self.around[vertex as usize].len()
+    }
+
+    /// Returns the junction curve through a vertex, if the triangles of the vertex belong to three
+    /// interfaces and those of each interface form a fan from one neighbour on the curve to the
+    /// other.
+    pub(super) fn curve_through(&self, vertex: u32) -> Option<Curve> {
+        let fan: Vec<(u32, u32, u32)> = self.around[vertex as usize]
+            .iter()
+            .zip(self.link(vertex))
+            .map(|(&t, (a, b))| (self.sheet[t as usize], a, b))
+            .collect();
+        let mut neighbours: Vec<u32> = fan.iter().flat_map(|&(_, a, b)| [a, b]).collect();
+        neighbours.sort_unstable();
+        let times: Vec<(u32, usize)> = neighbours.chunk_by(|a, b| a == b).map(|same| (same[0], same.len())).collect();
+        let mut on_curve = times.iter().filter(|(_, n)| *n == 3).map(|(v, _)| *v);
+        let ends = [on_curve.next()?, on_curve.next()?];
+        let mut sheets: Vec<u32> = fan.iter().map(|&(sheet, ..)| sheet).collect();
+        sheets.sort_unstable();
+        sheets.dedup();
+        let sheets = <[u32; 3]>::try_from(sheets).ok()?;
+        let is_fan = |&sheet: &u32| {
+            let mut left: Vec<(u32, u32)> = fan.iter().filter(|own| own.0 == sheet).map(|own| (own.1, own.2)).collect();
+            let mut at = ends[0];
+            while at != ends[1] {
+                let Some(next) = left.iter().position(|&(a, b)| a == at || b == at) else { return false };
+                let (a, b) = left.swap_remove(next);
+                at = if a == at { b } else { a };
+            }
+            left.is_empty()
+        };
+        (on_curve.next().is_none() && sheets.iter().all(is_fan)).then_some(Curve { ends, sheets })
+    }
+
+    /// Returns whether a vertex may move on its interface.
+    pub(super) fn is_free(&self, vertex: u32) -> bool {
+        self.freedom[vertex as usize] == Freedom::Sheet
+    }
+
+    /// Returns the interface of a free vertex that has triangles.
+    pub(super) fn sheet_at(&self, vertex: u32) -> u32 {
+        self.around[vertex as usize].first().map_or(0, |&t| self.sheet[t as usize])
+    }
+
+    /// Returns whether a vertex cannot lose a triangle. A vertex that is not free always can: where
+    /// an edge inside an interface ends there, the vertex has two triangles in that interface.
+    pub(super) fn has_few(&self, vertex: u32) -> bool {
+        self.is_free(vertex) && self.degree(vertex) < 4
+    }
+
+    /// Returns whether a corner of a triangle is not free. The quality of such a triangle mostly
+    /// depends on the length of a segment of a junction curve, or on the angle between two
+    /// segments. Few moves of other triangles improve it.
+    pub(super) fn is_held(&self, triangle: u32) -> bool {
+        self.triangles[triangle as usize].iter().any(|&v| v != u32::MAX && !self.is_free(v))
+    }
+
+    /// Returns whether no corner of a triangle is free, and all lie on other interfaces as well,
+    /// that is, on junction curves.
+    pub(super) fn is_between_curves(&self, triangle: u32) -> bool {
+        let own = self.sheet[triangle as usize];
+        let is_on_others = |v: u32| self.around[v as usize].iter().any(|&t| self.sheet[t as usize] != own);
+        self.triangles[triangle as usize].iter().all(|&v| v != u32::MAX && !self.is_free(v) && is_on_others(v))
+    }
+
+    /// Returns the number of triangles of a vertex minus six. If the vertex is not free, only the
+    /// interface of `triangle` counts, and the angle there divided by 60 degrees replaces six.
+    pub(super) fn surplus(&self, vertex: u32, triangle: u32) -> i64 {
+        if self.is_free(vertex) {
+            return self.degree(vertex) as i64 - 6;
+        }
+        let sheet = self.sheet[triangle as usize];
+        let own = self.around[vertex as usize].iter().filter(|&&t| self.sheet[t as usize] == sheet);
+        let (mut count, mut angle) = (0, 0.0);
+        for &t in own {
+            let corners = self.triangles[t as usize];
+            let at = corners.iter().position(|&v| v == vertex).unwrap_or(0);
+            let [p, q, r] = [0, 1, 2].map(|k| self.positions[corners[(at + k) % 3] as usize]);
+            angle += (q - p).angle_between(r - p);
+            count += 1;
+        }
+        count - (angle / FRAC_PI_3).round().max(1.0) as i64
+    }
+
+    /// Returns whether nodes are guarded and some are on the wrong side.
+    pub(super) fn has_wrong_nodes(&self) -> bool {
+        self.sides.as_ref().is_some_and(|sides| sides.wrong_count() > 0)
+    }
+
+    /// Returns the triangles nearest to the grid nodes on the wrong side, ascending.
+    pub(super) fn triangles_at_wrong_nodes(&self) -> Vec<u32> {
+        let places = self.sides.as_ref().map_or_else(Vec::new, NodeSides::wrong_places);
+        let mut nearest: Vec<u32> = places.into_par_iter().filter_map(|p| self.nearest_triangle(p)).collect();
+        nearest.sort_unstable();
+        nearest.dedup();
+        nearest
+    }
+
+    /// Returns the triangle nearest to a point, or the first of several.
+    fn nearest_triangle(&self, p: DVec3) -> Option<u32> {
+        let furthest = self.positions.iter().map(|q| q.distance(p)).fold(0.0, f64::max);
+        let mut reach = self.field.voxel();
+        loop {
+            let mut best: Option<(f64, u32)> = None;
+            self.grid.as_ref()?.any(&Bounds { low: p - reach, high: p + reach }, |t, _| {
+                let rated = (distance_to_triangle(p, self.corners(t)), t);
+                if rated.0 <= reach && best.is_none_or(|best| rated < best) {
+                    best = Some(rated);
+                }
+                false
+            });
+            if best.is_some() || reach > furthest {
+                return best.map(|(_, t)| t);
+            }
+            reach *= 2.0;
+        }
     }
 
     fn is_closed_fan(&self, vertex: u32) -> bool {
@@ -397,7 +466,21 @@ impl<'a> Surface<'a> {
     }
 }
 
-/// The edges of some triangles, lower vertex first, in order, each once.
+/// Returns the distance from `p` to a triangle.
+fn distance_to_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
+    let normal = (b - a).cross(c - a).normalize_or_zero();
+    let sides = [(a, b), (b, c), (c, a)];
+    if normal != DVec3::ZERO && sides.iter().all(|&(from, to)| (to - from).cross(p - from).dot(normal) >= 0.0) {
+        return (p - a).dot(normal).abs();
+    }
+    let to_side = |(from, to): (DVec3, DVec3)| {
+        let share = (p - from).dot(to - from) / (to - from).length_squared().max(f64::MIN_POSITIVE);
+        p.distance(from.lerp(to, share.clamp(0.0, 1.0)))
+    };
+    sides.map(to_side).into_iter().fold(f64::INFINITY, f64::min)
+}
+
+/// Returns the edges of some triangles without duplicates, lower vertex first, in ascending order.
 pub(super) fn edges_of<'t>(triangles: impl IntoIterator<Item = &'t [u32; 3]>) -> Vec<(u32, u32)> {
     let sides = triangles.into_iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
     let mut edges: Vec<(u32, u32)> = sides.map(|(a, b)| (a.min(b), a.max(b))).collect();

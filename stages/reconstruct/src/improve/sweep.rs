@@ -1,12 +1,14 @@
-//! Sweeps over the whole mesh, block of space by block of space, on all threads.
+//! Sweeps over the whole mesh, in spatial blocks, on all threads.
 //!
-//! A vertex is free in a block when all triangles round it lie within; what moves and flips of free vertices touch then lies within, too, and so does
-//! what the guard compares it with. So blocks know nothing of each other, and the outcome is the same on any number of threads. What lies
-//! across the faces of the blocks has its turn in blocks with other faces ([`ROUNDS`]), and what is left after all (none of the
-//! vertices of the torso; some where the mesh is strongly graded) in the whole mesh, on one thread.
+//! A vertex is free in a block if all its triangles lie inside. Moves and flips of free vertices
+//! then touch only triangles inside the block, and the acceptance test compares them only with
+//! triangles that meet the block. Blocks are therefore independent, and the result does not depend
+//! on the number of threads. Vertices at the faces between blocks are processed in blocks with
+//! other faces ([`ROUNDS`]). The remaining vertices (none of the torso; some if the mesh is
+//! strongly graded) are processed in the whole mesh, on one thread.
 
-use super::constants::{BLOCK, GOOD, VISITS};
-use super::guard::{Limits, Rule};
+use super::acceptance::{Goal, Limits};
+use super::constants::{BLOCK, GOOD, PRICE_OF_DEVIATION, VISITS};
 use super::patch::Patch;
 use super::smooth::smooth;
 use super::surface::{DEAD, Surface};
@@ -17,12 +19,20 @@ use isoparticles_mesh::spatial::Bounds;
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 
-/// Sides of the blocks of a round over those of the first, and where the first face lies before the mesh, over the side. The second has faces where the first has middles. Both leave what
-/// lies where a face of either meets one of the other across: of that the third's faces, and the fourth's of what these leave, are as far off as can be.
+/// For each round: side of the blocks in units of the side in the first round, and distance, in
+/// sides of the round, by which the first face lies outside the mesh. The faces of the second round
+/// lie midway between those of the first. The vertices that both rounds leave lie where a face of
+/// one crosses a face of the other. The faces of the third round are as far as possible from these,
+/// and those of the fourth from the vertices that the third leaves.
 const ROUNDS: [(f64, f64); 4] = [(1.0, 0.25), (1.0, 0.75), (0.5, 1.0), (0.5, 0.75)];
 
-/// If it `thins`, takes vertices away where the mesh is denser than h asks, and lets triangles lie farther from F = 0 at a price. Flips towards degree six and relaxes every vertex, so that edges get near to h, and lets no
-/// triangle's neighbourhood get worse; then flips towards degree six and smooths, for as long as that gains, but no more than so many `sweeps` in all and [`VISITS`]. `step` is called before each sweep of a block and may stop it.
+/// Goal of all moves of a sweep, except for the removal of vertices.
+const GOAL: Goal = Goal::Mean { floor: GOOD, price: PRICE_OF_DEVIATION };
+
+/// Removes vertices where the mesh is denser than h (if `thins`), flips edges towards degree six
+/// and relaxes each vertex once. Then flips and smooths until nothing moves or a budget is used up:
+/// `sweeps` - 1 visits per vertex plus [`VISITS`] for the whole mesh. `step` is called before each
+/// pass in a block and can stop the work.
 ///
 /// # Errors
 /// Those of `step`.
@@ -39,18 +49,17 @@ pub(super) fn sweep(
         let mut tally = Tally::default();
         step()?;
         if thins {
-            thin_out(part, limits, todo, step, &mut tally)?;
+            thin_out(part, todo, step, &mut tally)?;
         }
-        let limits = &if thins { limits.of_sweeps() } else { *limits };
-        remesh::equalise_degrees(part, limits, Rule::Even, todo, &mut tally);
-        remesh::relax_all(part, limits, Rule::Even, todo, &mut tally);
+        remesh::equalise_degrees(part, limits, GOAL, todo, &mut tally);
+        remesh::relax_all(part, limits, GOAL, todo, &mut tally);
         let share = todo.iter().filter(|&&todo| todo).count() as f64;
         smooth_all(part, limits, todo, (visits * share) as usize, step, &mut tally)?;
         Ok::<_, isoparticles_stage::error::Error>(tally)
     };
     let mut todo = vec![true; surface.positions.len()];
     let mut tallies = Vec::new();
-    // filled anew when all blocks are done
+    // the grid is filled again after all blocks
     surface.grid = None;
     let side = BLOCK * mean_edge(surface);
     for (share, before) in ROUNDS {
@@ -66,7 +75,8 @@ pub(super) fn sweep(
                 }
                 Ok::<_, isoparticles_stage::error::Error>((work(&mut part.surface, &todo)?, part))
             };
-            // triangles hardly ever come to cross: it is enough to look at the end, and to begin again where they do
+            // intersections are rare: test once at the end, and repeat the block with all tests if
+            // there are any
             let (mut tally, mut part) = worked(false)?;
             if part.surface.crosses_in_all() {
                 (tally, part) = worked(true)?;
@@ -90,7 +100,8 @@ pub(super) fn sweep(
     Ok(())
 }
 
-/// Flips and smooths next to the vertices to do, and again next to what has moved, until nothing moves or there were more than so many `visits`.
+/// Flips and smooths at the vertices in `todo`, then at the moved vertices and their neighbours,
+/// until nothing moves or the next pass would exceed the budget of `visits`.
 fn smooth_all(
     part: &mut Surface,
     limits: &Limits,
@@ -99,7 +110,6 @@ fn smooth_all(
     step: Step,
     tally: &mut Tally,
 ) -> Result<()> {
-    let rule = Rule::Mean { floor: GOOD };
     let mut open = todo.to_vec();
     loop {
         let count = open.iter().filter(|&&open| open).count();
@@ -108,10 +118,10 @@ fn smooth_all(
         }
         visits -= count;
         step()?;
-        remesh::equalise_degrees(part, limits, rule, &open, tally);
+        remesh::equalise_degrees(part, limits, GOAL, &open, tally);
         let mut next = vec![false; open.len()];
         for v in (0..open.len() as u32).filter(|&v| open[v as usize]) {
-            if smooth(part, v, limits, rule) {
+            if smooth(part, v, limits, GOAL) {
                 tally.relocations += 1;
                 next[v as usize] = true;
                 part.link(v).for_each(|(u, _)| next[u as usize] = true);
@@ -121,16 +131,17 @@ fn smooth_all(
     }
 }
 
-/// A block with what is in it.
+/// A block and its contents.
 struct Block {
     region: Bounds,
-    /// The vertices that are free there, ascending.
+    /// The free vertices, ascending.
     free: Vec<u32>,
-    /// The triangles whose boxes meet it, ascending.
+    /// The triangles whose bounding boxes meet the block, ascending.
     triangles: Vec<u32>,
 }
 
-/// The blocks that have anything to do, in order; the first face lies `before` sides before the mesh. A vertex that has been done may be free again.
+/// Returns the blocks that contain free vertices of `todo`, in order. The first face lies `before`
+/// sides outside the mesh. Vertices that are not in `todo` may also be free in a block.
 fn blocks(surface: &Surface, todo: &[bool], side: f64, before: f64) -> Vec<Block> {
     let whole = Bounds::of(&surface.positions);
     let origin = whole.low - before * side;
@@ -176,7 +187,7 @@ fn blocks(surface: &Surface, todo: &[bool], side: f64, before: f64) -> Vec<Block
     with_work.into_iter().map(block).collect()
 }
 
-/// Mean length of the sides of the triangles; 1 where there are none.
+/// Returns the mean edge length of the triangles, or 1 if there are none.
 fn mean_edge(surface: &Surface) -> f64 {
     let alive = surface.triangles.iter().filter(|t| **t != DEAD);
     let (mut sum, mut count) = (0.0, 0.0);
@@ -192,7 +203,7 @@ fn mean_edge(surface: &Surface) -> f64 {
 mod tests {
     use super::*;
     use crate::check::{CheckOptions, check};
-    use crate::improve::guard::commit_or_rollback;
+    use crate::improve::acceptance::commit_or_rollback;
     use crate::improve::moves;
     use crate::improve::nodes::NodeSides;
     use crate::improve::tests::{ball, sampled};
@@ -203,9 +214,10 @@ mod tests {
 
     const CENTRE: DVec3 = DVec3::splat(8.2);
     const RADIUS: f64 = 6.0;
-    const LIMITS: Limits = Limits::new(0.15, [0.3, 2.0]);
+    const LIMITS: Limits = Limits { lengths: [0.3, 2.0], ..Limits::STRICT };
 
-    /// A sphere of 20,480 triangles with every vertex out of place and some edges flipped in vain, and its F.
+    /// Returns F of a sphere, a mesh of 20,480 triangles with perturbed vertices and some flipped
+    /// edges, and its mean edge length before the perturbation.
     fn rough_ball() -> (CubicSpline, TriangleMesh, f64) {
         let field = CubicSpline::new(&sampled([17; 3], DVec3::ONE, ball(CENTRE, RADIUS)));
         let mut mesh = shapes::icosphere(RADIUS, 5);
@@ -218,7 +230,7 @@ mod tests {
         let mut surface = Surface::new(&mesh, &field, &size);
         for (a, b) in remesh::edges(&surface).into_iter().step_by(97) {
             if moves::flip(&mut surface, a, b) {
-                commit_or_rollback(&mut surface, &LIMITS, Rule::Any);
+                commit_or_rollback(&mut surface, &LIMITS, Goal::Keep { floor: 0.0 });
             }
         }
         let mesh = surface.into_mesh();
@@ -226,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn every_vertex_has_its_turn_and_no_triangle_is_worse_for_it_on_any_number_of_threads() {
+    fn sweeps_visit_all_vertices_on_any_number_of_threads() {
         let (field, mesh, h) = rough_ball();
         let size = |_: DVec3| h;
         let swept = |threads: usize| {
@@ -256,9 +268,9 @@ mod tests {
     }
 
     #[test]
-    fn grid_nodes_that_blocks_bring_to_their_right_side_are_known_to_the_whole() {
+    fn blocks_report_the_grid_nodes_that_change_sides() {
         let (field, mesh, h) = rough_ball();
-        // so fine a grid that facets cut off some of its nodes
+        // the grid is so fine that facets cut off some of its nodes
         let image = sampled([166; 3], DVec3::splat(0.1), ball(CENTRE, RADIUS));
         let size = |_: DVec3| h;
         let mut surface = Surface::new(&mesh, &field, &size);
@@ -315,7 +327,7 @@ mod tests {
         for (region, is_kept) in [(tight, false), (wide, true)] {
             surface.region = Some(region);
             surface.move_vertex(v, to);
-            assert_eq!(commit_or_rollback(&mut surface, &LIMITS, Rule::Any).is_some(), is_kept);
+            assert_eq!(commit_or_rollback(&mut surface, &LIMITS, Goal::Keep { floor: 0.0 }).is_some(), is_kept);
             assert_eq!(surface.positions[v as usize] == to, is_kept);
         }
     }

@@ -1,19 +1,20 @@
-//! Remeshes the patch round a triangle at a smaller target length, where h is too long for the bends of F.
+//! Remeshes the patch around a triangle at a smaller target length, where h is too long for the
+//! curvature of F.
 //!
-//! On a piece of surface whose edges are short beside its radii of curvature, triangles near to equilateral stray and fold little; that is
-//! what sampling by the local feature size ensures (Amenta and Bern 1999). So the target length is a share of the radius of curvature, and
-//! grows with the distance until it meets the length of the mesh at the rim. What curvature at the samples did not tell, the outcome does:
-//! where it strays or is turned against F, edges half as long are asked for, and the patch is remeshed again from the start. A small closed
-//! component is a patch without a rim.
+//! If edges are short compared with the radii of curvature, nearly equilateral triangles have a
+//! small deviation and normal deviation (sampling by local feature size, Amenta and Bern 1999). The
+//! target length is therefore a share of the radius of curvature. It grows with distance up to the
+//! edge length at the rim of the patch. If the deviation or normal deviation of the result is too
+//! large, edges half as long are demanded there, and the original patch is remeshed again. A small
+//! closed component is a patch without a rim.
 
+use super::acceptance::{Goal, Limits, commit_or_rollback};
 use super::constants::{
     CHORD, FINEST, GRADATIONS, LONG, MOST_TRIANGLES, PATCH_LENGTHS, RIM, RINGS_OF_LENGTH, ROUNDS, SHORT, SHORTER,
     STRAYS, TARGET, TURNED, WASTED_WORK_LIMIT,
 };
-use super::guard::{Limits, Rule, commit_or_rollback};
 use super::lift::{After, lift, make};
 use super::moves::Move;
-use super::moves::projected_facing;
 use super::nodes::NodeSides;
 use super::patch::Patch;
 use super::surface::{DEAD, Surface, edges_of};
@@ -23,16 +24,17 @@ use isoparticles_field::curvature::curvature_tensor;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
 
-/// A place that asks for short edges.
+/// A demand for short edges near a position.
 #[derive(Clone, Copy, Debug)]
 struct Demand {
-    /// Where, grid frame, mm.
+    /// Position, grid frame, mm.
     at: DVec3,
-    /// How short, mm.
+    /// Target length at the position, mm.
     length: f64,
 }
 
-/// Where a triangle is, how long the edges of the mesh are round it, and how far the patch goes, mm. `reach` is over that length.
+/// Position of a patch: centroid of its triangle, and mean edge length of the mesh around it (at
+/// most h), in mm.
 #[derive(Clone, Copy)]
 struct Place {
     centre: DVec3,
@@ -53,36 +55,38 @@ impl Place {
         Self { centre: (a + b + c) / 3.0, length, reach: reach * length }
     }
 
-    /// The shortest length at a position that lets edges grow to those at the rim.
+    /// Returns the minimum target length at `p` that allows edges to grow to their length at the
+    /// rim.
     fn least(&self, p: DVec3, gradation: f64) -> f64 {
         let at_rim = RIM * self.length - gradation * (self.reach - p.distance(self.centre));
         at_rim.max(FINEST * self.length)
     }
 }
 
-/// The box that the remeshing of the patch round a triangle stays in.
+/// Returns the box that contains all changes if the patch around a triangle is remeshed.
 pub(super) fn region(surface: &Surface, triangle: u32, reach: f64) -> Bounds {
     let place = Place::of(surface, triangle, reach);
-    // the triangles across the rim reach out of the ball
+    // the triangles across the rim extend beyond the ball
     let half = place.reach + 2.0 * place.length;
     Bounds { low: place.centre - half, high: place.centre + half }
 }
 
-/// How a patch is remeshed.
+/// Parameters of patch remeshing.
 #[derive(Clone, Copy)]
 pub(super) struct How {
-    /// Its radius over the length of the edges there.
+    /// Radius of the patch in units of the edge length there.
     pub(super) reach: f64,
-    /// Times at most with each gradation.
+    /// Maximum number of attempts with each gradation.
     pub(super) attempts: usize,
-    /// Whether all gradations are tried at the same time, to the same result: where no other patch is worked on, so that threads are free for what may be in vain.
+    /// Whether all gradations are tried in parallel. The result is the same. This pays if no other
+    /// patch uses the threads, since the later gradations are often not needed.
     pub(super) side_by_side: bool,
 }
 
-/// Remeshes the patch round a triangle, and commits the first outcome that the guard lets pass by the loosened limits, less the vertices that
-/// it can do without; false where none did.
-pub(super) fn remesh(surface: &mut Surface, triangle: u32, how: How, limits: &Limits, bar: f64) -> bool {
-    let (place, loosened) = (Place::of(surface, triangle, how.reach), &limits.loosened());
+/// Remeshes the patch around a triangle. Commits the first result that passes the acceptance test
+/// with the loose limits, and then removes superfluous vertices. Returns whether a result passed.
+pub(super) fn remesh(surface: &mut Surface, triangle: u32, how: How, bar: f64) -> bool {
+    let place = Place::of(surface, triangle, how.reach);
     let Some(free) = free_vertices(surface, triangle, &place) else { return false };
     let mut demands = demands_of_curvature(surface, &free, &place);
     demands.extend(demands_of_nodes(surface, &place));
@@ -93,7 +97,7 @@ pub(super) fn remesh(surface: &mut Surface, triangle: u32, how: How, limits: &Li
             let asked = asked.iter().fold(place.length, |least, d| least.min(d.length + gradation * p.distance(d.at)));
             h(p).min(asked.max(place.least(p, gradation)))
         };
-        let patch = remeshed(surface, &free, &target, loosened);
+        let patch = remeshed(surface, &free, &target);
         let tried = patch.surface.tried;
         if is_too_large(&patch.surface) {
             return Some((None, Vec::new(), tried));
@@ -116,14 +120,14 @@ pub(super) fn remesh(surface: &mut Surface, triangle: u32, how: How, limits: &Li
             if let Some(edits) = edits {
                 edits.make(surface);
             }
-            if let Some(touched) = commit_or_rollback(surface, loosened, Rule::Lift { bar }) {
-                coarsen(surface, touched, place.length, limits);
+            if let Some(touched) = commit_or_rollback(surface, &Limits::LOOSE, Goal::Lift { bar }) {
+                coarsen(surface, touched, place.length);
                 return true;
             }
-            // the same again would end the same
+            // without new demands, the next attempt would have the same result
             *demands = demands.take().filter(|_| !more.is_empty()).map(|asked| [asked, more].concat());
         }
-        // a patch that takes more than a pass may waste is not tried again
+        // expensive patches are not tried again
         if surface.tried > before + WASTED_WORK_LIMIT {
             break;
         }
@@ -131,7 +135,9 @@ pub(super) fn remesh(surface: &mut Surface, triangle: u32, how: How, limits: &Li
     false
 }
 
-/// The vertices in reach that may move, ascending: those connected with the triangle in a ball whose triangles lie in the region.
+/// Returns the vertices of the patch that may move, ascending, if there are any: those within the
+/// radius of the patch that are connected with the triangle, and whose neighbours lie in the
+/// region.
 fn free_vertices(surface: &Surface, triangle: u32, place: &Place) -> Option<Vec<u32>> {
     let is_free = |v: u32| {
         let p = surface.positions[v as usize];
@@ -154,9 +160,12 @@ fn free_vertices(surface: &Surface, triangle: u32, place: &Place) -> Option<Vec<
     (!found.is_empty()).then_some(found)
 }
 
-/// Collapses the edges of some triangles that are shorter than the mesh was there, shortest first, where what is left stays as good as a patch is
-/// made: remeshing also refines where nothing asked for it.
-pub(super) fn coarsen(surface: &mut Surface, mut triangles: Vec<u32>, length: f64, limits: &Limits) {
+/// Collapses edges of some triangles that are shorter than [`SHORT`] times `length`, shortest
+/// first, if the quality stays at least [`TARGET`]. Remeshing also refines where no demand requires
+/// it.
+pub(super) fn coarsen(surface: &mut Surface, mut triangles: Vec<u32>, length: f64) {
+    // do not coarsen more than the curvature of F allows
+    let limits = Limits { fold_of_f: Limits::STRICT.fold, deviation: STRAYS, ..Limits::STRICT };
     let mut collapsed = true;
     while collapsed {
         collapsed = false;
@@ -170,7 +179,7 @@ pub(super) fn coarsen(surface: &mut Surface, mut triangles: Vec<u32>, length: f6
                 let too_long = |s: &Surface| s.link(keep).any(|(v, _)| s.length(keep, v) > LONG * length);
                 if make(surface, Move::Collapse(keep, gone, share), After::Relocations)
                     && !too_long(surface)
-                    && commit_or_rollback(surface, limits, Rule::Keep { floor: TARGET }).is_some()
+                    && commit_or_rollback(surface, &limits, Goal::Keep { floor: TARGET }).is_some()
                 {
                     collapsed = true;
                     break;
@@ -181,21 +190,17 @@ pub(super) fn coarsen(surface: &mut Surface, mut triangles: Vec<u32>, length: f6
     }
 }
 
-/// Whether a patch has more triangles than remeshing may leave.
+/// Returns whether a patch has more triangles than [`MOST_TRIANGLES`].
 fn is_too_large(part: &Surface) -> bool {
     part.triangles.iter().filter(|t| **t != DEAD).count() > MOST_TRIANGLES
 }
 
-/// A copy of the surface with the patch remeshed to a target length. Remeshing stops where the
-/// patch gets too large.
-fn remeshed<'a>(
-    surface: &Surface<'a>,
-    free: &[u32],
-    target: &'a (dyn Fn(DVec3) -> f64 + Sync),
-    limits: &Limits,
-) -> Patch<'a> {
-    // on the way only the target lengths are short, so that deviation over them may pass any bound
-    let limits = &Limits { deviation: f64::INFINITY, lengths: PATCH_LENGTHS, ..*limits };
+/// Returns a copy of the surface with the patch remeshed to a target length. Remeshing stops if the
+/// patch becomes too large.
+fn remeshed<'a>(surface: &Surface<'a>, free: &[u32], target: &'a (dyn Fn(DVec3) -> f64 + Sync)) -> Patch<'a> {
+    // deviation is relative to the target lengths, which the edges do not have yet, so it has no
+    // limit
+    let limits = &Limits { deviation: f64::INFINITY, lengths: PATCH_LENGTHS, ..Limits::LOOSE };
     let mut patch = Patch::with_target(surface, target);
     patch.keep_free(|v| free.binary_search(&v).is_ok());
     let part = &mut patch.surface;
@@ -218,7 +223,8 @@ fn remeshed<'a>(
     patch
 }
 
-/// Demands by the curvature of F at corners, sides and centroids of the triangles at some vertices.
+/// Returns the demands from the curvature of F at corners, midpoints of sides and centroids of the
+/// triangles at some vertices.
 fn demands_of_curvature(surface: &Surface, vertices: &[u32], place: &Place) -> Vec<Demand> {
     let mut triangles: Vec<u32> = vertices.iter().flat_map(|&v| surface.around[v as usize].iter().copied()).collect();
     triangles.sort_unstable();
@@ -228,14 +234,14 @@ fn demands_of_curvature(surface: &Surface, vertices: &[u32], place: &Place) -> V
         let [a, b, c] = surface.corners(t);
         let normal = surface.normal_of(surface.triangles[t as usize]);
         let places = [a, b, c, a.midpoint(b), b.midpoint(c), c.midpoint(a), (a + b + c) / 3.0];
-        let foot = move |p| Some((projected_facing(surface, sheet, p, normal, place.length)?, sheet));
+        let foot = move |p| Some((surface.field.projected_facing(sheet, p, normal, place.length)?, sheet));
         places.into_iter().filter_map(foot)
     });
     let demands = samples.map(|(p, sheet)| Demand { at: p, length: CHORD / curvature(surface, sheet, p) });
     demands.filter(|demand| demand.length < place.length).collect()
 }
 
-/// Demands of the triangles that still stray or are turned.
+/// Returns the demands of triangles whose deviation or normal deviation is too large.
 fn demands_of_outcome(part: &Surface) -> Vec<Demand> {
     let mut demands = Vec::new();
     for t in (0..part.triangles.len() as u32).filter(|&t| part.is_alive(t)) {
@@ -254,14 +260,15 @@ fn demands_of_outcome(part: &Surface) -> Vec<Demand> {
     demands
 }
 
-/// Demands of the grid nodes in reach that are on the wrong side.
+/// Returns the demands of grid nodes on the wrong side within the radius of the patch.
 fn demands_of_nodes(part: &Surface, place: &Place) -> Vec<Demand> {
     let places = part.sides.as_ref().map_or_else(Vec::new, NodeSides::wrong_places);
     let in_reach = places.into_iter().filter(|p| p.distance(place.centre) < place.reach);
     in_reach.map(|at| Demand { at, length: SHORTER * (part.size)(at).min(place.length) }).collect()
 }
 
-/// Root of the sum of the squares of the principal curvatures of F at a point of a sheet, per mm.
+/// Returns the root of the sum of the squared principal curvatures of F at a point of an interface,
+/// per mm.
 fn curvature(surface: &Surface, sheet: u32, p: DVec3) -> f64 {
     let tensor = curvature_tensor(&surface.field.jet(sheet, p));
     tensor.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt()

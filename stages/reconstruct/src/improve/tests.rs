@@ -1,4 +1,4 @@
-//! Meshes with bad triangles on analytic surfaces: what comes out must be better and still everything it was.
+//! Meshes with bad triangles on analytic surfaces: the result must be better, and sound.
 
 use super::patch::Patch;
 use super::target_length::How;
@@ -11,7 +11,7 @@ use isoparticles_mesh::shapes;
 use isoparticles_mesh::spatial::Bounds;
 use isoparticles_volume::Geometry;
 
-/// One patch by itself.
+/// Parameters of a single small patch.
 const SMALLEST: How = How { reach: REACHES[0], attempts: ATTEMPTS, side_by_side: true };
 
 pub(super) fn sampled(size: [usize; 3], spacing: DVec3, f: impl Fn(DVec3) -> f64) -> Image<f32> {
@@ -39,7 +39,8 @@ fn ring(centre: DVec3, radius: f64, tube: f64) -> impl Fn(DVec3) -> f64 {
     }
 }
 
-/// Everything a mesh must remain: closed, manifold, uncrossed, on F = 0, with the topology it had.
+/// Asserts that a mesh is closed, manifold, free of intersections, on F = 0, and has the same
+/// topology as before.
 pub(super) fn assert_sound(mesh: &TriangleMesh, field: &CubicSpline, before: &CheckReport, label: &str) -> CheckReport {
     let options = CheckOptions { field: Some(field), max_vertex_distance: Some(1e-4), ..CheckOptions::default() };
     let after = check(mesh, &options);
@@ -85,7 +86,7 @@ fn a_gyroid_keeps_its_genus_and_gets_good_triangles() {
     let gyroid = |p: DVec3| {
         let q = (p - centre) * 0.62;
         let g = 1.2 * (q.x.sin() * q.y.cos() + q.y.sin() * q.z.cos() + q.z.sin() * q.x.cos());
-        // cut out by a ball, the rim rounded over about a voxel
+        // intersected with a ball; the rim is rounded over about a voxel
         let b = p.distance(centre) - 6.6;
         0.5 * (g + b + (g - b).hypot(1.0))
     };
@@ -97,7 +98,7 @@ fn a_gyroid_keeps_its_genus_and_gets_good_triangles() {
 
 #[test]
 fn the_two_faces_of_a_thin_shell_never_cross() {
-    // a wall of 1.6 voxels and edges nearly as long as the wall is thick
+    // a wall of 1.6 voxels, with edges nearly as long as the thickness of the wall
     let image = sampled([19; 3], DVec3::ONE, |p| (p.distance(DVec3::splat(9.1)) - 6.0).abs() - 0.8);
     let after = remesh_from_marching_cubes(&image, 1.4, "shell");
     assert_eq!(after.components.len(), 2);
@@ -114,7 +115,7 @@ fn lifting_the_worst_leaves_the_rest_alone() {
     for p in &mut mesh.vertices {
         *p = onto(*p + centre);
     }
-    // a few vertices dragged along the surface until their triangles are needles
+    // some vertices are moved along the surface until their triangles are needles
     let dragged = [100u32, 700, 1500, 2200];
     for v in dragged {
         let near = mesh.triangles.iter().find(|t| t.contains(&v)).map_or(0, |t| t[usize::from(t[0] == v)]);
@@ -129,13 +130,13 @@ fn lifting_the_worst_leaves_the_rest_alone() {
     let after = assert_sound(&mesh, &field, &before, "dragged vertices");
     assert!(after.quality.radius_ratio_min >= 0.6, "{:?}", after.quality);
     assert_eq!(report.below_target, 0);
-    // every vertex more than two rings from a dragged one is where it was
+    // all vertices more than two rings from a moved one are unchanged
     let stayed = untouched.iter().filter(|p| mesh.vertices.contains(p)).count();
     assert!(stayed + dragged.len() * 20 >= untouched.len(), "{stayed} of {} stayed", untouched.len());
 }
 
 #[test]
-fn polishing_raises_mean_and_minimum_and_no_triangle_count_changes() {
+fn polishing_raises_quality_and_keeps_the_counts() {
     let centre = DVec3::splat(6.1);
     let image = sampled([26; 3], DVec3::splat(0.5), ball(centre, 4.0));
     let field = CubicSpline::new(&image);
@@ -147,7 +148,7 @@ fn polishing_raises_mean_and_minimum_and_no_triangle_count_changes() {
     let before = check(&mesh, &CheckOptions::default());
     assert_eq!(before.self_intersections, 0);
     let (vertices, triangles) = (mesh.vertices.len(), mesh.triangles.len());
-    // where none is taken away as one too many
+    // without removal of vertices
     let options = ImproveOptions { thins: false, ..ImproveOptions::polish() };
     improve(&mut mesh, &field, &|_| 0.6, &options, &|| Ok(())).expect("a sound mesh");
     let after = assert_sound(&mesh, &field, &before, "shaken sphere");
@@ -161,7 +162,6 @@ fn polishing_raises_mean_and_minimum_and_no_triangle_count_changes() {
 #[test]
 fn all_triangles_at_a_neck_become_fit() {
     let scene = crate::scenes::hourglass();
-    let limits = Limits::new(0.15, [0.5, 1.6]);
     let mut unfit = 0;
     for h in [1.2, 1.6, 2.0, 2.4, 3.2] {
         let (mesh, _, _) = crate::tests::restricted(&scene, h / 1.2);
@@ -169,7 +169,7 @@ fn all_triangles_at_a_neck_become_fit() {
         let size = |_: DVec3| h;
         let mut surface = Surface::new(&mesh, &scene.field, &size);
         let mut tally = Tally::default();
-        optimise::optimise(&mut surface, &limits, FIT, 3, &|| Ok(()), &mut tally).expect("nothing stops it");
+        optimise::optimise(&mut surface, FIT, &|| Ok(()), &mut tally).expect("nothing stops it");
         let after = assert_sound(&surface.into_mesh(), &scene.field, &before, "hourglass");
         let is_fit = |quality: &QualitySummary| {
             quality.radius_ratio_min >= 0.5 && quality.angle_min >= 25.0 && quality.angle_max <= 120.0
@@ -181,9 +181,8 @@ fn all_triangles_at_a_neck_become_fit() {
 }
 
 #[test]
-fn a_remeshed_patch_makes_its_triangle_fit_and_leaves_the_rest_alone() {
+fn patch_remeshing_changes_only_the_patch() {
     let scene = crate::scenes::hourglass();
-    let limits = Limits::new(0.15, [0.5, 1.6]);
     let mut lifted = 0;
     for h in [1.6, 2.0, 2.4, 3.2] {
         let (mesh, _, _) = crate::tests::restricted(&scene, h / 1.2);
@@ -198,7 +197,7 @@ fn a_remeshed_patch_makes_its_triangle_fit_and_leaves_the_rest_alone() {
         }
         let [a, b, c] = surface.corners(worst);
         let centre = (a + b + c) / 3.0;
-        assert!(target_length::remesh(&mut surface, worst, SMALLEST, &limits, FIT), "h {h}");
+        assert!(target_length::remesh(&mut surface, worst, SMALLEST, FIT), "h {h}");
         let alive = || (0..surface.triangles.len() as u32).filter(|&t| surface.is_alive(t));
         let near = |t: &u32| surface.corners(*t).iter().any(|p| p.distance(centre) < h);
         assert!(alive().filter(near).all(|t| surface.quality(t) > least), "h {h}");
@@ -212,7 +211,7 @@ fn a_remeshed_patch_makes_its_triangle_fit_and_leaves_the_rest_alone() {
     assert!(lifted > 0, "there was nothing to do");
 }
 
-/// Marching cubes' mesh of a ball, on F = 0.
+/// F of a ball and the mesh of marching cubes, projected onto F = 0.
 fn rough_sphere(centre: DVec3) -> (CubicSpline, TriangleMesh) {
     let image = sampled([26; 3], DVec3::splat(0.5), ball(centre, 4.0));
     let field = CubicSpline::new(&image);
@@ -229,7 +228,7 @@ fn what_is_done_in_a_patch_is_one_transaction_of_the_whole() {
     let (h, fine) = (|_: DVec3| 0.8, |_: DVec3| 0.4);
     let mut surface = Surface::new(&mesh, &field, &h);
     let region = Bounds { low: centre, high: centre + 5.0 };
-    let limits = Limits::new(0.15, [0.0, f64::INFINITY]);
+    let limits = Limits { lengths: [0.0, f64::INFINITY], ..Limits::STRICT };
     let mut tally = Tally::default();
     let mut remeshed = |surface: &Surface| {
         let whole = Patch::within(surface, &region);
@@ -244,7 +243,7 @@ fn what_is_done_in_a_patch_is_one_transaction_of_the_whole() {
         whole.edits(surface)
     };
     remeshed(&surface).make(&mut surface);
-    // the rest stayed where it was, and everything comes back
+    // the rest is unchanged, and a rollback restores everything
     for (p, q) in mesh.vertices.iter().zip(&surface.positions) {
         assert!(p == q || p.z > centre.z + 0.5);
     }
@@ -252,13 +251,13 @@ fn what_is_done_in_a_patch_is_one_transaction_of_the_whole() {
     let edited = surface.triangles.clone();
     surface.rollback();
     assert_eq!((&surface.positions, &surface.triangles), (&mesh.vertices, &mesh.triangles));
-    // a patch without edits is none of the whole
+    // a patch without edits makes no edits in the whole
     Patch::within(&surface, &region).edits(&surface).make(&mut surface);
     assert!(surface.touched().is_empty());
 
     remeshed(&surface).make(&mut surface);
     assert_eq!((&surface.touched(), &surface.triangles), (&touched, &edited), "the same again");
-    assert!(commit_or_rollback(&mut surface, &limits, Rule::Keep { floor: 0.1 }).is_some());
+    assert!(commit_or_rollback(&mut surface, &limits, Goal::Keep { floor: 0.1 }).is_some());
     assert!(tally.splits > 10 && tally.collapses > 10 && tally.flips > 10, "{tally:?}");
     assert_sound(&surface.into_mesh(), &field, &before, "a ball with a fine octant");
 }
@@ -292,7 +291,8 @@ fn patches_that_do_not_meet_add_their_vertices_side_by_side() {
     assert_sound(&made, &field, &before, "three splits");
 }
 
-/// A double cone: its rim of radius 8 is a fold of F, the normals on either side 140 degrees apart.
+/// A double cone. Its rim of radius 8 is a fold of F: the normals on its two sides differ by 140
+/// degrees.
 fn double_cone() -> (Image<f32>, TriangleMesh) {
     let (centre, radius) = (DVec3::splat(11.6), 8.0);
     let (sine, cosine) = 20f64.to_radians().sin_cos();
@@ -316,25 +316,25 @@ fn double_cone() -> (Image<f32>, TriangleMesh) {
 #[test]
 fn neighbours_may_fold_where_f_folds_and_nowhere_else() {
     let (image, mesh) = double_cone();
-    let strict = Limits::new(f64::INFINITY, [0.0, f64::INFINITY]);
-    let loosened = strict.loosened();
+    let loose = Limits { deviation: f64::INFINITY, lengths: [0.0, f64::INFINITY], ..Limits::LOOSE };
     let moved_along_the_rim = |field: &CubicSpline, limits: &Limits| {
         let mut surface = Surface::new(&mesh, field, &|_| 2.0);
         surface.move_vertex(2, mesh.vertices[2].lerp(mesh.vertices[3], 0.2));
-        guard::keeps_limits(&surface, limits)
+        acceptance::keeps_limits(&surface, limits)
     };
     let cone = CubicSpline::new(&image);
-    assert!(moved_along_the_rim(&cone, &loosened));
-    assert!(!moved_along_the_rim(&cone, &Limits { fold_of_f: loosened.fold, ..loosened }), "the rim is no fold");
-    // at that vertex the triangles make 70 degrees with this gradient: they do not follow it, and the fold is theirs
+    assert!(moved_along_the_rim(&cone, &loose));
+    assert!(!moved_along_the_rim(&cone, &Limits { fold_of_f: loose.fold, ..loose }), "the rim is no fold");
+    // at this vertex, the angle between the triangles and this gradient is 70 degrees: they do not
+    // follow F, so the fold is not one of F
     let plane = CubicSpline::new(&sampled([24; 3], DVec3::ONE, |p| p.x - 19.6));
-    assert!(!moved_along_the_rim(&plane, &loosened));
-    assert!(moved_along_the_rim(&plane, &Limits { fold: -0.8, ..loosened }), "it was not for the fold");
+    assert!(!moved_along_the_rim(&plane, &loose));
+    assert!(moved_along_the_rim(&plane, &Limits { fold: -0.8, ..loose }), "it was not for the fold");
 }
 
 #[test]
 fn the_middle_of_an_edge_stays_on_its_own_face_of_a_thin_wall() {
-    // the chord between two points of the outer face reaches past the middle of the wall
+    // the chord between two points of the outer face extends beyond the middle of the wall
     let centre = DVec3::splat(8.1);
     let image = sampled([66; 3], DVec3::splat(0.25), |p| (p.distance(centre) - 6.0).abs() - 0.5);
     let field = CubicSpline::new(&image);
@@ -343,22 +343,22 @@ fn the_middle_of_an_edge_stays_on_its_own_face_of_a_thin_wall() {
     for outward in [DVec3::X, DVec3::new(0.6, 0.0, -0.8), DVec3::ONE.normalize()] {
         for depth in [0.2, 0.6, 0.8] {
             let middle = centre + (6.5 - depth) * outward;
-            let newton = moves::projected(&surface, 0, middle, 2.0).expect("a point of F = 0").distance(centre);
+            let newton = surface.field.projected(0, middle, 2.0).expect("a point of F = 0").distance(centre);
             assert!((newton - if depth < 0.5 { 6.5 } else { 5.5 }).abs() < 0.02, "{newton}");
             // the normal of a triangle differs from that of F
             let normal = (outward + 0.3 * outward.any_orthonormal_vector()).normalize();
-            let facing = moves::projected_facing(&surface, 0, middle, normal, 2.0).expect("the outer face");
+            let facing = surface.field.projected_facing(0, middle, normal, 2.0).expect("the outer face");
             assert!((facing.distance(centre) - 6.5).abs() < 0.02, "{facing}");
-            let other = moves::projected_facing(&surface, 0, middle, -normal, 2.0).expect("the inner face");
+            let other = surface.field.projected_facing(0, middle, -normal, 2.0).expect("the inner face");
             assert!((other.distance(centre) - 5.5).abs() < 0.02, "{other}");
         }
     }
-    assert_eq!(moves::projected_facing(&surface, 0, centre, DVec3::X, 2.0), None);
+    assert_eq!(surface.field.projected_facing(0, centre, DVec3::X, 2.0), None);
 }
 
 #[test]
 fn a_triangle_across_a_neck_strays_by_the_radius_of_the_neck() {
-    // F has its saddle at the centroid, where |F| / |grad F| has no bound
+    // F has its saddle at the centroid, where |F| / |grad F| is unbounded
     let centre = DVec3::new(11.37, 12.21, 11.84);
     let image = sampled([24; 3], DVec3::ONE, |p| {
         let q = p - centre;
@@ -409,7 +409,8 @@ fn a_good_mesh_is_not_touched_at_all() {
 
 #[test]
 fn guarded_nodes_stay_on_their_side() {
-    // a lattice of nodes close to the surface on both sides: coarse chords would swallow many of them
+    // grid nodes near the surface on both sides: long edges would move many of them to the wrong
+    // side
     let image = sampled([22; 3], DVec3::ONE, |p| {
         let f = p.distance(DVec3::splat(10.3)) - 7.4;
         if f.abs() < 0.08 { 0.08 * f.signum() } else { f }
@@ -469,9 +470,8 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
             let mut ball = marching_cubes(&image, 0.0);
             let options = ImproveOptions { remesh_rounds: 2, ..ImproveOptions::remesh() };
             improve(&mut ball, &CubicSpline::new(&image), &|_| 1.2, &options, &|| Ok(())).expect("sound");
-            // at its neck patches are remeshed
+            // patches are remeshed at its neck
             let scene = crate::scenes::hourglass();
-            let limits = Limits::new(0.15, [0.5, 1.6]);
             let mut tally = Tally::default();
             let necks = [1.6, 2.0, 2.4, 3.2].map(|h| {
                 let (mesh, _, _) = crate::tests::restricted(&scene, h / 1.2);
@@ -479,9 +479,9 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
                 let [mut lifted, mut patched] = [(); 2].map(|()| Surface::new(&mesh, &scene.field, &size));
                 let is_unfit = |t: &u32| patched.quality(*t) < FIT;
                 if let Some(unfit) = (0..mesh.triangles.len() as u32).find(is_unfit) {
-                    target_length::remesh(&mut patched, unfit, SMALLEST, &limits, FIT);
+                    target_length::remesh(&mut patched, unfit, SMALLEST, FIT);
                 }
-                optimise::optimise(&mut lifted, &limits, 0.7, 3, &|| Ok(()), &mut tally).expect("nothing stops it");
+                optimise::optimise(&mut lifted, 0.7, &|| Ok(()), &mut tally).expect("nothing stops it");
                 [lifted.into_mesh(), patched.into_mesh()]
             });
             assert!(tally.single_moves > 0, "{tally:?}");
@@ -501,7 +501,7 @@ fn what_is_not_manifold_is_left_alone_and_nonsense_is_refused() {
         let shake = DVec3::from_array(std::array::from_fn(|a| uniform(3, a as u64, n as u64) - 0.5));
         *p += centre + 0.3 * shake;
     }
-    // a hole, a triangle too many, a turned one
+    // a hole, a duplicate triangle, and a triangle turned around
     let gone = mesh.triangles.pop().unwrap_or_default();
     mesh.triangles.push(mesh.triangles[0]);
     mesh.triangles[40].swap(0, 1);

@@ -1,7 +1,7 @@
-//! Vertices of junction curves slide along them and give way to their neighbours, with the triangles of all three sheets.
+//! Vertices slide along junction curves and are merged into neighbours, with all three interfaces.
 
+use super::acceptance::{Goal, Limits, commit_or_rollback};
 use super::curves::{collapse_along, slide};
-use super::guard::{Limits, Rule, commit_or_rollback};
 use super::sheets::Freedom;
 use super::surface::Surface;
 use super::*;
@@ -9,7 +9,8 @@ use glam::DMat3;
 use isoparticles_field::spline::Jet;
 use std::f64::consts::TAU;
 
-/// Three half-planes that meet in the z axis: each is zero of the distance from the plane that it lies in.
+/// Three half-planes that meet in the z axis. The function of each is the signed distance from its
+/// plane.
 struct HalfPlanes;
 
 fn way(sheet: u32) -> DVec3 {
@@ -53,7 +54,8 @@ impl Sheets for HalfPlanes {
     }
 }
 
-/// Vertices on the axis at some heights, those at the ends held, and in each sheet a row of vertices beside each, joined by triangles.
+/// A mesh with vertices on the axis at some heights, where the first and last are fixed, and in
+/// each interface a row of fixed vertices beside them, joined by triangles.
 fn fan(heights: &[f64]) -> (TriangleMesh, Vec<u32>, Vec<Freedom>) {
     let count = heights.len() as u32;
     let mut mesh = TriangleMesh { vertices: heights.iter().map(|&z| DVec3::Z * z).collect(), triangles: Vec::new() };
@@ -78,10 +80,10 @@ fn fan(heights: &[f64]) -> (TriangleMesh, Vec<u32>, Vec<Freedom>) {
     (mesh, sheets, freedom)
 }
 
-const LIMITS: Limits = Limits::new(0.15, [0.3, 2.0]);
+const LIMITS: Limits = Limits { lengths: [0.3, 2.0], ..Limits::STRICT };
 
 #[test]
-fn a_vertex_slides_along_its_curve_to_where_the_worst_of_all_three_sheets_is_best() {
+fn sliding_maximises_the_minimum_over_three_interfaces() {
     let (mesh, sheets, freedom) = fan(&[0.0, 1.0, 2.4, 3.0, 4.0]);
     let mut surface = Surface::of_sheets(&mesh, sheets, freedom, &HalfPlanes, &|_| 1.0);
     surface.fill_grid();
@@ -90,18 +92,16 @@ fn a_vertex_slides_along_its_curve_to_where_the_worst_of_all_three_sheets_is_bes
     assert!(slide(&mut surface, 2));
     let place = surface.positions[2];
     assert!(place.truncate().length() == 0.0 && (place.z - 2.0).abs() < 0.02, "{place}");
-    assert!(commit_or_rollback(&mut surface, &LIMITS, Rule::Lift { bar: 0.9 }).is_some());
+    assert!(commit_or_rollback(&mut surface, &LIMITS, Goal::Lift { bar: 0.9 }).is_some());
     assert!(!slide(&mut surface, 2), "there is no better place");
-    // triangles next to those at the vertex are as they were, but what is round them is not
+    // only the triangles at the vertex have changed, not the triangles next to them
     let at_vertex = |t: u32| surface.triangles[t as usize].contains(&2);
     let all = 0..surface.triangles.len() as u32;
-    assert!(all.clone().all(|t| surface.has_changed_since(t, 0) == at_vertex(t) && !surface.has_changed_since(t, 1)));
-    assert!(all.clone().any(|t| !surface.has_changed_since(t, 0) && !surface.is_unchanged_since(t, 0)));
-    assert!(all.into_iter().any(|t| surface.is_unchanged_since(t, 0)));
+    assert!(all.into_iter().all(|t| surface.has_changed(t) == at_vertex(t)));
 }
 
 #[test]
-fn a_vertex_gives_way_to_a_neighbour_on_its_curve_with_a_triangle_of_each_sheet() {
+fn a_curve_collapse_removes_a_triangle_of_each_interface() {
     let (mesh, sheets, freedom) = fan(&[0.0, 1.0, 1.2, 2.0, 3.0]);
     let count = mesh.triangles.len();
     let mut surface = Surface::of_sheets(&mesh, sheets, freedom, &HalfPlanes, &|_| 1.0);
@@ -117,7 +117,7 @@ fn a_vertex_gives_way_to_a_neighbour_on_its_curve_with_a_triangle_of_each_sheet(
 }
 
 #[test]
-fn where_an_edge_lacks_a_sheet_a_vertex_said_to_lie_on_a_curve_stays() {
+fn a_curve_vertex_without_three_interfaces_is_fixed() {
     let (mut mesh, mut sheets, freedom) = fan(&[0.0, 1.0, 2.0, 3.0]);
     mesh.triangles.truncate(12);
     sheets.truncate(12);

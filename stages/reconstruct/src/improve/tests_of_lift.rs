@@ -1,17 +1,18 @@
-//! What single moves do not reach: grid nodes on the wrong side, superfluous vertices; and the measure that tells how far they are from it.
+//! Grid nodes on the wrong side, superfluous vertices, and the quality of a triangle.
 
 use super::constants::{AIM, FIT, TARGET};
+use super::surface::measure::quality_of;
 use super::tests::{ball, sampled};
 use super::*;
 use crate::check::{CheckOptions, check};
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_mesh::shapes;
 
-const LIMITS: Limits = Limits::new(0.15, [0.5, 1.6]);
+const LIMITS: Limits = Limits::STRICT;
 
 #[test]
-fn grid_nodes_on_the_wrong_side_are_brought_back_and_every_triangle_stays_fit() {
-    // nodes close to the surface on both sides, of which a mesh made without a guard has some on the wrong one
+fn wrong_grid_nodes_are_repaired_with_fit_triangles() {
+    // grid nodes near the surface on both sides; an unguarded mesh has some on the wrong side
     let image = sampled([22; 3], DVec3::ONE, |p| {
         let f = p.distance(DVec3::splat(10.3)) - 7.4;
         if f.abs() < 0.08 { 0.08 * f.signum() } else { f }
@@ -42,19 +43,19 @@ fn superfluous_vertices_are_collapsed_and_the_others_kept() {
     let mut surface = Surface::new(&mesh, &field, &size);
     let all = |surface: &Surface| (0..surface.triangles.len() as u32).collect::<Vec<_>>();
     let triangles = all(&surface);
-    target_length::coarsen(&mut surface, triangles, h, &LIMITS);
+    target_length::coarsen(&mut surface, triangles, h);
     let count = surface.clone().into_mesh().vertices.len();
     assert!(count > mesh.vertices.len() * 4 / 5, "{count} of {}", mesh.vertices.len());
     for (a, b) in remesh::edges(&surface).into_iter().filter(|&(a, _)| a < 40) {
         if moves::split(&mut surface, a, b).is_some() {
-            commit_or_rollback(&mut surface, &LIMITS, Rule::Keep { floor: 0.3 });
+            commit_or_rollback(&mut surface, &LIMITS, Goal::Keep { floor: 0.3 });
         }
         surface.rollback();
     }
     let split = surface.clone().into_mesh().vertices.len();
     assert!(split > count + 50, "{split} of {count}");
     let triangles = all(&surface);
-    target_length::coarsen(&mut surface, triangles, h, &LIMITS);
+    target_length::coarsen(&mut surface, triangles, h);
     let made = surface.into_mesh();
     assert!(made.vertices.len() < count + (split - count) / 4, "{} of {split}, {count} before", made.vertices.len());
     assert!(summarise(&made).radius_ratio_min >= TARGET.min(FIT), "{:?}", summarise(&made));
@@ -62,10 +63,10 @@ fn superfluous_vertices_are_collapsed_and_the_others_kept() {
 
 #[test]
 fn quality_is_what_is_asked_for_at_the_limits_of_the_angles() {
-    // the apex of an isosceles triangle, degrees
+    // angle at the apex of an isosceles triangle, degrees
     let quality = |apex: f64| {
         let (x, y) = (0.5 * apex.to_radians()).sin_cos();
-        guard::quality_of(DVec3::ZERO, DVec3::new(x, y, 0.0), DVec3::new(-x, y, 0.0))
+        quality_of(DVec3::ZERO, DVec3::new(x, y, 0.0), DVec3::new(-x, y, 0.0))
     };
     for (apex, expected) in [(12.5, 0.5 * FIT), (25.0, FIT), (28.0, AIM), (60.0, 1.0), (105.0, AIM)] {
         assert!((quality(apex) - expected).abs() < 1e-9, "{apex} degrees: {}", quality(apex));
@@ -74,8 +75,8 @@ fn quality_is_what_is_asked_for_at_the_limits_of_the_angles() {
 }
 
 #[test]
-fn a_triangle_on_two_junction_points_far_nearer_than_h_is_judged_by_its_height() {
-    // a tetrahedron with h = 1 and one short edge between vertices that stay
+fn triangles_on_short_fixed_sides_are_judged_by_height() {
+    // a tetrahedron with h = 1 and one short edge between fixed vertices
     let apex = |y: f64, z: f64| DVec3::new(0.025, y, z);
     let vertices = vec![DVec3::ZERO, DVec3::X * 0.05, apex(0.75f64.sqrt(), 0.0), apex(0.0, 0.3)];
     let mesh = TriangleMesh { vertices, triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]] };

@@ -1,15 +1,17 @@
-//! Lattices, necks and small components whose triangles are outside of what finite elements are asked for.
+//! Lattices, necks and small components whose triangles are not fit for finite elements.
 
+use super::surface::measure::quality_of;
 use super::*;
 use crate::check::{CheckOptions, check};
 use constants::FIT;
 use isoparticles_volume::Geometry;
 
-/// Vertices along a side of the lattice, and between the displaced ones.
+/// Number of vertices along a side of the lattice, and distance between displaced vertices.
 pub(super) const SIDE: usize = 64;
 const APART: usize = 6;
 
-/// A lattice of equilateral triangles in a plane, with vertices moved along it by so much of a side.
+/// A lattice of equilateral triangles with sides of length 1 in a plane, with some vertices
+/// displaced by `shift` in the plane.
 pub(super) fn lattice(shift: f64) -> TriangleMesh {
     let mut mesh = TriangleMesh::default();
     for j in 0..SIDE {
@@ -29,7 +31,7 @@ pub(super) fn lattice(shift: f64) -> TriangleMesh {
     mesh
 }
 
-/// F that is zero on the lattice's plane.
+/// F that is zero on the plane of the lattice.
 pub(super) fn plane() -> CubicSpline {
     let mut image = Image::filled(Geometry::axis_aligned([70, 62, 8], DVec3::ONE), 0.0f32);
     for (n, value) in image.data.iter_mut().enumerate() {
@@ -43,10 +45,10 @@ fn many_triangles_just_outside_the_limits_are_all_lifted() {
     let field = plane();
     let qualities = |mesh: &TriangleMesh| -> Vec<f64> {
         let corners = (0..mesh.triangles.len()).map(|t| mesh.corners(t));
-        corners.map(|[a, b, c]| guard::quality_of(a, b, c)).collect()
+        corners.map(|[a, b, c]| quality_of(a, b, c)).collect()
     };
     let smallest = |mesh: &TriangleMesh| qualities(mesh).into_iter().fold(f64::INFINITY, f64::min);
-    // so far that the worst triangles round each are outside the limits, but hardly
+    // a displacement that moves the worst triangles just below the limits
     let shift = (1..400).map(|n| 0.002 * f64::from(n)).find(|&shift| smallest(&lattice(shift)) < FIT).unwrap();
     let mesh = lattice(shift);
     assert!(smallest(&mesh) > FIT - 0.01, "{}", smallest(&mesh));
@@ -57,8 +59,7 @@ fn many_triangles_just_outside_the_limits_are_all_lifted() {
         assert!(unfit > 2 * constants::BATCH, "{unfit}");
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let mut tally = Tally::default();
-        let limits = Limits::new(0.15, [0.5, 1.6]);
-        pool.install(|| optimise::optimise(&mut surface, &limits, FIT, 1, &|| Ok(()), &mut tally)).unwrap();
+        pool.install(|| optimise::optimise(&mut surface, FIT, &|| Ok(()), &mut tally)).unwrap();
         let made = surface.into_mesh();
         assert!(smallest(&made) >= FIT, "{} {tally:?}", smallest(&made));
         made
@@ -69,7 +70,8 @@ fn many_triangles_just_outside_the_limits_are_all_lifted() {
 const MIDDLE: DVec3 = DVec3::new(6.2, 5.9, 6.1);
 const HALF_AXES: DVec3 = DVec3::new(2.4, 1.5, 1.2);
 
-/// A quadratic, which the spline reproduces, with an ellipsoid as its zero set; `sign` is 1 for an object, -1 for a hole.
+/// A quadratic function, which the spline reproduces, with an ellipsoid as zero set. `sign`: 1 for
+/// an object, -1 for a hole.
 fn ellipsoid(sign: f64) -> CubicSpline {
     let mut image = Image::filled(Geometry::axis_aligned([13; 3], DVec3::ONE), 0.0f32);
     for (n, value) in image.data.iter_mut().enumerate() {
@@ -79,7 +81,7 @@ fn ellipsoid(sign: f64) -> CubicSpline {
     CubicSpline::new(&image)
 }
 
-/// Two poles and a few points of the equator, at given angles, on F = 0.
+/// A mesh of two poles and some points of the equator, at given angles, on F = 0.
 fn bipyramid(field: &CubicSpline, angles: &[f64], is_hole: bool) -> TriangleMesh {
     let ring = angles.iter().map(|a| DVec3::new(a.cos(), a.sin(), 0.1 * a.sin()));
     let ways = ring.chain([DVec3::new(0.1, 0.2, 1.0), DVec3::new(0.2, -0.1, -1.0)]);
@@ -95,7 +97,7 @@ fn bipyramid(field: &CubicSpline, angles: &[f64], is_hole: bool) -> TriangleMesh
 }
 
 #[test]
-fn a_small_closed_component_of_needles_becomes_a_fit_mesh_of_the_same_ellipsoid() {
+fn a_small_component_of_needles_becomes_a_fit_ellipsoid() {
     let size = |_: DVec3| 3.0;
     for sign in [1.0, -1.0] {
         let field = ellipsoid(sign);
@@ -103,8 +105,7 @@ fn a_small_closed_component_of_needles_becomes_a_fit_mesh_of_the_same_ellipsoid(
         assert!(summarise(&mesh).angle_min < 25.0, "{:?}", summarise(&mesh));
         let mut surface = Surface::new(&mesh, &field, &size);
         let mut tally = Tally::default();
-        let limits = Limits::new(0.15, [0.5, 1.6]);
-        optimise::optimise(&mut surface, &limits, FIT, 1, &|| Ok(()), &mut tally).expect("nothing stops it");
+        optimise::optimise(&mut surface, FIT, &|| Ok(()), &mut tally).expect("nothing stops it");
         assert_eq!(tally.remeshed_patches, 1, "{tally:?}");
         let options = CheckOptions { field: Some(&field), max_vertex_distance: Some(1e-4), ..Default::default() };
         let after = check(&surface.into_mesh(), &options);
@@ -112,7 +113,7 @@ fn a_small_closed_component_of_needles_becomes_a_fit_mesh_of_the_same_ellipsoid(
         assert_eq!((after.euler, after.turned_triangles), (2, Some(0)));
         let quality = &after.quality;
         assert!(quality.radius_ratio_min >= 0.5 && quality.angle_min >= 25.0 && quality.angle_max <= 120.0);
-        // an icosahedron has 0.6 of the volume of the ball round it
+        // an icosahedron has 0.6 of the volume of its circumscribed ball
         let share = after.volume / (sign * 4.0 / 3.0 * std::f64::consts::PI * HALF_AXES.element_product());
         assert!((0.5..1.0).contains(&share), "{share}");
     }

@@ -1,4 +1,4 @@
-//! Meshes denser than h asks: what is too much goes, and everything else stays what it was.
+//! Meshes that are denser than h: superfluous vertices are removed, and the topology is kept.
 
 use super::tests::assert_sound;
 use super::tests_of_patches::{SIDE, lattice, plane};
@@ -6,10 +6,8 @@ use super::thin::thin_out;
 use super::*;
 use crate::check::{CheckOptions, check};
 
-const LIMITS: Limits = Limits::new(0.15, [0.5, 1.6]);
-
 #[test]
-fn points_that_a_lattice_has_too_many_are_taken_away_and_none_of_its_own() {
+fn only_the_superfluous_vertices_of_a_lattice_are_removed() {
     let (field, mesh) = (plane(), lattice(0.0));
     let size = |_: DVec3| 1.0;
     let mut surface = Surface::new(&mesh, &field, &size);
@@ -17,7 +15,7 @@ fn points_that_a_lattice_has_too_many_are_taken_away_and_none_of_its_own() {
     let thinned = |surface: &mut Surface, is_in_question: bool| {
         let mut tally = Tally::default();
         let in_question = vec![is_in_question; surface.positions.len()];
-        thin_out(surface, &LIMITS, &in_question, &|| Ok(()), &mut tally).expect("nothing stops it");
+        thin_out(surface, &in_question, &|| Ok(()), &mut tally).expect("nothing stops it");
         tally.collapses
     };
     assert_eq!(thinned(&mut surface, true), 0);
@@ -32,18 +30,18 @@ fn points_that_a_lattice_has_too_many_are_taken_away_and_none_of_its_own() {
     assert_eq!((thinned(&mut surface, true), count(&surface)), (10, SIDE * SIDE));
     let stopped = || Err(Error::input("stopped", "", ""));
     let all = vec![true; surface.positions.len()];
-    assert!(thin_out(&mut surface, &LIMITS, &all, &stopped, &mut Tally::default()).is_err());
+    assert!(thin_out(&mut surface, &all, &stopped, &mut Tally::default()).is_err());
 }
 
 #[test]
-fn sheets_thinner_than_h_keep_their_topology_with_fewer_and_better_triangles_on_any_number_of_threads() {
+fn thinning_keeps_the_topology_of_walls_thinner_than_h() {
     let (scene, h) = (crate::scenes::gyroid(), 3.6);
     let (mesh, _, _) = crate::tests::restricted(&scene, h / 1.2);
     let before = check(&mesh, &CheckOptions::default());
     let improved = |thins: bool, threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
         let mut mesh = mesh.clone();
-        let options = ImproveOptions { thins, rounds: 1, ..ImproveOptions::polish() };
+        let options = ImproveOptions { thins, ..ImproveOptions::polish() };
         let report = pool.install(|| improve(&mut mesh, &scene.field, &|_| h, &options, &|| Ok(())));
         let collapses = report.expect("a sound mesh").moves.collapses;
         (assert_sound(&mesh, &scene.field, &before, "gyroid"), mesh, collapses)

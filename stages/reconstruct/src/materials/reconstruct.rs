@@ -80,7 +80,6 @@ pub fn reconstruct(
     let size = |p: DVec3| sizing.map_or_else(|| size_near(p), |h| h.at(p));
     let how = ImproveOptions {
         target: options.improve_below,
-        rounds: options.improve_rounds,
         relaxation_sweeps: options.relaxation_sweeps,
         // fewer points between junctions cost volume (nested balls in the tests: 7 % at the coarse size, more than is passed)
         thins: false,

@@ -1,4 +1,4 @@
-//! Edits of the mesh, all in its log: taken back, or made final.
+//! Edits of the mesh. The log records them until they are rolled back or committed.
 
 use super::{Change, DEAD, Facts, Surface};
 use crate::improve::sheets::Freedom;
@@ -10,7 +10,7 @@ impl Surface<'_> {
         self.move_vertex_of(vertex, to, (self.size)(to));
     }
 
-    /// The same where the target length there is known.
+    /// Moves a vertex to a position with a known target length.
     pub(in crate::improve) fn move_vertex_of(&mut self, vertex: u32, to: DVec3, target: f64) {
         let v = vertex as usize;
         self.log.push(Change::Moved { vertex, from: self.positions[v], target: self.target[v] });
@@ -18,12 +18,12 @@ impl Surface<'_> {
         self.target[v] = target;
     }
 
-    /// Adds a vertex.
+    /// Adds a vertex and returns its index.
     pub(in crate::improve) fn add_vertex(&mut self, at: DVec3) -> u32 {
         self.add_vertex_of(at, (self.size)(at))
     }
 
-    /// The same where the target length there is known.
+    /// Adds a vertex at a position with a known target length, and returns its index.
     pub(in crate::improve) fn add_vertex_of(&mut self, at: DVec3, target: f64) -> u32 {
         self.log.push(Change::VertexAdded);
         self.positions.push(at);
@@ -34,7 +34,7 @@ impl Surface<'_> {
         self.positions.len() as u32 - 1
     }
 
-    /// Adds a triangle to a sheet.
+    /// Adds a triangle to an interface and returns its index.
     pub(in crate::improve) fn add_triangle(&mut self, corners: [u32; 3], sheet: u32) -> u32 {
         self.log.push(Change::TriangleAdded);
         self.triangles.push(DEAD);
@@ -45,7 +45,7 @@ impl Surface<'_> {
         t
     }
 
-    /// Gives a triangle other corners, or removes it ([`DEAD`]).
+    /// Changes the corners of a triangle, or removes it ([`DEAD`]).
     pub(in crate::improve) fn set_triangle(&mut self, triangle: u32, corners: [u32; 3]) {
         self.log.push(Change::Retriangled { triangle, from: self.triangles[triangle as usize] });
         self.rewire(triangle, corners);
@@ -71,17 +71,17 @@ impl Surface<'_> {
         }
     }
 
-    /// How far the edits since the last commit have come, for [`Self::rollback_to`].
+    /// Returns the current position in the log, for [`Self::rollback_to`].
     pub(in crate::improve) fn mark(&self) -> usize {
         self.log.len()
     }
 
-    /// Takes back everything since the last commit.
+    /// Rolls back all edits since the last commit.
     pub(in crate::improve) fn rollback(&mut self) {
         self.rollback_to(0);
     }
 
-    /// Takes back everything since a mark.
+    /// Rolls back all edits since a mark.
     pub(in crate::improve) fn rollback_to(&mut self, mark: usize) {
         self.tried += usize::from(self.log.len() > mark);
         while self.log.len() > mark
@@ -109,7 +109,7 @@ impl Surface<'_> {
         }
     }
 
-    /// Triangles that differ from their last commit, ascending; those not there any more as well.
+    /// Returns the triangles that differ from their last commit, ascending, including removed ones.
     pub(in crate::improve) fn touched(&self) -> Vec<u32> {
         let mut touched = Vec::new();
         for change in &self.log {
@@ -124,7 +124,7 @@ impl Surface<'_> {
         touched
     }
 
-    /// Whether the edits since the last commit move a vertex of a junction curve, or take one away.
+    /// Returns whether the edits since the last commit move or remove a vertex of a junction curve.
     pub(in crate::improve) fn changes_a_curve(&self) -> bool {
         let is_on_curve = |v: u32| v != u32::MAX && self.freedom[v as usize] == Freedom::Curve;
         self.log.iter().any(|change| match *change {
@@ -136,7 +136,8 @@ impl Surface<'_> {
         })
     }
 
-    /// The touched triangles that were there when last committed, with the positions of their corners then.
+    /// Returns the touched triangles that existed at the last commit, with their corner positions
+    /// then.
     pub(in crate::improve) fn former_corners(&self, touched: &[u32]) -> Vec<(u32, [DVec3; 3])> {
         let mut moved: Vec<(u32, DVec3)> = Vec::new();
         let mut retriangled: Vec<(u32, [u32; 3])> = Vec::new();
@@ -160,35 +161,18 @@ impl Surface<'_> {
             .collect()
     }
 
-    /// Number of commits so far.
-    pub(in crate::improve) fn commits(&self) -> u32 {
-        self.commits
-    }
-
-    /// Whether a triangle and all that touch it are as they were after the given number of commits.
-    pub(in crate::improve) fn is_unchanged_since(&self, triangle: u32, commits: u32) -> bool {
-        self.triangles[triangle as usize]
-            .iter()
-            .all(|&v| self.around[v as usize].iter().all(|&t| self.changed_at[t as usize] <= commits))
-    }
-
-    /// Whether a triangle is not as it was after the given number of commits.
-    pub(in crate::improve) fn has_changed_since(&self, triangle: u32, commits: u32) -> bool {
-        self.changed_at[triangle as usize] > commits
-    }
-
-    /// The same from the first commit on.
+    /// Returns whether a triangle has changed since the surface was created.
     pub(in crate::improve) fn has_changed(&self, triangle: u32) -> bool {
-        self.has_changed_since(triangle, 0)
+        self.has_changed[triangle as usize]
     }
 
-    /// Whether what the edits since the last commit made lies in the region, if there is one.
+    /// Returns whether the touched triangles lie in the region, if there is one.
     pub(in crate::improve) fn is_within_region(&self, touched: &[u32]) -> bool {
         let mut corners = touched.iter().filter(|&&t| self.is_alive(t)).flat_map(|&t| self.corners(t));
         self.region.is_none_or(|region| corners.all(|p| region.encloses(p)))
     }
 
-    /// Makes the edits since the last commit final without a judgement; the triangles touched.
+    /// Commits the edits since the last commit without a test. Returns the touched triangles.
     #[cfg(test)]
     pub(in crate::improve) fn commit_as_it_is(&mut self) -> Vec<u32> {
         let touched = self.touched();
@@ -197,13 +181,12 @@ impl Surface<'_> {
         touched
     }
 
-    /// Makes the edits since the last commit final.
+    /// Commits the edits since the last commit.
     pub(in crate::improve) fn commit(&mut self, touched: &[u32], facts: &[Facts]) {
-        self.commits += 1;
         self.tried += 1;
-        self.changed_at.resize(self.triangles.len(), 0);
+        self.has_changed.resize(self.triangles.len(), false);
         for (&t, &fact) in touched.iter().zip(facts) {
-            self.changed_at[t as usize] = self.commits;
+            self.has_changed[t as usize] = true;
             let bounds = self.is_alive(t).then(|| self.bounds(t));
             if let Some(grid) = &mut self.grid {
                 if self.facts[t as usize] != Facts::NONE {
