@@ -168,7 +168,7 @@ pub(crate) const PARENT_DISTANCE: f64 = 0.6;
 
 /// Number of passes over which the stop test by lattice defects averages. The number of defects
 /// varies randomly from pass to pass, and a short window mistakes this for the end of the decrease.
-/// Measured with the surfaces described at [`REST_SHARE`], one level, and windows of 1, 2, 5, 10
+/// Measured with the surfaces described at `REST_SHARE`, one level, and windows of 1, 2, 5, 10
 /// and 20 passes: the heart stops at pass 24, 33, 35, 50 and 50 with 28.6, 25.7, 25.5, 23.0 and
 /// 23.0 % defects, the torus at pass 25, 57, 77, 79 and 96 with 26.1, 17.2, 14.1, 14.1 and 12.3 %.
 pub const DEFECT_WINDOW: usize = 10;

@@ -221,7 +221,7 @@ pub struct PassOutcome {
     pub lattice_defects: usize,
 }
 
-/// Moves the particles, on the CPU or on a GPU. Every [`REORDER_INTERVAL`] passes an engine sorts
+/// Moves the particles, on the CPU or on a GPU. Every `REORDER_INTERVAL` passes an engine sorts
 /// the particles and rebuilds all derived data, so a run that is resumed at that point equals an
 /// uninterrupted run.
 pub trait Engine {
