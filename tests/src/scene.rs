@@ -1,5 +1,5 @@
-//! Phantom scenes. A scene is an implicit function in the grid frame, with the exact figures of its
-//! surface.
+//! Phantom scenes. A scene is an implicit function in the grid frame, with the exact properties of
+//! its surface (area, volume, genus and others).
 
 use crate::{shapes, torso};
 use glam::DVec3;

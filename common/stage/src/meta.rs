@@ -1,8 +1,8 @@
 //! Typed and versioned metadata that stages store in their files, in addition to the values.
 //!
 //! Each struct is the `meta` of one file type. Later stages use the named fields. `notes` is
-//! information for users and is not used by the stages. Files of other programs have no metadata,
-//! and files without a version lack some fields, so every field is optional.
+//! information for users and is not used by the stages. Files written by other programs have no
+//! metadata, and files without a version lack some fields, so every field is optional.
 
 use crate::error::{Error, Result};
 use isoparticles_field::materials::Material;

@@ -29,7 +29,7 @@ pub struct Parameters {
     /// itself per pass, averaged over [`DEFECT_WINDOW`] passes, and density control is nearly at
     /// rest.
     pub defect_tolerance: f64,
-    /// If given, replaces the stop test by the test of the paper (E_min): stop when the relative
+    /// If given, replaces the stop test with the paper's test (E_min): stop when the relative
     /// change per pass of the energy per particle, averaged over `energy_window` passes, is below
     /// this value and density control is nearly at rest.
     pub energy_tolerance: Option<f64>,

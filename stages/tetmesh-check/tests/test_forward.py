@@ -37,7 +37,7 @@ def exact(points: np.ndarray, density: float) -> np.ndarray:
         matrix[2 * k, inner : inner + 2] = -r, -(r**-2)
         matrix[2 * k + 1, outer : outer + 2] = CONDUCTIVITY[k - 1], -2.0 * CONDUCTIVITY[k - 1] / r**3
         matrix[2 * k + 1, inner : inner + 2] = -CONDUCTIVITY[k], 2.0 * CONDUCTIVITY[k] / r**3
-        # the impressed current, in the innermost alone, comes on top of what is conducted
+        # only the innermost ball has an impressed current, which adds to the conduction current
         right[2 * k + 1] = -density if k == count - 1 else 0.0
     factors = np.linalg.solve(matrix, right).reshape(count, 2)
     r = np.linalg.norm(points, axis=1)

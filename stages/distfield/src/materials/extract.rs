@@ -47,8 +47,9 @@ pub struct MaterialOptions {
 pub struct Tally {
     /// Number of voxels of the material.
     pub voxels: usize,
-    /// Parts of the voxels, and parts of the region where the indicator is negative before contacts
-    /// are corrected. For the outside, the parts of the complement are counted.
+    /// Components, cavities and volume: first of the voxels of the material, then of the region
+    /// where its indicator is negative, before contacts are corrected. For the outside, those of
+    /// the complement.
     pub parts: [Parts; 2],
     /// Number of voxel centres where the indicator has the wrong sign.
     pub changed: usize,

@@ -168,7 +168,7 @@ pub(super) const FIRST_MOVES: usize = 4;
 /// Transactions by which the wasted work at a level of a band may exceed the useful work: some 130
 /// single moves, 40 pairs of moves or two patches. With 3,000, 6,000 and 10,000, `thorax_ct` above
 /// 200 reaches a minimum radius ratio of 0.535, 0.620 and 0.659; eight labelled cubes of 6 voxels
-/// take 24, 38 and 51 thousand transactions. Attempts to remesh one patch end after as many.
+/// take 24, 38 and 51 thousand transactions. Attempts to remesh one patch end after half as many.
 pub(super) const WASTED_WORK_LIMIT: usize = 6_000;
 
 // --- patch remeshing at a smaller target length, where F bends within h ---

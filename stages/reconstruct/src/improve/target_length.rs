@@ -127,8 +127,8 @@ pub(super) fn remesh(surface: &mut Surface, triangle: u32, how: How, bar: f64) -
             // without new demands, the next attempt would have the same result
             *demands = demands.take().filter(|_| !more.is_empty()).map(|asked| [asked, more].concat());
         }
-        // expensive patches are not tried again
-        if surface.tried > before + WASTED_WORK_LIMIT {
+        // a level can fail on two patches before its budget is spent
+        if surface.tried > before + WASTED_WORK_LIMIT / 2 {
             break;
         }
     }
