@@ -249,8 +249,8 @@ mod tests {
         for (text, what, next) in [
             ("9", "no voxel has the label 9", "2 'left lung', 3 'Heart'"),
             ("heart, Lost", "no voxel has the label 9 'lost'", "2 'left lung', 3 'Heart'"),
-            ("1,77", "no voxel has the label 77", "-4, 0, 1"),
-            ("8..9", "from 8 to 9", "-4, 0, 1"),
+            ("1,77", "no voxel has the label 77", "-4, 1"),
+            ("8..9", "from 8 to 9", "-4, 1"),
             ("left lnug", "no segment is called 'left lnug'", "did you mean 'left lung'?"),
             ("spleen", "no segment is called 'spleen'", "choose among the labels"),
             ("1-3", "no segment is called '1-3'", "choose among the labels"),

@@ -108,7 +108,7 @@ fn iso_is_refused_for_labels_and_warned_of_for_a_mask() {
 #[test]
 fn labels_named_in_any_way_are_the_same_object() {
     let case = Case::new(labels);
-    case.refused(&["--labels", "7"], &["no voxel has the label 7", "0, 2, 3, 9"]);
+    case.refused(&["--labels", "7"], &["no voxel has the label 7", "present: 2, 3, 9"]);
     case.refused(&["--labels", "heart"], &["no segment is called 'heart'"]);
     case.field(&["--labels", "2,3"]);
     let read = || read_field(&case.folder.path().join("f.vti"), FieldKind::Distance).expect("a field");
