@@ -16,7 +16,7 @@ print(f"| `{variables}` | {sizes['min']:.1f} to {sizes['max']:.1f} | {check['ver
       f"| {quality['radius_ratio_mean']:.3f} / {quality['radius_ratio_min']:.3f} | {distance:.3f} |")
 P
 }
-echo "| variables | h at the surface, mm | vertices | radius ratio, mean / smallest | distance |"
+echo "| variables | h at the surface, mm | vertices | radius ratio, mean / minimum | distance |"
 echo "|---|---|---|---|---|"
 row MIN_SIZE=2
 row EPSILON=0.3
