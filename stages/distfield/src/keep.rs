@@ -118,14 +118,12 @@ pub fn drop_parts(nodes: &mut Image<f32>, margin: usize, faces: &[AmbiguousFace]
     let voxel = nodes.geometry.spacing.element_product();
     let largest = count.iter().copied().max().unwrap_or(0);
     let first_largest = count.iter().position(|&count| count == largest);
-    let stays = |part: u32| match keep {
-        Keep::All => true,
-        Keep::Largest => Some(part as usize) == first_largest,
-        Keep::Volume(volume) => count[part as usize] as f64 * voxel >= volume,
-    };
+    let volume_of = |part: u32| count[part as usize] as f64 * voxel;
+    let is_tie = |part: u32| keep == Keep::Largest && Some(part as usize) != first_largest;
+    let stays = |part: u32| keep.keeps(volume_of(part), largest as f64 * voxel) && !is_tie(part);
     let mut dropped = Dropped::default();
     for &part in parts.iter().filter(|&&part| !stays(part)) {
-        let volume = count[part as usize] as f64 * voxel;
+        let volume = volume_of(part);
         dropped.components += 1;
         dropped.largest = dropped.largest.max(volume);
         dropped.volume += volume;
