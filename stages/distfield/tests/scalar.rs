@@ -33,6 +33,11 @@ fn distance_errors(result: &Redistanced, distance: impl Fn(DVec3) -> f64) -> (f6
     })
 }
 
+/// Returns options for an object that is closed at the border.
+fn capped(inside: Inside, keep: Keep) -> ScalarOptions {
+    ScalarOptions { inside, border: Border::Cap, margin: MARGIN, cut: [[false; 2]; 3], keep }
+}
+
 #[test]
 fn a_ball_has_exact_distances_and_slope_one() {
     let spacing = DVec3::new(0.8, 1.0, 0.9);
@@ -210,13 +215,7 @@ fn voxels_equal_to_the_iso_value_are_handled() {
 #[test]
 fn the_low_side_is_the_complement() {
     let image = sampled([20, 20, 20], DVec3::ONE, |p| p.distance(DVec3::splat(9.3)) as f32);
-    let options = ScalarOptions {
-        inside: Inside::Below,
-        border: Border::Cap,
-        margin: MARGIN,
-        cut: [[false; 2]; 3],
-        keep: Keep::All,
-    };
+    let options = capped(Inside::Below, Keep::All);
     let result = from_scalar(image.clone(), 6.0, &options, &Context::silent("distfield"));
     let result = result.expect("a ball");
     assert!((volume(&result.field) / (4.0 / 3.0 * std::f64::consts::PI * 216.0) - 1.0).abs() < 0.02);
@@ -230,13 +229,7 @@ fn a_part_that_is_dropped_leaves_the_distance_of_the_other() {
     let (left, right) = (DVec3::new(9.2, 9.4, 9.1), DVec3::new(24.3, 9.1, 9.3));
     let balls = |p: DVec3| (6.0 - p.distance(left)).max(3.0 - p.distance(right)) as f32;
     let image = sampled([32, 20, 20], DVec3::ONE, balls);
-    let options = ScalarOptions {
-        inside: Inside::Above,
-        border: Border::Cap,
-        margin: MARGIN,
-        cut: [[false; 2]; 3],
-        keep: Keep::Largest,
-    };
+    let options = capped(Inside::Above, Keep::Largest);
     let result = from_scalar(image, 0.0, &options, &Context::silent("distfield")).expect("a ball");
     assert_eq!((result.dropped.components, result.parts_after.components), (1, 1));
     let volume = 4.0 / 3.0 * std::f64::consts::PI * 27.0;
@@ -250,13 +243,7 @@ fn a_part_that_is_dropped_leaves_the_distance_of_the_other() {
 /// F cuts some of the necks by which noise connects parts.
 #[test]
 fn keep_largest_leaves_one_part_of_noise() {
-    let options = ScalarOptions {
-        inside: Inside::Above,
-        border: Border::Cap,
-        margin: MARGIN,
-        cut: [[false; 2]; 3],
-        keep: Keep::Largest,
-    };
+    let options = capped(Inside::Above, Keep::Largest);
     let mut cut_off = 0;
     for seed in 0..8 {
         let mut image = sampled([20; 3], DVec3::ONE, |_| 0.0);
