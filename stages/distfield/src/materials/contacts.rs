@@ -109,8 +109,8 @@ pub fn keep_contacts(materials: &mut Materials, is_scaled: bool, monitor: &dyn M
     let _step = monitor.phase("contacts");
     let owners = &owners(materials)[..];
     let size = materials.geometry().size;
-    let places = GridElements::of(materials, owners, CLEARANCE[usize::from(is_scaled)] * materials.voxel());
-    let mut lacks = places.lacking(materials, owners, |_| true);
+    let elements = GridElements::of(materials, owners, CLEARANCE[usize::from(is_scaled)] * materials.voxel());
+    let mut lacks = elements.lacking(materials, owners, |_| true);
     let undecided = lacks.iter().filter(|lack| lack.is_undecided).count();
     let mut contacts = ContactReport { crossed: lacks.len() - undecided, undecided, ..ContactReport::default() };
     // total raise per material and node
@@ -140,16 +140,16 @@ pub fn keep_contacts(materials: &mut Materials, is_scaled: bool, monitor: &dyn M
             break;
         }
         materials.add_at_nodes(&changes);
-        lacks = places.lacking(materials, owners, |brick| changed.contains(&brick));
+        lacks = elements.lacking(materials, owners, |brick| changed.contains(&brick));
         if lacks.is_empty() {
             // the effects of raises farther away than `REACH` can add up
-            lacks = places.lacking(materials, owners, |_| true);
+            lacks = elements.lacking(materials, owners, |_| true);
         }
     }
     contacts.raised = raised.len();
     if !lacks.is_empty() {
         // recheck everything, including bricks unchanged in the last round
-        lacks = places.lacking(materials, owners, |_| true);
+        lacks = elements.lacking(materials, owners, |_| true);
     }
     contacts.left = lacks.iter().filter(|lack| lack.is_lost && !lack.is_undecided).count();
     contacts.near = lacks.len() - contacts.left;
@@ -197,12 +197,12 @@ struct Corners {
 }
 
 impl Corners {
-    fn of(place: GridElement, owners: &[u16], geometry: &Geometry) -> Self {
+    fn of(element: GridElement, owners: &[u16], geometry: &Geometry) -> Self {
         let [nx, ny, _] = geometry.size;
-        let n = place.node;
+        let n = element.node;
         let first = [n % nx, n / nx % ny, n / (nx * ny)];
         let mut found = Self { nodes: [[0; 3]; 8], materials: [MaterialId::OUTSIDE; 8], count: 0 };
-        for corner in (0..8).filter(|corner| corner & !place.axes == 0) {
+        for corner in (0..8).filter(|corner| corner & !element.axes == 0) {
             let node: [usize; 3] = std::array::from_fn(|a| first[a] + usize::from(corner >> a & 1));
             found.nodes[found.count] = node;
             found.materials[found.count] = MaterialId(owners[geometry.linear(node[0], node[1], node[2])]);
@@ -287,7 +287,7 @@ impl GridElements {
             // the far nodes of a cell belong to the next brick, except at the end of the grid
             let is_last = |a: usize| first[a] + CELLS + 1 == size[a];
             let nodes: [usize; 3] = std::array::from_fn(|a| CELLS + usize::from(is_last(a)));
-            let mut places = Vec::new();
+            let mut elements = Vec::new();
             for c in 0..nodes.iter().product() {
                 let within = [c % nodes[0], c / nodes[0] % nodes[1], c / (nodes[0] * nodes[1])];
                 let node: [usize; 3] = std::array::from_fn(|a| first[a] + within[a]);
@@ -295,22 +295,22 @@ impl GridElements {
                     if (0..3).any(|a| node[a] + usize::from(axes >> a & 1) >= size[a]) {
                         continue;
                     }
-                    let place = GridElement { node: geometry.linear(node[0], node[1], node[2]), axes, deciding: 0 };
-                    let corners = Corners::of(place, owners, geometry);
+                    let element = GridElement { node: geometry.linear(node[0], node[1], node[2]), axes, deciding: 0 };
+                    let corners = Corners::of(element, owners, geometry);
                     let is_open = corners.are_open();
                     if !corners.are_of_one() && (is_open || known.iter().any(|&id| !corners.has(id))) {
                         let deciding = if is_open { corners.deciding(materials) } else { 0 };
-                        places.push(GridElement { deciding, ..place });
+                        elements.push(GridElement { deciding, ..element });
                     }
                 }
             }
-            (brick, places)
+            (brick, elements)
         };
         let of_many = (0..materials.fill().len()).into_par_iter().filter(|&n| materials.known_in(n).len() > 1);
         let found: Vec<(usize, Vec<GridElement>)> = of_many.map(of_brick).collect();
         let mut own = Self { clearance, all: Vec::new(), bricks: Vec::new() };
-        for (brick, places) in found {
-            own.all.extend(places);
+        for (brick, elements) in found {
+            own.all.extend(elements);
             own.bricks.push((brick, own.all.len()));
         }
         own
@@ -325,8 +325,8 @@ impl GridElements {
             let chosen = if is_chosen(brick) { start..end } else { start..start };
             let known: Vec<MaterialId> = materials.known_in(brick).map(|(id, _)| id).collect();
             let mut lacks = Vec::new();
-            for &place in &self.all[chosen] {
-                lacking_at(place, self.clearance, (materials, owners), &known, &mut lacks);
+            for &element in &self.all[chosen] {
+                lacking_at(element, self.clearance, (materials, owners), &known, &mut lacks);
             }
             lacks
         };
@@ -337,13 +337,13 @@ impl GridElements {
 /// Finds the indicators that come too close at an edge, face or cell. `known` lists the materials
 /// whose indicators are stored in its brick.
 fn lacking_at(
-    place: GridElement,
+    element: GridElement,
     clearance: f64,
     (materials, owners): (&Materials, &[u16]),
     known: &[MaterialId],
     lacks: &mut Vec<Lack>,
 ) {
-    let corners = Corners::of(place, owners, materials.geometry());
+    let corners = Corners::of(element, owners, materials.geometry());
     let near = corners.near(materials);
     // effect at the midpoint of a unit raise at one corner
     let share = HALF_WAY.powi(corners.count.ilog2() as i32);
@@ -366,7 +366,7 @@ fn lacking_at(
     if !corners.are_open() {
         return;
     }
-    let deciding = usize::from(place.deciding);
+    let deciding = usize::from(element.deciding);
     let touching = [deciding, corners.count - 1 - deciding].map(|n| corners.materials[n]);
     let limit = touching.map(|id| value_of(&near, id)).into_iter().fold(f64::NEG_INFINITY, f64::max);
     let smallest = corners.materials[deciding];
