@@ -155,10 +155,10 @@ impl Budget {
 }
 
 /// A band and a level.
-type Stage = (usize, usize);
+type Tier = (usize, usize);
 
-/// Stage of a triangle that is not in the queue.
-const DONE: Stage = (BANDS, LEVELS);
+/// Tier of a triangle that is not in the queue.
+const DONE: Tier = (BANDS, LEVELS);
 
 /// The triangles that remain to be improved.
 struct Queue {
@@ -166,10 +166,10 @@ struct Queue {
     /// Upper bounds of the bands.
     bands: [f64; BANDS],
     budgets: [[Budget; LEVELS]; BANDS],
-    /// Stages, ranks and numbers of triangles, smallest first.
-    heap: BinaryHeap<Reverse<(Stage, u64, u32)>>,
-    /// Stage of the valid entry of each triangle.
-    stage_of: Vec<Stage>,
+    /// Tiers, ranks and numbers of triangles, smallest first.
+    heap: BinaryHeap<Reverse<(Tier, u64, u32)>>,
+    /// Tier of the valid entry of each triangle.
+    tier_of: Vec<Tier>,
     /// Triangles nearest to grid nodes on the wrong side, ascending.
     at_nodes: Vec<u32>,
 }
@@ -182,7 +182,7 @@ impl Queue {
             bands: [f64::MIN_POSITIVE, FIT, AIM, target].map(|bar| bar.min(target)),
             budgets: [[Budget::default(); LEVELS]; BANDS],
             heap: BinaryHeap::new(),
-            stage_of: vec![DONE; count],
+            tier_of: vec![DONE; count],
             at_nodes: surface.triangles_at_wrong_nodes(),
         };
         (0..count as u32).for_each(|t| queue.enter(surface, t, 0));
@@ -200,51 +200,51 @@ impl Queue {
     fn enter(&mut self, surface: &Surface, t: u32, least: usize) {
         let rank = self.rank(surface, t);
         let quality = f64::from_bits(rank);
-        let stage = self.bands.iter().position(|&bar| quality < bar).and_then(|band| {
+        let tier = self.bands.iter().position(|&bar| quality < bar).and_then(|band| {
             let is_open = |&level: &usize| {
                 self.budgets[band][level].left() > 0 && self.levels[level].applies(surface, t, quality)
             };
             Some((band, (least..LEVELS).find(is_open)?))
         });
-        self.stage_of[t as usize] = stage.unwrap_or(DONE);
-        self.heap.extend(stage.map(|stage| Reverse((stage, rank, t))));
+        self.tier_of[t as usize] = tier.unwrap_or(DONE);
+        self.heap.extend(tier.map(|tier| Reverse((tier, rank, t))));
     }
 
-    /// Removes the next triangles from the queue: all of one stage, worst first, with disjoint
-    /// regions. Returns the stage and the triangles with their regions.
-    fn pop(&mut self, surface: &Surface) -> Option<(Stage, Vec<(u32, Bounds)>)> {
+    /// Removes the next triangles from the queue: all of one tier, worst first, with disjoint
+    /// regions. Returns the tier and the triangles with their regions.
+    fn pop(&mut self, surface: &Surface) -> Option<(Tier, Vec<(u32, Bounds)>)> {
         let mut batch = Vec::new();
-        let mut stage = DONE;
+        let mut tier = DONE;
         while let Some(&Reverse((next, rank, t))) = self.heap.peek() {
             let left = self.budgets[next.0][next.1].left();
-            if !batch.is_empty() && (next != stage || batch.len() >= left.min(BATCH)) {
+            if !batch.is_empty() && (next != tier || batch.len() >= left.min(BATCH)) {
                 break;
             }
             self.heap.pop();
-            let is_valid = surface.is_alive(t) && self.stage_of[t as usize] == next && self.rank(surface, t) == rank;
+            let is_valid = surface.is_alive(t) && self.tier_of[t as usize] == next && self.rank(surface, t) == rank;
             if is_valid && left == 0 {
                 self.enter(surface, t, next.1 + 1);
             } else if is_valid && !batch.contains(&t) {
-                stage = next;
+                tier = next;
                 batch.push(t);
             }
         }
-        let level = self.levels.get(stage.1)?;
+        let level = self.levels.get(tier.1)?;
         let regions: Vec<Bounds> = batch.par_iter().map(|&t| level.region(surface, t)).collect();
         let mut chosen = Vec::<(u32, Bounds)>::new();
         for (t, region) in batch.into_iter().zip(regions) {
             if chosen.iter().any(|(_, other)| other.meets(&region)) {
-                self.enter(surface, t, stage.1);
+                self.enter(surface, t, tier.1);
             } else {
                 chosen.push((t, region));
             }
         }
-        Some((stage, chosen))
+        Some((tier, chosen))
     }
 
     /// Returns changed triangles and those around them to the first level.
     fn reset(&mut self, surface: &Surface, touched: &[u32]) {
-        self.stage_of.resize(surface.triangles.len(), DONE);
+        self.tier_of.resize(surface.triangles.len(), DONE);
         let alive = touched.iter().filter(|&&t| surface.is_alive(t));
         let corners = alive.flat_map(|&t| surface.triangles[t as usize]);
         let mut open: Vec<u32> = corners.flat_map(|v| surface.around[v as usize].iter().copied()).collect();

@@ -81,11 +81,11 @@ fn collapse_short(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
 pub(super) fn equalise_degrees(
     surface: &mut Surface,
     limits: &Limits,
-    rule: Goal,
+    goal: Goal,
     in_question: &[bool],
     tally: &mut Tally,
 ) {
-    let must_gain = !matches!(rule, Goal::Keep { .. });
+    let must_gain = !matches!(goal, Goal::Keep { .. });
     let next_to = |corners: &&[u32; 3]| **corners != DEAD && corners.iter().any(|&v| in_question[v as usize]);
     for (a, b) in edges_of(surface.triangles.iter().filter(next_to)) {
         let Some([(left, c), (_, d)]) = surface.edge_triangles(a, b) else { continue };
@@ -99,17 +99,17 @@ pub(super) fn equalise_degrees(
                 [a, b, c, d].into_iter().for_each(|v| shift(surface, v));
                 total_gain(surface) >= HOPELESS_AFTER_SWEEP
             });
-            tally.flips += usize::from(is_hopeful && commit_or_rollback(surface, limits, rule).is_some());
+            tally.flips += usize::from(is_hopeful && commit_or_rollback(surface, limits, goal).is_some());
         }
         surface.rollback();
     }
 }
 
 /// Relaxes every vertex in question once, in order.
-pub(super) fn relax_all(surface: &mut Surface, limits: &Limits, rule: Goal, in_question: &[bool], tally: &mut Tally) {
+pub(super) fn relax_all(surface: &mut Surface, limits: &Limits, goal: Goal, in_question: &[bool], tally: &mut Tally) {
     for v in (0..surface.positions.len() as u32).filter(|&v| in_question[v as usize]) {
         for share in [1.0, 0.4] {
-            if relax(surface, v, share) && commit_or_rollback(surface, limits, rule).is_some() {
+            if relax(surface, v, share) && commit_or_rollback(surface, limits, goal).is_some() {
                 tally.relocations += 1;
                 break;
             }

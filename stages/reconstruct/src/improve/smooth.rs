@@ -10,11 +10,11 @@ use isoparticles_mesh::quality::radius_ratio;
 /// Moves a vertex by a Newton step in its tangent plane towards the maximum mean radius ratio of
 /// its triangles. Commits the step if the mean increases by more than [`LEAST_MEAN_GAIN`] and the
 /// acceptance test passes. Returns whether a step was committed.
-pub(super) fn smooth(surface: &mut Surface, vertex: u32, limits: &Limits, rule: Goal) -> bool {
+pub(super) fn smooth(surface: &mut Surface, vertex: u32, limits: &Limits, goal: Goal) -> bool {
     let Some(step) = Step::of(surface, vertex) else { return false };
     let least = LEAST_MEAN_GAIN * step.site.ring.len() as f64;
     SHARES.into_iter().any(|share| {
-        let kept = step.make(surface, share, least) && commit_or_rollback(surface, limits, rule).is_some();
+        let kept = step.make(surface, share, least) && commit_or_rollback(surface, limits, goal).is_some();
         surface.rollback();
         kept
     })
