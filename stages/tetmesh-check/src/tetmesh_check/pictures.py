@@ -439,7 +439,7 @@ def _draw_quality(surface: Any, volume: Any, path: Path) -> None:
         axis.text(
             0.03,
             0.95,
-            f"mean {values.mean():.3g}\nsmallest {values.min():.3g}",
+            f"mean {values.mean():.3g}\nminimum {values.min():.3g}",
             transform=axis.transAxes,
             verticalalignment="top",
         )
