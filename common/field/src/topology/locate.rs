@@ -36,14 +36,6 @@ const STEP_ATTEMPTS: usize = 6;
 /// cells. A longer walk fails.
 const MOST_STEPS: usize = 48;
 
-/// Minimum tangential part of the remaining path, as a fraction of the path. Below it, the target
-/// is within 12 degrees (asin 0.2) of the normal, on another part of F = 0, and the walk fails.
-const LEAST_TANGENTIAL_SHARE: f64 = 0.2;
-
-/// Maximum number of walks to crossings of one component near a point, nearest crossing first. It
-/// bounds the time where many parts of F = 0 are close together.
-const WALKS_PER_COMPONENT: usize = 4;
-
 /// Tolerance of projections onto F = 0, in edges of a cell. A walk also ends within the square root
 /// of this tolerance, 0.001 edge, of its target.
 const TOLERANCE: f64 = 1e-6;
@@ -65,24 +57,13 @@ impl Surface {
         let distance = |n: u32| (self.positions[n as usize] / spacing).distance_squared(point / spacing);
         let mut near: Vec<(f64, u32)> = near.into_iter().map(|n| (distance(n), n)).collect();
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let mut tried: Vec<(u32, usize)> = Vec::new();
-        for (_, crossing) in near {
-            let component = self.component_of[crossing as usize];
-            let at = tried.iter().position(|(c, _)| *c == component).unwrap_or_else(|| {
-                tried.push((component, 0));
-                tried.len() - 1
-            });
-            if tried[at].1 < WALKS_PER_COMPONENT {
-                tried[at].1 += 1;
-                if is_joined(field, cells, point, normal, self.positions[crossing as usize]) {
-                    return Some(component);
-                }
-            }
+        let joined = near.iter().find(|&&(_, n)| is_joined(field, cells, point, normal, self.positions[n as usize]));
+        if let Some(&(_, crossing)) = joined {
+            return Some(self.component_of[crossing as usize]);
         }
-        match tried[..] {
-            [(only, _)] => Some(only),
-            _ => None,
-        }
+        let mut components = near.iter().map(|&(_, crossing)| self.component_of[crossing as usize]);
+        let first = components.next()?;
+        components.all(|other| other == first).then_some(first)
     }
 
     /// Returns the single component of all crossings in a voxel cell and the cells around it.
@@ -135,9 +116,6 @@ fn is_joined(field: &CubicSpline, cells: &Cells, point: DVec3, normal: DVec3, cr
             && along.length() > 0.5 * way.length();
         if is_next || way.length() < TOLERANCE.sqrt() * edge {
             return true;
-        }
-        if along.length() < LEAST_TANGENTIAL_SHARE * way.length() {
-            return false;
         }
         let mut step = along.clamp_length_max(LONGEST_STEP * edge);
         let mut next = None;
