@@ -24,11 +24,6 @@ const TINY_VOXELS: f64 = 2.0;
 /// Minimum number of particles on other closed curves: a closed polygon has at least three sides.
 const RING: usize = 3;
 
-/// A particle is skipped if its distance from the previous particle is below this fraction of a
-/// step. This happens if the curve is shorter than its chain. Bends alone do not cause it: on a
-/// circle of three steps, adjacent particles are sqrt(3) / (2 pi / 3) = 0.83 step apart.
-const LEAST_STEP_SHARE: f64 = 0.3;
-
 /// Maximum distance in voxels of particles that count as coincident: half the distance at which the
 /// complex merges junction points. Coincident particles occur on chains that exist only in the grid
 /// complex.
@@ -87,25 +82,16 @@ pub fn seed_curves<I: Indicators>(
             }
             _ => {}
         }
-        let nearest = |p: DVec3| LEAST_STEP_SHARE * spread.at(p) * along.total() / steps as f64;
-        found.add(indicators, chain, &along, steps, nearest);
+        found.add(indicators, chain, &along, steps);
     }
     found.set_sizes(sizing);
     found
 }
 
 impl Curves {
-    /// Adds the particles of a chain that is divided into `steps` steps. Skips a particle whose
-    /// distance from the previous particle or from an end of the chain is below `nearest(position)`
-    /// (mm).
-    fn add<I: Indicators>(
-        &mut self,
-        indicators: &I,
-        chain: &Chain,
-        along: &Along,
-        steps: usize,
-        nearest: impl Fn(DVec3) -> f64,
-    ) {
+    /// Adds the particles of a chain that is divided into `steps` steps. Skips a particle that is
+    /// coincident with the previous particle or with an end of the chain.
+    fn add<I: Indicators>(&mut self, indicators: &I, chain: &Chain, along: &Along, steps: usize) {
         let point = |end: End| match end {
             End::Point(point) => Some(point),
             End::Border | End::Closed => None,
@@ -128,8 +114,7 @@ impl Curves {
                 self.not_projected += 1;
                 continue;
             };
-            let nearest = nearest(position).max(DUPLICATE_DISTANCE * voxel);
-            let is_near = |other: u32| self.positions[other as usize].distance(position) < nearest;
+            let is_near = |other: u32| self.positions[other as usize].distance(position) < DUPLICATE_DISTANCE * voxel;
             let is_closing = chain.is_closed() && self.positions.len() as u32 > first && is_near(first);
             if is_closing || previous.is_some_and(is_near) || point(chain.ends[1]).is_some_and(is_near) {
                 continue;
