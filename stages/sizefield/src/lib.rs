@@ -33,12 +33,10 @@ use region::SizedNode;
 
 /// Number of averaging rounds that smooth the graded h along the surface. Six rounds have a
 /// standard deviation of sqrt(6 / 3) = 1.4 edges of marching cubes ([`averages`]), about one voxel.
-/// Particles settle poorly where h is rough. On a label map at voxel scale, smoothing raises the
-/// mean radius ratio by 0.01.
+/// Particles settle poorly where h is rough. Measured with 0, 3, 6 and 12 rounds (`make surface`):
+/// the mean radius ratio of `mickey_labels` 2 is 0.979, 0.981, 0.982 and 0.979, that of `tooth_ct`
+/// at 600 is 0.986, 0.987, 0.987 and 0.988 with 57,900, 55,700, 54,300 and 52,300 vertices.
 const SMOOTHING_ROUNDS: usize = 6;
-
-/// Maximum factor by which the smoothing may enlarge h.
-const LARGEST_GROWTH: f64 = 1.3;
 
 /// Lower bound of h on small components, as a fraction of the minimum h. It takes effect if
 /// [`MIN_PARTICLES`] need a smaller h. With the default minimum h of 0.75 voxel, this is the case
@@ -146,7 +144,7 @@ pub(crate) fn graded_field(
     let graded = spread(samples, wanted, parameters, Some(&near));
     let mut smooth: Vec<f64> = samples.points.par_iter().map(|&p| graded.at(p)).collect();
     drop(graded);
-    smooth_over_surface(&mut smooth, &Incidence::new(samples.triangles, samples.points.len()));
+    average(&Incidence::new(samples.triangles, samples.points.len()), &mut smooth, 0.0, SMOOTHING_ROUNDS);
     smooth.iter_mut().zip(most).for_each(|(size, most)| *size = size.min(*most));
     spread(samples, &smooth, parameters, None)
 }
@@ -181,15 +179,6 @@ pub(crate) fn cell_nodes(geometry: &Geometry, p: DVec3) -> [usize; 8] {
         let at: [usize; 3] = std::array::from_fn(|a| (base[a] + (corner >> a & 1)).min(geometry.size[a] - 1));
         geometry.linear(at[0], at[1], at[2])
     })
-}
-
-/// Smooths the sizes along the surface. No size grows by more than [`LARGEST_GROWTH`].
-fn smooth_over_surface(sizes: &mut [f64], incidence: &Incidence<'_>) {
-    let limit: Vec<f64> = sizes.iter().map(|h| LARGEST_GROWTH * h).collect();
-    for _ in 0..SMOOTHING_ROUNDS {
-        average(incidence, sizes, 0.0, 1);
-        sizes.iter_mut().zip(&limit).for_each(|(size, limit)| *size = size.min(*limit));
-    }
 }
 
 /// Returns a constant sizing field.
