@@ -46,7 +46,8 @@ pub enum Inside {
 }
 
 /// Number of faces sampled to predict the cost of an object. With this number, random variation
-/// changes the predicted vertex count by 2 %.
+/// changes the predicted vertex count by 2 %. With 1500, 6000, 24,000 and 200,000 faces, `make
+/// info` predicts 41,000, 43,000, 43,000 and 44,000 vertices for `tooth_ct` at 600.
 const SAMPLED_FACES: usize = 6000;
 
 /// Total number of faces sampled for the label table. It bounds the time for the table, and allows

@@ -21,7 +21,9 @@ const MOST_LISTED: usize = 20;
 
 /// The level of the voxels of removed parts becomes at most minus this value. At the slope of a
 /// plane (1 / (sqrt(2 pi) sigma) per voxel), it is a distance of 0.13 standard deviations from a
-/// surface.
+/// surface. With 0.0125, 0.05 and 0.2, the parts and their volume are the same on
+/// `frog_tissue_labels` 13 and `brain_parcellation` 2 at SCALE=3 and `thorax_labels` 1 at SCALE=6
+/// (`make distfield`).
 const CLEARLY_OUTSIDE: f32 = 0.05;
 
 /// Losses below this fraction of the original volume are reported as specks. It is a twentieth of

@@ -17,6 +17,8 @@ use rayon::prelude::*;
 /// curvatures k1 and k2, and 0 at a focal point of the surface. There, the second-order
 /// approximation fails. At this limit, a foot can be 100 times as far from the sample as the node
 /// is from the normal, and rounding to single precision changes it by about 1e-5 of its length.
+/// With 0.001 and 0.1, the values within 1.5 voxels of the surface change by at most 0.003 mm
+/// (`make distfield`, `heart_label`, `tooth_ct` at 600, `frog_tissue_labels` 13).
 const LEAST_DETERMINANT: f32 = 0.01;
 
 /// Maximum number of patches that are tried on the way to the closest point. Where one of them

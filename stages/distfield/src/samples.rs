@@ -79,7 +79,9 @@ const SURFACE_TOLERANCE: f64 = 1e-6;
 
 /// Maximum distance of a sample from its start on the marching-cubes mesh, in units of the minimum
 /// voxel spacing. The two surfaces of a layer one voxel thick are about one voxel apart, so a
-/// sample that moves farther has probably reached another part of the surface.
+/// sample that moves farther has probably reached another part of the surface. With 0.5 instead of
+/// 0.75, the maximum shift of the zero set of `heart_label` grows from 0.019 to 0.145 voxel; with
+/// 1.5, it is the same (`make distfield`).
 const MAX_PROJECTION: f64 = 0.75;
 
 const _: () = assert!(LONGEST_STEP < 0.5 && 2.0 * LONGEST_STEP > MAX_PROJECTION, "see MAX_NEWTON_STEPS");

@@ -208,7 +208,9 @@ pub(crate) const COARSE_REST_SHARE: f64 = 5e-2;
 pub(crate) const COARSE_CLOSING_PASSES: u64 = 3;
 
 /// Number of passes between two spatial sorts of the particles. Checkpoints are written only just
-/// before a sort, so this is also the minimum interval between checkpoints.
+/// before a sort, so this is also the minimum interval between checkpoints. With 5, 10, 20 and 40,
+/// `thorax_labels` 1 takes 5.0, 4.7, 4.7 and 4.7 s on two processor cores and 0.21, 0.20, 0.20 and
+/// 0.21 s on an H200 (step `settle` of the report).
 pub const REORDER_INTERVAL: u64 = 10;
 
 /// Minimum distance between the seeds of the coarsest level, in edge lengths. With this value as

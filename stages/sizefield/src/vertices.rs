@@ -13,7 +13,9 @@ use isoparticles_volume::Image;
 const FINISHED_OVER_PREDICTED: f64 = 0.95;
 
 /// Number of iterations for the factor of a graded field. The count is not exactly inversely
-/// proportional to the square of the factor, because the factor also changes the slope of h.
+/// proportional to the square of the factor, because the factor also changes the slope of h. For
+/// `heart_label` with `--vertices 1000 --epsilon 1`, 1, 2, 3 and 6 iterations predict 1164, 1057,
+/// 1053 and 1053 particles.
 const GRADED_ROUNDS: usize = 3;
 
 /// Number of iterations for a constant h with several materials. The particles on junction curves

@@ -24,7 +24,8 @@ const CURVATURE_CLEARANCE: f64 = 1.0;
 
 /// A layer counts as a wedge between two interfaces that meet, not as a thin layer, if the junction
 /// curve of the interfaces is nearer than this many times the thickness. Such wedges have angles
-/// above atan(1/2) = 27 degrees.
+/// above atan(1/2) = 27 degrees. With 1, 2 and 4, `make sizefield MATERIALS=all` predicts
+/// 1,063,700, 1,063,100 and 1,062,700 particles for `frog_tissue_labels`.
 const WEDGE_LENGTH: f64 = 2.0;
 
 /// Minimum step in voxels across a material; also the first step away from an interface. A

@@ -19,10 +19,8 @@ use std::collections::{BTreeMap, BTreeSet};
 const LONGEST_PROJECTION: f64 = 1.0;
 
 /// Junction points of the same four materials are merged if a chain shorter than this length, in
-/// voxels, joins them. Of the 26,530 chains that join such points in `brain_parcellation`, 2,326
-/// are shorter than 0.1 voxel, and each further tenth of a voxel contains 500 to 600 chains. The
-/// peak near zero consists of junction points that the lattice finds twice. A chain of 0.25 voxel,
-/// a third of the minimum h, is too short for particles.
+/// voxels, joins them. They are one junction point that the lattice finds twice, and a chain of a
+/// third of the minimum h (0.75 voxel) is too short for particles.
 const MERGED_WITHIN: f64 = 0.25;
 
 /// Closed curves shorter than this length, in voxels, are dropped. A circle of this length encloses
