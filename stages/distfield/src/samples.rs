@@ -44,11 +44,15 @@ impl ValueGradient for Source {
     }
 }
 
+/// Slopes up to this value count as zero. It is far below one step of an 8-bit scan per thousand
+/// voxels, and far above the smallest number of single precision, 1e-38.
+pub(crate) const VANISHING_SLOPE: f64 = 1e-12;
+
 /// Returns the value over the slope. If the slope vanishes, returns 1e6 mm, which exceeds the size
 /// of any volume, with the sign of the value; zero counts as outside.
 #[inline(always)]
 pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
-    if slope > 1e-12 {
+    if slope > VANISHING_SLOPE {
         value / slope
     } else if value < 0.0 {
         -1e6
@@ -131,7 +135,7 @@ pub fn project<I: ValueGradient>(implicit: &I, start: DVec3, voxel: f64) -> Opti
     for _ in 0..MAX_NEWTON_STEPS {
         let (f, g) = implicit.value_gradient(p);
         let slope = g.length();
-        if slope.is_nan() || slope <= 1e-12 {
+        if slope.is_nan() || slope <= VANISHING_SLOPE {
             return None;
         }
         let distance = f / slope;

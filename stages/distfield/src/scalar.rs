@@ -8,7 +8,7 @@
 use crate::cap::BorderBox;
 use crate::crop::{CutFaces, VoxelBox};
 use crate::field::{Demands, LeastDistances, Redistanced, redistance};
-use crate::samples::{Source, first_order_distance};
+use crate::samples::{Source, VANISHING_SLOPE, first_order_distance};
 use crate::{Border, Inside, Keep};
 use fearless_simd::{Level, dispatch};
 use glam::DVec3;
@@ -267,7 +267,8 @@ impl Input {
     }
 
     /// Sets the nodes of a layer to the voxel values, or to the values of the spline beyond the
-    /// voxels. Near the border, sets first-order distances cut by the box.
+    /// voxels. Where the box cuts the object, sets its first-order distance times the slope, so that
+    /// all values have the same unit: the saddle of a face depends on nodes on both sides of the cut.
     fn fill_nodes(
         &self,
         nodes: &mut Image<f32>,
@@ -298,8 +299,12 @@ impl Input {
                             *value = f as f32;
                         }
                         if let Some(cap) = cap {
-                            let distance = first_order_distance(f64::from(*value), gradient.length());
-                            *value = cap.intersect(node, distance, DVec3::ZERO).0 as f32;
+                            let slope = gradient.length().max(VANISHING_SLOPE);
+                            let distance = first_order_distance(f64::from(*value), slope);
+                            let cut = cap.intersect(node, distance, DVec3::ZERO).0;
+                            if cut != distance {
+                                *value = (cut * slope) as f32;
+                            }
                         }
                     }
                 }

@@ -163,6 +163,18 @@ fn parts_that_touch_along_an_edge_are_joined() {
 }
 
 #[test]
+fn contacts_near_the_border_decide_as_in_the_middle() {
+    // a wavy layer one to two voxels thick with holes: a quarter of its voxels is missing
+    let wave = |p: DVec3| p.z + 4.0 * (0.5 * p.x).sin() + 4.0 * (0.37 * p.y).sin();
+    let is_missing = |p: DVec3| (p.dot(DVec3::new(127.1, 311.7, 74.7)).sin() * 43758.5453).rem_euclid(1.0) < 0.25;
+    let mask = sampled([30; 3], DVec3::ONE, |p| wave(p).rem_euclid(7.0) < 1.6 && !is_missing(p));
+    let result = extract(&mask);
+    assert_eq!(result.undecided, 0);
+    let parts = [result.parts_before, result.parts_after].map(|parts| (parts.components, parts.cavities));
+    assert_eq!(parts[0], parts[1]);
+}
+
+#[test]
 fn parts_that_touch_at_a_corner_are_apart() {
     let mask = sampled([22, 22, 22], DVec3::ONE, |p| {
         [4.0, 11.0].iter().any(|&low| p.min_element() >= low && p.max_element() < low + 7.0)
