@@ -3,7 +3,7 @@
 project = "isoparticles"
 project_copyright = "the isoparticles developers"
 extensions = ["myst_parser"]
-# the template is a part of results.md, and the notebook has a reader of its own
+# results.md is generated from the template in results/; notebooks are read in Jupyter
 exclude_patterns = ["results", "notebooks"]
 html_theme = "furo"
 html_title = "isoparticles"

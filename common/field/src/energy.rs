@@ -62,8 +62,8 @@ pub fn lattice_spacing(energy: f64) -> f64 {
     }
 }
 
-/// Returns the dimensionless scaled distance of two particles (Eq. 2): their distance divided by
-/// [`SUPPORT`] times the smaller of their target edge lengths.
+/// Returns the dimensionless scaled distance between two particles (Eq. 2): their distance divided
+/// by [`SUPPORT`] times the smaller of their target edge lengths.
 pub fn scaled_distance(distance: f64, size_i: f64, size_j: f64) -> f64 {
     distance / (SUPPORT * size_i.min(size_j))
 }

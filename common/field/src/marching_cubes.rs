@@ -4,8 +4,8 @@
 //! The case table is computed by the program. If only two opposite corners of a cell face are
 //! inside, the sign at the saddle of the face decides whether they are joined across the face
 //! (Nielson and Hamann 1991). The saddle value is that of a quadratic interpolant, because the
-//! bilinear interpolant breaks diagonal layers that are one voxel thin. Two cells that share a face
-//! always create the same segments on it. The segments form loops, and each loop is cut into
+//! bilinear interpolant breaks diagonal layers that are one voxel thick. Two cells that share a
+//! face always create the same segments on it. The segments form loops, and each loop is cut into
 //! triangles without a diagonal on a cell face. Every edge therefore lies in exactly two triangles.
 
 use crate::node_bits::{NodeBits, Side, WORD, each_bit, first_bits, shifted};

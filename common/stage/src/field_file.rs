@@ -54,7 +54,7 @@ impl FieldKind {
 pub struct Field {
     /// Values and geometry.
     pub image: Image<f32>,
-    /// Metadata of the stage that wrote the file; null in a file of another program.
+    /// Metadata of the stage that wrote the file; null if another program wrote it.
     pub meta: Value,
     /// The history, if the file contains one.
     pub history: Option<History>,

@@ -52,7 +52,8 @@ pub const UNCERTAINTY: f64 = 1.5;
 /// `sizefield`.
 const SPECK_VERTICES: f64 = 32.0;
 
-/// Minimum number of vertices of a part with any size; equal to `COMPONENT_MINIMUM` of `seed`.
+/// Minimum number of vertices of a part, whatever the edge length; equal to `COMPONENT_MINIMUM` in
+/// `seed`.
 pub(crate) const FEWEST_VERTICES: f64 = 12.0;
 
 /// Cost of a group of stages: a fixed amount, and amounts per node of the padded grid, per face

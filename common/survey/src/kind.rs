@@ -206,7 +206,7 @@ mod tests {
                 }),
             ),
             (
-                "one voxel thin here and there",
+                "one voxel thick in places",
                 judged(|p, _| {
                     let sheet = p.x as i16 % 6 == 3;
                     if sheet { 9 } else { (p.y / 5.0) as i16 }

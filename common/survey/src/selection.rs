@@ -156,7 +156,7 @@ fn missing_error(missing: &[Item], volume: &Volume, present: &[LayerLabel]) -> E
     no_voxel(&told.join(", "), volume, present)
 }
 
-/// Returns the error for labels that no voxel has. `labels` is the string given by the user.
+/// Returns the error for labels that no voxel has. `labels` describes these labels in the message.
 pub fn no_voxel(labels: &str, volume: &Volume, present: &[LayerLabel]) -> Error {
     Error::input(
         format!("no voxel has the label {labels}"),
@@ -185,8 +185,8 @@ pub fn listed(volume: &Volume, present: &[LayerLabel]) -> String {
     shown.join(", ")
 }
 
-/// Computes the edit distance of two words (Levenshtein): the number of letters to insert, delete
-/// or replace.
+/// Computes the edit distance between two words (Levenshtein): the number of letters to insert,
+/// delete or replace.
 fn distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();

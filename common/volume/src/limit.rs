@@ -57,8 +57,8 @@ pub(crate) fn geometry_from_steps(
         ));
     }
     let directions = DMat3::from_cols(steps[0] / spacing.x, steps[1] / spacing.y, steps[2] / spacing.z);
-    // The determinant is 1e-3 if one axis is 0.06 degrees off the plane of the two other axes, and
-    // these are perpendicular.
+    // If two of the axes are perpendicular and the third is 0.06 degrees out of their plane, the
+    // determinant is 1e-3.
     if directions.determinant().abs() < 1e-3 {
         return Err(bad(
             path,

@@ -23,8 +23,8 @@ impl Case {
         Self(folder)
     }
 
-    /// Creates a case in which each voxel is `value` of its distance from the centre (mm) and its
-    /// index.
+    /// Creates a case whose voxels are `value(distance, index)`, where `distance` is the distance
+    /// of the voxel from the centre, mm.
     fn of(value: impl Fn(f64, usize) -> f32) -> Self {
         let mut geometry = Geometry::axis_aligned([36, 34, 18], DVec3::new(1.0, 1.0, 2.0));
         geometry.space = Space::Lps;

@@ -118,7 +118,8 @@ def main() -> None:
         started = time.monotonic()
         made, cells = (points, triangles) if program == "none" else PROGRAMS[program](points, triangles, length)
         seconds = time.monotonic() - started
-        # ru_maxrss of getrusage would include the memory of the calling process
+        # ru_maxrss of getrusage would include the peak memory of the parent process, which it
+        # inherits
         told = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
         peak = 1024 * int(told.group(1)) if told else 0
         result = Path(sys.argv[3]).with_name(f"part.{program}.npz")

@@ -1,9 +1,7 @@
-//! Measures the changes due to `--scale`: volume, voxel centres that change side and their depth,
-//! and parts that vanish, break, merge, lose thin ends or have gaps filled.
-//!
-//! The input is the occupancy before smoothing and the level set after smoothing, on one grid. The
-//! output is [`Changes`], with the position of each event. Parts are sets of voxels connected
-//! through faces.
+//! Measures the changes due to `--scale`: volume, voxel centres that change sides and their depth,
+//! and parts that vanish, break, merge, lose thin ends or have gaps filled. The input is the
+//! occupancy before smoothing and the level set after smoothing, on one grid. The output is
+//! [`Changes`], with the position of each event. Parts are sets of voxels connected through faces.
 
 use crate::bits::Bits;
 use crate::keep::{Keep, parts_of_runs};
@@ -78,7 +76,7 @@ pub struct Depth {
 pub struct Changes {
     /// Volume of the whole object before smoothing, mm^3.
     pub volume_before: f64,
-    /// Number of voxel centres that changed side.
+    /// Number of voxel centres that changed sides.
     pub voxels_changed: usize,
     /// Distances of these voxel centres from the original surface.
     pub depth: Depth,

@@ -272,7 +272,7 @@ const MOST_NAMED: usize = 3;
 fn report_changes(changes: &Changes, length: f64, keep: Keep, context: &Context) {
     let depth = changes.depth;
     context.summary(
-        "voxel centres that changed side",
+        "voxel centres that changed sides",
         format!(
             "{}; depth: mean {} mm, 99th percentile {} mm, maximum {} mm",
             changes.voxels_changed,

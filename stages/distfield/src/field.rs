@@ -45,8 +45,9 @@ const MOST_PIN_STEPS: usize = 160;
 /// every grid edge that crosses the surface.
 const EXACT_BAND: f64 = 4.0;
 
-/// Maximum number of points at which the zero sets of F and of its source are compared. The 99th
-/// percentile then depends on 2000 points beyond it, a random variation of 2 %.
+/// Maximum number of points at which the zero sets of F and of its source are compared. At this
+/// number, 2000 points lie beyond the 99th percentile; their count has a sampling error of about 2
+/// %.
 const CHECKED_POINTS: usize = 200_000;
 
 /// First-order distance (value over slope) between the zero sets of F and of its source, in units

@@ -22,13 +22,13 @@ use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
-/// Standard deviation, in voxels along each axis, of the Gaussian that smooths the staircase. A
-/// ball of 20 voxels has a radius error (root mean square) of 0.06 voxel with 1.5 and of 0.065
-/// voxel with 1.3.
+/// Standard deviation, in voxels along each axis, of the Gaussian that smooths the steps between
+/// voxels. For a ball with a radius of 20 voxels, the root-mean-square error of the radius is 0.06
+/// voxel with a standard deviation of 1.5, and 0.065 voxel with 1.3.
 pub(crate) const SIGMA: DVec3 = DVec3::splat(1.5);
 
-/// Number of nodes around the labels that the surface depends on. With five nodes, F equals that of
-/// the whole volume to 0.01 voxel (test
+/// Width, in nodes, of the border around the labels that affects the surface. With five nodes, F
+/// agrees with the F of the whole volume to within 0.01 voxel (test
 /// `field_of_the_object_box_equals_field_of_the_whole_volume`); with four nodes it does not.
 pub(crate) const LABEL_ROOM: usize = 5;
 

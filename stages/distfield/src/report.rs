@@ -85,7 +85,7 @@ pub(crate) fn describe(result: &Redistanced, meta: &DistanceMeta, context: &Cont
         None => context.summary("volume, mm^3", significant(after.volume)),
     }
     if let Some(changed) = result.changed {
-        context.summary("voxel centres that changed side", changed);
+        context.summary("voxel centres that changed sides", changed);
     }
     let shift = result.shift;
     context.summary(
@@ -131,7 +131,7 @@ pub(crate) fn failed_checks(result: &Redistanced, meta: &DistanceMeta, context: 
         }
     }
     if let Some(changed) = result.changed.filter(|&changed| changed > 0) {
-        failed.push(format!("{changed} voxel centres changed side"));
+        failed.push(format!("{changed} voxel centres changed sides"));
     }
     failed
 }
@@ -146,7 +146,7 @@ pub(crate) fn check_volume(result: &Redistanced, meta: &DistanceMeta, context: &
             "too much of the object is thinner than a mesh of that scale tells apart (a finer mesh or --keep-thin keeps more)",
         )
     } else {
-        (VOLUME_LIMITS, "much of it is one voxel thin, or specks (--keep drops them)")
+        (VOLUME_LIMITS, "much of it is one voxel thick or less, or specks (--keep drops them)")
     };
     let told = format!("the volume changed by {:+.0} %: {reason}", 100.0 * change);
     if change.abs() > limits.1 {

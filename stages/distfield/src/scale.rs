@@ -54,8 +54,8 @@ const CRUMB_RADIUS: f64 = 0.5;
 
 /// Ratio of the scale to the edge length of the mesh. On `heart_label` (1.5 mm voxels) with h = 3.5
 /// and 1.75 mm, the mean / minimum radius ratio is 0.985 / 0.69 and 0.970 / 0.59 at 1, 0.989 / 0.67
-/// and 0.981 / 0.72 at 1.4, and 0.985 / 0.72 and 0.985 / 0.81 at 1.8. At 1.8, 99 % of the voxels
-/// that changed side were still at the surface.
+/// and 0.981 / 0.72 at 1.4, and 0.985 / 0.72 and 0.985 / 0.81 at 1.8. Even at 1.8, 99 % of the
+/// voxels that changed sides were at the surface.
 pub const SCALE_OVER_SIZE: f64 = 1.6;
 
 /// Distance around the object within which the occupancy is smoothed, in standard deviations. At

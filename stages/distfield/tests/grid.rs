@@ -58,8 +58,8 @@ fn both(folder: &Path, options: &[&str]) -> [Field; 2] {
     })
 }
 
-/// Returns the node of the larger grid that coincides in the world with the first node of the
-/// smaller grid.
+/// Returns the node of the larger grid with the world coordinates of the first node of the smaller
+/// grid.
 fn place_of(small: &Geometry, large: &Geometry) -> [usize; 3] {
     assert_eq!((small.spacing, small.directions, small.space), (large.spacing, large.directions, large.space));
     let at = large.grid_to_index(large.world_to_grid(small.origin));

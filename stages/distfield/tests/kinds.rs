@@ -65,7 +65,7 @@ fn nrrd_in_ras(path: &Path) {
     std::fs::write(path, [header.into_bytes(), signed()].concat()).expect("written");
 }
 
-/// Writes a NIfTI-1 file whose sform maps to the world frame right, anterior, superior.
+/// Writes a NIfTI-1 file whose sform maps to RAS (right, anterior, superior) coordinates.
 fn nifti(path: &Path) {
     let (steps, origin) = affine(DVec3::new(-1.0, -1.0, 1.0));
     let mut header = vec![0u8; 352];

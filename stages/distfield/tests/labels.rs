@@ -21,7 +21,7 @@ fn extract(mask: &Image<bool>) -> Redistanced {
     let [nx, ny, _] = mask.geometry.size;
     for (n, &inside) in mask.data.iter().enumerate() {
         let f = result.field.at(n % nx + MARGIN, n / nx % ny + MARGIN, n / (nx * ny) + MARGIN);
-        assert_eq!(f < 0.0, inside, "voxel {n} changed side");
+        assert_eq!(f < 0.0, inside, "voxel {n} changed sides");
         assert!(f.abs() >= least * 0.999, "voxel {n}: |F| = {f}");
     }
     result

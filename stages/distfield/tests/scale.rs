@@ -59,7 +59,7 @@ fn a_ball_keeps_its_radius_on_any_spacing() {
         assert_eq!(found.changes.components, [1, 1]);
         assert_eq!(found.changes.euler, [1, 1]);
         assert!(found.changes.events.is_empty(), "{:?}", found.changes.events);
-        // only voxels at the surface change side
+        // only voxels at the surface change sides
         assert!(found.changes.depth.max < 1.1, "{:?}", found.changes.depth);
     }
 }

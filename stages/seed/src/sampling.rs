@@ -23,8 +23,8 @@ pub(crate) const OVERSAMPLING: f64 = 8.0;
 /// bench-stages`, table in `docs/developer/performance.md`). The constant is twice as large,
 /// because vectors grow by doubling.
 pub const BYTES_PER_PARTICLE: f64 = 1300.0;
-/// Minimum distance of two seeds in units of h. In a plane, this sampling then has 0.94 times the
-/// density of the hexagonal lattice of spacing h (`cargo test -p isoparticles-seed density`).
+/// Minimum distance between two seeds in units of h. In a plane, this sampling then has 0.94 times
+/// the density of the hexagonal lattice of spacing h (`cargo test -p isoparticles-seed density`).
 /// Density control closes the difference. The upper bound is 0.777: there, random disks jam (at a
 /// covered fraction of 0.547) with the density of the lattice, however many candidates there are.
 pub(crate) const DISK_RADIUS: f64 = 0.71;

@@ -83,7 +83,7 @@ def test_what_does_not_fit_is_counted() -> None:
     assert lost.missing + lost.added == 4
     # there twice: its faces have too many
     assert conform(np.concatenate([cells, cells[:1]]), triangles, sides).crowded > 0
-    # a triangle between the halves is lost: they run into each other
+    # without a triangle between the halves, they are one region
     between = np.flatnonzero(sides.outside == 1)[0]
     kept = np.arange(len(triangles)) != between
     assert conform(cells, triangles[kept], sides.of(kept)).undecided == len(cells)

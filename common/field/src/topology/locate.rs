@@ -19,9 +19,10 @@ use glam::DVec3;
 // (see `FLATNESS_MARGIN` in `critical.rs`) and the noise of `tooth_ct` (iso value 404, nodes x and
 // y 5 to 22, z 20 to 37).
 
-/// Maximum step length of a walk, in edges of the cell at its start. In a cell in which F = 0 is a
-/// graph, F = 0 turns by less than 90 degrees over an edge. Over a quarter of an edge, a curve of
-/// constant curvature turns by less than 23 degrees, well within [`LEAST_COSINE`].
+/// Maximum length of a step of a walk, in edge lengths of the cell in which the step starts. In a
+/// cell in which F = 0 is a graph, its normal turns by less than 90 degrees over one edge length.
+/// Over a quarter of that, the normal of a curve of constant curvature turns by less than 23
+/// degrees; [`LEAST_COSINE`] allows 37 degrees.
 const LONGEST_STEP: f64 = 0.25;
 
 /// Minimum cosine between the normals at both ends of a step (37 degrees). The chord of such a step
@@ -36,8 +37,8 @@ const STEP_ATTEMPTS: usize = 6;
 /// cells. A longer walk fails.
 const MOST_STEPS: usize = 48;
 
-/// Tolerance of projections onto F = 0, in edges of a cell. A walk also ends within the square root
-/// of this tolerance, 0.001 edge, of its target.
+/// Tolerance of projections onto F = 0, in edge lengths of the cell at the position. A walk also
+/// ends within the square root of this tolerance (0.001 edge lengths) of its target.
 const TOLERANCE: f64 = 1e-6;
 
 impl Surface {

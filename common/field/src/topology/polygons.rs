@@ -215,7 +215,7 @@ impl<'a> Reader<'a> {
         self.sides = sides;
     }
 
-    /// Determines which cells are subdivided among a cell and the cells of its size around it.
+    /// Determines which of a cell and its neighbours of the same size are subdivided.
     fn look_around(&mut self, cell: Cell) {
         if cell.level == 0 {
             self.block = cell.at.map(|n| i64::from(n) - 1);

@@ -20,9 +20,9 @@ const FIRST_GROUP: &[u8] = &[8, 0];
 /// group 0008, have at most 64 bytes (PS3.5, table 6.2-1).
 const LARGEST_LENGTH: u8 = 64;
 
-/// Returns the bytes that are missing before the first bytes `start` of a file, or `None` if
-/// `start` is not the start of a DICOM file. A data set without a file meta group is assumed to be
-/// little-endian, with explicit or implicit types.
+/// Returns the bytes to prepend to a file that begins with `start`, or `None` if this is not the
+/// beginning of a DICOM file. A data set without a file meta group is assumed to be little-endian,
+/// with explicit or implicit value representations.
 pub(super) fn missing(start: &[u8]) -> Option<Vec<u8>> {
     let preamble = || vec![0; PREAMBLE];
     if start.get(PREAMBLE..START) == Some(b"DICM") {

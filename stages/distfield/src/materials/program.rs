@@ -155,7 +155,8 @@ pub(crate) fn check_options(args: &Args) -> Result<()> {
     Ok(())
 }
 
-/// Returns the scale from the options, or `None` if every voxel centre is kept.
+/// Returns the scale from the options, or `None` if it is 0; every voxel centre then stays in its
+/// material.
 fn scale(args: &Args, volume: &Volume, chosen: &Chosen, context: &Context) -> Result<Option<Scale>> {
     if !args.scale.is_given() {
         return Ok(None);

@@ -164,8 +164,8 @@ fn select<'a>(all: &'a [wgpu::Adapter], choice: &AdapterChoice) -> Result<&'a wg
     }
 }
 
-/// Opens the device of an adapter with the given features and with the limits of the adapter. The
-/// first error that the device reports outside the result of a call is stored in `failure`.
+/// Opens the device of an adapter with the given features and the adapter's limits. The first
+/// uncaptured error of the device, or its loss, is stored in `failure`.
 fn request_device(
     adapter: &wgpu::Adapter,
     features: wgpu::Features,

@@ -33,8 +33,8 @@ impl Block {
     }
 }
 
-/// Returns the tolerance of |F| = 0 on the device in mm: the tolerance of the CPU's passes, or the
-/// resolution of f32 positions if that is coarser.
+/// Returns the maximum |F| (mm) at which the device treats a position as lying on F = 0: the
+/// tolerance of the passes on the CPU, or twice the resolution of f32 positions if that is larger.
 pub(crate) fn tolerance(geometry: &Geometry) -> f64 {
     let resolution = geometry.upper_corner().max_element() * f64::from(f32::EPSILON);
     (PASS_TOLERANCE * geometry.min_spacing()).max(2.0 * resolution)

@@ -114,7 +114,7 @@ impl GpuEngine<'_> {
         Ok(SubmittedPass { pass, plan, room, submission, timed })
     }
 
-    /// Submits a pass after the previous one has ended.
+    /// Submits a pass. The previous pass must have ended.
     fn submit_now(&mut self, pass: u64, plan: Plan) -> Result<SubmittedPass> {
         let begun = Instant::now();
         let commands = self.commands(plan, self.count, self.count);

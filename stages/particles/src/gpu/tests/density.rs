@@ -83,7 +83,7 @@ impl<'a> Rig<'a> {
         download(self.gpu, self.engine.memory.get(name), count).unwrap()
     }
 
-    /// Returns the scaled distance of two particles (Eq. 2).
+    /// Returns the scaled distance between two particles (Eq. 2).
     fn apart(&self, i: usize, j: usize) -> f64 {
         let at = |i: usize| Vec3::from_slice(&self.places[i]).as_dvec3();
         scaled_distance(at(i).distance(at(j)), f64::from(self.places[i][3]), f64::from(self.places[j][3]))
