@@ -262,8 +262,8 @@ fn regions_are_open_to_later_insertions() {
     assert_eq!(cells(&grown), cells(&Delaunay::new(&points).unwrap()));
 }
 
-/// All tetrahedra contain the centre of the sphere in their circumspheres, so its cavity has more
-/// walls than the edge table can hold.
+/// The circumspheres of all tetrahedra contain the centre of the sphere, so the cavity of the
+/// centre has more walls than the edge table can hold.
 #[test]
 fn large_cavities() {
     let on_sphere = |n: u64| {

@@ -93,11 +93,11 @@ pub const STAGES: [Belongings; 7] = [
     },
 ];
 
-/// Ending of the checkpoint from which a stopped run of `particles` resumes.
+/// End of the name of the checkpoint from which a stopped run of `particles` resumes.
 pub const CHECKPOINT: &str = "checkpoint.bin";
-/// Ending of the report of `tetmesh-check`. This report is also a result.
+/// End of the name of the report of `tetmesh-check`. This report is also a result.
 pub const REPORT: &str = "report.json";
-/// Ending of the page about the case.
+/// End of the name of the page about the case.
 pub const PAGE: &str = "report.html";
 /// Folder of the stages' reports.
 pub const REPORTS: &str = "reports";

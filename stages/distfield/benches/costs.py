@@ -32,8 +32,8 @@ PHANTOMS = [
     ("gyroid --size 112 --kind label", "--labels=1", ""),
     ("torus --size 96 --noise 40", "--iso=100", ""),
 ]
-# For each group of stages: 1 if its cost depends on the number of nodes, of faces and of vertices,
-# and 0 otherwise.
+# For each group of stages: whether its cost depends on the numbers of nodes, faces and vertices (1
+# for yes, 0 for no).
 GROUPS = {"fields": (1, 1, 0), "particles": (1, 0, 1), "triangles": (1, 0, 1)}
 
 

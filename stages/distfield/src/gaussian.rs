@@ -224,7 +224,8 @@ mod tests {
             smooth(&mut data, size, [3.0, 9.0, 0.4]);
             assert!(data.iter().all(|value| (value - 2.5).abs() < 1e-5));
         }
-        // a step along x that is the same at every y and z stays the same
+        // a step along x that is the same at every y and z is still the same at every y and z after
+        // smoothing
         let size = [24, 6, 5];
         let mut data: Vec<f32> = (0..720).map(|n| if n % 24 < 11 { 1.0 } else { 0.0 }).collect();
         smooth(&mut data, size, [2.0; 3]);

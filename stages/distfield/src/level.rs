@@ -90,9 +90,9 @@ const WINDOW: f64 = 1.6;
 /// then corrects the centres that are still too close to the surface.
 const ROUNDS: usize = 6;
 
-/// Maximum change of the level per round. At the standard deviation of labels (1.5 voxels) the
-/// slope at a plane is 0.266 per voxel, so a plane moves by at most 0.38 voxel. The [`ROUNDS`]
-/// together can change the level by 0.6, more than the distance from 1/2 to its bounds.
+/// Maximum change of the level per round. With the smoothing of labels (a standard deviation of 1.5
+/// voxels) the slope at a plane is 0.266 per voxel, so a plane moves by at most 0.38 voxel. The
+/// [`ROUNDS`] together can change the level by 0.6, more than the distance from 1/2 to its bounds.
 const LONGEST_STEP: f64 = 0.1;
 
 /// Added to the surface density to keep the step finite where there is no surface. For a plane

@@ -6,15 +6,16 @@ use glam::{DMat3, DVec3};
 /// narrower, so pieces at a larger distance have no effect and are skipped.
 pub(super) const FAR: f64 = 25.0;
 
-/// Returns the smooth minimum, which is the union of two values, rounded over a width of `blend`.
-/// It is polynomial and equals the plain minimum where the two differ by more than `blend`.
+/// Returns the smooth minimum of two values, which represents the union of their shapes, rounded
+/// over a width of `blend`. It is polynomial and equals the plain minimum where the two differ by
+/// more than `blend`.
 pub(super) fn smooth_union(a: f64, b: f64, blend: f64) -> f64 {
     let overlap = (blend - (a - b).abs()).max(0.0) / blend;
     a.min(b) - 0.25 * overlap * overlap * blend
 }
 
-/// Returns the smooth maximum, which is the intersection of two values, rounded over a width of
-/// `blend`.
+/// Returns the smooth maximum of two values, which represents the intersection of their shapes,
+/// rounded over a width of `blend`.
 pub(super) fn smooth_intersection(a: f64, b: f64, blend: f64) -> f64 {
     -smooth_union(-a, -b, blend)
 }

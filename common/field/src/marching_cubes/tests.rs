@@ -61,8 +61,8 @@ fn sphere_torus_and_balls_have_their_topology_and_measures() {
     let sphere = marching_cubes(&sampled(size, spacing, |p| p.distance(centre) - 8.0), 0.0);
     assert_eq!(check_closed(&sphere), 2);
     let (area, volume) = measure(&sphere);
-    // a mesh of chords of a ball with a radius of 13 to 20 voxels is too small by a few times
-    // (h/R)^2/8
+    // the area and volume of a mesh inscribed in a ball with a radius of 13 to 20 voxels are too
+    // small by a few times (h/R)^2/8
     assert!((area / (4.0 * PI * 64.0) - 1.0).abs() < 4e-3, "area {area}");
     assert!((volume / (4.0 / 3.0 * PI * 512.0) - 1.0).abs() < 4e-3, "volume {volume}");
 

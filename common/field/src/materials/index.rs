@@ -33,7 +33,8 @@ struct Entry {
 /// The cost of a look-up is proportional to the number of materials near the position. For each
 /// brick of 4 x 4 x 4 cells, an index contains the materials known in the brick and the material
 /// that fills the rest of the brick. Memory is proportional to the area of the interfaces. On
-/// average, each side of an interface needs a layer of 14 coefficients, at 4 bytes each.
+/// average, the layer of an indicator that is stored at an interface is 14 coefficients thick, at 4
+/// bytes each.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Materials {
     geometry: Geometry,

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 /// Number of points per lane operation: eight doubles fill a vector register of 512 bits.
 pub(super) const LANES: usize = 8;
 
-/// Eight consecutive points. Missing points are padded with points infinitely far away.
+/// Eight consecutive points. A shorter run is padded with points infinitely far away.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     /// Coordinates of the points, axis by axis.

@@ -267,8 +267,8 @@ fn neighbouring_crossed_cells_differ_by_at_most_one_level() {
 fn a_dome_through_a_face_between_cell_sizes_stays_connected() {
     // A dome whose top is 0.05 above the middle of a face. Grad F turns in the cell above the face,
     // which is subdivided. The cell below the face is not subdivided. Only the smaller cells have a
-    // corner at the middle of the face; the larger cell contains a loop around it, next to the base
-    // of the dome.
+    // corner at the middle of the face; the larger cell contains a loop around that middle, next to
+    // the base of the dome.
     let top = DVec3::new(7.5, 7.5, 7.0);
     let scene = Scene::new([16; 3], DVec3::ONE, |p| {
         let d = p - top;

@@ -197,8 +197,8 @@ impl<'a> Levels<'a> {
         }
     }
 
-    /// Returns how far the material of `own` is above all other materials at a voxel. The result is
-    /// positive where the voxel belongs to this material.
+    /// Returns the minimum of the border functions ([`between`]) of the material of `own` and each
+    /// other material at a voxel. It is positive where the voxel belongs to the material of `own`.
     fn above_others(&self, voxel: usize, own: Share) -> f32 {
         if let Some(number) = self.several.find(voxel) {
             let others =

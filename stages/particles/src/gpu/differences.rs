@@ -38,8 +38,8 @@ pub(crate) const INDEX_BRICKS: usize = 1;
 const NO_INTERFACE: u32 = u32::MAX;
 /// Marks a pair that links to the next entry.
 pub(crate) const MORE_INTERFACES: u32 = u32::MAX - 1;
-/// Number of checks of a brick that a third material fills: no point of the brick lies on the
-/// interface.
+/// Stored instead of the number of checks if a third material fills the brick: no point of the
+/// brick lies on the interface.
 pub(crate) const NEVER_REAL: u32 = u32::MAX;
 
 /// Marks a brick that no material fills; also the padding of strata.
