@@ -1,10 +1,29 @@
 //! The tetrahedra round an edge or a vertex, by the side that they are on (inside or outside, or one of many materials), and the facets between the sides.
 
-use crate::labelled::Facet;
 use isoparticles_delaunay::Delaunay;
 use isoparticles_mesh::components::DisjointSets;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashSet};
+
+/// A facet between two labels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Facet {
+    /// Its vertices, counter-clockwise seen from outside: from the side of the smaller label.
+    pub vertices: [u32; 3],
+    /// The tetrahedron inside, that of the greater label.
+    pub tetrahedron: u32,
+    /// Which facet of it this is: the one opposite to the vertex at this place.
+    pub opposite: u8,
+}
+
+impl Facet {
+    /// Its vertices, ascending.
+    pub fn sorted(&self) -> [u32; 3] {
+        let mut vertices = self.vertices;
+        vertices.sort_unstable();
+        vertices
+    }
+}
 
 /// Where a vertex or neighbour is in a list of four that holds it.
 pub(crate) fn place_of(list: [u32; 4], what: u32) -> usize {

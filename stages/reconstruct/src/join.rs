@@ -1,8 +1,8 @@
 //! From triangulated points on F = 0 to a mesh: the facets by either method.
 
+use crate::options::{Method, Options};
 use crate::pinched::{part_sheets, with_triangles};
 use crate::prepare::{ON_SURFACE, SurfacePoints};
-use crate::reconstruct::{Method, Options};
 use crate::refine::{RefineOptions, RefineReport, Refinement};
 use crate::restricted::Facet;
 use crate::tight_cocone::{CoconeReport, tight_cocone};

@@ -3,6 +3,7 @@
 //! The label of a tetrahedron is decided by its vertices and its circumcentre; beyond the hull it is the default one, outside. The facets between different
 //! labels are the surface, or the interfaces: closed and conforming by construction.
 
+pub use crate::around::Facet;
 use crate::around::{boundary, boundary_facets_of, star};
 use crate::prepare::not_triangulated;
 use glam::DVec3;
@@ -13,26 +14,6 @@ use rayon::prelude::*;
 
 /// Fewer tetrahedra than these are labelled on one thread: waking others takes longer.
 const FEW: usize = 256;
-
-/// A facet between two labels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Facet {
-    /// Its vertices, counter-clockwise seen from outside: from the side of the smaller label.
-    pub vertices: [u32; 3],
-    /// The tetrahedron inside, that of the greater label.
-    pub tetrahedron: u32,
-    /// Which facet of it this is: the one opposite to the vertex at this place.
-    pub opposite: u8,
-}
-
-impl Facet {
-    /// Its vertices, ascending.
-    pub fn sorted(&self) -> [u32; 3] {
-        let mut vertices = self.vertices;
-        vertices.sort_unstable();
-        vertices
-    }
-}
 
 /// Most halvings of a Voronoi edge when the surface that it crosses is sought, and how long a piece is enough, voxels: the crossing is projected after that.
 const HALVINGS: usize = 60;

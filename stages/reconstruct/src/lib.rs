@@ -12,17 +12,21 @@
 //! | the mesh checked, beside the topology of F | [`check`], [`verdict`] |
 //! | data attached, and what offends shown | [`finish`] |
 
+pub mod args;
 mod around;
 pub mod check;
 pub mod defects;
 pub mod finish;
 mod held;
 pub mod improve;
+mod input;
 mod join;
 pub mod labelled;
 pub mod materials;
 pub mod object;
 mod offending;
+mod options;
+mod output;
 pub mod pinched;
 mod points_alone;
 pub mod prepare;

@@ -1,12 +1,14 @@
 //! Tight Cocone on points alone: particles without their fields, or a point cloud of another program. Nothing is projected on F = 0,
 //! improved or compared with an isosurface, because there is none; the report says so.
 
+use crate::args::Args;
 use crate::check::{CheckOptions, check};
+use crate::input::{about, read_settled};
 use crate::join::compact;
 use crate::offending::offending;
+use crate::output::{describe_mesh, write};
 use crate::pinched::{part_sheets, pinched_vertices};
 use crate::prepare::{PrepareReport, SurfacePoints};
-use crate::run::{Args, about, describe_mesh, read_settled, write};
 use crate::tight_cocone::{CoconeReport, tight_cocone};
 use glam::DVec3;
 use isoparticles_mesh::kd_tree::KdTree;

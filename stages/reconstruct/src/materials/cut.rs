@@ -7,6 +7,7 @@ use super::way::{self, LONGEST_WAY, ONE_CURVE};
 use glam::DVec3;
 use isoparticles_field::materials::Stratum;
 use isoparticles_field::materials::complex::{way_from, ways_along};
+use isoparticles_stage::error::Result;
 use std::collections::BTreeSet;
 
 /// Ends of a segment are no nearer to the point that splits it than this part of its length.
@@ -14,7 +15,7 @@ const MIDDLE: f64 = 0.2;
 
 /// How a segment becomes two.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Cut {
+enum Cut {
     /// It passes through a point that is there.
     At(u32),
     /// A point is inserted, grid frame, mm.
@@ -22,10 +23,36 @@ pub(super) enum Cut {
 }
 
 impl Refinement<'_> {
+    /// Cuts a segment in two where [`cut`](Self::cut) says; false where there is no room.
+    pub(super) fn split(&mut self, pair: Segment, least: f64) -> Result<bool> {
+        let Some((curve, cut)) = self.cut(pair, least) else { return Ok(false) };
+        let place = match cut {
+            Cut::At(point) => {
+                self.passes.insert((pair, point));
+                self.report.passes += 1;
+                self.complex.pass(pair, point);
+                return Ok(true);
+            }
+            Cut::New(place) => place,
+        };
+        let size = 0.5 * (self.complex.sizes[pair[0] as usize] + self.complex.sizes[pair[1] as usize]);
+        let inserted = self.complex.labelled.insert(place, pair[0])?;
+        let outcome = self.settle(inserted, curve, size);
+        if let Some(v) = inserted {
+            // of four materials it lies on one curve of three, and the others pass within `ONE_CURVE`
+            if curve.dimension() < 1 {
+                self.complex.joined.insert(v);
+            }
+            self.complex.segments.split(pair, v, self.complex.labelled.points());
+            self.report.on_curves += 1;
+        }
+        Ok(outcome)
+    }
+
     /// The curve of a segment and where it is cut: at a point that its curve passes; else at a new place of the curve between its ends, no nearer than `least`
     /// to either; else at a junction point that leads on; else, where the curve cannot be followed, where it is nearest to the middle of the segment. `None`
     /// where there is none of these.
-    pub(super) fn cut(&self, pair: Segment, least: f64) -> Option<(Stratum, Cut)> {
+    fn cut(&self, pair: Segment, least: f64) -> Option<(Stratum, Cut)> {
         let curve = self.complex.segments.curve(pair)?;
         let [a, b] = pair.map(|v| self.complex.points()[v as usize]);
         let length = a.distance(b);

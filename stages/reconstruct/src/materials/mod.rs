@@ -10,6 +10,7 @@
 
 pub mod check;
 pub mod complex;
+pub mod criteria;
 mod cut;
 pub mod improve;
 pub mod interfaces;

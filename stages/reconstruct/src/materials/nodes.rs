@@ -1,6 +1,7 @@
 //! Grid nodes, the centres of voxels of labels: each shall lie in the mesh in the material that the indicators give it.
 
-use super::complex::{Complex, Mend, Violation};
+use super::complex::Complex;
+use super::criteria::{Mend, Violation};
 use super::prepare::onto;
 use super::segments::segment;
 use crate::labelled::Facet;

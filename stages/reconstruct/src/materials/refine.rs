@@ -4,8 +4,8 @@
 //! another material. A point that would lie in the ball of which a segment is a diameter splits the segment in its place (Ruppert 1995). The queue ends empty,
 //! or with violations that only points nearer to others than the smallest radius could mend: these are counted and shown.
 
-use super::complex::{Complex, Mend, Violation};
-use super::cut::Cut;
+use super::complex::Complex;
+use super::criteria::{Mend, Violation};
 use super::nodes::Nodes;
 use super::segments::Segment;
 use super::topology::Simplices;
@@ -205,34 +205,8 @@ impl<'a> Refinement<'a> {
         }
     }
 
-    /// Cuts a segment in two where [`cut`](Self::cut) says; false where there is no room.
-    fn split(&mut self, pair: Segment, least: f64) -> Result<bool> {
-        let Some((curve, cut)) = self.cut(pair, least) else { return Ok(false) };
-        let place = match cut {
-            Cut::At(point) => {
-                self.passes.insert((pair, point));
-                self.report.passes += 1;
-                self.complex.pass(pair, point);
-                return Ok(true);
-            }
-            Cut::New(place) => place,
-        };
-        let size = 0.5 * (self.complex.sizes[pair[0] as usize] + self.complex.sizes[pair[1] as usize]);
-        let inserted = self.complex.labelled.insert(place, pair[0])?;
-        let outcome = self.settle(inserted, curve, size);
-        if let Some(v) = inserted {
-            // of four materials it lies on one curve of three, and the others pass within `ONE_CURVE`
-            if curve.dimension() < 1 {
-                self.complex.joined.insert(v);
-            }
-            self.complex.segments.split(pair, v, self.complex.labelled.points());
-            self.report.on_curves += 1;
-        }
-        Ok(outcome)
-    }
-
     /// Takes note of a point, if it is new; true when it is.
-    fn settle(&mut self, inserted: Option<u32>, stratum: Stratum, size: f64) -> bool {
+    pub(super) fn settle(&mut self, inserted: Option<u32>, stratum: Stratum, size: f64) -> bool {
         if inserted.is_none() {
             return false;
         }

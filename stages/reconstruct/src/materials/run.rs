@@ -3,9 +3,10 @@
 use super::check::ComplexReport;
 use super::interfaces::Interfaces;
 use super::reconstruct::{Reconstruction, reconstruct};
+use crate::args::{Args, check_method};
+use crate::input::{about, read_sizing};
 use crate::offending::Offending;
-use crate::reconstruct::Method;
-use crate::run::{Args, check_offenders, read_sizing, write};
+use crate::output::{check_offenders, write};
 use crate::volumes::of_materials;
 use isoparticles_field::materials::{Material, MaterialId};
 use isoparticles_mesh::quality::radius_ratios;
@@ -21,18 +22,6 @@ use isoparticles_volume::Geometry;
 use serde_json::{Map, json};
 use std::collections::BTreeSet;
 use std::path::Path;
-
-/// Refuses the method that many materials do not take.
-pub(crate) fn check_method(args: &Args, path: &Path) -> Result<()> {
-    if args.method != Method::TightCocone {
-        return Ok(());
-    }
-    Err(Error::input(
-        format!("{}: contains the indicators of many materials", path.display()),
-        "--method tight-cocone meshes only one object",
-        "omit --method",
-    ))
-}
 
 /// Runs the stage on the indicators of many materials.
 ///
@@ -78,10 +67,10 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
     let sizing = args.sizefield.as_deref().map(|size| read_sizing(size, (path, &geometry), context)).transpose()?;
     drop(step);
     // without a scale voxel centres keep their materials
-    let options = crate::reconstruct::Options { keeps_voxels: told.scale.is_none(), ..args.general_options() };
+    let options = crate::options::Options { keeps_voxels: told.scale.is_none(), ..args.general_options() };
     let table = given.materials.table();
     let made = reconstruct((&file.particles, &strata), &given.materials, table, sizing.as_ref(), &options, context)
-        .map_err(|error| crate::run::about(&args.particles, error))?;
+        .map_err(|error| about(&args.particles, error))?;
     context.check_interrupt()?;
     tell(&made, context);
 

@@ -1,0 +1,90 @@
+//! Writes the surface, the offending simplices and the closing table.
+
+use crate::args::Args;
+use crate::check::CheckReport;
+use crate::prepare::PrepareReport;
+use isoparticles_mesh::surface::{Simplices, Surface, write_simplices, write_surface};
+use isoparticles_stage::cli::values::significant;
+use isoparticles_stage::cli::{Context, Outcome};
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::meta::SurfaceMeta;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// Where the simplices that offend failed checks are written.
+fn offenders(args: &Args) -> PathBuf {
+    args.output.with_extension("offending.vtp")
+}
+
+/// Refuses when the file of offending simplices, which is replaced or removed, is one of the inputs.
+pub(crate) fn check_offenders(args: &Args) -> Result<()> {
+    let path = offenders(args);
+    let Ok(place) = path.canonicalize() else { return Ok(()) };
+    let mut inputs = [Some(&args.particles), args.distfield.as_ref(), args.sizefield.as_ref()].into_iter().flatten();
+    match inputs.find(|input| input.canonicalize().is_ok_and(|input| input == place)) {
+        None => Ok(()),
+        Some(input) => Err(Error::input(
+            format!(
+                "{}: this input has the name of the file for the offending simplices of {}",
+                input.display(),
+                args.output.display()
+            ),
+            "that file is replaced if a check fails, and removed if all checks pass",
+            "rename the output or the input",
+        )),
+    }
+}
+
+/// Writes the surface, and beside it what offends the failed checks.
+pub(crate) fn write(
+    args: &Args,
+    context: &Context,
+    surface: &Surface,
+    meta: &SurfaceMeta,
+    offending: Option<Simplices>,
+    failed: Vec<String>,
+) -> Result<Outcome> {
+    let step = context.step("write");
+    write_surface(&args.output, surface, &json!(meta), &context.history())?;
+    let offenders = offenders(args);
+    match offending {
+        Some(simplices) if !failed.is_empty() => {
+            write_simplices(&offenders, &simplices, &context.history())?;
+            context.info(format!("the offending simplices are in {}", offenders.display()));
+        }
+        // one left by an earlier run would mislead
+        _ => remove_stale(&offenders, context),
+    }
+    drop(step);
+    Ok(Outcome::from_failed_checks(failed))
+}
+
+fn remove_stale(path: &Path, context: &Context) {
+    if path.exists()
+        && let Err(error) = std::fs::remove_file(path)
+    {
+        context.warn(format!("{}: cannot remove this file of an earlier run: {error}", path.display()));
+    }
+}
+
+/// What the closing table says of any mesh.
+pub(crate) fn describe_mesh(
+    checked: &CheckReport,
+    expected: &str,
+    (prepared, taken): (&PrepareReport, usize),
+    context: &Context,
+) {
+    let quality = &checked.quality;
+    context.summary("vertices, triangles", format!("{}, {}", checked.vertices, checked.triangles));
+    context.summary("components", format!("{}{expected}", checked.components.len()));
+    context.summary("Euler characteristic", checked.euler);
+    let dropped = prepared.invalid + prepared.not_projected + prepared.crowded;
+    context.summary("particles used, not used", format!("{taken}, {dropped}"));
+    context.summary(
+        "radius ratio",
+        format!("mean {:.4}, minimum {:.4}", quality.radius_ratio_mean, quality.radius_ratio_min),
+    );
+    context.summary("angles, degrees", format!("{:.1} to {:.1}", quality.angle_min, quality.angle_max));
+    let (area, volume) = (significant(checked.area), significant(checked.volume));
+    context.summary("area, mm^2; volume, mm^3", format!("{area}; {volume}"));
+}
