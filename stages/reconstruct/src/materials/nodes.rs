@@ -103,8 +103,8 @@ impl Nodes {
         self.wrong_by_walls(&facets.par_iter().map(wall).collect::<Vec<_>>())
     }
 
-    /// Whether a node lies in a tetrahedron whose material is its own.
-    pub(super) fn holds_own(&self, complex: &Complex, tetrahedron: u32) -> bool {
+    /// Returns the nodes in a tetrahedron or on its faces.
+    fn nodes_in(&self, complex: &Complex, tetrahedron: u32) -> Vec<usize> {
         let corners = complex.labelled.delaunay().vertices(tetrahedron).map(|v| complex.points()[v as usize]);
         let (spacing, size) = (self.geometry.spacing, self.geometry.size);
         let (low, high) = corners.iter().fold((corners[0], corners[0]), |(low, high), p| (low.min(*p), high.max(*p)));
@@ -114,22 +114,31 @@ impl Nodes {
             let to = (high[axis] / spacing[axis]).floor().clamp(0.0, last);
             from as usize..=to as usize
         };
-        let own = complex.material(tetrahedron).0;
-        let is_in = |p: DVec3| {
+        let is_in = |&node: &usize| {
             (0..4).all(|i| {
                 let mut with = corners;
-                with[i] = p;
+                with[i] = self.place(node);
                 orientation(with[0], with[1], with[2], with[3]) >= 0.0
             })
         };
-        range(2).any(|k| {
-            range(1).any(|j| {
-                range(0).any(|i| {
-                    let node = self.geometry.linear(i, j, k);
-                    self.material[node] == own && is_in(self.place(node))
-                })
-            })
-        })
+        let rows = range(2).flat_map(|k| range(1).map(move |j| (j, k)));
+        let nodes = rows.flat_map(|(j, k)| range(0).map(move |i| (i, j, k)));
+        nodes.map(|(i, j, k)| self.geometry.linear(i, j, k)).filter(is_in).collect()
+    }
+
+    /// Returns whether a node lies in a tetrahedron of its own material.
+    pub(super) fn holds_own(&self, complex: &Complex, tetrahedron: u32) -> bool {
+        let own = complex.material(tetrahedron).0;
+        self.nodes_in(complex, tetrahedron).into_iter().any(|node| self.material[node] == own)
+    }
+
+    /// Returns the number of nodes in some tetrahedra whose material is not their own.
+    pub(super) fn wrong_in(&self, complex: &Complex, tetrahedra: &[u32]) -> usize {
+        let wrong = |&t: &u32| {
+            let own = complex.material(t).0;
+            self.nodes_in(complex, t).into_iter().filter(|&node| self.material[node] != own).count()
+        };
+        tetrahedra.iter().map(wrong).sum()
     }
 
     /// The violation at a node in another material; `near` is a vertex not far from it.
@@ -217,5 +226,37 @@ impl Nodes {
             size,
             near: vertex,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::prepare::prepare;
+    use super::super::scenes;
+    use super::*;
+
+    #[test]
+    fn nodes_of_changed_tetrahedra_are_wrong_in_them() {
+        let scene = scenes::sectors();
+        let (particles, strata) = scene.particles(1.5, 0.7);
+        let prepared = prepare(&particles, &strata, &scene.analytic).expect("on their strata");
+        let mut complex = Complex::new(prepared, &scene.analytic, DVec3::splat(scene.extent), None);
+        let nodes = Nodes::new(&scene.geometry(0.7), &scene.analytic);
+        let inside: Vec<u32> =
+            complex.labelled.facets().iter().map(|f| f.tetrahedron).filter(|&t| nodes.holds_own(&complex, t)).collect();
+        let counts: Vec<[usize; 2]> = inside
+            .iter()
+            .map(|&t| {
+                let before = nodes.wrong_in(&complex, &[t]);
+                let all = nodes.nodes_in(&complex, t).len();
+                let own = complex.material(t);
+                complex.labelled.set(t, MaterialId(9));
+                let changed = nodes.wrong_in(&complex, &[t]);
+                complex.labelled.set(t, own);
+                assert!(before < all && changed == all);
+                [before, all]
+            })
+            .collect();
+        assert!(counts.len() > 20, "{counts:?}");
     }
 }

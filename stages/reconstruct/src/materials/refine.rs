@@ -167,7 +167,7 @@ impl<'a> Refinement<'a> {
     }
 
     /// The grid nodes in other materials.
-    fn at_nodes(&self) -> Vec<Violation> {
+    pub(super) fn at_nodes(&self) -> Vec<Violation> {
         let Some(nodes) = self.nodes else { return Vec::new() };
         let wrong = nodes.wrong(&self.complex, &self.complex.labelled.facets());
         if wrong.is_empty() {

@@ -2,6 +2,7 @@
 //! points can tell. Where a junction curve passes twice through a point, as its two ways there are as near, one of them goes past it.
 
 use super::complex::Complex;
+use super::criteria::Violation;
 use super::nodes::Nodes;
 use super::refine::Refinement;
 use super::segments::{Bypass, Segment, segment};
@@ -18,8 +19,9 @@ const MOST: usize = 12;
 const ROUNDS: usize = 4;
 
 impl Refinement<'_> {
-    /// Lets tetrahedra where the topology is wrong change their material where that leaves fewer such places and takes no grid node along; returns how often. `step`
-    /// hears the number of points and may stop it with an error.
+    /// Lets tetrahedra where the topology or a grid node is wrong change their material if that
+    /// leaves fewer such places and moves no grid node into another material. Returns how often.
+    /// `step` hears the number of points and may stop it with an error.
     ///
     /// # Errors
     /// Those of `step`.
@@ -35,14 +37,29 @@ impl Refinement<'_> {
                     step(self.complex.points().len())?;
                 }
                 if self.complex.is_wrong(simplex) {
-                    count += usize::from(relabel_at(&mut self.complex, simplex, self.nodes));
+                    let sets = sets_at(&self.complex, simplex);
+                    count += usize::from(relabel_one(&mut self.complex, sets, self.nodes));
                 }
+            }
+            for tetrahedron in self.around_wrong_nodes() {
+                let sets = sets_with(&self.complex, tetrahedron);
+                count += usize::from(relabel_one(&mut self.complex, sets, self.nodes));
             }
             if count == before {
                 break;
             }
         }
         Ok(count)
+    }
+
+    /// Returns the tetrahedra around the grid nodes that lie in another material.
+    fn around_wrong_nodes(&self) -> Vec<u32> {
+        let Some(nodes) = self.nodes else { return Vec::new() };
+        let around = |violation: &Violation| match violation.simplex {
+            Simplex::Node(node) => self.complex.labelled.locate(nodes.place(node), violation.near),
+            _ => None,
+        };
+        self.at_nodes().iter().filter_map(around).collect()
     }
 
     /// Has curves that pass more than once through a point where the topology is wrong go past it, where that leaves fewer violations; returns how often. It comes
@@ -87,14 +104,17 @@ impl Change {
         }
     }
 
-    /// How many violations fewer it leaves, if it does.
-    fn gain(&self, complex: &mut Complex) -> Option<usize> {
+    /// Returns by how much it reduces the number of violations; `None` if it does not.
+    fn gain(&self, complex: &mut Complex, nodes: Option<&Nodes>) -> Option<usize> {
         // nothing changes but at the simplices of the tetrahedra, and at the segments
         let mut around = self.tetrahedra.clone();
         if let Some((_, point)) = self.bypass {
             around.extend(star(complex.labelled.delaunay(), point));
         }
-        let count = |complex: &Complex| complex.wrong(&Simplices::of(complex, &around)).len();
+        let count = |complex: &Complex| {
+            let wrong_nodes = nodes.map_or(0, |nodes| nodes.wrong_in(complex, &self.tetrahedra));
+            complex.wrong(&Simplices::of(complex, &around)).len() + wrong_nodes
+        };
         let before = count(complex);
         let old = self.make(complex)?;
         let after = count(complex);
@@ -103,9 +123,10 @@ impl Change {
     }
 }
 
-/// Makes the change at a simplex that leaves the fewest violations of the topology, if one leaves fewer than there are; true when it did.
-fn relabel_at(complex: &mut Complex, simplex: Simplex, nodes: Option<&Nodes>) -> bool {
-    let sets = sets_at(complex, simplex).into_iter().map(|tetrahedra| (tetrahedra, None)).collect();
+/// Makes the change of one of some sets of tetrahedra that leaves the fewest violations. Returns
+/// false if none leaves fewer than there are.
+fn relabel_one(complex: &mut Complex, sets: Vec<Vec<u32>>, nodes: Option<&Nodes>) -> bool {
+    let sets = sets.into_iter().map(|tetrahedra| (tetrahedra, None)).collect();
     best_of(complex, sets, nodes).is_some_and(|change| change.make(complex).is_some())
 }
 
@@ -135,7 +156,7 @@ fn best_of(complex: &mut Complex, sets: Vec<Set>, nodes: Option<&Nodes>) -> Opti
         ids.dedup();
         for to in ids {
             let change = Change { tetrahedra: tetrahedra.clone(), to, bypass };
-            if let Some(gain) = change.gain(complex)
+            if let Some(gain) = change.gain(complex, nodes)
                 && best.as_ref().is_none_or(|(most, _)| gain > *most)
             {
                 best = Some((gain, change));
@@ -175,6 +196,17 @@ fn bypasses(complex: &Complex, point: u32) -> Vec<Set> {
         }
     }
     found
+}
+
+/// Returns the sets of tetrahedra of one material that contain a given one: itself, and those around
+/// one of its edges or vertices.
+fn sets_with(complex: &Complex, tetrahedron: u32) -> Vec<Vec<u32>> {
+    let vertices = complex.labelled.delaunay().vertices(tetrahedron);
+    let edges = (0..4).flat_map(|i| (0..i).map(move |j| [i, j])).map(|ends| ends.map(|k| vertices[k]));
+    let around_edges = edges.flat_map(|edge| complex.runs_round(edge, tetrahedron));
+    let around_vertices = vertices.into_iter().flat_map(|v| sets_at(complex, Simplex::Vertex(v)));
+    let all = around_edges.chain(around_vertices).filter(|set| set.contains(&tetrahedron));
+    std::iter::once(vec![tetrahedron]).chain(all).collect()
 }
 
 /// Sets of tetrahedra at a simplex that may change together: the runs round an edge, the parts of a star, the two of a facet.
