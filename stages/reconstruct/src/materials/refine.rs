@@ -36,8 +36,6 @@ pub struct RefineReport {
     pub adopted: usize,
     /// Parts of stars and runs round edges that were given to another material.
     pub relabelled: usize,
-    /// Times that a curve which passed more than once through a point went past it.
-    pub bypassed: usize,
     /// Segments that were no edges between their materials, and are one with others nearer than `ONE_CURVE` that are.
     pub united: usize,
     /// Segments that were no edges between their materials, and join two places that their curve passes by others.
@@ -135,7 +133,6 @@ impl<'a> Refinement<'a> {
             self.report.relabelled += self.relabel(&mut step)?;
             self.complex.give_up_adopted();
         }
-        self.report.bypassed = self.bypass();
         self.unite();
         self.report.adopted = self.complex.segments.adopted().len();
         let facets = self.complex.labelled.facets();

@@ -13,21 +13,6 @@ pub fn segment(a: u32, b: u32) -> Segment {
     [a.min(b), a.max(b)]
 }
 
-/// A segment that took the place of two.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Bypass {
-    pair: Segment,
-    /// Where the two met.
-    point: u32,
-    curve: Stratum,
-    /// Whether these were adopted: the one is where both were.
-    were_adopted: [bool; 2],
-    /// Whether the one was.
-    was_adopted: bool,
-    /// Whether there was none yet.
-    is_new: bool,
-}
-
 /// Segments by their ends, by each end, and by place.
 #[derive(Clone, Debug)]
 pub struct Segments {
@@ -102,47 +87,6 @@ impl Segments {
                 self.adopted.insert(new);
             }
             self.add(new, curve, points);
-        }
-    }
-
-    /// Puts one segment, which may be there, in the place of two of one curve that meet in a point; nothing is done where they do not, where it
-    /// is of another curve, or where it would be longer than the longest of the first ones.
-    pub fn bypass(&mut self, pair: Segment, point: u32, points: &[DVec3]) -> Option<Bypass> {
-        let old = pair.map(|end| segment(end, point));
-        let [a, b] = pair.map(|v| points[v as usize]);
-        let curve = self.curve(old[0]).filter(|curve| self.curve(old[1]) == Some(*curve))?;
-        let known = self.curve(pair);
-        let fits = known.is_none_or(|known| known == curve) && a.distance(b) <= self.longest;
-        if !fits {
-            return None;
-        }
-        let were_adopted = old.map(|pair| self.remove(pair, points));
-        let was_adopted = self.adopted.contains(&pair);
-        if known.is_none() {
-            self.add(pair, curve, points);
-        }
-        // as when one is split, what was there from the start stays so
-        if were_adopted != [true; 2] {
-            self.adopted.remove(&pair);
-        } else if known.is_none() {
-            self.adopted.insert(pair);
-        }
-        Some(Bypass { pair, point, curve, were_adopted, was_adopted, is_new: known.is_none() })
-    }
-
-    /// Undoes it.
-    pub fn undo(&mut self, bypass: Bypass, points: &[DVec3]) {
-        if bypass.is_new {
-            self.remove(bypass.pair, points);
-        } else if bypass.was_adopted {
-            self.adopted.insert(bypass.pair);
-        }
-        for (end, was_adopted) in bypass.pair.into_iter().zip(bypass.were_adopted) {
-            let old = segment(end, bypass.point);
-            self.add(old, bypass.curve, points);
-            if was_adopted {
-                self.adopted.insert(old);
-            }
         }
     }
 
@@ -231,29 +175,6 @@ mod tests {
         assert_eq!(segments.all().map(|(pair, _)| pair).collect::<Vec<_>>(), [[0, 3], [1, 2], [1, 3]]);
         assert_eq!(segments.at(1).collect::<Vec<_>>(), [[1, 2], [1, 3]]);
         assert_eq!((segments.curve([0, 1]), segments.curve([1, 3])), (None, Some(curve)));
-        // and back
-        let before = segments.curve.clone();
-        assert_eq!(segments.bypass([0, 2], 1, &points), None, "too long, with no segment from 0 to 1");
-        let bypass = segments.bypass([0, 1], 3, &points).expect("two of one curve");
-        assert_eq!((segments.curve([0, 1]), segments.count(), segments.at(3).count()), (Some(curve), 2, 0));
-        assert_eq!(segments.bypass([0, 1], 3, &points), None, "none passes 3 any more");
-        segments.undo(bypass, &points);
-        assert_eq!(segments.curve, before);
-        // one that is there takes their place as well, and stays when that is undone; it is adopted only as long as all three are
-        let all = |segments: &Segments| (segments.curve.clone(), segments.adopted.clone());
-        for adopted in [[false; 3], [true; 3], [true, true, false], [false, false, true], [true, false, true]] {
-            let mut segments = segments.clone();
-            segments.add([0, 1], curve, &points);
-            let three = [[0, 3], [1, 3], [0, 1]];
-            three.iter().zip(adopted).filter(|own| own.1).for_each(|(pair, _)| _ = segments.adopted.insert(*pair));
-            let (before, near) = (all(&segments), segments.encroached(place, &points));
-            let bypass = segments.bypass([0, 1], 3, &points).expect("two of one curve");
-            assert_eq!((segments.curve([0, 1]), segments.count(), segments.at(3).count()), (Some(curve), 2, 0));
-            assert_eq!(segments.adopted(), if adopted == [true; 3] { vec![[0, 1]] } else { Vec::new() }, "{adopted:?}");
-            segments.undo(bypass, &points);
-            assert_eq!(all(&segments), before, "{adopted:?}");
-            assert!(near.is_some() && segments.encroached(place, &points) == near);
-        }
         // what is adopted stays so when it is split, until another segment comes to lie on it
         points.extend([DVec3::new(1.0, 1.0, 0.0), DVec3::new(0.5, 0.5, 0.0)]);
         assert!(segments.adopt([0, 4], curve, &points) && !segments.adopt([0, 3], curve, &points));
