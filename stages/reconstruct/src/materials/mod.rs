@@ -6,7 +6,7 @@
 //! | tetrahedra of materials, what is violated there, and what mends it | [`topology`], [`complex`], [`nodes`] |
 //! | points added, most needed first | [`refine`] |
 //! | tetrahedra given to another material where points do not help | `relabel` |
-//! | strata that are one, nearer to each other than points can tell | `unite` |
+//! | superfluous segments dropped, vertices joined to the interfaces that pass them | `unite` |
 
 pub mod check;
 pub mod complex;
@@ -15,7 +15,6 @@ mod cut;
 pub mod improve;
 pub mod interfaces;
 pub mod nodes;
-mod open_ends;
 pub mod pieces;
 pub mod prepare;
 #[cfg(test)]

@@ -1,6 +1,5 @@
 //! From particles to points of a complex: each on its own stratum, real there, no two on one spot, and junction curves whose segments join.
 
-use super::open_ends;
 use super::segments::{Segment, Segments, segment};
 use super::way::{LONGEST_WAY, ONE_CURVE, foot, length};
 use crate::prepare::{ON_SURFACE, PrepareReport, SurfacePoints};
@@ -45,8 +44,6 @@ pub struct Taken {
     pub on_small_loops: usize,
     /// Closed curves that had no particles, and got points.
     pub loops_added: usize,
-    /// Segments put between ends of curves at which no fourth material meets them.
-    pub ends_joined: usize,
 }
 
 /// Points on strata, triangulated.
@@ -132,9 +129,6 @@ pub fn prepare(particles: &ParticleSet, strata: &Strata, indicators: &dyn Indica
     let pairs = small_loops(&mut points, &strata.segments, (indicators, upper), &mut report);
     let (mut points, mut pairs) = without_the_lost(&points, pairs, &mut report);
     missing_loops(&mut points, &mut pairs, (indicators, upper), &mut report);
-    let joined = open_ends::joined(&points, &pairs, upper);
-    report.ends_joined = joined.len();
-    pairs.extend(joined);
     let (points, pairs) = without_the_crowded(points, pairs, (indicators, upper), &mut report);
     triangulated(points, pairs, (indicators, upper), report)
 }

@@ -36,8 +36,6 @@ pub struct RefineReport {
     pub adopted: usize,
     /// Parts of stars and runs round edges that were given to another material.
     pub relabelled: usize,
-    /// Segments that were no edges between their materials, and are one with others nearer than `ONE_CURVE` that are.
-    pub united: usize,
     /// Segments that were no edges between their materials, and join two places that their curve passes by others.
     pub superfluous: usize,
     /// Vertices in which sheets of the same two materials still touched: each sheet gets its own.
