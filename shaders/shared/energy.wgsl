@@ -2,8 +2,9 @@
 // team_energy.wgsl.
 //
 // With x = d pi/2 and c = cot x, the energy is c + x - pi/2, the first derivative is -(pi/2) c^2
-// and the second derivative is (pi^2/2) c (1 + c^2). Sine and cosine are polynomials because WGSL
-// guarantees only 11 bits for the built-in functions, and their results differ between adapters.
+// and the second derivative is (pi^2/2) c (1 + c^2). Sine and cosine are evaluated as polynomials
+// because WGSL guarantees only 11 bits for the built-in functions, and their results differ between
+// adapters.
 //
 // Twin: `pair_energy`, `scaled_distance` in common/field/src/energy.rs
 

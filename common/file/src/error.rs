@@ -74,8 +74,8 @@ pub enum Error {
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// Creates an error reported by the operating system. `doing` is the failed operation, such as
-    /// "read".
+    /// Creates an error from one that the operating system reported. `doing` is the failed
+    /// operation, such as "read".
     pub fn system(path: &Path, doing: &str, source: io::Error, remedy: impl Into<String>) -> Self {
         Self::System { path: path.to_path_buf(), doing: doing.to_owned(), source, remedy: remedy.into() }
     }

@@ -1,7 +1,7 @@
 //! Spatial search: a tree of axis-aligned boxes that finds the pairs of boxes that intersect, and
 //! cubic bins for points that are added and removed.
 //!
-//! The boxes are sorted along a Morton curve and grouped by eight, level by level, because SIMD
+//! The boxes are sorted along a Morton curve and grouped in eights, level by level, because SIMD
 //! instructions test eight boxes at once. The tree and the order of the results depend only on the
 //! input, not on the number of threads.
 

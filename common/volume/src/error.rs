@@ -161,8 +161,8 @@ impl Error {
         }
     }
 
-    /// Creates an error reported by the operating system. `doing` is the failed operation, such as
-    /// "read".
+    /// Creates an error from one that the operating system reported. `doing` is the failed
+    /// operation, such as "read".
     pub(crate) fn file(path: &Path, doing: &str, source: std::io::Error, remedy: impl Into<String>) -> Self {
         isoparticles_file::error::Error::system(path, doing, source, remedy).into()
     }

@@ -394,7 +394,7 @@ fn tell(ending: &Ending, position: usize, total: usize) {
     println!("[{position}/{total}] {:<24} {:<12} {:>7.1} s", ending.name, ending.verdict, ending.seconds);
 }
 
-/// Returns a verdict in the spelling of the status file.
+/// Returns a verdict as spelled in the status file.
 pub(crate) fn word(verdict: Verdict) -> String {
     let value = serde_json::to_value(verdict).unwrap_or_default();
     value.as_str().unwrap_or_default().to_owned()

@@ -156,14 +156,14 @@ impl CaseFolder {
     /// safe because the lock's holder is the only writer.
     ///
     /// # Errors
-    /// If the folder cannot be created, or another run works in it.
+    /// If the folder cannot be created, or another run is using it.
     pub fn lock(&self) -> Result<Lock> {
         std::fs::create_dir_all(self.path.join(REPORTS)).map_err(|error| {
             Error::file(&self.path, "create the folder", &error, "check OUT, its permissions and the free disk space")
         })?;
         let lock = self.try_lock()?.ok_or_else(|| {
             Error::input(
-                format!("{}: another run works on this case", self.path.display()),
+                format!("{}: another run is working on this case", self.path.display()),
                 "two runs would overwrite each other's files",
                 "wait until it ends, stop it, or set another NAME",
             )

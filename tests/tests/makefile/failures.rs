@@ -205,7 +205,7 @@ fn two_runs_on_one_name_do_not_meet() {
     let lock = std::fs::File::options().write(true).open(case.out().join("ball/.lock")).expect("the lock");
     lock.lock().expect("taken");
     let before = case.text("status.json");
-    case.surface(&["ISO=120", "VERBOSITY=-q"]).expect_error(2, &["another run works on this case", "NAME"]);
+    case.surface(&["ISO=120", "VERBOSITY=-q"]).expect_error(2, &["another run is working on this case", "NAME"]);
     assert_eq!(before, case.text("status.json"));
     drop(lock);
     case.surface(&PARAMETERS).expect_success("make surface");

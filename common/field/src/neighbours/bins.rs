@@ -164,8 +164,8 @@ impl LevelBins {
 }
 
 /// Returns an order of the points in which consecutive points are close to each other. The order
-/// follows a Morton curve whose cells are a quarter of the finest bins. The finest bins are about
-/// as wide as the smallest reach, or a thousandth of the extent if that is larger.
+/// follows a Morton curve whose cells are a quarter as wide as the finest bins. The finest bins are
+/// about as wide as the smallest reach, or a thousandth of the extent if that is larger.
 pub fn space_order(points: &[DVec3], sizes: &[f64], reach: f64) -> Vec<u32> {
     let grid = Grid::new(points, sizes, reach);
     let mut keyed: Vec<(u64, u32)> = points

@@ -44,8 +44,8 @@ pub const ROOM: usize = 8;
 #[derive(Clone, Debug)]
 pub struct CubicSpline {
     geometry: Geometry,
-    /// Mean spacing in mm. Stored because it takes a cube root and projections need it millions of
-    /// times.
+    /// Mean spacing in mm. Stored because computing it takes a cube root, and projections need it
+    /// millions of times.
     voxel: f64,
     coefficients: Vec<f32>,
 }

@@ -151,7 +151,7 @@ impl Cells {
     }
 
     /// Returns a cell with its state. If the cell does not exist, returns the larger cell without
-    /// octants that contains it. Returns `None` beyond the volume.
+    /// octants that contains it. Returns `None` outside the volume.
     pub(super) fn find(&self, cell: Cell) -> Option<(Cell, State)> {
         let voxel = cell.within(0).at.map(|n| n as usize);
         if (0..3).any(|axis| voxel[axis] >= self.size[axis]) {

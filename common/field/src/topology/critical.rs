@@ -64,7 +64,7 @@ pub struct CriticalPoint {
     /// For each eigenvector of the Hessian, the vector along it from the critical point to F = 0 by
     /// the second-order expansion (mm). It is zero if F = 0 is not reached in that direction.
     pub ways: [DVec3; 3],
-    /// Minimum length of these vectors that are not zero, in mm. It approximates the radius of the
+    /// Length of the shortest non-zero vector in `ways`, in mm. It approximates the radius of the
     /// neck, gap or speck.
     pub radius: f64,
 }

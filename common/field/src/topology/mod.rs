@@ -101,8 +101,7 @@ pub struct TopologySummary {
 }
 
 impl FieldComponents {
-    /// Computes the components of the spline through the samples of a volume.
-    ///
+    /// Computes the components of F = 0, where F is the spline through the samples of a volume.
     /// # Errors
     /// If the monitor interrupts the work.
     pub fn new(field: &CubicSpline, monitor: &dyn Monitor) -> Result<Self, Interrupted> {

@@ -118,7 +118,7 @@ pub(super) struct Reader<'a> {
     block_level: u8,
     /// Whether neither the current cell nor any cell around it is subdivided.
     is_even: bool,
-    /// Indices of the octants of the current cell and of the cells of its size around it. Valid
+    /// Indices of the octants of the current cell and of its neighbours of the same size. Valid
     /// only if `is_even` is false.
     near: [Option<u32>; 27],
     /// For each level: the cell requested last, and the octant indices of this cell and of the
@@ -256,7 +256,7 @@ impl<'a> Reader<'a> {
         self.is_even = self.halved & (AROUND << (low[0] + 4 * low[1] + 16 * low[2])) == 0;
     }
 
-    /// Returns the indices of the octants of a cell and of the cells of its size around it, in the
+    /// Returns the indices of the octants of a cell and of its neighbours of the same size, in the
     /// order of [`around`]. The index is `None` for a cell that is not subdivided.
     fn halves_round(&mut self, cell: Cell) -> [Option<u32>; 27] {
         let level = usize::from(cell.level);

@@ -140,7 +140,7 @@ impl Profile {
         }
     }
 
-    /// Waits for the device and adds the timestamps of the last submission.
+    /// Waits for the device and adds the kernel times of the last submission to the totals.
     pub(crate) fn collect(&mut self, gpu: &Gpu, timed: &[&'static str]) -> Result<()> {
         let Some((_, _, host)) = &self.queries else { return Ok(()) };
         let stamps: Vec<u64> = read_staging(gpu, host, 16 * timed.len() as u64, None)?;

@@ -29,8 +29,8 @@ const RING: usize = 3;
 /// complex.
 const DUPLICATE_DISTANCE: f64 = 0.5 * SAME_JUNCTION;
 
-/// Maximum distance from a chain to its curve, in voxels: the limit with which the complex projects
-/// the vertices of a chain (`LONGEST_PROJECTION` in `complex/chains.rs`).
+/// Maximum distance from a chain to its curve, in voxels: the same limit that the complex uses when
+/// it projects the vertices of a chain (`LONGEST_PROJECTION` in `complex/chains.rs`).
 const MAX_PROJECTION: f64 = 1.0;
 
 /// Tolerance of the projection, in voxels, as in the complex: about one ulp of a coefficient, which

@@ -1,4 +1,4 @@
-//! Bounds h by the curvature and length of junction curves.
+//! Limits h according to the curvature and length of junction curves.
 
 use glam::DVec3;
 use isoparticles_field::materials::complex::{Complex, End};
