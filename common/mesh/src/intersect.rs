@@ -224,7 +224,7 @@ mod tests {
         assert!(pair(BASE, [v(0.5, 0.0, -1.0), v(0.5, 0.0, 1.0), v(0.5, -1.0, 0.0)]));
         // parallel
         assert!(!pair(BASE, BASE.map(|p| p + DVec3::Z * 1e-12)));
-        // coplanar triangles: overlapping, one inside the other, disjoint, touching in a point
+        // coplanar triangles: overlapping, one inside the other, disjoint, touching at a point
         assert!(pair(BASE, BASE.map(|p| p + v(0.3, 0.3, 0.0))));
         assert!(pair(BASE, BASE.map(|p| p * 0.25 + v(0.25, 0.25, 0.0))));
         assert!(!pair(BASE, BASE.map(|p| p + v(0.6, 0.6, 0.0))));

@@ -217,7 +217,7 @@ mod tests {
         for (name, judgement) in labels {
             assert_eq!(judgement.kind, Kind::Labels, "{name}: {judgement:?}");
             // layers and specks one voxel thick can make the kind uncertain, but not wrong
-            assert!(judgement.certain || name.contains("thin") || name.contains("specks"), "{name}: {judgement:?}");
+            assert!(judgement.certain || name.contains("thick") || name.contains("specks"), "{name}: {judgement:?}");
         }
     }
 

@@ -69,7 +69,7 @@ mod tests {
         assert_eq!(plain.axes, ["right to left", "anterior to posterior", "inferior to superior"]);
         assert_eq!((plain.letters.as_deref(), plain.left_handed, plain.oblique_degrees), (Some("LPS"), false, 0.0));
 
-        // axes towards right, anterior and inferior, rotated by 20 degrees about the z axis
+        // axes pointing right, anterior and inferior, rotated by 20 degrees about the z axis
         let (sine, cosine) = 20f64.to_radians().sin_cos();
         let directions = DMat3::from_cols(DVec3::new(-cosine, -sine, 0.0), DVec3::new(sine, -cosine, 0.0), -DVec3::Z);
         let turned = Orientation::of(&Geometry { directions, ..geometry.clone() });

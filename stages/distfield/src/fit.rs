@@ -46,7 +46,7 @@ const DAMPING: f64 = 0.001;
 /// because the misfit then hardly decreases. Fits of `tests/labels.rs` that end like this have a
 /// root mean square of F of at most 2.3 times the tolerance. With 0.0001 and 0.001, the fields of
 /// `heart_label`, `heart_ct` at 250 and `frog_tissue_labels` 13 are the same. With 0.01, the mean
-/// shift of the zero set of `heart_ct` grows from 0.0047 to 0.0065 voxel (`make distfield`).
+/// shift of the zero set of `heart_ct` grows from 0.0044 to 0.0063 voxel (`make distfield`).
 const GRADIENT_TOLERANCE: f64 = 0.001;
 
 /// A voxel cell that contains samples.

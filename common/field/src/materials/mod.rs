@@ -221,7 +221,7 @@ pub trait Indicators: Sync {
     }
 
     /// Projects `start` onto the junction curve of three materials by the Gauss-Newton method on
-    /// G_ij = G_ik = 0, with steps of minimum length. `limit` and `tolerance` are as in
+    /// G_ij = G_ik = 0, with minimum-norm steps. `limit` and `tolerance` are as in
     /// [`Self::project_onto_interface`]. Also returns `None` if the interfaces are tangent
     /// ([`LEAST_SQUARED_SINE`]).
     fn project_onto_curve(&self, own: [MaterialId; 3], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {

@@ -3,7 +3,7 @@
 //! `--man-page [SUBCOMMAND]` and `--command-line`. Each must be the only request on the command
 //! line.
 //!
-//! These words are not regular options, because a stage cannot run without its files. The scripts
+//! These flags are not regular options, because a stage cannot run without its files. The scripts
 //! are made with `make completions`. With `--command-line`, a stage in any language describes its
 //! options to a calling program ([`CommandLine`]).
 

@@ -49,7 +49,7 @@ const TIE: f64 = 0.004;
 /// Margin that a raise aims at, relative to the required margin. A raise that lifts its indicator
 /// at one midpoint lowers it at the next midpoint by 0.13 / 0.6 = 22 % as much (see
 /// [`MOST_ROUNDS`]). The excess of 25 % compensates for about one such loss. With 1, 1.25 and 1.5,
-/// 1129, 45 and 53 contacts of `frog_tissue_labels` keep less than the margin (`near` of the report
+/// 1137, 43 and 51 contacts of `frog_tissue_labels` keep less than the margin (`near` of the report
 /// of `make distfield MATERIALS=all`).
 const AIM: f64 = 1.25;
 

@@ -191,8 +191,8 @@ impl<'a> GpuEngine<'a> {
         Ok(())
     }
 
-    /// Creates all buffers with one entry per particle. The listed buffers have room for twice as
-    /// many particles: a pass adds at most one newcomer per particle, so density control cannot
+    /// Creates all buffers with one entry per particle. The `listed_*` buffers have room for twice
+    /// as many particles: a pass adds at most one newcomer per particle, so density control cannot
     /// overflow them.
     fn make_room(&mut self, rows: u32) -> Result<()> {
         let none = wgpu::BufferUsages::empty();

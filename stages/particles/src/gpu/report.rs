@@ -18,16 +18,16 @@ pub struct DeviceReport {
     pub adapter: String,
     /// Seconds from the start of the upload to the end of the last readback, excluding compilation.
     pub device_seconds: f64,
-    /// Share of `device_seconds` in which the host creates buffers and uploads fields and
+    /// Part of `device_seconds` during which the host creates buffers and uploads fields and
     /// particles.
     pub upload_seconds: f64,
-    /// Share of `device_seconds` in which the host encodes and submits passes while the device is
-    /// idle.
+    /// Part of `device_seconds` during which the host encodes and submits passes while the device
+    /// is idle.
     pub encode_seconds: f64,
-    /// Share of `device_seconds` in which the host waits for passes. Host work on the next pass
-    /// while the device works is not in any of these shares.
+    /// Part of `device_seconds` during which the host waits for passes. Host work on the next pass
+    /// while the device works is not in any of these parts.
     pub wait_seconds: f64,
-    /// Share of `device_seconds` in which the particles are downloaded.
+    /// Part of `device_seconds` during which the particles are downloaded.
     pub readback_seconds: f64,
     /// Time in seconds to compile the kernels.
     pub compile_seconds: f64,

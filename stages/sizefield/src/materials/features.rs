@@ -29,8 +29,9 @@ const CURVATURE_CLEARANCE: f64 = 1.0;
 const WEDGE_LENGTH: f64 = 2.0;
 
 /// Minimum step in voxels across a material; also the first step away from an interface. A
-/// thickness is too large by about this step at most. With the defaults of every quality, h depends
-/// on thicknesses from 3 voxels (2 minimum h / epsilon), so the error of h is at most 3 %.
+/// thickness is overestimated by at most about this step. With the defaults of every quality, h
+/// depends only on thicknesses of at least 3 voxels (2 minimum h / epsilon), so the error of h is
+/// at most 3 %.
 const LEAST_STEP: f64 = 0.1;
 
 /// Fraction of a known distance that a step covers. A step crosses no interface if the distance is

@@ -31,8 +31,8 @@ pub(super) const LONGEST_STEP: f64 = 0.2;
 const SHORTEST_STEP: f64 = 1e-3;
 
 /// Minimum cosine between the tangents at both ends of a step. At this angle, 37 degrees, a chord
-/// of [`LONGEST_STEP`] is within 0.0811 of its length of the arc: 0.016 voxel, less than
-/// [`SAME_JUNCTION`].
+/// of [`LONGEST_STEP`] deviates from the arc by at most 0.0811 of its own length: 0.016 voxel, less
+/// than [`SAME_JUNCTION`].
 const LEAST_COSINE: f64 = 0.8;
 
 const _: () = assert!(0.0811 * LONGEST_STEP < SAME_JUNCTION, "a step could deviate from its curve");
