@@ -1,28 +1,27 @@
 //! Reads the inputs that one object and many materials have in common.
 
 use crate::args::Args;
-use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::{Error, Kind, Result};
 use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
-use isoparticles_stage::particle_file::{ParticleKind, read_particles};
+use isoparticles_stage::particle_file::{ParticleFile, ParticleKind, read_particles};
 use isoparticles_volume::Geometry;
 use std::path::Path;
 
-/// Reads the particles with a warning where they are not settled, and notes them as an input.
-pub(crate) fn read_settled(args: &Args, context: &Context) -> Result<ParticleSet> {
+/// Reads the particles and records them as an input. Warns if they are not settled.
+pub(crate) fn read_settled(args: &Args, context: &Context) -> Result<ParticleFile> {
     let kinds = [ParticleKind::Particles, ParticleKind::Seeds, ParticleKind::Checkpoint];
     let file = read_particles(&args.particles, &kinds)?;
     if file.kind != ParticleKind::Particles {
         let (path, kind) = (args.particles.display(), file.kind.name());
         context.warn(format!("{path}: contains {kind} instead of settled particles, so the triangles will be worse"));
     }
-    context.add_input(&args.particles, Some(file.history))?;
-    Ok(file.particles)
+    context.add_input(&args.particles, Some(file.history.clone()))?;
+    Ok(file)
 }
 
-/// Reads a size field that lies on the grid of a distance field, one of the inputs.
+/// Reads a size field and records it as an input. It must be on the grid of the distance field.
 pub(crate) fn read_sizing(path: &Path, distance: (&Path, &Geometry), context: &Context) -> Result<SizingField> {
     let field = read_field(path, FieldKind::Sizing)?;
     check_same_grid((path, &field.image.geometry), distance)?;
@@ -30,7 +29,7 @@ pub(crate) fn read_sizing(path: &Path, distance: (&Path, &Geometry), context: &C
     Ok(SizingField::new(field.image))
 }
 
-/// An error about a file, unless the run was interrupted.
+/// Adds the path of a file to an error, unless the run was interrupted.
 pub(crate) fn about(path: &Path, error: Error) -> Error {
     if error.kind == Kind::Interrupted {
         return error;

@@ -105,7 +105,7 @@ fn read(args: &Args, context: &Context) -> Result<Input> {
         geometry.space = cloud.space;
         return Ok(Input { points, geometry, has_sizes: false });
     }
-    let particles = read_settled(args, context)?;
+    let particles = read_settled(args, context)?.particles;
     // reading has refused what is not finite
     let report = PrepareReport { particles: particles.positions.len(), ..PrepareReport::default() };
     let points = SurfacePoints {

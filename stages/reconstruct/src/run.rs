@@ -60,7 +60,7 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
             rayon::join(|| read_field(distfield, FieldKind::Distance), sizing)
         },
     );
-    let (particles, field, sizing) = (particles?, field?, sizing?);
+    let (particles, field, sizing) = (particles?.particles, field?, sizing?);
     check_same_grid((&args.particles, &particles.geometry), (distfield, &field.image.geometry))?;
     let count = particles.positions.len();
     context.check_memory(

@@ -4,7 +4,7 @@ use super::check::ComplexReport;
 use super::interfaces::Interfaces;
 use super::reconstruct::{Reconstruction, reconstruct};
 use crate::args::{Args, check_method};
-use crate::input::{about, read_sizing};
+use crate::input::{about, read_settled, read_sizing};
 use crate::offending::Offending;
 use crate::output::{check_offenders, write};
 use crate::volumes::of_materials;
@@ -17,7 +17,6 @@ use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::check_same_grid;
 use isoparticles_stage::materials_file::read_materials;
 use isoparticles_stage::meta::{self, Border, MaterialsMeta, Source, SurfaceMeta};
-use isoparticles_stage::particle_file::{ParticleKind, read_particles};
 use isoparticles_volume::Geometry;
 use serde_json::{Map, json};
 use std::collections::BTreeSet;
@@ -32,8 +31,7 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
     check_method(args, path)?;
     check_offenders(args)?;
     let step = context.step("read");
-    let kinds = [ParticleKind::Particles, ParticleKind::Seeds, ParticleKind::Checkpoint];
-    let file = read_particles(&args.particles, &kinds)?;
+    let file = read_settled(args, context)?;
     let Some(strata) = file.strata else {
         return Err(Error::input(
             format!("{}: the particles have no strata", args.particles.display()),
@@ -41,11 +39,6 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
             "pass the particles made from the same materials",
         ));
     };
-    if file.kind != ParticleKind::Particles {
-        let (path, kind) = (args.particles.display(), file.kind.name());
-        context.warn(format!("{path}: contains {kind} instead of settled particles, so the triangles will be worse"));
-    }
-    context.add_input(&args.particles, Some(file.history))?;
     let given = read_materials(path)?;
     let geometry = given.materials.geometry().clone();
     check_same_grid((&args.particles, &file.particles.geometry), (path, &geometry))?;
