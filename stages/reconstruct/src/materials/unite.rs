@@ -38,8 +38,9 @@ impl Refinement<'_> {
     }
 }
 
-/// Whether a segment that is no edge between its materials is one too many: a curve of three materials passes a point once, and both of its ends lie on two others of its curve that are such
-/// edges. Where two ways of a curve come near to each other, it may have been followed from one to the other.
+/// Returns whether a segment that is not an edge between its materials is superfluous: its curve is
+/// of three materials, and at both ends it already has two other segments that are such edges. This
+/// happens if `seed` follows a curve from one of two close branches to the other.
 fn is_superfluous(complex: &Complex, pair: Segment) -> bool {
     let Some(curve) = complex.segments.curve(pair).filter(|curve| curve.dimension() == 1) else { return false };
     let is_right = |other: &Segment| {
@@ -61,8 +62,9 @@ mod tests {
     use isoparticles_delaunay::Delaunay;
     use isoparticles_field::materials::{Analytic, Indicators, ball, half_space, maximum, negative};
 
-    /// A ball of three sectors round the z axis, with two points beside the axis a hair apart, and segments from both of them to both neighbours on the axis.
-    fn lens(hair: f64) -> (Analytic, Vec<DVec3>, [Segment; 4]) {
+    /// Returns a ball of three sectors around the z axis, and points of which the first five are on
+    /// the axis.
+    fn three_sectors() -> (Analytic, Vec<DVec3>) {
         let normal =
             |turns: f64| DVec3::new((turns * std::f64::consts::TAU).cos(), (turns * std::f64::consts::TAU).sin(), 0.0);
         let sector = |n: f64| {
@@ -72,8 +74,6 @@ mod tests {
         let analytic =
             Analytic::new(vec![negative(ball(DVec3::ZERO, 6.0)), sector(0.0), sector(1.0), sector(2.0)], 1.0);
         let mut points = [-2.0, -1.0, 0.0, 1.0, 2.0].map(|z| DVec3::Z * z).to_vec();
-        // the other point of the axis
-        points.push(DVec3::new(hair * 0.9, hair * 0.1, 0.02 * hair));
         for ring in 0..3 {
             for (z, shift) in [(-1.6, 0.01), (-0.6, -0.01), (0.45, 0.02), (1.55, -0.03)] {
                 let turns = f64::from(ring) / 3.0;
@@ -81,11 +81,11 @@ mod tests {
                 points.push((1.0 + shift) * normal(turns + 1.0 / 6.0) + (z + shift) * DVec3::Z);
             }
         }
-        (analytic, points, [[1, 2], [2, 3], [1, 5], [3, 5]])
+        (analytic, points)
     }
 
-    /// A complex of these points, of which so many are on the axis, with segments of it.
-    fn complex_of<'a>(analytic: &'a Analytic, points: &[DVec3], on_axis: usize, pairs: &[Segment]) -> Complex<'a> {
+    /// Returns the complex of these points with segments of the axis.
+    fn complex_of<'a>(analytic: &'a Analytic, points: &[DVec3], pairs: &[Segment]) -> Complex<'a> {
         let curve = stratum(&[1, 2, 3]);
         let sheet = |p: &DVec3| {
             let near = analytic.near(*p);
@@ -95,7 +95,7 @@ mod tests {
         let prepared = Prepared {
             delaunay: Delaunay::new(points).expect("points in space"),
             sizes: vec![1.0; points.len()],
-            strata: (0..).zip(points).map(|(v, p)| if v < on_axis { curve } else { sheet(p) }).collect(),
+            strata: (0..).zip(points).map(|(v, p)| if v < 5 { curve } else { sheet(p) }).collect(),
             segments: Segments::new(pairs.iter().map(|&[a, b]| (segment(a, b), curve)), points),
             report: Taken::default(),
         };
@@ -104,11 +104,10 @@ mod tests {
 
     #[test]
     fn a_segment_between_points_that_their_curve_passes_already_is_one_too_many() {
-        let (analytic, mut points, _) = lens(0.3);
-        points.remove(5);
+        let (analytic, points) = three_sectors();
         let axis = [[0, 1], [1, 2], [2, 3], [3, 4]];
         let extra = |pair: Segment| {
-            let complex = complex_of(&analytic, &points, 5, &[&axis[..], &[pair]].concat());
+            let complex = complex_of(&analytic, &points, &[&axis[..], &[pair]].concat());
             let curve = complex.segments.curve(pair).expect("a segment");
             assert!(
                 complex.wrong_segment(pair, curve, complex.at_edge(pair)).is_some(),
@@ -118,7 +117,7 @@ mod tests {
         };
         assert!(extra([1, 3]));
         assert!(!extra([0, 2]), "0 is an end");
-        let complex = complex_of(&analytic, &points, 5, &axis);
+        let complex = complex_of(&analytic, &points, &axis);
         assert!(axis.iter().all(|&pair| !is_superfluous(&complex, pair)), "what is right stays");
     }
 }
