@@ -44,8 +44,8 @@ impl ValueGradient for Source {
     }
 }
 
-/// Slopes up to this value count as zero. It is far below one step of an 8-bit scan per thousand
-/// voxels, and far above the smallest number of single precision, 1e-38.
+/// Slopes up to this value, per mm, count as zero. Rounding to double precision alone gives slopes
+/// of 1e-13 where the values of a scan are about 1000.
 pub(crate) const VANISHING_SLOPE: f64 = 1e-12;
 
 /// Returns the value over the slope. If the slope vanishes, returns 1e6 mm, which exceeds the size

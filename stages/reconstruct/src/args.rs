@@ -37,8 +37,8 @@ pub struct Args {
     /// clouds, with or without normals: .ply, .vtp, or .xyz (lines `x y z` or `x y z nx ny nz`)
     #[arg(value_name = "P.bin", help_heading = FILES)]
     pub particles: PathBuf,
-    /// Distance field F of the particles, mm. --method restricted needs it. Without it, vertices are
-    /// not projected, and triangles are neither improved nor compared with F = 0
+    /// Distance field F of the particles, mm. --method restricted needs it. Without it, vertices
+    /// are not projected, and triangles are neither improved nor compared with F = 0
     #[arg(long, value_name = "F.vti", help_heading = FILES)]
     pub distfield: Option<PathBuf>,
     /// Size field h on the grid of F, mm [default: the h that is stored with each particle]
@@ -58,22 +58,23 @@ pub struct Args {
     /// triangles beyond it [default: a quarter of h or of a voxel, whichever is larger]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     pub max_deviation: Option<f64>,
-    /// Maximum number of rounds that add points, 0 to 100. Each round compares the whole surface with
-    /// F. The limit applies separately to grid nodes on the wrong side, and to each step of Tight
-    /// Cocone that needs more points
+    /// Maximum number of rounds that add points, 0 to 100. Each round compares the whole surface
+    /// with F. The limit applies separately to grid nodes on the wrong side, and to each step of
+    /// Tight Cocone that needs more points
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u16).range(0..=100), help_heading = METHOD)]
     pub max_rounds: u16,
-    /// Improve triangles below this radius ratio by local moves, 0 to 1. The ratio is 2 r / R, which
-    /// is 1 for an equilateral triangle. Together with --relaxation-sweeps 0, the value 0 leaves the
-    /// triangulation unchanged
+    /// Improve triangles below this radius ratio by local moves, 0 to 1. The ratio is 2 r / R,
+    /// which is 1 for an equilateral triangle. Together with --relaxation-sweeps 0, the value 0
+    /// leaves the triangulation unchanged
     #[arg(long, value_name = "RATIO", default_value_t = 0.9, value_parser = share, help_heading = METHOD)]
     pub improve_below: f64,
     /// Sweeps over the whole mesh before --improve-below applies, 0 to 20. They move vertices along
-    /// F = 0 and flip edges where this improves the triangles. Meshes of a few thousand vertices get
-    /// more sweeps, as long as these help
+    /// F = 0 and flip edges where this improves the triangles. Meshes of a few thousand vertices
+    /// get more sweeps, as long as these help
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(0..=20), help_heading = METHOD)]
     pub relaxation_sweeps: u16,
-    /// Minimum radius ratio of a triangle, 0 to 1 [default: 0.3 with a distance field; none without]
+    /// Minimum radius ratio of a triangle, 0 to 1 [default: 0.3 with a distance field; none
+    /// without]
     #[arg(long, value_name = "RATIO", value_parser = share, help_heading = CHECKS)]
     pub min_radius_ratio: Option<f64>,
     /// Many materials: accept triangles below --min-radius-ratio where junction curves allow no
@@ -89,13 +90,13 @@ pub struct Args {
 }
 
 impl Args {
-    /// How to reconstruct from a field that says this of itself.
+    /// Returns the options for a distance field with this metadata.
     pub(crate) fn options(&self, told: &DistanceMeta) -> Options {
         let (keeps_voxels, open_border) = (told.keeps_voxels(), told.border == Some(Border::Open));
         Options { keeps_voxels, open_border, ..self.general_options() }
     }
 
-    /// How to reconstruct, as far as the options alone tell.
+    /// Returns the options that do not depend on the distance field.
     pub(crate) fn general_options(&self) -> Options {
         Options {
             method: self.method,
@@ -110,7 +111,7 @@ impl Args {
         }
     }
 
-    /// The bar for the smallest radius ratio.
+    /// Returns the minimum radius ratio that passes; `None` means any.
     pub(crate) fn radius_ratio_bar(&self) -> Option<f64> {
         self.min_radius_ratio.or(self.distfield.as_ref().map(|_| MIN_RADIUS_RATIO))
     }
@@ -155,7 +156,7 @@ impl StageArgs for Args {
     }
 }
 
-/// Refuses `--each` for one object.
+/// Returns an error if `--each` is given for a single object.
 pub(crate) fn check_each(args: &Args, field: &Path) -> Result<()> {
     if args.each.is_none() {
         return Ok(());
@@ -167,7 +168,7 @@ pub(crate) fn check_each(args: &Args, field: &Path) -> Result<()> {
     ))
 }
 
-/// Refuses the method that many materials do not take.
+/// Returns an error if Tight Cocone is chosen for many materials.
 pub(crate) fn check_method(args: &Args, path: &Path) -> Result<()> {
     if args.method != Method::TightCocone {
         return Ok(());

@@ -3,39 +3,41 @@
 use crate::check::MIN_RADIUS_RATIO;
 use isoparticles_volume::Image;
 
-/// How particles are joined.
+/// Method that connects the particles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Method {
-    /// Delaunay triangulation restricted by the sign of F, refined until it has the topology of the isosurface
+    /// Delaunay triangulation restricted by the sign of F, refined until it has the topology of the
+    /// isosurface
     Restricted,
-    /// Tight Cocone (Dey and Goswami 2003): by the shape of the Voronoi cells, from points alone; with a distance field, from more points
-    /// where these are too few
+    /// Tight Cocone (Dey and Goswami 2003): by the shape of the Voronoi cells, from points alone;
+    /// with a distance field, from more points where these are too few
     TightCocone,
 }
 
-/// How to reconstruct; the defaults are those of the program.
+/// Options of a reconstruction. The defaults are those of the program.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// How particles are joined.
+    /// Method that connects the particles.
     pub method: Method,
-    /// Farthest that the centroid of a facet may lie from F = 0 before points are added there, mm; where there is none, a quarter of h or of a
-    /// voxel, whichever is larger.
+    /// Maximum distance of the centroid of a facet from F = 0, mm. Points are added at facets
+    /// beyond it. `None`: a quarter of h or of a voxel, whichever is larger.
     pub max_deviation: Option<f64>,
-    /// Most rounds of adding points at a stretch.
+    /// Maximum number of consecutive rounds that add points.
     pub max_rounds: usize,
-    /// Radius ratio below which triangles are worked on by local moves; 0, with no sweeps, leaves the triangulation as it is.
+    /// Radius ratio below which local moves improve a triangle. With 0 and no sweeps, the
+    /// triangulation stays unchanged.
     pub improve_below: f64,
-    /// Sweeps over the whole mesh before that.
+    /// Number of sweeps over the whole mesh before these moves.
     pub relaxation_sweeps: usize,
-    /// Whether voxel centres have sides that are kept (labels at scale 0).
+    /// Whether every voxel centre must stay on its side (label maps at scale 0).
     pub keeps_voxels: bool,
-    /// Whether the surface ends where the volume does.
+    /// Whether the surface is open at the border of the volume.
     pub open_border: bool,
-    /// Smallest radius ratio that passes; `None`: any.
+    /// Minimum radius ratio that passes; `None` means any.
     pub min_radius_ratio: Option<f64>,
-    /// Whether triangles below it pass where junction curves force them below it.
+    /// Whether triangles below it pass if junction curves force them to be there.
     pub accept_forced: bool,
-    /// Farthest from F = 0 that a vertex may lie, voxels (geometric mean spacing).
+    /// Maximum distance of a vertex from F = 0, in voxels (geometric mean spacing).
     pub max_vertex_distance: f64,
 }
 
@@ -57,7 +59,8 @@ impl Default for Options {
 }
 
 impl Options {
-    /// The samples of F whose nodes must stay on their side: those of labels, unless the surface ends where the volume does.
+    /// Returns the samples of F if their nodes must stay on their side: for label maps at scale 0
+    /// with a closed border.
     pub(crate) fn guarded<'a>(&self, samples: &'a Image<f32>) -> Option<&'a Image<f32>> {
         (self.keeps_voxels && !self.open_border).then_some(samples)
     }

@@ -11,12 +11,12 @@ use isoparticles_stage::meta::SurfaceMeta;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// Where the simplices that offend failed checks are written.
+/// Returns the path of the file with the simplices behind the failed checks.
 fn offenders(args: &Args) -> PathBuf {
     args.output.with_extension("offending.vtp")
 }
 
-/// Refuses when the file of offending simplices, which is replaced or removed, is one of the inputs.
+/// Returns an error if the file of offending simplices, which is replaced or removed, is an input.
 pub(crate) fn check_offenders(args: &Args) -> Result<()> {
     let path = offenders(args);
     let Ok(place) = path.canonicalize() else { return Ok(()) };
@@ -35,7 +35,8 @@ pub(crate) fn check_offenders(args: &Args) -> Result<()> {
     }
 }
 
-/// Writes the surface, and beside it what offends the failed checks.
+/// Writes the surface. If a check failed, also writes the simplices behind it; otherwise removes
+/// their file.
 pub(crate) fn write(
     args: &Args,
     context: &Context,
@@ -52,7 +53,7 @@ pub(crate) fn write(
             write_simplices(&offenders, &simplices, &context.history())?;
             context.info(format!("the offending simplices are in {}", offenders.display()));
         }
-        // one left by an earlier run would mislead
+        // a file of an earlier run would be misleading
         _ => remove_stale(&offenders, context),
     }
     drop(step);
@@ -67,7 +68,7 @@ fn remove_stale(path: &Path, context: &Context) {
     }
 }
 
-/// What the closing table says of any mesh.
+/// Adds the rows of the closing table that every mesh of one object has.
 pub(crate) fn describe_mesh(
     checked: &CheckReport,
     expected: &str,

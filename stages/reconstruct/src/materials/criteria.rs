@@ -1,6 +1,6 @@
-//! The criteria that find where a complex differs from the complex of the indicators, and the points
-//! that remedy it (Cheng, Dey and Levine 2008; Boissonnat and Oudot 2005; Oudot, Rineau and Yvinec
-//! 2005).
+//! The criteria that find where a complex differs from the complex of the indicators, and the
+//! points that remedy it (Cheng, Dey and Levine 2008; Boissonnat and Oudot 2005; Oudot, Rineau and
+//! Yvinec 2005).
 
 use super::complex::Complex;
 use super::segments::Segment;
@@ -13,44 +13,48 @@ use glam::DVec3;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::LEAST_GRADIENT;
 
-/// A segment that lacks a material round it is cut where the surface balls there are smaller than this part of it: they tell no more.
+/// A segment around which a material is missing is split if the surface balls there have radii
+/// below this fraction of its length. Points inserted so close to the segment do not add the
+/// material.
 const SMALL_BALL: f64 = 0.5;
 
-/// Distance from a circumcentre, over the circumradius, up to which a point lies within: the rest is rounding.
+/// Maximum distance from a circumcentre, relative to the circumradius, at which a point counts as
+/// inside the circumsphere. The remainder covers rounding.
 const WITHIN: f64 = 1.0 - 1e-9;
 
-/// What mends a violation.
+/// The remedy for a violation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Mend {
-    /// A point on a sheet.
+    /// Insert a point on an interface.
     Point {
-        /// Where, grid frame, mm.
+        /// Position in mm in the grid frame.
         place: DVec3,
-        /// Its sheet.
+        /// The interface.
         stratum: Stratum,
     },
-    /// The middle of a segment.
+    /// Split a segment in the middle.
     Split(Segment),
-    /// None is known.
+    /// No remedy is known.
     None,
 }
 
 /// A violation of a criterion.
 pub type Violation = queue::Violation<Mend>;
 
-/// The centre of the surface ball of a facet.
+/// The surface Delaunay ball of a facet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ball {
-    /// Where the Voronoi edge crosses an interface, on its sheet.
+    /// Centre, on an interface: where the dual Voronoi edge crosses it.
     pub place: DVec3,
-    /// That sheet.
+    /// That interface.
     pub stratum: Stratum,
-    /// Distance from the nearest vertex of the facet, mm.
+    /// Distance from the centre to the nearest vertex of the facet, mm.
     pub radius: f64,
 }
 
 impl Complex<'_> {
-    /// The facets between materials among tetrahedra round an edge, in the order of the ring; `runs` are those of [`Self::runs_round`].
+    /// Returns the facets between materials at an edge, sorted by their tetrahedra. `runs` are
+    /// those of [`Self::runs_round`].
     fn facets_between(&self, edge: [u32; 2], runs: &[Vec<u32>]) -> Vec<Facet> {
         let delaunay = self.labelled.delaunay();
         let facet = |t: u32| {
@@ -64,8 +68,9 @@ impl Complex<'_> {
         facets
     }
 
-    /// The surface ball of a facet: where its Voronoi edge leaves the material inside, near the facet; else its projected centroid. Of the two the first that parts
-    /// the facet once it is on its sheet, if either does: nearer to the circumcentre of a tetrahedron at it than its vertices are.
+    /// Returns the surface ball of a facet. Its centre is the point where the dual Voronoi edge
+    /// leaves the material inside, or else the centroid of the facet, each projected onto the
+    /// interface. The first of the two whose insertion removes the facet is preferred.
     pub fn ball(&self, facet: &Facet) -> Option<Ball> {
         let corners = facet.vertices.map(|v| self.points()[v as usize]);
         let voxel = self.indicators.voxel();
@@ -85,8 +90,9 @@ impl Complex<'_> {
         Some(Ball { place, stratum, radius })
     }
 
-    /// Whether a point would be nearer to the circumcentre of a tetrahedron at a facet than its vertices are, so that the facet would be gone. The centre of a surface
-    /// ball is, but where it was brought onto its sheet it may lie beyond, and even at a vertex that was inserted for the same facet before.
+    /// Returns whether the insertion of a point removes a facet: the point is inside the
+    /// circumsphere of a tetrahedron at the facet. After projection onto the interface, the centre
+    /// of a surface ball can be outside, even at a vertex that was inserted for the same facet.
     fn parts(&self, place: DVec3, facet: &Facet) -> bool {
         let delaunay = self.labelled.delaunay();
         let corner = self.points()[facet.vertices[0] as usize];
@@ -96,7 +102,8 @@ impl Complex<'_> {
         })
     }
 
-    /// Where the Voronoi edge dual to a facet leaves the material inside, next to the facet, and the two materials there.
+    /// Returns the point next to a facet where the dual Voronoi edge leaves the material inside,
+    /// and the two materials there.
     fn crossing(&self, facet: &Facet) -> Option<(DVec3, [MaterialId; 2])> {
         let inside = self.material(facet.tetrahedron);
         let is_inside = |p: DVec3| self.indicators.material_at(p) == inside;
@@ -104,7 +111,8 @@ impl Complex<'_> {
         Some((low.midpoint(high), [inside, self.indicators.material_at(high)]))
     }
 
-    /// The violation at some facets, mended by the largest of the surface balls that part theirs.
+    /// Returns a violation at some facets. Its remedy is the centre of the largest surface ball, if
+    /// possible one that removes its facet.
     fn by_largest_ball(&self, reason: Reason, simplex: Simplex, facets: &[Facet]) -> Option<Violation> {
         let first = facets.first()?;
         let balls = facets.iter().filter_map(|f| self.ball(f).map(|ball| (self.parts(ball.place, f), ball, f)));
@@ -128,13 +136,14 @@ impl Complex<'_> {
         })
     }
 
-    /// A violation that the middle of a segment mends.
+    /// Returns a violation whose remedy is to split a segment.
     fn by_split(&self, reason: Reason, simplex: Simplex, pair: Segment) -> Violation {
         let (radius, size) = (0.5 * self.length(pair), self.size_of(&pair));
         Violation { reason, simplex, remedy: Mend::Split(pair), radius, size, near: pair[0] }
     }
 
-    /// A segment of a curve, at which `start` is a tetrahedron, if it is an edge.
+    /// Returns the violation at a segment. `start` is a tetrahedron at it, if the segment is an
+    /// edge.
     fn at_segment(&self, pair: Segment, curve: Stratum, start: Option<u32>) -> Option<Violation> {
         let simplex = Simplex::Edge(pair);
         let reason = self.wrong_segment(pair, curve, start)?;
@@ -144,13 +153,14 @@ impl Complex<'_> {
         Some(by_ball.filter(|v| !is_small(v)).unwrap_or_else(|| self.by_split(reason, simplex, pair)))
     }
 
-    /// An edge that is no segment; `start` is a tetrahedron at it.
+    /// Returns the violation at an edge that is not a segment. `start` is a tetrahedron at it.
     fn at_plain_edge(&self, edge: [u32; 2], start: u32) -> Option<Violation> {
         let reason = self.wrong_plain_edge(edge, start)?;
         self.by_largest_ball(reason, Simplex::Edge(edge), &self.facets_between(edge, &self.runs_round(edge, start)))
     }
 
-    /// An edge, segment or not; `start` is a tetrahedron at it, if there is one.
+    /// Returns the violation at an edge or segment. `start` is a tetrahedron at it, if there is
+    /// one.
     fn at_any_edge(&self, edge: [u32; 2], start: Option<u32>) -> Option<Violation> {
         match self.segments.curve(edge) {
             Some(curve) => self.at_segment(edge, curve, start),
@@ -158,20 +168,20 @@ impl Complex<'_> {
         }
     }
 
-    /// A vertex.
+    /// Returns the violation at a vertex.
     fn at_vertex(&self, vertex: u32) -> Option<Violation> {
         let reason = self.wrong_vertex(vertex)?;
         self.by_largest_ball(reason, Simplex::Vertex(vertex), &self.labelled.facets_at(vertex))
     }
 
-    /// A facet must not stray from its sheet either.
+    /// Returns the violation at a facet: its topology, or its deviation from the interface.
     fn at_facet(&self, facet: &Facet) -> Option<Violation> {
         let strays = || (self.deviation_ratio(facet) > 1.0).then_some(Reason::Deviation);
         let reason = self.wrong_facet(facet).or_else(strays)?;
         self.by_largest_ball(reason, Simplex::Facet(facet.sorted()), std::slice::from_ref(facet))
     }
 
-    /// How far a facet strays, in units of what is allowed.
+    /// Returns the deviation of a facet from its interface, relative to the limit.
     fn deviation_ratio(&self, facet: &Facet) -> f64 {
         let limit = self
             .max_deviation
@@ -180,7 +190,7 @@ impl Complex<'_> {
         deviation_ratio(straying(self.indicators, self.sheet(facet), corners), limit)
     }
 
-    /// The violation at a simplex, or what is left of it.
+    /// Returns the violation at a simplex, if the simplex still exists and is wrong.
     pub fn at_simplex(&self, simplex: Simplex) -> Option<Violation> {
         match simplex {
             Simplex::Vertex(v) => self.at_vertex(v),
@@ -190,14 +200,15 @@ impl Complex<'_> {
         }
     }
 
-    /// What is violated at some simplices.
+    /// Returns the violations at some simplices.
     pub fn violations(&self, simplices: &Simplices) -> Vec<Violation> {
         simplices.each(|edge, start| self.at_any_edge(edge, start), |v| self.at_vertex(v), |f| self.at_facet(f))
     }
 }
 
-/// How far the centroid of a triangle lies from the sheet of the materials inside and outside, mm to first order, be it beyond its border; and the cosine
-/// between the triangle's normal and the sheet's.
+/// Returns the first-order distance (mm) of the centroid of a triangle from the interface of the
+/// materials inside and outside, and the cosine between the normals of the triangle and of the
+/// interface. Where a third material is present, the distance is at least half its margin.
 pub(super) fn straying(indicators: &dyn Indicators, sheet: [MaterialId; 2], [a, b, c]: [DVec3; 3]) -> (f64, f64) {
     let centroid = (a + b + c) / 3.0;
     let (value, gradient) = indicators.difference_gradient(sheet[0], sheet[1], centroid);

@@ -1,4 +1,5 @@
-//! Where a segment of a junction curve is cut: at a point that is there and that its curve passes, or at a new one on the curve between its ends.
+//! Where a segment of a junction curve is cut: at a point that is there and that its curve passes,
+//! or at a new one on the curve between its ends.
 
 use super::prepare::onto;
 use super::refine::Refinement;
@@ -39,7 +40,8 @@ impl Refinement<'_> {
         let inserted = self.complex.labelled.insert(place, pair[0])?;
         let outcome = self.settle(inserted, curve, size);
         if let Some(v) = inserted {
-            // of four materials it lies on one curve of three, and the others pass within `ONE_CURVE`
+            // of four materials it lies on one curve of three, and the others pass within
+            // `ONE_CURVE`
             if curve.dimension() < 1 {
                 self.complex.joined.insert(v);
             }
@@ -49,9 +51,10 @@ impl Refinement<'_> {
         Ok(outcome)
     }
 
-    /// The curve of a segment and where it is cut: at a point that its curve passes; else at a new place of the curve between its ends, no nearer than `least`
-    /// to either; else at a junction point that leads on; else, where the curve cannot be followed, where it is nearest to the middle of the segment. `None`
-    /// where there is none of these.
+    /// The curve of a segment and where it is cut: at a point that its curve passes; else at a new
+    /// place of the curve between its ends, no nearer than `least` to either; else at a junction
+    /// point that leads on; else, where the curve cannot be followed, where it is nearest to the
+    /// middle of the segment. `None` where there is none of these.
     fn cut(&self, pair: Segment, least: f64) -> Option<(Stratum, Cut)> {
         let curve = self.complex.segments.curve(pair)?;
         let [a, b] = pair.map(|v| self.complex.points()[v as usize]);
@@ -72,9 +75,12 @@ impl Refinement<'_> {
         self.cut_near(pair, curve, on_curve.filter(is_between)?)
     }
 
-    /// A new place of a segment's curve that `is_between` its ends. It is next to the point that lies deepest in the ball of which the segment is a diameter, if
-    /// there is one: where two curves run side by side, nearer to each other than their points are, these come to lie in pairs, and both curves' segments are
-    /// edges (the ball on a side of a rectangle holds no corner). Else it is in the middle of the way, or as far as the curve can be followed from one end.
+    /// A new place of a segment's curve that `is_between` its ends. It is next to the point that
+    /// lies deepest in the ball of which the segment is a diameter, if there is one: where two
+    /// curves run side by side, nearer to each other than their points are, these come to lie in
+    /// pairs, and both curves' segments are edges (the ball on a side of a rectangle holds no
+    /// corner). Else it is in the middle of the way, or as far as the curve can be followed from
+    /// one end.
     fn new_place(
         &self,
         pair: Segment,
@@ -91,7 +97,8 @@ impl Refinement<'_> {
         places.filter_map(|along| self.place_on(curve, way, along)).find(is_between)
     }
 
-    /// A cut at a new place, or at the point of the curve that is one with it; `None` where the segment cannot pass through that.
+    /// A cut at a new place, or at the point of the curve that is one with it; `None` where the
+    /// segment cannot pass through that.
     fn cut_near(&self, pair: Segment, curve: Stratum, place: DVec3) -> Option<(Stratum, Cut)> {
         let (known, distance) = self.complex.labelled.nearest(place, pair[0]);
         let is_known = !pair.contains(&known)
@@ -103,7 +110,8 @@ impl Refinement<'_> {
         }
     }
 
-    /// Points of curves that a way passes within `ONE_CURVE`, without those at its ends; `near` is one not far from its first place.
+    /// Points of curves that a way passes within `ONE_CURVE`, without those at its ends; `near` is
+    /// one not far from its first place.
     fn on_way(&self, way: &[DVec3], near: u32) -> Vec<u32> {
         let reach = ONE_CURVE * self.complex.indicators.voxel();
         let whole = way::length(way);
@@ -123,8 +131,10 @@ impl Refinement<'_> {
         found
     }
 
-    /// JunctionPoint points in the ball of which a segment is a diameter, or nearer to it than `ONE_CURVE`, that have segments with one of its ends or lie nearest to
-    /// it, and at which all materials of its curve meet: where the curve is one with another it may be undercut, and these lead on.
+    /// JunctionPoint points in the ball of which a segment is a diameter, or nearer to it than
+    /// `ONE_CURVE`, that have segments with one of its ends or lie nearest to it, and at which all
+    /// materials of its curve meet: where the curve is one with another it may be undercut, and
+    /// these lead on.
     fn linked(&self, pair: Segment, curve: Stratum) -> Vec<u32> {
         let points = self.complex.points();
         let [a, b] = pair.map(|v| points[v as usize]);
@@ -142,8 +152,10 @@ impl Refinement<'_> {
         ends.filter(|v| !pair.contains(v) && is_beside(v) && leads(v)).collect()
     }
 
-    /// Whether a segment can give way to two by way of a point that its curve passes, and no curve is left open by that: what lies nearer together than `ONE_CURVE` is one.
-    /// Without it two curves that coincide over some length would be refined without end, as neither's segments can be edges beside the other's points.
+    /// Whether a segment can give way to two by way of a point that its curve passes, and no curve
+    /// is left open by that: what lies nearer together than `ONE_CURVE` is one. Without it two
+    /// curves that coincide over some length would be refined without end, as neither's segments
+    /// can be edges beside the other's points.
     fn can_pass(&self, pair: Segment, point: u32) -> bool {
         let segments = &self.complex.segments;
         let is_new = || !self.passes.contains(&(pair, point)) || segments.is_covered(pair, point);
@@ -158,8 +170,9 @@ impl Refinement<'_> {
             && segments.can_pass(pair, point, self.complex.points())
     }
 
-    /// The way along the curve of a segment from one end to the other, the shortest of those of four materials. One that leaves an end by a segment of the same
-    /// curve is that of other segments, round a loop: a curve goes on where it comes from only at its ends.
+    /// The way along the curve of a segment from one end to the other, the shortest of those of
+    /// four materials. One that leaves an end by a segment of the same curve is that of other
+    /// segments, round a loop: a curve goes on where it comes from only at its ends.
     fn way(&self, pair: Segment, curve: Stratum) -> Option<Vec<DVec3>> {
         let indicators = self.complex.indicators;
         let ends = pair.map(|v| self.complex.points()[v as usize]);
@@ -194,8 +207,8 @@ impl Refinement<'_> {
         own.flatten().filter(move |&end| end != point)
     }
 
-    /// Where the curve of a segment leads from one of its ends, away from the segment before, half of the segment's length along: of both ends the one from
-    /// which it leads farther.
+    /// Where the curve of a segment leads from one of its ends, away from the segment before, half
+    /// of the segment's length along: of both ends the one from which it leads farther.
     fn farthest(&self, pair: Segment, curve: Stratum) -> Option<DVec3> {
         let [a, b] = pair;
         let place = |v: u32| self.complex.points()[v as usize];

@@ -1,6 +1,6 @@
-//! Tetrahedra that change their material where points do not help: parts of a star, or runs round an
-//! edge, whose interfaces are closer together than points can resolve; and tetrahedra around grid
-//! nodes in another material.
+//! Tetrahedra that change their material where points do not help: parts of a star, or runs round
+//! an edge, whose interfaces are closer together than points can resolve; and tetrahedra around
+//! grid nodes in another material.
 
 use super::complex::Complex;
 use super::criteria::Violation;
@@ -12,19 +12,19 @@ use crate::queue::{BETWEEN_STEPS, Simplex};
 use isoparticles_field::materials::MaterialId;
 use isoparticles_stage::error::Result;
 
-/// Most tetrahedra that change their material at a time.
+/// Maximum number of tetrahedra that change their material together.
 const MOST: usize = 12;
 
-/// Times that all violations are gone through.
+/// Maximum number of passes over all violations.
 const ROUNDS: usize = 4;
 
 impl Refinement<'_> {
-    /// Lets tetrahedra where the topology or a grid node is wrong change their material if that
-    /// leaves fewer such places and moves no grid node into another material. Returns how often.
-    /// `step` hears the number of points and may stop it with an error.
+    /// Changes the material of tetrahedra where the topology or a grid node is wrong, if this
+    /// reduces the number of violations and moves no grid node out of its material. Returns the
+    /// number of changes. `step` is called with the number of points.
     ///
     /// # Errors
-    /// Those of `step`.
+    /// If `step` returns an error.
     pub(super) fn relabel(&mut self, mut step: impl FnMut(usize) -> Result<()>) -> Result<usize> {
         let mut count = 0;
         for _ in 0..ROUNDS {
@@ -63,7 +63,7 @@ impl Refinement<'_> {
     }
 }
 
-/// Tetrahedra that may go to another material together.
+/// A change of the material of some tetrahedra.
 struct Change {
     tetrahedra: Vec<u32>,
     to: MaterialId,
@@ -120,8 +120,8 @@ fn relabel_one(complex: &mut Complex, sets: Vec<Vec<u32>>, nodes: Option<&Nodes>
     best.is_some_and(|(_, change)| !change.make(complex).is_empty())
 }
 
-/// Returns the sets of tetrahedra of one material that contain a given one: itself, and those around
-/// one of its edges or vertices.
+/// Returns the sets of tetrahedra of one material that contain a given one: itself, and those
+/// around one of its edges or vertices.
 fn sets_with(complex: &Complex, tetrahedron: u32) -> Vec<Vec<u32>> {
     let vertices = complex.labelled.delaunay().vertices(tetrahedron);
     let edges = (0..4).flat_map(|i| (0..i).map(move |j| [i, j])).map(|ends| ends.map(|k| vertices[k]));
@@ -131,7 +131,8 @@ fn sets_with(complex: &Complex, tetrahedron: u32) -> Vec<Vec<u32>> {
     std::iter::once(vec![tetrahedron]).chain(all).collect()
 }
 
-/// Sets of tetrahedra at a simplex that may change together: the runs round an edge, the parts of a star, the two of a facet.
+/// Sets of tetrahedra at a simplex that may change together: the runs round an edge, the parts of a
+/// star, the two of a facet.
 fn sets_at(complex: &Complex, simplex: Simplex) -> Vec<Vec<u32>> {
     let delaunay = complex.labelled.delaunay();
     let side = |t: u32| complex.material(t);
