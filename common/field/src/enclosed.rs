@@ -30,8 +30,8 @@ const DIVISIONS: u32 = 3;
 /// Maximum number of Newton steps of a projection. Three steps of [`LONGEST_STEP`] and a last,
 /// short step reach the surface from up to 0.9 `near`. A point that does not converge is not moved.
 const NEWTON_STEPS: usize = 4;
-/// Maximum length of a Newton step, as a fraction of the maximum distance `near` of a vertex from
-/// the surface. Short steps keep a vertex from reaching another part of the surface.
+/// Maximum length of a Newton step, as a fraction of the expected maximum distance `near` of a
+/// vertex from the surface. Short steps keep a vertex from reaching another part of the surface.
 const LONGEST_STEP: f64 = 0.3;
 
 /// A projection has converged once a step is shorter than this fraction of the longest step.
@@ -45,9 +45,9 @@ const CHUNK: usize = 1024;
 
 /// Returns the volumes (mm^3) enclosed by the zero set of an implicit function (negative inside).
 /// There is one volume per component of `mesh`, in the order of [`components::of_vertices`].
-/// Volumes of cavities are negative. `value_gradient` takes points in the frame of the mesh. No
-/// vertex may be farther than `near` (mm) from the surface. The result does not depend on the
-/// number of threads.
+/// Volumes of cavities are negative. `value_gradient` takes points in the frame of the mesh.
+/// Vertices farther than about 0.9 `near` (mm) from the surface are not moved onto it. The result
+/// does not depend on the number of threads.
 pub fn enclosed_volumes(
     mesh: &TriangleMesh,
     near: f64,

@@ -1,8 +1,8 @@
 //! Marching cubes (Lorensen and Cline 1987): computes a closed, manifold triangulation of F = iso.
 //! The stages use it for seeds, components and dense samples of the surface.
 //!
-//! The case table is computed by the program. If only two opposite corners of a cell face are
-//! inside, the sign at the saddle of the face decides whether they are joined across the face
+//! The case table is computed by the program. If exactly two corners of a cell face are inside and
+//! they are diagonally opposite, the sign at the saddle of the face decides whether they are joined
 //! (Nielson and Hamann 1991). The saddle value is that of a quadratic interpolant, because the
 //! bilinear interpolant breaks diagonal layers that are one voxel thick. Two cells that share a
 //! face always create the same segments on it. The segments form loops, and each loop is cut into
@@ -22,8 +22,8 @@ use std::sync::OnceLock;
 /// at index 512, an ulp of f32 is 6e-5.
 pub(crate) const NODE_CLEARANCE: f64 = 1e-3;
 
-/// Number of slices of cells per parallel task. Each task also numbers the slice after its last
-/// slice, an extra eighth of the numbering.
+/// Number of slices of cells per parallel task. Each task also numbers the vertices of the slice
+/// after its last slice, which adds an eighth to the numbering.
 const SLICES_PER_TASK: usize = 8;
 
 /// Returns the surface between the samples below `iso` (inside) and all other samples, in the grid
@@ -212,9 +212,9 @@ pub fn saddle_value(image: &Image<f32>, diagonal: [usize; 2], other: [usize; 2])
     bilinear - 4.0 * MIDPOINT_BEND * (u * (1.0 - u) * along_u + v * (1.0 - v) * along_v)
 }
 
-/// Factor of the mean second difference of two nodes, which is subtracted from their mean to obtain
-/// the value at the midpoint. With 0.2, each of the two nodes has the weight 0.6, as in the cubic
-/// spline. The next nodes have the weight -0.1; in the spline it is -0.13.
+/// The value at the midpoint of two nodes is their mean minus this factor times the mean of their
+/// second differences. With 0.2, each of the two nodes has the weight 0.6, as in the cubic spline.
+/// The next nodes have the weight -0.1; in the spline it is -0.13.
 pub const MIDPOINT_BEND: f64 = 0.2;
 
 /// Returns the second difference at a node along the axis on which neighbours are `stride` nodes
@@ -233,8 +233,8 @@ fn second_difference(image: &Image<f32>, node: usize, stride: usize) -> f64 {
 
 // ---- the case table ----------------------------------------------------------------------------
 
-/// Bit of a corner number that contains the offset of the corner along x, y and z. The four corners
-/// with the same x have four consecutive numbers.
+/// For x, y and z: the bit of a corner number that contains the offset of the corner along the
+/// axis. The four corners with the same x have four consecutive numbers.
 const AXIS_BIT: [u8; 3] = [4, 1, 2];
 
 /// Returns the offset of a corner along each axis, 0 or 1.
@@ -268,11 +268,12 @@ const fn edges() -> [Edge; 12] {
     list
 }
 
-/// One closed loop of the contour in a cell, as a list of cell edges.
+/// Triangulation of one closed loop of the contour in a cell. Vertices are given by their cell
+/// edges.
 enum Piece {
     Triangles(Vec<[u8; 3]>),
-    /// Triangles around an extra vertex at the mean of the loop. It is used if every triangulation
-    /// has a diagonal on a cell face.
+    /// The loop, for triangles around an extra vertex at the mean of its vertices. Used if every
+    /// triangulation without an extra vertex has a diagonal on a cell face.
     Fan(Vec<u8>),
 }
 
@@ -350,7 +351,7 @@ fn loops(case: u8, variant: usize) -> Vec<Vec<u8>> {
                 end = (end + 1) % 4;
             }
             if joined {
-                // on a joined face, the segment separates the outside corner before `start`
+                // on a joined face, the segment cuts off the outside corner before `start`
                 end = (end + 2) % 4;
             }
             let entering = edge_between(face[(start + 3) % 4], face[start]);

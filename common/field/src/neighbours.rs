@@ -1,11 +1,11 @@
 //! Searches for neighbours among points with individual interaction radii.
 //!
 //! [`NeighbourLists`] lists the neighbours of every point. It uses a tree of boxes over the points
-//! in spatial order, with eight points per box, so that queries run on SIMD lanes over contiguous
-//! memory. [`LevelBins`] answers queries at arbitrary positions, with one grid of bins for each
-//! octave of h. The cost of a query does not depend on the contrast of h. The paper uses a single
-//! bin edge max(h), which makes queries in fine regions as expensive as in coarse regions; it
-//! states this limitation.
+//! in spatial order, with eight points per box, so that queries use SIMD on contiguous memory.
+//! [`LevelBins`] answers queries at arbitrary positions, with one grid of bins for each octave of
+//! h. The cost of a query hardly depends on the ratio of the largest h to the smallest h. The paper
+//! uses a single bin edge max(h), so that bins in fine regions contain many points that are out of
+//! reach; it states this limitation.
 
 mod bins;
 mod elimination;
@@ -24,8 +24,8 @@ use tree::{Candidates, LANES, Tree};
 const WIDENING: f64 = 1e-9;
 
 /// Number of points per block of [`NeighbourLists::independent_blocks`]. The data of a block and
-/// its surroundings, some tens of KiB, stays in the first caches of a core. A few thousand points
-/// give enough blocks for all cores.
+/// its surroundings, some tens of KiB, fits into the L1 or L2 cache of a core. A few thousand
+/// points give enough blocks for all cores.
 pub const BLOCK: usize = 128;
 
 /// Number of points whose lists are created and stored together. A few thousand points give enough
@@ -51,9 +51,9 @@ struct Lists {
 }
 
 impl NeighbourLists {
-    /// Lists, for each point i, the other points j that are nearer than `reach * min(h_i, h_j)` and
-    /// for which `accept(i, j)` is true. Sizes must be positive and finite. The function is fastest
-    /// if the points are in spatial order ([`space_order`]).
+    /// Lists, for each point i, the other points j at a distance below `reach * min(h_i, h_j)` for
+    /// which `accept(i, j)` is true. Sizes must be positive and finite. The function is fastest if
+    /// the points are in spatial order ([`space_order`]).
     pub fn new(points: &[DVec3], sizes: &[f64], reach: f64, accept: impl Fn(usize, usize) -> bool + Sync) -> Self {
         Self::default().anew(points, sizes, reach, accept)
     }

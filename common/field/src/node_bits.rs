@@ -7,7 +7,7 @@ use rayon::prelude::*;
 /// Number of nodes per word.
 pub(crate) const WORD: usize = u64::BITS as usize;
 
-/// Number of nodes that one lane operation compares: sixteen floats fill a vector register of 512
+/// Number of nodes that one SIMD operation compares: sixteen floats fill a vector register of 512
 /// bits.
 const LANES: usize = 16;
 
@@ -79,8 +79,8 @@ fn mark<S: Simd>(simd: S, row: &[f32], side: Side, level: f32, words: &mut [u64]
 }
 
 /// Returns the bits of the nodes that are `by` nodes after those of a word in a row, or before them
-/// if `by` is negative. The distance must be less than a word. Bits beyond the ends of the row are
-/// one.
+/// if `by` is negative. The distance must be less than a word. Words beyond the ends of the row
+/// count as all ones.
 pub(crate) fn shifted(row: &[u64], word: usize, by: isize) -> u64 {
     let at = |word: Option<usize>| word.and_then(|word| row.get(word)).copied().unwrap_or(u64::MAX);
     let own = row[word];

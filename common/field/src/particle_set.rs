@@ -1,5 +1,5 @@
 //! The particles that `seed` creates, `particles` moves into equilibrium and `reconstruct` connects
-//! to a mesh.
+//! into a mesh.
 
 use crate::materials::Stratum;
 use glam::DVec3;

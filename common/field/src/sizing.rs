@@ -8,7 +8,7 @@ use isoparticles_volume::Image;
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
-/// Target edge length h over the grid frame of a distance field.
+/// Target edge length h on the grid of a distance field.
 #[derive(Clone, Debug)]
 pub struct SizingField {
     image: Image<f32>,

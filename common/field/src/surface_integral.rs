@@ -1,5 +1,5 @@
-//! Computes integrals over F = 0 from the crossings of F = 0 with straight lines (Cauchy and
-//! Crofton).
+//! Computes integrals over F = 0 from the crossings of F = 0 with straight lines (Cauchy-Crofton
+//! formula).
 //!
 //! Consider lines along an axis a, with one line per area s of the perpendicular plane. On average
 //! they cross a piece of surface, with area A and unit normal n, A |n_a| / s times. The sum of s
@@ -91,7 +91,7 @@ fn integrate_cell(
     sum
 }
 
-/// Returns whether either no number or every number is negative.
+/// Returns whether none or all of the numbers are negative.
 fn have_one_sign(points: &[f64]) -> bool {
     let negative = points.iter().filter(|&&point| point < 0.0).count();
     negative == 0 || negative == points.len()

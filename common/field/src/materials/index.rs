@@ -16,7 +16,8 @@ use std::collections::BTreeMap;
 const NO_FILL: u16 = u16::MAX;
 
 /// Assumed maximum difference, in voxels, between the two indicators at a position on their
-/// interface. Projections leave at most twice their tolerance, which is far smaller.
+/// interface. A projection leaves a difference of at most twice its tolerance, which is far
+/// smaller.
 pub const ON_INTERFACE: f64 = 0.01;
 
 /// A material that is known in a brick.
@@ -31,10 +32,10 @@ struct Entry {
 /// material.
 ///
 /// The cost of a look-up is proportional to the number of materials near the position. For each
-/// brick of 4 x 4 x 4 cells, an index contains the materials known in the brick and the material
-/// that fills the rest of the brick. Memory is proportional to the area of the interfaces. On
-/// average, the layer of an indicator that is stored at an interface is 14 coefficients thick, at 4
-/// bytes each.
+/// brick of 4 x 4 x 4 cells, an index lists the materials known in the brick, and the material, if
+/// any, whose indicator is negative in the whole brick. Memory is proportional to the area of the
+/// interfaces. At an interface, each indicator stores a layer that is 14 coefficients thick on
+/// average, at 4 bytes each.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Materials {
     geometry: Geometry,
@@ -53,7 +54,8 @@ impl Materials {
     /// list.
     ///
     /// # Errors
-    /// If there are no materials, too many materials, or a brick number beyond the grid.
+    /// If there are no materials, too many materials, too many bricks, or a brick number beyond the
+    /// grid.
     pub fn new(geometry: Geometry, materials: Vec<(Material, Indicator, Vec<u32>)>) -> Result<Self, Error> {
         let count = bricks_along(geometry.size).iter().product::<usize>();
         let mut fill = vec![NO_FILL; count];
@@ -126,8 +128,8 @@ impl Materials {
         &self.indicators
     }
 
-    /// Returns the number of the material that fills each brick where no indicator is known, x
-    /// fastest. The number is 65535 if no material fills the brick.
+    /// Returns, for each brick (x fastest), the number of the material whose indicator is negative
+    /// in the whole brick. The number is 65535 if there is no such material.
     pub fn fill(&self) -> &[u16] {
         &self.fill
     }
@@ -190,15 +192,15 @@ impl Materials {
     }
 
     /// Returns the coefficients of a material that a stencil uses. If some of them are not known,
-    /// returns an error that tells whether the position is inside the material.
+    /// the error is true if the position is inside the material.
     #[inline(always)]
     fn gathered(&self, entry: Entry, stencil: &Stencil) -> Result<[f32; 64], bool> {
         let indicator = &self.indicators[usize::from(entry.material)];
         indicator.gather(entry.brick, stencil, self.geometry.size).ok_or(indicator.surrounds())
     }
 
-    /// Returns the stencil of a position and the coefficients of a material. If some of them are
-    /// not known, returns an error that tells whether the position is inside the material.
+    /// Returns the stencil of a position and the coefficients of a material that it uses. If some
+    /// of these are not known, the error is true if the position is inside the material.
     #[inline]
     fn of(&self, id: MaterialId, grid: DVec3) -> Result<(Stencil, [f32; 64]), bool> {
         let stencil = Stencil::new(&self.geometry, grid);
@@ -206,8 +208,8 @@ impl Materials {
         self.read(id, brick, &stencil).map(|read| (stencil.gathered(), read))
     }
 
-    /// Returns the coefficients of a material that a stencil uses in a brick. If some of them are
-    /// not known, returns an error that tells whether the position is inside the material.
+    /// Returns the coefficients of a material that a stencil in a brick uses. If some of them are
+    /// not known, the error is true if the position is inside the material.
     #[inline(always)]
     fn read(&self, id: MaterialId, brick: usize, stencil: &Stencil) -> Result<[f32; 64], bool> {
         match self.known(brick).iter().find(|entry| entry.material == id.0) {
@@ -247,8 +249,8 @@ impl Indicators for Materials {
         }
     }
 
-    /// Evaluates a single spline, whose coefficients are the differences between the coefficients
-    /// of the two materials.
+    /// Evaluates a single spline, whose coefficients are half the differences between those of the
+    /// two materials.
     #[inline(always)]
     fn difference_gradient(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> (f64, DVec3) {
         let stencil = Stencil::new(&self.geometry, grid);

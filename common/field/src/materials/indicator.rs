@@ -1,5 +1,5 @@
 //! Stores the indicator of one material near its border as blocks of cubic B-spline coefficients.
-//! The blocks lie within a box of the grid that all materials share.
+//! The blocks lie within a box in the grid that is shared by all materials.
 //!
 //! [`crate::spline::BrickSpline`] has its own grid and stores each coefficient in every brick that
 //! uses it, 1.7 times on average. Here each coefficient is stored once. The blocks of all materials
@@ -11,17 +11,18 @@ use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// Number of cells of a brick, and of coefficients of a block, along each axis. Small bricks follow
-/// the border closely: the stored layer is 14 coefficients thick on average. Bricks of 16 cells
-/// would store a layer of 37 coefficients (22 cells, each coefficient 1.7 times).
+/// the border closely: the stored layer is 14 coefficients thick on average. With the bricks of
+/// [`crate::spline::BrickSpline`], which have 16 cells along each axis, it would be 37 coefficients
+/// thick: 22 cells, with each coefficient stored 1.7 times.
 pub const CELLS: usize = 4;
 
 /// Number of coefficients per block.
 pub const BLOCK: usize = CELLS * CELLS * CELLS;
 
-/// Distance in voxels from its zero set within which an indicator is always known. A brick is known
-/// unless all coefficients have the same sign, from [`CELLS`] nodes before its first node to
-/// [`CELLS`] - 1 nodes after its last node. These include all coefficients that cells up to
-/// [`CELLS`] - 2 cells away use.
+/// An indicator is always known within this distance of its zero set, in voxels. A brick is known
+/// unless all coefficients from [`CELLS`] nodes before its first node to [`CELLS`] - 1 nodes after
+/// its last node have the same sign. These include all coefficients that cells up to [`CELLS`] - 2
+/// cells away use.
 pub const KNOWN_VOXELS: usize = 2;
 
 /// Distance in nodes beyond which a sample is assumed not to affect a coefficient. At the next
@@ -83,7 +84,7 @@ pub struct Indicator {
     surrounds: bool,
     /// Numbers of the known bricks, ascending.
     bricks: Vec<u32>,
-    /// Indices of the eight blocks that each known brick uses.
+    /// Indices, among the stored blocks, of the eight blocks that each known brick uses.
     blocks: Vec<[u32; 8]>,
     /// Coefficients, block by block, in ascending order of the block indices in the grid.
     coefficients: Vec<f32>,
@@ -149,7 +150,7 @@ impl Indicator {
         (Self { first, size: own, surrounds, bricks: known, blocks, coefficients }, negative)
     }
 
-    /// Returns the indicator of a material without border. It is positive everywhere, or negative
+    /// Returns the indicator of a material without a border. It is positive everywhere, or negative
     /// everywhere if `inside` is true.
     pub fn constant(inside: bool) -> Self {
         Self {
@@ -203,8 +204,9 @@ impl Indicator {
         &self.bricks
     }
 
-    /// Returns the indices of the eight blocks that each known brick uses, x fastest. Block c of
-    /// the grid contains the coefficients of nodes 4 c - 1 to 4 c + 2 along each axis.
+    /// Returns the indices, among the stored blocks, of the eight blocks that each known brick
+    /// uses, x fastest. Along each axis, block c of the grid contains the coefficients of nodes
+    /// 4 c - 1 to 4 c + 2.
     pub fn blocks(&self) -> &[[u32; 8]] {
         &self.blocks
     }
@@ -297,7 +299,7 @@ impl Indicator {
     }
 
     /// Returns the 64 coefficients at four consecutive x indices, starting at `FIRST`, and at the
-    /// given y and z indices. Along each axis, indices count through two adjacent blocks.
+    /// given y and z indices. Along each axis, indices 0 to 7 cover two adjacent blocks.
     #[inline(always)]
     fn rows<const FIRST: usize>(&self, blocks: &[u32; 8], y: [usize; 4], z: [usize; 4]) -> [f32; 64] {
         let mut gathered = [0.0; 64];
@@ -320,8 +322,8 @@ impl Indicator {
         gathered
     }
 
-    /// Returns the 64 coefficients at the given indices along each axis. Along each axis, indices
-    /// count through two adjacent blocks.
+    /// Returns the 64 coefficients at the given indices. Along each axis, indices 0 to 7 cover two
+    /// adjacent blocks.
     fn scattered(&self, blocks: &[u32; 8], places: [[usize; 4]; 3]) -> [f32; 64] {
         let [x, y, z] = places.map(|along| along.map(|n| (n / CELLS, n % CELLS)));
         let mut gathered = [0.0; 64];

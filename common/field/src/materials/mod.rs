@@ -59,8 +59,8 @@ pub struct Material {
     pub labels: Vec<LayerLabel>,
 }
 
-/// Maximum number of indicators returned for one position: the eight voxels around a grid corner
-/// have at most eight labels. If more indicators are known, the largest are dropped.
+/// Maximum number of indicators returned for one position: a position lies between eight voxel
+/// centres, which have at most eight labels. If more indicators are known, the largest are dropped.
 pub const MOST_NEAR: usize = 8;
 
 /// The indicators known at a position, smallest first. Equal indicators are ordered by material
@@ -102,8 +102,9 @@ impl Near {
         self.entries().first().map(|(id, _)| *id)
     }
 
-    /// Returns half the difference of the two smallest indicators in mm, which is the first-order
-    /// distance to the nearest interface. It is infinite if fewer than two indicators are known.
+    /// Returns half the difference of the two smallest indicators in mm, which is a first-order
+    /// estimate of the distance to the nearest interface. It is infinite if fewer than two
+    /// indicators are known.
     pub fn interface_distance(&self) -> f64 {
         match self.entries() {
             [(_, first), (_, second), ..] => 0.5 * (second - first),
@@ -112,7 +113,8 @@ impl Near {
     }
 }
 
-/// Returns the jet of an indicator far from its border: an infinite value with zero derivatives.
+/// Returns the jet of an indicator where it is not known: an infinite value, negative if `inside`
+/// is true, with zero derivatives.
 pub(crate) fn far(inside: bool) -> Jet {
     let value = if inside { f64::NEG_INFINITY } else { f64::INFINITY };
     Jet { value, gradient: DVec3::ZERO, hessian: DMat3::ZERO }
@@ -189,8 +191,8 @@ pub trait Indicators: Sync {
     }
 
     /// Projects `start` onto the interface of two materials by Newton steps along the gradient of
-    /// G_ij. `limit` is the maximum total move in mm. Returns `None` if the position moves farther,
-    /// the gradient vanishes, or an indicator is not known. Also returns `None` if
+    /// G_ij. Returns `None` if the position moves `limit` (mm) or more from `start`, the gradient
+    /// vanishes, or an indicator is not known. Also returns `None` if
     /// [`crate::spline::PROJECTION_STEPS`] steps do not bring the position within `tolerance` (mm)
     /// of the interface, to first order. Does not check whether the two materials have the smallest
     /// indicators at the result ([`Self::clearance`]).

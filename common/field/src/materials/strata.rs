@@ -1,13 +1,13 @@
 //! Defines strata (material interfaces, junction curves and junction points) as zero sets of the
-//! differences G_ij = (F_i - F_j) / 2, and computes the Newton steps towards them.
+//! differences G_ij = (F_i - F_j) / 2, and computes the Newton steps onto them.
 
 use super::{Indicators, MaterialId};
 use crate::spline::{Jet, LEAST_SQUARED_GRADIENT, PROJECTION_STEPS};
 use glam::{DMat3, DVec3};
 
 /// Minimum squared sine of the angle between two interfaces, or between a curve and a third
-/// interface, at which they count as crossing. At this angle, 0.6 degrees, a step of a hundredth of
-/// a voxel across an interface moves the intersection by a voxel.
+/// interface, at which they count as crossing. At this angle, 0.6 degrees, displacing one interface
+/// by a hundredth of a voxel moves the intersection by a voxel.
 pub const LEAST_SQUARED_SINE: f64 = 1e-4;
 
 /// The difference G_ij = (F_i - F_j) / 2 of two indicators as a function, in mm, negative where i
@@ -76,7 +76,7 @@ pub(super) fn project<T>(
     None
 }
 
-/// Returns whether a squared slope is large enough and finite.
+/// Returns whether the squared length of a gradient is finite and large enough for a Newton step.
 #[inline(always)]
 fn is_steep(squared: f64) -> bool {
     squared > LEAST_SQUARED_GRADIENT && squared.is_finite()
@@ -89,7 +89,7 @@ pub(super) fn interface_step(value: f64, gradient: DVec3) -> Option<DVec3> {
     (is_steep(squared) && value.is_finite()).then(|| gradient * (-value / squared))
 }
 
-/// Returns the shortest step onto the intersection of the tangent planes of two functions:
+/// Returns the shortest step onto the line on which both linearised functions are zero:
 /// `-J^T (J J^T)^-1 G`.
 pub(super) fn curve_step([(u, a), (v, b)]: [(f64, DVec3); 2]) -> Option<DVec3> {
     let (aa, bb, ab) = (a.length_squared(), b.length_squared(), a.dot(b));
@@ -99,13 +99,13 @@ pub(super) fn curve_step([(u, a), (v, b)]: [(f64, DVec3); 2]) -> Option<DVec3> {
     (crosses && both).then(|| (a * (v * ab - u * bb) + b * (u * ab - v * aa)) / determinant)
 }
 
-/// Returns the Newton step onto the intersection of the tangent planes of three functions.
+/// Returns the Newton step onto the common zero of three functions.
 pub(super) fn point_step(rows: [(f64, DVec3); 3]) -> Option<DVec3> {
     let [a, b, c] = rows.map(|(_, gradient)| gradient);
     let squares = [a, b, c].map(DVec3::length_squared);
     let jacobian = DMat3::from_cols(a, b, c).transpose();
     let determinant = jacobian.determinant();
-    // the volume of the box spanned by the unit normals is the product of two sines
+    // the volume of the parallelepiped spanned by the unit normals is the product of two sines
     let least = LEAST_SQUARED_SINE * squares.iter().product::<f64>();
     let crosses = squares.into_iter().all(is_steep) && determinant * determinant > least;
     let values = DVec3::from_array(rows.map(|(value, _)| value));

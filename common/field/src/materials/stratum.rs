@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 /// The materials that meet on a stratum, ascending: two on an interface, three on a junction curve,
 /// four at a junction point.
 ///
-/// More than four materials can meet at a junction point (labels at a corner of many voxels). It is
-/// then identified by four of them.
+/// More than four materials can meet at a junction point, because eight voxels meet at a corner.
+/// Four of the materials then identify the point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Stratum {
     /// Material numbers, ascending and padded with [`NONE`].
@@ -37,8 +37,8 @@ impl Stratum {
         Self { ids: [a.min(b), a.max(b), NONE, NONE] }
     }
 
-    /// Returns whether the numbers are those of two to four materials, ascending. This is checked
-    /// when files are read.
+    /// Returns whether the stratum has two to four different materials, ascending. File readers
+    /// check this.
     pub fn is_valid(&self) -> bool {
         let count = self.count();
         (2..=4).contains(&count) && self.ids[..count].is_sorted_by(|a, b| a < b)
@@ -66,7 +66,7 @@ impl Stratum {
         Self::new(&ids)
     }
 
-    /// Returns the junction curves that this stratum lies on, one for each three of its materials.
+    /// Returns the junction curves that this stratum lies on, one for each triple of its materials.
     /// A curve lies on itself; an interface lies on no curve.
     pub fn curves(&self) -> impl Iterator<Item = Self> + use<> {
         let ids = self.ids;

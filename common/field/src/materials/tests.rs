@@ -73,7 +73,7 @@ fn the_smallest_indicator_names_the_material() {
         for p in (0..5000).map(place) {
             let (truth, found) = (analytic.near(p), materials.near(p));
             assert_eq!(analytic.material_at(p), truth.first().expect("some"));
-            // away from interfaces and kinks, the spline is as accurate as the function
+            // away from interfaces, the error of the spline is too small to change the material
             if truth.interface_distance() > 0.4 {
                 assert_eq!(materials.material_at(p), analytic.material_at(p), "at {p}: {found:?} {truth:?}");
             }
@@ -203,7 +203,7 @@ fn junction_points_are_met_to_second_order() {
 fn what_is_not_near_is_not_met() {
     let analytic = nested(CENTRE);
     let materials = sampled(&analytic, 0.5);
-    // the centre is far from the outside
+    // the indicator of the outside is not known at the centre
     assert_eq!(materials.project_onto_interface([IDS[0], IDS[1]], CENTRE, 30.0, 1e-6), None);
     // the interface is 1 mm from the start
     let start = CENTRE + DVec3::X * 10.0;
@@ -319,7 +319,7 @@ fn what_is_added_at_nodes_is_at_no_other() {
 
 #[test]
 fn a_sample_is_added_to_on_axes_of_few_nodes() {
-    // with 1 to 9 nodes along x, a sample affects many mirror images
+    // with 1 to 9 nodes along x, a sample has many mirror images within reach
     for nodes in 1..10 {
         let geometry = Geometry::axis_aligned([nodes, 9, 9], DVec3::ONE);
         let image = |added: f64| {

@@ -40,7 +40,7 @@ impl Grid {
             return Self { origin: DVec3::ZERO, edge: 1.0, largest, levels: 0, bins: IVec3::ZERO };
         }
         let extent = (high - low).max_element();
-        // wider bins are also correct; they keep the table of rows small if a few points are tiny
+        // wider bins are also correct; they limit the table of rows if all points are tiny
         let edge = (reach * largest * (1.0 + WIDENING)).max(extent / MOST_BINS);
         let allowed = (edge * MOST_BINS / extent.max(edge)).log2().floor();
         let levels = (largest / smallest).log2().floor().min(allowed) as usize + 1;
@@ -138,8 +138,8 @@ impl Level {
 }
 
 impl LevelBins {
-    /// Sorts the points into bins. Two points interact if they are nearer than `reach` times the
-    /// smaller of their sizes. Sizes must be positive and finite.
+    /// Sorts the points into bins. Two points interact if they are closer to each other than
+    /// `reach` times the smaller of their sizes. Sizes must be positive and finite.
     pub fn new(points: &[DVec3], sizes: &[f64], reach: f64) -> Self {
         let grid = Grid::new(points, sizes, reach);
         let level_of: Vec<u32> = sizes.par_iter().map(|&h| grid.level_of(h) as u32).collect();

@@ -1,4 +1,4 @@
-//! Eliminates points that are too close to each other by a greedy method, in a given order.
+//! Greedy elimination, in a given order, of points that are too close to each other.
 
 use super::LevelBins;
 use glam::DVec3;
@@ -14,9 +14,10 @@ const BATCHES: usize = 128;
 const SMALLEST_BATCH: usize = 256;
 
 /// Returns the points that remain after elimination in the given order. Each kept point i removes
-/// the points j that are nearer than `reach` times the smaller of the two sizes and for which
-/// `removes(i, j, squared distance)` is true. The searches of a batch run in parallel; removals
-/// within the batch are then resolved in order. The result equals that of a sequential loop.
+/// the points j whose distance is less than `reach` times the smaller of the two sizes and for
+/// which `removes(i, j, squared distance)` is true. The searches of a batch run in parallel;
+/// removals within the batch are then resolved in order. The result equals that of a sequential
+/// loop.
 pub fn eliminate(
     points: &[DVec3],
     sizes: &[f64],

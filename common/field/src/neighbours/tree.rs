@@ -1,5 +1,5 @@
-//! A tree of boxes over consecutive points, with eight points per box. Using SIMD lanes, it finds
-//! the points that may be near the points of a box.
+//! A tree of boxes over consecutive points, with eight points per box. It uses SIMD to find the
+//! points that may be near the points of a box.
 
 use super::WIDENING;
 use fearless_simd::{Simd, f64x8, prelude::*};
@@ -7,7 +7,7 @@ use glam::DVec3;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
 
-/// Number of points per lane operation: eight doubles fill a vector register of 512 bits.
+/// Number of points per SIMD operation: eight doubles fill a vector register of 512 bits.
 pub(super) const LANES: usize = 8;
 
 /// Eight consecutive points. A shorter run is padded with points infinitely far away.
@@ -165,7 +165,7 @@ pub(super) struct Candidates {
     runs: Vec<Run>,
     /// Runs of the tree that may be near, and scratch space for the search.
     near: [Vec<u32>; 2],
-    /// Numbers of the points near another point, with room for eight more.
+    /// Numbers of the points near the point of a query, with room for eight more.
     found: Vec<u32>,
 }
 

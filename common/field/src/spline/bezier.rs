@@ -9,8 +9,8 @@ pub(crate) const ORDER: usize = 4;
 /// property). The corner points are the values of F at the corners of the cell.
 pub(crate) type BezierPoints = [f64; ORDER * ORDER * ORDER];
 
-/// Bound on the rounding error of conversions and halvings, relative to the largest point. A
-/// conversion along three axes and seven levels of halvings add fewer than 256 roundings.
+/// Bound on the rounding error of conversions and subdivisions, relative to the largest point. A
+/// conversion along three axes and seven levels of subdivision add fewer than 256 roundings.
 pub(crate) const ROUNDING: f64 = 256.0 * f64::EPSILON;
 
 impl CubicSpline {

@@ -1,5 +1,5 @@
-//! Stores the spline only near its zero set. The coefficients are stored in bricks, so that memory
-//! is proportional to the surface in a large image instead of its volume.
+//! Stores the spline only near its zero set. The coefficients are stored in bricks, so that the
+//! memory for a large image is proportional to the surface area and not to the volume.
 
 use super::Jet;
 use super::prefilter::SlabFilter;
@@ -17,8 +17,8 @@ const BRICK_CELLS: usize = 16;
 const BRICK_SIDE: usize = BRICK_CELLS + 3;
 
 /// Distance in voxels from the zero set within which all bricks are stored. The spline is evaluated
-/// at vertices of marching cubes, which are within a voxel of the zero set, and where projections
-/// move these vertices. A value of 3 leaves two voxels for the moves.
+/// at vertices of marching cubes, which are within a voxel of the zero set, and along their
+/// projections onto it. A value of 3 leaves two voxels for the projections.
 const STORED_DISTANCE: usize = 3;
 
 /// Sentinel indices of bricks that are not stored, because the spline is negative (or positive)

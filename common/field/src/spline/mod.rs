@@ -31,12 +31,12 @@ pub const PROJECTION_STEPS: usize = 25;
 /// value of 1e-4 voxel would give a step of a voxel.
 pub const LEAST_SQUARED_GRADIENT: f64 = 1e-8;
 
-/// Distance in voxels between a surface and the face of a grid beyond which the spline near the
-/// surface is the same as on a larger grid. The mirror boundary replaces the values beyond the
-/// face. Where the mirrored values differ by d, the spline n nodes from the face differs by less
-/// than d sqrt(3) z^(n + 1) / (1 - z), with z = 2 - sqrt(3) (impulse response of the prefilter,
-/// Unser 1999). With n = 7, this is 6e-5 d. If d is ten times the change from voxel to voxel at the
-/// surface, the surface moves by 0.0006 voxel.
+/// Minimum distance in voxels between a surface and the face of a grid for which the spline near
+/// the surface is almost the same as on a larger grid. The mirror boundary replaces the values
+/// beyond the face. If the mirrored values differ by d, the spline n nodes from the face differs by
+/// less than d sqrt(3) z^(n + 1) / (1 - z), with z = 2 - sqrt(3) (impulse response of the
+/// prefilter, Unser 1999). With n = 7, this is 6e-5 d. If d is ten times the change from voxel to
+/// voxel at the surface, the surface moves by 0.0006 voxel.
 pub const ROOM: usize = 8;
 
 /// The interpolating cubic B-spline over a grid. Positions are in the grid frame, derivatives per

@@ -17,13 +17,13 @@ const HALO: usize = 16;
 /// MiB. Smaller images are filtered as a whole.
 const NODES_AT_A_TIME: usize = 8 << 20;
 
-/// Number of rows along x that are filtered together, so that eight independent sums proceed at
-/// once and a sample of all rows fills a cache line of 64 bytes. In a single row, each sum must
-/// wait for the previous sum.
+/// Number of rows along x that are filtered together. Eight independent recursions then proceed at
+/// once, and one sample from each row fills a cache line of 64 bytes. In a single row, each sample
+/// must wait for the previous sample.
 const ROWS_AT_A_TIME: usize = 8;
 
 /// Prefilters an image that is given slice by slice, and returns the coefficients of some slices at
-/// a time. The coefficients of the whole image are therefore never stored. They equal those of
+/// a time. The coefficients of a large image are therefore never all stored. They equal those of
 /// [`super::CubicSpline`] up to single-precision rounding, for any number of threads.
 pub struct SlabFilter {
     size: [usize; 3],

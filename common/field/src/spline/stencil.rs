@@ -5,8 +5,8 @@ use super::Jet;
 use glam::{DMat3, DVec3};
 use isoparticles_volume::Geometry;
 
-/// B-spline weights and their first and second derivatives (per index) for the four samples around
-/// a cell.
+/// B-spline weights and their first and second derivatives (per index) for the four nodes around a
+/// cell along one axis.
 type Weights = ([f64; 4], [f64; 4], [f64; 4]);
 
 #[derive(Clone)]
@@ -49,8 +49,8 @@ impl Stencil {
         self.cell
     }
 
-    /// Converts the stencil to a block of `side` coefficients along each axis. The first
-    /// coefficient of the block belongs to the node before `first` along each axis.
+    /// Returns the stencil with indices into a block of `side` coefficients along each axis. The
+    /// first coefficient of the block belongs to the node before `first` along each axis.
     #[inline(always)]
     pub(super) fn within_block(mut self, first: [usize; 3], side: usize) -> Self {
         for (at, first) in [&mut self.ix, &mut self.iy, &mut self.iz].into_iter().zip(first) {
@@ -66,7 +66,8 @@ impl Stencil {
         [self.ix, self.iy, self.iz]
     }
 
-    /// Converts the stencil to the 64 coefficients that it uses, stored contiguously, x fastest.
+    /// Returns the stencil with indices into the 64 coefficients that it uses, stored contiguously,
+    /// x fastest.
     #[inline]
     pub(crate) fn gathered(mut self) -> Self {
         (self.ix, self.iy, self.iz) = ([0, 1, 2, 3], [0, 1, 2, 3], [0, 1, 2, 3]);
@@ -177,7 +178,7 @@ impl Stencil {
     }
 }
 
-/// Adds a multiple of four numbers to a sum.
+/// Adds `weight` times `row` to `sum`.
 #[inline(always)]
 fn add(sum: &mut [f64; 4], weight: f64, row: &[f64; 4]) {
     for (sum, x) in sum.iter_mut().zip(row) {

@@ -1,10 +1,10 @@
-//! Represents the spline within one cell in Bernstein form. This form bounds F and its derivatives
-//! by the range of a few numbers.
+//! Represents the spline within one cell in Bernstein form. The coefficients of this form bound F
+//! and its derivatives.
 //!
-//! A polynomial lies within the range of its Bernstein coefficients (convex hull property). Its
-//! derivatives lie within the range of the differences of these coefficients. Each halving of a
-//! cell divides the distance between the coefficients and the polynomial by four. Subdivision
-//! therefore resolves everything that is not degenerate.
+//! A polynomial lies within the range of its Bernstein coefficients (convex hull property). Up to a
+//! constant factor, its derivatives lie within the range of the differences of these coefficients.
+//! Each halving of a cell divides the distance between the coefficients and the polynomial by four.
+//! Subdivision therefore resolves every cell that is not degenerate.
 
 use crate::spline::CubicSpline;
 use crate::spline::bezier::{BezierPoints, ORDER, ROUNDING, is_of_one_sign, range};
@@ -58,7 +58,7 @@ impl Bernstein {
     }
 
     /// Returns the range of the derivative of F along each axis, including rounding errors. The
-    /// unit is the same for all axes, except for the edge lengths of the voxel.
+    /// derivatives are per index, up to a factor common to all axes.
     fn slopes(&self) -> [(f64, f64); 3] {
         let (low, high) = range(&self.0);
         let slack = low.abs().max(high.abs()) * ROUNDING;

@@ -20,10 +20,10 @@ pub(super) const BASE: u8 = 4;
 pub(super) const DEPTH: u8 = 7;
 
 /// Cells are subdivided beyond [`BASE`] while at most this many cells of a voxel are uncertain. If
-/// F = 0 meets itself in a point, the number of uncertain cells is the same on every level: 14 per
-/// point (9,237 cells at 662 such points of a noisy scan, at [`BASE`]). The limit allows four such
-/// points. The number doubles with each level along a curve and quadruples over a surface, where
-/// subdivision does not help.
+/// F = 0 touches itself at a point, the number of uncertain cells is the same on every level: 14
+/// per point (9,237 cells at 662 such points of a noisy scan, at [`BASE`]). The limit allows four
+/// such points. Along a curve the number doubles with each level, and over a surface it quadruples;
+/// subdivision does not help there.
 const MOST_UNCERTAIN: usize = 64;
 
 /// Number of finest cells along the edge of a voxel.
@@ -46,7 +46,7 @@ pub(super) enum State {
 #[derive(Clone, Copy)]
 struct Packed(u32);
 
-/// States without octants, indexed by their packed number.
+/// States of leaf cells, indexed by their packed number.
 const PLAIN: [State; 3] = [State::Clear, State::Graph, State::Undecided];
 
 impl Packed {
@@ -98,17 +98,17 @@ impl Cell {
         Self { level, at: self.at.map(|n| n >> (self.level - level)) }
     }
 
-    /// Returns the octant number of the cell within the next larger cell.
+    /// Returns the octant number of the cell within its parent cell.
     fn octant(self) -> usize {
         (0..3).map(|axis| (self.at[axis] as usize & 1) << axis).sum()
     }
 
-    /// Returns the edge length of the cell in units of finest cells.
+    /// Returns the edge length of the cell in edge lengths of the finest cells.
     pub(super) fn edge(self) -> u64 {
         FINE >> self.level
     }
 
-    /// Returns the lowest corner of the cell in units of finest cells.
+    /// Returns the lowest corner of the cell in edge lengths of the finest cells.
     pub(super) fn corner(self) -> [u64; 3] {
         self.at.map(|n| u64::from(n) * self.edge())
     }
@@ -126,9 +126,9 @@ pub(super) struct Cells {
 
 impl Cells {
     /// Subdivides cells where F = 0 is not certain, and cells next to much smaller cells.
-    /// Afterwards, no cell that F = 0 may cross shares an edge with a cell of less than half its
-    /// size. The surface given by the signs at the cell corners is isotopic to F = 0 only with this
-    /// balance.
+    /// Afterwards, a cell in which F = 0 is a graph is at most twice as large as the cells around
+    /// it that F = 0 may cross. The surface given by the signs at the cell corners is isotopic to
+    /// F = 0 only with this balance.
     pub(super) fn new(field: &CubicSpline, watch: &Watch<'_>) -> Result<Self, Interrupted> {
         let size = field.geometry().size.map(|n| n.saturating_sub(1));
         let signs = Signs::of(field);
@@ -150,8 +150,8 @@ impl Cells {
         self.size
     }
 
-    /// Returns a cell with its state. If the cell does not exist, returns the larger cell without
-    /// octants that contains it. Returns `None` outside the volume.
+    /// Returns a cell with its state. If the cell does not exist, returns the leaf cell that
+    /// contains it. Returns `None` outside the volume.
     pub(super) fn find(&self, cell: Cell) -> Option<(Cell, State)> {
         let voxel = cell.within(0).at.map(|n| n as usize);
         if (0..3).any(|axis| voxel[axis] >= self.size[axis]) {
@@ -168,21 +168,21 @@ impl Cells {
         Some((cell.within(level), state.into()))
     }
 
-    /// Returns the finest cell that contains a point (grid frame, mm), or the closest finest cell
-    /// if the point is beyond the volume.
+    /// Returns the cell of the finest level that contains a point (grid frame, mm), or the closest
+    /// such cell if the point is outside the volume.
     pub(super) fn finest_at(&self, field: &CubicSpline, point: DVec3) -> Cell {
         let fine = (point / field.geometry().spacing * FINE as f64).floor();
         let last = self.size.map(|n| (n as u64 * FINE) as f64 - 1.0);
         Cell { level: DEPTH, at: [0, 1, 2].map(|axis| fine[axis].min(last[axis]).max(0.0) as u32) }
     }
 
-    /// Returns whether the cell at an offset, in edges of `cell`, is subdivided.
+    /// Returns whether the cell at the offset `away` from `cell`, in cell edges, is subdivided.
     pub(super) fn is_halved(&self, cell: Cell, away: [i64; 3]) -> bool {
         self.halves(cell, away).is_some()
     }
 
-    /// Returns the index of the octants of the cell at an offset, in edges of `cell`, if that cell
-    /// is subdivided.
+    /// Returns the index of the octants of the cell at the offset `away` from `cell`, in cell
+    /// edges, if that cell is subdivided.
     pub(super) fn halves(&self, cell: Cell, away: [i64; 3]) -> Option<u32> {
         let cell = moved(cell, away)?;
         match self.find(cell)? {
@@ -216,8 +216,8 @@ impl Cells {
         })
     }
 
-    /// Returns the cells without octants in a slice of voxels that F = 0 may cross, in the order of
-    /// the voxels.
+    /// Returns the leaf cells that F = 0 may cross in a slice of voxels, in the order of the
+    /// voxels.
     pub(super) fn crossed_in_slice(&self, k: u32) -> Vec<(Cell, State)> {
         let mut found = Vec::new();
         for (j, i) in (0..self.size[1] as u32).flat_map(|j| (0..self.size[0] as u32).map(move |i| (j, i))) {
@@ -232,8 +232,8 @@ impl Cells {
         found
     }
 
-    /// Adds the cells without octants within `cell` that F = 0 may cross. If `cell` is a part of a
-    /// larger cell without octants, adds that larger cell.
+    /// Adds the leaf cells within `cell` that F = 0 may cross. If `cell` is a part of a larger leaf
+    /// cell, adds that leaf cell if F = 0 may cross it.
     pub(super) fn crossed_in(&self, cell: Cell, found: &mut Vec<(Cell, State)>) {
         match self.find(cell) {
             Some((_, State::Halved(halves))) => self.crossed_in_halves(cell, halves, found),
@@ -274,8 +274,8 @@ impl Cells {
         }
     }
 
-    /// Subdivides cells in which F = 0 is a graph, and other cells as the balance requires. Returns
-    /// the voxels that have changed, in ascending order.
+    /// Subdivides cells in which F = 0 is a graph, and further cells to restore the balance.
+    /// Returns the voxels that have changed, in ascending order.
     pub(super) fn refine(&mut self, field: &CubicSpline, cells: &[Cell]) -> Vec<[u32; 3]> {
         self.halve_all(field, cells);
         let mut changed = self.balance(field, cells.to_vec());
@@ -286,8 +286,8 @@ impl Cells {
         changed
     }
 
-    /// Restores the balance around the octants of some subdivided cells. Returns the cells that it
-    /// subdivides.
+    /// Restores the balance around the octants of the given cells, which are subdivided. Returns
+    /// the cells that it subdivides.
     fn balance(&mut self, field: &CubicSpline, halved: Vec<Cell>) -> Vec<Cell> {
         let mut by_level: Vec<Vec<Cell>> = vec![Vec::new(); usize::from(DEPTH)];
         halved.into_iter().for_each(|cell| by_level[usize::from(cell.level)].push(cell));
@@ -352,7 +352,8 @@ impl Cells {
     }
 }
 
-/// Returns the cell at an offset, in edges of `cell`. Returns `None` if a coordinate is negative.
+/// Returns the cell at the offset `away` from `cell`, in cell edges. Returns `None` if a coordinate
+/// is negative.
 pub(super) fn moved(cell: Cell, away: [i64; 3]) -> Option<Cell> {
     let mut at = [0; 3];
     for axis in 0..3 {

@@ -1,5 +1,5 @@
-//! Finds the critical points of F near F = 0, where necks, gaps, handles and specks of the
-//! isosurface open and close.
+//! Finds the critical points of F near F = 0. There, necks, gaps, handles and specks of the
+//! isosurface appear or vanish as the iso value changes.
 //!
 //! By Morse theory, the topology of F = 0 is determined by the critical points of F and the side of
 //! F = 0 on which each critical point lies. If every critical point is on the correct side of a
@@ -21,9 +21,9 @@ use std::cmp::Ordering;
 /// critical points are found (measured as for [`FLATNESS_MARGIN`]).
 const NEWTON_STEPS: usize = 30;
 
-/// A search starts in a cell if the gradient at the middle of the cell is shorter than the norm of
-/// the Hessian times this number of voxels. The corners are sqrt(3) / 2 = 0.87 voxel from the
-/// middle; the rest is a margin for the change of the Hessian within the cell. With 1, 2 and 4, the
+/// A search starts in a cell only if the gradient at its middle is shorter than the norm of the
+/// Hessian times this number of voxels. The corners are sqrt(3) / 2 = 0.87 voxel from the middle;
+/// the rest is a margin for the change of the Hessian within the cell. With 1, 2 and 4, the
 /// search finds 1169, 1183 and 1188 critical points (`cargo run --release -p isoparticles-field
 /// --example topology -- F.vti`, with F of `trabecular_bone` at iso value 80, nodes 70 to 129 along
 /// each axis). The undecided locations are the same.

@@ -25,8 +25,9 @@ use glam::DVec3;
 /// degrees; [`LEAST_COSINE`] allows 37 degrees.
 const LONGEST_STEP: f64 = 0.25;
 
-/// Minimum cosine between the normals at both ends of a step (37 degrees). The chord of such a step
-/// is within a twelfth of its length of F = 0. A step with a smaller cosine is halved.
+/// Minimum cosine between the normals at both ends of a step (37 degrees). The distance between the
+/// chord of such a step and F = 0 is at most a twelfth of the chord length. A step with a smaller
+/// cosine is halved.
 const LEAST_COSINE: f64 = 0.8;
 
 /// Number of attempts to take a step, each half as long as the one before. The shortest attempt is

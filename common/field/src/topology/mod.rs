@@ -2,20 +2,20 @@
 //! characteristics, and the locations where these are undecided. The result does not depend on any
 //! mesh; meshes are checked against it.
 //!
-//! Each voxel cell is subdivided until F has one sign throughout the cell, or all gradients in the
-//! cell differ by less than a right angle. Bounds for the whole cell (Bernstein form) prove both
-//! conditions. If adjacent cells have similar sizes, the signs of F at the cell corners give the
-//! surface up to isotopy (Plantinga and Vegter, *Isotopic approximation of implicit curves and
-//! surfaces*, 2004). Components and Euler characteristics are counted on the polygons of that
-//! surface.
+//! Each voxel cell is subdivided until F has one sign throughout the cell, or any two gradients in
+//! the cell form an acute angle. Bounds for the whole cell (Bernstein form) prove both conditions.
+//! If the sizes of adjacent cells differ by at most a factor of two, the signs of F at the cell
+//! corners give the surface up to isotopy (Plantinga and Vegter, *Isotopic approximation of
+//! implicit curves and surfaces*, 2004). Components and Euler characteristics are counted on the
+//! polygons of that surface.
 //!
 //! The topology is *undecided* at three kinds of locations:
 //! - Cells that are uncertain at the finest level, near critical points of F with a value close to
 //!   zero. The counts follow the signs at the corners of these cells.
 //! - Critical points whose neck, gap or speck is finer than [`RESOLUTION`]. F is known there, but a
 //!   mesh of ordinary resolution need not reproduce it.
-//! - Components finer than [`RESOLUTION`] whose critical point does not show this, because F is
-//!   flat there.
+//! - Other components finer than [`RESOLUTION`], for example where F is nearly flat and the
+//!   second-order expansion overestimates the radius.
 //!
 //! [`FieldTopology::groups`] returns all topologies that the undecided locations allow.
 
@@ -51,8 +51,8 @@ use watch::Watch;
 /// features.
 pub const RESOLUTION: f64 = 0.1;
 
-/// A component of F = 0. Its number is its index in the list of components, which is ordered by the
-/// first crossing of each component in the order of the samples.
+/// A component of F = 0. Its number is its index in the list of components. The list is ordered by
+/// the first crossing of each component with a cell edge, x fastest.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Component {
     /// Euler characteristic: 2 for a sphere, 0 for a torus. If the surface ends at the border of
@@ -134,7 +134,7 @@ impl FieldComponents {
 
     /// Returns the component of a point on F = 0 (grid frame, mm). `normal` is grad F at the point.
     /// Returns `None` if there is no component around the point, or if there are several and no
-    /// path on F = 0 leads to one of them.
+    /// path on F = 0 to any of them is found.
     pub fn at(&self, field: &CubicSpline, point: DVec3, normal: DVec3) -> Option<u32> {
         self.surface.component_at(field, &self.cells, point, normal)
     }
@@ -147,7 +147,7 @@ impl FieldTopology {
     /// If the monitor interrupts the work.
     pub fn watched(field: &CubicSpline, monitor: &dyn Monitor) -> Result<Self, Interrupted> {
         let watch = Watch::new(monitor, 3 * field.geometry().size[2]);
-        // assembling the surface uses a single thread
+        // concurrent, because assembling the surface uses a single thread
         let (components, critical_points) =
             rayon::join(|| FieldComponents::watched(field, &watch), || critical::all(field, &watch));
         let (components, critical_points) = (components?, critical_points?);
@@ -170,8 +170,8 @@ impl FieldTopology {
         self.components.all()
     }
 
-    /// Returns the topologies that the components may have. At each undecided location, a mesh may
-    /// have either of two topologies.
+    /// Returns the groups of components, with the topologies that the undecided locations allow for
+    /// them.
     pub fn groups(&self) -> &Groups {
         &self.groups
     }

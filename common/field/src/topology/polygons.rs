@@ -18,15 +18,15 @@ use std::sync::OnceLock;
 const CACHED_VALUES: usize = 1 << 14;
 
 /// 2^64 divided by the golden ratio (Knuth's multiplicative hashing): a product with this factor
-/// has well-mixed upper bits. [`SHIFT`] keeps the bits that number a cached value.
+/// has well-mixed upper bits. [`SHIFT`] keeps the upper bits, which select a slot of the cache.
 const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
 const SHIFT: u32 = 64 - CACHED_VALUES.trailing_zeros();
 
-/// Bit mask of a cell and the 26 cells around it in a block of four cells along each axis, x
-/// fastest. The lowest of these cells has the lowest bit.
+/// Bit mask of a cell and the 26 cells around it in a block of 4 x 4 x 4 cells, x fastest. The
+/// lowest of these 27 cells has bit 0.
 const AROUND: u64 = 0x0000_0777_0777_0777;
 
-/// Index of the bit in such a block for each cell that [`around`] returns.
+/// Bit index in such a block of each cell that [`around`] returns.
 const BLOCK_BIT: [u32; 27] = {
     let mut bits = [0; 27];
     let mut n = 0;
@@ -109,9 +109,9 @@ pub(super) struct Reader<'a> {
     present: Cell,
     /// Bit mask of the corners of the current cell that are inside the object, x fastest.
     inside: u8,
-    /// Bit mask of the subdivided cells in a block of four cells along each axis, x fastest. These
-    /// cells have the size of the current cell. The block contains the current cell and the cells
-    /// around it.
+    /// Bit mask of the subdivided cells in a block of 4 x 4 x 4 cells, x fastest. The cells of the
+    /// block have the size of the current cell. They include the current cell and the cells around
+    /// it.
     halved: u64,
     /// Lowest cell of that block. `block_level` is the level of the cells in the block.
     block: [i64; 3],
@@ -304,7 +304,7 @@ impl<'a> Reader<'a> {
             }
             return;
         }
-        // crossings around the face; the flag tells whether the object begins at the crossing
+        // crossings around the face; the flag tells whether the path enters the object there
         let mut crossings = std::mem::take(&mut self.crossings);
         crossings.clear();
         let shifted = |axis: usize| {
@@ -389,7 +389,8 @@ impl<'a> Reader<'a> {
         halves.is_some()
     }
 
-    /// Returns the bit in the block of a cell that has the size of the current cell.
+    /// Returns the bit index, in the block, of the cell at position `at`. This cell has the size of
+    /// the current cell.
     fn bit(&self, at: [i64; 3]) -> u32 {
         (0..3).map(|axis| ((at[axis] - self.block[axis]) as u32) << (2 * axis)).sum()
     }
@@ -447,15 +448,15 @@ fn number_around(cell: Cell, at: [i64; 3]) -> usize {
     (way(2) * 3 + way(1)) * 3 + way(0)
 }
 
-/// Returns the index of the crossing on an edge of a level. The edge starts at the corner with the
-/// index `corner` and runs along `axis`.
+/// Returns the number of the crossing on a cell edge of the given level. The edge starts at the
+/// corner with the number `corner` and runs along `axis`.
 fn crossing(corner: u64, axis: u64, level: u8) -> Crossing {
     (corner * 3 + axis) * (u64::from(DEPTH) + 1) + u64::from(level)
 }
 
 /// Returns the polygons of a cell without subdivided edges, indexed by the bit mask of its inside
-/// corners. An entry is `None` if inside corners are opposite each other on a face. Each crossing
-/// is given by its cell edge: three bits for the lower end, x first, followed by the axis.
+/// corners. An entry is `None` if a face has four crossings, which can be joined in two ways. Each
+/// crossing is given by its cell edge: three bits for the lower end, x first, followed by the axis.
 fn even_cells() -> &'static [Option<Polygons>; 256] {
     static EVEN: OnceLock<[Option<Polygons>; 256]> = OnceLock::new();
     EVEN.get_or_init(|| std::array::from_fn(even_cell))

@@ -1,5 +1,5 @@
-//! Finds the cells that F = 0 may cross by the signs of the spline coefficients. This test is the
-//! cheapest and is applied first.
+//! Uses the signs of the spline coefficients to find the cells that F = 0 may cross. This test is
+//! the cheapest and is applied first.
 
 use crate::node_bits::{NodeBits, Side, WORD, each_bit, first_bits, shifted};
 use crate::spline::CubicSpline;
@@ -19,10 +19,10 @@ impl Signs {
         Self { size, positive: of(Side::Above), negative: of(Side::Below) }
     }
 
-    /// Returns the voxel cells of a slice for which the coefficients do not all have the same sign.
-    /// The cells are given by their numbers in the slice (x fastest), ascending. The coefficients
-    /// are those used by the cell and by the cells up to `around` cells away. If the coefficients
-    /// have the same sign, F also has this sign, because F is a weighted mean of them (convex hull
+    /// Returns the voxel cells of a slice whose coefficients do not all have the same sign. The
+    /// cells are given by their numbers in the slice (x fastest), ascending. The coefficients of a
+    /// cell are those that F uses in it and in the cells up to `around` cells away. If they have
+    /// the same sign, F also has this sign, because F is a weighted mean of them (convex hull
     /// property).
     pub(crate) fn changes(&self, k: usize, around: usize) -> Vec<usize> {
         let [nx, ny, nz] = self.size;
@@ -36,7 +36,7 @@ impl Signs {
         for j in 0..ny.saturating_sub(1) {
             let over_rows = over_slices.each_ref().map(|words| {
                 let mut row = all_of(reach(j, ny), |row| &words[row * width..][..width]);
-                // bits beyond the last node are set, so that they do not count
+                // bits beyond the last node are set, so that they do not affect the conjunction
                 row[width - 1] |= !first_bits(nx - (width - 1) * WORD);
                 row
             });
@@ -53,7 +53,7 @@ impl Signs {
     }
 }
 
-/// Returns the bits that are set in all of some runs of words. There must be at least one run.
+/// Returns the bitwise conjunction of the given runs of words, which is empty if there are no runs.
 fn all_of<'w>(mut runs: Range<usize>, words: impl Fn(usize) -> &'w [u64]) -> Vec<u64> {
     let mut all = runs.next().map_or_else(Vec::new, |run| words(run).to_vec());
     runs.for_each(|run| all.iter_mut().zip(words(run)).for_each(|(all, own)| *all &= own));

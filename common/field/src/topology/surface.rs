@@ -182,8 +182,8 @@ impl Surface {
     }
 }
 
-/// Returns the polygons in all cells without further subdivision, by slices of voxels, and the
-/// undecided cells.
+/// Returns the polygons in all leaf cells, by slices of voxels, and the undecided cells. Does not
+/// subdivide cells.
 pub(super) fn read_all(
     field: &CubicSpline,
     cells: &Cells,
@@ -208,9 +208,9 @@ fn read(field: &CubicSpline, cells: &Cells, crossed: &[(Cell, State)], all: &mut
     crossed.iter().for_each(|(cell, _)| reader.polygons(*cell, order(cells, *cell), all));
 }
 
-/// All crossings, ascending, by the slices of voxels in which their edges begin.
+/// All crossings, ascending, grouped by the slices of voxels in which their edges begin.
 struct Crossings {
-    /// Crossings of each slice, and of the border behind the last slice.
+    /// Crossings of each slice, followed by those on the upper border of the last slice.
     by_slice: Vec<Vec<Crossing>>,
     /// Number of crossings before each slice.
     before: Vec<u32>,
@@ -231,7 +231,7 @@ impl Crossings {
                 seen
             })
             .collect();
-        // a slice contributes its own crossings, and the crossings on the plane to the next slice
+        // a slice contributes its own crossings, and those on the plane shared with the next slice
         let by_slice: Vec<Vec<Crossing>> = (0..=seen.len())
             .into_par_iter()
             .map(|k| {
@@ -322,8 +322,8 @@ fn rows(voxels: &[(u64, u32)], size: [usize; 3]) -> Vec<u32> {
     rows
 }
 
-/// Returns the position of a cell without octants in the order of all cells. Cells are ordered by
-/// voxel, x fastest, and within a voxel by octants.
+/// Returns the position of a leaf cell in the order of all leaf cells. They are ordered by voxel, x
+/// fastest, and within a voxel by octants.
 fn order(cells: &Cells, cell: Cell) -> u64 {
     let [nx, ny, _] = cells.size().map(|n| n as u64);
     let voxel = cell.within(0).at.map(u64::from);

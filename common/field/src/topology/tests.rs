@@ -73,8 +73,8 @@ pub(super) fn shell() -> Scene {
     Scene::new([32; 3], DVec3::ONE, |p| (p.distance(CENTRE) - 9.25).abs() - 1.25)
 }
 
-/// A gyroid inside a ball of radius 13. Single nodes near its rim are attached by necks thinner
-/// than a voxel.
+/// A gyroid inside a ball of radius 13. Near the sphere, single inside nodes are attached by necks
+/// thinner than a voxel.
 pub(super) fn gyroid() -> Scene {
     Scene::new([36; 3], DVec3::ONE, |p| {
         let q = (p - DVec3::splat(17.6)) * 0.45;
@@ -160,7 +160,7 @@ fn points_belong_to_the_interface_that_they_lie_on() {
     }
 }
 
-/// A smooth union of a few balls, tori and thin plates. In some scenes, the samples are noisy.
+/// A smooth union of four balls or tori. The samples are noisy if the seed is odd.
 fn random(seed: u64) -> Scene {
     let u = |k: u64| uniform(78, seed, k);
     let parts: Vec<(DVec3, f64, f64)> = (0..4u64)
@@ -278,7 +278,7 @@ fn a_dome_through_a_face_between_cell_sizes_stays_connected() {
     let beside = [[7, 7, 6], [7, 7, 7]].map(|at| cells.find(cells::Cell { level: 0, at }).map(|(_, state)| state));
     assert_eq!(beside[0], Some(cells::State::Graph));
     assert!(matches!(beside[1], Some(cells::State::Halved(_))), "{beside:?}");
-    // if the larger cell closed it with a lid, the dome would be a separate component
+    // if the larger cell closed the loop with a lid, the dome would be a separate component
     let (polygons, undecided) = surface::read_all(&scene.field, &cells, &unwatched()).expect("not interrupted");
     let with_lid = Surface::of(&scene.field, &cells, &polygons, undecided);
     assert_eq!(sorted(with_lid.components.iter().map(|c| c.euler)), [1, 1, 2]);
@@ -304,8 +304,8 @@ fn cubic(radius: f64, bend: f64) -> FieldTopology {
 
 #[test]
 fn a_component_at_the_resolution_may_vanish_or_join_another() {
-    // the speck is just large enough to be decided by the second-order expansion, but not by the
-    // crossings of its cells
+    // the radius by the second-order expansion is just above the resolution, but the extent of the
+    // crossings is below it
     let radius = 1.003 * RESOLUTION;
     let topology = speck(radius, false);
     let [place] = topology.undecided() else { panic!("{:?}", topology.undecided()) };

@@ -16,12 +16,13 @@ use std::ops::RangeInclusive;
 /// A location where the topology of a mesh may differ from that of F.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Undecided {
-    /// Position of the critical point of F, or the middle of the location, in the grid frame, mm.
+    /// Position of the critical point of F, the middle of the uncertain cells, or a point near the
+    /// fine component, in the grid frame, mm.
     pub place: [f64; 3],
     /// Size in mm: twice the radius of the neck, gap or speck, or the longest extent along a grid
     /// axis.
     pub size: f64,
-    /// F at that position, mm.
+    /// F at `place`, or at the middle of `bounds` for a fine component, mm.
     pub value: f64,
     /// Kind of the location.
     pub kind: UndecidedKind,
@@ -33,9 +34,9 @@ pub struct Undecided {
     pub bounds: Bounds,
 }
 
-/// Kind of an undecided location. All kinds but the last are critical points of F, and the value of
-/// F there determines the kind. If the critical point were on the other side of F = 0, the topology
-/// would change in one known way.
+/// Kind of an undecided location. Gaps, necks and most specks are at critical points of F. The
+/// number of principal directions in which F = 0 is reached determines the kind. If the critical
+/// point were on the other side of F = 0, the topology would change in one known way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum UndecidedKind {
@@ -43,11 +44,11 @@ pub enum UndecidedKind {
     Gap,
     /// A neck of the object or of its surroundings that may be cut.
     Neck,
-    /// A speck or cavity that may not exist, located at the extremum of F inside it.
+    /// A speck or cavity that a mesh may omit.
     Speck,
     /// Cells in which the topology of F = 0 is uncertain, with the number of critical points in
     /// them. If none are found, two are assumed, because two critical points may almost cancel. A
-    /// component finer than [`RESOLUTION`] where F is flat is `Uncertain(1)`.
+    /// fine component near another one, and a critical point of unknown kind, are `Uncertain(1)`.
     Uncertain(usize),
 }
 
@@ -100,7 +101,7 @@ impl Groups {
         self.group_of.get(component as usize).copied()
     }
 
-    /// Returns whether a component may be missing.
+    /// Returns whether a mesh may omit a component.
     pub fn may_vanish(&self, component: u32) -> bool {
         self.may_vanish[component as usize]
     }
@@ -222,7 +223,7 @@ impl Changes {
     }
 }
 
-/// Returns whether a component is thin everywhere, instead of only at an extremum of F in it. The
+/// Returns whether a component is thin everywhere, and not only at an extremum of F in it. The
 /// ratio of volume to area is half the thickness for a plate, and less for any other shape.
 fn is_thin(component: &Component, resolution: f64) -> bool {
     component.volume.abs() < resolution * component.area
@@ -230,7 +231,8 @@ fn is_thin(component: &Component, resolution: f64) -> bool {
 
 /// Returns the undecided locations. The first are clusters of cells in which F = 0 is not certain,
 /// ordered by their lowest cells. They are followed by all other critical points whose neck, gap or
-/// speck is finer than [`RESOLUTION`], in their order, and by components finer than that.
+/// speck is finer than [`RESOLUTION`], in the order of `critical`, and by the remaining components
+/// finer than that.
 pub(super) fn places(
     field: &CubicSpline,
     cells: &Cells,
@@ -272,9 +274,8 @@ pub(super) fn places(
     places
 }
 
-/// Returns the location of a component finer than [`RESOLUTION`] whose critical point does not show
-/// this, because F is nearly flat there. A mesh may contain the component, omit it, or join it to
-/// the nearest component.
+/// Returns the location of a component finer than [`RESOLUTION`] that is not yet listed as a speck.
+/// A mesh may contain the component, omit it, or join it to the nearest component.
 fn at_fine_component(field: &CubicSpline, cells: &Cells, surface: &Surface, n: u32, own: &Component) -> Undecided {
     let around = surface.crossings_round(cells, cells.finest_at(field, own.place).within(0));
     let others = around.into_iter().filter(|&crossing| surface.component_of[crossing as usize] != n);
@@ -294,8 +295,7 @@ fn at_fine_component(field: &CubicSpline, cells: &Cells, surface: &Surface, n: u
 }
 
 /// Returns the location at a critical point. Returns `None` for an extremum in a component that is
-/// not a speck. Such a component exists regardless of the side of a mesh on which the extremum
-/// lies.
+/// not thin. A mesh must contain such a component, whichever side of the mesh the extremum is on.
 fn at_critical_point(field: &CubicSpline, cells: &Cells, surface: &Surface, c: &CriticalPoint) -> Option<Undecided> {
     let ways: Vec<DVec3> = c.ways.into_iter().filter(|way| *way != DVec3::ZERO).collect();
     let component = |way: DVec3| {

@@ -1,6 +1,6 @@
 //! Marching tetrahedra in one block of grid cells: computes interface triangles, and the vertices
-//! of junction curves and junction points. Edges that pass through a further material are bisected
-//! first. Neighbouring blocks are joined by the names of their vertices.
+//! of junction curves and junction points. Edges that pass through a material of neither end are
+//! bisected first. Vertices with the same name in neighbouring blocks are merged later.
 
 use super::lattice::{Lattice, LatticePoint, Piece, TETRAHEDRA, UNIT, half_way, number, pieces, rank};
 use crate::materials::{Indicators, MaterialId, Near, Stratum};
@@ -55,7 +55,7 @@ struct NodeSample {
 #[derive(Clone, Copy)]
 struct Node {
     place: LatticePoint,
-    /// Index in the block of the values sampled at the node.
+    /// Index in `Block::known` of the values sampled at the node.
     known: usize,
     own: MaterialId,
 }
@@ -67,8 +67,8 @@ struct Block<'a, I: ?Sized> {
     /// First grid node; `size` is the number of grid nodes along each axis.
     first: [usize; 3],
     size: [usize; 3],
-    /// Nodes sampled so far: first the grid nodes in order, then the nodes between grid nodes.
-    /// `between` contains the index of each node between grid nodes.
+    /// Samples: first those of the grid nodes in order, `None` if not sampled yet, then those of
+    /// the nodes between grid nodes. `between` contains the index of each node between grid nodes.
     known: Vec<Option<NodeSample>>,
     between: BTreeMap<u128, usize>,
     /// Cached results of `is_halved` for edges between grid nodes, by lower node and direction.
@@ -331,8 +331,8 @@ impl Corners {
         Stratum::new(&chosen.map(|node| node.own)[..count])
     }
 
-    /// Returns the mean of the selected corners in lattice steps. Pieces do not degenerate at these
-    /// positions, so the positions determine the orientation.
+    /// Returns the mean of the selected corners in lattice steps. A piece with its corners at these
+    /// means is never degenerate, so the means determine its orientation.
     fn middle(&self, own: u8) -> DVec3 {
         let (chosen, count) = self.chosen(own);
         let corner = |node: &Node| DVec3::from_array(node.place.map(f64::from));
@@ -379,7 +379,7 @@ impl Corners {
     }
 }
 
-/// Returns the vector perpendicular to three other vectors, computed from their minors.
+/// Returns the four-dimensional vector perpendicular to three others, computed from their minors.
 fn normal_to(rows: [[f64; 4]; 3]) -> [f64; 4] {
     std::array::from_fn(|left| {
         let minor = rows.map(|row| {

@@ -14,12 +14,12 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Maximum distance in voxels between a lattice vertex and its projection onto a curve or point:
-/// the edge of the grid cell that contains the vertex. On the brain crop of `follow.rs`, 1,279, 260
-/// and 226 vertices are not projected with 0.5, 1 and 2. The chains are the same.
+/// the edge length of a grid cell. On the brain crop of `follow.rs`, 1,279, 260 and 226 vertices
+/// are not projected with 0.5, 1 and 2. The chains are the same.
 const LONGEST_PROJECTION: f64 = 1.0;
 
 /// Junction points of the same four materials are merged if a chain shorter than this length, in
-/// voxels, joins them. They are one junction point that the lattice finds twice, and a chain of a
+/// voxels, joins them. Such points are one junction point that was found twice, and a chain of a
 /// third of the minimum h (0.75 voxel) is too short for particles.
 const MERGED_WITHIN: f64 = 0.25;
 
@@ -39,7 +39,7 @@ pub enum End {
     Closed,
 }
 
-/// A junction curve between its ends.
+/// A connected piece of a junction curve.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chain {
     /// The three materials that meet on the curve.
@@ -250,8 +250,8 @@ struct Assembly<'a> {
 impl Assembly<'_> {
     /// Adds a curve. If `from` is given, this point is the first end of the curve. A curve that the
     /// complex already contains is not added. If the existing chain ends at another point of the
-    /// same materials close to `from`, the two points are marked for merging. Where four materials
-    /// are almost equal along a curve, Newton's method finds their junction point at several
+    /// same materials close to `from`, the two points are marked for merging. Where four indicators
+    /// are almost equal along a curve, Newton's method finds the junction point at several
     /// positions.
     fn add(&mut self, line: Line, from: Option<u32>) {
         let position = |point: u32| self.points.all[point as usize].position;

@@ -15,47 +15,47 @@ use glam::DVec3;
 // - `LONGEST_STEP` 0.1 and 0.4, `SHORTEST_STEP` 0.0005 and 0.002, `EQUAL_CLEARANCE` 0.0002 and
 //   0.01, `END_TOLERANCE` 0.003 and 0.03 on the frog.
 
-/// Junction points closer than this distance, in voxels, count as one point. Labels determine where
-/// materials meet only to a fraction of a voxel, which is much larger. Where more than four
+/// Junction points closer than this distance, in voxels, count as one point. Labels locate a
+/// junction only to a fraction of a voxel, which is a much larger distance. Where more than four
 /// materials meet, the clearance at this distance decides which curves leave the point.
 pub const SAME_JUNCTION: f64 = 0.02;
 
 /// Maximum length of a step along a curve, in voxels. On a curve with a radius of one voxel, the
 /// chord of this length is within 0.2^2 / 8 = 0.005 voxel of the arc. With 0.1, 0.2 and 0.4, the
 /// curves of the frog have a total length of 3,327, 3,321 and 3,309 mm. A step is halved until the
-/// cosine between the tangents at its ends is at least [`LEAST_COSINE`].
+/// cosine of the angle between the tangents at its ends is at least [`LEAST_COSINE`].
 pub(super) const LONGEST_STEP: f64 = 0.2;
 
 /// Minimum length of a step along a curve, in voxels: a twentieth of [`SAME_JUNCTION`]. Where a
 /// shorter step would be needed, the curve ends.
 const SHORTEST_STEP: f64 = 1e-3;
 
-/// Minimum cosine between the tangents at both ends of a step. At this angle, 37 degrees, a chord
-/// of [`LONGEST_STEP`] deviates from the arc by at most 0.0811 of its own length: 0.016 voxel, less
-/// than [`SAME_JUNCTION`].
+/// Minimum cosine of the angle between the tangents at the two ends of a step. At this angle, 37
+/// degrees, a chord of [`LONGEST_STEP`] deviates from the arc by at most 0.0811 of its own length:
+/// 0.016 voxel, less than [`SAME_JUNCTION`].
 const LEAST_COSINE: f64 = 0.8;
 
 const _: () = assert!(0.0811 * LONGEST_STEP < SAME_JUNCTION, "a step could deviate from its curve");
 
 /// Maximum Newton correction after a step, as a fraction of the step length. The step must also
-/// advance by more than this fraction of its length. On a circle that turns by the angle of
-/// [`LEAST_COSINE`], the correction is 1/3 and the advance 0.8 of the step length. The value lies
-/// between the two, so that steps along curves of varying curvature are accepted.
+/// advance by more than this fraction of its length. On a circular arc that turns by the angle of
+/// [`LEAST_COSINE`], the correction is 1/3 and the advance 0.8 of the step length. The constant
+/// lies between these values, so that steps along curves of varying curvature are accepted.
 const LARGEST_CORRECTION: f64 = 0.5;
 
 /// A step passes a position if the distance between them is at most this fraction of the step
 /// length. Positions on the arc of a step are within a twelfth of the step length
-/// ([`LEAST_COSINE`]). The value is three times as large, for positions that were projected
-/// elsewhere on the curve. For the longest step, it is 0.05 voxel.
+/// ([`LEAST_COSINE`]). The constant is three times as large, because a position may have been
+/// projected onto the curve separately. For the longest step, the distance is 0.05 voxel.
 pub(super) const PASSING_DISTANCE: f64 = 0.25;
 
-/// Maximum clearance, in voxels, of a fourth material that counts as equally near where a curve
+/// Maximum clearance, in voxels, at which a fourth material counts as equally near where a curve
 /// cannot be followed further. Indicators have slope one, so the clearance changes by at most twice
 /// the distance. The curve ends within [`SHORTEST_STEP`] of the junction point.
 const EQUAL_CLEARANCE: f64 = 2.0 * SHORTEST_STEP;
 
-/// Maximum distance, in voxels, between the end of a path and a position that it has reached. Two
-/// paths that reach one position then end within [`SAME_JUNCTION`] of each other.
+/// Distance, in voxels, within which the end of a path counts as having reached a position. Two
+/// paths that reach the same position then end within [`SAME_JUNCTION`] of each other.
 const END_TOLERANCE: f64 = 0.5 * SAME_JUNCTION;
 
 /// Maximum number of steps in one direction. With the longest step, they cover 100,000 voxels, and
@@ -88,9 +88,9 @@ pub(super) enum Stop {
     Border,
     /// The curve returns to its start.
     Start,
-    /// The curve cannot be followed further, because two of its interfaces become tangent.
+    /// The curve cannot be followed further. For example, two of its interfaces become tangent.
     Lost,
-    /// The callback stopped the curve.
+    /// The callback ended the path.
     Told,
 }
 
@@ -111,9 +111,9 @@ pub fn way_round<I: Indicators + ?Sized>(
 
 /// Returns paths along a junction curve from one position on it to another, both included. `corner`
 /// is the last corner of the grid. There is at most one path for each direction. The paths are
-/// shorter than `longest` (mm) and sorted by length. A path may cross parts where another material
-/// is nearer by less than [`SAME_JUNCTION`], because positions a step apart do not resolve such
-/// parts.
+/// sorted by length. The search along a path stops at the length `longest` (mm). A path may cross
+/// parts where another material is nearer by less than [`SAME_JUNCTION`], because positions a step
+/// apart do not resolve such parts.
 pub fn ways_along<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
@@ -197,7 +197,8 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         gradient(self.own[1]).cross(gradient(self.own[2])).normalize_or_zero()
     }
 
-    /// Projects a position onto the curve within the grid. `limit` is the maximum total move in mm.
+    /// Projects a position onto the curve within the grid. `limit` (mm) is the maximum displacement
+    /// of a single projection.
     pub(super) fn onto(&self, place: DVec3, limit: f64) -> Option<DVec3> {
         let tolerance = TOLERANCE * self.indicators.voxel();
         let onto = |p: DVec3| self.indicators.project_onto_curve(self.own, p, limit, tolerance);
@@ -221,14 +222,14 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         last(forth, 0).distance(last(back, starts.len() - 1)) < END_TOLERANCE * self.indicators.voxel()
     }
 
-    /// Returns whether no other material is nearer, by more than `undercut`, at a position on a
+    /// Returns whether no other material is nearer by more than `undercut` at a position on a
     /// curve.
     pub(super) fn is_real(&self, place: DVec3) -> bool {
         self.indicators.clearance(place, &self.own) >= -self.undercut * self.indicators.voxel()
     }
 
-    /// Returns the position one step further. Returns `None` if the curve turns too much over the
-    /// step.
+    /// Returns the position one step further along the curve. Returns `None` if the projection
+    /// fails or the curve turns too much.
     fn ahead(&self, place: DVec3, tangent: DVec3, sign: f64, step: f64) -> Option<DVec3> {
         let limit = LARGEST_CORRECTION * step;
         let tolerance = TOLERANCE * self.indicators.voxel();
@@ -296,8 +297,8 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
     }
 
     /// Returns the reason why a curve ends at a position from which it cannot be followed. If a
-    /// fourth material is equally near, the position is a junction point: the indicators have a
-    /// kink there.
+    /// fourth material is equally near, the position is a junction point, at a kink of the
+    /// indicators.
     fn stop_at(&self, place: DVec3) -> Stop {
         let near = self.indicators.near(place);
         let fourth = near.entries().iter().find(|(id, _)| !self.own.contains(id));

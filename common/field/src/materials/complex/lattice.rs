@@ -6,7 +6,7 @@ use glam::DVec3;
 use isoparticles_volume::Geometry;
 
 /// Number of lattice steps between neighbouring grid nodes. Edges are bisected at most three times,
-/// down to one step along an axis.
+/// down to one step along each axis.
 pub(super) const UNIT: u32 = 8;
 
 /// A lattice position in steps.
@@ -38,8 +38,8 @@ pub(super) fn half_way(a: LatticePoint, b: LatticePoint) -> Option<LatticePoint>
 }
 
 /// Returns the rank of an edge. Edges with the highest rank are bisected first. The rank is the
-/// squared length in steps, followed by the numbers of the ends. It is a total order, so both
-/// tetrahedra at a face cut the face in the same way.
+/// squared length in steps, followed by the numbers of the ends. No two edges have the same rank,
+/// so tetrahedra that share a face cut it in the same way.
 pub(super) fn rank(a: LatticePoint, b: LatticePoint) -> (u32, [u128; 2]) {
     let squared = (0..3).map(|axis| a[axis].abs_diff(b[axis]).pow(2)).sum();
     let (a, b) = (number(a), number(b));

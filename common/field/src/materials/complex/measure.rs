@@ -1,5 +1,5 @@
-//! Computes areas and lengths of the complex, and the number of particles on it that an edge length
-//! h predicts.
+//! Computes areas and lengths of the complex, and predicts the number of particles on it from the
+//! target edge length h.
 
 use super::{Chain, Complex, End, Triangle};
 use crate::materials::Stratum;
@@ -12,8 +12,8 @@ use std::collections::BTreeMap;
 /// the number of threads.
 const CHUNK: usize = 1 << 14;
 
-/// Number of lattice particles that one particle on a junction curve replaces. It covers half the
-/// area of a particle on each of three interfaces.
+/// Number of interface particles that one particle on a junction curve replaces. The curve particle
+/// covers half the area of an interface particle on each of three interfaces.
 const SAVED_ON_CURVES: f64 = 1.5;
 
 impl Complex {
@@ -65,8 +65,8 @@ impl Complex {
         lengths
     }
 
-    /// Returns the number of particles that settle on all strata. It is the number of lattice
-    /// particles on the interfaces ([`SizingField::lattice_density`]), minus the particles that
+    /// Returns the number of particles that settle on all strata. It is the number of particles of
+    /// a hexagonal lattice on the interfaces ([`SizingField::lattice_density`]), minus those that
     /// curve particles replace, plus the particles on curves and points.
     pub fn predicted_count(&self, sizing: &SizingField) -> f64 {
         let on_triangle = |triangle: &Triangle| {

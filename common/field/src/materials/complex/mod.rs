@@ -4,12 +4,13 @@
 //! The method is marching tetrahedra for many materials (Nielson and Franke, Computing the
 //! Separating Surface for Segmented Data, IEEE Visualization 1997). Each cell is cut into Kuhn's
 //! six tetrahedra, which match those of the neighbouring cells. The materials at the corners of a
-//! tetrahedron determine its pieces. An edge between two materials crosses their interface once, a
-//! face between three materials crosses their curve once, and a tetrahedron of four materials
-//! contains one junction point. The complex is therefore closed for any indicators: interfaces end
-//! at curves, and curves end at points. Newton's method moves curves and points onto the true
-//! strata. Interface vertices remain where the indicators, interpolated linearly between the
-//! corners, are equal; their error is of second order in the spacing.
+//! tetrahedron determine its pieces. An edge whose ends have different materials crosses their
+//! interface once, a face with three different materials crosses their curve once, and a
+//! tetrahedron with four contains one junction point. The complex is therefore closed for any
+//! indicators: interfaces end at curves, and curves end at points. Newton's method moves the
+//! vertices of curves and points onto the true strata. Interface vertices remain where the
+//! indicators, interpolated linearly between the corners, are equal; their error is of second order
+//! in the spacing.
 
 mod cells;
 mod chains;
@@ -50,12 +51,12 @@ pub struct Tally {
     pub curves_lost: usize,
     /// Junction points that were merged with another junction point of the same materials.
     pub points_merged: usize,
-    /// Junction points that were removed, because the curves that end there continue through
-    /// them.
+    /// Junction points that were removed, because all their curves continue through them.
     pub points_passed: usize,
-    /// Junction points where some three of the four materials do not have exactly one curve end.
+    /// Junction points at which some triple of the four materials does not have exactly one curve
+    /// end.
     pub points_irregular: usize,
-    /// Closed curves that were dropped, because they are far shorter than a voxel.
+    /// Closed curves that were dropped, because they are shorter than half a voxel.
     pub specks: usize,
 }
 
@@ -63,7 +64,8 @@ pub struct Tally {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Complex {
     /// Vertices on interfaces, curves and points. Interface vertices lie on lattice edges. The
-    /// other vertices lie on their strata if Newton's method converged.
+    /// other vertices lie on their strata unless the tally counts them as not projected or not
+    /// clear.
     pub vertices: Vec<Vertex>,
     /// The material interfaces.
     pub triangles: Vec<Triangle>,
@@ -136,7 +138,7 @@ impl Complex {
     }
 }
 
-/// Joins the parts, and keeps each vertex once.
+/// Joins the parts and merges vertices with the same name.
 fn joined(parts: Vec<Part>) -> (Vec<Vertex>, Vec<Triangle>) {
     let named = parts.iter().flat_map(|part| part.names.iter().copied().zip(part.vertices.iter().copied()));
     let mut all: Vec<(Name, Vertex)> = named.collect();

@@ -41,7 +41,8 @@ fn sum(a: Function, b: Function) -> Function {
 }
 
 /// Two overlapping balls of radius 5 mm, divided by the plane between them. The junction curve is a
-/// circle of radius 3 mm. The differences have no kink where two of the three indicators are equal.
+/// circle of radius 3 mm. Away from this circle, the difference of two indicators is smooth on
+/// their interface.
 fn touching() -> Analytic {
     let way = DVec3::new(2.0, -1.0, 1.5).normalize();
     let side = |way: DVec3| scaled(half_space(CENTRE, way), 0.5);
@@ -59,8 +60,8 @@ fn lens() -> Analytic {
     Analytic::new(vec![side(way), side(-way), sum(minimum(side(way), side(-way)), own)], 1.0)
 }
 
-/// Three sectors of 120 degrees of a ball of radius 8 mm. Their indicators are as smooth as
-/// possible.
+/// Three sectors of 120 degrees of a ball of radius 8 mm. Their indicators are smooth except at the
+/// centre of the ball.
 fn smooth_sectors() -> Analytic {
     let way = |n: f64| DVec2::from_angle((n / 3.0 + 0.1) * std::f64::consts::TAU).extend(0.0);
     let wedge = |n: f64| scaled(half_space(CENTRE, -way(n)), 0.5);
