@@ -18,9 +18,8 @@
 # --no-degenerate  skip the cospherical points, the grid and the random cube
 # --no-parallel    skip the runs on several threads
 #
-# Columns: microseconds per point from the points in memory to the triangulation; CPU time of all
-# threads; growth of the peak memory in bytes per point; ratio of this triangulation to CGAL's with
-# the same number of threads.
+# Times exclude reading the file. CPU time is summed over all threads. Bytes are the growth of the
+# peak memory. Ratios are those of this triangulation to CGAL with the same number of threads.
 set -eu
 
 bin=${BIN:-target/release}

@@ -21,7 +21,8 @@ pub enum Error {
     /// There are more points than 32-bit indices can number.
     #[error("{0} points to triangulate, more than 32 bits number")]
     TooManyPoints(usize),
-    /// There are more tetrahedra than 30-bit indices can number.
+    /// There are more than 2^29 tetrahedra before an insertion, so 30-bit indices might not
+    /// suffice.
     #[error("more than {0} tetrahedra between the points")]
     TooManyTetrahedra(usize),
 }

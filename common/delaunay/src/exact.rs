@@ -1,5 +1,6 @@
 //! Computes the exact signs of the orientation and in-sphere determinants in integer arithmetic.
-//! The floating-point filters cannot decide some inputs, such as cospherical and coplanar points.
+//! This decides inputs that the floating-point filters cannot decide, such as cospherical and
+//! coplanar points.
 //!
 //! Every double is an integer times a power of two. In units of the lowest set bit of all
 //! coordinates, the coordinate differences of nearby points therefore have few bits. They fit in 62
@@ -78,8 +79,8 @@ fn differences<const POINTS: usize, const OTHERS: usize>(points: &[DVec3; POINTS
     Some(all)
 }
 
-/// Computes the same as [`differences`] for points whose differences doubles cannot represent
-/// exactly. Converts the coordinates to integers before it subtracts them.
+/// Computes the same as [`differences`] for points whose differences are not exact in double
+/// precision. Converts the coordinates to integers before it subtracts them.
 fn differences_of_integers<const POINTS: usize, const OTHERS: usize>(
     points: &[DVec3; POINTS],
 ) -> Option<[Difference; OTHERS]> {
@@ -249,7 +250,8 @@ mod tests {
 
     #[test]
     fn the_largest_differences_do_not_overflow() {
-        // corners of the largest allowed box, or points one unit (512) away from a corner
+        // corners of a box with edges of 2^53 - 2 units of 512, or points one unit away from a
+        // corner
         let edge = 2f64.powi(62);
         for n in 0..4000u64 {
             let points: [DVec3; 5] = std::array::from_fn(|k| {

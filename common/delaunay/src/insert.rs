@@ -39,7 +39,7 @@ impl Beyond {
 
 type Reached<T> = std::result::Result<T, Beyond>;
 
-/// Facet index of a walk that has not crossed a facet yet.
+/// Entry facet of the first tetrahedron of a walk, which was not entered through a facet.
 const NOWHERE: usize = 4;
 
 /// Maximum number of tetrahedra before an insertion. Indices have 30 bits, because neighbour
@@ -55,9 +55,9 @@ const WALLS_FOR_A_TABLE: usize = 252;
 /// A facet between a tetrahedron in conflict and a tetrahedron that is kept.
 #[derive(Clone, Copy, Debug)]
 struct Wall {
-    /// The facet as seen from outside the cavity: tetrahedron * 4 + facet index.
+    /// The facet in the kept tetrahedron: tetrahedron * 4 + facet index.
     outside: u32,
-    /// Vertices in counter-clockwise order as seen from the outer tetrahedron.
+    /// Vertices in counter-clockwise order as seen from the kept tetrahedron.
     vertices: [u32; 3],
 }
 

@@ -59,12 +59,12 @@ pub const INFINITE: u32 = u32::MAX;
 const DEAD: u32 = u32::MAX - 1;
 
 /// Maximum absolute value of a coordinate. The in-sphere determinant is a polynomial of degree 5,
-/// so its terms are of the order of 1e250 and below the largest double, 1.8e308.
+/// so its terms are at most of the order of 1e250, below the largest double, 1.8e308.
 const LARGEST_COORDINATE: f64 = 1e50;
 
 /// Coordinates closer to zero than this are set to zero, so that the exact predicates never
-/// underflow. Differences of coordinates are multiples of 2^-53 times this value. Their products of
-/// degree 5 are at least 1.7e-280, above the smallest normal double, 2.2e-308.
+/// underflow. Nonzero differences of coordinates are at least 2^-53 times this value. Their
+/// products of degree 5 are at least 1.7e-280, above the smallest normal double, 2.2e-308.
 const SMALLEST_COORDINATE: f64 = 1e-40;
 
 #[derive(Clone, Copy, Debug)]
@@ -113,8 +113,8 @@ impl Delaunay {
     ///
     /// # Errors
     /// If there are fewer than four distinct points, if all points lie in one plane, if a
-    /// coordinate is not finite or exceeds 1e50 in absolute value, or if there are more than 2^29
-    /// tetrahedra before an insertion.
+    /// coordinate is not finite or exceeds 1e50 in absolute value, or if there are too many points
+    /// for 32-bit indices or more than 2^29 tetrahedra before an insertion.
     pub fn new(points: &[DVec3]) -> Result<Self> {
         Self::with_cutting(points, Cutting::USUAL)
     }
@@ -155,8 +155,8 @@ impl Delaunay {
         self.vertex_count
     }
 
-    /// Returns the first point with the same coordinates if it differs from `point`. Duplicates do
-    /// not belong to any tetrahedron.
+    /// Returns the first point with the same coordinates, or `None` if `point` is the first.
+    /// Duplicates do not belong to any tetrahedron.
     pub fn duplicate_of(&self, point: u32) -> Option<u32> {
         let first = self.first[point as usize];
         (first != point).then_some(first)
@@ -220,9 +220,9 @@ impl Delaunay {
         self.incident.get(vertex as usize).copied().filter(|&t| t != u32::MAX)
     }
 
-    /// Computes the circumcentre of a tetrahedron relative to one of its vertices and with the
-    /// exact volume. The centre of a thin tetrahedron is therefore distant instead of wrong.
-    /// Returns `None` for a ghost, or if the centre is not finite.
+    /// Computes the circumcentre of a tetrahedron from coordinates relative to one vertex and from
+    /// [`predicates::volume`], so the result is accurate even for a thin tetrahedron. Returns
+    /// `None` for a ghost or a removed tetrahedron, or if the centre is not finite.
     pub fn circumcentre(&self, tetrahedron: u32) -> Option<DVec3> {
         let v = self.vertices(tetrahedron);
         if v.contains(&INFINITE) || v[0] == DEAD {
@@ -282,7 +282,7 @@ impl Delaunay {
         }
     }
 
-    /// Returns the tetrahedra that the last insertion created, including ghosts. They may have the
+    /// Returns the tetrahedra that the last insertion created, including ghosts. They may reuse the
     /// numbers of removed tetrahedra.
     pub fn created(&self) -> &[u32] {
         self.cells.work.created()
@@ -315,7 +315,7 @@ fn admissible(p: DVec3) -> Result<DVec3> {
 }
 
 /// Finds four points that do not lie in one plane. Returns their positions in the insertion order,
-/// sorted so that the tetrahedron is positively oriented.
+/// arranged so that the tetrahedron is positively oriented.
 fn first_simplex(points: &[DVec3], order: &[u32]) -> Result<[u32; 4]> {
     let at = |place: usize| points[order[place] as usize];
     if order.len() < 4 {

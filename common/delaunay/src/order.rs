@@ -9,7 +9,7 @@ use rayon::prelude::*;
 /// in 64. Points in the same Hilbert cell are ordered by their coordinates.
 const BITS_PER_AXIS: u32 = 20;
 
-/// Sets with fewer distinct points are inserted in a single round. The first of several rounds then
+/// Sets with fewer distinct points are inserted in a single round. For larger sets, the first round
 /// has about 125 to 1000 points. With 250, 1000 and 4000, the triangulation of `thorax_labels` 2
 /// (84,000 particles) takes 0.28 s; in a single round, it takes 0.34 s (step `triangulate` of
 /// `reconstruct`).

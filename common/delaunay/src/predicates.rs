@@ -7,9 +7,9 @@
 //! of roundings. Let (mx, my, mz) bound the coordinate differences, and let m be the largest of the
 //! three. The orientation has 6 monomials with at most 8 roundings each, so its error is at most
 //! 48 * 2^-53 mx my mz. The in-sphere determinant has 72 monomials with at most 16 roundings each,
-//! so its error is at most 1152 * 2^-53 mx my mz m^2. A coarser bound is tried first, with the
-//! length of the longest difference instead of mx, my, mz and m. The constants below are rounded up
-//! by more than the rounding errors of the bounds themselves.
+//! so its error is at most 1152 * 2^-53 mx my mz m^2. The in-sphere test first
+//! tries a coarser bound, with the length of the longest difference instead of mx, my, mz and m.
+//! The constants below are rounded up by more than the rounding errors of the bounds themselves.
 
 use super::exact;
 use glam::DVec3;
@@ -96,9 +96,9 @@ fn in_sphere_near_zero(determinant: f64, [a, b, c, d, e]: [DVec3; 5]) -> f64 {
 
 /// Returns whether `points[4]` lies inside the sphere through the positively oriented
 /// `points[0..4]`, without ties. Each point on the paraboloid is lifted by an infinitesimal amount;
-/// a larger rank gives a lift that is larger by orders of magnitude. Each point always has the same
-/// lift, so all results describe one regular triangulation. Its cells are never flat, and its
-/// cavities are star-shaped. Points and ranks must be distinct.
+/// a point with a larger rank has an infinitely larger lift. Each point always has the same lift,
+/// so all results describe one regular triangulation. Its cells are never flat, and its cavities
+/// are star-shaped. Points and ranks must be distinct.
 #[inline]
 pub fn in_sphere_perturbed(points: &[DVec3; 5], ranks: impl FnOnce() -> [u32; 5]) -> bool {
     let [a, b, c, d, e] = *points;
@@ -174,8 +174,8 @@ mod tests {
         }
     }
 
-    /// The test must be symmetric in two neighbours: e is in conflict with the tetrahedron abcd
-    /// exactly if d is in conflict with the tetrahedron of abc and e.
+    /// The test must be symmetric in two neighbours: e is in conflict with the tetrahedron abcd if
+    /// and only if d is in conflict with the tetrahedron of abc and e.
     #[test]
     fn perturbed_test_is_symmetric() {
         let mut ties = 0;

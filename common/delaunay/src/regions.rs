@@ -34,7 +34,7 @@ impl Cutting {
 /// saves at most a tenth of the time. If one side has a smaller share, the region is not cut.
 const LEAST_SHARE_OF_SIDE: f64 = 0.1;
 
-/// Maximum number of points for the median that determines the plane of a cut. The rank of the
+/// Maximum number of sampled points whose median determines the plane of a cut. The rank of the
 /// median of 10,000 points has a standard error of 0.5 / sqrt(10,000), half a per cent of all
 /// points.
 const MEDIAN_SAMPLE: usize = 10_000;
@@ -64,8 +64,8 @@ pub(super) fn triangulate(
 struct Inserted {
     /// Postponed points, each with the cut that must be removed before the point can be inserted.
     put_off: Vec<(u32, Beyond)>,
-    /// New numbers of the tetrahedra that existed before the insertion and still exist. `None` if
-    /// the numbers are unchanged.
+    /// New numbers of the tetrahedron slots that existed before the insertion. `None` if the
+    /// numbers are unchanged.
     renumbered: Option<Vec<u32>>,
 }
 
@@ -89,9 +89,9 @@ impl Outer<'_> {
         std::iter::successors(Some(self), |outer| outer.up).map(|outer| outer.whole.last).collect()
     }
 
-    /// Returns the tetrahedron of the region that contained a point before any insertion. Returns
-    /// the number that the tetrahedron had at the cut. Returns an error if the tetrahedron is in
-    /// another region; the point must then be postponed.
+    /// Finds the tetrahedron of the region that contained a point before any insertion. Returns its
+    /// number at the time of the cut. Returns an error if the tetrahedron is in another region; the
+    /// point must then be postponed.
     fn find(&self, sites: Sites<'_>, point: DVec3, starts: &mut [u32]) -> Result<u32, Beyond> {
         let (start, further) = starts.split_first_mut().ok_or(self.cut)?;
         let walked = self.whole.locate(sites, point, *start);
@@ -133,7 +133,8 @@ fn insert_all(
     let [(low, _), (high, _)] = regions;
     let all: Vec<(u32, Beyond)> = done.iter().flat_map(|inserted| &inserted.put_off).copied().collect();
     let offset = low.tetrahedra.len() as u32;
-    // returns the number after merging of a tetrahedron that a region contained from the start
+    // maps the number of a tetrahedron of a region at the time of the cut to its number after
+    // merging
     let number = |side: usize, number: u32| {
         let number = done[side].renumbered.as_ref().map_or(number, |new| new[number as usize]);
         if side == 0 { number } else { number + offset }

@@ -318,8 +318,8 @@ fn circumcentre_of_a_thin_cell_is_at_its_distance() {
 
 #[test]
 fn circumcentre_of_a_flat_cell_is_far_away_in_any_unit() {
-    // These are quads in a tilted plane. Their volume results only from the rounding of the
-    // coordinates and is below the bound of the filter.
+    // The corners form quadrilaterals in a tilted plane. Their volume is due only to the rounding
+    // of the coordinates and is below the bound of the filter.
     let (u, v) = (DVec3::new(0.9, 0.2, -0.3).normalize(), DVec3::new(0.1, 0.7, 0.6));
     let mut undecided = 0;
     for k in 0..200u64 {

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The operating system denied access to a file or folder.
+    /// The operating system reported an error for a file or folder.
     #[error("{}: cannot {doing}: {source}", path.display())]
     System {
         /// The file or folder.

@@ -1,4 +1,4 @@
-//! Free memory of the machine and peak memory of this process. Both are available on Linux only.
+//! Free memory of the machine and peak memory of this process. Both are reported on Linux only.
 
 use std::fs::read_to_string;
 

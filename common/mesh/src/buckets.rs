@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Minimum number of triangles or buckets per task of a parallel loop. At 10 ns or more per item, a
-/// task takes at least 40 us. Starting a task costs 0.1 us, and 25 us if a thread must be woken
+/// task takes at least 40 us. Starting a task costs 0.1 us, or 25 us if a thread must be woken
 /// (`rayon::join` after 2 ms of idleness; 2 busy cores, 2026-11-27).
 pub(crate) const TASK_ITEMS: usize = 1 << 12;
 
@@ -66,7 +66,7 @@ pub fn starts_of(lengths: impl IntoIterator<Item = usize>) -> Vec<u32> {
 
 /// Concatenates all lists in order. The lists and the result are in memory at the same time.
 pub fn joined<T: Copy + Default + Send + Sync>(lists: Vec<Vec<T>>) -> Vec<T> {
-    // The first access to new memory is slower than the copy itself, so all threads share it.
+    // The first access to new memory is slower than the copy itself, so all threads initialise it.
     let lengths: Vec<usize> = lists.iter().map(Vec::len).collect();
     let mut all: Vec<T> = (0..lengths.iter().sum()).into_par_iter().map(|_| T::default()).collect();
     parts_mut(&mut all, lengths).into_par_iter().zip(lists).for_each(|(own, list)| own.copy_from_slice(&list));

@@ -4,8 +4,8 @@ use crate::buckets::TASK_ITEMS;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-/// Component number of a vertex without triangles. A mesh has fewer components than vertices, and
-/// at most `u32::MAX` vertices.
+/// Component number of a vertex without triangles. It is never a valid number, because a mesh has
+/// fewer components than vertices, and at most `u32::MAX` vertices.
 pub const NO_COMPONENT: u32 = u32::MAX;
 
 /// Union-find with path halving. The smallest member of a set represents the set, so the result

@@ -70,7 +70,7 @@ fn clearly_apart(t: [DVec3; 3], other: [DVec3; 3], points: &[DVec3]) -> bool {
     let length = u.length() + v.length();
     let far = other.iter().map(|p| p.distance(t[0])).fold(0.0, f64::max);
     let plane = |direction: DVec3, size: f64| {
-        // Rounding errors are below 1e-14 of the product. The exact test decides closer cases.
+        // Rounding errors are below 1e-14 times `size * far`. The exact test decides closer cases.
         let margin = 1e-10 * size * far;
         let side = |p: &DVec3| (*p - t[0]).dot(direction);
         (points.iter().all(|p| side(p) < -margin), points.iter().all(|p| side(p) > margin))
@@ -127,7 +127,7 @@ fn folded(u: DVec3, v: DVec3, p: DVec3, q: DVec3) -> bool {
     })
 }
 
-// Coplanar sets intersect exactly if their projections along all three axes intersect. A common
+// Coplanar sets intersect if and only if their projections along all three axes intersect. A common
 // point projects to a common point, and at least one projection is not degenerate unless all points
 // are collinear.
 
@@ -293,7 +293,7 @@ mod tests {
     }
 
     /// Returns whether two triangles intersect, using the separating-axis test in integers, where
-    /// it is exact. Two triangles are disjoint exactly if their projections onto some axis are
+    /// it is exact. Two triangles are disjoint if and only if their projections onto some axis are
     /// disjoint. The axis is a face normal, a cross product of two edges, or an in-plane edge
     /// normal.
     fn reference_meet(p: [[i64; 3]; 3], q: [[i64; 3]; 3]) -> bool {

@@ -10,10 +10,10 @@ use crate::spatial::Bounds;
 use glam::DVec3;
 use std::ops::Range;
 
-/// Maximum number of points in a leaf. Limits on the number of visited leaves count leaves of this
-/// size. Measured on 300,000 points of a bumpy sphere: a query for the nearest point, at most 5 %
-/// of the radius away from the sphere, takes 8.0, 7.6, 6.2, 5.4 and 4.0 us with 3, 6, 12, 24 and 48
-/// points per leaf (medians of three runs with `rustc -O`; 2 busy cores, 2026-11-27).
+/// Maximum number of points in a leaf. Callers that limit the number of visited leaves count leaves
+/// of this size. Measured on 300,000 points of a bumpy sphere: a query for the nearest point, at
+/// most 5 % of the radius away from the sphere, takes 8.0, 7.6, 6.2, 5.4 and 4.0 us with 3, 6, 12,
+/// 24 and 48 points per leaf (medians of three runs with `rustc -O`; 2 busy cores, 2026-11-27).
 const LEAF_POINTS: usize = 12;
 
 /// A k-d tree over a fixed set of points.
@@ -58,8 +58,8 @@ impl KdTree {
     }
 
     /// Does the same as [`KdTree::nearest_within`], but visits at most `leaves` leaves, starting
-    /// with the closest. The result may therefore be only approximately nearest. If all points are
-    /// at about the same distance, for example around the centre of a ball, an exact search would
+    /// with the closest. The result is therefore not always the nearest point. If all points are at
+    /// about the same distance, for example around the centre of a ball, an exact search would
     /// visit every leaf.
     pub fn nearest_of_leaves(&self, query: DVec3, radius: f64, leaves: usize) -> Option<(usize, f64)> {
         let mut search = Search { query, best: (u32::MAX, radius * radius), leaves };

@@ -56,8 +56,8 @@ mod tests {
 
     #[test]
     fn a_fine_sphere_approaches_the_analytic_measure() {
-        // An inscribed icosphere of level n is missing a share of about 0.83 / 4^n of the volume,
-        // and half that share of the area.
+        // An inscribed icosphere of level n lacks a fraction of about 0.83 / 4^n of the volume, and
+        // half that fraction of the area.
         let got = measure(&shapes::icosphere(2.0, 5));
         let (area, volume) = (16.0 * PI, 32.0 / 3.0 * PI);
         assert!((got.area / area - 1.0).abs() < 1e-3, "{got:?}");

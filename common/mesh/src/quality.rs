@@ -13,9 +13,9 @@ use serde::Serialize;
 pub const HISTOGRAM_BINS: usize = 50;
 
 /// A triangle is degenerate if its area is at most this share of the mean area. The rounding of
-/// `f64` coordinates gives three collinear points a positive area: up to 1.5e-13 of an equilateral
-/// triangle at a distance of 1,000 edge lengths from the origin, and 2.3e-12 at 10,000 (200,000
-/// random triples in NumPy).
+/// `f64` coordinates gives three collinear points a positive area: up to 1.5e-13 of the area of an
+/// equilateral triangle at a distance of 1,000 edge lengths from the origin, and 2.3e-12 at 10,000
+/// (200,000 random triples in NumPy).
 pub const ZERO_AREA_SHARE: f64 = 1e-12;
 
 /// Computes the radius ratio 2r/R of a triangle: 8 A^2 / (s a b c), where s is half the perimeter.

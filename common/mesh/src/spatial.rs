@@ -63,8 +63,8 @@ impl Bounds {
 /// Number of boxes that one SIMD operation tests: eight `f64` fill a register of AVX-512.
 const LANES: usize = 8;
 
-/// Minimum number of boxes per task. Fewer boxes are processed on one thread: sorting as many keys
-/// takes 0.3 ms, and starting a second thread up to a tenth of this time (see
+/// Minimum number of boxes per task. Fewer boxes are processed on one thread: sorting that many
+/// keys takes 0.3 ms, and starting a second thread takes up to a tenth of this time (see
 /// `buckets::TASK_ITEMS`).
 const BOXES_PER_TASK: usize = 1 << 14;
 
@@ -99,7 +99,7 @@ impl Eight {
         Bounds { low: place(&self.low), high: place(&self.high) }
     }
 
-    /// Returns a bit mask of the boxes that intersect another box. Touching boxes intersect.
+    /// Returns a bit mask of the boxes that intersect `other`. Touching boxes intersect.
     #[inline(always)]
     fn meeting<S: Simd>(&self, simd: S, other: &Bounds) -> u64 {
         let mut meets = u64::MAX;

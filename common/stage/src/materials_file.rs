@@ -1,9 +1,9 @@
 //! Reads and writes the indicators of several materials, which stages exchange as a VTK image file.
 //!
 //! The point data, for ParaView and pyvista, contains the material of each node and the distance of
-//! the node from the nearest interface. The field data contains the indicators: the bricks and
-//! coefficients of all materials, concatenated in the order of the table, and the values in the
-//! bricks. Indicators are read back bit for bit.
+//! the node from the nearest interface. The field data contains a table of the materials and their
+//! indicators: the bricks and coefficients of all materials, concatenated in the order of the
+//! table, and the material that fills each brick. Indicators are read back bit for bit.
 
 use crate::error::{Error, Result};
 use crate::output::write_atomically;

@@ -110,7 +110,7 @@ pub struct MaterialsMeta {
     /// Upper bound of `interface_distance` in mm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distance_limit: Option<f64>,
-    /// Length scale of the smoothing in mm. `None` if every voxel centre was kept on its side.
+    /// Length scale of the smoothing in mm. `None` if every voxel centre was kept in its material.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<f64>,
     /// Information for users: the table of materials, the pairs of materials that touch, and the

@@ -1,15 +1,15 @@
 //! Measures the surface of objects from their voxels: the area, and the local shape at sampled
 //! faces.
 //!
-//! A *face* separates two neighbouring voxels of different class. Lines along axis a, with one line
-//! per area s, cross a surface |n_a| A / s times, where A is the area of the surface and n its unit
-//! normal. The mean of |n_x| + |n_y| + |n_z| over all directions is 3/2 (Cauchy and Crofton). The
-//! area of the surface is therefore 2/3 of the total area of all faces.
+//! A *face* separates two neighbouring voxels of different classes. Lines along axis a, with one
+//! line per area s, cross a surface |n_a| A / s times, where A is the area of the surface and n its
+//! unit normal. The mean of |n_x| + |n_y| + |n_z| over all directions is 3/2 (Cauchy and Crofton).
+//! The area of the surface is therefore 2/3 of the total area of all faces.
 //!
-//! At a sampled face, the share of a ball that lies inside gives the mean curvature H (integral
-//! invariant of Pottmann et al. 2007: share = 1/2 - 3/16 r H). The centre of mass of the inside
-//! part gives the normal. A walk along the normal gives the thickness of the object or of the
-//! adjacent gap.
+//! At a sampled face, the volume fraction of a ball inside the object gives the mean curvature H
+//! (integral invariant of Pottmann et al. 2007: fraction = 1/2 - 3/16 r H). The centre of mass of
+//! this part of the ball gives the normal. A walk along the normal gives the thickness of the
+//! object or of the adjacent gap.
 
 use crate::classes::{Classes, OUTSIDE};
 use glam::DVec3;
@@ -17,19 +17,19 @@ use isoparticles_field::random::uniform;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// Radius of the ball in mean voxels. In smaller balls, the staircase of voxels has more effect on
-/// the share than the curvature. The grid search described at `EDGE_OVER_RADIUS` in `cost.rs`
-/// determined the value.
+/// Radius of the ball in units of the mean spacing. In smaller balls, the staircase of voxels
+/// affects the volume fraction more than the curvature does. The value is from the grid search
+/// described at `EDGE_OVER_RADIUS` in `cost.rs`.
 pub const BALL: f64 = 2.0;
 
-/// Step length along the normal in mean voxels, and the resolution of the thickness. With two steps
-/// per voxel, no layer of one voxel is stepped over.
+/// Step length along the normal in units of the mean spacing, and the resolution of the thickness.
+/// With two steps per voxel, the walk does not skip a layer one voxel thick.
 const WALK_STEP: f64 = 0.5;
 
-/// Length of the walk along the normal in mean voxels. A thickness of this length limits h to 0.20
-/// x 30 = 6 voxels (`EDGE_OVER_THICKNESS` in `cost.rs`). The vertex density is proportional to 1 /
-/// h^2, so thicker parts have at most (0.75 / 6)^2 = 1/64 of the density at the minimum h. Their
-/// exact thickness hardly affects the vertex count.
+/// Length of the walk along the normal in units of the mean spacing. This thickness limits h to
+/// 0.20 x 30 = 6 voxels (`EDGE_OVER_THICKNESS` in `cost.rs`). The vertex density is proportional to
+/// 1 / h^2, so thicker parts have at most (0.75 / 6)^2 = 1/64 of the density at the minimum h.
+/// Their exact thickness hardly affects the vertex count.
 const WALK_LENGTH: f64 = 30.0;
 
 /// Seed for the random selection of faces. The value is arbitrary.
@@ -53,11 +53,11 @@ pub struct SampledFace {
     pub axis: usize,
     /// Centre of the face in mm, in the grid frame.
     pub position: DVec3,
-    /// Absolute difference between 1/2 and the share of the ball that lies inside the object.
+    /// Absolute difference between 1/2 and the volume fraction of the ball inside the object.
     pub imbalance: f64,
-    /// Thickness in mean voxels: the smaller of two distances along the normal, to the other side
-    /// of the object and to the other side of the adjacent gap. Infinite if both distances exceed
-    /// 30 mean voxels.
+    /// Thickness in units of the mean spacing: the smaller of two distances along the normal, to
+    /// the other side of the object and to the other side of the adjacent gap. Infinite if both
+    /// exceed `WALK_LENGTH`.
     pub thickness: f64,
 }
 
@@ -198,7 +198,7 @@ fn each_face(classes: &Classes<'_>, k: usize, mut found: impl FnMut(Face)) {
 /// The balls that measure the shape at a face.
 struct Shapes {
     /// Offsets of the voxels in the ball from the inside voxel of the face. The first index is the
-    /// axis of the face, the second tells whether the face is on the upper side of the voxel.
+    /// axis of the face. The second is 1 if the face is on the upper side of the voxel.
     balls: [[Vec<[isize; 3]>; 2]; 3],
 }
 

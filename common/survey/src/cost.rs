@@ -14,9 +14,9 @@ use serde::Serialize;
 
 /// Ratio of the edge length to the radius of mean curvature. A grid search over this constant,
 /// [`EDGE_OVER_THICKNESS`], [`STAIRCASE`] and [`BALL`] minimised the scatter between predicted and
-/// actual vertex counts of fourteen surfaces. A factor of 1.3 remains.
-/// `stages/distfield/benches/predicted.py` lists the surfaces, compares the counts and prints the
-/// gradation factors below.
+/// actual vertex counts of fourteen surfaces. The remaining scatter is a factor of 1.3.
+/// `stages/distfield/benches/predicted.py` lists the surfaces, compares the counts and prints
+/// corrections to the gradation factors below.
 const EDGE_OVER_RADIUS: f64 = 0.30;
 
 /// Ratio of the edge length to the thickness, from the same search as [`EDGE_OVER_RADIUS`].
@@ -29,19 +29,19 @@ const STAIRCASE: f64 = 0.06;
 /// Default minimum h of `sizefield --quality medium`, in units of the mean voxel spacing.
 const SMALLEST_VOXELS: f64 = 0.75;
 
-/// Default maximum h of `sizefield --quality medium`, as a share of the diagonal of the object's
+/// Default maximum h of `sizefield --quality medium`, in units of the diagonal of the object's
 /// bounding box.
 const LARGEST_DIAGONALS: f64 = 0.1;
 
 /// Ratio of the actual vertex count to the count from h at the sampled faces, for label maps. The
 /// ratio exceeds 1 because the gradient limit spreads small h to nearby regions. The value is the
-/// geometric mean of the ratios of the surfaces in `predicted.py`.
+/// geometric mean over the surfaces in `predicted.py` except the smallest.
 const GRADATION_LABELS: f64 = 1.82;
 
 /// Ratio of the actual vertex count to the count from h at the sampled faces, for scans, from the
 /// same measurement as [`GRADATION_LABELS`]. It is larger because the surface of a scan is not
-/// smoothed. The surface can also pass between voxel centres without separating any of them, where
-/// there is no face to sample.
+/// smoothed. Parts of it can also lie between voxel centres without separating them, so they have
+/// no faces to sample.
 const GRADATION_SCAN: f64 = 2.22;
 
 /// Expected maximum ratio between the predicted and the actual vertex count, in either direction.
@@ -71,13 +71,12 @@ struct Rates {
 /// Measured with `python stages/distfield/benches/costs.py` on seven phantoms, with two cores of an
 /// EPYC that also ran other work. The predicted memory is within about a fifth of the measurements,
 /// and the time within about a third. There are two exceptions: the particles of the noise phantom
-/// (11.3 s measured, 4.3 s predicted, because they run all passes) and the particles of the coarse
-/// ball.
+/// (11.3 s measured, 4.3 s predicted, because all passes run) and the particles of the coarse ball.
 ///
 /// - `fields`: either distfield needs the most memory, per node, or sizefield, per vertex.
 ///   `sizefield` needs 12 bytes per node for F, its coefficients and h, and 820 to 1,160 bytes per
 ///   vertex on eight shared volumes (`costs.py --volumes`; 551 on `heart_ct`).
-/// - `triangles`: bytes per vertex of `thorax_ct_native_u8`.
+/// - `triangles`: bytes per vertex measured on `thorax_ct_native_u8`.
 /// - `tetrahedra`: elapsed seconds of the torso's lungs and ribs, 11.7 for 36,514 vertices and 19.5
 ///   for 99,084. Memory of `heart` and `ribs`, 896 MiB for 55,626 vertices and 2,050 MiB for
 ///   292,825 (`docs/developer/performance.md`, "Real volumes").
@@ -97,7 +96,7 @@ const RATES: [Rates; 4] = [
 /// (`docs/developer/performance.md`, "Memory").
 const DISTFIELD_BYTES: f64 = 6.0;
 
-/// Constant edge lengths in mean voxels for which the number of vertices is also predicted.
+/// Constant edge lengths, in units of the mean spacing, for which the vertex count is predicted.
 const SIZES: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
 
 /// Predicted cost of meshing an object.

@@ -6,7 +6,7 @@ use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// A box along the axes of the world, around the voxels of one class.
+/// The bounding box of the voxels of one class, aligned with the world axes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct WorldBox {
     /// Minimum of x, y and z, mm.
@@ -71,7 +71,7 @@ mod tests {
 
     #[test]
     fn boxes_are_in_world_coordinates() {
-        // x of the grid is y of the world
+        // the x axis of the grid is the y axis of the world
         let geometry = Geometry {
             directions: glam::DMat3::from_cols(DVec3::Y, -DVec3::X, DVec3::Z),
             origin: DVec3::new(10.0, 20.0, 30.0),

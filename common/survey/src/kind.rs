@@ -64,7 +64,7 @@ pub struct Judgement {
 
 /// Minimum share of jumps between consecutive occurring values (`steps` / `jumps`) for a scan with
 /// few levels, in which neighbouring regions have consecutive levels. The share is at least 0.54
-/// for scans in 8 to 128 levels, and at most 0.3 for label maps with more than 8 labels
+/// for scans quantized to 8 to 128 levels, and at most 0.3 for label maps with more than 8 labels
 /// (`isoparticles-volume info VOLUME --json -`).
 const STEPS_ABOVE: f64 = 0.5;
 

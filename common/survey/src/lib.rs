@@ -104,7 +104,7 @@ pub struct VolumeInfo {
     pub distinct: Option<usize>,
     /// All labels except 0; empty for a scan.
     pub labels: Vec<LabelInfo>,
-    /// The object that the user specified. If the user specified none, all candidates.
+    /// The object that the user specified, or all candidates if the user specified none.
     pub objects: Vec<Object>,
     /// Remarks on assumptions made while reading the file, on NaN among labels, and on shear.
     pub remarks: Vec<String>,
@@ -122,7 +122,8 @@ pub struct LabelInfo {
     pub voxels: usize,
     /// Volume of these voxels in mm^3.
     pub volume: f64,
-    /// Box around these voxels in world coordinates, mm; `None` if a sheared volume loses them.
+    /// Box around these voxels in world coordinates, mm; `None` if resampling a sheared volume
+    /// removed all of them.
     pub bounds: Option<WorldBox>,
     /// Connected parts of the label; `None` if the volume is too noisy to count them.
     pub parts: Option<Parts>,

@@ -21,8 +21,8 @@ const CHUNK: usize = 1 << 20;
 /// Range of the share of double jumps (`double_jumps` / `jumps`) that does not distinguish between
 /// scans and label maps. A lower share indicates a label map, and a higher share a scan. Among the
 /// shared volumes, the share is at most 0.28 for label maps (`brain_parcellation`) and at least
-/// 0.91 for scans (`thorax_ct_native_u8`). It is 0.30 to 0.83 for scans in 8 to 64 levels. Measured
-/// with `isoparticles-volume info VOLUME --json -`.
+/// 0.91 for scans (`thorax_ct_native_u8`). It is 0.30 to 0.83 for scans quantized to 8 to 64
+/// levels. Measured with `isoparticles-volume info VOLUME --json -`.
 pub const UNCLEAR: std::ops::Range<f64> = 0.29..0.75;
 
 /// Statistics of the voxels.
@@ -36,8 +36,8 @@ pub struct Survey {
     pub nan: usize,
     /// Number of finite values that are not integers.
     pub fractions: usize,
-    /// Each value except NaN with its number of voxels, in ascending order. `None` if a finite
-    /// value is not an integer, if all values are NaN, or if there are too many distinct values.
+    /// Each value except NaN with its number of voxels, in ascending order. `None` if a value is
+    /// fractional or infinite, if all values are NaN, or if there are too many distinct values.
     #[serde(skip)]
     pub values: Option<Vec<(i64, usize)>>,
     /// Number of jumps. A jump is a triple of consecutive voxels along an axis whose last two

@@ -122,8 +122,8 @@ impl VolumeInfo {
         self.write_boxes(&labels, out)
     }
 
-    /// Writes the box and the centre of each label, as the options that take world positions use
-    /// them.
+    /// Writes the box and the centre of each label in world coordinates, for options that take
+    /// world positions.
     fn write_boxes(&self, labels: &[&LabelInfo], out: &mut String) -> std::fmt::Result {
         if labels.iter().all(|label| label.bounds.is_none()) {
             return Ok(());

@@ -51,9 +51,9 @@ const LEVELS: [(f64, Inside, &str); 4] = [
 ];
 
 /// If the most frequent bin contains a larger share of the voxels, the bin is treated as padding or
-/// saturation, and the thresholds ignore this bin. By `isoparticles-volume info VOLUME --json -`,
-/// the most frequent bin contains 0.05 to 0.10 of `heart_ct`, `trabecular_bone` and `tooth_ct`, and
-/// 0.55 of `thorax_ct`, whose background has a constant value. The limit is about the geometric
+/// saturation, and the thresholds ignore it. According to `isoparticles-volume info VOLUME --json
+/// -`, the most frequent bin contains 0.05 to 0.10 of `heart_ct`, `trabecular_bone` and `tooth_ct`,
+/// and 0.55 of `thorax_ct`, whose background has a constant value. The limit is about the geometric
 /// mean of 0.10 and 0.55.
 const PADDING_SHARE: f64 = 0.25;
 

@@ -1,5 +1,5 @@
-//! Finds the additional files that belong to a volume's header. Callers use the list to detect
-//! changes.
+//! Finds the files that belong to a volume in addition to the given file. Callers use them to
+//! detect changes.
 
 use crate::error::{Error, Result};
 use crate::voxel_data::DataFiles;

@@ -47,7 +47,7 @@ pub(crate) fn geometry_from_steps(
             "correct the spacing in the file's header",
         ));
     }
-    // at 1e9 mm, neighbouring numbers of 64 bits differ by 1.2e-7 mm
+    // at 1e9 mm, adjacent f64 values differ by 1.2e-7 mm
     if !origin.is_finite() || origin.abs().max_element() > 1e9 {
         return Err(bad(
             path,

@@ -165,7 +165,7 @@ impl<'a> Header<'a> {
             return Err(self.no_volume(dimension));
         }
         let sizes = self.numbers::<usize>("DimSize", dimension)?;
-        // accepts a time series that contains a single volume
+        // accept a time series that contains a single volume
         if sizes[3..].iter().any(|&n| n != 1) {
             return Err(self.no_volume(dimension));
         }

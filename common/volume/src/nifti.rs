@@ -237,7 +237,7 @@ fn sform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
 /// Returns the vectors between neighbouring voxels, the origin and the space from the qform.
 fn qform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     let vector = DVec3::new(header.quatern_b.into(), header.quatern_c.into(), header.quatern_d.into());
-    // The first component of the quaternion is not stored. The length of the other three may exceed
+    // The first component of the quaternion is not stored. The norm of the other three may exceed
     // one because of rounding.
     let quaternion = DQuat::from_xyzw(vector.x, vector.y, vector.z, (1.0 - vector.length_squared()).max(0.0).sqrt());
     let rotation = DMat3::from_quat(quaternion.normalize());

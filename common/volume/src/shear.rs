@@ -24,7 +24,7 @@ const IGNORED_SHIFT: f64 = 0.1;
 pub struct Shear {
     /// The orthonormal grid.
     pub geometry: Geometry,
-    /// Maximum difference in degrees between a right angle and the angle of two old axes.
+    /// Maximum deviation in degrees of the angles between the old axes from a right angle.
     pub degrees: f64,
     passes: Vec<Pass>,
 }
@@ -38,7 +38,7 @@ struct Pass {
     from: [usize; 3],
     /// Grid size after the pass.
     to: [usize; 3],
-    /// Shift in voxels of row `o` in slice `k`: `start + per_row * o + per_slice * k`.
+    /// The shift of a row in voxels is `start + per_row * row + per_slice * slice`.
     start: f64,
     per_row: f64,
     per_slice: f64,

@@ -293,8 +293,8 @@ impl Voxels {
             .collect())
     }
 
-    /// Calls `visit` with the label of each value in order. The label is `None` if the value is not
-    /// an integer.
+    /// Calls `visit` with the label of each value in order. The label of NaN is 0, and the label of
+    /// any other non-integer is `None`.
     pub fn each_label(&self, mut visit: impl FnMut(Option<i64>)) {
         each_type!(self, values => values.iter().for_each(|&value| visit(Number::to_label(value))));
     }

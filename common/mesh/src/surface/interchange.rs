@@ -154,7 +154,7 @@ fn attribute(array: &DataArray) -> Attribute {
     let attribute = match array.components {
         3 if name.eq_ignore_ascii_case("normals") => Attribute::normals(name),
         3 => Attribute::vectors(name),
-        // the format allows up to four components; arrays of this project have one
+        // the format allows up to four components; the other arrays of this project have one
         components => Attribute::scalars(name, u32::try_from(components).unwrap_or(u32::MAX)),
     };
     attribute.with_data(data)

@@ -2,8 +2,8 @@
 //! writes no files, and reads the volume only if the volume is known to exist.
 //!
 //! isoparticles-case runs this for every stage of a case before it removes or starts anything. Like
-//! `--command-line`, `--check-options` is not a regular option. The exit code is 0, or
-//! the exit code of the refused run.
+//! `--command-line`, `--check-options` is not a regular option. The exit code is 0, or the code
+//! with which the refused run would exit.
 
 use super::{Outcome, exit_code};
 use crate::error::{Error, Result};
@@ -65,9 +65,9 @@ fn usage(tool: &str, error: &clap::Error) -> Error {
     Error::input(what, "the command line is invalid", format!("see `{} --help`", command(tool)))
 }
 
-/// Returns the command that starts this program: the word after the user's command in
-/// ISOPARTICLES_FRONT, or else the path that the program was started with, because a clone does not
-/// have it on the PATH.
+/// Returns the command that starts this program: `tool` after the user's command in
+/// ISOPARTICLES_FRONT. Without this variable, returns the path with which the program was started,
+/// because programs built in a clone of the repository are not on the PATH.
 fn command(tool: &str) -> String {
     let path = || std::env::args().next().unwrap_or_else(|| tool.to_owned());
     std::env::var("ISOPARTICLES_FRONT").map_or_else(|_| path(), |front| format!("{front} {tool}"))

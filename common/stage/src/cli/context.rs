@@ -166,8 +166,8 @@ impl Context {
         Ok(hash)
     }
 
-    /// Does the same as [`Context::add_input`] for several files. The files are hashed in parallel
-    /// and recorded in the given order.
+    /// Adds several input files, like [`Context::add_input`]. The files are hashed in parallel and
+    /// recorded in the given order.
     pub fn add_inputs<const N: usize>(&self, inputs: [(&Path, Option<History>); N]) -> Result<[String; N]> {
         for (path, _) in &inputs {
             if self.outputs.iter().any(|output| super::same_file(output, path)) {
@@ -188,8 +188,8 @@ impl Context {
         Ok(hashes)
     }
 
-    /// Returns the history for the outputs of this run. All parameters and inputs must
-    /// have been added.
+    /// Returns the history for the outputs of this run. All parameters and inputs must have been
+    /// added.
     pub fn history(&self) -> History {
         let state = self.state();
         History {

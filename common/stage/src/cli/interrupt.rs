@@ -1,5 +1,5 @@
-//! Handles SIGINT, SIGTERM and SIGHUP. The first signal sets a flag that asks the run to stop, and
-//! long loops check the flag. The second signal ends the program immediately.
+//! Handles SIGINT, SIGTERM and SIGHUP. The first signal sets a flag; long loops check it and stop
+//! the run. The second signal ends the program immediately.
 
 use isoparticles_file::output;
 use std::sync::Once;

@@ -32,9 +32,9 @@ impl Context {
     }
 }
 
-/// Returns the maximum memory of the stages in bytes, for a number of particles and a number of
-/// grid nodes. `reconstruct` needs the most memory: up to 1,403 bytes per particle (real volumes in
-/// `docs/developer/performance.md`) and 15.5 bytes per node (`stages/distfield/benches/costs.py`).
+/// Returns the estimated memory of `reconstruct` in bytes for a number of particles and of grid
+/// nodes: up to 1,403 bytes per particle (real volumes in `docs/developer/performance.md`) and 15.5
+/// bytes per node (`stages/distfield/benches/costs.py`).
 pub fn particles_bytes(particles: f64, nodes: usize) -> f64 {
     1403.0 * particles + 15.5 * nodes as f64
 }

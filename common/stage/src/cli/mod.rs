@@ -1,4 +1,4 @@
-//! Shared parts of all stage programs: common options, exit codes, and the functions around a run.
+//! Shared parts of all stage programs: common options, exit codes, and the start and end of a run.
 //!
 //! A stage derives `clap::Parser` for its options, flattens [`CommonArgs`] into them, implements
 //! [`StageArgs`], and passes its main function to [`run_stage`].
@@ -31,7 +31,7 @@ pub const FILES: &str = "Files";
 pub const METHOD: &str = "Method";
 /// Help heading of the options that affect only the checks.
 pub const CHECKS: &str = "Checks";
-/// Beginning of a warning about elements that violate a limit and that the user accepts. The
+/// Prefix of a warning about elements that violate a limit but are accepted by the user. The
 /// verdict of the case repeats such warnings.
 pub const FIT_BUT_FOR: &str = "fit but for ";
 
@@ -184,7 +184,7 @@ fn check_report(report: Option<&Path>, outputs: &[PathBuf]) -> Result<()> {
     output::check_output(path, true)?;
     let mut start = [b'{'];
     if path.is_file() {
-        // if the file is empty, the initial brace remains and the file may be replaced
+        // reading an empty file leaves the brace in `start`, so an empty file may be replaced
         let _ = std::fs::File::open(path).and_then(|mut file| std::io::Read::read(&mut file, &mut start));
     }
     if outputs.iter().any(|output| output == path || same_file(output, path)) || start != [b'{'] {

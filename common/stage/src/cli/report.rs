@@ -19,7 +19,7 @@ pub(super) struct Report<'a> {
 }
 
 impl Report<'_> {
-    /// Writes the report. Also writes it after an interrupt.
+    /// Writes the report, for every outcome of the run.
     pub(super) fn write(&self, path: &Path) -> Result<()> {
         let text = serde_json::to_string_pretty(&self.json()).map_err(|error| {
             Error::input(

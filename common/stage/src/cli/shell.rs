@@ -3,9 +3,9 @@
 //! `--man-page [SUBCOMMAND]` and `--command-line`. Each must be the only request on the command
 //! line.
 //!
-//! These flags are not regular options, because a stage cannot run without its files. The scripts
-//! are made with `make completions`. With `--command-line`, a stage in any language describes its
-//! options to a calling program ([`CommandLine`]).
+//! These flags are not regular options, because clap would also require the files of the stage.
+//! `make completions` writes the scripts. With `--command-line`, a stage in any language describes
+//! its options to a calling program ([`CommandLine`]).
 
 use crate::error::Error;
 use clap::{Arg, ArgAction, Command, ValueEnum, ValueHint};
@@ -61,7 +61,8 @@ impl CommandLine {
         }
     }
 
-    /// Converts this description, including positional files, to a subcommand of another program.
+    /// Converts this description to a subcommand of another program. Adds an argument for the
+    /// positional files.
     #[must_use]
     pub fn command(&self) -> Command {
         // clap keeps names until the program ends, which is soon after it prints them

@@ -10,8 +10,8 @@ use std::path::Path;
 type Group = Vec<Picture>;
 
 /// Returns the slices of the chosen series, their SOP class, and remarks on the series that were
-/// not used. `wanted` is the UID, number or description of a series. If several groups match, the
-/// function chooses the only group that forms a stack of slices.
+/// not used. `wanted` is the UID, number or description of a series. If several groups match,
+/// exactly one of them must form a stack of slices.
 ///
 /// # Errors
 /// If no group matches, if several groups match but not exactly one forms a stack, or if an image

@@ -1,6 +1,6 @@
 //! Checks that no element of a DICOM file extends beyond the end of the file. This check is needed
-//! because dicom-rs 0.10 allocates up to 4 GiB for a value before reading it. It uses the lazy
-//! reader of dicom-rs, which locates the elements without reading their values.
+//! because dicom-rs 0.10 allocates up to 4 GiB for a value before reading it. The check uses the
+//! lazy reader of dicom-rs, which locates the elements without reading their values.
 
 use super::source::{self, PREAMBLE, START, Source};
 use dicom_encoding::decode::{Decode, explicit_le::ExplicitVRLittleEndianDecoder};
@@ -28,7 +28,7 @@ pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
     let Some(syntax) = TransferSyntaxRegistry.get(group.transfer_syntax()) else { return Ok(true) };
     let Ok(mut elements) = LazyDataSetReader::new_with_ts(reader, syntax) else { return Ok(true) };
     while let Some(token) = elements.advance() {
-        // the reader of values may continue where the lazy reader fails
+        // reject the file: the reader of values may continue where the lazy reader fails
         let Ok(token) = token else { return Ok(false) };
         let (length, position) = match &token {
             LazyDataToken::LazyValue { header, decoder } => (header.len.0, decoder.position()),
@@ -45,7 +45,7 @@ pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
     Ok(true)
 }
 
-/// Does the same check as [`lie_within`] for the file meta group. This group has the same encoding
+/// Performs the check of [`lie_within`] on the file meta group. This group has the same encoding
 /// in all files, and its first element contains the length of the group.
 fn file_group_lies_within(reader: &mut BufReader<Box<dyn Source>>, end: u64) -> io::Result<bool> {
     reader.seek(SeekFrom::Start(START as u64))?;
@@ -94,7 +94,7 @@ mod tests {
         bytes
     }
 
-    /// Found by fuzzing (1): a byte value of undefined length with a tag other than pixel data.
+    /// Found by fuzzing (1): an OB value of undefined length with a tag other than pixel data.
     /// dicom-rs parses the items of this value as elements.
     #[test]
     fn elements_in_items_of_bytes_lie_within_as_well() {
@@ -118,7 +118,7 @@ mod tests {
             elements.extend([b' '; 0x4353]);
             lies_within(&dicom(b"1.2.840.10008.1.2\0\0\0", &elements))
         };
-        // with explicit types, these four bytes would be the type CS and the length 2
+        // with explicit value representations, these four bytes would be the VR CS and the length 2
         assert!(!says(0x0002_5343) && says(0x4352));
     }
 

@@ -11,10 +11,10 @@ use glam::DVec3;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-/// Maximum error of the directions in a header: of the length of a unit vector, of the product of
-/// perpendicular unit vectors, and of the difference between equal vectors relative to their
-/// length. Directions are decimal strings, which some programs round to four decimals. This changes
-/// a unit vector by at most sqrt(3) * 5e-5 = 8.7e-5, so the limit is more than 5 times the error of
+/// Maximum error of the directions in a header. It applies to the length of a unit vector, to the
+/// dot product of perpendicular unit vectors, and to the relative difference of equal vectors.
+/// Directions are decimal strings, which some programs round to four decimals. Rounding changes a
+/// unit vector by at most sqrt(3) * 5e-5 = 8.7e-5, so the limit is more than 5 times the error of
 /// two vectors.
 pub(super) const DIRECTION_TOLERANCE: f64 = 1e-3;
 
@@ -209,8 +209,8 @@ impl Pixels {
         self.slope.fract() == 0.0 && self.intercept.fract() == 0.0
     }
 
-    /// Returns the smallest type that represents the values of all slices exactly. If slopes or
-    /// intercepts are not integers, returns single precision.
+    /// Returns the first of the types U8, I16, U16, I32 and F64 that contains the values of all
+    /// slices. If any slope or intercept is not an integer, returns F32.
     pub(super) fn common_type(all: impl Iterator<Item = Self> + Clone) -> ScalarType {
         if !all.clone().all(|pixels| pixels.is_whole()) {
             return ScalarType::F32;

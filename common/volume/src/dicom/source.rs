@@ -1,5 +1,5 @@
-//! Provides the bytes of a DICOM file. Adds the start that the standard requires (PS3.10, section
-//! 7) if it is missing.
+//! Provides the bytes of a DICOM file. Prepends the preamble, the letters DICM and the file meta
+//! group (PS3.10, section 7) if they are missing.
 
 use dicom_dictionary_std::uids;
 use std::fs::File;
@@ -61,8 +61,8 @@ fn file_group(syntax: &str) -> Vec<u8> {
 pub(super) trait Source: Read + Seek {}
 impl<T: Read + Seek> Source for T {}
 
-/// Opens a file. Returns the reader and the number of bytes, including any added start. The file is
-/// loaded into memory only if a start is added.
+/// Opens a file. Returns the reader and the number of bytes, including prepended bytes. The file is
+/// loaded into memory only if bytes are prepended.
 pub(super) fn open(path: &Path) -> io::Result<(BufReader<Box<dyn Source>>, u64)> {
     let mut file = File::open(path)?;
     let mut start = Vec::new();

@@ -16,7 +16,7 @@ const LARGEST_SHIFT: f64 = 0.1;
 
 /// Maximum effect of rounded positions, in units of the slice distance. Rounding to 0.01 mm moves a
 /// slice by 0.5 % of the distance if slices are 1 mm apart. Larger deviations from the regular
-/// stack are reported. Two slices that are not farther apart than this have the same position.
+/// stack are reported. Two slices at most this far apart count as having the same position.
 const ROUNDING: f64 = 0.01;
 
 /// The slices of a volume in spatial order, and the grid that they form.
@@ -137,7 +137,7 @@ fn check_doubles(slices: &[Slice], places: &[f64]) -> Result<()> {
 }
 
 /// Fails if a gap between slices differs from the median gap, and reports the position of the first
-/// such gap. Succeeds if all gaps are equal, which means that slices are shifted sideways.
+/// such gap. Succeeds if all gaps are equal; then the irregular slices are shifted sideways.
 fn check_gaps(slices: &[Slice], places: &[f64]) -> Result<()> {
     let gaps: Vec<f64> = places.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let mut sorted = gaps.clone();

@@ -22,8 +22,7 @@ fn numbers(elements: &mut Elements, all: &[(Tag, u16)]) {
 }
 
 /// Creates a slice of 3 x 2 pixels with 16 bits allocated and 12 bits stored per pixel. The pixel
-/// spacing is
-/// 0.5 mm within a row (along x) and 0.75 mm within a column (along y).
+/// spacing is 0.5 mm within a row (along x) and 0.75 mm within a column (along y).
 fn slice(position: DVec3, pixels: [u16; 6]) -> Elements {
     let mut elements = Elements::new();
     let place = position.to_array().map(|number| number.to_string()).join("\\");

@@ -209,8 +209,8 @@ fn scalar_type(path: &Path, name: &str) -> Result<ScalarType> {
     })
 }
 
-/// Returns the data files that `data file` specifies. Possible values are `LOCAL` (attached, as if
-/// the field is missing), a file name, `LIST [subdim]`, or `format min max step [subdim]`.
+/// Returns the data files that `data file` specifies: `LOCAL` (attached, the default), a file name,
+/// `LIST [subdim]`, or `format min max step [subdim]`.
 fn data_files(path: &Path, field: Option<&str>, list: Vec<String>, sizes: &[usize]) -> Result<DataFiles> {
     let Some(field) = field else { return Ok(DataFiles::Attached) };
     let words: Vec<&str> = field.split_whitespace().collect();

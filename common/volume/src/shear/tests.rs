@@ -3,8 +3,8 @@ use crate::geometry::Space;
 use crate::image::Image;
 use std::collections::BTreeMap;
 
-/// Creates a grid with a rotation in the world. The z axis is tilted along y by `lean`. The y and z
-/// axes are tilted along x by `others`.
+/// Creates a grid that is rotated in the world frame. Its z axis is tilted along y by `lean`. Its y
+/// and z axes are tilted along x by `others`.
 fn sheared(size: [usize; 3], lean: f64, others: [f64; 2]) -> Geometry {
     let turn = DMat3::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 0.7);
     let steps = [DVec3::X, DVec3::new(others[0], 1.0, 0.0), DVec3::new(others[1], lean, 1.0)];

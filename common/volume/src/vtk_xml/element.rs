@@ -119,7 +119,7 @@ impl VtkFile {
     /// Reads an array of `count` numbers. Fails if the array has a different length.
     pub fn numbers(&self, array: &Element, count: usize) -> Result<Voxels> {
         let scalar = self.scalar(array)?;
-        // an overflow saturates and then fails the check of memory
+        // an overflow saturates, so the memory check fails
         let expected = (count as u64).saturating_mul(scalar.bytes() as u64);
         check_memory(&self.path, expected)?;
         let wrong = |error: std::io::Error| self.array_error(array, &error);
@@ -231,8 +231,8 @@ type Appended = Option<(u64, bool)>;
 /// data.
 fn read_head(path: &Path, reader: &mut impl BufRead) -> Result<(Vec<u8>, Appended)> {
     const TAG: &[u8] = b"<AppendedData";
-    // XML with appended data has about 100 bytes per array. Longer XML contains the arrays, and is
-    // in memory twice after parsing.
+    // XML with appended data has about 100 bytes per array. Longer XML contains the array values,
+    // and parsing stores a second copy of them in memory.
     const SHORT_XML: usize = 64 << 20;
     let mut head = Vec::new();
     let mut searched = 0usize;
