@@ -7,9 +7,9 @@ Prints a markdown table.
     VENV/bin/python stages/distfield/benches/compare.py [--bin target/release] [--size 128]
         [--threads 2]
 
-The objects are a ball and a torus with known distances, each as a scalar volume (with a scanner's
-edge) and as binary labels. Every method runs in a separate process. Time excludes reading and
-writing; memory is the peak memory of the process.
+The objects are a ball and a torus with known distances, each as a scalar volume (with a blurred
+edge, as in a scan) and as binary labels. Every method runs in a separate process. Time excludes
+reading and writing; memory is the peak memory of the process.
 
 Errors are in voxels, relative to the exact distance: the error of the zero set (linear on grid
 edges, root mean square), the error of F within 2.5 voxels of the surface (root mean square and
@@ -79,7 +79,7 @@ def compute(method, volume, threads):
         import skfmm
 
         start = time.perf_counter()
-        # the level 0.5 lies on the face between voxels of value 0 and 1, as on a scanner's edge
+        # the surface: the middle of a blurred edge, or the face between voxels of value 0 and 1
         return skfmm.distance(0.5 - volume.astype(np.float64), dx=1.0), time.perf_counter() - start
     import SimpleITK as sitk
 

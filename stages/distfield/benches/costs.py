@@ -6,9 +6,10 @@ With --volumes, it prints one table row per volume: the predictions of `isoparti
 and, in brackets, the measured values.
 
 Without --volumes, it prints one line per phantom and group of stages: nodes of the padded grid,
-faces between voxels, vertices, processor seconds (user and system) and peak memory. It then prints
-the rates, fitted by least squares of the relative errors over the phantoms: seconds per million
-nodes, faces and vertices, and bytes per node, face and vertex.
+voxel faces at the surface, vertices, processor seconds (user and system) and peak memory. Then it
+prints the rates, fitted by least squares of the relative errors over the phantoms: seconds per
+million nodes, faces and vertices, and a constant number of bytes plus bytes per node, face and
+vertex.
 
 Needs numpy. Run it on an otherwise idle machine.
 """

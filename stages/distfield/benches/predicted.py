@@ -3,8 +3,8 @@
     python stages/distfield/benches/predicted.py [--bin target/release] [--data ../shared/data]
 
 The vertex counts of the meshes come from docs/developer/performance.md (real volumes, method
-restricted). For label maps and for scans, the last lines print the factor for the constants
-GRADATION_LABELS and GRADATION_SCAN of common/survey/src/cost.rs that makes the mean log ratio zero.
+restricted). The last lines give, for label maps and for scans, the factor by which to multiply
+GRADATION_LABELS and GRADATION_SCAN of common/survey/src/cost.rs to make the mean log ratio zero.
 """
 
 import argparse

@@ -23,12 +23,12 @@ from pathlib import Path
 
 import numpy as np
 
-# Number of remeshing iterations of every program with such an option.
+# Number of iterations, for every program that has this option.
 ITERATIONS = 10
 # Maximum number of edge lengths that are tried; the last result counts.
 TRIES = 6
-# Relative difference from the wanted number of vertices at which the search ends: 1.5 % of the edge
-# length.
+# The search ends at this relative difference from the wanted number of vertices. It corresponds to
+# 1.5 % of the edge length.
 CLOSE = 0.03
 
 
@@ -40,14 +40,14 @@ def botsch(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np
 
 
 def cgal(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Remeshes by CGAL's isotropic remeshing, with ten iterations."""
+    """Remeshes with CGAL's isotropic remeshing and ten iterations."""
     from compas_cgal.meshing import trimesh_remesh
 
     return trimesh_remesh((points, triangles), length, ITERATIONS)
 
 
 def mmg(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Remeshes by MMGS with a uniform size.
+    """Remeshes with MMGS and a uniform size.
 
     The tolerance ``hausd`` is one edge length, because the default refines by curvature. The ridge
     angle is 180 degrees, because blurred labels have no ridges.
@@ -60,7 +60,7 @@ def mmg(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.nd
 
 
 def pymeshlab(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Remeshes by MeshLab's isotropic explicit remeshing: ten iterations, no feature lines."""
+    """Remeshes with MeshLab's isotropic explicit remeshing: ten iterations, no feature lines."""
     from pymeshlab import Mesh, MeshSet, PureValue
 
     meshes = MeshSet(verbose=False)
@@ -71,7 +71,7 @@ def pymeshlab(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple
 
 
 def instant_meshes(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Remeshes by Instant Meshes: triangles, extrinsic, deterministic."""
+    """Remeshes with Instant Meshes: triangles, extrinsic, deterministic."""
     from pyinstantmeshes import remesh
 
     return remesh(
@@ -81,7 +81,7 @@ def instant_meshes(points: np.ndarray, triangles: np.ndarray, length: float) -> 
 
 
 def acvd(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Remeshes by Voronoi clusters, after subdivision to at least twelve vertices per cluster."""
+    """Remeshes by Voronoi clustering, after subdividing to at least twelve vertices per cluster."""
     import pyvista as pv
     from pyacvd import Clustering
 
@@ -118,8 +118,7 @@ def main() -> None:
         started = time.monotonic()
         made, cells = (points, triangles) if program == "none" else PROGRAMS[program](points, triangles, length)
         seconds = time.monotonic() - started
-        # ru_maxrss of getrusage would include the peak memory of the parent process, which it
-        # inherits
+        # not ru_maxrss of getrusage, which includes memory that the parent process used
         told = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
         peak = 1024 * int(told.group(1)) if told else 0
         result = Path(sys.argv[3]).with_name(f"part.{program}.npz")

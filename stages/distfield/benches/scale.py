@@ -9,10 +9,10 @@ environment variable (DATA is the folder of the real volumes). Run the script wi
 `make env`; with --no-distances any Python 3.11 suffices.
 
 Rows of isoparticles: one run from the volume to the checked surface. "components" is the number of
-components of the mesh, followed by the changes to the components of the data. "s" is the time from
-the volume and, in brackets, from the smoothed field. With --tetrahedra, tetmesh-check fills the
-surface with tetrahedra and runs all its default checks; the column contains the number of
-tetrahedra and the exit code.
+components of the mesh and, in brackets, of the voxels before and after smoothing, with the numbers
+of changes. "s" is the time from the volume and, in brackets, from the smoothed field. With
+--tetrahedra, tetmesh-check fills the surface with tetrahedra and runs all its default checks; the
+column contains the number of tetrahedra and the exit code.
 
 Rows of other remeshers (--programs), with --peers PYTHON (an interpreter with the packages of
 peers.lock, which `make bench-scale` creates): each program remeshes the marching-cubes surface of
@@ -25,12 +25,12 @@ If the options of a case include --scale, all vertex counts use that scale, and 
 measured from the zero set of the field at that scale (@remeshers.txt).
 
 With --as-given, scale and edge length come from the options of the case (@peers.txt: `make
-bench-peers`), and the peers start from the label map: VTK reads it, the indicator of the label is
-blurred by a Gaussian of half the scale, marching cubes runs at level 0.5, and the last try follows.
-The seconds then cover the time from the volume to the triangles. The seconds of isoparticles
-include reading and writing, and are followed by the seconds of each stage.
+bench-peers`), and the peers start from the label map: VTK reads it, the mask of the label is
+blurred by a Gaussian with a standard deviation of half the scale, and marching cubes runs at level
+0.5. The seconds then cover the time from the volume to the triangles, with the last try only. The
+seconds of isoparticles include reading and writing, and are followed by the seconds of each stage.
 
-"distance" is the distance of the mesh's vertices and centroids from the surface at scale 0, which
+"distance" is the distance of vertices and triangle centroids from the surface at scale 0, which
 keeps every voxel centre on its side: mean, 99th percentile and maximum, mm. "lost" is the distance
 of the surface at scale 0 from the smoothed surface: 99th percentile and maximum, mm; it is large
 where parts vanished. "volume" is the relative difference between the volume of the mesh and that of
@@ -91,7 +91,7 @@ class Case:
         return str(self.work / f"{self.name}.{key}.{ending}")
 
     def exact(self) -> pv.ImageData:
-        """Returns the distance field of the case's options (at scale 0 without a --scale)."""
+        """Returns the distance field for the options of the case: at scale 0 without --scale."""
         path = self.file("exact", "distfield.vti")
         if not Path(path).exists():
             self.run("exact", "distfield", self.volume, *self.distfield, "-o", path)
@@ -267,7 +267,7 @@ def tetrahedra(case: Case, key: str, surface: str, sizefield: str) -> str:
 
 
 def blurred(case: Case) -> pv.ImageData:
-    """Returns one minus the blurred indicator of the label, padded by one voxel.
+    """Returns one minus the blurred mask of the label, padded by one voxel.
 
     The standard deviation of the Gaussian is half the scale.
     """

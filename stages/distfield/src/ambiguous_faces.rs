@@ -1,9 +1,9 @@
 //! Finds ambiguous faces: grid faces whose opposite corners are on the same side and whose adjacent
-//! corners are not. Two parts of the object, or two gaps, touch there only along a voxel edge.
+//! corners are not. At such a face, two parts of the object touch only along a voxel edge.
 //!
 //! The signs at the nodes do not determine whether these parts are connected. Marching cubes uses
-//! the sign of F at the saddle of the face. [`make_agree`] changes F until these signs are those of
-//! the source of F. For labels, a rule decides ([`crate::labels`]).
+//! the sign of F at the saddle of the face. [`make_agree`] changes F until it has the same sign at
+//! the saddle as its source. For labels, the source follows the rule in [`crate::labels`].
 
 use isoparticles_field::marching_cubes::saddle_value;
 use isoparticles_volume::Image;
@@ -25,9 +25,9 @@ pub struct AmbiguousFace {
 /// set on `heart_ct` at 250 is 0.0526 voxel with 1.02 and 0.0493 voxel with 1.005.
 const TIP_FACTOR: f32 = 1.005;
 
-/// Maximum number of passes over the faces. A pass changes the ratio of the two products that
-/// decide the saddle by [`TIP_FACTOR`]^4 = 1.02, so 100 passes change it by a factor of seven.
-/// Faces that share nodes can undo each other's changes. Faces that still disagree are counted.
+/// Maximum number of passes over the faces. The sign at the saddle depends on the ratio of the
+/// products of opposite values. A pass changes this ratio by [`TIP_FACTOR`]^4 = 1.02, and 100
+/// passes change it by a factor of seven. Faces that share nodes can undo each other's changes.
 const MOST_PASSES: usize = 100;
 
 /// Returns the ambiguous faces of an implicit function given at the nodes (negative inside). The

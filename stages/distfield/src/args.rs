@@ -112,8 +112,8 @@ fn clearance_in_range(text: &str) -> Result<f64, String> {
 }
 
 /// Maximum clearance, in units of the minimum voxel spacing. The level set keeps twice this
-/// distance, 0.3, and the surface of a layer one voxel thick is half a voxel from its voxel
-/// centres.
+/// distance, 0.3. A layer one voxel thick allows less than 0.5, the distance of its surfaces from
+/// its voxel centres.
 const MOST_CLEARANCE: f64 = 0.15;
 
 impl Args {

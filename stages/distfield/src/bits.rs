@@ -101,9 +101,10 @@ impl Bits {
         Self { words: (0..self.words.len()).into_par_iter().map(near).collect() }
     }
 
-    /// Visits the nodes of a range that start an alternating face: both nodes one step away are on
-    /// the other side, and the node both steps away is on the same side as the first. Two parts
-    /// touch along an edge there. The steps must be along axes and stay on the grid.
+    /// Visits the nodes of a range that are the first corner of an ambiguous face: the nodes one
+    /// step away are on the other side, and the node both steps away is on the same side. The steps
+    /// are strides along two axes. The caller excludes faces that continue in the next row or
+    /// slice.
     pub fn each_alternating(&self, range: Range<usize>, [one, other]: [usize; 2], mut visit: impl FnMut(usize)) {
         for first in range.clone().step_by(64) {
             let [own, a, b, both] = [0, one, other, one + other].map(|step| self.word((first + step) as isize, 0));

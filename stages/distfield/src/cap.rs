@@ -1,8 +1,8 @@
-//! Closes the object at the border of the volume by intersecting its signed distance with the box
-//! of the voxels, with rounded edges.
+//! Closes the object at the border of the volume: intersects it with the box of the voxels and
+//! rounds the edges of the intersection.
 //!
-//! The box extends half a voxel beyond the outermost voxel centres, and its edges have a fillet of
-//! half a voxel. The surface between voxel centres is therefore unchanged.
+//! The box extends half a voxel beyond the outermost voxel centres, and the fillets have a radius
+//! of half a voxel. The surface between voxel centres is therefore unchanged.
 
 use glam::DVec3;
 use isoparticles_volume::Geometry;

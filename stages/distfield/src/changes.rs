@@ -17,9 +17,9 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Maximum number of events of each kind listed in the report. All events are counted.
 const MOST_LISTED: usize = 20;
 
-/// The level of the voxels of removed parts becomes at most minus this value. At the slope of a
-/// plane (1 / (sqrt(2 pi) sigma) per voxel), it is a distance of 0.13 standard deviations from a
-/// surface. With 0.0125, 0.05 and 0.2, the parts and their volume are the same on
+/// The level of the voxels of removed parts becomes at most minus this value. Near a plane surface,
+/// where the level changes by 1 / (sqrt(2 pi) sigma) per voxel, this is a distance of 0.13 standard
+/// deviations. With 0.0125, 0.05 and 0.2, the parts and their volume are the same on
 /// `frog_tissue_labels` 13 and `brain_parcellation` 2 at SCALE=3 and `thorax_labels` 1 at SCALE=6
 /// (`make distfield`).
 const CLEARLY_OUTSIDE: f32 = 0.05;
@@ -192,7 +192,7 @@ fn depth(old: &Bits, geometry: &Geometry, n: usize) -> f64 {
             for j in span(1) {
                 let is_shell = k.abs_diff(at[2]) == reach || j.abs_diff(at[1]) == reach;
                 let step = if is_shell { 1 } else { 2 * reach };
-                // in rows through the interior of the shell, only the two end voxels are new
+                // only the two end voxels of rows through the interior belong to the shell
                 let first = if is_shell { *span(0).start() as isize } else { at[0] as isize - reach as isize };
                 for i in (first..=*span(0).end() as isize).step_by(step).filter(|&i| i >= 0) {
                     let near = [i as usize, j, k];

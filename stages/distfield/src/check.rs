@@ -1,5 +1,5 @@
-//! Checks that need no computation: conflicting options and, if the volume can be read, labels,
-//! names and iso values that the volume does not contain.
+//! Checks before the computation: conflicting options and, if the volume exists, labels, names and
+//! iso values that the volume does not contain.
 
 use crate::args::Args;
 use crate::choose::Object;
@@ -14,8 +14,8 @@ use isoparticles_volume::{ReadOptions, read_volume_with};
 /// Checks the options and adds the names of the materials to `known`.
 ///
 /// # Errors
-/// If `--material` is combined with an unsupported option; if the volume cannot be read; or if
-/// labels, names, materials or the iso value are not in the volume.
+/// If `--material` is combined with an unsupported option; if the volume exists but cannot be read
+/// or is of the wrong kind; or if labels, names, materials or the iso value are not in the volume.
 pub(crate) fn check(args: &Args, known: Known) -> Result<Known> {
     if !args.material.is_empty() {
         check_options(args)?;

@@ -1,5 +1,5 @@
-//! Chooses the smoothing scale: `--scale`, the options that derive the scale from an edge length, a
-//! vertex count or a quality, and the messages about the changes due to the scale.
+//! Chooses the scale of the smoothing (`--scale`, or from an edge length, a vertex count or a
+//! quality), smooths the object, and reports the changes.
 //!
 //! The scale is twice the standard deviation of the Gaussian, in mm. Scale 0 means no smoothing.
 
@@ -47,10 +47,10 @@ pub struct ScaleArgs {
     pub keep_thin: bool,
 }
 
-/// Maximum edge length, in units of the mean voxel spacing, of a mesh that follows the voxel steps
-/// well. Longer edges need smoothing. Mean / minimum radius ratio on `heart_label`: at 0.65 voxel,
-/// 0.984 / 0.69 without a scale and 0.984 / 0.63 with a scale; at 1.25 voxels, 0.955 / 0.55 without
-/// and 0.984 / 0.71 with a scale. On `tooth_ct` with a scale, at 0.8 voxel: 0.988 / 0.83.
+/// Maximum edge length, in units of the mean voxel spacing, that resolves the steps between voxels.
+/// Longer edges need a scale. Mean / minimum radius ratio on `heart_label`: at 0.65 voxel, 0.984 /
+/// 0.69 without a scale and 0.984 / 0.63 with a scale; at 1.25 voxels, 0.955 / 0.55 without and
+/// 0.984 / 0.71 with a scale. On `tooth_ct` with a scale, at 0.8 voxel: 0.988 / 0.83.
 const FINE_ENOUGH: f64 = 0.75;
 
 /// A scale and the reason for it.
@@ -96,7 +96,7 @@ impl Object {
     /// voxel is inside.
     ///
     /// # Errors
-    /// If the object is defined by an iso value and the volume has no surface for it.
+    /// If the object is defined by an iso value and the volume has no surface at this value.
     pub fn locate(&self, volume: Volume) -> Result<(Volume, Option<VoxelBox>)> {
         match self {
             Self::Labels(labels) => {
@@ -152,7 +152,7 @@ impl ScaleArgs {
     /// the volume of the object, mm^3.
     ///
     /// # Errors
-    /// If the edge length cannot be found, or if nothing is left of the object.
+    /// If `edge_length` fails, or if nothing is left of the object.
     pub(crate) fn choose_by_area(
         &self,
         geometry: &Geometry,
@@ -186,7 +186,8 @@ fn nothing_left(by: &str, volume: f64) -> Error {
 /// smoothing.
 ///
 /// # Errors
-/// If the scalar volume has no surface, or if nothing is left of the object.
+/// If `--scale-for-vertices` is given and the area cannot be computed, or nothing is left of the
+/// object.
 pub fn choose_scale(
     args: &ScaleArgs,
     volume: Volume,
@@ -267,8 +268,8 @@ fn occupancy(volume: &Volume, object: &Object) -> Occupancy {
 /// Maximum number of events of each kind listed on the terminal.
 const MOST_NAMED: usize = 3;
 
-/// Reports the changes: a summary, and a message for each kind of event. The parts that `keep`
-/// drops are only known later.
+/// Reports the changes: a summary, and a message for each kind of event. Except for lost parts, the
+/// events include those of parts that `keep` drops later.
 fn report_changes(changes: &Changes, length: f64, keep: Keep, context: &Context) {
     let depth = changes.depth;
     context.summary(

@@ -15,15 +15,16 @@ use rayon::prelude::*;
 /// Minimum determinant of the Hessian of half the squared distance at a closest point, relative to
 /// that of a plane. It is (1 + D k1)(1 + D k2) for a node at the height D and the principal
 /// curvatures k1 and k2, and 0 at a focal point of the surface. There, the second-order
-/// approximation fails. At this limit, a foot can be 100 times as far from the sample as the node
-/// is from the normal, and rounding to single precision changes it by about 1e-5 of its length.
-/// With 0.001 and 0.1, the values within 1.5 voxels of the surface change by at most 0.003 mm
-/// (`make distfield`, `heart_label`, `tooth_ct` at 600, `frog_tissue_labels` 13).
+/// approximation fails. At this limit, the distance from the sample to the foot can be 100 times
+/// that from the node to the normal at the sample. Rounding to single precision then changes it by
+/// about 1e-5 of its length. With 0.001 and 0.1, the values within 1.5 voxels of the surface change
+/// by at most 0.003 mm (`make distfield`, `heart_label`, `tooth_ct` at 600, `frog_tissue_labels`
+/// 13).
 const LEAST_DETERMINANT: f32 = 0.01;
 
-/// Maximum number of patches that are tried on the way to the closest point. Where one of them
-/// contains the foot, it is the second on average (`tests/labels.rs`, `tests/scalar.rs`). After the
-/// last patch, the distance to the nearest point so far is used.
+/// Maximum number of patches that are tried on the way to the closest point. If one of them
+/// contains the foot, it is the second one on average (`tests/labels.rs`, `tests/scalar.rs`).
+/// Otherwise, the distance to the nearest point so far is used.
 const MAX_PATCHES: usize = 8;
 
 /// Maximum length of a step from patch to patch, in units of the minimum voxel spacing. A step of
@@ -41,8 +42,9 @@ const PATCH_REACH: f64 = 1.5;
 const _: () =
     assert!(LONGEST_SURFACE_STEP as f64 > PATCH_REACH, "a step to a foot beyond the patch would be cut within it");
 
-/// Maximum number of Newton steps per node. In the same tests, nodes that converge take 2.7 steps
-/// on average; fewer than 2 % do not converge. Their distance is that of their sample.
+/// Maximum number of Newton steps per node. In the tests named at [`MAX_PATCHES`], nodes that
+/// converge take 2.7 steps on average. Fewer than 2 % do not converge and use the distance to their
+/// sample.
 const MAX_NEWTON_STEPS: usize = 8;
 
 /// Newton's method stops after a step of at most this length, in units of the minimum voxel
@@ -50,16 +52,16 @@ const MAX_NEWTON_STEPS: usize = 8;
 const LAST_STEP: f64 = 1e-3;
 
 /// Maximum number of moves along the cap. One move reaches the foot on a flat cap; further moves
-/// correct for the fillets at its edges. The nearest of the points counts.
+/// correct for the fillets at its edges.
 const CAP_MOVES: usize = 3;
 
 /// Computes the signed distance (mm) of every node to the surface of `source`, negative at the
 /// `inside` nodes. `samples` are dense samples of the surface.
 ///
 /// Within `band` mm, Newton's method finds the closest point. Beyond the band, the distance is
-/// measured to the second-order surface at the nearest sample. If that sample lies on the cap,
-/// steps along tangent planes find a nearer point instead. Distances are clamped to `limit` mm,
-/// which may be infinite and is at least `band`.
+/// measured to the second-order surface at the nearest sample. If the nearest sample lies on the
+/// cap, steps along tangent planes replace both methods. Distances are clamped to `limit` mm, which
+/// may be infinite and is at least `band`.
 pub fn distance_to_zero_set(
     geometry: Geometry,
     inside: &Bits,
@@ -185,11 +187,11 @@ impl Patch {
     }
 
     /// Returns the vector in the tangent plane from the patch's point to the foot of a node, given
-    /// the vector to the node. Returns `None` where the surface bends so strongly that the point is
-    /// not a closest point.
+    /// the vector to the node. Returns `None` where the surface bends so strongly that the foot is
+    /// not a minimum of the distance.
     ///
-    /// With the node at height D above the tangent plane and offset t within it, the closest point
-    /// of the surface -u.Su/2 is at u = (I + D S)^-1 t. S maps the tangent plane to itself, so the
+    /// With the node at height D above the tangent plane and offset t within it, the foot on the
+    /// surface z = -u.Su/2 is at u = (I + D S)^-1 t. S maps the tangent plane to itself, so the
     /// inverse is that of a 2 x 2 matrix (Cayley-Hamilton).
     fn foot(&self, to_node: Vec3) -> Option<Vec3> {
         let shape = self.curvature()?;
@@ -226,7 +228,7 @@ fn walk(source: &Source, node: DVec3, start: DVec3, reach: f32) -> f64 {
         if let Some(distance) = patch.distance(to_node, reach) {
             return nearest.min(distance.into());
         }
-        // if the point is not a closest point, use any descent direction
+        // without a foot, move along the projection of the vector to the node, a descent direction
         let step = patch.foot(to_node).unwrap_or_else(|| to_node - patch.normal * to_node.dot(patch.normal));
         let Some(next) =
             project(source, p + step.clamp_length_max(LONGEST_SURFACE_STEP * voxel as f32).as_dvec3(), voxel)

@@ -1,9 +1,9 @@
-//! Determines the box of voxels on which F is computed: the bounding box of the object with some
-//! room, clipped at the border of the volume. Later steps treat this box as the volume. Beyond a
-//! face of the box that is not a border of the volume, there is only background.
+//! Determines the box of voxels on which F is computed: the bounding box of the object, enlarged on
+//! each face and clipped at the border of the volume. Later steps treat this box as the volume.
+//! Beyond a face of the box that is not a border of the volume, there is only background.
 //!
-//! The room covers the voxels that F near the surface depends on. F there equals F on the whole
-//! volume to the accuracy given at [`ROOM`](isoparticles_field::spline::ROOM).
+//! The box contains the voxels that F near the surface depends on. Near the surface, F equals F on
+//! the whole volume to the accuracy given at [`ROOM`](isoparticles_field::spline::ROOM).
 
 use crate::nearest::STRIDE;
 use isoparticles_volume::{LayerLabel, Volume};
@@ -73,10 +73,10 @@ impl VoxelBox {
         }
     }
 
-    /// Returns the box with its low corner moved down to a node of the coarse grid of the far
-    /// field. The coarse grids of the box and of the whole volume then coincide. Otherwise F of
-    /// `heart_label` within a voxel of the surface would differ by 8e-4 voxel (root mean square)
-    /// instead of 2e-5 voxel.
+    /// Returns the box with its low corner moved down to a node of the coarse grid of
+    /// [`crate::nearest`]. The coarse grids of the box and of the whole volume then coincide. F of
+    /// `heart_label` within a voxel of the surface then differs from F on the whole volume by 2e-5
+    /// voxel (root mean square) instead of 8e-4 voxel.
     pub fn on_coarse_nodes(self) -> Self {
         Self { low: self.low.map(|n| n - n % STRIDE), ..self }
     }
@@ -92,7 +92,7 @@ impl VoxelBox {
     }
 }
 
-/// Returns the room in voxels around the voxels inside an iso value.
+/// Returns the number of voxels to keep around the inside voxels of a scalar volume.
 pub fn room_of_spline() -> [usize; 3] {
     [isoparticles_field::spline::ROOM; 3]
 }

@@ -17,7 +17,7 @@ pub const NO_SAMPLE: u32 = u32::MAX;
 /// grid frame (mm).
 ///
 /// The result is exact if every sample lies on the node that stores its number. Otherwise a nearer
-/// sample can be missed, with a distance error of the order of the offsets.
+/// sample can be missed; the error is of the order of the distance from a sample to its node.
 pub(crate) fn spread(geometry: &Geometry, samples: &[Vec3], sample: &mut [u32]) {
     let [nx, ny, _] = geometry.size;
     let spacing = geometry.spacing;

@@ -1,9 +1,8 @@
-//! Computes F from an implicit function: a signed distance with a pinned zero set.
+//! Computes F, a signed distance with a pinned zero set, from an implicit function (the source).
 //!
-//! [`redistance`] samples the zero set of a source ([`crate::samples`]), measures the distance of
-//! every node to it ([`crate::closest`]), and changes the result so that the zero set of its cubic
-//! spline lies on the samples ([`crate::fit`]). It then compares the zero sets of F and of the
-//! source.
+//! [`redistance`] samples the zero set of the source ([`crate::samples`]), measures the distance of
+//! every node to it ([`crate::closest`]), and changes the result so that its cubic spline vanishes
+//! at the samples ([`crate::fit`]). It then compares the zero sets of F and of the source.
 
 use crate::ambiguous_faces::{ambiguous_faces, make_agree};
 use crate::bits::Bits;
@@ -25,10 +24,10 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 /// Tolerance of the pinned zero set: root mean square of F at the samples, in units of the mean
-/// voxel spacing. It is a tenth of a remesher's deviation from its input triangles. Half this
-/// tolerance halves the mean distance between the zero sets and doubles the number of steps: for
-/// the ribcage of `thorax_labels` with `--scale 3`, 0.0004 voxel in 138 steps (1.24 s) instead of
-/// 0.0007 in 60 (0.64 s); for `tooth_ct` at 600, 0.0005 in 117 instead of 0.0009 in 54.
+/// voxel spacing. It is a tenth of the deviation of a remesher from its input triangles. Halving it
+/// halves the mean distance between the zero sets and doubles the number of steps: for the ribcage
+/// of `thorax_labels` with `--scale 3`, 0.0004 voxel in 138 steps (1.24 s) instead of 0.0007 in 60
+/// (0.64 s); for `tooth_ct` at 600, 0.0005 in 117 instead of 0.0009 in 54.
 const PINNED: f64 = 0.001;
 
 /// Maximum number of conjugate-gradient steps that pin the zero set. Smooth surfaces need about 10.
@@ -145,7 +144,7 @@ pub fn redistance(
     let mut dropped = dropped_from(&mut nodes)?;
     let mut fitted = fit_field(nodes, source, &least, demands, monitor)?;
     loop {
-        // F may cut a neck of the source that is thinner than a voxel. Each round drops a part.
+        // F may cut necks of the source that are thinner than a voxel; each round drops parts
         let cut_off = dropped_from(&mut fitted.field)?;
         if cut_off.components == 0 {
             break;
@@ -180,7 +179,7 @@ struct Fitted {
     fit: FitReport,
 }
 
-/// Computes F from a source, for the part of its zero set that `nodes` crosses. `nodes` contains
+/// Computes F from the parts of a source whose nodes are negative in `nodes`. `nodes` contains
 /// values of the source or of an earlier F.
 fn fit_field(
     nodes: Image<f32>,
@@ -265,8 +264,8 @@ fn leaves_grid(field: &Image<f32>) -> bool {
     })
 }
 
-/// Raises |F| at every node to its minimum, with the sign of the node's side. Returns the number of
-/// changed nodes.
+/// Raises |F| to its minimum at nodes where it is smaller or has the wrong sign, and corrects the
+/// sign. Returns the number of changed nodes.
 fn hold_nodes(field: &mut Image<f32>, inside: &Bits, least: &LeastDistances<impl Fn(usize) -> f32 + Sync>) -> usize {
     let moved = field.data.par_iter_mut().enumerate().map(|(n, f)| {
         let sign = if inside.holds(n) { -1.0 } else { 1.0 };

@@ -25,8 +25,8 @@ use std::ops::Range;
 /// threads.
 const SLAB: usize = 3;
 
-/// Number of slices of coefficients computed at a time. The prefilter computes larger parts of
-/// small grids; for a grid of 512^2 nodes per slice, the 32 slices are its minimum of 8 Mi nodes.
+/// Number of slices of coefficients requested at a time. The prefilter computes at least 8 Mi nodes
+/// at a time: 32 slices of 512^2 nodes, or more slices of a smaller grid.
 const SLICES_AT_A_TIME: usize = 32;
 
 /// Number of samples per partial sum. It is fixed so that sums do not depend on the number of
@@ -43,16 +43,16 @@ const CHUNK: usize = 4096;
 const DAMPING: f64 = 0.001;
 
 /// The fit stops when the norm of the gradient falls below this fraction of its initial value,
-/// because the misfit then hardly decreases. Fits of `tests/labels.rs` that end like this have a
-/// root mean square of F of at most 2.3 times the tolerance. With 0.0001 and 0.001, the fields of
+/// because the misfit then hardly decreases. Fits of `tests/labels.rs` that stop at this limit have
+/// a root mean square of F of at most 2.3 times the tolerance. With 0.0001 and 0.001, the fields of
 /// `heart_label`, `heart_ct` at 250 and `frog_tissue_labels` 13 are the same. With 0.01, the mean
 /// shift of the zero set of `heart_ct` grows from 0.0044 to 0.0063 voxel (`make distfield`).
 const GRADIENT_TOLERANCE: f64 = 0.001;
 
 /// A voxel cell that contains samples.
 struct Cell {
-    /// Numbers of the first coefficients of the 16 rows of four coefficients that the cell depends
-    /// on.
+    /// Number of the first coefficient in each of the 16 rows of four coefficients that determine F
+    /// in the cell.
     rows: [u32; 16],
     /// Index of the cell's first sample. The cell's samples end at the first sample of the next
     /// cell.
@@ -102,7 +102,7 @@ pub fn pin_zero_set(field: &mut Image<f32>, samples: Vec<DVec3>, tolerance: f64,
     if number.count == 0 {
         return FitReport::default();
     }
-    // first, because filtering the field needs memory that the sorted samples would take
+    // before the samples are sorted: the filter needs memory that the sorted samples would occupy
     let start = gather(field, &number);
     let sampling = Sampling::new(&field.geometry, &samples, &number);
     drop(samples);
@@ -171,8 +171,8 @@ fn touched_coefficients(geometry: &Geometry, samples: &[DVec3]) -> Numbering {
     for corner in corners.collect::<Vec<_>>().into_iter().flatten() {
         touched.insert(corner..corner + 1);
     }
-    // four coefficients along each axis; the corner is deep enough in the grid that all of them are
-    // in the same row and slice
+    // four coefficients along each axis; the corner is far enough from the faces of the grid that
+    // no step continues in the next row or slice
     let four = |step: usize| [0, step, 2 * step, 3 * step];
     Numbering::new(touched.moved(four(1)).moved(four(nx)).moved(four(nx * ny)))
 }
@@ -330,8 +330,8 @@ impl Sampling {
     }
 }
 
-/// Loads four numbers into a register. No operation is fused and every sum has a fixed order, so
-/// the result has the same bits on any instruction set.
+/// Loads four numbers into a register. In this module, no operation is fused and every sum has a
+/// fixed order, so results have the same bits on any instruction set.
 #[inline(always)]
 fn four<S: Simd>(simd: S, from: &[f32]) -> f32x4<S> {
     f32x4::from_slice(simd, &from[..4])

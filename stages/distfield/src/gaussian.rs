@@ -3,9 +3,9 @@
 //!
 //! Along each axis, a box filter of fractional width is applied `BOXES` times (Gwosdek, Grewenig,
 //! Bruhn and Weickert, "Theoretical foundations of Gaussian convolution by extended box filtering",
-//! 2011). The result has exactly the variance of the Gaussian. The mirror lies half a voxel beyond
-//! the outermost voxel centres. It preserves constants and surfaces that meet a face at a right
-//! angle.
+//! 2011). The result has exactly the variance of the Gaussian. The mirror planes lie half a voxel
+//! beyond the outermost voxel centres. Mirroring preserves constants and right angles between a
+//! surface and a face.
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
@@ -51,8 +51,8 @@ type Line = Vec<[f64; LANES]>;
 /// Smooths the columns in `line` with the widest SIMD instructions available; `room` is work space.
 /// No operation is fused, so the result is the same on every instruction set.
 ///
-/// The result is zero wherever all values within reach of all boxes are zero. Only the stretches in
-/// between are processed, which are short when the values form a band around a surface.
+/// The result is zero wherever all values within reach of the filters are zero. Only the remaining
+/// stretches are processed, which are short when the values form a band around a surface.
 fn smooth_lines(line: &mut Line, room: &mut Line, kernel: ExtendedBox) {
     let reach = BOXES * (kernel.reach + 1);
     let is_zero = |at: &[f64; LANES]| at.iter().all(|&value| value == 0.0);
@@ -60,7 +60,7 @@ fn smooth_lines(line: &mut Line, room: &mut Line, kernel: ExtendedBox) {
     while let Some(first) = line[from..].iter().position(|at| !is_zero(at)) {
         let first = from + first;
         let mut end = first + 1;
-        // extend up to the first gap that is too wide for both sides to fill
+        // extend up to the first gap so wide that the smoothed values of both sides do not overlap
         while let Some(next) = line[end..].iter().take(2 * reach).position(|at| !is_zero(at)) {
             end += next + 1;
         }

@@ -13,6 +13,7 @@ use isoparticles_volume::Volume;
 /// Rejects labels for a scan and an iso value for a label map, unless `--kind` is given. Warns if
 /// the kind is uncertain. Also warns if an iso value is given for a mask, because voxel centres
 /// next to the surface can change sides, and about NaN voxels among labels.
+///
 /// # Errors
 /// If the kind of the volume is certain and does not match the option.
 pub fn check_kind(args: &Args, volume: &Volume, context: &Context) -> Result<()> {

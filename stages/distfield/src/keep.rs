@@ -27,7 +27,7 @@ pub enum Keep {
 }
 
 impl Keep {
-    /// Returns whether a part of a volume is kept. `largest` is the volume of the largest part.
+    /// Returns whether a part of `volume` mm^3 is kept. `largest` is that of the largest part.
     pub(crate) fn keeps(self, volume: f64, largest: f64) -> bool {
         match self {
             Self::All => true,
@@ -91,8 +91,8 @@ impl Dropped {
     }
 }
 
-/// Moves the nodes of dropped parts to the outside (`nodes` is negative inside). Nodes within
-/// `margin` of the faces of the grid, which an open border adds, belong to parts but are not
+/// Moves the nodes of dropped parts to the outside (`nodes` is negative inside). With an open
+/// border, parts extend into the outermost `margin` nodes on each face. These nodes are not
 /// included in the volumes of the parts.
 ///
 /// # Errors

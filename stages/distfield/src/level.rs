@@ -44,12 +44,13 @@ pub(crate) struct Clearance {
     pub contacts: Vec<Contact>,
 }
 
-/// A point surrounded by voxels of both sides whose own side is prescribed: the midpoint of a voxel
-/// edge where two parts touch, or a voxel corner shared by several such edges.
+/// A point with a prescribed side, surrounded by voxels of both sides: the midpoint of a voxel edge
+/// where two parts touch, or a voxel corner shared by several such edges.
 pub(crate) struct Contact {
     /// The surrounding voxel with the lowest index.
     first: usize,
-    /// For each axis, whether the surrounding voxels differ along it. True for two or three axes.
+    /// For each axis, whether the surrounding voxels have two positions along it. True for two or
+    /// three axes.
     across: [bool; 3],
     /// Whether the point is inside.
     is_inside: bool,
@@ -85,9 +86,9 @@ pub(crate) struct LevelSet {
 /// a cube of 20 voxels deviates by up to 0.031, 0.031 and 0.039 voxel.
 const WINDOW: f64 = 1.6;
 
-/// Number of rounds of source and volume corrections. After six rounds, plates, rods and shells
-/// have their original volume (test `thin_layers_and_rods_keep_their_volume`). [`Sources::hold`]
-/// then corrects the centres that are still too close to the surface.
+/// Number of rounds of source and volume corrections. Six rounds preserve the volumes of plates,
+/// rods and shells within the limits of the test `thin_layers_and_rods_keep_their_volume`.
+/// [`Sources::hold`] then corrects the centres that are still too close to the surface.
 const ROUNDS: usize = 6;
 
 /// Maximum change of the level per round. With the smoothing of labels (a standard deviation of 1.5
@@ -101,7 +102,7 @@ const LONGEST_STEP: f64 = 0.1;
 const LEAST_DENSITY: f64 = 0.002;
 
 /// Minimum slope used to compute distances, relative to the slope at a plane. The actual slope
-/// vanishes in the middle of a thin part and of a contact. At the surface of a layer one voxel
+/// vanishes in the middle of a thin part and at a contact. At the surface of a layer one voxel
 /// thick, the slope is 1 - exp(-1 / (2 * 1.5^2)) = 0.20 of that at a plane, so the limit does not
 /// apply there.
 const LEAST_SLOPE: f64 = 0.15;
@@ -165,9 +166,9 @@ impl Shape {
     /// Returns the fraction of the voxel in which the value is positive, and the derivative of this
     /// fraction with respect to the value.
     ///
-    /// The voxel is divided into eight parts. In each part, the value is approximated by a plane
-    /// that changes by `width` across the part. `mixed` supplies the mixed second differences;
-    /// without them, the volume of a rod of 2 by 2 voxels is off by 3 %.
+    /// The voxel is divided into eight parts. In each part, the value is approximated by a linear
+    /// function that changes by `width` across the part. `mixed` supplies the mixed second
+    /// differences; without them, the volume of a rod of 2 by 2 voxels is off by 3 %.
     #[inline(always)]
     fn part_above(&self, mixed: impl FnOnce() -> [f32; 3]) -> (f32, f32) {
         let reach: f32 = (0..3).map(|a| 0.5 * (self.slope[a].abs() + self.bend[a].abs())).sum();
@@ -417,8 +418,8 @@ struct Sources<'a> {
     /// Minimum distance of a voxel centre from the surface, mm.
     least: f32,
     contacts: &'a [Contact],
-    /// For the voxels of contacts: the rise that brings the value at the contact to its minimum;
-    /// negative if the value exceeds the minimum. Minus infinity at voxels without a contact.
+    /// For voxels on the side of a contact: the rise that brings the value at the contact to its
+    /// minimum; negative if the value exceeds the minimum. Minus infinity at all other voxels.
     short: Vec<f32>,
 }
 
@@ -434,13 +435,13 @@ impl<'a> Sources<'a> {
     }
 
     /// Returns the slope (per mm) that is assumed where the actual slope is smaller, as in the
-    /// middle of thin parts and of contacts.
+    /// middle of thin parts and at contacts.
     fn least_slope(work: &Work) -> f64 {
         LEAST_SLOPE * work.plane_slope() / work.occupancy.geometry.spacing.max_element()
     }
 
-    /// Computes how far the voxels of each contact must rise for the contact to reach its minimum
-    /// value. Stores the maximum over all contacts of a voxel.
+    /// Computes how far the values on a contact's side must rise for the value at the contact to
+    /// reach its minimum. Stores the maximum over all contacts of a voxel.
     fn look_at_contacts(&mut self, work: &Work) {
         self.short.fill(f32::NEG_INFINITY);
         let wanted = self.least * Self::least_slope(work) as f32;
@@ -576,15 +577,15 @@ impl<'a> Sources<'a> {
     }
 }
 
-/// Rise of the value at the midpoint of an edge if the two voxels on its side rise by one: 0.5 from
-/// the mean, 0.4 from the second differences of these two voxels and -0.2 from those of the other
-/// two voxels.
+/// Rise of the value at a contact on an edge if the values of the two voxels on its side rise by
+/// one: 0.5 from the mean, 0.4 from the second differences of these two voxels and -0.2 from those
+/// of the other two voxels.
 const GAIN_AT_CONTACT: f32 = 0.7;
 
 /// Maximum number of passes that hold voxel centres and contacts. Several passes are needed because
 /// neighbours change each other's slopes and second differences. The objects of `tests/labels.rs`
 /// need at most five. Checkerboards and random labels (`tests/materials.rs`) use all six; their
-/// values then lack at most 0.0017, and F is raised there (`field::hold_nodes`).
+/// values are then at most 0.0017 too small, and F is raised there (`field::hold_nodes`).
 const HOLDS: usize = 6;
 
 /// Absolute value assigned to a voxel on the wrong side without a neighbouring voxel of the other
@@ -635,8 +636,9 @@ fn spread(sources: &[(usize, f32)], k: usize, [nx, ny, nz]: [usize; 3], slice: &
 }
 
 /// Finds the contacts of a mask. Inside parts are connected at a contact unless `gives_way` is true
-/// for the two outside voxels at the edge. A voxel corner shared by several contacts of the same
-/// side is put on that side; otherwise only a row of separate bridges would connect the parts.
+/// for the two outside voxels at the edge. A voxel corner shared by several contacts becomes a
+/// contact, too, if they are all on one side. Without these corners, only a row of separate bridges
+/// would connect the parts.
 pub(crate) fn contacts(mask: &Mask, gives_way: impl Fn([usize; 2]) -> bool + Sync) -> Vec<Contact> {
     let size = mask.geometry.size;
     let [nx, ny, nz] = size;

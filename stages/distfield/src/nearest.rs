@@ -37,7 +37,7 @@ const LEAST_SLICES: usize = 8;
 
 /// The nearest samples of the nodes in a range of slices.
 pub struct Slab {
-    /// The slices of the grid that the slab computes.
+    /// The slices of the grid that belong to the slab.
     pub own: Range<usize>,
     /// Index of the first slice in `sample`: one before `own`, if there is one.
     pub first: usize,

@@ -1,9 +1,8 @@
 //! Occupancy: the fraction of each voxel that is inside the object. It is 0 or 1 for labels, and a
 //! first-order estimate for a scalar volume.
 //!
-//! A scale smooths the occupancy rather than the intensity. At scale 0, the surface is therefore
-//! the isosurface, regardless of values far above or below the iso value (metal, air). Labels and
-//! scalar volumes are handled alike.
+//! `--scale` smooths the occupancy rather than the intensity. Values far above or below the iso
+//! value (metal, air) therefore have little effect. Labels and scalar volumes are handled alike.
 
 use crate::Inside;
 use crate::crop::VoxelBox;

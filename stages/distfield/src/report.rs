@@ -25,10 +25,10 @@ const SHIFT_LIMITS: (f64, f64) = (0.03, 0.15);
 /// 20 %.
 pub(crate) const VOLUME_LIMITS: (f64, f64) = (0.05, 0.25);
 
-/// Limits of the relative change of the volume with a scale above 0, which preserves the volume.
-/// Meshes of solid organs with 1,000 vertices change by up to 2 %. A mesh whose volume changes by
-/// 10 % does not represent the object: ribs and trabecular bone at a few thousand vertices change
-/// by 20 to 42 %.
+/// Limits of the relative change of the volume with a scale above 0, where smoothing preserves the
+/// volume. Meshes of solid organs with 1,000 vertices change by up to 2 %. A mesh whose volume
+/// changes by 10 % does not represent the object: ribs and trabecular bone at a few thousand
+/// vertices change by 20 to 42 %.
 pub(crate) const SCALED_VOLUME_LIMITS: (f64, f64) = (0.02, 0.1);
 
 const _: () = assert!(10.0 * SPECK_SHARE < SCALED_VOLUME_LIMITS.0, "lost specks alone must not cause a warning");
@@ -107,8 +107,9 @@ pub(crate) fn describe(result: &Redistanced, meta: &DistanceMeta, context: &Cont
 }
 
 /// Checks that components, cavities and the sides of voxel centres are preserved. Label surfaces
-/// guarantee this, so a difference is a failed check. An isosurface can fold within a voxel, where
-/// the number of parts depends on rounding; a difference is then only a warning.
+/// without a scale guarantee this, so a difference is a failed check. Other surfaces can fold
+/// within a voxel, where the number of parts depends on rounding. A difference is then only a
+/// warning.
 pub(crate) fn failed_checks(result: &Redistanced, meta: &DistanceMeta, context: &Context) -> Vec<String> {
     let (before, after) = (result.parts_before, result.parts_after);
     let mut failed = Vec::new();

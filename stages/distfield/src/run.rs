@@ -44,8 +44,8 @@ impl StageArgs for Args {
 /// Runs the stage.
 ///
 /// # Errors
-/// If the input has no such surface, there is not enough memory, a file cannot be read or written,
-/// or the run is interrupted.
+/// If the input does not contain the selected surface, there is not enough memory, a file cannot be
+/// read or written, or the run is interrupted.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("read");
     let volume = read_volume_with(&args.input, &ReadOptions { series: args.series.as_deref() })?;
@@ -162,7 +162,7 @@ fn room(margin: usize, geometry: &Geometry, object: &Object, scale: Option<&Scal
     match (scale, object) {
         (Some(scale), Object::Labels(_)) => room_round(0.5 * scale.length / geometry.spacing),
         (None, Object::Labels(_)) => room_of_labels(margin),
-        // voxels next to inside voxels are partly occupied, too
+        // the neighbours of inside voxels can be partly inside
         (Some(scale), Object::Iso(..)) => room_round(0.5 * scale.length / geometry.spacing).map(|room| room + 1),
         (None, Object::Iso(..)) => room_of_spline(),
     }

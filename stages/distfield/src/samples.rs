@@ -33,8 +33,8 @@ pub struct Source {
 }
 
 impl ValueGradient for Source {
-    /// Returns the first-order distance (mm) to the surface, cut at the border, and the gradient of
-    /// this distance. Without a box, returns the value and the gradient of the spline.
+    /// With a box, returns the first-order distance (mm) to the surface that the box closes, and
+    /// the gradient of this distance. Otherwise, returns the value and gradient of the spline.
     #[inline(always)]
     fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         let (f, g) = self.spline.value_gradient(grid);
@@ -90,7 +90,7 @@ const MAX_PROJECTION: f64 = 0.75;
 
 const _: () = assert!(LONGEST_STEP < 0.5 && 2.0 * LONGEST_STEP > MAX_PROJECTION, "see MAX_NEWTON_STEPS");
 
-/// Number of bisections of a grid edge. The interval is then 2^-40 = 1e-12 edges long.
+/// Number of bisections of a grid edge. The final interval is 2^-40 = 1e-12 of the edge.
 const BISECTIONS: usize = 40;
 
 /// Computes samples of the zero set of `implicit` from its marching-cubes mesh at the nodes of
@@ -102,8 +102,7 @@ const BISECTIONS: usize = 40;
 pub fn surface_samples<I: ValueGradient>(implicit: &I, image: &Image<f32>, mesh: &TriangleMesh) -> Vec<DVec3> {
     let voxel = image.geometry.min_spacing();
     let instructions = Level::new();
-    // loops instead of closures per item, because closures would not be compiled for the dispatched
-    // instructions
+    // loops, because a closure per item would not be compiled for the dispatched instruction set
     let vertices = mesh.vertices.par_chunks(CHUNK).map(|chunk| {
         let mut found = Vec::with_capacity(chunk.len());
         dispatch!(instructions, _simd => {
@@ -163,7 +162,7 @@ fn bisect_edge<I: ValueGradient>(implicit: &I, image: &Image<f32>, v: DVec3) -> 
     let (mut low, mut high) = (geometry.index_to_grid(low), geometry.index_to_grid(high));
     let inside = implicit.value_gradient(low).0 < 0.0;
     if inside == (implicit.value_gradient(high).0 < 0.0) {
-        // an extra vertex within a cell, or an edge whose end is on the surface up to rounding
+        // an extra vertex within a cell, or an end of the edge lies on the surface within rounding
         return v;
     }
     for _ in 0..BISECTIONS {

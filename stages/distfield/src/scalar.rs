@@ -240,8 +240,8 @@ impl Input {
         let to_add = margin - self.padding;
         let padded = self.geometry.padded(to_add);
         // Beyond a face where the volume was cut there is only background. The box there removes
-        // spurious parts that the spline creates from noise in the margin. Padded samples already
-        // have a margin.
+        // spurious parts that the spline creates from noise in the margin. Samples that already
+        // contain the margin need no box there.
         let closed =
             cut.map(|faces| faces.map(|is_cut| if is_cut { self.padding == 0 } else { border == Border::Cap }));
         let is_any = closed.as_flattened().contains(&true);
@@ -268,8 +268,8 @@ impl Input {
 
     /// Sets the nodes of a layer to the voxel values, or to the values of the spline beyond the
     /// voxels. Where the box cuts the object, the value is the first-order distance times the
-    /// slope. All nodes then have the same unit; the saddle of a face depends on cut nodes and
-    /// others.
+    /// slope. All nodes then have the same unit, because the saddle value of a face combines
+    /// nodes on both sides of the cut.
     fn fill_nodes(
         &self,
         nodes: &mut Image<f32>,
@@ -357,9 +357,9 @@ impl Summary {
 /// Returns the source index of a coefficient on the padded grid. `i` is the index of the
 /// coefficient minus the margin, and `n` is the size of the input.
 ///
-/// The mirror boundary of the spline gives the first coefficient beyond the border. All further
-/// coefficients repeat it, which continues the surface straight. Between voxel centres the padded
-/// spline equals that of the input.
+/// The mirror boundary condition of the spline gives the first coefficient beyond the border. All
+/// further coefficients repeat it, which continues the surface straight. Between voxel centres, the
+/// padded spline equals that of the input.
 fn straight(i: isize, n: usize) -> usize {
     let last = n as isize - 1;
     let nearest = if i < 0 {

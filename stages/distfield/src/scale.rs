@@ -168,12 +168,12 @@ fn add(a: [usize; 3], b: [usize; 3]) -> [usize; 3] {
 }
 
 /// Areas are measured on the coarsest grid on which the standard deviation of the smoothing is at
-/// least this many voxels. It is the standard deviation that removes the voxel steps of labels
+/// least this many voxels. This standard deviation removes the voxel steps of labels
 /// (`labels::SIGMA`).
 const COARSE_SIGMA: f64 = 1.5;
 
 /// Minimum number of voxels of a halved grid: grids of more than eight times this number are halved
-/// again. An area on a grid of 80,000 voxels (43^3) takes about 10 ms of processor time (`cargo
+/// again. Computing an area on 80,000 voxels (43^3) takes about 10 ms of processor time (`cargo
 /// test -p isoparticles-distfield --test scale edge_length_includes`).
 const FEWEST_VOXELS: usize = 10_000;
 
@@ -223,7 +223,8 @@ pub fn edge_length(occupancy: &Occupancy, border: Border, vertices: f64, keep_th
 }
 
 /// Returns the edge length for a number of vertices, given a function that computes the area (mm^2)
-/// on a grid at a scale. The secant method finds the root of ln(length from the area / length).
+/// on a grid at a scale. The secant method finds the root of ln(L / length), where L is the edge
+/// length computed from the area at the scale of `length`.
 ///
 /// # Errors
 /// If the area cannot be computed.

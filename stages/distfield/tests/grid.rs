@@ -169,7 +169,8 @@ fn only_true_borders_of_the_volume_are_capped_or_open() {
 
 #[test]
 fn noise_beyond_the_box_adds_no_object_at_an_open_border() {
-    // around the ball, voxels alternate just below the iso value, where a spline overshoots
+    // around the balls, values alternate between -400 and just below the iso value, so that the
+    // spline overshoots
     let noisy = |p: DVec3| {
         let alternates = if (p.x + p.y + p.z) as i64 % 2 == 0 { 99.9 } else { -400.0 };
         if two_balls(p) < 0.0 { 300.0 } else { alternates }

@@ -26,8 +26,8 @@ fn write_nrrd(path: &Path, size: [usize; 3], value: impl Fn(f64, usize) -> i16) 
     std::fs::write(path, bytes).expect("written");
 }
 
-/// Returns the voxel values of a scan: a noisy ball with a scanner's edge, which has the value 100
-/// at a radius of 12 mm.
+/// Returns the voxel values of a scan: a noisy ball with a blurred edge. The mean value is 100 at a
+/// radius of 12 mm.
 fn scan(radius: f64, n: usize) -> i16 {
     let noise = ((n * 7919) % 31) as f64 - 15.0;
     (200.0 / (1.0 + ((radius - 12.0) / 0.9).exp()) + noise) as i16
@@ -144,7 +144,7 @@ fn nan_among_labels_is_background_and_told() {
 
 #[test]
 fn a_volume_that_is_mostly_lost_is_a_failed_check() {
-    // rods of one voxel, too close together to be resolved
+    // isolated voxels, too close together to be resolved
     let rods = Case::new(|radius, n| i16::from(radius < 12.0 && n % 5 == 0 && n / 36 % 4 == 0));
     let run = rods.run(&["--labels", "1"]);
     let told = String::from_utf8_lossy(&run.stderr);

@@ -72,8 +72,8 @@ fn thick_slices_are_smoothed_as_well() {
     assert!(volume.abs() < 0.005, "volume off by {volume}");
 }
 
-/// Returns the thickness of F < 0 in voxels, along a direction through a point (index position in
-/// the mask).
+/// Returns the thickness in voxels of the region F < 0, along a direction through a point (index
+/// position in the mask).
 fn thickness(result: &Redistanced, index: DVec3, direction: DVec3) -> f64 {
     let spline = CubicSpline::new(&result.field);
     let geometry = &result.field.geometry;
@@ -164,7 +164,7 @@ fn parts_that_touch_along_an_edge_are_joined() {
 
 #[test]
 fn contacts_near_the_border_decide_as_in_the_middle() {
-    // a wavy layer one to two voxels thick with holes: a quarter of its voxels is missing
+    // wavy layers, one to two voxels thick, with holes: a quarter of the voxels are missing
     let wave = |p: DVec3| p.z + 4.0 * (0.5 * p.x).sin() + 4.0 * (0.37 * p.y).sin();
     let is_missing = |p: DVec3| (p.dot(DVec3::new(127.1, 311.7, 74.7)).sin() * 43758.5453).rem_euclid(1.0) < 0.25;
     let mask = sampled([30; 3], DVec3::ONE, |p| wave(p).rem_euclid(7.0) < 1.6 && !is_missing(p));

@@ -1,5 +1,5 @@
-//! Tests several materials: voxel centres keep their material, materials touch where their voxels
-//! do; areas and volumes, scales, the output file and the program.
+//! Tests several materials: materials of voxel centres, contacts, areas and volumes, scales, the
+//! output file and the program.
 
 mod support;
 
@@ -53,8 +53,8 @@ fn volume(size: [usize; 3], label: impl Fn([usize; 3]) -> u8) -> Volume {
 }
 
 impl Made {
-    /// Checks that every indicator known at a node is negative exactly at the nodes of its
-    /// material, by at least the clearance, and that the survey agrees.
+    /// Checks the indicators known at each node: only that of the node's material is negative, and
+    /// all absolute values are at least the clearance. The survey must agree.
     fn keeps_every_voxel(&self, what: &str) {
         let materials = &self.extracted.materials;
         let geometry = materials.geometry();
@@ -95,8 +95,8 @@ impl Made {
     /// Checks the midpoints of grid edges, faces and cells: the first material must be that of a
     /// corner, and on edges the first two materials must be those of the two ends. Returns the
     /// numbers of edges between two materials, of such edges with a third material known nearby, of
-    /// faces whose corners differ along all four edges, and of such faces whose diagonals differ by
-    /// less than 0.1 voxel.
+    /// faces whose corners differ along all four edges, and of such faces where the maximum
+    /// indicators of the two diagonals differ by less than 0.1 voxel.
     fn keeps_contacts(&self, what: &str) -> [usize; 4] {
         let materials = &self.extracted.materials;
         let geometry = materials.geometry();

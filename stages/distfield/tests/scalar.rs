@@ -85,7 +85,7 @@ fn an_ellipsoid_and_a_torus_have_exact_distances() {
         let d = to_tube(p) - 4.0;
         if d < -2.0 { f64::INFINITY } else { d }
     });
-    // measured: 0.012, because the spline of the input is not exactly a torus (not a polynomial)
+    // measured: 0.012; the input is not a polynomial, so its spline is not exactly a torus
     assert!(band < 0.015, "torus: band error {band}");
     assert_eq!(topology(&result.field).components[0].genus, Some(1));
 }
@@ -236,11 +236,11 @@ fn a_part_that_is_dropped_leaves_the_distance_of_the_other() {
     assert!((result.dropped.volume / volume - 1.0).abs() < 0.1, "{:?}", result.dropped.volume);
     let (band, all) = distance_errors(&result, |p| p.distance(left) - 6.0);
     println!("the ball that stays: band error {band:.4}, largest {all:.3} voxel");
-    // the spline rings slightly where the two distances meet and at the tip of the cone
+    // the spline rings slightly where the distances to the two balls meet and at the tip of a cone
     assert!(band < 0.02 && all < 0.1, "band error {band}, largest {all}");
 }
 
-/// F cuts some of the necks by which noise with a large range of values connects parts.
+/// In noise with a large range of values, F cuts some of the necks between parts.
 #[test]
 fn keep_largest_leaves_one_part_of_noise() {
     let options = capped(Inside::Above, Keep::Largest);
@@ -274,19 +274,19 @@ fn the_unit_of_the_voxels_does_not_matter() {
 struct Shape<'a> {
     name: &'a str,
     size: usize,
-    /// Signed distance in voxels; NaN where it is not known.
+    /// Signed distance in voxels; NaN where it is unknown.
     distance: &'a dyn Fn(DVec3) -> f64,
     /// Distance to the medial axis in voxels.
     axis: &'a dyn Fn(DVec3) -> f64,
 }
 
-/// Returns the value of a scanner's edge at a distance (voxels) from the edge.
+/// Returns the value of a blurred edge at a signed distance (voxels) from its middle.
 fn edge(distance: f64) -> f32 {
     (0.5 - 0.5 * (distance / 2.0).tanh()) as f32
 }
 
-/// Checks the distances everywhere, and the slope of the spline at the nodes and between them, at
-/// least four voxels from the medial axis. Closer to the medial axis, the spline rounds the kink.
+/// Checks the values and slopes of the spline at the nodes and between them, at least four voxels
+/// from the medial axis. Closer to the medial axis, the spline rounds the kink.
 fn check_far_field(shape: &Shape, image: &Image<f32>, iso: f64, border: Border) {
     let Shape { name, size, distance, axis } = *shape;
     let result = extract(image, iso, border);
@@ -345,8 +345,8 @@ fn an_ellipsoid_has_slope_one_off_the_medial_axis() {
     let centre = DVec3::new(31.7, 31.4, 31.6);
     let axes = DVec3::new(27.0, 21.0, 16.0);
     let distance = |p: DVec3| ellipsoid_distance(p - centre, axes);
-    // The inner medial axis is an ellipse in the plane of the two longer axes, whose semi-axes end
-    // at focal points.
+    // The inner medial axis is an elliptical disc in the plane of the two longer axes. Its
+    // semi-axes end at centres of curvature of the ellipsoid.
     let disc = DVec3::new(axes.x - axes.z.powi(2) / axes.x, axes.y - axes.z.powi(2) / axes.y, 1e-4);
     let axis = |p: DVec3| ellipsoid_distance(p - centre, disc).abs();
     let image = sampled([64; 3], DVec3::ONE, |p| edge(distance(p)));
@@ -377,8 +377,8 @@ fn onto_gyroid(mut p: DVec3) -> DVec3 {
 /// of the volume, and its zero set differs there.
 fn gyroid_distance(node: DVec3, farthest: f64) -> f64 {
     let mut foot = onto_gyroid(node);
-    // Moves along tangent planes. Each step reduces the error by at least the factor height /
-    // radius of curvature.
+    // Moves along tangent planes. Each step multiplies the error by at most distance / radius of
+    // curvature.
     for _ in 0..60 {
         let normal = gyroid(foot).1.normalize();
         let way = node - foot;
@@ -391,8 +391,8 @@ fn gyroid_distance(node: DVec3, farthest: f64) -> f64 {
 
 #[test]
 fn a_gyroid_has_slope_one_off_the_medial_axis() {
-    // within this distance, a foot is at least five voxels from a focal point, and the two sides of
-    // a channel are farther apart
+    // within this distance of the surface, a node is at least five voxels from a focal point, and
+    // the opposite side of the channel is farther away
     let distance = |node: DVec3| gyroid_distance(node, 1.0 / WAVE - 5.0);
     let image = sampled([64; 3], DVec3::ONE, |p| gyroid(p).0 as f32);
     let shape = Shape { name: "gyroid", size: 64, distance: &distance, axis: &|_| f64::INFINITY };

@@ -125,8 +125,8 @@ fn keep_thin_preserves_a_thin_rod() {
     let kept = smoothed(&inside, 9.0, true);
     assert_eq!(kept.changes.components, [2, 2]);
     assert_eq!(topology(&field(&kept)).components.len(), 2);
-    // The rod keeps at least four fifths of its volume by voxel count, because its ends are rounded
-    // (measured: 473 of 567).
+    // By voxel count, the rod keeps at least four fifths of its volume (measured: 473 of 567). Its
+    // ends are rounded.
     let rod = |holds: &dyn Fn(usize) -> bool| (0..inside.data.len()).filter(|&n| n % 64 > 26 && holds(n)).count();
     let (before, after) = (rod(&|n| inside.data[n]), rod(&|n| kept.level.data[n] > 0.0));
     assert!(after.abs_diff(before) * 5 < before, "{before} voxels before, {after} after");
@@ -136,7 +136,7 @@ fn keep_thin_preserves_a_thin_rod() {
 fn a_scalar_ball_keeps_its_radius_at_a_scale() {
     let centre = DVec3::splat(20.2);
     let ball = |p: DVec3| 13.0 - (p - centre).length();
-    // bright metal and a dark hole away from the object have no effect
+    // very dark surroundings (very bright with the sign reversed) have no effect
     let values =
         sampled([42; 3], DVec3::ONE, |p| ball(p).clamp(-3.0, 2.0) as f32 * if ball(p) < -2.0 { 1e4 } else { 1.0 });
     for inside in [Inside::Above, Inside::Below] {

@@ -1,4 +1,4 @@
-//! Checks that sheared volumes are measured in the world: as labels, as materials and as a scan.
+//! Checks that sheared volumes are measured in world coordinates: as labels, materials and a scan.
 
 use glam::{DMat3, DVec3};
 use isoparticles_stage::field_file::{FieldKind, read_field};

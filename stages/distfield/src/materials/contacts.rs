@@ -1,10 +1,10 @@
 //! Corrects the indicators so that materials touch exactly where their nodes do.
 //!
-//! Each indicator is computed separately and recedes where its material protrudes by a voxel. At a
-//! hole of one voxel in a thin layer, the materials on both sides recede, so the indicator of the
-//! layer can be the smallest between them. The mesh then contains a film that the labels do not
-//! contain, and lacks the junction curve around the hole. Where the indicator of the layer is only
-//! slightly larger, a tube a tenth of a voxel wide connects two holes. The indicators are therefore
+//! Each indicator is computed separately and smooths away protrusions of one voxel. At a hole of
+//! one voxel in a thin layer, the materials on both sides recede, so the indicator of the layer can
+//! be the smallest between them. The mesh then contains a film that the labels do not contain, and
+//! lacks the junction curve around the hole. Where the indicator of the layer is only slightly
+//! larger, a tube a tenth of a voxel wide connects two such holes. The indicators are therefore
 //! checked at the midpoints of grid edges, faces and cells whose corners belong to several
 //! materials:
 //!
@@ -13,10 +13,10 @@
 //!   all others.
 //! - If the corners of a face differ along all four edges, the corners of either diagonal may
 //!   touch, or be connected if they have the same material. If a material has exactly two opposite
-//!   corners of a cell, these corners may be connected or not. The indicators decide in both cases,
-//!   but by a margin.
+//!   corners of a cell, these corners may be connected or not. The indicators make these open
+//!   decisions, but their choice gets a margin.
 //!
-//! An indicator that comes too close is raised at the corners of other materials, where another
+//! An indicator that violates the margin is raised at the corners of other materials, where another
 //! indicator is already smaller. No node changes its material.
 
 use glam::DVec3;
@@ -28,9 +28,9 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Margin between an indicator and the indicators that must precede it at such a midpoint, in units
-/// of the mean voxel spacing: without a scale, and with a scale. With a scale, mesh edges are
-/// longer and details between nodes matter less.
+/// Minimum amount by which an indicator must exceed the indicators that must be smaller at a
+/// midpoint, in units of the mean voxel spacing: without a scale, and with a scale. With a scale,
+/// mesh edges are longer and details between nodes matter less.
 ///
 /// `thorax_labels` with `--scale-for-size 6` (h = 6 mm): two segments of junction curves are
 /// missing with 0.2 and none with 0.4. At 3 mm the minimum radius ratio is 0.31 with 0.2 and 0.42
@@ -39,34 +39,34 @@ use std::collections::{BTreeMap, BTreeSet};
 /// `brain_parcellation`, 0.2 and 0.3 give 13 and 15 such triangles.
 const CLEARANCE: [f64; 2] = [0.2, 0.4];
 
-/// Range of the four indicators at the midpoint of a face, in units of the mean voxel spacing, up
-/// to which they count as equal, so that all faces along an edge of four materials choose the same
-/// diagonal. Along the edges of eight cubes of 6^3 voxels the indicators (pinned to 0.0005 voxel)
-/// differ by up to 0.0026 voxel. Without this tolerance, the faces there choose different
+/// Tolerance, in units of the mean voxel spacing, within which the four indicators at the midpoint
+/// of a face count as equal. All faces along a line where four materials meet then choose the same
+/// diagonal. Along such lines between eight cubes of 6^3 voxels, the indicators (pinned to 0.0005
+/// voxel) differ by up to 0.0026 voxel. Without this tolerance, the faces there choose different
 /// diagonals, and eight segments of junction curves are missing.
 const TIE: f64 = 0.004;
 
-/// Margin that a raise aims at, relative to the required margin. A raise that lifts its indicator
-/// at one midpoint lowers it at the next midpoint by 0.13 / 0.6 = 22 % as much (see
-/// [`MOST_ROUNDS`]). The excess of 25 % compensates for about one such loss. With 1, 1.25 and 1.5,
-/// 1137, 43 and 51 contacts of `frog_tissue_labels` keep less than the margin (`near` of the report
-/// of `make distfield MATERIALS=all`).
+/// Target margin of a raise, relative to the required margin. A raise that lifts its indicator at
+/// one midpoint lowers it at the next midpoint by 0.13 / 0.6 = 22 % as much (see [`MOST_ROUNDS`]).
+/// The excess of 25 % compensates for about one such loss. With 1, 1.25 and 1.5, 1137, 43 and 51
+/// contacts of `frog_tissue_labels` have less than the required margin (`near` of the report of
+/// `make distfield MATERIALS=all`).
 const AIM: f64 = 1.25;
 
 /// Maximum total raise of an indicator sample, in units of the mean voxel spacing. Adjacent raises
-/// can feed back indefinitely, and a steeper indicator moves interfaces towards nodes. Midway
-/// between two nodes one voxel apart, two indicators differ by 1 and -1 voxel at the nodes. A raise
-/// of 1 makes this 2 and -1 and moves the interface to a third of the edge. With 0.5, 1 and 2,
-/// `frog_tissue_labels` loses 17, 0 and 0 contacts (`left` of the report of `make distfield
-/// MATERIALS=all`).
+/// can feed back indefinitely, and a steeper indicator moves interfaces towards nodes. If an
+/// interface lies midway between two nodes one voxel apart, its indicators differ by 1 and -1 voxel
+/// at the nodes. A raise of 1 changes these differences to 2 and -1, so the interface moves to a
+/// third of the edge. With 0.5, 1 and 2, `frog_tissue_labels` loses 17, 0 and 0 contacts (`left` of
+/// the report of `make distfield MATERIALS=all`).
 const MOST_RAISE: f64 = 1.0;
 
-/// Value midway between two nodes of the cubic spline that is one at one of these nodes and zero at
-/// all other nodes. It is the effect at the midpoint of a unit raise at one node.
+/// Effect of a unit raise at a node on the value at the midpoint of an adjacent grid edge. The
+/// cubic spline that is one at the node and zero at all other nodes has this value there.
 const HALF_WAY: f64 = 0.6005;
 
-/// Number of nodes beyond which the effect of a raise is neglected. The spline of a unit raise is
-/// below 0.003 there.
+/// Distance in nodes beyond which the effect of a raise is neglected. The spline of a unit raise is
+/// below 0.003 beyond this distance.
 const REACH: usize = 4;
 
 /// Maximum number of rounds of raises. A raise lowers its own indicator between the next two nodes
@@ -77,17 +77,17 @@ const MOST_ROUNDS: usize = 40;
 /// Report of the contacts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct ContactReport {
-    /// Number of pairs of a midpoint and a material that no corner has, where the indicator of the
-    /// material came too close before the raises.
+    /// Number of pairs of a midpoint and a material that none of its corners has, with too small a
+    /// margin before the raises.
     pub crossed: usize,
     /// Number of open decisions with too small a margin before the raises.
     pub undecided: usize,
     /// Number of indicator samples raised.
     pub raised: usize,
-    /// Number of indicators that are still smaller than an indicator that must precede them,
-    /// excluding open decisions.
+    /// Number of pairs, counted as in `crossed`, where the indicator is still smaller than one that
+    /// it must exceed.
     pub left: usize,
-    /// Number of other indicators and open decisions with too small a margin after the raises.
+    /// Number of other pairs and open decisions with too small a margin after the raises.
     pub near: usize,
 }
 
@@ -160,7 +160,7 @@ pub fn keep_contacts(materials: &mut Materials, is_scaled: bool, monitor: &dyn M
     Ok(contacts)
 }
 
-/// Returns the bricks that contain cells near a node.
+/// Returns the bricks that contain cells within [`REACH`] of a node.
 fn bricks_near(node: [usize; 3], size: [usize; 3]) -> impl Iterator<Item = usize> {
     let [bx, by, bz] = bricks_along(size);
     let span = move |a: usize, bricks: usize| {
@@ -189,7 +189,7 @@ struct Lack {
     raise: f64,
     /// Whether the missing margin belongs to an open decision.
     is_undecided: bool,
-    /// Whether the indicator is smaller than an indicator that must precede it.
+    /// Whether the indicator is smaller than an indicator that it must exceed.
     is_lost: bool,
 }
 
@@ -227,8 +227,8 @@ impl Corners {
         self.materials().contains(&id)
     }
 
-    /// Returns whether both ends of every edge of a face differ in material. The corners of either
-    /// diagonal may then touch, or be connected if they have the same material.
+    /// Returns whether the two ends of every edge of a face have different materials. The corners
+    /// of either diagonal may then touch, or be connected if they have the same material.
     fn is_open_face(&self) -> bool {
         let own = self.materials();
         own.len() == 4 && [[0, 1], [1, 3], [3, 2], [2, 0]].iter().all(|&[a, b]| own[a] != own[b])
@@ -271,7 +271,7 @@ impl Corners {
     }
 }
 
-/// The edges, faces and cells where an indicator may come too close, grouped by brick.
+/// The edges, faces and cells with margins to check, grouped by brick.
 struct GridElements {
     /// Required margin, mm.
     clearance: f64,
@@ -288,7 +288,7 @@ impl GridElements {
             let known: Vec<MaterialId> = materials.known_in(brick).map(|(id, _)| id).collect();
             let first =
                 [brick % bricks[0], brick / bricks[0] % bricks[1], brick / (bricks[0] * bricks[1])].map(|n| n * CELLS);
-            // the far nodes of a cell belong to the next brick, except at the end of the grid
+            // the last nodes of a brick belong to the next brick, except at the end of the grid
             let is_last = |a: usize| first[a] + CELLS + 1 == size[a];
             let nodes: [usize; 3] = std::array::from_fn(|a| CELLS + usize::from(is_last(a)));
             let mut elements = Vec::new();
@@ -338,8 +338,8 @@ impl GridElements {
     }
 }
 
-/// Finds the indicators that come too close at an edge, face or cell. `known` lists the materials
-/// whose indicators are stored in its brick.
+/// Finds the indicators whose margin is too small at an edge, face or cell. `known` lists the
+/// materials whose indicators are stored in its brick.
 fn lacking_at(
     element: GridElement,
     clearance: f64,

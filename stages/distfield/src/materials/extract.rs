@@ -24,12 +24,12 @@ use rayon::prelude::*;
 
 /// Accuracy required of each indicator.
 ///
-/// Distances are needed up to 7 voxels: an indicator is known two to three voxels from its zero
-/// set, plus a brick of four cells. The tolerance is half that of a single object, because the
-/// deviations of two indicators add up at their interface. Fewer conjugate-gradient steps than for
-/// a single object suffice: an interface lies between the zero sets of its two indicators.
-/// `brain_parcellation` takes 165 s of processor time with 160 steps, as for a single object, and
-/// 89 s with 40 steps.
+/// Distances are needed up to 7 voxels: an indicator is stored for two to three voxels around its
+/// zero set, and its bricks extend four cells farther. The tolerance is half that of a single
+/// object, because the deviations of two indicators add up at their interface. Fewer
+/// conjugate-gradient steps than for a single object suffice: an interface lies between the zero
+/// sets of its two indicators. `brain_parcellation` takes 165 s of processor time with 160 steps,
+/// as for a single object, and 89 s with 40 steps.
 const DEMANDS: Demands = Demands { limit: 7.0, pinned: 0.0005, pin_steps: 40 };
 
 /// Options for computing indicators from labels.
@@ -185,8 +185,8 @@ impl OneMaterial<'_> {
         Ok((indicator, tally))
     }
 
-    /// Returns the box to compute: the bounding box of the voxels, enlarged by the reach of their
-    /// smoothed occupancy.
+    /// Returns the box to compute without a scale: the bounding box of the voxels, enlarged by
+    /// [`room_of_labels`].
     fn kept(&self) -> VoxelBox {
         let Extent { low, high, .. } = self.extent;
         VoxelBox { low, high }.with_room(room_of_labels(self.grid.margin), self.grid.geometry.size).on_coarse_nodes()

@@ -188,8 +188,8 @@ mod tests {
 
     #[test]
     fn islands_go_to_the_material_with_the_most_shared_faces() {
-        // single voxels: 1 in the outside, 2 in 1, and the outside in 1, between 1 and 2, and at
-        // the end of 1
+        // single voxels: one of 1 in the outside, one of 2 in 1, and three of the outside (in 1,
+        // between 1 and 2, and at the end of the last row)
         let (mut given, mut table) = grid(&["...1....", "111.1122", "12111.22", "1111111."]);
         let found = remove_islands(&mut given, &mut table, 3);
         let (expected, _) = grid(&["........", "11111122", "11111122", "11111111"]);

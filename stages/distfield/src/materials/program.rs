@@ -26,8 +26,8 @@ use isoparticles_volume::Volume;
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
-/// Maximum number of materials, and of pairs of materials, in the table at the end of a run. The
-/// report contains all of them.
+/// Maximum number of materials, and of pairs of materials, in the table at the end of a run, and of
+/// materials in the warning about specks. The report contains all of them.
 const MOST_ROWS: usize = 12;
 
 /// Maximum number of names listed in a warning or a failed check.
@@ -45,7 +45,7 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     let scale = scale(args, &volume, &chosen, context)?;
     let whole = volume.geometry.padded(args.margin.into());
     let found = VoxelBox::of_labels(&volume, |label| chosen.number(label) != MaterialId::OUTSIDE.0);
-    // a face of the grid counts as a border of the volume: only the outside lies beyond the face
+    // faces of the cropped grid count as borders of the volume: only the outside lies beyond them
     let room = scale.map_or([LABEL_ROOM; 3], |scale| room_round(0.5 * scale.length / volume.geometry.spacing));
     take_out(args, &mut volume, found, room, context)?;
     let mut grid = LabelGrid::new(&volume, &chosen, args.border, args.margin.into())?;
@@ -200,8 +200,7 @@ fn notes(materials: &Materials, tallies: &[Tally], found: &Survey) -> Map<String
         if id != MaterialId::OUTSIDE.index() {
             row["components_before"] = json!(before.components);
             row["components"] = json!(after.components);
-            // with a scale, `scale_changes` reports which parts of the voxels were merged and
-            // broken
+            // with a scale, the cavities of the voxels are not counted
             row["cavities_before"] = tally.changes.as_ref().map_or(json!(before.cavities), |_| Value::Null);
             row["cavities"] = json!(after.cavities);
         }
@@ -353,7 +352,7 @@ fn listed(names: &[String]) -> String {
     format!("{}{more}", names[..names.len().min(MOST_NAMES)].join(", "))
 }
 
-/// Returns the failed checks of a run without a scale. The method is designed to pass these checks.
+/// Returns the failed checks of a run without a scale.
 fn failed_checks(materials: &Materials, tallies: &[Tally], found: &Survey) -> Vec<String> {
     let mut failed = Vec::new();
     let of = |is_bad: &dyn Fn(usize) -> bool| -> Vec<String> {

@@ -41,8 +41,8 @@ const ABSENT: i16 = i16::MIN;
 /// other.
 const NEAR_VALUE: i16 = -((0.49 * UNIT) as i16);
 
-/// Maximum number of materials stored at a voxel where more than two are near. Interfaces in
-/// general position meet four at a time, at junction points.
+/// Maximum number of materials stored at a voxel where more than two are near. In general position,
+/// at most four materials meet, at junction points.
 const MOST_NEAR: usize = 4;
 
 /// Deviation of the level from 1/2 that counts as a rounded border. For comparison, the level is
@@ -144,7 +144,7 @@ impl<'a> Levels<'a> {
             let level = if extent.count == 0 {
                 Level { first: [0; 3], size: [0; 3], above: Vec::new(), off: Vec::new() }
             } else {
-                // the outside is the complement of all other materials, which can be anywhere
+                // the outside can be anywhere, so its box is the whole grid
                 let whole = Extent { low: [0; 3], high: grid.geometry.size.map(|n| n - 1), count: extent.count };
                 smoothed(grid, MaterialId(id as u16), if id == 0 { &whole } else { extent }, scale)
             };

@@ -304,7 +304,7 @@ impl Sums {
         let start = geometry.index_to_grid(DVec3::from_array(at.map(|n| n as f64)));
         let value = |p: DVec3| indicators.difference_gradient(i, j, p).0;
         let (low, high) = (value(start), value(start + step));
-        // zero of the linear difference; the midpoint if an indicator is not known at a node
+        // zero of the linearly interpolated difference; the midpoint if an indicator is not known
         let share = if low < 0.0 && high > 0.0 && (high - low).is_finite() { low / (low - high) } else { 0.5 };
         let (_, gradient) = indicators.difference_gradient(i, j, start + step * share);
         let face = geometry.spacing.element_product() / geometry.spacing[axis];
