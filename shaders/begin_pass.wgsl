@@ -10,7 +10,7 @@ struct Planned {
     allow_insert: u32,
     // Number of particles that this pass has room for.
     room: u32,
-    // Room of each neighbour list and number of classes in the previous pass.
+    // Capacity of each neighbour list and number of classes that the previous pass dispatched.
     list_room: u32,
     classes: u32,
     unused_1: u32,

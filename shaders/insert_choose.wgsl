@@ -22,7 +22,7 @@ fn beats(j: u32, i: u32) -> bool {
 // Returns whether the newcomer of i is too close to a newcomer of higher priority. The bins hold
 // the positions of the parents at the time of the sort. Since then, a parent of size h has moved by
 // at most (REBUILD_MOVE + FARTHEST_MOVE) h. A newcomer is within two lattice spacings of its
-// parent, because it is projected by at most one spacing from a point at one spacing.
+// parent, because it is projected by at most one spacing from a point one spacing away.
 fn is_too_near(i: u32) -> bool {
     let own = newcomer_place[i];
     let facing = newcomer_normal[i];

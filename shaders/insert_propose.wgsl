@@ -1,6 +1,7 @@
 // Density control, insertion: each undersampled particle proposes a newcomer. The candidate
 // position is one lattice spacing away, in the middle of the widest gap between neighbours,
-// projected onto the surface. The proposal is dropped if that position violates a minimum distance.
+// projected onto the surface. The proposal is dropped if the projection fails, if the normals
+// differ too much, or if a particle is too close.
 //
 // Twin: `propose`, `place_in_widest_gap` in stages/particles/src/density.rs
 
@@ -24,8 +25,8 @@ fn angle_of(own: vec4<f32>, plane: Plane, j: u32) -> f32 {
     return atan2(dot(plane.v, offset), dot(plane.u, offset));
 }
 
-// Returns the direction of the middle of the widest gap. The lanes of the team share the
-// neighbours. If several gaps are equally wide, the first in the list is used.
+// Returns the direction of the middle of the widest gap. The neighbours are distributed over the
+// lanes of the team. If several gaps are equally wide, the first in the list is used.
 fn widest_gap(own: vec4<f32>, plane: Plane, list: List, lane: u32) -> f32 {
     var lowest = TAU;
     for (var k = lane; k < list.length; k += TEAM) {

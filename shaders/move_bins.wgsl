@@ -1,6 +1,6 @@
 // One pass of movement for the bins of one colour (sections 4.1, 5.1 and 5.2 of the paper). A
-// workgroup processes one bin. The particles of the bin move one after the other, and the lanes
-// share the neighbours of the moving particle.
+// workgroup processes one bin. The particles of the bin move one after the other, and the
+// neighbours of the moving particle are distributed over the lanes.
 //
 // Every third bin along each axis has the same colour, so there are 27 colours. Workgroups do not
 // conflict: neighbour lists reach no farther than one bin edge, so a workgroup writes one bin and

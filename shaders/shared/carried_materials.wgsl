@@ -37,7 +37,8 @@ fn is_on(lower: vec4<u32>, pair: vec4<u32>) -> bool {
 }
 
 // Returns whether two particles interact. A held particle interacts with all particles of the
-// interfaces that meet at its junction, for any normals. Two held particles do not interact.
+// interfaces that meet at its junction, regardless of their normals. Two held particles do not
+// interact.
 fn see_each_other(a: vec4<f32>, b: vec4<f32>) -> bool {
     if is_held(a.w) {
         return !is_held(b.w) && is_on(materials_of(a.w), materials_of(b.w));

@@ -1,6 +1,6 @@
-// Access to the coefficients of F and the samples of h if a field exceeds the largest binding of
-// the adapter. Each field is split by linear index into up to four slabs of parameters.slab_length
-// values. The slabs follow each other along z.
+// Access to the coefficients of F and the samples of h if a field exceeds the maximum binding size
+// of the adapter. Each field is split by linear index into up to four slabs of
+// parameters.slab_length values.
 
 @group(0) @binding(20) var<storage, read> surface_0: array<f32>;
 @group(0) @binding(21) var<storage, read> surface_1: array<f32>;

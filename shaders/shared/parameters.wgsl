@@ -19,14 +19,14 @@ struct Parameters {
     level_count: u32,
     // Voxel spacing in mm.
     spacing: vec3<f32>,
-    // Tolerance of |F| = 0 in mm.
+    // Tolerance of |F| in mm.
     tolerance: f32,
     inverse_spacing: vec3<f32>,
     // Maximum length in mm of a single projection step.
     projection_step: f32,
     // Voxel at the origin of device positions.
     centre: vec3<i32>,
-    // Number of voxels in each slab of a field.
+    // Number of values in each slab of a field.
     slab_length: u32,
     // Device position in mm of the corner of bin (0, 0, 0).
     bins_origin: vec3<f32>,

@@ -1,4 +1,5 @@
-// Projection by a team onto F = 0 or onto a material interface (Eq. 5 with its sign corrected).
+// Projection onto F = 0 or onto a material interface by a team of lanes (Eq. 5 with its sign
+// corrected).
 //
 // Twin: `project_with_gradient` in common/field/src/spline/mod.rs
 
@@ -9,8 +10,8 @@ struct Projected {
     size: f32,
 }
 
-// Returns the state of a projection: 0 to continue, 1 if converged, 2 if failed because the
-// gradient is too small. `field` contains the gradient per mm (xyz) and the value (w).
+// Returns the state of a projection: 0 to continue, 1 if it has converged, 2 if it fails because
+// the gradient is too small. `field` contains the gradient per mm (xyz) and the value (w).
 fn projection_state(field: vec4<f32>) -> u32 {
     let squared = dot(field.xyz, field.xyz);
     if !(squared > LEAST_SQUARED_GRADIENT) {

@@ -1,4 +1,5 @@
-// Energy of a particle and its derivatives, computed by a team whose lanes share the neighbours.
+// Energy of a particle and its derivatives. The neighbours are distributed over the lanes of a
+// team.
 //
 // Twin: `jet` in stages/particles/src/neighbourhood.rs
 // Twin: `energy` in stages/particles/src/neighbourhood.rs
@@ -70,7 +71,7 @@ fn add_pair(sum: Terms, own: vec4<f32>, plane: Plane, other: vec4<f32>) -> Terms
 }
 
 fn team_jet(own: vec4<f32>, plane: Plane, list: List, nearest: Nearest, lane: u32) -> Jet {
-    // loaded before it is needed to hide the latency
+    // loaded early to hide the latency
     let slope = sizing_at(own.xyz).xyz;
     var sum = Terms(vec4(0.0), vec4(0.0));
     sum = add_pair(sum, own, plane, nearest.a);

@@ -1,4 +1,5 @@
-// Evaluates F by a team. The 64 taps are distributed over the lanes without loops (see two_taps).
+// Evaluates F with a team of lanes. The 64 taps are distributed over the lanes without loops (see
+// two_taps).
 
 // Returns the gradient of F per mm (xyz) and F in mm (w).
 fn surface_at(position: vec3<f32>, lane: u32) -> vec4<f32> {

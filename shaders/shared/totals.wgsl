@@ -7,7 +7,7 @@ struct Totals {
     moved: u32,
     tries: u32,
     defects: u32,
-    // Number of members of all lists, and of the longest list.
+    // Total length of all lists, and length of the longest list.
     listed: u32,
     longest_list: u32,
 }

@@ -1,5 +1,5 @@
 // Test kernel: evaluates F (or G of the interface) and h with their gradients at the particles, and
-// whether the projection accepts the interface there. A team evaluates each particle.
+// tests whether the projection of each particle succeeds. A team evaluates each particle.
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;

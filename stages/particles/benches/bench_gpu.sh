@@ -1,6 +1,6 @@
 #!/bin/sh
 # Measures the particles stage on the GPU and on one CPU thread with the same particles (`make
-# bench-gpu`). Needs only the stage programs. On a machine without the source data, use a folder
+# bench-gpu`). Needs the stage programs and `phantom`. On a machine without `phantom`, use a folder
 # made on another machine with --prepare.
 #
 #   bench_gpu.sh [--bin FOLDER] [--work FOLDER] [--prepare] [--adapter NAME] [--no-cpu]
@@ -117,8 +117,8 @@ if [ ! -e "$ball" ] && [ -n "$contrasts" ]; then
     "$bin/phantom" ball --size 128 -o "$work/ball.nrrd" --force
     "$bin/distfield" "$work/ball.nrrd" --iso 100 -o "$ball" -q
 fi
-# the point on the surface of the ball around which h is small, in mm (`phantom ball --size 128
-# --truth`: centre 63.6, 63.8, 63.3, radius 44.45)
+# centre of the refined region in mm, on the surface of the ball (`phantom ball --size 128 --truth`:
+# centre 63.6, 63.8, 63.3, radius 44.45)
 pole=108.1,63.8,63.3
 for h in $sizes; do fields "uniform-$h" "$ribs" --uniform "$h"; done
 for c in $contrasts; do graded "$c"; done

@@ -1,6 +1,6 @@
 #!/bin/sh
-# Measures the particles of a multi-material run and, for comparison, the same number of particles
-# on one object (the union of the same labels).
+# Measures the particles stage on many materials and, for comparison, with about the same number of
+# particles on one object (the union of the same labels).
 #
 #   bench_materials.sh VOLUME H [OPTIONS OF particles...]
 #

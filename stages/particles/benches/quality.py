@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Measures the quality of triangles made from settled particles by passes, backend or method.
+"""Compares the triangle quality of settled particles between passes, backends or methods.
 
     quality.py passes CASE ... [--passes 5 10 ...] [--levels 1 3]  CSV: quality by number of passes
     quality.py backends CASE ... [--jobs N]      table: CPU and GPU with default parameters

@@ -165,12 +165,12 @@ fn interval(text: &str) -> std::result::Result<u64, String> {
 impl Args {
     /// Returns the parameters of a run on a GPU or the CPU, for one object or many materials.
     ///
-    /// The number of levels is 1 on a GPU: there a pass over few particles costs nearly as much as
-    /// a pass over many, and each change of level costs up to a second on the host. On the heart
-    /// one level reaches a raw mean radius ratio of 0.970 in 0.123 s (three levels: 0.962 in 0.127
-    /// s), on the ribcage 0.972 in 0.193 s (0.967 in 0.309 s; docs/developer/performance.md,
-    /// "Quality for the time"). With many materials the number of levels is also 1, because held
-    /// particles have the spacing of h and do not fit coarse levels.
+    /// A GPU uses one level by default: a pass over few particles costs nearly as much as a pass
+    /// over many, and each change of level costs up to a second on the host. On the heart one level
+    /// reaches a raw mean radius ratio of 0.970 in 0.123 s (three levels: 0.962 in 0.127 s), on the
+    /// ribcage 0.972 in 0.193 s (0.967 in 0.309 s; docs/developer/performance.md, "Quality for the
+    /// time"). With many materials the default is also one level, because held particles have the
+    /// spacing of h and do not fit coarse levels.
     pub(crate) fn settling(&self, on_gpu: bool, many: bool) -> Parameters {
         let base = if self.as_printed { Parameters::as_printed() } else { Parameters::default() };
         let levels = if on_gpu || many { 1 } else { base.levels };

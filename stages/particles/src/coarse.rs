@@ -1,5 +1,5 @@
-//! Coarse-to-fine placement: settles few particles at a multiple of h, splits the edges between
-//! them, and repeats down to h.
+//! Coarse-to-fine placement: settles a small number of particles at a multiple of h, splits the
+//! edges between them, and repeats down to h.
 //!
 //! Where lattice patches of different orientation meet, lines of vertices of degree five and seven
 //! remain, and passes remove these lines slowly. A coarse lattice has few such lines, and a pass

@@ -3,11 +3,11 @@
 //!
 //! # Reach of the neighbour lists
 //!
-//! A particle interacts with the members of its list. The lists also define the independent classes
-//! (of particles on the GPU, of blocks of particles on the CPU). No two members of a class are in
-//! each other's lists. No member therefore reads data that another member writes, whatever the step
-//! length. The step length determines how close two particles can come while neither is in the
-//! other's list.
+//! A particle interacts only with members of its list. The lists also define the independent
+//! classes (of particles on the GPU, of blocks of particles on the CPU). No two members of a class
+//! are in each other's lists. No member therefore reads data that another member writes, whatever
+//! the step length. The step length determines how close two particles can come while neither is in
+//! the other's list.
 //!
 //! A GPU's lists reach `SUPPORT (1 + SKIN)` times the smaller h. They are rebuilt before a pass if
 //! a particle has moved by more than [`REBUILD_MOVE`] h since they were last built. In one pass a
@@ -30,9 +30,10 @@
 //! almost nothing. There the bound is 2.252 - 2 (0.1 + 0.25) = 1.55 h, and the missed energy (Eq. 1
 //! at d = 0.896) is at most 0.2 % of a particle's energy.
 //!
-//! If h has the gradient g (mm per mm), the particle with the larger h may move by its own h. The
-//! bound is then `SUPPORT (1 + SKIN) (1 - 0.6 g) - 1.2` times the smaller h, which is 0.65 at g =
-//! 0.3. On the CPU the bound is 2.052 (1 - 0.5 g) - 1, which is 0.74 at g = 0.3.
+//! If h has the gradient g (mm per mm), the particle with the larger h moves by up to the same
+//! fractions of that h. The bound is then `SUPPORT (1 + SKIN) (1 - 0.6 g) - 1.2` times the smaller
+//! h, which is 0.65 at g = 0.3. On the CPU the bound is 2.052 (1 - 0.5 g) - 1, which is 0.74 at g =
+//! 0.3.
 //!
 //! # Lattices with another spacing
 //!
@@ -44,21 +45,21 @@
 
 use isoparticles_field::energy::SUPPORT;
 
-/// Margin of a GPU's neighbour lists beyond the support, as a share of the support. It keeps the
+/// Margin of a GPU's neighbour lists beyond the support, as a fraction of the support. It keeps the
 /// lists complete at the start of a pass: two particles may have approached each other by 2
 /// [`REBUILD_MOVE`] = 0.2 h, which is less than `SUPPORT SKIN` = 0.52 h.
 pub(crate) const SKIN: f64 = 0.3;
 
-/// A GPU's lists are rebuilt after a particle has moved by this share of its h since they were last
-/// built. Upper bound: half of `SUPPORT SKIN`, 0.26.
+/// A GPU's lists are rebuilt after a particle has moved by this fraction of its h since they were
+/// last built. Upper bound: half of `SUPPORT SKIN`, 0.26.
 pub(crate) const REBUILD_MOVE: f64 = 0.1;
 
-/// Maximum step length in the tangent plane per pass, as a share of h (the paper's bound is h).
+/// Maximum step length in the tangent plane per pass, as a fraction of h (the paper's bound is h).
 /// With a quarter, [`UNSEEN_DISTANCE`] stays above 1.
 pub(crate) const LONGEST_STEP: f64 = 0.25;
 
-/// Maximum distance that a particle moves per pass, as a share of h: the projection may add as much
-/// as the step.
+/// Maximum distance that a particle moves per pass, as a fraction of h: the projection may add as
+/// much as the step.
 pub(crate) const FARTHEST_MOVE: f64 = 2.0 * LONGEST_STEP;
 
 /// Minimum distance, in units of h, between two particles that are not in each other's lists, after
@@ -79,7 +80,7 @@ const _: () = assert!(
 );
 
 /// Maximum lattice spacing in units of h (ideal energy 0.554): lattice neighbours must be closer
-/// together than unlisted particles can come.
+/// together than any unlisted pair.
 pub(crate) const LARGEST_SPACING: f64 = UNSEEN_DISTANCE;
 
 /// Minimum lattice spacing in units of h (ideal energy 7.84): a pass must not move a particle past
@@ -95,8 +96,8 @@ pub(crate) const FIRST_RING: f64 = 1.316_074_012_952_492_5;
 /// number is a lattice defect.
 pub(crate) const LATTICE_NEIGHBOURS: u32 = 6;
 
-/// Levenberg-Marquardt damping of a particle that has not moved yet (0.1 in the program that the
-/// paper compares with).
+/// Levenberg-Marquardt damping of a particle that has not moved yet (also 0.1 in BioMesh3D, with
+/// which the paper compares).
 pub const INITIAL_LAMBDA: f64 = 0.1;
 
 /// Minimum damping. It multiplies diag(H) by 1.001, so the step is nearly an undamped Newton step.
@@ -112,51 +113,51 @@ pub(crate) const LAMBDA_GROWTH: f64 = 10.0;
 /// Factor that multiplies the damping if the first attempt is accepted (Algorithm 1).
 pub(crate) const LAMBDA_FALL: f64 = 0.1;
 
-/// Minimum eigenvalue of the Hessian in the tangent plane, as a share of the larger eigenvalue. It
-/// limits the step along the softer direction to 20 times the step that the stiffer direction would
-/// allow. Measured with the torus described at [`REST_SHARE`], `--levels 1`, and 0.0125, 0.025,
-/// 0.05, 0.1 and 0.2: the runs take 77, 91, 89, 83 and 74 passes and keep 15.3, 13.2, 12.9, 13.7
-/// and 15.1 % lattice defects.
+/// Minimum eigenvalue of the Hessian in the tangent plane, as a fraction of the larger eigenvalue.
+/// It limits the step along the softer direction to 20 times the step that the stiffer direction
+/// would allow. Measured with the torus described at [`REST_SHARE`], `--levels 1`, and 0.0125,
+/// 0.025, 0.05, 0.1 and 0.2: the runs take 77, 91, 89, 83 and 74 passes and keep 15.3, 13.2, 12.9,
+/// 13.7 and 15.1 % lattice defects.
 pub(crate) const EIGENVALUE_FLOOR: f64 = 0.05;
 
-/// Maximum gap between the two eigenvalues of a Hessian that the CPU treats as equal, as a share of
-/// their mean. At this gap the rounding error of the eigenvectors is about 2e-16 / 1e-12 = 2e-4
+/// Maximum gap between the two eigenvalues of a Hessian that the CPU treats as equal, as a fraction
+/// of their mean. At this gap the rounding error of the eigenvectors is about 2e-16 / 1e-12 = 2e-4
 /// radians.
 pub(crate) const EQUAL_EIGENVALUES_F64: f64 = 1e-12;
 
-/// Minimum force times h, as a share of the energy. With a smaller force a particle on the CPU does
-/// not move: a step would reduce the energy by about the square of this share, 1e-24, which f64
-/// does not resolve.
+/// Minimum force times h, as a fraction of the energy. With a smaller force a particle on the CPU
+/// does not move: a step would reduce the energy by about the square of this fraction, 1e-24, which
+/// f64 does not resolve.
 pub(crate) const LEAST_FORCE: f64 = 1e-12;
 
-/// Maximum distance that the projection may add to a step, as a share of h. A step that ends
+/// Maximum distance that the projection may add to a step, as a fraction of h. A step that ends
 /// farther than [`FARTHEST_MOVE`] from the particle is rejected. By the triangle inequality, the
 /// projection of an accepted step therefore adds at most this distance to the length of the step.
 pub(crate) const PROJECTION_REACH: f64 = FARTHEST_MOVE;
 
-/// Tolerance of |F| after a step, as a share of the voxel spacing. It is near the resolution of f32
-/// positions on a GPU: from 64 to 128 voxels away from their origin, the last bit is 2^-17 = 0.8e-5
-/// voxels. After the last pass, the tolerance is [`FINAL_TOLERANCE`].
+/// Tolerance of |F| after a step, as a fraction of the voxel spacing. It is near the resolution of
+/// f32 positions on a GPU: from 64 to 128 voxels away from their origin, the last bit is 2^-17 =
+/// 0.8e-5 voxels. After the last pass, the tolerance is [`FINAL_TOLERANCE`].
 pub(crate) const PASS_TOLERANCE: f64 = 1e-5;
 
-/// Tolerance of |F| after the last pass, as a share of the voxel spacing. It costs one Newton step:
-/// from an error of [`PASS_TOLERANCE`] e = 1e-5 voxels, a step leaves about e^2 = 1e-10 voxels.
+/// Tolerance of |F| after the last pass, as a fraction of the voxel spacing. It costs one Newton
+/// step, which reduces an error e = 1e-5 voxels ([`PASS_TOLERANCE`]) to about e^2 = 1e-10 voxels.
 pub(crate) const FINAL_TOLERANCE: f64 = 1e-8;
 
 /// Minimum distance of a newcomer from all particles of its interface, including other newcomers,
-/// as a share of the lattice spacing. Subsequent passes move the neighbours apart.
+/// as a fraction of the lattice spacing. Subsequent passes move the neighbours apart.
 ///
 /// A newcomer is placed one spacing from its parent, in the middle of the widest gap between two
-/// neighbours. In the lattice a gap has 60 degrees, so the newcomer is 2 sin(15 degrees) = 0.518
+/// neighbours. In the lattice a gap spans 60 degrees, so the newcomer is 2 sin(15 degrees) = 0.518
 /// spacings from both neighbours. With a larger minimum, a particle with six neighbours never gets
 /// a newcomer, and undersampled regions remain. Measured (docs/developer/method.md): at 0.45 the
 /// count is closest to the predicted count. At 0.513, where the energy of one pair equals the
 /// deletion limit (Eq. 1), the count falls by 1.3 %, and at 0.7 by 10 %, without better triangles.
 pub(crate) const NEWCOMER_DISTANCE: f64 = 0.45;
 
-/// Minimum distance of a newcomer from its parent after the projection, as a share of the lattice
-/// spacing. A newcomer below this distance is rejected. The projection moves a point at one spacing
-/// s in the tangent plane of a sphere of radius R to the distance 2 R sin(atan(s / R) / 2) from the
+/// Minimum distance of a newcomer from its parent after the projection, as a fraction of the
+/// lattice spacing. A closer newcomer is rejected. The projection moves a point at one spacing s in
+/// the tangent plane of a sphere of radius R to the distance 2 R sin(atan(s / R) / 2) from the
 /// parent. This distance is 0.6 s for R = 0.61 s. A smaller sphere has room for at most five
 /// particles of the lattice (4 pi R^2 / (0.866 s^2) = 5.4), so no particle can have six neighbours.
 ///
@@ -174,7 +175,7 @@ pub(crate) const PARENT_DISTANCE: f64 = 0.6;
 pub const DEFECT_WINDOW: usize = 10;
 
 /// Default of [`Parameters::defect_tolerance`](crate::Parameters::defect_tolerance). Measured with
-/// the sizes and programs described at [`REST_SHARE`], and with 0.00375, 0.0075, 0.015 and 0.03:
+/// the surfaces and options described at [`REST_SHARE`], and with 0.00375, 0.0075, 0.015 and 0.03:
 /// the heart takes 87, 85, 69 and 69 passes and keeps 18.5, 18.3, 18.6 and 20.9 % lattice defects.
 /// The torus takes 89, 88, 86 and 57 passes and keeps 4.7, 4.9, 5.3 and 7.9 %.
 pub(crate) const DEFECT_TOLERANCE: f64 = 7.5e-3;
@@ -195,25 +196,25 @@ pub(crate) const REST_SHARE: f64 = 2e-3;
 /// takes 0.50, 0.38 and 0.32 s with 0.9899, 0.9892 and 0.9889.
 pub(crate) const BALANCE_WINDOW: usize = 14;
 
-/// Minimum of [`REST_SHARE`] on levels before the last: the next level replaces most of the
-/// particles that density control adds and deletes there. Measured with the surfaces described at
+/// Lower bound of the rest share on levels before the last: the next level has its own density
+/// control, so these levels need not come to rest. Measured with the surfaces described at
 /// [`REST_SHARE`] and 0.002, 0.01, 0.05 and 0.2: the heart takes 96, 85, 85 and 66 passes on all
 /// levels and keeps 19.7, 18.3, 18.3 and 20.7 % lattice defects. The torus takes 88 or 89 passes.
 pub(crate) const COARSE_REST_SHARE: f64 = 5e-2;
 
 /// Maximum number of passes without density control at the end of a level before the last. The next
-/// level moves the lattice of such a level anyway. Measured with 10 and 3: the lungs of
-/// `thorax_labels` (79,000 particles, h = 1.64 mm) take 1.67 and 1.44 s with a mean radius ratio of
-/// 0.9907 and 0.9901. `heart_label` at h = 2.1 mm takes 0.43 and 0.38 s with 0.9888 and 0.9887.
+/// level moves these particles anyway. Measured with 10 and 3: the lungs of `thorax_labels` (79,000
+/// particles, h = 1.64 mm) take 1.67 and 1.44 s with a mean radius ratio of 0.9907 and 0.9901.
+/// `heart_label` at h = 2.1 mm takes 0.43 and 0.38 s with 0.9888 and 0.9887.
 pub(crate) const COARSE_CLOSING_PASSES: u64 = 3;
 
 /// Number of passes between two spatial sorts of the particles. Checkpoints are written only just
 /// before a sort, so this is also the minimum interval between checkpoints. With 5, 10, 20 and 40,
-/// `thorax_labels` 1 takes 5.0, 4.7, 4.7 and 4.7 s on two processor cores and 0.21, 0.20, 0.20 and
-/// 0.21 s on an H200 (step `settle` of the report).
+/// label 1 of `thorax_labels` takes 5.0, 4.7, 4.7 and 4.7 s on two processor cores and 0.21, 0.20,
+/// 0.20 and 0.21 s on an H200 (step `settle` of the report).
 pub const REORDER_INTERVAL: u64 = 10;
 
-/// Minimum distance between the seeds of the coarsest level, in edge lengths. With this value as
+/// Minimum distance between the seeds of the coarsest level, in edge lengths. With this value, as
 /// many seeds remain as the hexagonal lattice has particles. Random sequential selection at
 /// distance r keeps 0.70 / r^2 points per unit area. The lattice of edge h has 1.155 / h^2 points
 /// per unit area, and 0.70 / 0.776^2 = 1.16.

@@ -1,10 +1,10 @@
 //! Density control (section 3.3 of the paper).
 //!
 //! A particle whose energy is too high (oversampling) is deleted. A particle whose energy is too
-//! low (undersampling) gets a newcomer in the widest gap between its neighbours. The random bias of
-//! Witkin and Heckbert keeps neighbours from acting simultaneously. In addition, each deletion
-//! immediately updates the energies of the neighbours. Without this update, dense seeds would lose
-//! far too many particles in one pass.
+//! low (undersampling) gets a newcomer in the widest gap between its neighbours. With the random
+//! bias of Witkin and Heckbert, neighbours are rarely deleted, or given newcomers, in the same
+//! pass. In addition, each deletion immediately updates the energies of the neighbours. Without
+//! this update, dense seeds would lose far too many particles in one pass.
 
 use crate::constants::{INITIAL_LAMBDA, NEWCOMER_DISTANCE, PARENT_DISTANCE, PASS_TOLERANCE};
 use crate::implicit::Implicit;
@@ -99,7 +99,7 @@ pub(crate) struct Newcomer {
     pub size: f64,
 }
 
-/// Adds a particle next to each particle (its parent) that has low energy and a wide enough gap
+/// Adds a newcomer next to each particle (its parent) that has low energy and a wide enough gap
 /// between its neighbours. Returns the new particles in the order of their parents.
 ///
 /// Two newcomers conflict if their parents are neighbours, or if they are on the same interface and
@@ -155,8 +155,9 @@ fn insert<S: Implicit>(
     newcomers.into_iter().filter(|_| chosen.next() == Some(true)).collect()
 }
 
-/// Returns the newcomer in the widest gap of particle i. Returns `None` if the projection fails or
-/// if a listed particle is closer than [`NEWCOMER_DISTANCE`] spacings to the newcomer.
+/// Returns the newcomer in the widest gap of particle i. Returns `None` if `place_in_widest_gap`
+/// finds no position or if a listed particle is closer than [`NEWCOMER_DISTANCE`] spacings to the
+/// newcomer.
 pub(crate) fn propose<S: Implicit>(state: &State, fields: &Fields<S>, deleted: &[bool], i: usize) -> Option<Newcomer> {
     let (position, normal, size) = place_in_widest_gap(state, fields, deleted, i)?;
     let set = &state.set;
@@ -172,8 +173,8 @@ pub(crate) fn propose<S: Implicit>(state: &State, fields: &Fields<S>, deleted: &
 }
 
 /// Finds the widest gap between the neighbours of particle i within the second ring. Projects the
-/// point at one spacing from the particle, in the middle of this gap, onto the surface. Returns
-/// position, normal and h of the projected point.
+/// point one spacing from the particle, in the middle of this gap, onto the surface. Returns
+/// position, normal and h of the projected point, or `None` if it is rejected.
 fn place_in_widest_gap<S: Implicit>(
     state: &State,
     fields: &Fields<S>,
@@ -227,8 +228,7 @@ mod tests {
         let parameters = Parameters::default();
         let mut state = State::new(scene.seeds.clone(), parameters.normal_agreement);
         state.measure();
-        // deletion is off: a deleted particle makes room for newcomers, and the test could not
-        // check the distance from it
+        // deletion is off, so that the test can check the distance of newcomers from all particles
         let limits =
             Limits { ideal_energy: parameters.ideal_energy, add_below: parameters.add_below, delete_above: 1e9 };
         let before: HashSet<_> = state.set.positions.iter().map(|p| p.to_array().map(f64::to_bits)).collect();

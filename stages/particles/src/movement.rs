@@ -148,7 +148,7 @@ fn step<L: Simd, S: Implicit>(simd: L, state: &State, fields: &Fields<S>, near: 
         }
         lambda *= LAMBDA_GROWTH;
     }
-    // Algorithm 1: lambda is reset
+    // Algorithm 1: lambda is reset to its value before the pass
     result
 }
 

@@ -1,5 +1,6 @@
 //! The neighbours of one particle in SIMD layout, and the sums of Eq. 1 to 4 over them. For the
-//! tests, `reference.rs` computes the same sums pair by pair with the exact functions.
+//! tests, `reference.rs` computes the same sums pair by pair, with the tangent instead of a
+//! polynomial.
 
 use crate::constants::FIRST_RING;
 use fearless_simd::{Simd, f64x8, prelude::*};

@@ -1,5 +1,5 @@
-//! Reference for the tests: energies and forces, computed pair by pair with the exact functions.
-//! The SIMD sums and the GPU kernels are compared with this reference.
+//! Reference for the tests: energies and forces, computed pair by pair, with the tangent instead of
+//! a polynomial. The SIMD sums and the GPU kernels are compared with this reference.
 
 use crate::state::{Fields, State};
 use glam::{DMat3, DVec3};

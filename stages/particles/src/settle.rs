@@ -39,12 +39,12 @@ pub struct Parameters {
     /// Density control is nearly at rest if it adds and deletes at most this share of the particles
     /// per pass. If the value is 1 or more, the stop tests ignore density control.
     pub rest_share: f64,
-    /// Energy of a particle with the ideal number of neighbours (E_ideal), 0.554 to 7.84. It
-    /// determines [`Parameters::spacing`].
+    /// Energy of a particle in the target lattice (E_ideal), 0.554 to 7.84. It determines
+    /// [`Parameters::spacing`].
     pub ideal_energy: f64,
-    /// Add a particle where E < this times E_ideal.
+    /// Add a particle where E is below this multiple of E_ideal.
     pub add_below: f64,
-    /// Delete a particle where E > this times E_ideal.
+    /// Delete a particle where E is above this multiple of E_ideal.
     pub delete_above: f64,
     /// True if particles may be added. The paper's synthetic test (Table 3) does not add particles.
     /// If false, there is only one level.
@@ -194,7 +194,7 @@ pub struct Summary {
     /// True if the stop test ended the run, false if the pass limit ended it.
     pub settled: bool,
     /// Number of particles of the last level that the final projection could not place on the
-    /// surface.
+    /// surface. With many materials, includes the seeds that are not on their interface.
     pub escaped: usize,
     /// Final energy per particle, divided by E_ideal.
     pub energy_ratio: f64,
@@ -347,8 +347,9 @@ fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64>
 }
 
 /// Returns whether density control adds as many particles as it deletes while the number of lattice
-/// defects does not decrease. Applies `defect_tolerance` and `rest_share` to the means over the
-/// last [`BALANCE_WINDOW`] passes and over the same number of passes before them.
+/// defects does not decrease. Compares the mean share of defects over the last [`BALANCE_WINDOW`]
+/// passes with that over the same number of passes before them. `rest_share` limits the mean net
+/// growth over the last window.
 fn is_balanced(records: &[PassRecord], parameters: &Parameters) -> bool {
     let window = BALANCE_WINDOW;
     let Some(before) = records.len().checked_sub(2 * window) else { return false };

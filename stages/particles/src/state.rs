@@ -1,5 +1,5 @@
-//! State of the particles while they move: positions and dependent values, neighbour lists, and the
-//! classes of particles that may move together.
+//! State of the particles while they move: positions and dependent values, neighbour lists, and
+//! classes of blocks that can move concurrently.
 
 use crate::constants::{CPU_LIST_REACH, FIRST_RING, LATTICE_NEIGHBOURS};
 use crate::implicit::Implicit;
@@ -38,7 +38,7 @@ impl<S: Implicit> Fields<'_, S> {
     }
 }
 
-/// Particles, their neighbour lists and the classes of particles that may move together.
+/// Particles, their neighbour lists and classes of blocks that can move concurrently.
 pub(crate) struct State {
     pub set: ParticleSet,
     /// The stratum of each particle; empty for one object.
@@ -176,8 +176,8 @@ impl State {
     }
 
     /// Recomputes the energy of every particle (Eq. 1) and counts lattice defects. Particles next
-    /// to the border of an interface are not counted, because where the border bends, the lattice
-    /// cannot have six neighbours. Held particles have energy zero.
+    /// to the border of an interface are not counted, because a particle next to a curved border
+    /// need not have six neighbours. Held particles have energy zero.
     pub(crate) fn measure(&mut self) -> Measures {
         let mut energies = std::mem::take(&mut self.set.energies);
         energies.resize(self.len(), 0.0);

@@ -201,8 +201,8 @@ fn the_result_depends_neither_on_threads_nor_on_a_break() {
     assert!((records[19].energy / records[19].count as f64 / ideal_energy() - 1.0).abs() < 0.3);
 }
 
-/// Cases: smooth balls, steep h, balls only slightly larger than h, and a surface with folds and
-/// specks smaller than a voxel.
+/// Cases: smooth balls, steep h, balls only slightly larger than h, and a noisy surface with folds
+/// and specks smaller than a voxel.
 #[test]
 fn as_many_settle_as_are_predicted() {
     let ball = |radius: f64| sampled(move |p| p.length() - radius);

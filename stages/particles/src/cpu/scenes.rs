@@ -41,7 +41,7 @@ struct Curve {
     length: f64,
     /// Indices of the particles at the ends.
     ends: [u32; 2],
-    /// Returns the point at a share of the length, from 0 to 1.
+    /// Returns the point at a fraction of the length, from 0 to 1.
     point_at: Box<dyn Fn(f64) -> DVec3>,
 }
 
@@ -112,7 +112,8 @@ impl Body {
     }
 
     /// Returns the number of lattice particles inside the border of each interface. By Pick's
-    /// theorem, each border particle takes up half a cell, and the border adds one particle.
+    /// theorem, the count is the area in cells, minus half the number of border particles, plus one
+    /// if there is a border.
     pub(crate) fn lattice_counts(&self) -> Vec<(Stratum, f64)> {
         let h = self.sizing.at(CENTRE);
         let count = |area: f64, border: f64| {

@@ -76,9 +76,9 @@ fn interfaces_are_filled_to_their_borders() {
 }
 
 /// On a plane with a straight border, the first rows have as many particles as the border and are
-/// 0.866 h apart. Lattice defects displace individual particles: in half of all runs one particle,
-/// and 2 to 3 % of the first row by more than 0.12 of the row distance. The test therefore averages
-/// over several seeds.
+/// 0.866 h apart. Lattice defects displace 2 to 3 % of the particles of the first row, one particle
+/// in half of all runs, by more than 0.12 of the row distance. The test therefore averages over
+/// several seeds.
 #[test]
 fn rows_along_a_straight_border_are_those_of_the_lattice() {
     let body = sectors(1.0, 700);
@@ -198,8 +198,7 @@ fn newcomers_keep_their_distance_on_their_interface() {
 fn particles_off_their_interface_are_removed() {
     let mut body = sectors(1.0, 700);
     let count = body.seeds.1.of.len();
-    // one point beyond the axis, where the plane between two sectors lies in the third sector, and
-    // one point outside the ball
+    // two points outside the ball
     let on = body.seeds.1.of[count - 1];
     for p in [CENTRE + RADIUS * 1.2 * DVec3::X, CENTRE + RADIUS * 1.2 * DVec3::Y] {
         let (set, strata) = &mut body.seeds;

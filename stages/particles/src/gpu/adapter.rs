@@ -76,7 +76,7 @@ pub struct Gpu {
     /// True if timestamp queries are enabled.
     pub(crate) timestamps: bool,
     summary: AdapterSummary,
-    /// First error that the device reported outside the result of a call.
+    /// First uncaptured error of the device, or its loss.
     failure: Arc<Mutex<Option<String>>>,
     /// Compiled kernels: for one or several slabs, and for one object or many materials.
     kernels: Mutex<[Option<Arc<Kernels>>; 4]>,

@@ -1,6 +1,6 @@
 //! Encodes the commands of one pass into one command buffer. When profiling, a timestamp is written
-//! before and after each kernel. Encoding a pass takes the host as long as running a small pass
-//! takes the device, so the next pass is encoded while the device works.
+//! before and after each kernel. For a small pass, encoding on the host takes as long as execution
+//! on the device, so the next pass is encoded while the device works.
 
 use super::adapter::Gpu;
 use super::constants::GROUPS_PER_ROW;

@@ -15,7 +15,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 /// `maxComputeWorkgroupsPerDimension`. Further workgroups go along the second axis.
 pub(crate) const GROUPS_PER_ROW: u32 = 65_535;
 
-/// Workgroup size of kernels that use one invocation per particle and read neighbours: two
+/// Workgroup size of kernels that use one invocation per particle and no workgroup-wide sums: two
 /// subgroups of 32 lanes, or one of 64.
 pub(crate) const PARTICLE_GROUP: u32 = 64;
 /// Workgroup size of kernels with workgroup-wide sums: the maximum that every WebGPU adapter
@@ -62,7 +62,7 @@ const LATTICE_DEFECT: u32 = 1 << 30;
 /// other particles are 0 to 7, log10(damping / [`LEAST_LAMBDA`]).
 pub(crate) const HELD_CODE: u32 = 15;
 
-/// Brick index if no brick is open.
+/// Brick index if no record is loaded.
 const NO_BRICK: u32 = u32::MAX;
 
 /// Result of the checks of third materials: no third material is as close as the two materials of
@@ -77,9 +77,9 @@ const CHECKS_GO_ON: u32 = 2;
 /// smaller decrease does not move. The value is eight ulps of f32 (eight times 2^-23). An energy is
 /// a sum over about 18 neighbours, so its rounding error is a few ulps.
 const LEAST_DECREASE: f64 = 1e-6;
-/// Maximum gap between the two eigenvalues of a Hessian that the kernels treat as equal, as a share
-/// of their mean. At this gap the rounding error of the eigenvectors in f32 is about 1.2e-7 / 1e-6
-/// = 0.1 radians.
+/// Maximum gap between the two eigenvalues of a Hessian that the kernels treat as equal, as a
+/// fraction of their mean. At this gap the rounding error of the eigenvectors in f32 is about
+/// 1.2e-7 / 1e-6 = 0.1 radians.
 const EQUAL_EIGENVALUES_F32: f64 = 1e-6;
 
 /// Index of the word with the energy, as bits of an f32. The host reads the words after a pass.
@@ -88,10 +88,10 @@ pub(crate) const WORD_ENERGY: usize = 0;
 pub(crate) const WORD_MOVED: usize = 1;
 /// Index of the word with the number of attempted steps.
 pub(crate) const WORD_TRIES: usize = 2;
-/// Index of the word with the maximum move since the lists were built, in units of h, as bits of an
-/// f32.
+/// Index of the word with the maximum displacement since the lists were built, in units of h, as
+/// bits of an f32.
 pub(crate) const WORD_LONGEST_WAY: usize = 3;
-/// Index of the word with the number of members of all lists.
+/// Index of the word with the total length of all lists.
 pub(crate) const WORD_LISTED: usize = 4;
 /// Index of the word with the number of particles after density control.
 pub(crate) const WORD_COUNT: usize = 5;
@@ -99,15 +99,15 @@ pub(crate) const WORD_COUNT: usize = 5;
 pub(crate) const WORD_KEPT: usize = 6;
 /// Index of the word with the number of lattice defects.
 pub(crate) const WORD_DEFECTS: usize = 7;
-/// Index of the word with the number of members of the longest list.
+/// Index of the word with the length of the longest list.
 pub(crate) const WORD_LONGEST_LIST: usize = 8;
 /// Index of the word with the number of classes: the index of the last non-empty class plus one.
 pub(crate) const WORD_CLASSES: usize = 9;
 /// Number of words.
 pub(crate) const WORDS: usize = 10;
 
-/// Particle count of a pass if the host does not know it yet: the number that the previous pass
-/// left.
+/// Stands for the number of particles that the previous pass left, if the host does not know it
+/// yet.
 pub(crate) const COUNT_ON_DEVICE: u32 = u32::MAX;
 
 /// Number of particles whose neighbour lists are interleaved: the subgroup size of most adapters.

@@ -1,7 +1,8 @@
-//! Multi-material data on the device: half differences of indicators, G = (F_high - F_low) / 2. A
-//! difference is stored for every pair of materials whose interface has particles, in all bricks
-//! where both indicators are stored. Where a third material may be equally close, the difference
-//! between the third material and the higher of the two is stored too.
+//! Multi-material data on the device: half differences of indicators, G = (F_high - F_low) / 2,
+//! where `high` is the material with the higher number. A difference is stored for every pair of
+//! materials whose interface has particles, in all bricks where both indicators are stored. Where a
+//! third material may be equally close, the difference between the third material and `high` is
+//! stored too.
 //!
 //! A particle therefore reads one coefficient per node, as with a single object. Two look-ups find
 //! the coefficients: the entry of the brick, and a record with the eight blocks of coefficients
@@ -13,18 +14,19 @@
 //!
 //! - Group 0: index of the first stratum, and three unused words.
 //! - From [`INDEX_BRICKS`]: one entry for each brick of the grid, with x varying fastest. An entry
-//!   contains two pairs, the most likely first. A pair is the number of an interface (or
-//!   [`NO_INTERFACE`]) and the index of its record. If the brick has more than two interfaces, the
-//!   second pair is [`MORE_INTERFACES`] and the index of the next entry.
+//!   contains two pairs. The interface closest to the brick centre comes first. A pair is the
+//!   number of an interface (or [`NO_INTERFACE`]) and the index of its record. If the brick has
+//!   more than two interfaces, the second pair is [`MORE_INTERFACES`] and the index of the next
+//!   entry.
 //! - The additional entries.
 //! - Records of four groups each. Groups 0 and 1: the blocks, with x varying fastest. Group 2: two
 //!   bit masks of two words each for the 64 cells of the brick. The first marks the cells where
 //!   both materials are known, the second the cells where a third material may be equally close.
 //!   Group 3: index of the first check, number of checks or [`NEVER_REAL`], and two unused words.
-//! - Checks: index of the record of the difference between a third material and the higher of the
-//!   two materials (positive where the interface is real); whether the stored difference has the
-//!   opposite sign; mask of the cells where the third material may be equally close. A cell of the
-//!   mask where the third material is not known lies inside that material.
+//! - Checks: index of the record of the difference between a third material and `high` (positive
+//!   where the interface is real); whether the stored difference has the opposite sign; mask of the
+//!   cells where the third material may be equally close. A cell of the mask where the third
+//!   material is not known lies inside that material.
 //! - Strata: the four materials of each stratum, padded with 65535.
 
 use isoparticles_field::materials::{
@@ -60,7 +62,7 @@ struct Pair {
     low: u16,
     high: u16,
     brick: u32,
-    /// Index of the brick among the bricks of each material.
+    /// Indices of the brick among the bricks of `low` and of `high`.
     numbers: [u32; 2],
 }
 
@@ -201,7 +203,7 @@ fn near_cells(materials: &Materials, pair: &Pair, (third, number): (MaterialId, 
         })
         .collect();
     // takes the minimum over the four nodes that a cell reads, first along x, then y, then z; each
-    // iteration moves its axis to the slowest position
+    // iteration makes its axis the slowest-varying one
     for _ in 0..3 {
         let rows = least.len() / NODES_PER_AXIS;
         least = (0..CELLS * rows)

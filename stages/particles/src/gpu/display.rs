@@ -3,9 +3,9 @@
 //! prints `error: XDG_RUNTIME_DIR is invalid or not set` to stderr. The order of adapters in this
 //! program does not depend on a display.
 
-/// If there is no Wayland display, restarts this program in the same process, with the same
-/// arguments and without the layer device_select. An environment variable disables the layer, and a
-/// running process cannot safely set such a variable for itself.
+/// If `XDG_RUNTIME_DIR` is not an absolute path, restarts this program in the same process, with
+/// the same arguments and without the layer device_select. An environment variable disables the
+/// layer, and a running process cannot safely set such a variable for itself.
 ///
 /// Does nothing if the user controls the layer (`MESA_VK_DEVICE_SELECT`, `NODEVICE_SELECT`) or if
 /// the restart fails. The message is harmless.

@@ -77,7 +77,7 @@ pub struct GpuEngine<'a> {
     /// Number of classes that a pass dispatches. Each class costs a dispatch, so this is only
     /// slightly more than the number in use.
     pub(super) classes: u32,
-    /// Change of the number of particles in the last pass.
+    /// Absolute change of the number of particles in the last pass.
     pub(super) changed: u32,
     /// Last pass that controls the density.
     pub(super) last_control: u64,
@@ -87,7 +87,7 @@ pub struct GpuEngine<'a> {
     /// The next pass, if it was submitted early.
     pub(super) submitted: Option<SubmittedPass>,
     started: Instant,
-    /// Times so far. [`GpuEngine::report`] adds the other members.
+    /// Times so far. [`GpuEngine::report`] fills in the other fields.
     pub(super) spent: DeviceReport,
 }
 

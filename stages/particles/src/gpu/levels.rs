@@ -1,10 +1,10 @@
 //! Levels of bins, one for each octave of h. The levels are computed once per run from the fields
 //! near the surface. They do not depend on the particles, so a resumed run has the same levels.
 //!
-//! A particle belongs to the last level k with `largest / 2^k` of at least its h. The bin edge of a
-//! level is the maximum reach of the neighbour lists of its particles, [`BIN_REACH`] largest / 2^k.
-//! A query therefore visits at most 27 bins of the level. A single level corresponds to the global
-//! bin edge of the paper.
+//! A particle belongs to the last level k for which `largest / 2^k` is at least its h. The bin edge
+//! of a level is the maximum reach of the neighbour lists of its particles, [`BIN_REACH`] largest /
+//! 2^k. A query therefore visits at most 27 bins of the level. A single level corresponds to the
+//! global bin edge of the paper.
 
 use super::constants::{BIN_REACH, MOST_LEVELS};
 use crate::state::Fields;
@@ -17,8 +17,8 @@ use rayon::prelude::*;
 /// the same results. A bin has a count and a start, 8 bytes, so a level needs at most 32 MB.
 const MOST_BINS: f64 = 4e6;
 
-/// Returns the voxel whose centre is the origin of device positions, near the middle of the grid.
-/// There f32 positions have the best resolution. Because the origin is the centre of a voxel, the
+/// Returns the voxel whose centre is the origin of device positions, near the middle of the grid,
+/// which gives f32 positions the best resolution. Because the origin is the centre of a voxel, the
 /// fraction within a cell is exact.
 pub(crate) fn centre_voxel(geometry: &Geometry) -> UVec3 {
     UVec3::from_array(geometry.size.map(|n| n as u32 / 2))

@@ -2,10 +2,10 @@
 //! `/shaders`.
 //!
 //! The particles stay on the device from the first pass to the last, and the host reads a few words
-//! per pass. Each kernel is named after its file and has a twin in the CPU code. The twins of the
-//! lists are in `isoparticles_field::neighbours`, those of the energy in `energy`, and those of the
-//! fields in `spline` and `sizing`. The twins of movement and density control are in the parent
-//! folder. Both backends share the constants.
+//! per pass. Each kernel is named after its file. A twin is the CPU code that performs the same
+//! computation. The twins of the lists are in `isoparticles_field::neighbours`, those of the energy
+//! in `energy`, and those of the fields in `spline` and `sizing`. The twins of movement and density
+//! control are in the parent folder. Both backends share the constants.
 
 mod adapter;
 mod commands;

@@ -90,7 +90,8 @@ pub(crate) fn run_block(
 }
 
 /// Returns the block `Planned`, which contains the values of a pass that the host knows at
-/// submission. `shaders/begin_pass.wgsl` computes the values that the kernels read from it.
+/// submission. From these, `shaders/begin_pass.wgsl` computes the values that the other kernels
+/// read.
 pub(crate) fn plan_block(
     number: u64,
     count: u32,

@@ -25,10 +25,10 @@ use isoparticles_stage::error::Result;
 use std::time::Instant;
 
 /// Number of classes dispatched in addition to the classes in use. The number in use varies where
-/// particles are dense, and a pass that needs more classes must be repeated. Measured
-/// with 0, 2 and 4 (heart of docs/developer/method.md, also with `seed --from marching-cubes`;
-/// `--backend gpu --adapter llvmpipe --max-passes 60`): no pass is repeated because of its classes.
-/// Each additional class costs an empty dispatch.
+/// particles are dense, and a pass that needs more classes must be repeated. Measured with 0, 2 and
+/// 4 (heart of docs/developer/method.md, also with `seed --from marching-cubes`; `--backend gpu
+/// --adapter llvmpipe --max-passes 60`): no pass is repeated because of too few classes. Each
+/// additional class costs an empty dispatch.
 const CLASSES_TO_SPARE: u32 = 2;
 
 impl GpuEngine<'_> {
@@ -50,8 +50,8 @@ impl GpuEngine<'_> {
         (self.count + self.count / 16 + 64).min(self.rows)
     }
 
-    /// Returns the commands of a pass over at least `least` particles. Uses the commands already
-    /// encoded if they fit; otherwise encodes new commands for `room` particles.
+    /// Returns the commands of a pass with room for at least `least` particles. Uses the commands
+    /// already encoded if they fit; otherwise encodes new commands for `room` particles.
     fn commands(&mut self, plan: Plan, least: u32, room: u32) -> EncodedPass {
         let ready = self.encoded_next.take().filter(|ahead| ahead.plan == plan && least <= ahead.room);
         ready.unwrap_or_else(|| self.make_commands(plan, room))

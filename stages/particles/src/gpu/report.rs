@@ -42,7 +42,8 @@ pub struct DeviceReport {
 }
 
 impl DeviceReport {
-    /// Returns the sum of the reports of this level and the earlier levels.
+    /// Combines the report of this level with that of the earlier levels: sums of times, maximum of
+    /// memory.
     pub(crate) fn after(mut self, before: Self) -> Self {
         self.device_seconds += before.device_seconds;
         self.upload_seconds += before.upload_seconds;

@@ -12,10 +12,11 @@ use glam::UVec3;
 /// so rounds after the sixth change nothing. `tests/lists.rs` requires a class for 99.5 % of the
 /// particles, and for 80 % where the particles are too dense.
 const CLASS_ROUNDS: u32 = 6;
-/// Number of rounds of deletion per pass. `shaders/density_delete.wgsl` compares the rounds with
-/// the order on the CPU. Measured like [`CLASS_ROUNDS`]: with the default seeds, the results of 3
-/// and 5 rounds are identical. With seeds from marching cubes (`seed --from marching-cubes`), which
-/// are too dense, 1, 2, 3 and 4 rounds leave 6235, 4815, 4761 and 4747 particles after 60 passes.
+/// Number of rounds of deletion per pass. A comment in `shaders/density_delete.wgsl` compares the
+/// rounds with the order on the CPU. Measured like [`CLASS_ROUNDS`]: with the default seeds, the
+/// results of 3 and 5 rounds are identical. With seeds from marching cubes (`seed --from
+/// marching-cubes`), which are too dense, 1, 2, 3 and 4 rounds leave 6235, 4815, 4761 and 4747
+/// particles after 60 passes.
 const DELETION_ROUNDS: u32 = 3;
 
 /// Number of bin colours.
@@ -51,8 +52,8 @@ pub(crate) struct Step {
     /// Value of the variable `round` of the kernel.
     pub round: u32,
     pub aliases: Aliases,
-    /// Number of workgroups. `None` for an indirect dispatch, for which the device computes the
-    /// number for this class.
+    /// Number of workgroups. `None` for an indirect dispatch; the device then computes the number
+    /// for the class.
     pub workgroups: Option<u32>,
 }
 

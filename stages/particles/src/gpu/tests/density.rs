@@ -121,7 +121,7 @@ fn undersampled(energy: f32, i: usize) -> Option<bool> {
     both(beyond(lack, bar), beyond(random_uniform(1, i) * lack, bar))
 }
 
-/// Returns random points on a torus with graded h, more than the lattice has.
+/// Returns a torus with graded h and more random particles than the lattice has.
 fn too_many() -> Scene {
     Scene::bumpy_torus(2100)
 }
@@ -156,7 +156,7 @@ fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
         assert!(now <= was * (1.0 + 1e-4), "{i}: energy {was} -> {now}");
     }
     assert!(members > 40 && moved * 10 > members * 9, "{moved} of {members} moved");
-    // if the energies are nearly equal, a step may be rejected on one side only
+    // if the energies are nearly equal, a step may be accepted on only one of the two backends
     assert!(alike * 100 >= members * 98, "{alike} of {members} went where the CPU sends them");
 }
 

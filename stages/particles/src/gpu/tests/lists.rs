@@ -33,7 +33,7 @@ fn lists_equal_the_cpu_and_neighbours_differ_in_class() {
             found.sort_unstable();
             let mut want = neighbours.of(i).to_vec();
             want.sort_unstable();
-            // the lists may differ only by pairs within rounding of a limit
+            // the lists may differ only in pairs that rounding can move across a limit
             let edge = |j: &u32| {
                 let j = *j as usize;
                 let limit = BIN_REACH * set.sizes[i].min(set.sizes[j]);
