@@ -177,14 +177,14 @@ fn at_vertices(
     Ok(seed_vertices(&found, surface, sizing, context.seed(), context)?)
 }
 
-/// Computes the exact predicted count, and times this as a step in the report.
+/// Computes the exact predicted count, as a timed step of the report.
 fn predicted(sizing: &SizingField, surface: &CubicSpline, context: &Context) -> f64 {
     let _step = context.step("predict the count");
     sizing.predicted_count(surface)
 }
 
-/// Rejects sizes larger than the object, and counts that exceed the memory. Without --count, the
-/// count comes from `predicted`.
+/// Rejects an h that is too large for the object, and counts that exceed the memory. Without
+/// --count, the count comes from `predicted`.
 pub(crate) fn check_prediction(args: &Args, predicted: impl FnOnce() -> f64, context: &Context) -> Result<()> {
     let sizes = args.sizefield.display();
     let count = args.count.map_or_else(predicted, |count| count as f64);

@@ -1,4 +1,4 @@
-//! Samples the isosurface by Poisson disks with the spacing of the sizing field. All seeds,
+//! Samples the isosurface by Poisson-disk sampling with the spacing of the sizing field. All seeds,
 //! including seeds at vertices, are then projected, and every component gets a minimum number of
 //! particles.
 
@@ -15,8 +15,8 @@ use isoparticles_mesh::buckets::joined;
 use isoparticles_stage::monitor::{Interrupted, Monitor};
 use rayon::prelude::*;
 
-/// Number of candidates per particle that the sizing field predicts. More candidates fill more of
-/// the gaps between disks: the constant 16 instead of 8 raises the count by 7 % at the same radius.
+/// Number of candidates per predicted particle. More candidates fill more of the gaps between
+/// disks: 16 instead of 8 raises the count by 7 % at the same radius.
 pub(crate) const OVERSAMPLING: f64 = 8.0;
 /// Memory in bytes per seeded particle: the candidates with their order and bins. Measured: the
 /// peak memory grows by 660 bytes per particle from 8,514 to 99,084 particles on one grid (`make
@@ -25,8 +25,9 @@ pub(crate) const OVERSAMPLING: f64 = 8.0;
 pub const BYTES_PER_PARTICLE: f64 = 1300.0;
 /// Minimum distance between two seeds in units of h. In a plane, this sampling then has 0.94 times
 /// the density of the hexagonal lattice of spacing h (`cargo test -p isoparticles-seed density`).
-/// Density control closes the difference. The upper bound is 0.777: there, random disks jam (at a
-/// covered fraction of 0.547) with the density of the lattice, however many candidates there are.
+/// Density control adds the missing particles. The upper bound is 0.777: at this radius, random
+/// disks jam (at a covered fraction of 0.547) at the density of the lattice, regardless of the
+/// number of candidates.
 pub(crate) const DISK_RADIUS: f64 = 0.71;
 /// Maximum distance from a point on a triangle of marching cubes to F = 0, in voxels. F changes
 /// sign on the cell edge of each vertex, so a vertex is less than one voxel from the surface. The
@@ -224,8 +225,8 @@ pub(crate) fn sample(
     }
 }
 
-/// Moves one list out of every part and concatenates the lists. Only one kind of list exists twice
-/// at a time.
+/// Moves one list out of every part and concatenates the lists. Only one of the lists is in memory
+/// twice at a time.
 fn taken<T: Copy + Default + Send + Sync>(
     parts: &mut [Candidates],
     list: impl Fn(&mut Candidates) -> &mut Vec<T>,
@@ -234,7 +235,7 @@ fn taken<T: Copy + Default + Send + Sync>(
 }
 
 /// Selects candidates in random order. Each selected candidate removes all other candidates within
-/// the disk radius that have a similar normal and for which `crowd` is true.
+/// the disk radius whose normals differ by less than 90 degrees and for which `crowd` is true.
 pub(crate) fn eliminate(candidates: &Candidates, seed: u64, crowd: impl Fn(usize, usize) -> bool + Sync) -> Vec<u32> {
     let numbers = (0..candidates.points.len()).into_par_iter();
     let mut order: Vec<(u64, u32)> = numbers.map(|i| (random::bits(seed ^ 0x5eed, 0, i as u64), i as u32)).collect();

@@ -11,9 +11,9 @@ use isoparticles_stage::monitor::{Interrupted, Monitor};
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
-/// Finest grid that is tried to reach a number of vertices, as the number of cells along each edge
-/// of a voxel. The ribcage of the torso phantom has 170,480 vertices on its own grid and 684,588 on
-/// a grid twice as fine, more than twice the maximum of Table 3.
+/// Maximum refinement of the grid to reach a number of vertices, in cells along each edge of a
+/// voxel. The ribcage of the torso phantom has 170,480 vertices on its own grid and 684,588 on a
+/// grid twice as fine, more than twice the maximum of Table 3.
 pub const FINEST: usize = 4;
 
 /// Memory in bytes per node of a finer grid: the value of the node, and the vertices and triangles
@@ -39,7 +39,7 @@ pub struct Vertices {
 /// the finest grid has too few vertices.
 ///
 /// # Errors
-/// If the monitor interrupts, or if `has_room` rejects the nodes of a finer grid.
+/// If the monitor interrupts the run, or if `has_room` rejects the nodes of a finer grid.
 pub fn vertices<E: From<Interrupted>>(
     distance: &Image<f32>,
     surface: &CubicSpline,
@@ -100,9 +100,9 @@ fn with_normals(mesh: &TriangleMesh) -> Vec<(DVec3, DVec3)> {
     mesh.vertices.iter().copied().zip(normals).collect()
 }
 
-/// Selects `count` of the points, evenly spaced along a space-filling curve, so that the density of
-/// points is the same in every region. `count` must be below the number of points. Returns indices
-/// in ascending order.
+/// Selects `count` of the points, evenly spaced along a space-filling curve, so that about the same
+/// fraction of points is selected in every region. `count` must be below the number of points.
+/// Returns indices in ascending order.
 fn spread(points: &[DVec3], spacing: f64, count: usize) -> Vec<u32> {
     let along = space_order(points, &vec![spacing; points.len()], 1.0);
     let mut chosen: Vec<u32> = (0..count).map(|n| along[(2 * n + 1) * points.len() / (2 * count)]).collect();

@@ -1,7 +1,7 @@
 //! Averages vertex values over adjacent triangles, along the surface.
 //!
-//! In the hexagonal lattice of edge L, one round gives the vertex a weight of 1/3 and each of its
-//! six neighbours 1/9. Per tangent direction this is a variance of (6 / 9) L^2 / 2 = L^2 / 3, so n
+//! In a hexagonal lattice with edge length L, one round gives the vertex a weight of 1/3 and each
+//! of its six neighbours 1/9. The variance per tangent direction is (6 / 9) L^2 / 2 = L^2 / 3, so n
 //! rounds act like a Gaussian with a standard deviation of L sqrt(n / 3).
 
 use isoparticles_mesh::incidence::Incidence;
@@ -9,8 +9,8 @@ use rayon::prelude::*;
 use std::ops::{Add, Mul};
 
 /// Replaces the value of each vertex by the mean over the triangles at the vertex, `rounds` times.
-/// A triangle counts with the mean of its corners. The result does not depend on the number of
-/// threads. Vertices without triangles keep their values.
+/// The value of a triangle is the mean of its corner values. The result does not depend on the
+/// number of threads. Vertices without triangles keep their values.
 pub(crate) fn average<T>(surface: &Incidence<'_>, values: &mut [T], zero: T, rounds: usize)
 where
     T: Copy + Add<Output = T> + Mul<f64, Output = T> + Send + Sync,

@@ -1,11 +1,12 @@
 //! Gradation by marching in blocks of the grid. A block fits into the cache of a core, and blocks
 //! run in parallel.
 //!
-//! With one queue for the whole grid, the front leaves the cache before the next bucket begins.
-//! Each block therefore has its own queue and processes several buckets at a time. Changes at the
-//! faces of a block are sent to the adjacent blocks (two-scale methods: Chacon and Vladimirsky
-//! 2012). Blocks are coloured like a chessboard. Blocks of one colour run in parallel and do not
-//! read each other's values, so the result does not depend on the number of threads.
+//! With a single queue for the whole grid, the front is evicted from the cache before the next
+//! bucket needs it. Each block therefore has its own queue and processes several buckets at a time.
+//! Changes at the faces of a block are sent to the adjacent blocks (two-scale methods: Chacon and
+//! Vladimirsky 2012). Blocks are coloured in a checkerboard pattern. Blocks of one colour run in
+//! parallel and do not use each other's values, so the result does not depend on the number of
+//! threads.
 
 use crate::scheme::{NodeSet, Scheme, Values};
 use rayon::prelude::*;
@@ -25,7 +26,7 @@ const BUCKET_WIDTH: f64 = 0.5;
 const _: () = assert!(3.0 * BUCKET_WIDTH * BUCKET_WIDTH < 1.0, "a bucket is wider than a step along a diagonal");
 
 /// Number of buckets that a block processes before it receives messages from other blocks. In the
-/// same example, 1, 8, 16 and 64 buckets need 3.00, 3.03, 3.14 and 3.81 tests of a node. The number
+/// same example, 1, 8, 16 and 64 buckets need 3.00, 3.03, 3.14 and 3.81 tests per node. The number
 /// of parallel turns is inversely proportional to this number.
 const BUCKETS_PER_TURN: u64 = 8;
 
@@ -49,7 +50,7 @@ pub(crate) struct Blocks<'a> {
     ends: bool,
 }
 
-/// A part of the grid with its own nodes and a border of nodes of the adjacent blocks.
+/// A part of the grid: its own nodes, and a border of nodes that belong to adjacent blocks.
 struct Block {
     /// Index, in the grid with border, of the block's border node at index (0, 0, 0).
     origin: usize,
@@ -57,7 +58,7 @@ struct Block {
     size: [usize; 3],
     /// Numbers of the blocks before and after this block along each axis.
     beside: [[Option<usize>; 2]; 3],
-    /// Colour in the chessboard pattern, 0 or 1.
+    /// Colour in the checkerboard pattern, 0 or 1.
     colour: usize,
     /// Indices of the block's requested nodes that may still be lowered.
     asked: Vec<u16>,
@@ -98,8 +99,8 @@ impl<'a> Blocks<'a> {
         Self { scheme, values, blocks, ends: asked.is_some() }
     }
 
-    /// Marches until all requested nodes have their final values, or all nodes if none are
-    /// requested.
+    /// Marches until the requested nodes have their final values. Without a set of requested nodes,
+    /// marches until all nodes have them.
     pub(crate) fn march(mut self) {
         // enter the thread pool once instead of once per turn
         rayon::scope(|_| {
@@ -170,8 +171,7 @@ impl Block {
             for (at, value) in self.queue.take(first) {
                 let place = place(at);
                 let node = self.node(scheme, place);
-                // a node that was lowered after this entry has a later entry, so this one is
-                // outdated
+                // skip outdated entries: a node that has been lowered since has a newer entry
                 if values.get(node) >= value {
                     self.lower_neighbours(scheme, values, (place, node, value), &mut messages);
                 }

@@ -11,8 +11,8 @@ impl Connections {
     /// Returns the adjacency of `samples` samples by the edges of the triangles.
     pub fn new(samples: usize, triangles: &[[u32; 3]]) -> Self {
         // the two triangles at an edge traverse it in opposite directions, so storing one direction
-        // per triangle gives every neighbour once; an edge at the rim of an open surface has only
-        // one triangle
+        // per triangle gives every neighbour once; a boundary edge of an open surface is stored in
+        // one direction only
         let mut start = vec![0u32; samples + 1];
         for t in triangles {
             t.iter().for_each(|&v| start[v as usize + 1] += 1);

@@ -32,26 +32,27 @@ pub(crate) const CURVATURE_ROUNDS: usize = 8;
 pub(crate) const SHARP: f64 = 5.0;
 
 /// Maximum depth in voxels of samples inside a medial ball. With a depth of 0, ripple next to the
-/// touching point would shrink balls to nothing. A larger value reduces the feature size (2.5 % on
-/// the ball at 0.03).
+/// touching point would shrink balls to nothing. A larger value reduces the feature size (by 2.5 %
+/// on the ball at 0.03).
 const BLUR: f64 = 0.01;
 
 /// Maximum depth of samples inside a medial ball on a noisy surface, as a fraction of the noise. It
 /// covers the noise that remains in the patches. At 0.3, the 5th percentile of the feature size of
-/// a noisy ball of 19 voxels fell from 18 to 7.5 (without pruning of bumps); 1 gives the same as
+/// a noisy ball of 19 voxels falls from 18 to 7.5 (without pruning of bumps); 1 gives the same as
 /// 0.6.
 const LEFT_OVER: f64 = 0.6;
 
-/// Maximum number of leaves of the axis tree that one nearest-point query visits. The axis of a
-/// ball is a cloud of points at nearly equal distances. The limit saves time: with 100 and with no
-/// limit, the feature sizes of balls, tori, an ellipsoid and a slab are the same.
+/// Maximum number of leaves of the axis tree that one nearest-point query visits. The axis points
+/// of a ball form a cluster near its centre, so their distances from a sample are nearly equal. The
+/// limit saves time: with 100 and with no limit, the feature sizes of balls, tori, an ellipsoid and
+/// a slab are the same.
 const MOST_LEAVES: usize = 400;
 
 /// Maximum distance in voxels from a vertex of marching cubes to F = 0. F changes sign on the cell
 /// edge of the vertex, so the distance along the edge is less than one voxel.
 const MAX_PROJECTION: f64 = 1.5;
 
-/// Tolerance of the projection, in voxels. It is small against [`BLUR`].
+/// Tolerance of the projection, in voxels. It is small compared with [`BLUR`].
 const PROJECTION_TOLERANCE: f64 = 1e-6;
 
 /// Interpretation of small bumps on the surface.
@@ -59,7 +60,8 @@ const PROJECTION_TOLERANCE: f64 = 1e-6;
 pub enum Bumps {
     /// Bumps may be noise of a scalar volume. Detected noise does not count as shape.
     MayBeNoise,
-    /// Bumps are shape and are measured unchanged. On labels, every bump contains a voxel centre.
+    /// Bumps are shape and are measured unchanged. In a label map, every bump contains a voxel
+    /// centre.
     AreShape,
 }
 
@@ -79,11 +81,11 @@ pub struct Features {
     pub points: Vec<DVec3>,
     /// Unit normals, outward.
     pub normals: Vec<DVec3>,
-    /// Maximum magnitude of the principal curvatures in 1/mm; on noisy parts, of the surface under
-    /// the noise. Empty for [`Purpose::OneSize`].
+    /// Maximum magnitude of the principal curvatures in 1/mm; on noisy parts, of the denoised
+    /// surface. Empty for [`Purpose::OneSize`].
     pub curvature: Vec<f64>,
-    /// Distance in mm to the medial axis, inside or outside; on noisy parts, of the surface under
-    /// the noise. Where curvature is high, at most the radius of curvature.
+    /// Distance in mm to the medial axis, inside or outside; on noisy parts, of the denoised
+    /// surface. Where curvature is high, at most the radius of curvature.
     pub feature_size: Vec<f64>,
     /// Root mean square height in mm of the noise that is not treated as shape.
     pub noise: Vec<f64>,
@@ -155,9 +157,9 @@ fn projected(vertices: &[DVec3], surface: &CubicSpline, spacing: f64) -> (Vec<DV
     (points, normals, tensors)
 }
 
-/// Returns the maximum principal curvature (1/mm) at each sample: from the patch on noisy parts,
-/// and from F elsewhere. It is not averaged, because averaging would flatten the curvature of a
-/// tip.
+/// Returns the maximum principal curvature (1/mm) at each sample: from the patch on noisy parts, 0
+/// next to them, and from F elsewhere. The curvature is not averaged, because averaging would
+/// reduce it at a tip.
 fn sharp_curvature(smoothed: &Smoothed, tensors: &[DMat3], normals: &[DVec3]) -> Vec<f64> {
     (0..normals.len())
         .into_par_iter()
@@ -170,8 +172,8 @@ fn sharp_curvature(smoothed: &Smoothed, tensors: &[DMat3], normals: &[DVec3]) ->
         .collect()
 }
 
-/// Returns the area of each component in mm^2. A component between the samples has no triangles;
-/// its area is the estimate of [`Component::area`].
+/// Returns the area of each component in mm^2. A component that lies between the samples has no
+/// triangles; its area is the estimate of [`Component::area`].
 fn component_areas(points: &[DVec3], triangles: &[[u32; 3]], component: &[u32], all: &[Component]) -> Vec<f64> {
     let mut areas = vec![0.0; all.len()];
     for t in triangles {
@@ -208,8 +210,8 @@ fn averaged_curvature(
     curvature
 }
 
-/// Returns the distance in mm to the medial axis of the surface under the noise. Where the
-/// curvature `sharp` is high, the distance is at most the radius of curvature.
+/// Returns the distance in mm to the medial axis of the denoised surface. Where the curvature
+/// `sharp` is high, the distance is at most the radius of curvature.
 fn feature_sizes(
     points: &[DVec3],
     normals: &[DVec3],

@@ -15,8 +15,8 @@ use crate::scheme::{Scheme, Values};
 use isoparticles_volume::Image;
 
 /// Lowers h to the steady state and replaces infinite values. If `asked` is given, only the nodes
-/// in it are sure to reach the steady state; other nodes may be above it. The result does not
-/// depend on the number of threads.
+/// in it are guaranteed to reach the steady state; other nodes may stay above it or infinite. The
+/// result does not depend on the number of threads.
 pub fn limit_gradient(h: &mut Image<f32>, delta: f64, asked: Option<&NodeSet>) {
     let size = h.geometry.size;
     let scheme = Scheme::new(size, (h.geometry.spacing * delta).to_array());
@@ -93,8 +93,8 @@ mod tests {
         let geometry = Geometry::axis_aligned([70, 51, 44], DVec3::new(1.0, 0.8, 1.3));
         let mut h = Image::filled(geometry.clone(), f32::INFINITY);
         let mut asked = NodeSet::new(h.data.len());
-        // sizes in a plane that vary by more than its width, so that most final values come from
-        // distant nodes
+        // sizes in a plane that vary by more than delta allows across it, so that most final values
+        // come from distant nodes
         for (i, j) in (0..70).flat_map(|i| (0..51).map(move |j| (i, j))) {
             let node = geometry.linear(i, j, 20);
             h.data[node] = (1.0 + 30.0 * uniform(1, 0, (i / 9 + 100 * (j / 7)) as u64)) as f32;

@@ -64,7 +64,7 @@ pub struct Parameters {
     /// Maximum distance from a triangle's centre to the surface due to curvature: h0 <= sqrt(6
     /// deviation R).
     pub max_deviation: f64,
-    /// Minimum number of particles of each component of the surface.
+    /// Minimum number of particles on each component of the surface.
     pub min_particles: f64,
     /// Factor on the h that results from all parameters above.
     pub scale: f64,
@@ -88,16 +88,15 @@ pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
         .collect()
 }
 
-/// Returns the edge length in mm that leaves room for the minimum number of particles on a
-/// component of `area` mm^2. A component below the resolution of the data still gets at least a few
-/// triangles.
+/// Returns the edge length in mm at which a component of `area` mm^2 has the minimum number of
+/// particles, but at least [`SMALLEST_SHARE`] of the minimum h.
 fn size_for_area(area: f64, parameters: &Parameters) -> f64 {
     let size = (2.0 * area / (3f64.sqrt() * parameters.min_particles)).sqrt();
     size.max(SMALLEST_SHARE * parameters.min_size)
 }
 
-/// Returns how many components are so small that h is below the minimum on them, and the minimum h
-/// (mm) on these components. Returns `None` if there are none.
+/// Returns the number of sampled components that are so small that their h is below `min_size`, and
+/// the smallest such h in mm. Returns `None` if there are none.
 pub fn lowered(features: &Features, parameters: &Parameters) -> Option<(usize, f64)> {
     let mut is_sampled = vec![false; features.component_area.len()];
     for &component in &features.component {

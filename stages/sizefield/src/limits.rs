@@ -1,5 +1,6 @@
-//! Checks the sizing field before the later stages. Rejects an edge length larger than the object,
-//! and particle counts that exceed the memory. Reports components that are too small for their h.
+//! Checks the sizing field before the later stages. Rejects a constant h that is too large for the
+//! object, and particle counts that exceed the memory. Reports components that are too small for
+//! their h.
 
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::topology::Component;
@@ -14,7 +15,7 @@ use std::path::Path;
 /// triangles with five triangles at each vertex.
 const FEWEST_PARTICLES: f64 = 12.0;
 
-/// Particles of the hexagonal lattice of spacing h per mm^2.
+/// Returns the number of particles per mm^2 of the hexagonal lattice of spacing h.
 fn density(h: f64) -> f64 {
     2.0 / (3f64.sqrt() * h * h)
 }
@@ -26,7 +27,7 @@ pub struct TooSmall {
     pub place: [f64; 3],
     /// Maximum extent of the component in mm along an axis of the grid.
     pub size: f64,
-    /// h at that point, mm.
+    /// h at `place`, mm.
     pub h: f64,
 }
 
@@ -90,7 +91,7 @@ pub fn check_size(path: &Path, size: f64, area: f64) -> Result<()> {
 /// Rejects sizes that need more particles than the memory allows in later stages.
 ///
 /// # Errors
-/// If the memory does not suffice. The message contains the figures.
+/// If the memory is not sufficient. The message contains the figures.
 pub fn check_count(path: &Path, predicted: f64, nodes: usize, context: &Context) -> Result<()> {
     context.check_memory(
         particles_bytes(predicted, nodes),

@@ -2,15 +2,15 @@
 //! algorithm (Ma, Bae and Choi 2012).
 //!
 //! A ball that touches the surface at a sample is shrunk until no other sample lies inside it. The
-//! centre of the ball is then on the medial axis, inside or outside the object. Each sample
-//! therefore gives two balls. Balls of unstable branches of the axis are pruned (Chazal and
-//! Lieutier 2005) by two criteria:
+//! centre of the ball is then on the medial axis. Each sample gives two balls, one inside and one
+//! outside the object. Balls of unstable branches of the axis are pruned (Chazal and Lieutier 2005)
+//! by two criteria:
 //!
-//! - The angle between the two touching points, seen from the centre, is small. Such a ball belongs
-//!   to ripple or to the outermost part of an end of the axis. Pruning shortens ends only slightly:
-//!   the feature size at the tip of an ellipsoid is 0.4 % too large.
+//! - The angle between the two touching points, seen from the centre, is small. Such a ball results
+//!   from ripple, or lies at the very end of a branch of the axis. Pruning shortens ends only
+//!   slightly: the feature size at the tip of an ellipsoid is 0.4 % too large.
 //! - The surface has noise ([`crate::noise`]), and the cap of the ball between the two points is no
-//!   higher than twice the noise. Such a ball belongs to a bump of the noise.
+//!   higher than twice the noise. Such a ball results from a bump of the noise.
 //!
 //! Two upper bounds of the radius save time. One comes from the distance field, and the other from
 //! the sample that the previous ball touches. All balls at one sample and side are nested, so a
@@ -91,9 +91,9 @@ pub fn medial_points(surface: &Surface<'_>, largest: f64) -> Vec<[Option<DVec3>;
 
 impl Surface<'_> {
     /// Finds the largest ball that touches the surface at sample i, lies in `direction`, and
-    /// contains no other sample deeper than the blur. Returns the sample that limits the ball, and
-    /// the radius at which the ball touches it. Returns `None` if no sample limits the ball up to
-    /// the radius `largest`. `hint` is a sample that may limit the ball.
+    /// contains no other sample deeper than the blur. Returns the radius at which the ball touches
+    /// the sample that limits it, and this sample. Returns `None` if no sample limits the ball up
+    /// to the radius `largest`. `hint` is a sample that may limit the ball.
     fn largest_empty(
         &self,
         tree: &KdTree,

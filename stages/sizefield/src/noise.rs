@@ -1,4 +1,4 @@
-//! Distinguishes noise from shape, and computes the surface under the noise.
+//! Distinguishes noise from shape, and computes the denoised surface.
 //!
 //! The residual of a least-squares patch ([`crate::patch`]) grows with the radius of the patch. If
 //! the shape is more complex than a quadric, the residual grows with a power of the radius. If the
@@ -33,16 +33,17 @@ const WIDER: [(f64, f64); 3] = [(3.0, 1.8), (4.0, 1.25), (6.0, 1.2)];
 /// steps of a coarse mask.
 const LARGEST_NOISE: f64 = 0.15;
 
-/// Residuals are measured at every `RESIDUAL_STRIDE`-th sample. An average of [`AVERAGING_ROUNDS`]
-/// then still covers about 16 residuals: a Gaussian of variance 40 / 3 has the weight of 4 pi 40 /
-/// 3 = 168 squared edges, and a sample covers 12 sqrt(3) / 2 = 10.4 of them.
+/// Residuals are measured at every `RESIDUAL_STRIDE`-th sample. An average over
+/// [`AVERAGING_ROUNDS`] rounds then still covers about 16 residuals: a Gaussian of variance 40 / 3
+/// has an effective area of 4 pi 40 / 3 = 168 squared edges, and each residual represents 12
+/// sqrt(3) / 2 = 10.4 of them.
 const RESIDUAL_STRIDE: usize = 12;
 
 /// Number of averaging rounds along the surface, for the residuals and for the vote on which
 /// samples are noisy. Forty rounds have a standard deviation of sqrt(40 / 3) = 3.7 edges of
 /// marching cubes ([`crate::averages`]). With 20 rounds for either, the test
 /// `a_half_noisy_ball_has_its_radius_everywhere` measures a minimum feature size of 1.2 instead of
-/// 17.4 voxels. With 80 rounds, it is 18.1, but the noise covers nearly the whole clean half.
+/// 17.4 voxels. With 80 rounds, it is 18.1, but nearly the whole clean half counts as noisy.
 const AVERAGING_ROUNDS: usize = 40;
 
 /// Number of triangles by which the noise is extended beyond the edge of a noisy region, where
@@ -56,7 +57,7 @@ const CHUNK: usize = 4096;
 
 /// Patch and noise height of each sample.
 pub struct Smoothed {
-    /// The patch under the noise; `None` where there is no significant noise.
+    /// The patch fitted through the noise; `None` where there is no significant noise.
     pub patches: Vec<Option<Patch>>,
     /// Root mean square height of the noise in mm, extended by a few triangles beyond the edge of
     /// noisy regions.
@@ -116,8 +117,8 @@ fn scales(samples: &Samples<'_>, incidence: &Incidence<'_>, voxel: f64) -> Vec<u
     scale
 }
 
-/// Decides by a majority of the nearby samples whether a sample is noisy. The patch of a noisy
-/// sample is the rounded mean over the nearby noisy samples.
+/// Decides by a majority of the nearby samples whether a sample is noisy. The patch number of a
+/// noisy sample is the rounded mean over the nearby noisy samples.
 fn vote(scale: &mut [usize], incidence: &Incidence<'_>) {
     let mut votes: Vec<DVec2> = scale.iter().map(|&s| DVec2::new(s.min(1) as f64, s as f64)).collect();
     average(incidence, &mut votes, DVec2::ZERO, AVERAGING_ROUNDS);

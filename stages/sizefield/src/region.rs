@@ -174,14 +174,15 @@ fn nodes_around(geometry: &Geometry, grid: DVec3) -> impl Iterator<Item = usize>
 }
 
 impl Ball {
-    /// Returns the grid nodes in the ball, but at least the nodes around its centre. Returns no
-    /// nodes if the ball lies outside the grid.
+    /// Returns the grid nodes in the ball, or within a cell diagonal of its centre if the radius is
+    /// smaller. Returns no nodes if the ball lies outside the grid.
     pub fn nodes<'a>(&self, geometry: &'a Geometry) -> impl Iterator<Item = usize> + 'a {
         let centre = geometry.world_to_grid(self.centre);
         let reach = self.radius.max(geometry.spacing.length());
         let low = geometry.grid_to_index(centre - reach).ceil();
         let high = geometry.grid_to_index(centre + reach).floor();
-        // casts saturate, so positions before the first node also give an empty range
+        // positions before the first node are clamped to 0, so a ball before the grid gives an
+        // empty range
         let range = move |a: usize| low[a].max(0.0) as usize..((high[a] + 1.0).max(0.0) as usize).min(geometry.size[a]);
         let along = move |j, k| range(0).map(move |i| [i, j, k]);
         let grid = range(2).flat_map(move |k| range(1).flat_map(move |j| along(j, k)));

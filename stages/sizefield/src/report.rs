@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 
 /// Minimum ratio of slice thickness to voxel width at which the message about noise also mentions
-/// the ripple of slices. The constant affects only this message.
+/// ripple from thick slices. The constant affects only this message.
 const THICK_SLICES: f64 = 1.5;
 
 /// Returns a message about the fraction of the surface with noise and the height of the noise.

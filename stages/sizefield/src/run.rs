@@ -297,7 +297,8 @@ struct Measured {
     one_size: Option<f64>,
     /// Maximum feature size in mm that the measurement distinguishes.
     largest: f64,
-    /// Whether the input is smooth at the scale of a voxel: a label map or a scaled field.
+    /// Whether the surface is smooth at the scale of a voxel: the input is a label map, or was
+    /// smoothed (`distfield --scale`).
     is_smooth: bool,
 }
 
@@ -310,8 +311,8 @@ fn measure(args: &Args, input: &Input, context: &Context) -> Result<Measured> {
     let image = &input.field.image;
     let largest = LARGEST_FEATURE_DIAGONALS * image.geometry.upper_corner().length();
     let one_size = args.one_size(image, &input.surface);
-    // a constant h is compared only with smaller features, and the centre of an empty ball is
-    // nearer than h only if its radius is below h
+    // a constant h is compared only with smaller features; no sample lies inside an empty ball, so
+    // the centre is nearer than h only if the radius is below h
     let largest = one_size.map_or(largest, |size| largest.min(size));
     // for a constant h, the question is whether it resolves the surface as it is, including noise
     let origin: DistanceMeta = meta::typed(&args.input, &input.field.meta, "distfield")?;
@@ -335,7 +336,7 @@ fn measure(args: &Args, input: &Input, context: &Context) -> Result<Measured> {
 }
 
 /// Computes the sizing field from the measured surface and the options. Also returns the number of
-/// components on which h is below the minimum, with the smallest h (mm).
+/// components on which h is below the minimum, and the smallest such h (mm).
 fn sized(
     args: &Args,
     input: &Input,
@@ -371,8 +372,8 @@ fn predicted(args: &Args, input: &Input, measured: &Measured, sizing: &SizingFie
     if let Some(vertices) = args.vertices.filter(|_| measured.one_size.is_some()) {
         return predicted_for(vertices as f64);
     }
-    // the count on triangles ignores smaller details, which a smooth surface does not have; a
-    // requested number needs the exact count
+    // the count on triangles misses features between the samples, which a smooth surface does not
+    // have; a requested number needs the exact count
     if measured.is_smooth && args.vertices.is_none() {
         return sizing.count_on(&measured.features.points, &measured.features.triangles);
     }

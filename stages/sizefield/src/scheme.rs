@@ -131,8 +131,9 @@ impl Scheme {
         let (x, y) = ordered((x, self.weight[0]), (y, self.weight[1]));
         let (y, z) = ordered(y, (z, self.weight[2]));
         let ((least, wa), y) = ordered(x, y);
-        // p u^2 - 2 q u + r = 1 over the active axes, in ascending order of value; an axis is
-        // active if the solution with the previous axes exceeds the value of the axis
+        // p u^2 - 2 q u + r = 1, with u relative to `least`, over the active axes in ascending
+        // order of value; an axis is active if the solution with the previous axes exceeds the
+        // value of the axis
         let (mut p, mut q, mut r) = (wa, 0.0, 0.0);
         for (value, weight) in [y, z] {
             let over = value - least;

@@ -18,10 +18,10 @@ const FINISHED_OVER_PREDICTED: f64 = 0.95;
 /// 1053 and 1053 particles.
 const GRADED_ROUNDS: usize = 3;
 
-/// Number of iterations for a constant h with several materials. The particles on junction curves
-/// are inversely proportional to h, not to its square, so an iteration multiplies the relative
-/// error of h by half their share of the count. At a share of a third, six iterations reduce an
-/// initial error of a factor of ten to 10^(1 / 6^6), which is below 1e-4.
+/// Number of iterations for a constant h with several materials. The number of particles on
+/// junction curves is inversely proportional to h, not to its square. An iteration therefore
+/// multiplies the relative error of h by half their share of the count. At a share of a third, six
+/// iterations reduce an initial factor of ten to 10^(1 / 6^6), a relative error below 1e-4.
 const CONSTANT_ROUNDS: usize = 6;
 
 /// Returns the constant h in mm that gives a surface with this number of vertices.

@@ -106,8 +106,8 @@ fn slab() {
 
 #[test]
 fn ellipsoid_tip_is_bounded_by_its_curvature() {
-    // distance-like implicit function of an ellipsoid with half axes 16, 8, 8: b^2 / a = 4 at the
-    // tips
+    // approximate distance from an ellipsoid with semi-axes of 16, 8 and 8; the radius of curvature
+    // at the tips is b^2 / a = 4
     let image = sampled(56, |p| {
         let (q, r) = (p / DVec3::new(16.0, 8.0, 8.0), p / DVec3::new(256.0, 64.0, 64.0));
         q.length() * (q.length() - 1.0) / r.length().max(1e-3)
@@ -272,7 +272,7 @@ fn h_below_the_minimum_on_small_components_is_counted() {
         scale: 1.0,
         refined: Vec::new(),
     };
-    // 32 vertices on the area of a ball of radius 2 mm
+    // h at which a ball of radius 2 mm has 32 vertices
     let expected = (2.0 * 16.0 * std::f64::consts::PI / (3f64.sqrt() * 32.0)).sqrt();
     let (components, size) = lowered(&found, &parameters(2.0)).expect("one component is small");
     assert!(components == 1 && (size / expected - 1.0).abs() < 0.03, "{components} {size}, not {expected}");

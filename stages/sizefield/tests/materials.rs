@@ -22,7 +22,7 @@ fn nested() -> Analytic {
     Analytic::new(vec![negative(ball(CENTRE, 14.0)), shell, ball(CENTRE, 8.0)], 1.0)
 }
 
-/// Returns two quarters and a half of a ball of radius 14 mm, which meet along the axis of the
+/// Returns two quarters and a half of a ball of radius 14 mm, which meet along a diameter of the
 /// ball.
 fn wedges() -> Analytic {
     let all = || ball(CENTRE, 14.0);

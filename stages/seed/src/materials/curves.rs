@@ -9,10 +9,11 @@ use isoparticles_field::particle_set::Strata;
 use isoparticles_field::sizing::SizingField;
 use std::collections::BTreeSet;
 
-/// Maximum step along a curve in units of h. A curve is divided into the rounded number of steps,
-/// which are at most 1.25 h long for two or more steps. A single step could be 1.5 h long; above
-/// this limit it becomes two steps of at least 0.65 h. Every point of a step must be nearer than
-/// [`DISK_RADIUS`] to an end of the step, so that particles on interfaces keep clear of the curve.
+/// Maximum step along a curve in units of h. The number of steps is the length of the curve in
+/// units of h, rounded. With two or more steps, a step is at most 1.25 h long. A single step could
+/// be 1.5 h long; above this limit it becomes two steps of at least 0.65 h. Every point of a step
+/// must be nearer than [`DISK_RADIUS`] to an end of the step, so that particles on interfaces keep
+/// clear of the curve.
 const LONGEST_STEP: f64 = 1.3;
 const _: () = assert!(LONGEST_STEP > 1.25 && LONGEST_STEP < 2.0 * DISK_RADIUS, "a step has a wrong length");
 
@@ -21,20 +22,20 @@ const _: () = assert!(LONGEST_STEP > 1.25 && LONGEST_STEP < 2.0 * DISK_RADIUS, "
 /// its shape.
 const TINY_VOXELS: f64 = 2.0;
 
-/// Minimum number of particles on other closed curves: a closed polygon has at least three sides.
+/// Minimum number of steps of other closed curves: a closed polygon has at least three sides.
 const RING: usize = 3;
 
-/// Maximum distance in voxels of particles that count as coincident: half the distance at which the
-/// complex merges junction points. Coincident particles occur on chains that exist only in the grid
-/// complex.
+/// Maximum distance in voxels between particles that count as coincident: half the distance at
+/// which the complex merges junction points. Coincident particles occur on chains of the complex
+/// that have no counterpart in the true strata.
 const DUPLICATE_DISTANCE: f64 = 0.5 * SAME_JUNCTION;
 
 /// Maximum distance from a chain to its curve, in voxels: the same limit that the complex uses when
 /// it projects the vertices of a chain (`LONGEST_PROJECTION` in `complex/chains.rs`).
 const MAX_PROJECTION: f64 = 1.0;
 
-/// Tolerance of the projection, in voxels, as in the complex: about one ulp of a coefficient, which
-/// is an f32 of about one voxel near the zero set (2^-23 = 1.2e-7).
+/// Tolerance of the projection, in voxels, as in the complex: about one ulp of a spline
+/// coefficient, an f32 whose magnitude is about one voxel near the zero set (2^-23 = 1.2e-7).
 const TOLERANCE: f64 = 1e-7;
 
 /// Particles at junction points, in the order of the complex, followed by particles on curves.
@@ -48,7 +49,8 @@ pub struct Curves {
     pub sizes: Vec<f64>,
     /// Strata of the particles, and the segments of the curves.
     pub strata: Strata,
-    /// Number of particles that were skipped because the projection onto their curve failed.
+    /// Number of particles that were skipped because the projection onto their curve failed or
+    /// another material is nearer.
     pub not_projected: usize,
 }
 

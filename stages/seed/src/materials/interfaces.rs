@@ -55,7 +55,8 @@ struct Placed {
     component: u32,
 }
 
-/// Samples the interfaces of a complex, and holds the particles at points and on curves fixed.
+/// Places particles on the interfaces of a complex, away from the particles at points and on
+/// curves.
 pub fn seed_interfaces<I: Indicators>(
     indicators: &I,
     complex: &Complex,
@@ -123,7 +124,7 @@ impl Components {
         Self { mesh, of_triangle, members, is_closed, interface }
     }
 
-    /// Samples all components at the density of `spread`, apart from the particles on the border.
+    /// Samples all components at the density of `spread`, away from the particles on the border.
     /// Returns `None` for a sample that cannot be placed on its interface.
     fn sampled<I: Indicators>(
         &self,
@@ -166,8 +167,8 @@ impl InterfaceParticles {
     }
 }
 
-/// Projects a point of a triangle with this normal onto an interface. Returns the projected point
-/// and the unit normal at this point, or `None` if the projection fails, another material is
+/// Projects a point of a triangle with the given normal onto an interface. Returns the projected
+/// point and the unit normal at this point, or `None` if the projection fails, another material is
 /// nearer, or the normal points to the other side.
 fn met<I: Indicators>(indicators: &I, interface: Stratum, point: DVec3, normal: DVec3) -> Option<(DVec3, DVec3)> {
     let &[low, high] = interface.materials() else { return None };

@@ -79,7 +79,7 @@ pub fn seed_strata(
     (set, strata, summary)
 }
 
-/// Returns whether a number is a valid length, which is finite and positive.
+/// Returns whether a number is a valid length, that is, finite and positive.
 fn is_length(h: f64) -> bool {
     h.is_finite() && h > 0.0
 }

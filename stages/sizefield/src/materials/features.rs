@@ -18,7 +18,7 @@ use std::ops::{Add, Mul};
 
 /// Minimum distance in voxels from a third material at which the curvature of an interface is used.
 /// Closer to a third material, the indicators have kinks, which the spline rounds. The second
-/// derivative of a cubic spline through a kink falls by a factor of 0.27 (2 - sqrt(3)) per voxel.
+/// derivative of a cubic spline through a kink decays by a factor of 0.27 (2 - sqrt(3)) per voxel.
 /// At this distance, it is 0.46 times the change of slope per voxel; at the kink, 1.73 times.
 const CURVATURE_CLEARANCE: f64 = 1.0;
 
@@ -34,10 +34,10 @@ const WEDGE_LENGTH: f64 = 2.0;
 /// at most 3 %.
 const LEAST_STEP: f64 = 0.1;
 
-/// Fraction of a known distance that a step covers. A step crosses no interface if the distance is
-/// overestimated by less than a quarter (1 / 0.8). Marching overestimates by less than 6 % (test
-/// `steady_state_is_a_cone_of_slope_delta`); distances of the indicators are accurate to first
-/// order.
+/// Length of a step as a fraction of the estimated distance to the nearest interface. A step
+/// crosses no interface if the estimate is too large by less than a quarter (1 / 0.8). Marching
+/// overestimates distances by less than 6 % (test `steady_state_is_a_cone_of_slope_delta`);
+/// distances of the indicators are accurate to first order.
 const STEP_SHARE: f64 = 0.8;
 
 /// Measurements at the vertices of a complex.
@@ -122,7 +122,7 @@ fn interface(vertex: &Vertex) -> Option<(MaterialId, MaterialId)> {
 /// Ray marching across the materials, from one interface to the next.
 struct Ways<'a, I> {
     indicators: &'a I,
-    /// Lower bound of the distance to the nearest interface, mm.
+    /// Estimated distance to the nearest interface, mm ([`free_distances`]).
     free: Image<f32>,
     /// Vertices of each junction curve.
     curves: BTreeMap<Stratum, KdTree>,
@@ -176,8 +176,8 @@ impl<'a, I: Indicators> Ways<'a, I> {
     }
 }
 
-/// Returns a lower bound in mm of the distance from each node to the nearest interface. It is zero
-/// at the nodes of all cells that an interface crosses.
+/// Returns the estimated distance in mm from each node to the nearest interface. It is zero at the
+/// nodes of all cells that contain a vertex of the complex.
 fn free_distances(geometry: &Geometry, complex: &Complex) -> Image<f32> {
     let mut free = Image::filled(geometry.clone(), f32::INFINITY);
     for vertex in &complex.vertices {

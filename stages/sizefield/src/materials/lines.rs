@@ -4,8 +4,8 @@ use glam::DVec3;
 use isoparticles_field::materials::complex::{Complex, End};
 
 /// Minimum distance in voxels from a vertex to the two vertices whose circle gives the curvature.
-/// It is the minimum radius that changes h with the defaults of the qualities, minimum h / epsilon.
-/// A circle of this radius still has points at this distance.
+/// With the defaults of every quality, radii below this distance do not change h, because minimum h
+/// / epsilon is at least 1.5 voxels. A circle of this radius still has points at this distance.
 const CHORD: f64 = 1.5;
 
 /// Minimum number of steps on a curve between two junction points. With a single step, two curves

@@ -168,7 +168,7 @@ fn smallest_sizes(complex: &Complex, parameters: &Parameters) -> Vec<(f64, f64)>
     sizes
 }
 
-/// Maximum h of each material, from the extent of the material.
+/// Maximum h of each material, from `--max-size` or from the extent of the material.
 struct LargestSizes(Vec<f64>);
 
 impl LargestSizes {
