@@ -1,6 +1,6 @@
-//! Advice for failed checks, from the table that the page of a case reads as well:
-//! `stages/tetmesh-check/src/tetmesh_check/page/advice.json`. `page/advice.py` describes its
-//! format.
+//! Advice for failed checks, from the table
+//! `stages/tetmesh-check/src/tetmesh_check/page/advice.json`. The page of a case uses the same
+//! table; `page/advice.py` describes its format.
 
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -13,7 +13,7 @@ struct Table {
     terms: Vec<Entry>,
 }
 
-/// Words of a message with advice, or a word in braces with its replacement.
+/// Advice for messages that contain `words`, or the replacement of a placeholder in braces.
 #[derive(Deserialize)]
 struct Entry {
     words: String,
@@ -34,7 +34,7 @@ impl Entry {
 }
 
 /// Returns the advice for a failed check of a case with these parameters, or `None` if the message
-/// itself contains the advice. For a message that is not in the table, the advice is where to look.
+/// itself contains the advice. For an unknown message, refers to the troubleshooting page.
 pub(crate) fn advice_for(check: &str, parameters: &BTreeMap<String, String>) -> Option<String> {
     find(check, parameters, |_| true)
 }

@@ -2,7 +2,7 @@
 //!
 //! Each row runs in a separate process of this program with its own log, so a crash does not affect
 //! other rows. A row that fails is reported, and the next row starts. Valid results of earlier runs
-//! are kept, so a batch that was stopped resumes where it ended. The outputs are `OUT/batch.csv`,
+//! are kept, so a stopped batch resumes where it left off. The outputs are `OUT/batch.csv`,
 //! which has one line per row, and an index of all cases.
 
 use crate::check::Answers;
@@ -93,7 +93,7 @@ pub struct Ending {
     pub line: u64,
     /// `passed`, `warning`, `failed`, `error`, `interrupted`, or `out of time`.
     pub verdict: String,
-    /// Exit code of its run; `None` if nothing ran or a signal ended the run.
+    /// Exit code of the run; `None` if nothing ran or a signal ended the run.
     pub exit_code: Option<i32>,
     /// Duration in seconds.
     pub seconds: f64,
@@ -135,8 +135,8 @@ impl Batch<'_> {
     /// not stop the other rows.
     ///
     /// # Errors
-    /// If the list is unreadable, a column is not a key, or two rows have the same name; no row has
-    /// run in these cases. If the summary or a log cannot be written.
+    /// Before any row runs: if the list is unreadable, a column is not a key, or two rows have the
+    /// same name. Later: if the summary or a log cannot be written.
     pub fn make(&self, programs: &Programs) -> Result<Vec<Ending>> {
         let settings = Settings::read(&[], self.common, None, self.known)?;
         let out = out(&settings);
@@ -199,7 +199,7 @@ impl Batch<'_> {
         let text = with_plain_lines(&text);
         let header =
             text.lines().find(|line| !line.trim().is_empty() && !line.starts_with(COMMENT)).unwrap_or_default();
-        // Spreadsheets in many countries separate columns by semicolons.
+        // In many countries, spreadsheets separate columns with semicolons.
         let delimiter = [',', ';', '\t'].into_iter().find(|mark| header.contains(*mark)).unwrap_or(',');
         let mut reader = csv::ReaderBuilder::new()
             .delimiter(delimiter as u8)

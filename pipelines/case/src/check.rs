@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 /// If a stage rejects its command line.
 pub fn planned(stages: &[Planned], case: &Case, before: Option<&Status>) -> Result<()> {
     let made = |stage: &str| !stages.iter().any(|planned| planned.name() == stage);
-    // This run makes the phantom again, possibly with other options.
+    // If this run makes the phantom again, an existing phantom may be out of date.
     let volume = matches!(case.volume, Volume::At(_)) || made("phantom");
     let materials = if made("distfield") { materials_made(&case.folder) } else { None };
     let mut known = Known { materials, volume };

@@ -119,7 +119,7 @@ pub fn rows(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<String>> {
     rows.iter().map(told).collect()
 }
 
-/// Removes the marks of stages whose results are not valid.
+/// Removes the marks of stages without a valid result, and the mark of a missing page.
 fn forget_marks(case: &Case, out: &Path, stages: &[&str]) -> Result<()> {
     let status = case.folder.settle()?;
     for mark in stages.iter().chain(&["page"]) {
@@ -146,8 +146,8 @@ fn holds(status: &Status, case: &Case, stage: &str) -> bool {
     made && Settings::read(&then, &[], None, &[]).is_ok_and(|then| same(&then))
 }
 
-/// Returns the stages that the cases of a list run. The stage `phantom` is omitted, because a
-/// phantom is made together with `distfield`.
+/// Returns the stages that the goal of a list requires, except `phantom`. A phantom is made
+/// together with `distfield`.
 fn wanted(batch: &Batch<'_>) -> Vec<&'static str> {
     let last = stage_of_goal(batch.goal).unwrap_or("tetmesh-check");
     let stages: Vec<&str> = STAGES.iter().map(|it| it.stage).filter(|stage| *stage != "phantom").collect();
@@ -287,7 +287,7 @@ fn tell(ending: &mut Ending, status: &Status, stopped: Option<&str>) {
 /// would fail again with the same settings.
 ///
 /// # Errors
-/// If the status cannot be corrected.
+/// If the corrected status of a killed run cannot be written.
 pub fn failed_before(case: &Case, stage: &str) -> Result<Option<Status>> {
     let status = case.folder.settle()?.filter(|status| is_of(status, case));
     let failed =

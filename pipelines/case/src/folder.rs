@@ -250,9 +250,10 @@ impl CaseFolder {
         usual.into_iter().any(|ending| name == self.file_name(ending) || name == self.file_name(&failed(ending)))
     }
 
-    /// Removes the files that a stage made, except files with the endings in `keep`. These are
-    /// files with fixed names, files listed in the status and, if the stage was killed, all files
-    /// with its stems. Other files belong to the user and stay.
+    /// Removes the report and the files that a stage made, except files with the endings in `keep`.
+    /// The files of a stage are those with fixed names, those listed in the status and, if the
+    /// stage was interrupted or killed, all files with its stems. Other files belong to the user
+    /// and stay.
     ///
     /// # Errors
     /// If a file cannot be removed.
@@ -387,7 +388,7 @@ fn interrupted(mut status: Status) -> Status {
 mod tests {
     use super::CaseFolder;
 
-    /// `tests/kills.py` found that SIGKILL during a write leaves the unfinished file behind.
+    /// SIGKILL during a write leaves the unfinished file behind (found by `tests/kills.py`).
     #[test]
     fn what_a_killed_program_had_begun_to_write_is_taken_away() {
         let out = tempfile::tempdir().expect("folder");

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 /// interrupted.
 ///
 /// # Errors
-/// If there is no status file, or a status cannot be corrected.
+/// If there is no status file, or the corrected status of a killed run cannot be written.
 pub fn status_files(out: &Path) -> Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(out).into_iter().flatten().flatten();
     let mut names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();

@@ -65,8 +65,8 @@ pub fn paths_named_in(settings: &Settings, key: &str) -> Vec<PathBuf> {
     files_in_words(&settings.words(key)).iter().flat_map(|path| paths_of_volume(path)).collect()
 }
 
-/// Returns every existing file or folder whose path is a word, or a part of a word between `=`, `:`
-/// and `,`.
+/// Returns every existing file whose path is a word, or a part of a word between separators (`=`,
+/// `:` and `,`). Includes folders for options that take a volume, and skips output options.
 fn files_in_words(words: &[String]) -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> = Vec::new();
     let mut option = "";
@@ -81,8 +81,7 @@ fn files_in_words(words: &[String]) -> Vec<PathBuf> {
             continue;
         }
         for path in parts(value).map(PathBuf::from) {
-            // A folder counts only for options that take a volume, because a volume may be a folder
-            // of slices.
+            // Accept a folder only for options that take a volume, which may be a folder of slices.
             let counts = path.is_file() || (name.ends_with("-volume") && path.is_dir());
             if counts && !found.contains(&path) {
                 found.push(path);

@@ -109,7 +109,7 @@ pub fn find(name: &str, other: &[String], set_by: &str) -> Result<&'static Key> 
 pub fn nearest<'a>(name: &str, candidates: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     let name = name.to_uppercase();
     let distance = |candidate: &str| strsim::damerau_levenshtein(&name, candidate);
-    // A third of the letters may be wrong, but at least one letter, as in the suggestions of rustc.
+    // As in rustc, up to a third of the letters may be wrong, and always at least one letter.
     let most = (name.chars().count() / 3).max(1);
     candidates.map(|candidate| (distance(candidate), candidate)).min().filter(|(d, _)| *d <= most).map(|(_, c)| c)
 }
@@ -145,7 +145,7 @@ pub fn check(key: &Key, value: &str, set_by: &str) -> Result<()> {
     }
 }
 
-/// Returns the first word within two edits of a value, so two wrong letters are corrected.
+/// Returns the first word within an edit distance of two from a value.
 fn nearest_word<'a>(value: &str, words: &[&'a str]) -> Option<&'a str> {
     let value = value.to_lowercase();
     words.iter().copied().find(|word| strsim::damerau_levenshtein(&value, word) <= 2)

@@ -19,8 +19,8 @@ pub fn front() -> String {
 /// Time that a program gets to write its last checkpoint after an interrupt. The checkpoint of a
 /// million particles has at least 72 MB (nine numbers of 8 bytes each), which take 7 s at 10 MB/s.
 const GRACE_PERIOD: Duration = Duration::from_secs(60);
-/// Interval between checks on a program with a time limit. It adds at most 0.05 s to a row, half of
-/// the last digit that is printed.
+/// Interval between checks on a program with a time limit. It adds at most 0.05 s to a row, half a
+/// unit of the last printed digit.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Process ID of the running program; 0 if no program is running.

@@ -29,7 +29,7 @@ impl Case {
     /// Returns the case that the settings describe.
     ///
     /// # Errors
-    /// If the settings specify no volume, or nothing from which to name the results.
+    /// If the settings specify no volume, or if the name of the results is invalid.
     pub fn new(settings: Settings) -> Result<Self> {
         let volume = match (settings.get("PHANTOM"), settings.get("INPUT")) {
             (Some(_), _) => Volume::Phantom,
@@ -232,7 +232,7 @@ impl<'a> Run<'a> {
         Ok(run)
     }
 
-    /// Removes the results of all stages that have no valid result. If `checkpoint` is true, the
+    /// Removes the files of all stages without a valid result. If `checkpoint` is true, the
     /// checkpoint of `particles` and its log stay.
     fn remove_stale(&mut self, before: Option<&Status>, checkpoint: bool) -> Result<()> {
         let folder = &self.case.folder;
@@ -290,9 +290,9 @@ impl<'a> Run<'a> {
         self.status.stages[position] = stage.clone();
         self.write()?;
         say(&command);
-        // Files that exist now belong to the user and stay. Files with the stage's fixed names are
-        // exceptions: a checkpoint and its log, from which a stopped run resumes, and late output
-        // of a killed run.
+        // Files that exist now belong to the user and stay, except those with the stage's fixed
+        // names. Such a file is a checkpoint or its log, from which a stopped run resumes, or was
+        // written late by a stage of a killed run.
         let mut others = folder.files_of(planned.belongings);
         others.retain(|name| !folder.is_usual(planned.belongings, name));
         let started = Instant::now();

@@ -171,7 +171,7 @@ pub fn command_of(
     (program_of(stage, programs).0, words)
 }
 
-/// Returns the key for further options of a stage.
+/// Returns the key that contains further options of a stage, or an empty string if there is none.
 pub(crate) fn options_key(stage: &str) -> &'static str {
     match stage {
         "phantom" => "PHANTOM",
@@ -184,8 +184,8 @@ pub(crate) fn options_key(stage: &str) -> &'static str {
     }
 }
 
-/// Returns the options of a stage, each with the key that sets the option. Without a value, the
-/// stage uses its default.
+/// Returns the options of a stage, each with the key that sets the option. If the key is not set,
+/// the stage uses its default.
 fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
     match stage {
         "distfield" => &[
@@ -239,7 +239,7 @@ fn options(stage: &str, settings: &Settings) -> Vec<String> {
         add(pair);
     }
     let more = settings.words(options_key(stage));
-    // A scale in the further options takes precedence.
+    // A scale or quality in DISTFIELD_OPTIONS takes precedence.
     let chosen = more.iter().any(|word| word.starts_with("--scale") || word.starts_with("--quality"));
     if stage == "distfield" && !chosen {
         SCALE_BY_KEY.iter().any(add);
