@@ -1,4 +1,4 @@
-"""Make a batch of phantoms, real volumes and broken rows, interrupt it, and make it again.
+"""Run a batch of phantoms, real volumes and broken rows, interrupt it, and run it again.
 
     tests/batch.py --data ../shared/data        # or: make bench-batch
     tests/batch.py --slurm                      # with `make cluster PROFILE=slurm` (tests/slurm.sh)
@@ -6,7 +6,7 @@
 Writes the volumes and the list, and runs `isoparticles-case batch` as `make batch` does. Sends
 SIGINT when a third of the rows is done, and runs the batch again. Checks the exit codes and the
 summary: only the broken rows may fail, and each must report the error and what to do. Rows that
-were done before the interrupt must not be made again. On Slurm, `scancel` for all jobs replaces
+were done before the interrupt must not run again. On Slurm, `scancel` for all jobs replaces
 SIGINT, and the same call continues with the other rows.
 """
 
@@ -53,7 +53,7 @@ SLURM_OPTIONS = (
     "--slurm-init-seconds-before-status-checks 3 --seconds-between-status-checks 3 "
     "--groups distfield=row sizefield=row seed=row particles=row reconstruct=row tetmesh_check=row"
 )
-"""Snakemake options for a Slurm without accounting; one job per row (docs/user/batch.md)."""
+"""Snakemake options for Slurm without accounting; one job per row (docs/user/batch.md)."""
 COLUMNS = ("NAME", "INPUT", "ISO", "LABELS", "SIZE", "VERTICES")
 SHARE_BEFORE = 1.0 / 3.0
 """Fraction of the rows that are done when the interrupt is sent."""

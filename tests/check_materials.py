@@ -1,4 +1,4 @@
-"""Check what a surface of many materials preserves of its labels, independently of the stages.
+"""Check how well a surface of many materials preserves its labels, independently of the stages.
 
     python tests/check_materials.py CASE.surface.vtp LABELS.vti [--volume FILE] [--json FILE]
 
@@ -137,7 +137,7 @@ def follow_lines(
 
 
 def grid_junctions(materials: Integers, open_ones: bool) -> dict[tuple[int, ...], Floats]:
-    """Return the middles (in voxels) of voxel edges where three or more materials meet.
+    """Return the midpoints (in voxels) of voxel edges where three or more materials meet.
 
     The keys are the materials. Everything beyond the volume is outside (material 0). If each of the
     four voxels at an edge differs from both face neighbours, the labels do not determine which
@@ -163,7 +163,7 @@ def grid_junctions(materials: Integers, open_ones: bool) -> dict[tuple[int, ...]
 def mesh_junctions(
     points: Floats, triangles: Integers, inside: Integers, outside: Integers
 ) -> dict[tuple[int, ...], Floats]:
-    """Return the middles of mesh edges that do not have two triangles, by adjacent materials."""
+    """Return the midpoints of mesh edges that do not have two triangles, by adjacent materials."""
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     owner = np.repeat(np.arange(len(triangles)), 3)
     unique, inverse, counts = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
@@ -192,7 +192,7 @@ def share_near(
 
 
 def triangle_figures(points: Floats, triangles: Integers, pair: Integers) -> dict[str, float]:
-    """Return radius ratios 2 r / R, and angles and turns of normals in an interface in degrees."""
+    """Return radius ratios 2 r / R, angles, and angles between adjacent normals, in degrees."""
     corners = points[triangles]
     sides = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
     length = np.linalg.norm(sides, axis=2)

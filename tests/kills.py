@@ -2,10 +2,11 @@
 
     tests/kills.py --count 100 --seed 1        # or: make bench-kills N=100
 
-Each kill starts from nothing: `isoparticles-case` meshes a tiny phantom, as make does. SIGKILL,
-SIGTERM or SIGINT is sent at a random moment of a random stage, within the time that the stage takes
-undisturbed. The signal goes to the program, to the stage that it runs, or to all of its processes
-(like Ctrl-C or the end of a batch job). Then the same command runs again and must end with 0.
+Each kill starts from an empty folder: `isoparticles-case` meshes a tiny phantom, as make does.
+SIGKILL, SIGTERM or SIGINT is sent at a random moment of a random stage, within the time that the
+stage takes undisturbed. The signal goes to the program, to the stage that it runs, or to all of its
+processes (like Ctrl-C or the end of a batch job). Then the same command runs again and must end
+with 0.
 
 All files are compared byte by byte. Files that contain times (reports, status, page, list of
 passes, the tetrahedralizer's log) are compared without them. No file may be left over. HXT makes

@@ -5,10 +5,9 @@
     tests/results/growth.py --series cores materials --time-limit 540    # a part of it
 
 Needs only the stage programs and Python. A row of the JSON file contains the seconds and the peak
-memory of one stage at one size of a series. The sizes of a series run in ascending
-order. A stage whose extrapolated time exceeds `--longest` is omitted at this and all larger sizes,
-and a row records this. Another call continues after the existing rows. `page.py` fits the
-exponents.
+memory of one stage at one size of a series. The sizes of a series run in ascending order. A stage
+whose extrapolated time exceeds `--longest` is omitted at this and all larger sizes, and a row
+records this. Another call continues after the existing rows. `page.py` fits the exponents.
 """
 
 from __future__ import annotations

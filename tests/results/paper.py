@@ -178,7 +178,7 @@ class Paper:
         )
 
     def seeds(self, case: Case, threads: int) -> None:
-        """Make the sizes and seeds of a case if they do not exist."""
+        """Make the size field and seeds of a case if they do not exist."""
         seeds, sizes = self.path(case.stem, "seeds.bin"), self.path(case.stem, "sizefield.vti")
         if seeds.exists():
             return

@@ -127,7 +127,7 @@ fn thin_shell_scalar() {
     let folder = tempfile::tempdir().expect("folder");
     let volume = folder.path().join("phantom.nrrd");
     let truth = write_phantom(&volume, Shape::ThinShell, &geometry, Kind::Scalar);
-    // The smooth edges of such close walls overlap and move the surface at the mean intensity, so
+    // The blurred edges of such close walls overlap and shift the isosurface at the mean value, so
     // only the topology is compared with the exact figures, not area and volume.
     let files = chain::surface(&volume, folder.path(), &Wishes::scalar(Some(1.6)));
     let surface = read_surface(&files.surface).expect("surface").surface.mesh;

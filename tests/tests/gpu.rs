@@ -103,7 +103,7 @@ fn an_adapter_that_is_not_there_ends_with_three() {
     assert_eq!(listing(folder.path()), before);
 }
 
-/// Without a display, Mesa's device-selection layer prints a complaint. The user must not see it.
+/// Without a display, Mesa's device-selection layer prints a warning. The user must not see it.
 #[test]
 #[cfg(target_os = "linux")]
 fn nothing_is_said_of_a_display_that_nobody_needs() {

@@ -1,9 +1,10 @@
-"""Tetrahedra of a label image by Cleaver 2, of itk-cleaver: for materials_peers.py.
+"""Mesh a label image with Cleaver 2 (itk-cleaver), for materials_peers.py.
 
     python cleaver.py JOB.npz RESULT.npz    # an interpreter with cleaver.lock
 
-JOB: ``materials`` (numbers from 0, shape (nx, ny, nz)) and ``sampling`` (of the lattice, 1: a node a voxel). RESULT: ``points`` in
-voxels, 0 the centre of the first one, ``tetrahedra`` and ``regions``, and ``seconds`` and ``bytes``, the peak memory of this process.
+JOB contains ``materials`` (numbers from 0, shape (nx, ny, nz)) and ``sampling`` (lattice nodes per
+voxel along an axis). RESULT contains ``points`` (in voxels; 0 is the centre of the first voxel),
+``tetrahedra``, ``regions``, ``seconds``, and ``bytes``, the peak memory of this process.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 
 
 def main() -> None:
-    """Reads the job, runs Cleaver with its defaults and writes the result."""
+    """Read the job, run Cleaver with its defaults and write the result."""
     with np.load(sys.argv[1]) as job:
         materials, sampling = job["materials"].astype(np.uint8), float(job["sampling"])
     image = itk.image_from_array(np.ascontiguousarray(materials.transpose(2, 1, 0)))
@@ -28,9 +29,9 @@ def main() -> None:
     cleaver.Update()
     seconds = time.monotonic() - started
     mesh = cleaver.GetOutput(0)
-    # Cleaver's voxels reach from a whole number to the next
+    # in Cleaver's coordinates, voxel boundaries are at integers
     points = itk.array_from_vector_container(mesh.GetPoints()) - 0.5
-    # kind, number of points and the points of each
+    # each cell is stored as its kind, its number of points, and its points
     tetrahedra = itk.array_from_vector_container(mesh.GetCellsArray()).reshape(-1, 6)[:, 2:]
     regions = itk.array_from_vector_container(mesh.GetCellData()).astype(np.int64)
     told = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())

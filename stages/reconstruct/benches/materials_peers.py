@@ -1,13 +1,15 @@
-"""Many materials beside CGAL's Mesh_3, Cleaver and VTK's surface nets: one label map, one edge length, one checker for all.
+"""Compare meshes of many materials with CGAL's Mesh_3, Cleaver and VTK's surface nets.
 
     materials_peers.py NAME=VOLUME;DISTFIELD OPTIONS;SIZEFIELD OPTIONS ... [--cleaver PYTHON] [--mesh-3 PROGRAM]
 
-Run it with the Python of `make env` (`make bench-materials-peers` does). VOLUME is a file, or the words for `phantom` that make one;
-$NAME is a variable of the environment. Ours goes from the labels to the tetrahedra, file by file. Mesh_3 (mesh_3.cpp beside this
-program) and Cleaver (cleaver.py) get the same labels with a voxel of outside round them, and an edge length with which their interfaces
-have as many triangles as ours within a quarter, in four tries; their seconds are the last try's. "Protected" junctions are the lattice
-edges of the voxels along which three materials meet or more. Surface nets have the triangles that the grid gives. Every mesh is looked at
-by tests/check_materials.py, which shares nothing with any of the programs.
+Run it with the Python of `make env` (`make bench-materials-peers` does). VOLUME is a file, or the
+arguments of `phantom` that make one. $NAME stands for an environment variable. Our program runs all
+stages from labels to tetrahedra. Mesh_3 (mesh_3.cpp in this folder) and Cleaver (cleaver.py) get
+the same labels, padded by one voxel of outside. Their edge length is adjusted in up to four
+attempts, until their number of interface triangles is within a quarter of ours; the time is that of
+the last attempt. "Protected" junctions are the voxel edges along which three or more materials
+meet. The grid determines the triangles of surface nets. tests/check_materials.py, which shares no
+code with any of the programs, measures every mesh.
 """
 
 from __future__ import annotations
@@ -35,10 +37,10 @@ CLOSE = 0.25
 
 @dataclass
 class Peer:
-    """What a program made of the labels."""
+    """Mesh that a program makes from the labels."""
 
     points: np.ndarray
-    """In voxels of the padded grid, 0 the centre of the first one."""
+    """In voxels of the padded grid; 0 is the centre of the first voxel."""
     tetrahedra: np.ndarray
     regions: np.ndarray
     seconds: float
@@ -46,11 +48,11 @@ class Peer:
 
 
 class FailedError(Exception):
-    """A program made nothing, and why."""
+    """A program made no mesh; the message gives the reason."""
 
 
 def timed(command: list[str], limit: float) -> float:
-    """Seconds that a program takes."""
+    """Run a program and return its time in seconds."""
     started = time.monotonic()
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
         try:
@@ -65,7 +67,7 @@ def timed(command: list[str], limit: float) -> float:
 
 
 def interfaces(points: np.ndarray, tetrahedra: np.ndarray, regions: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Triangles between tetrahedra of different materials, wound outward from the higher number; and both numbers."""
+    """Return triangles between materials, outward from the higher number, and both numbers."""
     corners = points[tetrahedra]
     turned = (
         np.einsum(
@@ -85,13 +87,13 @@ def interfaces(points: np.ndarray, tetrahedra: np.ndarray, regions: np.ndarray) 
     with_next = np.append((key[1:] == key[:-1]).all(axis=1), False)
     with_last = np.append(False, with_next[:-1])
     other = np.where(with_next, np.append(inside[1:], 0), np.where(with_last, np.append(0, inside[:-1]), 0))
-    # each once, from the side of the higher number
+    # keep each triangle once, from the side of the higher number
     kept = inside > other
     return faces[kept], inside[kept], other[kept]
 
 
 def row(name: str, program: str, figures: dict[str, Any] | None, seconds: str, memory: str, why: str = "") -> None:
-    """Prints one row."""
+    """Print one row."""
     if figures is None:
         print(f"| {name} | {program} | {why} |" + " |" * 11, flush=True)
         return
@@ -120,7 +122,7 @@ def row(name: str, program: str, figures: dict[str, Any] | None, seconds: str, m
 
 @dataclass
 class Case:
-    """A label map and what is common to all its rows."""
+    """A label map, and the options that all its rows share."""
 
     name: str
     volume: str
@@ -129,11 +131,11 @@ class Case:
     arguments: argparse.Namespace
 
     def file(self, ending: str) -> Path:
-        """Path of a file of the case."""
+        """Return the path of a file of the case."""
         return Path(self.arguments.work) / f"{self.name}.{ending}"
 
     def ours(self) -> tuple[pv.PolyData, pv.UnstructuredGrid, float, int]:
-        """Runs the chain: surface, tetrahedra, seconds and peak memory."""
+        """Run all stages; return surface, tetrahedra, seconds and peak memory."""
         programs = Path(self.arguments.bin)
         fields = ["--distfield", str(self.file("f.vti")), "--sizefield", str(self.file("s.vti"))]
         steps = [
@@ -153,7 +155,7 @@ class Case:
         return pv.read(self.file("m.vtp")), pv.read(self.file("m.vtu")), seconds, memory
 
     def labels(self) -> pv.ImageData:
-        """The labels as the stages read them."""
+        """Return the labels as the stages read them."""
         path = self.file("labels.vti")
         program = Path(self.arguments.bin) / "isoparticles-volume"
         subprocess.run([program, "convert", self.volume, "-o", path, "--force", "-q"], check=True)
@@ -161,7 +163,7 @@ class Case:
 
 
 def by_cleaver(case: Case, materials: np.ndarray, length: float) -> Peer:
-    """Cleaver; its lattice is as fine as the edge length in voxels asks for."""
+    """Mesh with Cleaver; its lattice spacing is the edge length, in voxels."""
     job, result = case.file("cleaver.job.npz"), case.file("cleaver.npz")
     result.unlink(missing_ok=True)
     np.savez(job, materials=materials, sampling=1.0 / length)
@@ -169,7 +171,7 @@ def by_cleaver(case: Case, materials: np.ndarray, length: float) -> Peer:
     timed([case.arguments.cleaver, str(script), str(job), str(result)], case.arguments.limit)
     with np.load(result) as made:
         regions = made["regions"]
-        # what it puts round the image has a number of its own
+        # Cleaver pads the image with an additional region
         regions = np.where(regions > materials.max(), 0, regions)
         return Peer(
             made["points"], made["tetrahedra"].astype(np.int64), regions, float(made["seconds"]), int(made["bytes"])
@@ -177,7 +179,7 @@ def by_cleaver(case: Case, materials: np.ndarray, length: float) -> Peer:
 
 
 def junctions_of(materials: np.ndarray) -> list[np.ndarray]:
-    """Edges of the lattice between voxels along which three materials meet or more, as polylines, in voxels."""
+    """Return voxel edges at which three or more materials meet, as polylines, in voxels."""
     edges: list[tuple[tuple[float, ...], tuple[float, ...]]] = []
     for axis in range(3):
         first, second = (other for other in range(3) if other != axis)
@@ -196,7 +198,7 @@ def junctions_of(materials: np.ndarray) -> list[np.ndarray]:
             near.setdefault(end, []).append(number)
     left = set(range(len(edges)))
     lines = []
-    # from ends and crossings first, then the closed ones
+    # lines from ends and crossings first, then closed lines
     starts = [point for point, of in near.items() if len(of) != 2] + list(near)
     for start in starts:
         for first_edge in near[start]:
@@ -216,7 +218,7 @@ def junctions_of(materials: np.ndarray) -> list[np.ndarray]:
 
 
 def by_mesh_3(case: Case, materials: np.ndarray, length: float, protect: bool) -> Peer:
-    """CGAL's Mesh_3 on the labels; lengths in voxels."""
+    """Mesh with CGAL's Mesh_3; lengths are in voxels."""
     raw, lines, out = case.file("labels.raw"), case.file("junctions.txt"), case.file("mesh_3.txt")
     materials.astype(np.uint8).ravel(order="F").tofile(raw)
     polylines = junctions_of(materials) if protect else []
@@ -234,7 +236,7 @@ def by_mesh_3(case: Case, materials: np.ndarray, length: float, protect: bool) -
 
 
 def peer_rows(case: Case, labels: pv.ImageData, table: str, materials: np.ndarray, ours: int, length: float) -> None:
-    """Rows of the programs that are there."""
+    """Print the rows of the other programs."""
     padded = np.pad(materials, 1)
     matrix = np.asarray(labels.direction_matrix).reshape(3, 3) * np.asarray(labels.spacing)
 
@@ -285,7 +287,7 @@ def peer_rows(case: Case, labels: pv.ImageData, table: str, materials: np.ndarra
 
 
 def main() -> None:
-    """Reads the command line and prints the table."""
+    """Read the command line and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cases", nargs="+", metavar="CASE")
     parser.add_argument("--bin", type=Path, default=Path("target/release"), help="folder of the stage programs")

@@ -1,4 +1,5 @@
-//! The program on points alone: `--method tight-cocone` without fields, its files, reports and exit codes.
+//! Tests the program on points alone (`--method tight-cocone` without fields): its files, reports
+//! and exit codes.
 
 use glam::DVec3;
 use isoparticles_field::particle_set::ParticleSet;
@@ -23,7 +24,7 @@ impl Folder {
         self.0.path().join(name)
     }
 
-    /// Runs the program in the folder; returns the exit code, what it said, and its report.
+    /// Runs the program in the folder; returns the exit code, stderr and the report.
     fn run(&self, words: &[&str]) -> (i32, String, Value) {
         let output = Command::new(env!("CARGO_BIN_EXE_reconstruct"))
             .args(words)
@@ -37,7 +38,7 @@ impl Folder {
     }
 }
 
-/// The components and Euler characteristic of a written surface, all of whose checks hold.
+/// Asserts that a surface passes all checks; returns its components and Euler characteristic.
 fn sound(path: &Path) -> (usize, i64) {
     let report = check(&read_surface(path).unwrap().surface.mesh, &CheckOptions::default());
     assert!(report.failed_checks().is_empty(), "{:?}", report.failed_checks());
@@ -63,7 +64,7 @@ fn a_text_cloud_becomes_a_watertight_surface() {
     for key in ["improve", "refine", "topology"] {
         assert!(results[key].as_str().unwrap().starts_with("skipped"), "{key}: {}", results[key]);
     }
-    // an output is kept without --force; a ratio that is asked for is checked
+    // Without --force, an existing output is kept. An explicit minimum radius ratio is checked.
     assert_eq!(folder.run(&["cloud.xyz", "--method", "tight-cocone", "-o", "s.vtp"]).0, 2);
     let strict = ["cloud.xyz", "--method", "tight-cocone", "-o", "s.vtp", "--force", "--min-radius-ratio", "1"];
     let (code, said, _) = folder.run(&strict);
@@ -117,7 +118,7 @@ fn particles_need_no_field_and_come_out_in_the_world() {
     assert_eq!(surface.surface.space, Space::Lps);
     assert!(surface.surface.mesh.vertices.iter().all(|p| (p.x - 85.0).abs() < 10.01));
     assert_eq!(surface.history.unwrap().inputs[0].history.as_ref().unwrap().tool, "particles");
-    // the surface is a cloud of the same space
+    // The surface is read as a point cloud in the same space.
     assert_eq!(folder.run(&["s.vtp", "--method", "tight-cocone", "-o", "again.vtp"]).0, 0);
     let again = read_surface(&folder.path("again.vtp")).unwrap();
     assert_eq!(again.surface.space, Space::Lps);
@@ -127,7 +128,7 @@ fn particles_need_no_field_and_come_out_in_the_world() {
 #[test]
 fn an_input_named_as_the_offending_simplices_is_kept() {
     let folder = Folder::new();
-    // with a byte order mark, as some programs write
+    // Some programs write a byte order mark.
     let text = format!("\u{feff}{}", lines(&icosphere(3.0, 3).vertices));
     std::fs::write(folder.path("cloud.xyz"), text).unwrap();
     let (code, said, _) = folder.run(&["cloud.xyz", "--method", "tight-cocone", "-o", "s.offending.vtp"]);

@@ -1,4 +1,4 @@
-"""Surfaces of many materials whose truth is known, and the files of them."""
+"""Surfaces of many materials with known properties, and their files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tetmesh_check.quality import OUTWARD_FACES
 
 @dataclass(frozen=True)
 class Made:
-    """A complex: points, triangles, the materials on both sides, and the names of all but the outside."""
+    """A complex; ``names`` are those of all materials except the outside."""
 
     points: np.ndarray
     triangles: np.ndarray
@@ -24,7 +24,7 @@ class Made:
     names: tuple[str, ...]
 
     def save(self, path: Path, **arrays: np.ndarray) -> Path:
-        """Write it as ``reconstruct`` does; ``arrays`` replace those of the triangles."""
+        """Write the complex as ``reconstruct`` does; ``arrays`` replace arrays of the triangles."""
         faces = np.hstack([np.full((len(self.triangles), 1), 3), self.triangles]).ravel()
         surface = pv.PolyData(self.points, faces)
         given = {"material_inside": self.inside, "material_outside": self.outside, **arrays}
@@ -47,7 +47,7 @@ def sphere(radius: float, subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def nested_balls(radii: tuple[float, ...], subdivisions: tuple[int, ...], names: tuple[str, ...]) -> Made:
-    """Balls within each other, the largest first; the innermost is the last material."""
+    """Return concentric balls, the largest first; the innermost is the last material."""
     points, triangles, inside = [], [], []
     shift = 0
     for number, (radius, times) in enumerate(zip(radii, subdivisions, strict=True), 1):
@@ -61,7 +61,7 @@ def nested_balls(radii: tuple[float, ...], subdivisions: tuple[int, ...], names:
 
 
 def between(points: np.ndarray, tetrahedra: np.ndarray, regions: np.ndarray, names: tuple[str, ...]) -> Made:
-    """The complex of the faces between tetrahedra of different regions; region 0 is left out."""
+    """Return the faces between tetrahedra of different regions; region 0 is the outside."""
     kept = tetrahedra[regions > 0]
     regions = regions[regions > 0]
     faces = np.concatenate([kept[:, face] for face in OUTWARD_FACES])
@@ -77,15 +77,19 @@ def between(points: np.ndarray, tetrahedra: np.ndarray, regions: np.ndarray, nam
 
 
 def cells_of_a_block(counts: tuple[int, int, int], material: object, names: tuple[str, ...], size: float = 1.0) -> Made:
-    """A block of cubes, each of the material that ``material(x, y, z)`` gives at its centre, in cubes."""
+    """Return a block of cubes; ``material`` maps cube centres, in units of cubes, to materials."""
     points, tetrahedra = block(counts, size)
-    # the cube of a tetrahedron is that of its centre
+    # the centre of a tetrahedron determines its cube
     at = np.floor(points[tetrahedra].mean(axis=1) / size) + 0.5
     return between(points, tetrahedra, np.asarray(material(*at.T)).astype(np.int64), names)  # type: ignore[operator]
 
 
 def sectors_of_a_ball(radius: float, times: int) -> Made:
-    """Three sectors of a ball, of 120 degrees round the axis z each: one junction curve within, three on the surface, two points."""
+    """Return three sectors of a ball, of 120 degrees each around the z axis.
+
+    One junction curve is inside the ball, and three are on its surface. They meet at two junction
+    points.
+    """
     angles = np.radians(60.0 * np.arange(6))
     rim = np.stack([np.cos(angles), np.sin(angles), np.zeros(6)], 1)
     points = np.vstack([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0], rim])
@@ -97,7 +101,8 @@ def sectors_of_a_ball(radius: float, times: int) -> Made:
         inside += 2 * [1 + k // 2]
         outside += 2 * [0]
     for k in range(3):
-        # the wall where sector k begins; seen from the sector before it, (middle, north, rim) is counter-clockwise
+        # the wall where sector k begins; as seen from the previous sector, its triangles are
+        # counter-clockwise
         pair = (1 + k, 1 + (k - 1) % 3)
         for wall in ((middle, 3 + 2 * k, north), (middle, south, 3 + 2 * k)):
             turned = wall if pair[0] > pair[1] else wall[::-1]
@@ -107,7 +112,7 @@ def sectors_of_a_ball(radius: float, times: int) -> Made:
     triangles = np.array(cells)
     for _ in range(times):
         points, triangles = split(points, triangles)
-    # from the double pyramid on a hexagon to the ball, along rays
+    # map the hexagonal bipyramid to the ball, along rays from the centre
     length = np.linalg.norm(points, axis=1)
     turn = np.arctan2(points[:, 1], points[:, 0]) % (np.pi / 3) - np.pi / 6
     gauge = np.hypot(points[:, 0], points[:, 1]) * np.cos(turn) / np.cos(np.pi / 6) + np.abs(points[:, 2])
@@ -116,7 +121,7 @@ def sectors_of_a_ball(radius: float, times: int) -> Made:
 
 
 def split(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Every triangle in four."""
+    """Split every triangle into four."""
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     unique, which = np.unique(edges, axis=0, return_inverse=True)
     ab, bc, ca = len(points) + which.reshape(3, -1)

@@ -20,7 +20,7 @@ from tetmesh_check.page.scan import Scan
 
 
 def _is_there(library: str) -> bool:
-    """Whether a library can be imported, tried in another process because it is never imported into this one."""
+    """Return whether a library can be imported; another process tries it, this one never does."""
     return subprocess.run([sys.executable, "-c", f"import {library}"], capture_output=True, check=False).returncode == 0
 
 
@@ -30,7 +30,7 @@ NEEDS_TETGEN = pytest.mark.skipif(
 )
 
 _BUILT = Path(__file__).parents[3] / "target" / "release"
-# volumes are read by distfield; `make test-python` builds it first
+# isoparticles-volume reads volumes; `make test-python` builds it first
 os.environ.setdefault("ISOPARTICLES_BIN", str(_BUILT))
 NEEDS_DISTFIELD = pytest.mark.skipif(
     shutil.which("isoparticles-volume", path=os.environ["ISOPARTICLES_BIN"]) is None,
@@ -41,7 +41,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 def ball(radius: float = 10.0, subdivisions: int = 2) -> pv.PolyData:
-    """Icosphere in double precision, outward."""
+    """Return an outward-oriented icosphere in double precision."""
     surface = pv.Icosphere(radius=radius, nsub=subdivisions)
     surface.points = np.asarray(surface.points, dtype=np.float64)
     surface.clear_data()
@@ -49,7 +49,7 @@ def ball(radius: float = 10.0, subdivisions: int = 2) -> pv.PolyData:
 
 
 def write_sizing(path: Path, h: Callable[[np.ndarray], np.ndarray], half_width: int = 12) -> Path:
-    """Size field on a grid of 1 mm round the origin; ``h`` maps world positions (n, 3) to edge lengths."""
+    """Write a size field on a 1 mm grid around the origin; ``h`` maps positions to edge lengths."""
     count = 2 * half_width + 1
     grid = pv.ImageData(dimensions=(count,) * 3, origin=(-half_width,) * 3)
     grid["sizing"] = np.asarray(h(np.asarray(grid.points, dtype=float)), dtype=np.float32)
@@ -59,7 +59,7 @@ def write_sizing(path: Path, h: Callable[[np.ndarray], np.ndarray], half_width: 
 
 
 def write_nrrd(path: Path, values: np.ndarray, **fields: str) -> Path:
-    """Write a volume as raw NRRD with these header fields; ``_`` in their names stands for a blank."""
+    """Write a volume as raw NRRD with these header fields; ``_`` in a name stands for a blank."""
     kind = {"float64": "double", "float32": "float"}.get(values.dtype.name, values.dtype.name)
     lines = ["NRRD0004", f"type: {kind}", f"dimension: {values.ndim}", f"sizes: {' '.join(map(str, values.shape))}"]
     lines += ["encoding: raw", "endian: little", *(f"{key.replace('_', ' ')}: {text}" for key, text in fields.items())]
@@ -68,7 +68,7 @@ def write_nrrd(path: Path, values: np.ndarray, **fields: str) -> Path:
 
 
 def merged(*surfaces: pv.PolyData) -> pv.PolyData:
-    """Several surfaces as one."""
+    """Merge surfaces into one."""
     points, triangles, shift = [], [], 0
     for surface in surfaces:
         points.append(np.asarray(surface.points))
@@ -79,19 +79,19 @@ def merged(*surfaces: pv.PolyData) -> pv.PolyData:
 
 
 def reversed_winding(surface: pv.PolyData) -> pv.PolyData:
-    """The surface inside out."""
+    """Return the surface with all triangles reversed."""
     faces = np.asarray(surface.faces).reshape(-1, 4)[:, [0, 1, 3, 2]]
     return pv.PolyData(np.asarray(surface.points), faces.ravel())
 
 
 def tetrahedra(path: Path) -> tuple[np.ndarray, np.ndarray, pv.UnstructuredGrid]:
-    """Points, tetrahedra and all of a volume mesh."""
+    """Read a volume mesh; return points, tetrahedra and the whole grid."""
     grid = pv.read(path)
     return np.asarray(grid.points), np.asarray(grid.cells_dict[10]).astype(np.int64), grid
 
 
 def fake_library(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, code: str) -> None:
-    """Let processes started from now on import this code under the name of a library."""
+    """Make new processes import this code in place of a library."""
     (folder / "fake").mkdir(exist_ok=True)
     (folder / "fake" / f"{name}.py").write_text(code)
     monkeypatch.setenv("PYTHONPATH", str(folder / "fake"), prepend=os.pathsep)
@@ -100,7 +100,7 @@ def fake_library(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, code:
 
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
-    """Run the program in the test's folder, temporary files included, and return the finished process."""
+    """Return a function that runs the program, with all files in the test's folder."""
 
     def call(*words: object, timeout: float = 60) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
@@ -117,14 +117,14 @@ def run(tmp_path: Path) -> Run:
 
 
 def write_status(folder: Path, name: str, **changes: Any) -> Path:
-    """The status of a case as make leaves it, by the reports in its folder; ``changes`` replace entries of it.
+    """Write the status of a case as make does, from the reports in its folder.
 
     Parameters
     ----------
     folder, name
-        Of the case.
+        Folder and name of the case.
     changes
-        Such as ``verdict="failed"``; ``stages`` is a mapping from names to what differs in their entries.
+        Entries to replace, such as ``verdict="failed"``; ``stages`` maps stages to changed entries.
     """
     made = {
         "distfield": ["distfield.vti"], "sizefield": ["sizefield.vti"], "seed": ["seeds.bin"],
@@ -157,7 +157,7 @@ def write_status(folder: Path, name: str, **changes: Any) -> Path:
 
 @pytest.fixture(scope="session")
 def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder as make leaves it, of a ball; its name must be escaped in HTML."""
+    """Return the folder of a meshed ball as make leaves it; its name needs escaping in HTML."""
     folder = tmp_path_factory.mktemp("cases") / "a&b"
     (folder / "reports").mkdir(parents=True)
     surface = ball(subdivisions=3)
@@ -178,14 +178,14 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def volume_with_ball(directions: np.ndarray | None = None, labels: bool = False) -> Scan:
-    """A volume of 40 x 36 x 30 voxels in which the ball of the case lies, given by the world vectors of its grid, mm.
+    """Return a volume of 40 x 36 x 30 voxels that contains the ball of the case.
 
     Parameters
     ----------
     directions
-        One a column; 1 mm along LPS by default.
+        World vectors of the grid axes, mm, one per column; by default 1 mm along LPS.
     labels
-        Whether the ball is label 2 within label 1, or bright within noise.
+        Whether the ball is label 2 in a label map, or bright in a scan with noise.
     """
     step = np.eye(3) if directions is None else np.asarray(directions, dtype=float)
     shape = (40, 36, 30)
@@ -202,7 +202,7 @@ def volume_with_ball(directions: np.ndarray | None = None, labels: bool = False)
 
 @pytest.fixture(scope="session")
 def page(case: Path) -> Path:
-    """The page of the case, with slices of a volume."""
+    """Make the page of the case, with slices of a volume."""
     path = case / "a&b.report.html"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(program, "read_scan", lambda *_: volume_with_ball())

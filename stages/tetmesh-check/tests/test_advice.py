@@ -1,4 +1,4 @@
-"""The advice for failed checks: one for each message of the stages, with the variable that applies."""
+"""Tests of the advice for failed checks: each message has advice with the right variable."""
 
 from __future__ import annotations
 

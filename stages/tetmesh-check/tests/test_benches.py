@@ -1,4 +1,4 @@
-"""The comparison with marching cubes, without its runs: what it prints, and how it ends."""
+"""Tests of the comparison with marching cubes: its table and exit codes, with fake runs."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_old_reports_and_missing_ones(
 
     def run(words: list[str], **_: object) -> subprocess.CompletedProcess[str]:
         if words[1].endswith("remesh.py"):
-            # somebody else's program, killed
+            # the remesher was killed
             return subprocess.CompletedProcess(words, -11)
         if "marching-cubes" in words[-2]:
             Path(words[-2]).write_text(json.dumps(whole))

@@ -1,4 +1,4 @@
-"""Surfaces of many materials: what they bound, what is counted of them, and what is refused."""
+"""Tests of surfaces of many materials: volumes, counts, and refused input."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def test_nested_balls(tmp_path: Path) -> None:
     body, heart = (by_name(found["materials"])[name] for name in ("body", "heart"))
     assert heart["volume_mm3"] == pytest.approx(4.0 / 3.0 * np.pi * 125.0, rel=0.04)
     assert body["volume_mm3"] + heart["volume_mm3"] == pytest.approx(4.0 / 3.0 * np.pi * 1000.0, rel=0.02)
-    # the body has a cavity: one part, a closed surface of two components
+    # the body has a cavity: it is one part, and its surface has two components
     assert (body["components"], body["topology"]["components"], body["topology"]["euler_characteristic"]) == (1, 2, 4)
     assert complex_.shells.sheets()[0].tolist() == [[0, -1], [1, 0]]
     names = [entry["name"] for entry in found["interfaces"]]
     assert names == ["body/outside", "heart/body"]
-    # an icosphere's edges turn the normal by their length over the radius, about
+    # adjacent normals of an icosphere differ by about the edge length / (radius sqrt(3))
     turn = found["interfaces"][0]["rms_turn_degrees"]
     edge = found["interfaces"][0]["quality"]["edge_length"]["mean"]
     assert turn == pytest.approx(np.degrees(edge / 10.0 / np.sqrt(3.0)), rel=0.1)
@@ -82,13 +82,14 @@ def test_four_regions_of_a_cube_meet_in_a_point(tmp_path: Path) -> None:
     np.testing.assert_allclose(volumes, [16.0, 8.0, 8.0, 32.0])
     assert len(found["interfaces"]) == 4 + 6
     assert by_name(found["interfaces"])["d/a"]["area_mm2"] == pytest.approx(8.0)
-    # the middle of all four; on the outside where three regions meet: below, and at three places on the rim of the upper half
+    # the centre, where all four regions meet; on the outside, the points where three regions meet:
+    # one below, and three on the rim of the upper half
     assert found["vertices_by_materials"]["4"] == 1 + 1 + 3
     assert found["vertices_by_materials"].keys() == {"2", "3", "4"}
 
 
 def test_parts_that_touch_along_an_edge_are_kept_asunder(tmp_path: Path) -> None:
-    """Two columns of material 2 touch along an edge, in a block of material 1, like squares of a chessboard."""
+    """Two columns of material 2 touch along an edge, in a block of material 1."""
 
     def material(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         inner = (abs(x - 2) < 1) & (abs(y - 2) < 1) & (abs(z - 2) < 1)
@@ -104,7 +105,7 @@ def test_parts_that_touch_along_an_edge_are_kept_asunder(tmp_path: Path) -> None
 
 
 def test_materials_within_cavities_of_each_other(tmp_path: Path) -> None:
-    """Bone round marrow round an island of bone, which has a hole: two parts of bone, one with a cavity of the outside."""
+    """Bone contains marrow, which contains a second part of bone with a cavity of the outside."""
 
     def material(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         far = np.maximum(np.maximum(abs(x - 4.5), abs(y - 4.5)), abs(z - 4.5))

@@ -1,4 +1,4 @@
-"""Order of convergence: on the ball, and what the program says where there is none."""
+"""Tests of the order of convergence: on the ball, on coarse meshes, and on bad input."""
 
 from __future__ import annotations
 

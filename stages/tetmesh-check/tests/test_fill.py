@@ -1,4 +1,4 @@
-"""Which attempt is kept, and when there is another: by tetrahedralizers that only pretend."""
+"""Tests of repeated attempts and of the choice among them, with fake tetrahedralizers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tetmesh_check.worker import WorkerResult
 
 
 def filled(scale: float, flatness: float) -> WorkerResult:
-    """Tetrahedra from the middle of the ball to its triangles, the ball stretched and the middle moved towards the top."""
+    """Join the triangles of a scaled ball to one inner point; ``flatness`` moves it to the top."""
     sphere = ball()
     points = np.vstack([scale * sphere.points, [0.0, 0.0, flatness * scale * sphere.points[:, 2].max()]])
     triangles = sphere.faces.reshape(-1, 4)[:, 1:]
@@ -29,7 +29,7 @@ def filled(scale: float, flatness: float) -> WorkerResult:
 
 
 def dented() -> WorkerResult:
-    """The same, with a vertex just within one of the triangles, and so a flat tetrahedron on that and three narrow ones."""
+    """Add a vertex just inside one triangle: one flat and three narrow tetrahedra."""
     good = filled(1.0, 0.0)
     a, b, c, middle = good.tetrahedra[0]
     low = good.points[[a, b, c]].mean(axis=0)
@@ -45,15 +45,15 @@ Attempts = list[WorkerResult | StageError]
 
 
 class Asked(NamedTuple):
-    """What fTetWild was asked for, attempt by attempt."""
+    """Settings of fTetWild in each attempt."""
 
     envelopes: list[float]
-    """Over that of the first."""
+    """Relative to that of the first attempt."""
     stop_energies: list[float]
 
 
 def attempt(attempts: Attempts) -> WorkerResult:
-    """The next result, or error."""
+    """Return the next result, or raise the next error."""
     result = attempts.pop(0)
     if isinstance(result, StageError):
         raise result
@@ -63,7 +63,7 @@ def attempt(attempts: Attempts) -> WorkerResult:
 def program(
     folder: Path, monkeypatch: pytest.MonkeyPatch, hxt: Attempts, ftetwild: Attempts, *words: str
 ) -> tuple[dict, Asked, np.ndarray]:
-    """Run the stage on a ball; the results, what fTetWild was asked for, and the points (none if it failed)."""
+    """Run the stage on a ball; return results, settings and points (none on failure)."""
     sphere = ball()
     sphere.save(folder / "ball.vtp")
     asked: list[TetwildSettings] = []
@@ -84,7 +84,7 @@ def program(
 
 
 FLAT = 0.9999
-"""The middle so near to the top that tetrahedra there are flat."""
+"""Flatness at which the tetrahedra at the top of the ball are flat."""
 
 
 @pytest.mark.parametrize(("most", "method"), [(20_000, "ftetwild"), (10, "hxt")])
@@ -104,7 +104,7 @@ def test_single_flat_tetrahedra_of_hxt_are_mended_and_ftetwild_is_left_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fill, "MAX_FTETWILD_VERTICES", 5)
-    # four of 323
+    # four of 323 tetrahedra are below the goal
     monkeypatch.setattr(mend, "SHARE", 0.02)
     told, asked, _ = program(tmp_path, monkeypatch, [dented()], [])
     assert told["method"] == "hxt"

@@ -1,4 +1,4 @@
-"""Where the surface allows no good tetrahedra: listed, and a failure unless accepted."""
+"""Tests of forced tetrahedra: they are listed, and fail unless accepted."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ RADIUS = 1.0 / np.sqrt(3.0)
 
 
 def with_neighbour(degrees: float) -> tuple[np.ndarray, np.ndarray]:
-    """The triangle, and one across its first edge that lies at an angle before it."""
+    """Return the triangle, and a neighbour across its first edge at this angle in front of it."""
     turned = np.radians(degrees)
     apex = [1.0, np.sqrt(3.0) * np.cos(turned), np.sqrt(3.0) * np.sin(turned)]
-    # counter-clockwise seen from the wedge, like the first
+    # both are counter-clockwise as seen from the wedge
     return np.vstack([FLAT, apex]), np.array([[0, 1, 2], [1, 0, 3]])
 
 
@@ -32,7 +32,7 @@ def test_on_a_needle_no_tetrahedron_has_large_angles_and_a_large_scaled_jacobian
     needle = np.array([[0.0, 0.0, 0.0], [1.0, -np.tan(half), 0.0], [1.0, np.tan(half), 0.0]])
     (possible,) = largest_jacobians(needle, np.array([[0, 1, 2]]), 5.0)
     rng = np.random.default_rng(5)
-    # apexes all over, and along the edge that the bound tells of
+    # random apexes, and apexes along the edge that attains the bound
     rise = np.arcsin(np.tan(half) / np.tan(np.radians(2.5)))
     best = np.array([np.cos(rise), 0.0, np.sin(rise)])
     apexes = np.concatenate(
@@ -49,10 +49,10 @@ def test_on_a_needle_no_tetrahedron_has_large_angles_and_a_large_scaled_jacobian
     assert quality.scaled_jacobian[wide].max() < 1.001 * possible
     assert quality.scaled_jacobian[wide].max() > 0.95 * possible
     assert possible < 0.05 < quality.scaled_jacobian.max(), "a smaller angle allows more"
-    # where no angle is asked for, the third edge may rise at a right angle
+    # without a minimum angle, the third edge may be perpendicular to the triangle
     (free,) = largest_jacobians(needle, np.array([[1, 2, 0]]), 0.0)
     np.testing.assert_allclose(free, np.sqrt(2.0) * np.sin(2.0 * half))
-    # an equilateral triangle is no needle
+    # the minimum angle does not limit an equilateral triangle
     (wide_open,) = largest_jacobians(FLAT, np.array([[0, 1, 2]]), 5.0)
     np.testing.assert_allclose(wide_open, np.sqrt(1.5))
 
@@ -64,10 +64,10 @@ def test_facets_that_meet_at_an_angle_allow_no_larger_one() -> None:
     np.testing.assert_array_equal(found.side, [OUTSIDE, OUTSIDE])
     np.testing.assert_allclose(found.bound, 8.0, atol=1e-3)
     assert len(forced_sides(points, triangles, 7.9).facet) == 0
-    # seen from behind, where there is no wedge
+    # with reversed triangles, the wedge is behind them
     turned = forced_sides(points, triangles[:, ::-1].copy(), 12.0)
     np.testing.assert_array_equal(turned.side, [INSIDE, INSIDE])
-    # an open fold and a flat one are none
+    # triangles at large angles force nothing
     for degrees in (60.0, 179.0, 180.0, 181.0, 300.0):
         assert len(forced_sides(*with_neighbour(degrees), 12.0).facet) == 0
 
@@ -80,17 +80,17 @@ def test_facets_close_before_each_other_allow_no_more_than_the_gap_is_high() -> 
         np.testing.assert_allclose(found.bound, np.degrees(np.arctan(gap / RADIUS)), atol=1e-3)
     points = np.vstack([FLAT, FLAT + np.array([0.0, 0.0, 0.2])])
     assert len(forced_sides(points, np.array([[0, 1, 2], [3, 5, 4]]), 12.0).facet) == 0
-    # beside the roof nothing is in the way
+    # a triangle beside the roof forces nothing
     aside = np.vstack([FLAT, FLAT + np.array([1.9, 0.0, 0.05])])
     assert len(forced_sides(aside, np.array([[0, 1, 2], [3, 5, 4]]), 12.0).facet) == 0
 
 
 def test_a_facet_at_a_common_corner_may_reach_in() -> None:
-    """From the corner at the origin, over the middle of the triangle, 5 degrees up: below the ridge of the roof."""
+    """The facet rises from the origin by 5 degrees over the triangle, below the roof's ridge."""
     inwards = np.radians(30.0)
     ahead = np.array([np.cos(inwards), np.sin(inwards), 0.0])
     aside = np.array([-np.sin(inwards), np.cos(inwards), 0.0])
-    # the ridge of the roof at X has the height tan(X) sin(30 degrees) for each mm from the corner
+    # the ridge of the roof at X rises by tan(X) sin(30 degrees) per mm from the corner
     possible = np.degrees(np.arctan(np.tan(np.radians(5.0)) / np.sin(inwards)))
     rise = np.array([0.0, 0.0, np.tan(np.radians(5.0))])
     tip = np.stack([ahead + rise, ahead + rise + 0.001 * aside + [0.0, 0.0, 1.0]])
@@ -104,7 +104,7 @@ def test_no_tetrahedron_on_a_forced_side_is_better_than_the_bound() -> None:
     bound = forced_sides(points, triangles, 12.0).bound[0]
     generator = np.random.default_rng(1)
     apexes = generator.uniform([-1.0, -1.0, 0.0], [3.0, 3.0, 1.0], (20_000, 3))
-    # those below the neighbour's plane, of which the edge is a part
+    # keep the apexes below the neighbour's plane, which contains the first edge
     apexes = apexes[apexes[:, 2] < np.tan(np.radians(8.0)) * apexes[:, 1]]
     every = np.vstack([FLAT, apexes])
     cells = np.stack([np.broadcast_to(k, len(apexes)) for k in range(3)] + [np.arange(3, 3 + len(apexes))], 1)
@@ -132,22 +132,22 @@ def test_forced_tetrahedra_fail_unless_accepted() -> None:
     assert "--accept-forced" in strict.words
     assert accepting.as_dict()["verdict"] == "warning"
     assert accepting.words.startswith("fit but for 1 accepted tetrahedron: the minimum dihedral angle is ")
-    # what no triangle forces is not accepted
+    # a tetrahedron that no triangle forces is not accepted
     for forced in (None, Forced(~only, ~only)):
         assert judged(forced, True)["min_dihedral"].as_dict()["verdict"] == "fail"
-    # and its place is listed
+    # its position is listed
     assert "poor_tetrahedra" in judged(None, False)["min_dihedral"].words
     listed = poor_tetrahedra(points, tetrahedra, quality, Limits(min_dihedral=12.0))
     assert [entry["place_mm"] for entry in listed] == [pytest.approx([0.3, 0.3, 0.005])]
     assert listed[0]["min_dihedral"] == quality.min_dihedral[0]
-    # nor is a tetrahedron without volume
+    # a tetrahedron without volume is not accepted either
     flat = tetrahedron_quality(np.vstack([points, [0.2, 0.2, 0.0]]), np.array([[0, 1, 2, 5], [0, 1, 2, 4]]))
     positive = shape_checks(flat, Limits(accept_forced=True), Forced(only, only))[0]
     assert (positive.name, positive.passed) == ("positive_volumes", False)
 
 
 def flat_tetrahedron_in_a_ball(degrees: float) -> Made:
-    """A ball round one flat tetrahedron, which is a material by itself and cannot be filled by anything better."""
+    """Return a ball around a flat tetrahedron, which is a material of its own."""
     turned = np.radians(degrees)
     apex = [1.0, np.sqrt(3.0) * np.cos(turned), np.sqrt(3.0) * np.sin(turned)]
     points, triangles = sphere(6.0, 3)
@@ -180,7 +180,7 @@ def test_what_the_surface_forces_is_listed_and_fails_unless_accepted(tmp_path: P
     assert [entry["forced"] for entry in volume["regions"]] == [0, 1]
     assert volume["quality"]["min_dihedral"]["min"] == pytest.approx(6.0)
     assert volume["smallest_elsewhere"]["min_dihedral"] >= 6.5
-    # a limit that all can reach forces none
+    # with a limit that all tetrahedra can reach, none is forced
     done = run("c.vtp", "-o", "d.vtu", "--report", "d.json", "--solve", "no", "--min-scaled-jacobian", 0.02)
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "d.json").read_text())["results"]["volume"]["forced_by_surface"] == []
@@ -190,7 +190,8 @@ def test_what_the_surface_forces_is_listed_and_fails_unless_accepted(tmp_path: P
 def test_what_a_triangle_forces_by_its_own_angle_is_listed_and_judged_by_what_it_allows(
     tmp_path: Path, run: Run
 ) -> None:
-    # a material of one tetrahedron on a triangle with an angle of 2.6 degrees, whose third edge there rises so that its dihedral angle is 5.3
+    # One material is a single tetrahedron on a triangle with an angle of 2.6 degrees. The third
+    # edge at this corner rises so that its dihedral angle is 5.3 degrees.
     half, rise = np.radians(1.3), np.arcsin(np.tan(np.radians(1.3)) / np.tan(np.radians(2.65)))
     inner = 2.0 * np.array(
         [

@@ -1,4 +1,4 @@
-"""Currents through materials of different conductivity: against the closed form in nested balls, and against their conservation."""
+"""Tests of currents through several materials: closed form in nested balls, and conservation."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from tetmesh_check.quality import tetrahedron_quality
 
 RADII = (10.0, 6.0, 4.0)
 CONDUCTIVITY = (0.2, 0.05, 0.5)
-"""Of the layers, S/m, the outermost first."""
+"""Conductivities of the layers, S/m, the outermost first."""
 
 
 def exact(points: np.ndarray, density: float) -> np.ndarray:
-    """Potential of a uniform current along x in the innermost of some nested balls, mV; insulated outside.
+    """Return the potential (mV) of a uniform impressed current along x in the innermost ball.
 
-    In layer i it is (A_i r + B_i / r^2) cos(theta); B of the innermost is 0, u and the radial current are continuous, and the latter is
-    zero at the outermost radius.
+    In layer i, it is (A_i r + B_i / r^2) cos(theta), with B = 0 in the innermost layer. The
+    potential and the radial current are continuous. The radial current is zero at the outer radius.
     """
     count = len(RADII)
     matrix, right = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
@@ -47,7 +47,7 @@ def exact(points: np.ndarray, density: float) -> np.ndarray:
 
 
 def solved(folder: Path, run: Run, subdivisions: tuple[int, ...], h: float) -> tuple[float, dict, np.ndarray]:
-    """Mean error of the potential over its mean size, and the report of the forward problem."""
+    """Solve on nested balls; return the relative L2 error, the results and the potential."""
     nested_balls(RADII, subdivisions, ("body", "lung", "heart")).save(folder / "c.vtp")
     write_sizing(folder / "h.vti", lambda world: np.full(len(world), h))
     words = [
@@ -81,7 +81,7 @@ def solved(folder: Path, run: Run, subdivisions: tuple[int, ...], h: float) -> t
 
 
 def test_the_closed_form_is_one() -> None:
-    """The exact potential itself, by differences: continuous currents at the interfaces, none through the outside."""
+    """By differences, the current is continuous at the interfaces and zero at the outer surface."""
     step = 1e-6
     slopes = []
     for r in (RADII[0] - 2 * step, *(RADII[k] + s * step for k in (1, 2) for s in (2, -2))):
@@ -98,7 +98,7 @@ def test_nested_balls_of_different_conductivity(tmp_path: Path, run: Run) -> Non
     coarse, _, _ = solved(tmp_path, run, (2, 2, 2), 2.0)
     fine, results, potential = solved(tmp_path, run, (3, 3, 3), 1.0)
     assert fine < 0.05
-    # linear elements: the error of the values falls with the square of h
+    # with linear elements, the error of the potential is proportional to h^2
     assert 3.0 < coarse / fine < 5.5
     figures = results["solve"]["forward"]
     assert figures["source"] == "heart"
@@ -108,25 +108,26 @@ def test_nested_balls_of_different_conductivity(tmp_path: Path, run: Run) -> Non
     assert checks["current_conserved"]["value"] == figures["imbalance"]
     regions = {entry["name"]: entry for entry in figures["regions"]}
     assert [regions[name]["conductivity_s_per_m"] for name in ("body", "lung", "heart")] == list(CONDUCTIVITY)
-    # x = 10 is a vertex of no icosphere: the largest potentials lie at the innermost interface
+    # the maximum potential is on the surface of the source
     assert regions["heart"]["potential_mv"]["max"] == pytest.approx(potential.max(), rel=1e-6)
     assert regions["heart"]["potential_mv"]["max"] == pytest.approx(exact(np.array([[4.0, 0, 0]]), 2.0)[0], rel=0.05)
     assert regions["body"]["potential_mv"]["max"] == pytest.approx(exact(np.array([[6.0, 0, 0]]), 2.0)[0], rel=0.05)
-    # what enters the lung leaves it
+    # the net current through the interface of lung and body is nearly zero
     through = {entry["name"]: entry for entry in figures["interfaces"]}
     assert abs(through["lung/body"]["net_ua"]) < 0.01 * through["lung/body"]["passing_ua"]
     assert through["body/outside"]["net_ua"] == 0.0
 
 
 def test_a_bar_of_two_materials() -> None:
-    """A uniform current along a bar, in one half only: exact with linear elements, u falls where it is conducted back."""
+    """For a uniform source in one half of a bar, the solution of linear elements is exact."""
     points, cells = block((4, 2, 2))
     regions = np.where(points[cells].mean(axis=1)[:, 0] < 2.0, 1, 2)
     source = Source(1, np.array([3.0, 0.0, 0.0]), np.array([1.0, 0.5, 0.1]))
     potential, current, figures, converged = potential_of(Assembler(points, cells), regions, source, FOREVER)
     assert converged
     assert figures["parts"] == 1
-    # no current can leave the bar: in the source the field cancels what is impressed, elsewhere there is none
+    # No current leaves the bar. In the source, the conduction current cancels the impressed
+    # current; elsewhere, both are zero.
     np.testing.assert_allclose(current, 0.0, atol=1e-6)
     truth = np.minimum(points[:, 0], 2.0) * 3.0 / 0.5
     np.testing.assert_allclose(potential - potential[0], truth - truth[0], atol=1e-5)

@@ -1,4 +1,4 @@
-"""HXT: what it fills, when it is chosen, and what happens where it is missing."""
+"""Tests of HXT: its meshes, when it is chosen, and what happens if it is missing."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     assert results["volume"]["boundary_triangles"] == {"missing": 0, "added": 0}
     assert results["volume"]["edge_length_over_target"]["median"] == pytest.approx(1.0, abs=0.15)
     assert results["distance_mm"]["boundary_to_surface"]["max"] < 1e-9
-    # the size field is what grades them: four times h at the centre of what it is at the surface
+    # the edge lengths follow h, which is four times as large at the centre as at the surface
     centre = np.linalg.norm(points[cells].mean(axis=1), axis=1) < 3.0
     assert np.median(quality.edge_length[centre]) > 2.0 * np.median(quality.edge_length[~centre])
 
-    # the same bytes with any number of threads
+    # the mesh is identical for any number of threads
     again = tetrahedra(tmp_path / "second.vtu")
     np.testing.assert_array_equal(again[0], points)
     np.testing.assert_array_equal(again[1], cells)
@@ -93,7 +93,7 @@ def test_missing_hxt_is_an_error_when_asked_for(tmp_path: Path, run: Run, monkey
 
 
 def program(folder: Path, *words: str) -> tuple[int, dict]:
-    """The program in this process, so that its constants can be changed; exit code and report."""
+    """Run the program in this process, so that patches apply; return exit code and report."""
     report = folder / "r.json"
     code = cli.main([str(folder / "ball.vtp"), "-o", str(folder / "ball.vtu"), "-q", "--report", str(report), *words])
     return code, json.loads(report.read_text())

@@ -1,4 +1,4 @@
-"""Tetrahedra of many materials: what is kept between them, what other programs find, and what is refused."""
+"""Tests of tetrahedra of many materials: interfaces, exported files, and refused input."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def results_of(path: Path) -> dict:
 
 
 def halves() -> tuple[np.ndarray, np.ndarray, np.ndarray, Sides]:
-    """A block of tetrahedra, the triangles between and round its halves, and their materials: 2 above, 1 below."""
+    """Return a block of tetrahedra, and the interfaces of its halves: material 2 above, 1 below."""
     points, cells = block((2, 2, 2))
 
     def material(_x: np.ndarray, _y: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -54,7 +54,7 @@ def test_regions_are_found_by_the_triangles_alone() -> None:
 
 def test_the_outside_is_known_from_the_triangles() -> None:
     points, cells, triangles, sides = halves()
-    # and a tetrahedron that touches nothing, whose triangles are wound the other way
+    # add a separate tetrahedron with reversed triangles
     apart = np.arange(4) + len(points)
     faces = apart[[[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]]]
     three = Sides(np.append(sides.inside, [0] * 4), np.append(sides.outside, [1] * 4), sides.table)
@@ -76,18 +76,18 @@ def test_the_outside_is_known_from_the_triangles() -> None:
 
 def test_what_does_not_fit_is_counted() -> None:
     _points, cells, triangles, sides = halves()
-    # one tetrahedron is lost: faces of it lie open, and the triangles on it have nothing behind them
+    # without one tetrahedron, its triangles have no owner, and faces of its neighbours are open
     lost = conform(cells[1:], triangles, sides)
     assert lost.missing > 0
     assert lost.added > 0
     assert lost.missing + lost.added == 4
-    # there twice: its faces have too many
+    # if a tetrahedron is repeated, its faces have more than two tetrahedra
     assert conform(np.concatenate([cells, cells[:1]]), triangles, sides).crowded > 0
-    # without a triangle between the halves, they are one region
+    # without one of the triangles between them, the halves are one region of undecided material
     between = np.flatnonzero(sides.outside == 1)[0]
     kept = np.arange(len(triangles)) != between
     assert conform(cells, triangles[kept], sides.of(kept)).undecided == len(cells)
-    # a triangle is turned round: what lies on its sides is not what it says
+    # a reversed triangle contradicts the materials on its sides
     turned = triangles.copy()
     turned[between] = turned[between, ::-1]
     assert conform(cells, turned, sides).faults > 0
@@ -102,7 +102,7 @@ CASES: dict[str, Made] = {
         lambda x, y, z: np.where((abs(x - 3) < 2) & (abs(y - 3) < 2) & (abs(z - 3) < 2) & ((x < 3) == (y < 3)), 2, 1),
         ("body", "columns"),
     ),
-    # two hollows in one material, which have the same materials round them
+    # two cavities of the outside in one material
     "hollows": cells_of_a_block(
         (9, 5, 5), lambda x, y, z: np.where((abs(x - 4.5) == 2) & (y == 2.5) & (z == 2.5), 0, 1), ("bone",), 2.0
     ),
@@ -132,7 +132,8 @@ def test_regions_share_their_triangles(tmp_path: Path, run: Run, name: str) -> N
     table = json.loads(text_of(grid, "materials") or "")
     assert [entry["name"] for entry in table] == ["outside", *made.names]
 
-    # every triangle is a face of a tetrahedron of each of its materials, and every face between two regions is a triangle
+    # every triangle is a face between its two materials, and every face between regions is a
+    # triangle
     faces = np.sort(
         np.concatenate([cells[:, list(face)] for face in ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))]), axis=1
     )
@@ -208,7 +209,7 @@ def test_other_programs_find_regions_and_interfaces(tmp_path: Path, run: Run) ->
     for mark, name in enumerate(called, 1):
         on = np.unique(triangles[marks == mark])
         np.testing.assert_array_equal(np.sort(abaqus.point_sets[name.upper()]), on)
-    # the faces of an interface lie on the elements behind it
+    # the faces of an interface belong to the elements behind it
     text = (tmp_path / "c.volume.inp").read_text()
     rows = text.split(f"*SURFACE, NAME={called[2].upper()}, TYPE=ELEMENT\n")[1].split("*")[0].split("\n")[:-1]
     corners = {"S1": (0, 1, 2), "S2": (0, 3, 1), "S3": (1, 3, 2), "S4": (2, 3, 0)}
@@ -270,7 +271,7 @@ def test_limits_decide_on_the_exit_code(tmp_path: Path, run: Run) -> None:
     assert done.returncode == 1, done.stderr
     assert (tmp_path / "c.vtu").is_file()
     ran = results_of(tmp_path / "r.json")["tetrahedralizer"]
-    # tetrahedra beyond a limit are no reason to make all of them anew
+    # tetrahedra below a limit do not cause another attempt
     assert [attempt["algorithm"] for attempt in ran["attempts"]] == ["hxt"]
     assert ran["algorithm"] == "hxt"
     assert "exists already" in run(*words).stderr

@@ -1,4 +1,4 @@
-"""The page and the pictures of many materials."""
+"""Tests of the page and the pictures of many materials."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tetmesh_check.topology import measure_topology
 
 @pytest.fixture(scope="module")
 def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder as make leaves it, of three nested balls; one name must be escaped in HTML."""
+    """Return the folder of three nested balls as make leaves it; one name needs HTML escaping."""
     folder = tmp_path_factory.mktemp("many")
     (folder / "reports").mkdir()
     nested_balls((10.0, 7.0, 4.0), (3, 3, 2), ("body <skin>", "lung", "heart")).save(folder / "c.surface.vtp")
@@ -77,7 +77,7 @@ def test_a_material_can_be_looked_at_by_itself(case: Path) -> None:
     for number, name in enumerate(("body <skin>", "lung", "heart"), 1):
         mesh = meshes[f"only {name}"]
         own = np.concatenate([triangles[inside == number], triangles[outside == number][:, ::-1]])
-        # the closed surface of the material, outward
+        # the mesh is the closed surface of the material, oriented outward
         assert measure_topology(mesh.points, mesh.triangles).is_closed_manifold
         np.testing.assert_array_equal(
             np.unique(np.sort(mesh.triangles, axis=1), axis=0), np.unique(np.sort(own, axis=1), axis=0)
@@ -96,7 +96,7 @@ def test_a_cut_is_coloured_by_material(case: Path) -> None:
 
     with Image.open(case / "pictures" / "c.regions.png") as image:
         pixels = np.asarray(image.convert("RGB")).astype(float)
-    # shades of the colour of each material cover a good part of the picture: compared by hue alone
+    # the colour of each material, compared by hue, covers more than 1 % of the picture
     shown = pixels[np.ptp(pixels, axis=2) > 40]
     shown /= np.linalg.norm(shown, axis=1, keepdims=True)
     for colour in region_colours(4)[1:].astype(float):

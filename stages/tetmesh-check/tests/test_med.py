@@ -1,4 +1,4 @@
-"""MED files, read back by meshio and, where its library is, by Gmsh, which reads them with the library of Salome."""
+"""Tests of MED files, read by meshio and by Gmsh (with Salome's library), if installed."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_gmsh_reads_groups_and_the_sense_of_every_element(tmp_path: Path, order:
         own = mesh.tetrahedra[mesh.regions == label]
         volume = signed_tetrahedron_volumes(mesh.points, own).sum()
         assert signed_tetrahedron_volumes(at, cells).sum() == pytest.approx(volume)
-    # the boundary outward: its flux of x / 3 is the volume
+    # the boundary is oriented outward: the flux of x / 3 through it is the volume
     flux = 0.0
     for name in names:
         for of in groups[name]:

@@ -1,4 +1,4 @@
-"""How much memory a run may take."""
+"""Tests of the memory limit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tetrahedra below a goal are mended where they lie: surfaces, regions and volumes stay as they are."""
+"""Tests of the local repair of tetrahedra, which keeps surfaces, regions and volumes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ NONE = (ForcedSides(_NO, _NO, np.empty(0)), _NO)
 
 
 def sliver(height: float) -> tuple[Points, Cells]:
-    """A flat tetrahedron across the middle of a double pyramid on a square, whose corners lie above and below by turns."""
+    """Return a bipyramid with a flat tetrahedron across its middle.
+
+    The four corners of the middle are alternately above and below z = 0.
+    """
     ring = [[1.0, 0.0, height], [0.0, 1.0, -height], [-1.0, 0.0, height], [0.0, -1.0, -height]]
     cells = np.array([[0, 1, 2, 3], [0, 1, 2, 4], [0, 2, 3, 4], [0, 1, 3, 5], [1, 2, 3, 5]])
     points = np.array([*ring, [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
@@ -49,17 +52,17 @@ def test_a_sliver_between_vertices_of_the_surface_goes() -> None:
 
 def test_what_lies_between_regions_is_not_crossed() -> None:
     points, cells = sliver(0.02)
-    # the sliver is a region by itself: all its faces stay, and nothing can be done
+    # the sliver is a region of its own: its faces are fixed, and it cannot be repaired
     part = Part(points, cells, np.array([2, 1, 1, 1, 1]), {}, GOAL)
     (worst,) = part.bad()
     assert not part.mend(worst)
-    # what the surface forces is asked for no more than is possible
+    # on a forced side, the goal does not exceed what is possible
     bound = float(tetrahedron_quality(points, cells[:1]).min_dihedral[0])
     regions = np.ones(5, dtype=np.int64)
     assert Part(points, cells, regions, {((0, 1, 2), 1): bound}, GOAL).bad() == []
     assert len(Part(points, cells, regions, {((0, 1, 2), 1): 1.2 * bound}, GOAL).bad()) == 1
     assert len(Part(points, cells, regions, {((0, 1, 2), 2): bound}, GOAL).bad()) == 1
-    # but the limit of the check where it can be reached
+    # the limit of the check remains required if it can be reached
     strict = Goal(12.0, 0.05, 1.05 * bound)
     assert len(Part(points, cells, regions, {((0, 1, 2), 1): 1.08 * bound}, strict).bad()) == 1
 
@@ -91,7 +94,8 @@ def test_values_are_a_half_at_the_limits_of_the_checks_and_1_at_the_goal() -> No
 
 def test_what_the_checks_still_ask_for_beside_a_forced_side_is_worth_more_than_what_they_do_not() -> None:
     goal = Goal(12.0, 0.05, 5.0)
-    # where 3 degrees are possible at most the scaled Jacobian is asked for, but no angle; at 1 degree neither; at 9 degrees both
+    # If at most 3 degrees are possible, the checks require a scaled Jacobian but no angle. At 1
+    # degree, they require neither, and at 9 degrees both.
     assert goal.beside(3.0) == pytest.approx((2.7, 0.05, 0.0, 0.05))
     assert goal.beside(1.0) == pytest.approx((0.9, 0.9 * np.sqrt(2.0) * np.sin(np.radians(1.0)), 0.0, 0.0))
     assert goal.beside(9.0) == pytest.approx((8.1, 0.05, 5.0, 0.05))
@@ -100,7 +104,8 @@ def test_what_the_checks_still_ask_for_beside_a_forced_side_is_worth_more_than_w
     jacobian = float(tetrahedron_quality(points, cells[:1]).scaled_jacobian[0])
     angle = float(tetrahedron_quality(points, cells[:1]).min_dihedral[0])
     regions = np.ones(5, dtype=np.int64)
-    # on a needle that allows twice its scaled Jacobian it lies between a half and 1, and below a half where its angle fails the check
+    # The triangle allows twice the scaled Jacobian of the tetrahedron. The value is between 0.5 and
+    # 1, or below 0.5 if the angle fails the check.
     for least, low, high in ((0.9 * angle, 0.5, 1.0), (1.1 * angle, 0.0, 0.5)):
         part = Part(points, cells, regions, {}, Goal(1.2 * angle, 4.0 * jacobian, least), {(0, 1, 2): 2.0 * jacobian})
         assert low < part.value[0] < high
@@ -110,7 +115,8 @@ def test_what_the_checks_still_ask_for_beside_a_forced_side_is_worth_more_than_w
 def test_where_no_worst_becomes_better_what_fails_together_becomes_less(
     eased: float, left: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # four tetrahedra round a short side of a convex body fail the checks; one place makes of each two that are better, but not by much
+    # Four tetrahedra around a short edge of a convex body fail the checks. A new vertex replaces
+    # each of them by two that are slightly better.
     side = [[0.0, 0.0, -0.04], [0.0, 0.0, 0.04], [1.0, -0.6, 0.0], [1.0, 0.6, 0.0]]
     behind = [[1.37, 0.13, -0.03], [0.5, 0.26, -1.28], [1.47, 0.36, 0.5], [1.45, 0.18, -0.32], [1.11, 0.9, -0.35]]
     points = np.array(side + behind)
@@ -133,11 +139,11 @@ def test_where_no_worst_becomes_better_what_fails_together_becomes_less(
 
 
 def crooked() -> tuple[Points, Cells, Labels, Cells, Sides]:
-    """Two materials in a block, with vertices within each moved nearly into a face."""
+    """Return a block of two materials, in which inner vertices are moved close to a face."""
     points, cells = block((9, 9, 10), 1.0)
     upper = points[cells].mean(axis=1)[:, 2] > 5.0
     made = between(points, cells, 1 + upper.astype(np.int64), ("lower", "upper"))
-    # the vertices of the surface first
+    # the vertices of the surface come first
     place = {tuple(position): k for k, position in enumerate(made.points.tolist())}
     order = [place.setdefault(tuple(position), len(place)) for position in points.tolist()]
     moved = np.empty_like(points)
@@ -165,7 +171,7 @@ def test_the_rest_of_the_mesh_stays() -> None:
     assert after.min_dihedral.min() >= 12.0
     surface = int(triangles.max()) + 1
     np.testing.assert_array_equal(mended.points[:surface], points[:surface])
-    # what is carried over is what is found anew
+    # the updated conformity equals a new computation
     anew = conform(mended.tetrahedra, triangles, sides)
     assert anew.faults == 0
     for name in ("regions", "behind", "before"):

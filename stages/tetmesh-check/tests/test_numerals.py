@@ -1,4 +1,4 @@
-"""Numbers for people."""
+"""Tests of number formatting."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of a case and the index: complete, self-contained, readable without eyes, and made from the status alone."""
+"""Tests of the page and the index: complete, self-contained, accessible, made from the status."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NOTHING = {
 
 
 class Elements(HTMLParser):
-    """All elements with their attributes, and the words of the page."""
+    """The elements of a page with their attributes, and its text."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -59,13 +59,13 @@ class Elements(HTMLParser):
 
 
 def made(status: Path, output: Path) -> Elements:
-    """The page of a status, as the program writes it."""
+    """Make the page of a status and parse it."""
     assert program.main([str(status), "-o", str(output), "--force"]) == 0
     return Elements(output.read_text())
 
 
 def copied(case: Path, folder: Path) -> Path:
-    """The folder of the case again, to be changed."""
+    """Copy the folder of the case, so that a test can change it."""
     shutil.copytree(case, folder / "a&b", ignore=shutil.ignore_patterns("*.html", "pictures"))
     return folder / "a&b"
 
@@ -87,7 +87,7 @@ def test_the_page_is_whole_and_needs_nothing_else(case: Path, page: Path) -> Non
     results = json.loads((case / "a&b.report.json").read_text())["results"]
     if set(results["pictures"]["drawn"]) - {"a&b.quality.png"}:
         titles.insert(4, "Pictures")
-    # the table of contents leads to each of them, in order
+    # the table of contents links to every section, in order
     anchors = [str(a["href"]) for a in elements.of("a") if str(a["href"]).startswith("#")]
     assert anchors == [f"#{a['id']}" for a in elements.of("section")]
     assert [a["id"] for a in elements.of("section")] == [title.lower().replace(" ", "-") for title in titles]
@@ -278,7 +278,7 @@ def test_what_to_do_stands_beside_a_failed_check(case: Path, tmp_path: Path) -> 
     assert f"reconstruct: 3 pairs of intersecting triangles{advice}" in elements.words
     assert "Not fit for simulation: 2 checks failed, 1 warning" in elements.words
     assert "kept, although a check failed" in elements.words
-    assert "In three dimensions" in elements.words  # what failed is there to be looked at
+    assert "In three dimensions" in elements.words  # the failed mesh is shown
     assert elements.words.index("3 pairs") < elements.words.index("minimum dihedral angle is")
 
 
@@ -332,7 +332,7 @@ def test_the_input_is_read_as_the_stages_read_it(case: Path, tmp_path: Path, kin
 
 
 def test_pictures_are_transparent_round_the_mesh(case: Path) -> None:
-    """So that they fit a dark page; the bar of the colours is below the mesh."""
+    """Transparent pictures also suit a dark page. The colour bar is below the mesh."""
     drawn = read_case(case / "a&b.status.json").pictures
     if not drawn:
         pytest.skip("nothing draws here: see the reason in the report")
@@ -472,7 +472,7 @@ def test_charts() -> None:
     bars = re.search(r'<g class="bars">(.*?)</g>', drawn)
     assert bars is not None
     heights = [float(h) for h in re.findall(r'height="([0-9.]+)"', bars.group(1))]
-    # powers of ten from a half up: a single thing is seen beside a hundred
+    # the logarithmic axis starts at 0.5, so that a count of 1 is visible beside 100
     assert heights[0] / heights[1] == pytest.approx(np.log10(2.0) / np.log10(200.0), rel=1e-3)
     assert "mean 0.7, minimum 0.1, limit 0.25: below it the check fails; 101 counted" in drawn
     for words in ("mean 0.7", "minimum 0.1", "limit 0.25: below it the check fails", "size, mm", "things, in powers"):

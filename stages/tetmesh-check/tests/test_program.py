@@ -1,4 +1,4 @@
-"""The program from the command line: what it writes, refuses, and how it ends."""
+"""Tests of the command line: output, refused input and exit codes."""
 
 from __future__ import annotations
 
@@ -38,10 +38,11 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     assert points.dtype == np.float64
     volumes = signed_tetrahedron_volumes(points, cells)
     assert volumes.min() > 0
-    # the polyhedron inside the sphere of radius 10, within the 1 % that the check demands
+    # the volume inside the surface, within the 1 % that the check allows
     assert volumes.sum() == pytest.approx(pv.read(tmp_path / "ball.surface.vtp").volume, rel=0.01)
     left = points[cells].mean(axis=1)[:, 0] < 0
-    # volume per tetrahedron goes with the cube of the edge; the common surface keeps the ratio far below (4 / 1.5)^3
+    # The volume of a tetrahedron is proportional to the cube of the edge length. The common surface
+    # keeps the ratio far below (4 / 1.5)^3.
     assert left.sum() > 2.0 * (~left).sum()
 
     assert set(grid.cell_data.keys()) == {"radius_ratio", "scaled_jacobian", "min_dihedral", "region"}
@@ -98,7 +99,7 @@ def test_existing_output_is_kept_and_failed_checks_are_told(tmp_path: Path, run:
     report = json.loads((tmp_path / "r.json").read_text())
     assert (report["outcome"], report["exit_code"]) == ("checks_failed", 1)
     assert len(report["failed_checks"]) == 1
-    # not good enough at first, so it was tried again with more patience
+    # the limit was not reached, so fTetWild ran again with lower stop energies
     assert [attempt["stop_energy"] for attempt in report["results"]["tetrahedralizer"]["attempts"]] == [
         1000.0,
         30.0,
@@ -168,7 +169,7 @@ def test_no_renderer_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def worker_processes(folder: Path) -> list[str]:
-    """Running tetrahedralizers whose job lies in a folder (Linux)."""
+    """Return the running tetrahedralizers with a job in the folder (Linux)."""
     found = []
     for entry in Path("/proc").glob("[0-9]*/cmdline"):
         try:

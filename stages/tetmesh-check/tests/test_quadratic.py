@@ -1,4 +1,4 @@
-"""Tetrahedra with ten nodes: F, Jacobians, the volume of a ball, and what other programs find in the files."""
+"""Tests of quadratic tetrahedra: F, Jacobians, the volume of a ball, and exported files."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ RADIUS = 10.0
 def write_distance(
     path: Path, distance: Callable[[np.ndarray], np.ndarray], spacing: float = 1.0, half: float = 13.0
 ) -> Path:
-    """Distance field on a grid round the origin, as distfield has it."""
+    """Write a distance field on a grid around the origin, as distfield does."""
     count = round(2 * half / spacing) + 1
     grid = pv.ImageData(dimensions=(count,) * 3, origin=(-half,) * 3, spacing=(spacing,) * 3)
     grid["signed_distance"] = np.asarray(distance(np.asarray(grid.points, dtype=float)), dtype=np.float32)
@@ -52,7 +52,7 @@ def field(tmp_path: Path) -> DistanceField:
 
 
 def test_f_is_the_spline_through_the_samples_with_its_gradient(tmp_path: Path) -> None:
-    # on an oblique grid a polynomial of third degree is its own spline, away from the border
+    # away from the border, the spline reproduces a cubic polynomial, also on an oblique grid
     turn = np.array([[0.8, 0.6, 0.0], [-0.48, 0.64, 0.6], [0.36, -0.48, 0.8]])
     grid = pv.ImageData(dimensions=(44, 45, 46), spacing=(0.5, 0.6, 0.7), origin=(3.0, -2.0, 1.0))
     grid.direction_matrix = turn
@@ -78,7 +78,7 @@ def test_points_are_projected_no_farther_than_they_may(field: DistanceField) -> 
     at = np.array([[9.0, 0.0, 0.0], [0.0, 7.0, 0.0], [0.0, 0.0, 0.0]])
     reached, arrived = field.project(at, np.array([2.0, 2.0, 20.0]))
     assert arrived.tolist() == [True, False, False]
-    # the spline through float32 samples of the distance is that near to the ball
+    # the tolerance is the error of the spline through float32 samples of the distance
     np.testing.assert_allclose(reached, [[10.0, 0, 0], [0, 7, 0], [0, 0, 0]], atol=1e-4)
 
 
@@ -98,14 +98,14 @@ def test_fields_that_cannot_serve_are_refused(tmp_path: Path, make: Callable[[Pa
 
 
 def curved_nodes(seed: int, size: float) -> np.ndarray:
-    """A regular tetrahedron whose mid-edge nodes are off by up to ``size``."""
+    """Return the unit right tetrahedron with mid-edge nodes moved by up to ``size`` per axis."""
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     middles = np.array([corners[[a, b]].mean(axis=0) for a, b in ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))])
     return np.concatenate([corners, middles + np.random.default_rng(seed).uniform(-size, size, (6, 3))])
 
 
 def read_by_scikit_fem(nodes: np.ndarray) -> MeshTet2:
-    """One element."""
+    """Return one element as a mesh of scikit-fem."""
     edges = MeshTet(nodes[:4].T, np.arange(4)[:, None]).edges.T
     own = {frozenset(pair): k for k, pair in enumerate(((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)))}
     order = [4 + own[frozenset(pair)] for pair in edges.tolist()]
@@ -130,7 +130,7 @@ def test_bezier_coefficients_bound_the_jacobian(seed: int) -> None:
 
 
 def thin_element(height: float) -> MarkedMesh:
-    """A tetrahedron outside the ball on a face of which the ball bulges into it."""
+    """Return a tetrahedron with a face inscribed in the ball, which bulges into the element."""
     corners = RADIUS * np.array([[1.0, 0, 0], [0.9, np.sqrt(0.19), 0], [0.9, 0, np.sqrt(0.19)]])
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     top = corners.mean(axis=0) + height * normal / np.linalg.norm(normal)
@@ -150,7 +150,7 @@ def test_nodes_that_would_fold_an_element_are_drawn_back(field: DistanceField) -
     assert LEAST_JACOBIAN <= thin.jacobian.min() < 1.0
     mesh = thin.mesh
     assert jacobian_coefficients(mesh.points[mesh.elements]).min() > 0.0
-    # at full length the element would be folded
+    # with the full displacement, the element would be folded
     assert mesh.middle is not None
     full, _ = field.project(mesh.points[mesh.middle[0, :3]], np.full(3, 2.0))
     nodes = mesh.points[mesh.elements]
@@ -178,7 +178,7 @@ def fill_ball(folder: Path, run: Run, subdivisions: int, *more: str) -> Path:
 
 
 def scikit_fem_of(path: Path) -> MeshTet2:
-    """The mesh as scikit-fem takes it, by its own order of edges."""
+    """Read the mesh for scikit-fem, with its order of edges."""
     grid = pv.read(path)
     cells = np.asarray(grid.cells_dict[pv.CellType.QUADRATIC_TETRA], dtype=np.int64)
     points = np.asarray(grid.points)
@@ -192,11 +192,11 @@ def scikit_fem_of(path: Path) -> MeshTet2:
     return MeshTet2(np.concatenate([points[corners], middles]).T, mesh.t)
 
 
-# some ten seconds of processor time; the limit is for a machine with much other work
+# takes about ten seconds of processor time; the limit is for a busy machine
 @pytest.mark.timeout(240)
 @NEEDS_HXT
 def test_the_volume_and_a_solution_on_the_ball_converge_at_a_higher_order(tmp_path: Path, run: Run) -> None:
-    # - lap u = 1, u = 0 on the sphere: the integral of u is 4 pi R^5 / 45
+    # -lap u = 1 with u = 0 on the sphere: the integral of u is 4 pi R^5 / 45
     exact = 4.0 / 3.0 * np.pi * RADIUS**3
     integral = 4.0 * np.pi * RADIUS**5 / 45.0
     errors = []
@@ -220,14 +220,15 @@ def test_the_volume_and_a_solution_on_the_ball_converge_at_a_higher_order(tmp_pa
         errors.append(row)
     coarse, fine = np.abs(errors)
     orders = np.log2(coarse / fine)
-    # measured: 3.4 % and 0.86 % of the volume linear, 0.015 % and 0.0010 % quadratic: orders 1.97 and 3.88; of the integral 1.99 and 3.98
+    # Measured errors of the volume: linear 3.4 % and 0.86 %, quadratic 0.015 % and 0.0010 %; orders
+    # 1.97 and 3.88. The orders of the integral are 1.99 and 3.98.
     np.testing.assert_allclose(orders[:2], 2.0, atol=0.2)
     assert (orders[2:] > 3.5).all()
     assert (fine[2:] < 0.01 * fine[:2]).all()
 
 
 def small_mesh(field: DistanceField) -> MarkedMesh:
-    """The ball as eight elements round its centre, in two regions."""
+    """Return the ball as eight elements around its centre, in two regions."""
     signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
     points = np.concatenate([RADIUS * np.eye(3), -RADIUS * np.eye(3), np.zeros((1, 3))])
     cells = np.array([[0 if x > 0 else 3, 1 if y > 0 else 4, 2 if z > 0 else 5, 6] for x, y, z in signs])
@@ -248,7 +249,7 @@ def test_exported_files_are_read_back(tmp_path: Path, field: DistanceField) -> N
         export(mesh, tmp_path / "b.volume.vtu", "b", kind)
     for name in ("inp", "msh", "msh2"):
         again = meshio.read(tmp_path / f"b.volume.{name}", "abaqus" if name == "inp" else "gmsh")
-        # msh has the nodes by entity
+        # msh files order the nodes by entity, so positions are compared
         np.testing.assert_allclose(again.points[again.cells_dict["tetra10"]], mesh.points[mesh.elements], rtol=1e-12)
     assert "TYPE=C3D10" in (tmp_path / "b.volume.inp").read_text()
     gmsh = meshio.read(tmp_path / "b.volume.msh2", "gmsh")
@@ -323,12 +324,12 @@ def test_calculix_inflates_a_hollow_ball(tmp_path: Path, run: Run) -> None:
 
 
 def inflate(folder: Path, inner: float, modulus: float, ratio: float, pressure: float) -> float:
-    """Mean radial displacement of the cavity's wall, mm, by CalculiX on ``b.volume.inp``."""
+    """Solve ``b.volume.inp`` with CalculiX; return the mean radial displacement of the wall, mm."""
     mesh = meshio.read(folder / "b.volume.inp")
     points, (cells,) = mesh.points, mesh.cells_dict.values()
     radii = np.linalg.norm(points, axis=1)
     wall = np.flatnonzero(np.abs(radii - inner) < 0.2)
-    # the faces of the cavity: those of SURFACE whose three corners are on it (S1 is 1-2-3, S2 1-4-2, S3 2-4-3, S4 3-4-1)
+    # faces with three corners on the wall of the cavity (P1 is 1-2-3, P2 1-4-2, P3 2-4-3, P4 3-4-1)
     corners = {1: (0, 1, 2), 2: (0, 3, 1), 3: (1, 3, 2), 4: (2, 3, 0)}
     loaded = [
         f"{cell + 1}, P{face}, {pressure}"

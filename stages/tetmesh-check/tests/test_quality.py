@@ -1,4 +1,4 @@
-"""The measures against known shapes and against VTK's Verdict."""
+"""Tests of the quality measures against known shapes and VTK's Verdict."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_tetrahedra_agree_with_verdict() -> None:
 
 
 def dihedral_angles(corner: np.ndarray) -> list[float]:
-    """Angle at each edge between the two other vertices seen along it, degrees: from the definition."""
+    """Return the dihedral angle at each edge from its definition, degrees."""
     angles = []
     for i in range(4):
         for j in range(i + 1, 4):
@@ -84,7 +84,7 @@ def dihedral_angles(corner: np.ndarray) -> list[float]:
 
 
 def test_dihedral_angles_against_the_definition() -> None:
-    # Verdict's minimum angle is of no use here: it takes the acute angle between the planes
+    # Verdict's minimum angle differs: it is the acute angle between the planes
     points, cells = random_tetrahedra(100)
     quality = tetrahedron_quality(points, cells)
     truth = np.array([dihedral_angles(points[cell]) for cell in cells])

@@ -1,4 +1,4 @@
-"""Labels of tetrahedra, marks of the boundary, and what other programs find in the exported files."""
+"""Tests of region labels, boundary marks and exported files."""
 
 from __future__ import annotations
 
@@ -43,17 +43,17 @@ from tetmesh_check.topology import tetrahedron_boundary
 
 
 def vector(numbers: np.ndarray | list[float]) -> str:
-    """A vector as NRRD has it."""
+    """Format a vector for an NRRD header."""
     return f"({','.join(repr(float(number)) for number in numbers)})"
 
 
 def placed(space: str, steps: np.ndarray, origin: list[float]) -> dict[str, str]:
-    """Header fields of a grid; ``steps`` has one axis a row."""
+    """Return the header fields of a grid; ``steps`` has one axis per row."""
     return {"space": space, "space_directions": " ".join(map(vector, steps)), "space_origin": vector(origin)}
 
 
 def halves(path: Path, header: dict[str, str] | None = None) -> Path:
-    """Labels 3 (x < 0) and 7 in a box of 25 mm round the origin, 0 and a stray 9 outside a ball of 9 mm."""
+    """Write labels 3 (x < 0) and 7 in a ball of radius 9 mm; outside it, a stray 9 for z > 0."""
     x, y, z = np.meshgrid(*3 * [np.arange(-12, 13)], indexing="ij")
     values = np.where(x < 0, 3, 7).astype(np.uint8)
     values[x**2 + y**2 + z**2 > 81] = 0
@@ -66,7 +66,7 @@ def test_labels_are_sampled_in_the_world(tmp_path: Path) -> None:
     plain = read_label_volume(halves(tmp_path / "l.nrrd"))
     centres = np.array([[-3.0, 1, 1], [4.0, 2, -2], [-9.9, 0, 0], [2.0, 0, 9.7]])
     np.testing.assert_array_equal(regions_of(centres, plain, [3, 7]), [3, 7, 3, 7])
-    # the stray label counts unless one says which were meshed
+    # the stray label is used unless the meshed labels are given
     np.testing.assert_array_equal(regions_of(centres, plain, None), [3, 7, 3, 9])
 
     # the same voxels in another world: right-anterior-superior, first axis along -y
@@ -110,7 +110,7 @@ def test_bad_label_volumes_are_refused(tmp_path: Path) -> None:
 
 
 TURN = np.array([[0.8, 0.6, 0.0], [-0.48, 0.64, 0.6], [0.36, -0.48, 0.8]])
-"""A rotation."""
+"""A rotation matrix."""
 
 
 @NEEDS_DISTFIELD
@@ -189,7 +189,7 @@ def test_exported_files_are_read_back(tmp_path: Path) -> None:
     assert gmsh.field_data["region_5"].tolist() == [5, 3]
     assert gmsh.field_data["cap"].tolist() == [10 + CAP, 2]
 
-    # 4.1 has nodes and elements by entity
+    # version 4.1 orders nodes and elements by entity
     gmsh = meshio.read(tmp_path / "b.volume.msh")
     by_region, by_mark = np.argsort(mesh.regions, kind="stable"), np.argsort(mesh.marks, kind="stable")
     np.testing.assert_array_equal(gmsh.points[gmsh.cells_dict["tetra"]], mesh.points[mesh.tetrahedra[by_region]])
@@ -229,7 +229,7 @@ def test_exported_files_are_read_back(tmp_path: Path) -> None:
 
 
 def table_of(path: Path) -> list[dict[str, str]]:
-    """Rows of the table of regions that comes with every export."""
+    """Read the table of regions that accompanies every export."""
     with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 
@@ -254,7 +254,7 @@ def test_negative_labels_have_groups_of_their_own(tmp_path: Path) -> None:
 
 
 def materials_of_block(names: tuple[str, str], labels: tuple[int, int]) -> MarkedMesh:
-    """The block as two materials, each with one label; the lower half is the first."""
+    """Return the block as two materials with one label each; the first is the lower half."""
     block = marked_block()
     entries = [{"name": name, "labels": [{"layer": 0, "label": k}]} for name, k in zip(names, labels, strict=True)]
     table = [{"name": "outside", "labels": []}, *entries]
@@ -370,7 +370,7 @@ CCX = shutil.which("ccx")
 
 @pytest.mark.skipif(CCX is None, reason="no CalculiX (Debian, Ubuntu: apt-get install calculix-ccx)")
 def test_calculix_solves_a_pressure_on_the_exported_surface(tmp_path: Path) -> None:
-    # a block under the same pressure on all sides shrinks by p / 3K, which linear elements have exactly
+    # under equal pressure on all sides, the strain is -p / (3 K), which linear elements reproduce
     mesh = marked_block()
     export(mesh, tmp_path / "b.volume.vtu", "b", "inp")
     modulus, ratio, pressure = 1000.0, 0.3, 10.0
@@ -416,7 +416,7 @@ def test_points_on_the_rim_of_a_cap_belong_to_the_surface() -> None:
 
 
 def test_the_nearest_triangle_counts_and_not_the_nearest_centre() -> None:
-    # a fine block whose side x = 0 is the cap, against an input where that side consists of two triangles
+    # a fine block whose side x = 0 is the cap; in the input, this side consists of two triangles
     points, cells = block((8, 8, 8))
     fine = tetrahedron_boundary(cells).triangles
     on_cap = (points[fine][..., 0] == 0.0).all(axis=1)
@@ -429,7 +429,7 @@ def test_the_nearest_triangle_counts_and_not_the_nearest_centre() -> None:
 
 
 def test_normals_settle_ties() -> None:
-    # a cap and a wall back to back: the same place, opposite normals
+    # a cap and a wall at the same position, with opposite normals
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
     surface = Surface(points, np.array([[0, 1, 2], [0, 2, 1]]), None, 0, np.array([True, False]))
     np.testing.assert_array_equal(boundary_marks(surface, points, np.array([[1, 2, 0], [2, 1, 0]])), [CAP, SURFACE])
@@ -438,7 +438,7 @@ def test_normals_settle_ties() -> None:
 @NEEDS_HXT
 def test_gmsh_opens_its_file(tmp_path: Path) -> None:
     block = marked_block()
-    # a region none of whose nodes is its own
+    # every node of region 37 also belongs to another region
     regions = block.regions.copy()
     regions[(block.tetrahedra == block.boundary[0, 0]).any(axis=1).argmax()] = 37
     export(replace(block, regions=regions), tmp_path / "b.vtu", "b", "msh")

@@ -1,4 +1,4 @@
-"""The size field: where it is placed, and the background mesh made from it."""
+"""Tests of the size field: its position, and the background mesh made from it."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_background_covers_the_object_without_gaps(tmp_path: Path, max_nodes: in
     background = background_mesh(field, surface, max_nodes)
     assert len(background.points) <= max_nodes
     assert (background.stride == 1) == (max_nodes > 10_000)
-    # the tetrahedra of whole cubes, none twice and none missing
+    # five tetrahedra fill each cube
     volumes = np.abs(signed_tetrahedron_volumes(background.points, background.tetrahedra))
     cubes = len(background.tetrahedra) / 5
     assert volumes.sum() == pytest.approx(cubes * background.stride**3)
@@ -66,7 +66,7 @@ def test_background_covers_the_object_without_gaps(tmp_path: Path, max_nodes: in
     inside *= 8.0 / np.maximum(np.linalg.norm(inside, axis=1), 1e-9)[:, None] * np.linspace(0, 1, 500)[:, None]
     assert (grid.find_containing_cell(inside) >= 0).all()
     np.testing.assert_allclose(background.values, linear(background.points), rtol=1e-5)
-    # neighbouring cubes share the diagonals of their faces: each face is used once or twice
+    # adjacent cubes share face diagonals, so each face belongs to one or two tetrahedra
     faces = np.sort(
         np.concatenate([background.tetrahedra[:, f] for f in ([0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3])]), 1
     )

@@ -1,4 +1,4 @@
-"""Slices of the volume: the right way round, and the outline where the mesh is."""
+"""Tests of slices of the volume: their orientation, and the outline of the mesh."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tetmesh_check.page.scan import Scan
 from tetmesh_check.page.slices import Window, _stack, outline, path_of, planes_of, slices, window_of
 from tetmesh_check.polydata import from_polydata
 
-# grids that run along other axes of the body, backwards, and aslant
+# grids with permuted, reversed and oblique axes
 ROTATION = np.array([[0.96, -0.28, 0.0], [0.28, 0.96, 0.0], [0.0, 0.0, 1.0]])
 GRIDS = {
     "LPS": np.eye(3),
@@ -26,7 +26,7 @@ GRIDS = {
 
 
 def area(chain: np.ndarray) -> float:
-    """Of a closed polygon, shape ``(k, 2)``."""
+    """Return the area of a closed polygon, shape ``(k, 2)``."""
     x, y = chain.T
     return abs(0.5 * float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum()))
 

@@ -1,4 +1,4 @@
-"""The problems solved on the tetrahedra: against what is known about them, and within their bounds."""
+"""Tests of the problems solved on the tetrahedra: known solutions, and limits."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FOREVER = Solver(10_000, float("inf"))
 
 
 def block(counts: tuple[int, int, int], size: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """A block of cubes of one size, six tetrahedra each (Kuhn), with a corner at the origin."""
+    """Return a block of cubes of six tetrahedra each (Kuhn), with a corner at the origin."""
     nx, ny, nz = counts
     grid = np.stack(np.meshgrid(*(np.arange(n + 1) for n in counts), indexing="ij"), -1).reshape(-1, 3)
     number = np.arange(len(grid)).reshape(nx + 1, ny + 1, nz + 1)
@@ -48,7 +48,7 @@ def block(counts: tuple[int, int, int], size: float = 1.0) -> tuple[np.ndarray, 
 
 
 def copies(part: tuple[np.ndarray, np.ndarray], count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Bodies of one shape in a row, 1 mm apart."""
+    """Return copies of a body in a row, 1 mm apart."""
     points, cells = part
     step = np.array([0.0, float(np.ptp(points[:, 1])) + 1.0, 0.0])
     return (
@@ -87,7 +87,7 @@ def test_conjugate_gradients_and_their_eigenvalues() -> None:
 
 @pytest.mark.parametrize("divided", [False, True])
 def test_iterations_are_counted_by_the_error_and_not_by_the_residual(divided: bool) -> None:
-    """A chain of springs from 1 to 0, the first one stiff, as in a flat tetrahedron: it fills the right-hand side."""
+    """A chain of springs from 1 to 0. The first one is stiff, like a flat tetrahedron."""
     count, stiff = 200, 1e7
     springs = np.ones(count + 1)
     springs[0] = stiff
@@ -154,7 +154,7 @@ def test_blocks_assemble_to_the_same_matrix(monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.mark.parametrize("size", [10_000, 37, 50])
 def test_matrices_are_those_of_the_textbook(monkeypatch: pytest.MonkeyPatch, size: int) -> None:
-    # 216 tetrahedra: in one block, in 6, in 5
+    # 216 tetrahedra in one, six and five blocks
     monkeypatch.setattr("tetmesh_check.assembly.BLOCK", size)
     points, cells = block((4, 3, 3))
     points = points + 0.1 * np.sin(points[:, [1, 2, 0]])
@@ -172,7 +172,7 @@ def test_matrices_are_those_of_the_textbook(monkeypatch: pytest.MonkeyPatch, siz
     np.testing.assert_allclose(made, truth[0], rtol=0, atol=1e-13)
     made = assembler.elastic_stiffness(0.0, 1.0).toarray()
     np.testing.assert_allclose(made, vectors, rtol=0, atol=1e-13)
-    # both parts, against scikit-fem's own forms of vector fields
+    # both terms, compared with scikit-fem's vector elements
     basis = Basis(MeshTet(points.T, cells.T), ElementVector(ElementTetP1()), intorder=1)
     form = BilinearForm(lambda u, v, _w: 2.0 * 0.7 * ddot(sym_grad(u), sym_grad(v)) + 0.3 * div(u) * div(v))
     np.testing.assert_allclose(
@@ -188,13 +188,13 @@ def test_matrices_of_blocks_are_merged_as_they_come(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(assembly, "_merge", lambda parts: (held.append(len(parts)), merge(parts)))
     points, cells = block((4, 3, 3))
     Assembler(points, cells).matrix(lambda u, v, _w: dot(grad(u), grad(v)))
-    # 72 blocks: one matrix for each binary digit, and the one that comes
+    # 72 blocks: at most one partial sum for each binary digit, and the next matrix
     assert max(held) <= 8
 
 
 def test_squared_errors_are_integrated_exactly() -> None:
     points, cells = block((2, 2, 2), 0.5)
-    # x^4 over the unit cube; x itself is linear, its error is quadratic
+    # the integral of x^4 over the unit cube; a squared quadratic error has the same degree
     integral = Assembler(points, cells).integrals([lambda w: (w.field * w.x[0]) ** 2], field=points[:, 0])[0]
     assert integral == pytest.approx(0.2, rel=1e-12)
 
@@ -205,7 +205,7 @@ def test_poisson_is_second_order_and_the_best_there_is() -> None:
         points, cells = block((count,) * 3, 24.0 / count)
         figures, converged = poisson(Assembler(points, cells), on_boundary(points, cells), FOREVER)
         assert converged
-        # Cea's lemma: at most 1, whatever the mesh
+        # at most 1 on any mesh by Cea's lemma, except for quadrature errors
         assert 0.5 < figures["best_approximation"] < 1.02
         errors.append((figures["relative_l2_error"], figures["relative_h1_error"]))
     orders = np.log2(np.array(errors[0]) / np.array(errors[1]))
@@ -223,7 +223,7 @@ def test_a_hanging_column_stretches_as_it_must(monkeypatch: pytest.MonkeyPatch) 
     assert figures["weight_n"] == pytest.approx(WEIGHT * 80.0)
     assert figures["reaction_n"] == pytest.approx(figures["weight_n"], rel=1e-6)
     assert figures["strain_energy_mj"] == pytest.approx(0.5 * figures["work_of_weight_mj"], rel=1e-6)
-    # the free length is 17 mm, because the layer with a vertex in the lower tenth is held
+    # the free length is 17 mm: tetrahedra with a vertex in the lower tenth are clamped
     exact = WEIGHT**2 * 4.0 * 17.0**3 / (3.0 * problems.YOUNG)
     assert 0.97 * exact < figures["work_of_weight_mj"] < exact
     assert figures["max_displacement_mm"] == pytest.approx(WEIGHT * 17.0**2 / (2.0 * problems.YOUNG), rel=0.05)
@@ -258,7 +258,7 @@ def test_a_column_held_at_its_end() -> None:
     points, cells = block((1, 1, 20))
     held = held_at_one_side(cells, points[:, 2], np.zeros(len(cells), dtype=np.int64), 0.1)
     assert set(points[cells[held]][..., 2].ravel()) == {0.0, 1.0, 2.0, 3.0}
-    # of several bodies each is held
+    # each of several bodies is clamped
     two = np.concatenate([cells, cells + len(points)])
     both = np.concatenate([points, points + np.array([5.0, 0.0, 100.0])])
     bodies = np.repeat([0, 1], len(cells))
@@ -280,7 +280,7 @@ def test_conduction_follows_the_membrane_where_the_fibres_are_equal(monkeypatch:
     figures, converged = conduction(Assembler(apart, np.concatenate([cells, cells + len(points)])), FOREVER)
     assert converged
     assert figures["parts"] == 2
-    # once a block and matrix, not once a pair of basis functions
+    # once per block and matrix, not once per pair of basis functions
     assert len(tensors) == 2
     low, high = figures["potential_range_mv"]
     # phi = -sigma_i / (sigma_i + sigma_e) V plus a constant: a quarter of the 100 mV
@@ -292,7 +292,7 @@ def test_conduction_in_many_bodies(size: tuple[int, int, int], count: int) -> No
     figures, converged = conduction(Assembler(*copies(block(size), count)), FOREVER)
     assert converged
     assert figures["parts"] == count
-    # it was stuck after 4 and 2 before every part was grounded
+    # if not every part is grounded, the iteration stagnates after 4 and 2 steps
     assert figures["multigrid"]["iterations"] <= 20
     assert figures["multigrid"]["condition"] is not None
 
@@ -349,7 +349,7 @@ def test_multigrid_hardly_minds_the_number_of_unknowns() -> None:
         assert converged
         for name, found in iterations.items():
             found.append(figures[name]["iterations"])
-    # 13 and 13, 146 and 290, measured
+    # measured: 13 and 13 with multigrid, 146 and 290 with Jacobi
     assert max(iterations["multigrid"]) <= 20
     assert iterations["multigrid"][1] < 1.5 * iterations["multigrid"][0]
     assert iterations["jacobi"][1] > 1.5 * iterations["jacobi"][0]
@@ -363,7 +363,7 @@ def test_a_mesh_without_points_inside() -> None:
 
 
 def test_a_block_may_have_many_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    # the product of two of their numbers needs more than 32 bits
+    # the product of two point numbers needs more than 32 bits
     points, cells = block((2, 2, 2))
     alone = Assembler(points, cells).elastic_stiffness(1.0, 1.0).toarray()
     copies = 2000
@@ -391,7 +391,7 @@ def test_runs_for_comparison_leave_time_for_others(monkeypatch: pytest.MonkeyPat
 
 
 def which(words: tuple[object, ...]) -> str:
-    """The preconditioner of a call of conjugate_gradients."""
+    """Return the name of the preconditioner in a call of conjugate_gradients."""
     return str(getattr(words[2], "__qualname__", "")).split(".")[0]
 
 
@@ -415,7 +415,7 @@ def test_which_runs_decide(monkeypatch: pytest.MonkeyPatch) -> None:
     def slow(*words: object, **options: object) -> CgResult:
         if which(words) == "multigrid":
             return conjugate_gradients(*words, **options)
-        # from now on time is over for everything that looks at the clock
+        # from here on, every look at the clock finds the time limit exceeded
         monkeypatch.setattr(assembly.time, "monotonic", lambda: float("inf"))
         raise OutOfTimeError
 
@@ -429,7 +429,7 @@ def test_which_runs_decide(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_solution_of_jacobi_stands_in_for_that_of_multigrid(monkeypatch: pytest.MonkeyPatch) -> None:
     points, cells = block((8, 8, 8))
     right = poisson(Assembler(points, cells), on_boundary(points, cells), FOREVER)[0]
-    # symmetric, but not positive
+    # symmetric, but not positive definite
     monkeypatch.setattr(problems, "multigrid", lambda *_words: lambda residual: -residual)
     context = Context(CommonArguments(), "", {})
     checks = solve_on(mesh_of(points, cells), SolveSettings(), context)
@@ -439,7 +439,7 @@ def test_the_solution_of_jacobi_stands_in_for_that_of_multigrid(monkeypatch: pyt
     assert found["relative_l2_error"] == pytest.approx(right["relative_l2_error"], rel=1e-5)
     assert "poisson: multigrid did not converge" in context.warnings[0]
     assert "; poisson, conduction, elasticity with Jacobi's preconditioner only" in checks[0].words
-    # with no time for Jacobi's preconditioner nothing is known about the matrix
+    # without time for Jacobi's preconditioner, nothing is known about the matrix
     context = Context(CommonArguments(), "", {})
     checks = solve_on(mesh_of(points, cells), SolveSettings(compare_seconds=0.0), context)
     assert [check.passed for check in checks] == [False]
@@ -470,7 +470,7 @@ def test_what_cannot_be_solved_does_not_take_the_rest_with_it(monkeypatch: pytes
 
 
 def test_a_wrong_solution_is_not_the_best_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    # a source that does not belong to the solution
+    # a source that does not match the exact solution
     wave = problems._Wave
     monkeypatch.setattr(wave, "source", lambda self, x: 0.5 * self.wave_number**2 * self.value(x))
     points, cells = block((8, 8, 8))

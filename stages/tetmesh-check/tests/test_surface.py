@@ -1,4 +1,4 @@
-"""Every surface that bounds no volume is refused, and says why."""
+"""Tests that a surface that does not bound a volume is refused with the reason."""
 
 from __future__ import annotations
 
@@ -161,14 +161,14 @@ def test_crossing_pairs_against_all_pairs() -> None:
 
 
 def test_mirrored_overlap_is_found() -> None:
-    # every contact of the two balls lies on an edge of both: no edge passes through the open inside of a triangle
+    # by symmetry, the balls intersect on edges of both; no edge crosses the interior of a triangle
     both = merged(ball(), ball().translate((9.0, 0, 0)))
     triangles = np.asarray(both.faces).reshape(-1, 4)[:, 1:].astype(np.int64)
     assert len(self_intersections(np.asarray(both.points), triangles)) > 0
 
 
 def nested() -> pv.PolyData:
-    """A body with a cavity, a body in that cavity with a cavity of its own, and a body apart; in no order of size."""
+    """Return three hollow balls, one of them in the cavity of another, not sorted by size."""
     return merged(
         ball(3.0).translate((30.0, 0, 0)),
         reversed_winding(ball(2.0).translate((0.3, 0, 0))),
@@ -210,7 +210,7 @@ def test_many_components_are_told_apart() -> None:
 
 def test_changed_triangles_are_counted() -> None:
     points, triangles = from_polydata(ball())
-    # the same in another order, with a vertex more
+    # the same triangles in another order, with one more vertex
     order = np.random.default_rng(1).permutation(len(points))
     place = np.argsort(order)
     same = (np.concatenate([points[order], [[0.0, 0, 0]]]), np.roll(place[triangles], 1, axis=1)[::-1])

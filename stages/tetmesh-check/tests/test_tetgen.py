@@ -1,4 +1,4 @@
-"""TetGen: what it fills, and what happens where it is missing or crashes."""
+"""Tests of TetGen: its meshes, and what happens if it is missing or crashes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tetmesh_check.tetgen import cavity_points, regular_volume
 
 
 def nested(path: Path) -> list:
-    """A ball, a hollow ball, and a ball in its cavity."""
+    """Write a ball, a hollow ball and a ball in its cavity."""
     balls = [ball(3.0).translate((20.0, 0, 0)), reversed_winding(ball(8.0, 3)), ball(10.0, 3), ball(5.0)]
     merged(*balls).save(path)
     return balls
@@ -43,7 +43,7 @@ def test_cavities_and_bodies_within(tmp_path: Path, run: Run) -> None:
     assert results["volume"]["boundary_kept"] is True
     volumes = signed_tetrahedron_volumes(points, cells)
     assert volumes.min() > 0.0
-    # a limit before its last optimization only
+    # the final optimization of TetGen may exceed the maximum volume
     assert np.percentile(volumes, 95) < 1.5 * regular_volume(1.5)
     truth = balls[0].volume + balls[2].volume - balls[1].volume + balls[3].volume
     assert volumes.sum() == pytest.approx(truth, rel=1e-6)

@@ -1,4 +1,4 @@
-"""The 3-D view: what is packed into the page, and what a browser makes of it, driven by a script."""
+"""Tests of the 3-D view: the packed data, and the page in a browser that a script controls."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_what_the_view_shows(case: Path) -> None:
     assert len(worst.triangles) == 4 * count
     assert worst.within
     assert worst.colours[0].values.max() == pytest.approx(np.sort(ratio)[count - 1])
-    # each tetrahedron's faces look outwards: its volume by the divergence theorem is its own
+    # the faces of each tetrahedron face outward: the divergence theorem gives its volume
     corners = points[worst.triangles].reshape(-1, 4, 3, 3)
     corners = corners - corners.mean(axis=(1, 2), keepdims=True)
     volumes = np.einsum("abi,abi->a", corners[:, :, 0], np.cross(corners[:, :, 1], corners[:, :, 2])) / 6.0
@@ -101,7 +101,7 @@ def test_what_the_view_shows(case: Path) -> None:
 def test_the_cut_keeps_the_farther_half(case: Path) -> None:
     points, cells, grid = tetrahedra(case / "a&b.volume.vtu")
     cut = cut_of(grid)
-    # as by looking at all faces
+    # the result is the same if all points count as boundary points
     everywhere = cut_through_the_middle(points, cells, np.ones(len(points), dtype=bool))
     np.testing.assert_array_equal(cut.triangles, everywhere.triangles)
     np.testing.assert_array_equal(cut.owners, everywhere.owners)
@@ -113,7 +113,7 @@ def test_the_cut_keeps_the_farther_half(case: Path) -> None:
 
 
 def browse(page: Path, folder: Path, *words: str) -> tuple[str, list[str]]:
-    """Open a page; the document as it stands in the end, and what was said on the console."""
+    """Open a page; return the final document and the messages on the console."""
     assert BROWSER is not None
     options = [
         "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--hide-scrollbars",
@@ -123,22 +123,22 @@ def browse(page: Path, folder: Path, *words: str) -> tuple[str, list[str]]:
         [BROWSER, *options, *words, page.as_uri()], capture_output=True, text=True, timeout=55, check=False
     )
     said = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-    # what the driver thinks of reading pixels back, which some runs say and others do not
+    # some runs print a performance warning of the driver about reading pixels back
     return done.stdout, [line for line in said if "GL Driver Message (OpenGL, Performance" not in line]
 
 
 CLOCK = "<script>window.requestAnimationFrame = call => setTimeout(() => call(performance.now()), 16);</script>"
-"""A browser that only prints the document draws a few frames and no more."""
+"""Replaces animation frames by timers: with `--dump-dom`, a browser draws only a few frames."""
 DRIVE = f"<script>{Path(__file__).with_name('drive.js').read_text()}</script></body>"
 HOST = (
     "<!doctype html><html><body><script>onmessage = e => { document.documentElement.dataset.found = e.data; };</script>"
 )
 FRAME = '<iframe src="driven.html" style="width:400px;height:1200px;border:0"></iframe></body></html>'
-"""No window is narrower than 500 pixels, but a frame is."""
+"""A narrow page: a window has at least 500 pixels, but a frame can have fewer."""
 
 
 def driven(page: Path, folder: Path, *words: str, narrow: bool = False) -> dict:
-    """What a script found that used the page."""
+    """Run `drive.js` on the page and return what it found."""
     text = page.read_text().replace("<body>", f"<body>{CLOCK}").replace("</body>", DRIVE)
     (folder / "driven.html").write_text(
         text if narrow else text.replace("<body>", f"<body>{HOST.partition('<body>')[2]}")
@@ -157,7 +157,7 @@ def test_a_script_uses_the_page(page: Path, tmp_path: Path) -> None:
     found = driven(page, tmp_path)
     assert found.get("error") is None
     assert found["state"] == "drawn"
-    # nothing is taken from who scrolls by
+    # the wheel alone scrolls the page and does not zoom
     assert found["plainWheel"] == [False, 1.0]
     assert found["ctrlWheel"][0]
     assert found["ctrlWheel"][1] > 1.1
@@ -175,12 +175,13 @@ def test_a_script_uses_the_page(page: Path, tmp_path: Path) -> None:
     assert found["plus"] == pytest.approx(1.2)
     assert found["reset"] == found["start"]
     assert found["dragged"][0] < found["start"][0]
-    # the ball fills the height of the view but for a margin: pi / 4 of a square, which is about half as wide as the view
+    # The ball fills the height of the view except for a margin: pi / 4 of a square, which is about
+    # half as wide as the view.
     assert 0.2 < found["covered"] < 0.6
     assert found["clipped"] < 0.85 * found["covered"]
     assert found["clippedAway"] < 0.1
     assert found["unclipped"] == pytest.approx(found["covered"])
-    # the middle of the picture is where the eye looks at the ball: 10 mm from its centre
+    # the middle of the picture shows a point of the ball, 10 mm from its centre
     values = re.match(
         r"radius ratio: ([\d.]+), edge length: ([\d.]+) mm, deviation from F = 0: ([\d.]+) mm; "
         r"at ([RL]) ([\d.]+), ([AP]) ([\d.]+), ([IS]) ([\d.]+) mm$", found["value"],
@@ -196,7 +197,7 @@ def test_a_script_uses_the_page(page: Path, tmp_path: Path) -> None:
     assert found["within"][0] > 0.01
     assert found["within"][1] == "radius ratio"
     length, pixels, height = found["ruler"]
-    # the ball's 20 mm fill the height but for the margin of 8 %
+    # the ball of 20 mm fills the height except for the margin of 8 %
     assert float(length.split()[0]) / pixels * height == pytest.approx(20.0 * 1.08, rel=0.02)
     assert found["letters"] == ["L", "A", "S"]
     assert found["lookedFromLeft"][0] == ["L"]
@@ -207,7 +208,7 @@ def test_a_script_uses_the_page(page: Path, tmp_path: Path) -> None:
 
 @NEEDS_BROWSER
 def test_the_page_is_dark_and_narrow(page: Path, tmp_path: Path) -> None:
-    """On a telephone at night: nothing to scroll sideways for, no white rectangles."""
+    """On a phone in dark mode, the page has no horizontal scrolling and no white areas."""
     words = ["--blink-settings=preferredColorScheme=0"]
     found = driven(page, tmp_path, *words, narrow=True)
     assert found.get("error") is None

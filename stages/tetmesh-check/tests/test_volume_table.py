@@ -1,4 +1,4 @@
-"""The table of volumes of voxels, F, surface mesh and tetrahedra, in report and page."""
+"""Tests of the table of volumes (voxels, F, surface, tetrahedra) in the report and the page."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tetmesh_check.volume_table import volume_table, with_changes
 
 
 def tell(path: Path, rows: list[dict[str, object]]) -> None:
-    """Put rows of volumes into the note of a surface, as ``reconstruct`` does."""
+    """Add rows of volumes to the metadata of a surface, as ``reconstruct`` does."""
     surface = pv.read(path)
     noted = surface.field_data["meta"] if "meta" in surface.field_data else np.frombuffer(b"{}", dtype=np.uint8)
     meta = json.loads(np.asarray(noted).tobytes().decode())
@@ -64,7 +64,7 @@ def test_the_report_of_one_object_has_a_row(tmp_path: Path, run: Run) -> None:
     (told,) = results["volumes"]
     assert told["tetrahedra_mm3"] == results["volume"]["volume_mm3"]
     assert told["change_percent"]["field_mm3"] == pytest.approx(2.5)
-    # a surface of another program tells of none
+    # surfaces of other programs contain no volumes
     ball(10.0).save(tmp_path / "c.vtp")
     assert read_surface(tmp_path / "c.vtp").volumes == []
 

@@ -1,4 +1,4 @@
-"""Volumes through the reader of the other stages, and what other programs find in the files of the project."""
+"""Tests of reading volumes with isoparticles-volume, and of our files in other programs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _COMMON = Path(__file__).parents[3] / "common"
 _FIXTURES = _COMMON / "volume" / "tests" / "data"
 _GOLDEN = _COMMON / "stage" / "tests" / "data" / "golden"
 _TOLD = json.loads((_FIXTURES / "expected.json").read_text())["volumes"]
-"""What the programs say that made the fixtures."""
+"""Contents of the fixtures according to the programs that made them."""
 
 
 @NEEDS_DISTFIELD
@@ -123,7 +123,7 @@ def test_surfaces_of_reconstruct_open_elsewhere(ending: str) -> None:
         again = meshio.read(path)
         meshes.append((again.points, again.cells_dict["triangle"]))
     for vertices, faces in meshes:
-        # STL has a vertex for each corner, so that triangles are compared by their corners
+        # STL repeats the vertices of every triangle, so corner positions are compared
         found = np.sort(np.asarray(vertices)[faces].reshape(4, 9).round(4), axis=0)
         np.testing.assert_allclose(found, np.sort(points[triangles].reshape(4, 9).round(4), axis=0), atol=2e-4)
 

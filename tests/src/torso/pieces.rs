@@ -47,7 +47,7 @@ impl Ellipsoid {
     }
 }
 
-/// Number of straight pieces of a tube that share a bounding box. It affects only the time.
+/// Number of straight pieces of a tube that share a bounding box. It affects only the run time.
 const RUN: usize = 8;
 
 /// A tube along a polyline, with a radius at each point.

@@ -1,5 +1,5 @@
-//! Tests lists of cases: failing rows are reported and do not stop other rows, and another run
-//! makes the remaining rows.
+//! Tests lists of cases: failing rows are reported and do not stop other rows, and the next run
+//! completes the remaining rows.
 
 use super::support::{Ended, run};
 use super::{Case, executable, make};
@@ -102,7 +102,7 @@ fn what_fails_is_told_and_the_rest_is_made() {
     assert_eq!(case.times(), before, "what was made holds");
 }
 
-/// Options that a later stage refuses are reported before the first row runs, and results stay.
+/// Options that a later stage refuses are reported before the first row runs; results are kept.
 #[test]
 fn refused_options_are_told_before_the_first_row() {
     let case = Case::new();

@@ -28,7 +28,7 @@ fn the_index_is_written_although_a_case_fails() {
     run(&mut command("index")).expect_success("make index");
 }
 
-/// Two cases made at once give the same results as cases made one at a time.
+/// Two cases that run in parallel give the same results as cases that run one at a time.
 #[test]
 fn two_cases_at_once() {
     let folder = tempfile::tempdir().expect("folder");

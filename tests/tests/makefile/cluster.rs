@@ -1,5 +1,5 @@
-//! Makes a list of cases with Snakemake on this machine. Failing rows are reported and do not stop
-//! other rows, and another run makes the results that are out of date.
+//! Runs a list of cases with Snakemake on this machine. Failing rows are reported and do not stop
+//! other rows, and the next run updates the results that are out of date.
 
 use super::batch::{expected, verdicts};
 use super::support::{root, run, skip};

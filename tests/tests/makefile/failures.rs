@@ -176,9 +176,8 @@ fn a_killed_run_is_told() {
     assert_eq!(case.status()["verdict"], "passed");
 }
 
-/// The stage of a killed run may still write its output after the next run has removed old files
-/// and before the next run starts the stage. Such a file does not belong to the user, so the status
-/// lists the file as the stage's result.
+/// A killed run may write a late output, after the next run has removed old files and before it
+/// starts the stage. The stage replaces this file, and the status lists it as the stage's result.
 #[test]
 #[cfg(unix)]
 fn late_output_of_a_killed_run_is_made_again() {

@@ -72,7 +72,7 @@ impl Case {
         run(&mut self.command("surface", variables))
     }
 
-    /// Makes the tetrahedra with a stand-in that ends with the exit code `code`.
+    /// Runs `make mesh` with a stand-in for tetmesh-check that exits with `code`.
     #[track_caller]
     fn mesh(&self, code: i32, variables: &[&str]) -> Ended {
         self.stand_in.end_with(code);

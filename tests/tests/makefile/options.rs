@@ -1,5 +1,5 @@
-//! Tests options that a stage refuses. They end a run before anything is removed or started, and
-//! earlier results stay.
+//! Tests options that a stage refuses. They end a run before anything is removed or started;
+//! earlier results are kept.
 
 use super::support::{Kind, listing, run, write_phantom};
 use super::{Case, make};
