@@ -29,5 +29,5 @@ pip() { /opt/isoparticles/bin/python -m pip "$@" --quiet --disable-pip-version-c
 pip install --only-binary :all: --require-hashes -r "$folder/requirements.lock" -r "$folder/requirements-hxt.lock"
 pip install --no-deps --no-index "$folder"/isoparticles-*.whl
 ln -s /opt/isoparticles/bin/isoparticles /opt/isoparticles/bin/tetmesh-check /usr/local/bin/
-# If anything is missing, this fails now and not at the first case.
+# If anything is missing, the installation fails here instead of at the first run.
 isoparticles --version
