@@ -235,7 +235,7 @@ class Paper:
                 "table": "1", "case": case.name, "mode": case.mode, "engine": engine,
                 "options": {**case.options, "reconstruct": method},
                 "exit_code": report["exit_code"], "vertices": results["check"]["vertices"], "components": results["components"],
-                "euler": results["check"]["euler"],
+                "euler": results["topology"]["euler"],
                 "raw": ratios(results["improve"]["before"]), "finished": ratios(results["check"]["quality"]),
                 "seconds": round(report["seconds"], 2), "bytes": report.get("peak_memory_bytes"),
             },

@@ -53,6 +53,13 @@ impl Geometry {
         (k * self.size[1] + j) * self.size[0] + i
     }
 
+    /// Returns the grid position of the voxel centre with a linear index.
+    #[inline]
+    pub fn node_to_grid(&self, node: usize) -> DVec3 {
+        let [nx, ny, _] = self.size;
+        self.index_to_grid(DVec3::new((node % nx) as f64, (node / nx % ny) as f64, (node / nx / ny) as f64))
+    }
+
     /// Converts an index position to a grid position.
     #[inline]
     pub fn index_to_grid(&self, index: DVec3) -> DVec3 {

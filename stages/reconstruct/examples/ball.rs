@@ -21,7 +21,7 @@ fn main() -> Result<()> {
         lambdas: vec![0.1; points.len()],
     };
     let made = reconstruct(&particles, &field, None, &Options::default(), &Silent)?;
-    let (volume, quality) = (made.checked.volume, &made.checked.quality);
+    let (volume, quality) = (made.checked.object().volume, &made.checked.quality);
     println!("{} triangles, Euler characteristic {}", made.mesh.triangles.len(), made.topology.euler);
     println!("volume {volume:.1} mm^3 of {:.1}", 4.0 / 3.0 * std::f64::consts::PI * radius.powi(3));
     println!("radius ratio: mean {:.3}, smallest {:.3}", quality.radius_ratio_mean, quality.radius_ratio_min);

@@ -1,299 +1,388 @@
-//! All guarantees of a finished mesh in one call: closed, manifold, outward, free of self-intersections and of
-//! triangles without area, on F = 0, well shaped; with the offending simplices.
+//! Checks a finished mesh: closed, manifold and facing outward around every region, free of
+//! self-intersections and of triangles without area, near its interfaces, well shaped, and with all
+//! segments of junction curves and all grid nodes in their regions.
+//!
+//! One object is the case of two materials, the object and the outside. [`crate::verdict`] and
+//! [`crate::materials::pieces`] compare the topology of the mesh with that of F and of the
+//! materials.
 
+mod forced;
+mod report;
+
+use crate::interfaces::{Interfaces, Segment};
+use crate::materials::way::ONE_CURVE;
+use forced::is_forced;
 use glam::DVec3;
-use isoparticles_field::spline::{CubicSpline, distance_estimate};
+use isoparticles_field::materials::complex::SAME_JUNCTION;
+use isoparticles_field::materials::{Material, MaterialId};
+use isoparticles_field::spline::distance_estimate;
 use isoparticles_mesh::TriangleMesh;
-use isoparticles_mesh::inside::nodes_on_wrong_side;
 use isoparticles_mesh::intersect::self_intersections;
-use isoparticles_mesh::measure::{Measure, measure_components};
-use isoparticles_mesh::quality::{QualitySummary, mean, percentile, summarise, zero_area_triangles};
-use isoparticles_mesh::topology::{ComponentTopology, analyse};
+use isoparticles_mesh::measure::{measure, measure_components};
+use isoparticles_mesh::quality::{radius_ratios, summarise, zero_area_triangles};
+use isoparticles_mesh::topology::{Topology, analyse};
 use isoparticles_stage::cli::values::significant;
-use isoparticles_volume::Image;
+use isoparticles_volume::Geometry;
 use rayon::prelude::*;
-use serde::Serialize;
+pub use report::{
+    CheckReport, ComponentReport, DistanceSummary, Fault, ForcedTriangle, JunctionReport, PairReport, RegionReport,
+    Simplices,
+};
 
-/// Smallest radius ratio that passes, unless `--min-radius-ratio` says otherwise.
+/// Minimum radius ratio that passes, unless `--min-radius-ratio` says otherwise.
 pub const MIN_RADIUS_RATIO: f64 = 0.3;
 
-/// What a mesh is compared with, and the bars it must reach. All are optional.
-#[derive(Clone, Copy, Debug, Default)]
+/// Ways to remove triangles that the junction curves force below the minimum radius ratio.
+const REMEDY: &str = "a scale (SCALE, or SIZE or VERTICES without SCALE=0) or smaller edges (SIZE, MIN_SIZE, more VERTICES) remove them, \
+                      --accept-forced (ACCEPT_FORCED=yes) accepts them";
+
+/// What a mesh is compared with, in its frame (the grid frame).
+pub trait Truth: Sync {
+    /// The grid.
+    fn geometry(&self) -> &Geometry;
+
+    /// Returns value and gradient of the function of an interface, which is zero on it and negative
+    /// in the first of its two materials.
+    fn value_gradient(&self, between: [MaterialId; 2], p: DVec3) -> (f64, DVec3);
+
+    /// Returns the grid nodes (x fastest, ascending) that the mesh has in another material; `None`
+    /// if the nodes are not compared.
+    fn wrong_nodes(&self, interfaces: &Interfaces) -> Option<Vec<usize>>;
+}
+
+/// What a mesh is compared with, and the limits it must meet. All are optional.
+#[derive(Clone, Copy, Default)]
 pub struct CheckOptions<'a> {
-    /// The implicit function, in the mesh's frame (the grid frame).
-    pub field: Option<&'a CubicSpline>,
-    /// Samples of F whose signs the mesh must respect at every node.
-    pub sides: Option<&'a Image<f32>>,
-    /// Smallest radius ratio allowed.
+    /// The interface functions and the grid nodes.
+    pub truth: Option<&'a dyn Truth>,
+    /// Names of the materials, by their numbers; empty for one object.
+    pub table: &'a [Material],
+    /// Whether grid nodes in another material fail the check.
+    pub keeps_nodes: bool,
+    /// Minimum radius ratio.
     pub min_radius_ratio: Option<f64>,
-    /// Largest distance of a vertex from F = 0 allowed, in voxels.
+    /// Maximum distance of a vertex from each of its interfaces, in voxels. The limit is at least
+    /// [`SAME_JUNCTION`] where more than four materials meet, and at least `ONE_CURVE` where curves
+    /// coincide.
     pub max_vertex_distance: Option<f64>,
+    /// Whether triangles below the minimum radius ratio pass if the junction curves force them.
+    pub accept_forced: bool,
+    /// Whether the surface may be open where the volume ends.
+    pub open_border: bool,
 }
 
-/// Distances |F| / |grad F| in voxels (geometric mean spacing).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct DistanceSummary {
-    /// Mean.
-    pub mean: f64,
-    /// 99th percentile.
-    pub p99: f64,
-    /// Largest.
-    pub max: f64,
+/// Checks the surface of one object against everything in `options`.
+pub fn check_object(mesh: &TriangleMesh, options: &CheckOptions) -> CheckReport {
+    check(&Interfaces::of_object(mesh.clone()), options)
 }
 
-/// Topology and size of one component.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct ComponentReport {
-    /// Counts, Euler characteristic, genus.
-    #[serde(flatten)]
-    pub topology: ComponentTopology,
-    /// Area and signed volume; negative for the surface of a cavity.
-    #[serde(flatten)]
-    pub measure: Measure,
-}
-
-/// The simplices behind the counts of a [`CheckReport`].
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Offenders {
-    /// Edges in one triangle only.
-    pub open_edges: Vec<[u32; 2]>,
-    /// Edges in more than two triangles.
-    pub non_manifold_edges: Vec<[u32; 2]>,
-    /// Edges both of whose triangles run the same way.
-    pub badly_oriented_edges: Vec<[u32; 2]>,
-    /// Vertices with more than one fan.
-    pub non_manifold_vertices: Vec<u32>,
-    /// Vertices of no triangle.
-    pub unused_vertices: Vec<u32>,
-    /// Triangles that repeat a vertex or another triangle.
-    pub repeated_triangles: Vec<u32>,
-    /// Triangles without area.
-    pub zero_area_triangles: Vec<u32>,
-    /// Crossing pairs of triangles.
-    pub self_intersections: Vec<[u32; 2]>,
-    /// Components whose triangles face into the object, by F.
-    pub inward_components: Vec<u32>,
-    /// Triangles whose normal points against grad F at their centroid (for information: fine detail below the edge length).
-    pub turned_triangles: Vec<u32>,
-    /// Grid nodes on the other side of the mesh than F has them.
-    pub nodes_on_wrong_side: Vec<[usize; 3]>,
-    /// Triangles below the demanded radius ratio.
-    pub poor_triangles: Vec<u32>,
-    /// Vertices farther from F = 0 than allowed.
-    pub distant_vertices: Vec<u32>,
-}
-
-/// Figures of a mesh; serialises to the JSON of the reports (without the lists of offenders).
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct CheckReport {
-    /// False when a coordinate is not finite or an index names no vertex; nothing else was looked at then.
-    pub well_formed: bool,
-    /// Vertices.
-    pub vertices: usize,
-    /// Triangles.
-    pub triangles: usize,
-    /// Edges in one triangle only.
-    pub open_edges: usize,
-    /// Edges in more than two triangles.
-    pub non_manifold_edges: usize,
-    /// Edges both of whose triangles run the same way.
-    pub badly_oriented_edges: usize,
-    /// Vertices with more than one fan.
-    pub non_manifold_vertices: usize,
-    /// Vertices of no triangle.
-    pub unused_vertices: usize,
-    /// Triangles that repeat a vertex or another triangle.
-    pub repeated_triangles: usize,
-    /// Triangles without area.
-    pub zero_area_triangles: usize,
-    /// Crossing pairs of triangles.
-    pub self_intersections: usize,
-    /// Components whose triangles face into the object, by F; `None` without F.
-    pub inward_components: Option<usize>,
-    /// Triangles turned against grad F at their centroid; `None` without F.
-    pub turned_triangles: Option<usize>,
-    /// Grid nodes on the wrong side; `None` when no samples were given.
-    pub nodes_on_wrong_side: Option<usize>,
-    /// Each component.
-    pub components: Vec<ComponentReport>,
-    /// Euler characteristic of the whole.
-    pub euler: i64,
-    /// Area, mm^2.
-    pub area: f64,
-    /// Volume, mm^3.
-    pub volume: f64,
-    /// Distance of the vertices from F = 0; `None` without F.
-    pub vertex_distance: Option<DistanceSummary>,
-    /// Distance of the triangles' centroids from F = 0; `None` without F.
-    pub centroid_distance: Option<DistanceSummary>,
-    /// Shapes of the triangles.
-    pub quality: QualitySummary,
-    /// The bar for the smallest radius ratio.
-    pub min_radius_ratio_allowed: Option<f64>,
-    /// The bar for the distance of a vertex, in voxels.
-    pub max_vertex_distance_allowed: Option<f64>,
-    /// The offending simplices.
-    #[serde(skip)]
-    pub offenders: Offenders,
-}
-
-/// Checks a mesh against everything in `options`.
-pub fn check(mesh: &TriangleMesh, options: &CheckOptions) -> CheckReport {
+/// Checks interfaces against everything in `options`.
+pub fn check(interfaces: &Interfaces, options: &CheckOptions) -> CheckReport {
+    let mesh = &interfaces.mesh;
     let mut report = CheckReport {
         well_formed: mesh.is_well_formed(),
         vertices: mesh.vertices.len(),
         triangles: mesh.triangles.len(),
         min_radius_ratio_allowed: options.min_radius_ratio,
-        max_vertex_distance_allowed: options.max_vertex_distance,
         ..CheckReport::default()
     };
     if !report.well_formed {
+        report.failed =
+            vec!["a coordinate is not finite, or a triangle refers to a vertex that does not exist".to_owned()];
         return report;
     }
-    let topology = analyse(mesh);
-    let measures = measure_components(mesh, &topology.component_of_triangle, topology.components.len());
-    report.area = measures.iter().map(|m| m.area).sum();
-    report.volume = measures.iter().map(|m| m.volume).sum();
-    report.components = topology
-        .components
-        .iter()
-        .zip(&measures)
-        .map(|(&topology, &measure)| ComponentReport { topology, measure })
-        .collect();
-    report.euler = topology.euler;
+    if mesh.triangles.is_empty() {
+        report.failed = vec!["the mesh has no triangles".to_owned()];
+        return report;
+    }
     report.quality = summarise(mesh);
-
-    let offenders = &mut report.offenders;
-    offenders.zero_area_triangles = zero_area_triangles(mesh);
-    offenders.self_intersections = self_intersections(mesh);
-    offenders.repeated_triangles = topology.collapsed_triangles;
-    offenders.repeated_triangles.extend(topology.duplicate_triangles);
-    if let Some(field) = options.field {
-        let (vertices, centroids) = distances(mesh, field);
-        report.vertex_distance = Some(DistanceSummary::of(&vertices));
-        report.centroid_distance = Some(DistanceSummary::of(&centroids.iter().map(|c| c.0).collect::<Vec<_>>()));
-        let mut flux = vec![0.0; report.components.len()];
-        for (t, (&component, (_, agreement))) in topology.component_of_triangle.iter().zip(&centroids).enumerate() {
-            flux[component as usize] += agreement;
-            if *agreement < 0.0 {
-                offenders.turned_triangles.push(t as u32);
-            }
-        }
-        offenders.inward_components = (0..flux.len() as u32).filter(|&c| flux[c as usize] <= 0.0).collect();
-        report.inward_components = Some(offenders.inward_components.len());
-        report.turned_triangles = Some(offenders.turned_triangles.len());
-        if let Some(limit) = options.max_vertex_distance {
-            // written so that a distance that is not a number offends as well
-            let near = |v: &u32| vertices[*v as usize] <= limit;
-            offenders.distant_vertices = (0..vertices.len() as u32).filter(|v| !near(v)).collect();
+    let pairs = interfaces.pairs_at_vertices();
+    let meeting = meeting(mesh.vertices.len(), &pairs);
+    let centroids = options.truth.map_or_else(Vec::new, |truth| Centroid::all(interfaces, truth));
+    let checker = Checker { interfaces, options, meeting, centroids };
+    let found = &mut report.offenders;
+    found.insert(Fault::ZeroAreaTriangles, Simplices::Triangles(zero_area_triangles(mesh)));
+    found.insert(Fault::SelfIntersections, Simplices::TrianglePairs(self_intersections(mesh)));
+    let unused = (0..).zip(&checker.meeting).filter(|(_, count)| **count == 0).map(|(v, _)| v).collect();
+    found.insert(Fault::UnusedVertices, Simplices::Vertices(unused));
+    checker.look_at_curves(&mut report);
+    checker.look_at_regions(&mut report);
+    checker.look_at_pairs(&mut report);
+    if let Some(truth) = options.truth {
+        checker.look_at_distances(truth, &pairs, &mut report);
+        if let Some(wrong) = truth.wrong_nodes(interfaces) {
+            report.offenders.insert(Fault::NodesOnWrongSide, Simplices::Nodes(wrong));
         }
     }
-    if let Some(image) = options.sides {
-        offenders.nodes_on_wrong_side = nodes_on_wrong_side(mesh, image);
-        report.nodes_on_wrong_side = Some(offenders.nodes_on_wrong_side.len());
-    }
-    if let Some(limit) = options.min_radius_ratio {
-        let ratios = isoparticles_mesh::quality::radius_ratios(mesh);
-        offenders.poor_triangles = (0..ratios.len() as u32).filter(|&t| ratios[t as usize] < limit).collect();
-    }
-    offenders.open_edges = topology.open_edges;
-    offenders.non_manifold_edges = topology.non_manifold_edges;
-    offenders.badly_oriented_edges = topology.badly_oriented_edges;
-    offenders.non_manifold_vertices = topology.non_manifold_vertices;
-    offenders.unused_vertices = topology.unused_vertices;
-    report.open_edges = offenders.open_edges.len();
-    report.non_manifold_edges = offenders.non_manifold_edges.len();
-    report.badly_oriented_edges = offenders.badly_oriented_edges.len();
-    report.non_manifold_vertices = offenders.non_manifold_vertices.len();
-    report.unused_vertices = offenders.unused_vertices.len();
-    report.repeated_triangles = offenders.repeated_triangles.len();
-    report.zero_area_triangles = offenders.zero_area_triangles.len();
-    report.self_intersections = offenders.self_intersections.len();
+    let smallest_elsewhere = checker.look_at_shapes(&mut report);
+    report.counts = report.offenders.iter().map(|(fault, list)| (*fault, list.count())).collect();
+    report.failed = checker.failed(&report, smallest_elsewhere);
     report
 }
 
-impl CheckReport {
-    /// The checks that failed, in words; empty when the mesh is what it should be.
-    pub fn failed_checks(&self) -> Vec<String> {
-        if !self.well_formed {
-            return vec!["a coordinate is not finite, or a triangle refers to a vertex that does not exist".into()];
+/// Returns the number of materials that meet at each vertex, given the interfaces at each.
+fn meeting(vertices: usize, pairs: &[(u32, [MaterialId; 2])]) -> Vec<u8> {
+    let mut meeting = vec![0; vertices];
+    for own in pairs.chunk_by(|a, b| a.0 == b.0) {
+        let mut ids: Vec<MaterialId> = own.iter().flat_map(|(_, pair)| *pair).collect();
+        ids.sort_unstable();
+        ids.dedup();
+        meeting[own[0].0 as usize] = ids.len().min(usize::from(u8::MAX)) as u8;
+    }
+    meeting
+}
+
+/// A check in progress.
+struct Checker<'a> {
+    interfaces: &'a Interfaces,
+    options: &'a CheckOptions<'a>,
+    /// Number of materials that meet at each vertex.
+    meeting: Vec<u8>,
+    /// The centroid of each triangle; none without a truth.
+    centroids: Vec<Centroid>,
+}
+
+/// The surface of a region.
+struct Region {
+    report: RegionReport,
+    /// Its faults, by the numbers of vertices and triangles in the whole.
+    topology: Topology,
+    /// Number of components whose normals point against the gradient.
+    inward: usize,
+}
+
+/// Measurements at the centroid of a triangle.
+struct Centroid {
+    /// Distance from the interface, voxels.
+    distance: f64,
+    /// Flux of the normalised gradient through the triangle, mm^2.
+    flux: f64,
+}
+
+impl Centroid {
+    fn all(interfaces: &Interfaces, truth: &dyn Truth) -> Vec<Self> {
+        let voxel = truth.geometry().mean_spacing();
+        let of = |t: usize| {
+            let [a, b, c] = interfaces.mesh.corners(t);
+            let (value, gradient) = truth.value_gradient(interfaces.between[t], (a + b + c) / 3.0);
+            let flux = 0.5 * (b - a).cross(c - a).dot(gradient.normalize_or_zero());
+            Self { distance: distance_estimate(value, gradient).abs() / voxel, flux }
+        };
+        (0..interfaces.between.len()).into_par_iter().map(of).collect()
+    }
+}
+
+/// Joins ascending lists into one.
+fn merged<'a, T: Copy + Ord + 'a>(lists: impl Iterator<Item = &'a Vec<T>>) -> Vec<T> {
+    let mut all: Vec<T> = lists.flatten().copied().collect();
+    all.sort_unstable();
+    all.dedup();
+    all
+}
+
+impl Checker<'_> {
+    fn name(&self, id: MaterialId) -> String {
+        let name = self.options.table.get(id.index()).map(|material| material.name.clone());
+        name.unwrap_or_else(|| if id == MaterialId::OUTSIDE { "outside" } else { "object" }.to_owned())
+    }
+
+    /// Compares the edges of more than two triangles with the segments of junction curves.
+    fn look_at_curves(&self, report: &mut CheckReport) {
+        let Interfaces { between, segments, .. } = self.interfaces;
+        report.junctions.segments = segments.len();
+        report.junctions.junction_points = self.meeting.iter().filter(|&&count| count > 3).count();
+        let (mut spurious, mut is_present) = (Vec::new(), vec![false; segments.len()]);
+        if self.interfaces.pairs().len() > 1 || !segments.is_empty() {
+            for own in self.interfaces.edges().chunk_by(|a, b| a.0 == b.0).filter(|own| own.len() > 2) {
+                report.junctions.junction_edges += 1;
+                match segments.binary_search_by_key(&own[0].0, |(pair, _)| *pair) {
+                    Ok(n) => {
+                        let mut ids = own.iter().flat_map(|(_, t)| between[*t as usize]);
+                        is_present[n] = ids.all(|id| segments[n].1.has(id));
+                    }
+                    Err(_) => spurious.push(own[0].0),
+                }
+            }
         }
-        if self.triangles == 0 {
-            return vec!["the mesh has no triangles".into()];
+        let missing = segments.iter().zip(is_present).filter(|(_, is)| !is).map(|((pair, _), _)| *pair).collect();
+        report.offenders.insert(Fault::MissingSegments, Simplices::Edges(missing));
+        report.offenders.insert(Fault::SpuriousJunctionEdges, Simplices::Edges(spurious));
+    }
+
+    /// Returns whether an edge lies where the volume ends.
+    fn is_at_border(&self, edge: Segment) -> bool {
+        let Some(truth) = self.options.truth else { return false };
+        let [a, b] = edge.map(|v| self.interfaces.mesh.vertices[v as usize]);
+        let near = 2.0 * a.distance(b) + truth.geometry().mean_spacing();
+        let upper = truth.geometry().upper_corner();
+        [a, b].into_iter().all(|p| p.min(upper - p).min_element() < near)
+    }
+
+    /// Checks that the surface of each region is a closed oriented manifold, and measures it.
+    fn look_at_regions(&self, report: &mut CheckReport) {
+        // the surface outside of a single interface is the same
+        let found: Vec<Region> = match self.interfaces.pairs()[..] {
+            [[inside, _]] => vec![self.region(inside, &self.interfaces.mesh, None)],
+            _ => {
+                let of_material = |id| {
+                    let (mesh, vertices, triangles) = self.interfaces.surface_of(id);
+                    self.region(id, &mesh, Some((vertices, triangles)))
+                };
+                self.interfaces.materials().into_par_iter().map(of_material).collect()
+            }
+        };
+        let edges = |list: fn(&Region) -> &Vec<Segment>| Simplices::Edges(merged(found.iter().map(list)));
+        let numbers = |list: fn(&Region) -> &Vec<u32>| merged(found.iter().map(list));
+        let (border, open) = merged(found.iter().map(|own| &own.topology.open_edges))
+            .into_iter()
+            .partition::<Vec<Segment>, _>(|&edge| self.options.open_border && self.is_at_border(edge));
+        report.offenders.extend([
+            (Fault::OpenEdges, Simplices::Edges(open)),
+            (Fault::BorderEdges, Simplices::Edges(border)),
+            (Fault::NonManifoldEdges, edges(|own| &own.topology.non_manifold_edges)),
+            (Fault::BadlyOrientedEdges, edges(|own| &own.topology.badly_oriented_edges)),
+            (Fault::NonManifoldVertices, Simplices::Vertices(numbers(|own| &own.topology.non_manifold_vertices))),
+            (Fault::RepeatedTriangles, Simplices::Triangles(numbers(|own| &own.topology.collapsed_triangles))),
+        ]);
+        if self.options.truth.is_some() {
+            let count = found.iter().map(|own| own.inward).sum();
+            report.offenders.insert(Fault::InwardComponents, Simplices::Components(count));
         }
-        let counts = [
-            (self.open_edges, "open edges (edges of only one triangle)"),
-            (self.non_manifold_edges, "non-manifold edges (edges of more than two triangles)"),
-            (self.badly_oriented_edges, "edges between triangles of opposite orientation"),
-            (self.non_manifold_vertices, "non-manifold vertices (vertices with more than one fan of triangles)"),
-            (self.unused_vertices, "unused vertices"),
-            (self.repeated_triangles, "triangles with a repeated vertex, or equal to another triangle"),
-            (self.zero_area_triangles, "triangles of zero area"),
-            (self.self_intersections, "pairs of intersecting triangles"),
-            (self.inward_components.unwrap_or(0), "components with inward normals"),
-            (self.nodes_on_wrong_side.unwrap_or(0), "voxel centres on the wrong side of the mesh"),
-        ];
-        let mut failed: Vec<String> =
-            counts.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
-        if self.inward_components.is_none() && self.volume <= 0.0 {
-            failed.push(format!("the normals point inward: the volume is {} mm^3", significant(self.volume)));
+        report.regions = found.into_iter().map(|own| own.report).collect();
+    }
+
+    /// Analyses the surface of a region, given the numbers of its vertices and triangles in the
+    /// whole, if they differ.
+    fn region(&self, id: MaterialId, mesh: &TriangleMesh, numbers: Option<(Vec<u32>, Vec<u32>)>) -> Region {
+        let mut topology = analyse(mesh);
+        let measures = measure_components(mesh, &topology.component_of_triangle, topology.components.len());
+        let components = topology.components.iter().zip(&measures);
+        let report = RegionReport {
+            name: self.name(id),
+            volume: measures.iter().map(|own| own.volume).sum(),
+            area: measures.iter().map(|own| own.area).sum(),
+            euler: topology.euler,
+            components: components.map(|(&topology, &measure)| ComponentReport { topology, measure }).collect(),
+        };
+        topology.collapsed_triangles.append(&mut topology.duplicate_triangles);
+        let whole = |t: usize| numbers.as_ref().map_or(t, |(_, triangles)| triangles[t] as usize);
+        let mut flux = vec![0.0; measures.len()];
+        for (t, &component) in topology.component_of_triangle.iter().enumerate() {
+            flux[component as usize] += self.centroids.get(whole(t)).map_or(0.0, |centroid| centroid.flux);
         }
-        if let Some(limit) = self.min_radius_ratio_allowed
-            && self.quality.radius_ratio_min < limit
-        {
-            let (count, smallest) = (self.offenders.poor_triangles.len(), self.quality.radius_ratio_min);
-            failed.push(format!("{count} triangles with a radius ratio below {limit} (minimum {smallest:.4})"));
+        let inward = flux.into_iter().filter(|flux| *flux <= 0.0).count();
+        if let Some((vertices, triangles)) = numbers {
+            let Topology { open_edges, non_manifold_edges, badly_oriented_edges, .. } = &mut topology;
+            for list in [open_edges, non_manifold_edges, badly_oriented_edges] {
+                list.iter_mut().flatten().for_each(|v| *v = vertices[*v as usize]);
+            }
+            topology.non_manifold_vertices.iter_mut().for_each(|v| *v = vertices[*v as usize]);
+            topology.collapsed_triangles.iter_mut().for_each(|t| *t = triangles[*t as usize]);
         }
-        if let (Some(limit), Some(distance)) = (self.max_vertex_distance_allowed, self.vertex_distance)
-            && !self.offenders.distant_vertices.is_empty()
-        {
-            let count = self.offenders.distant_vertices.len();
-            failed.push(format!(
-                "{count} vertices with a deviation of more than {limit} voxel from F = 0 (maximum {})",
-                significant(distance.max)
-            ));
+        Region { report, topology, inward }
+    }
+
+    /// Measures the triangles of each interface.
+    fn look_at_pairs(&self, report: &mut CheckReport) {
+        let of_pair = |pair: [MaterialId; 2]| {
+            let part = self.interfaces.part(pair);
+            PairReport { between: pair.map(|id| self.name(id)), area: measure(&part).area, quality: summarise(&part) }
+        };
+        report.pairs = self.interfaces.pairs().into_iter().map(of_pair).collect();
+    }
+
+    /// Measures the distances of vertices and centroids from their interfaces.
+    fn look_at_distances(&self, truth: &dyn Truth, pairs: &[(u32, [MaterialId; 2])], report: &mut CheckReport) {
+        let Interfaces { mesh, joined, .. } = self.interfaces;
+        let voxel = truth.geometry().mean_spacing();
+        let distance = |&(v, pair): &(u32, [MaterialId; 2])| {
+            let (value, gradient) = truth.value_gradient(pair, mesh.vertices[v as usize]);
+            let distance = distance_estimate(value, gradient).abs() / voxel;
+            if distance.is_nan() { f64::INFINITY } else { distance }
+        };
+        let distances: Vec<f64> = pairs.par_iter().map(distance).collect();
+        let mut vertices = vec![0.0f64; mesh.vertices.len()];
+        for ((v, _), distance) in pairs.iter().zip(distances) {
+            let known = &mut vertices[*v as usize];
+            *known = known.max(distance);
+        }
+        if let Some(least) = self.options.max_vertex_distance {
+            let limit = |count: &u8| if *count > 4 { least.max(SAME_JUNCTION) } else { least };
+            let mut limits: Vec<f64> = self.meeting.iter().map(limit).collect();
+            for &v in joined.iter().filter(|&&v| v != u32::MAX) {
+                limits[v as usize] = least.max(ONE_CURVE);
+            }
+            let distant = (0..).zip(vertices.iter().zip(limits)).filter(|(_, (distance, limit))| *distance > limit);
+            report.offenders.insert(Fault::DistantVertices, Simplices::Vertices(distant.map(|(v, _)| v).collect()));
+        }
+        let turned = (0..).zip(&self.centroids).filter(|(_, centroid)| centroid.flux < 0.0).map(|(t, _)| t);
+        report.offenders.insert(Fault::TurnedTriangles, Simplices::Triangles(turned.collect()));
+        let centroids: Vec<f64> = self.centroids.iter().map(|centroid| centroid.distance).collect();
+        report.vertex_distance = Some(DistanceSummary::of(&vertices));
+        report.centroid_distance = Some(DistanceSummary::of(&centroids));
+    }
+
+    /// Finds the triangles below the minimum radius ratio, and those of them that the junction
+    /// curves force. Returns the minimum of the others.
+    fn look_at_shapes(&self, report: &mut CheckReport) -> f64 {
+        let Some(limit) = self.options.min_radius_ratio else { return 1.0 };
+        let mesh = &self.interfaces.mesh;
+        let ratios = radius_ratios(mesh);
+        let poor = (0..ratios.len() as u32).filter(|&t| ratios[t as usize] < limit);
+        let (forced, poor): (Vec<u32>, Vec<u32>) =
+            poor.partition(|&t| is_forced(self.interfaces, &self.meeting, limit, t));
+        let world = |p: DVec3| self.options.truth.map_or(p, |truth| truth.geometry().grid_to_world(p)).to_array();
+        let described = |&t: &u32| {
+            let centroid = mesh.corners(t as usize).into_iter().sum::<DVec3>() / 3.0;
+            ForcedTriangle { place: world(centroid), radius_ratio: ratios[t as usize] }
+        };
+        report.poor_between_curves = forced.iter().map(described).collect();
+        report.poor_between_curves.sort_by(|a, b| a.radius_ratio.total_cmp(&b.radius_ratio));
+        let smallest = poor.iter().map(|&t| ratios[t as usize]).fold(1.0, f64::min);
+        report.offenders.insert(Fault::PoorTriangles, Simplices::Triangles(poor));
+        if !self.options.accept_forced {
+            report.offenders.insert(Fault::ForcedTriangles, Simplices::Triangles(forced));
+        }
+        smallest
+    }
+
+    /// Describes the checks that failed; `smallest` is the minimum radius ratio of the triangles
+    /// that are not forced.
+    fn failed(&self, report: &CheckReport, smallest: f64) -> Vec<String> {
+        let mut failed: Vec<String> = Vec::new();
+        for (&fault, &count) in report.counts.iter().filter(|(_, count)| **count > 0) {
+            let told = format!("{count} {}", fault.described().1);
+            match fault {
+                Fault::TurnedTriangles | Fault::BorderEdges => {}
+                Fault::NodesOnWrongSide if !self.options.keeps_nodes => {}
+                Fault::PoorTriangles => {
+                    let limit = self.options.min_radius_ratio.unwrap_or_default();
+                    failed.push(format!("{told} below {limit} (minimum {smallest:.4})"));
+                }
+                Fault::ForcedTriangles => failed.extend(report.forced().map(|forced| format!("{forced}: {REMEDY}"))),
+                Fault::DistantVertices => {
+                    let limit = self.options.max_vertex_distance.unwrap_or_default();
+                    let maximum = significant(report.vertex_distance.unwrap_or_default().max);
+                    failed.push(format!("{told} of more than {limit} voxel from the interface (maximum {maximum})"));
+                }
+                _ => failed.push(told),
+            }
+        }
+        let volume = report.object().volume;
+        if self.options.truth.is_none() && volume <= 0.0 {
+            failed.push(format!("the normals point inward: the volume is {} mm^3", significant(volume)));
         }
         failed
     }
 }
 
-impl DistanceSummary {
-    /// Summarises distances.
-    pub fn of(distances: &[f64]) -> Self {
-        let mut ascending = distances.to_vec();
-        ascending.par_sort_unstable_by(f64::total_cmp);
-        Self {
-            mean: mean(distances),
-            p99: percentile(&ascending, 99.0),
-            max: ascending.last().copied().unwrap_or_default(),
-        }
-    }
-}
-
-/// Distance of each vertex, and of each centroid with the flux of grad F / |grad F| through its triangle.
-fn distances(mesh: &TriangleMesh, field: &CubicSpline) -> (Vec<f64>, Vec<(f64, f64)>) {
-    let voxel = field.geometry().mean_spacing();
-    let at = |p: DVec3| {
-        let (value, gradient) = field.value_gradient(p);
-        (distance_estimate(value, gradient).abs() / voxel, gradient.normalize_or_zero())
-    };
-    let vertices = mesh.vertices.par_iter().map(|&p| at(p).0).collect();
-    let centroids = (0..mesh.triangles.len())
-        .into_par_iter()
-        .map(|t| {
-            let [a, b, c] = mesh.corners(t);
-            let (distance, direction) = at((a + b + c) / 3.0);
-            (distance, 0.5 * (b - a).cross(c - a).dot(direction))
-        })
-        .collect();
-    (vertices, centroids)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::reconstruct::ObjectTruth;
+    use isoparticles_field::spline::CubicSpline;
     use isoparticles_mesh::shapes;
-    use isoparticles_volume::Geometry;
+    use isoparticles_volume::Image;
 
     fn ball(radius: f64) -> (Image<f32>, TriangleMesh) {
         let geometry = Geometry::axis_aligned([24; 3], DVec3::splat(0.5));
@@ -319,19 +408,16 @@ mod tests {
     fn a_good_mesh_passes_with_the_figures_of_its_sphere() {
         let (image, mesh) = ball(4.0);
         let field = CubicSpline::new(&image);
-        let report = check(
-            &mesh,
-            &CheckOptions {
-                field: Some(&field),
-                sides: Some(&image),
-                min_radius_ratio: Some(0.8),
-                max_vertex_distance: Some(0.01),
-            },
-        );
-        // the chords of so coarse a sphere may cut off a node or two; nothing else can fail
-        let failed = report.failed_checks();
-        assert!(failed.iter().all(|f| f.contains("voxel centres")), "{failed:?}");
-        assert_eq!((report.euler, report.components.len(), report.turned_triangles), (2, 1, Some(0)));
+        let options = CheckOptions {
+            truth: Some(&ObjectTruth { field: &field, samples: Some(&image) }),
+            min_radius_ratio: Some(0.8),
+            max_vertex_distance: Some(0.01),
+            ..CheckOptions::default()
+        };
+        let report = check_object(&mesh, &options);
+        assert_eq!(report.failed, Vec::<String>::new());
+        let object = report.object();
+        assert_eq!((object.euler, object.components.len(), report.count(Fault::TurnedTriangles)), (2, 1, 0));
         assert!(report.vertex_distance.is_some_and(|d| d.max < 0.01));
         // the sagitta of a triangle with circumradius c under a sphere of radius R is about c^2 / (2 R)
         let longest = report.quality.edge_length_max;
@@ -345,12 +431,12 @@ mod tests {
         let (image, good) = ball(4.0);
         let field = CubicSpline::new(&image);
         let options = CheckOptions {
-            field: Some(&field),
+            truth: Some(&ObjectTruth { field: &field, samples: None }),
             min_radius_ratio: Some(0.3),
             max_vertex_distance: Some(0.1),
             ..CheckOptions::default()
         };
-        let failed = |mesh: &TriangleMesh| check(mesh, &options).failed_checks().join("; ");
+        let failed = |mesh: &TriangleMesh| check_object(mesh, &options).failed.join("; ");
         assert_eq!(failed(&good), "");
 
         let mut open = good.clone();
@@ -360,7 +446,7 @@ mod tests {
         let mut inward = good.clone();
         inward.triangles.iter_mut().for_each(|t| t.swap(0, 1));
         assert_eq!(failed(&inward), "1 components with inward normals");
-        assert!(check(&inward, &CheckOptions::default()).failed_checks()[0].contains("point inward"));
+        assert!(check_object(&inward, &CheckOptions::default()).failed[0].contains("point inward"));
 
         let mut crossing = good.clone();
         crossing.vertices[0] = DVec3::splat(5.7) * 2.0 - crossing.vertices[0];

@@ -1,7 +1,7 @@
 //! From triangulated points on F = 0 to a mesh: the facets by either method.
 
+use crate::interfaces::{Interfaces, OBJECT};
 use crate::options::{Method, Options};
-use crate::pinched::{part_sheets, with_triangles};
 use crate::prepare::{ON_SURFACE, SurfacePoints};
 use crate::refine::{RefineOptions, RefineReport, Refinement};
 use crate::restricted::Facet;
@@ -10,7 +10,6 @@ use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldTopology;
-use isoparticles_mesh::TriangleMesh;
 use isoparticles_stage::error::Result;
 use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::Image;
@@ -24,8 +23,8 @@ const COCONE_ROUNDS_IN_VAIN: usize = 2;
 
 /// A mesh joined from particles, before improvement.
 pub(crate) struct Joined {
-    /// The mesh, grid frame.
-    pub(crate) mesh: TriangleMesh,
+    /// The surface, grid frame.
+    pub(crate) interfaces: Interfaces,
     /// All points of the triangulation, and the target edge length at each.
     pub(crate) sizes: (Vec<DVec3>, Vec<f64>),
     /// What the refinement did, or would have had to do.
@@ -64,24 +63,20 @@ pub(crate) fn join(
         Ok(monitor.check()?)
     };
     let (mut facets, defects) = refinement.run(&mut hear)?;
-    let (mut pinched, mut cocone) = (defects.vertices, None);
+    let (mut touches, mut cocone) = (!defects.vertices.is_empty(), None);
     drop(phase);
     if options.method == Method::TightCocone {
         let _phase = monitor.phase("cocone");
         let (by_cocones, report) = cocones(&mut refinement, options.max_rounds, &mut hear)?;
-        pinched = refinement.object.defects(&by_cocones).vertices;
+        touches = !refinement.object.defects(&by_cocones).vertices.is_empty();
         (facets, cocone) = (by_cocones, Some(report));
     }
-    let (mut mesh, used) = compact(refinement.object.points(), &facets);
-    let mut parted = 0;
-    if !pinched.is_empty() {
-        let number = |v: u32| used.binary_search(&v).expect("a vertex of a facet is in the mesh") as u32;
-        let pinched = with_triangles(&mesh, pinched.into_iter().map(|(v, _)| number(v)));
-        let voxel = spline.geometry().mean_spacing();
-        parted = part_sheets(&mut mesh, &pinched, |p| spline.project(p, voxel, ON_SURFACE * voxel));
-    }
+    let mut interfaces = compact(refinement.object.points(), &facets).0;
+    let voxel = spline.geometry().mean_spacing();
+    let project = |_, p| spline.project(p, voxel, ON_SURFACE * voxel);
+    let parted = if touches { interfaces.part_sheets(project) } else { 0 };
     Ok(Joined {
-        mesh,
+        interfaces,
         sizes: (refinement.object.points().to_vec(), refinement.object.sizes.clone()),
         report: refinement.report.clone(),
         cocone,
@@ -122,22 +117,7 @@ pub(crate) fn cocone_of(refinement: &Refinement) -> Result<(Vec<Facet>, CoconeRe
     tight_cocone(delaunay, Some(&normals))
 }
 
-/// The mesh of the facets with the vertices that they use, and the point behind each vertex. Its triangles begin with their lowest vertex and are in the order of their vertices, so that
-/// nothing that is made of it depends on the numbers of tetrahedra, and what is near in space is mostly near in memory.
-pub(crate) fn compact(points: &[DVec3], facets: &[Facet]) -> (TriangleMesh, Vec<u32>) {
-    let mut number = vec![u32::MAX; points.len()];
-    facets.iter().flat_map(|f| f.vertices).for_each(|v| number[v as usize] = 0);
-    let used: Vec<u32> = (0..points.len() as u32).filter(|&v| number[v as usize] == 0).collect();
-    for (n, &v) in used.iter().enumerate() {
-        number[v as usize] = n as u32;
-    }
-    let corners = |facet: &Facet| {
-        let mut corners = facet.vertices.map(|v| number[v as usize]);
-        let lowest = (0..3).min_by_key(|&k| corners[k]).unwrap_or(0);
-        corners.rotate_left(lowest);
-        corners
-    };
-    let mut triangles: Vec<[u32; 3]> = facets.par_iter().map(corners).collect();
-    triangles.par_sort_unstable();
-    (TriangleMesh { vertices: used.iter().map(|&v| points[v as usize]).collect(), triangles }, used)
+/// Returns the surface of one object that consists of some facets, and the point of each vertex.
+pub(crate) fn compact(points: &[DVec3], facets: &[Facet]) -> (Interfaces, Vec<u32>) {
+    Interfaces::compact(points, facets.iter().map(|facet| (facet.vertices, OBJECT)).collect())
 }

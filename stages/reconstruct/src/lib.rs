@@ -20,6 +20,7 @@ pub mod finish;
 mod held;
 pub mod improve;
 mod input;
+pub mod interfaces;
 mod join;
 pub mod labelled;
 pub mod materials;
@@ -27,7 +28,6 @@ pub mod object;
 mod offending;
 mod options;
 mod output;
-pub mod pinched;
 mod points_alone;
 pub mod prepare;
 #[cfg(test)]

@@ -1,91 +1,47 @@
-//! The simplices behind failed checks, for a file that shows where they are: in the world, with the number of the reason on each.
+//! The simplices behind failed checks, for a file that shows where they are.
 
-use crate::check::CheckReport;
-use glam::DVec3;
+use crate::check::{CheckReport, Simplices as Faulty};
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::surface::{DataArray, Simplices};
 use isoparticles_volume::Geometry;
+use std::collections::BTreeSet;
 
-/// Simplices gathered by reason.
-pub(crate) struct Offending<'a> {
-    geometry: &'a Geometry,
-    mesh: &'a TriangleMesh,
-    simplices: Simplices,
-    /// Those of vertices, edges and triangles.
-    reasons: [Vec<i64>; 3],
-}
-
-impl<'a> Offending<'a> {
-    /// None yet, of a mesh in the grid frame.
-    pub(crate) fn new(mesh: &'a TriangleMesh, geometry: &'a Geometry) -> Self {
-        let points = mesh.vertices.iter().map(|&p| geometry.grid_to_world(p)).collect();
-        let simplices = Simplices { points, ..Simplices::default() };
-        Self { geometry, mesh, simplices, reasons: Default::default() }
-    }
-
-    /// Vertices of the mesh.
-    pub(crate) fn vertices(&mut self, list: &[u32], reason: i64) {
-        self.simplices.vertices.extend(list);
-        self.reasons[0].resize(self.simplices.vertices.len(), reason);
-    }
-
-    /// A node of the grid, by its indices.
-    pub(crate) fn node(&mut self, index: [usize; 3], reason: i64) {
-        let index = DVec3::from_array(index.map(|n| n as f64));
-        self.simplices.vertices.push(self.simplices.points.len() as u32);
-        self.simplices.points.push(self.geometry.grid_to_world(self.geometry.index_to_grid(index)));
-        self.reasons[0].push(reason);
-    }
-
-    /// Edges between vertices of the mesh; others are left out.
-    pub(crate) fn edges(&mut self, list: &[[u32; 2]], reason: i64) {
-        let is_known = |edge: &&[u32; 2]| edge.iter().all(|&v| (v as usize) < self.mesh.vertices.len());
-        self.simplices.edges.extend(list.iter().filter(is_known));
-        self.reasons[1].resize(self.simplices.edges.len(), reason);
-    }
-
-    /// Triangles of the mesh, by their numbers.
-    pub(crate) fn triangles(&mut self, list: &[u32], reason: i64) {
-        self.simplices.triangles.extend(list.iter().map(|&t| self.mesh.triangles[t as usize]));
-        self.reasons[2].resize(self.simplices.triangles.len(), reason);
-    }
-
-    /// Triangles of the mesh, by pairs that cross.
-    pub(crate) fn crossing(&mut self, pairs: &[[u32; 2]], reason: i64) {
-        let mut list: Vec<u32> = pairs.iter().flatten().copied().collect();
-        list.sort_unstable();
-        list.dedup();
-        self.triangles(&list, reason);
-    }
-
-    /// All of them, with the points that they use (`reason` on each); `None` when there are none.
-    pub(crate) fn simplices(self) -> Option<Simplices> {
-        let (mut simplices, reasons) = (self.simplices, self.reasons.concat());
-        if reasons.is_empty() {
-            return None;
-        }
-        simplices.cell_data = vec![DataArray::integers("reason", reasons)];
-        Some(keep_used_points(simplices))
-    }
-}
-
-/// What is behind the failed checks of a surface of one object: 1 open edge, 2 edge in more than two triangles, 3 badly oriented edge, 4 pinched vertex, 5
-/// distant vertex, 6 grid node on the wrong side, 7 repeated triangle, 8 no area, 9 crossing, 10 poor shape, 11 turned against grad F.
+/// Returns the simplices behind the faults of a mesh in the grid frame, in world coordinates, with
+/// the number of the fault (`reason`) on each; `None` if there are none. Edges with a vertex that is
+/// not in the mesh are left out.
 pub(crate) fn offending(mesh: &TriangleMesh, checked: &CheckReport, geometry: &Geometry) -> Option<Simplices> {
-    let found = &checked.offenders;
-    let mut offending = Offending::new(mesh, geometry);
-    offending.vertices(&found.non_manifold_vertices, 4);
-    offending.vertices(&found.distant_vertices, 5);
-    found.nodes_on_wrong_side.iter().for_each(|&node| offending.node(node, 6));
-    offending.edges(&found.open_edges, 1);
-    offending.edges(&found.non_manifold_edges, 2);
-    offending.edges(&found.badly_oriented_edges, 3);
-    offending.triangles(&found.repeated_triangles, 7);
-    offending.triangles(&found.zero_area_triangles, 8);
-    offending.crossing(&found.self_intersections, 9);
-    offending.triangles(&found.poor_triangles, 10);
-    offending.triangles(&found.turned_triangles, 11);
-    offending.simplices()
+    let points = mesh.vertices.iter().map(|&p| geometry.grid_to_world(p)).collect();
+    let mut found = Simplices { points, ..Simplices::default() };
+    // of vertices, edges and triangles
+    let mut reasons: [Vec<i64>; 3] = Default::default();
+    let corners = |t: &u32| mesh.triangles[*t as usize];
+    for (fault, simplices) in checked.offenders.iter().filter(|(fault, _)| fault.described().0 > 0) {
+        match simplices {
+            Faulty::Vertices(list) => found.vertices.extend(list),
+            Faulty::Nodes(list) => {
+                for &node in list {
+                    found.vertices.push(found.points.len() as u32);
+                    found.points.push(geometry.grid_to_world(geometry.node_to_grid(node)));
+                }
+            }
+            Faulty::Edges(list) => found.edges.extend(list.iter().filter(|edge| !edge.contains(&u32::MAX))),
+            Faulty::Triangles(list) => found.triangles.extend(list.iter().map(corners)),
+            Faulty::TrianglePairs(list) => {
+                let crossing: BTreeSet<u32> = list.iter().flatten().copied().collect();
+                found.triangles.extend(crossing.iter().map(corners));
+            }
+            Faulty::Components(_) => {}
+        }
+        let reason = fault.described().0;
+        let counts = [found.vertices.len(), found.edges.len(), found.triangles.len()];
+        reasons.iter_mut().zip(counts).for_each(|(list, count)| list.resize(count, reason));
+    }
+    let reasons = reasons.concat();
+    if reasons.is_empty() {
+        return None;
+    }
+    found.cell_data = vec![DataArray::integers("reason", reasons)];
+    Some(keep_used_points(found))
 }
 
 /// Leaves out the points that no simplex uses.
@@ -110,30 +66,31 @@ fn keep_used_points(mut simplices: Simplices) -> Simplices {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::check::{CheckOptions, check};
+    use crate::check::{CheckOptions, Fault, check_object};
     use crate::scenes;
+    use glam::DVec3;
 
     #[test]
-    fn a_hole_and_a_stray_vertex_are_shown_where_they_are() {
-        let scene = scenes::sphere();
+    fn a_hole_is_shown_where_it_is() {
+        let geometry = Geometry::axis_aligned([9; 3], DVec3::splat(2.0));
         let mut mesh = scenes::ball();
-        let [a, b, c] = mesh.corners(0);
+        let checked = |mesh: &TriangleMesh| check_object(mesh, &CheckOptions::default());
+        assert_eq!(offending(&mesh, &checked(&mesh), &geometry), None);
+        let corners = mesh.corners(0);
         mesh.triangles.remove(0);
-        let options = CheckOptions { field: Some(&scene.field), ..CheckOptions::default() };
-        let simplices = offending(&mesh, &check(&mesh, &options), scene.field.geometry()).unwrap();
+        let simplices = offending(&mesh, &checked(&mesh), &geometry).expect("a hole");
         assert_eq!((simplices.edges.len(), simplices.points.len()), (3, 3));
-        assert!(simplices.points.iter().all(|p| [a, b, c].contains(p)));
-        assert_eq!(offending(&scenes::ball(), &check(&scenes::ball(), &options), scene.field.geometry()), None);
+        assert!(simplices.points.iter().all(|p| corners.contains(p)));
     }
 
     #[test]
     fn nodes_and_edges_of_other_points_have_their_places() {
         let geometry = Geometry::axis_aligned([9; 3], DVec3::splat(2.0));
         let mesh = scenes::ball();
-        let mut offending = Offending::new(&mesh, &geometry);
-        offending.node([1, 2, 3], 6);
-        offending.edges(&[[0, 1], [0, u32::MAX]], 12);
-        let simplices = offending.simplices().unwrap();
+        let mut checked = CheckReport::default();
+        checked.offenders.insert(Fault::NodesOnWrongSide, Faulty::Nodes(vec![geometry.linear(1, 2, 3)]));
+        checked.offenders.insert(Fault::MissingSegments, Faulty::Edges(vec![[0, 1], [0, u32::MAX]]));
+        let simplices = offending(&mesh, &checked, &geometry).expect("three");
         assert_eq!((simplices.vertices.len(), simplices.edges.len(), simplices.points.len()), (1, 1, 3));
         assert!(simplices.points.contains(&DVec3::new(2.0, 4.0, 6.0)));
     }

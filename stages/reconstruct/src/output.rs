@@ -1,8 +1,7 @@
 //! Writes the surface, the offending simplices and the closing table.
 
 use crate::args::Args;
-use crate::check::CheckReport;
-use crate::prepare::PrepareReport;
+use crate::check::{CheckReport, Fault};
 use isoparticles_mesh::surface::{Simplices, Surface, write_simplices, write_surface};
 use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::cli::{Context, Outcome};
@@ -68,24 +67,40 @@ fn remove_stale(path: &Path, context: &Context) {
     }
 }
 
-/// Adds the rows of the closing table that every mesh of one object has.
-pub(crate) fn describe_mesh(
-    checked: &CheckReport,
-    expected: &str,
-    (prepared, taken): (&PrepareReport, usize),
-    context: &Context,
-) {
-    let quality = &checked.quality;
+/// Adds the rows of the closing table that every mesh has. `expected` continues the number of
+/// components of one object; `particles` are the used and unused ones.
+pub(crate) fn describe_mesh(checked: &CheckReport, expected: &str, particles: [usize; 2], context: &Context) {
+    let (quality, junctions) = (&checked.quality, &checked.junctions);
     context.summary("vertices, triangles", format!("{}, {}", checked.vertices, checked.triangles));
-    context.summary("components", format!("{}{expected}", checked.components.len()));
-    context.summary("Euler characteristic", checked.euler);
-    let dropped = prepared.invalid + prepared.not_projected + prepared.crowded;
-    context.summary("particles used, not used", format!("{taken}, {dropped}"));
+    if let [object] = &checked.regions[..] {
+        context.summary("components", format!("{}{expected}", object.components.len()));
+        context.summary("Euler characteristic", object.euler);
+        let (area, volume) = (significant(object.area), significant(object.volume));
+        context.summary("area, mm^2; volume, mm^3", format!("{area}; {volume}"));
+    } else {
+        let (materials, pairs) = (checked.regions.len(), checked.pairs.len());
+        context.summary("materials, pairs that touch", format!("{materials}, {pairs}"));
+        let (edges, points) = (junctions.junction_edges, junctions.junction_points);
+        let missing = checked.count(Fault::MissingSegments);
+        context.summary(
+            "junction edges, points",
+            format!("{edges}, {points}; {missing} of {} segments missing", junctions.segments),
+        );
+    }
+    context.summary("particles used, not used", format!("{}, {}", particles[0], particles[1]));
     context.summary(
         "radius ratio",
         format!("mean {:.4}, minimum {:.4}", quality.radius_ratio_mean, quality.radius_ratio_min),
     );
     context.summary("angles, degrees", format!("{:.1} to {:.1}", quality.angle_min, quality.angle_max));
-    let (area, volume) = (significant(checked.area), significant(checked.volume));
-    context.summary("area, mm^2; volume, mm^3", format!("{area}; {volume}"));
+    if let (Some(v), Some(c)) = (checked.vertex_distance, checked.centroid_distance) {
+        let [vertices, mean, maximum] = [v.max, c.mean, c.max].map(significant);
+        context.summary(
+            "distance from F = 0, voxels",
+            format!("vertices at most {vertices}; centroids mean {mean}, maximum {maximum}"),
+        );
+    }
+    if let Some(nodes) = checked.counts.get(&Fault::NodesOnWrongSide) {
+        context.summary("voxel centres on the wrong side", nodes);
+    }
 }

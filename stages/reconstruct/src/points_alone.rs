@@ -7,7 +7,6 @@ use crate::input::{about, read_settled};
 use crate::join::compact;
 use crate::offending::offending;
 use crate::output::{describe_mesh, write};
-use crate::pinched::{part_sheets, pinched_vertices};
 use crate::prepare::{PrepareReport, SurfacePoints};
 use crate::tight_cocone::{CoconeReport, tight_cocone};
 use glam::DVec3;
@@ -51,16 +50,15 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("cocone");
     let normals = (!points.normals.is_empty()).then_some(&points.normals[..]);
     let (facets, cocone) = tight_cocone(&delaunay, normals).map_err(|e| about(&args.particles, e))?;
-    let (mut mesh, used) = compact(&points.positions, &facets);
-    let pinched = pinched_vertices(&mesh);
-    let parted = part_sheets(&mut mesh, &pinched, Some);
+    let (mut interfaces, used) = compact(&points.positions, &facets);
+    let parted = interfaces.part_sheets(|_, p| Some(p));
     drop(step);
     context.check_interrupt()?;
 
     let step = context.step("check");
     let options = CheckOptions { min_radius_ratio: args.radius_ratio_bar(), ..CheckOptions::default() };
-    let checked = check(&mesh, &options);
-    let failed = checked.failed_checks();
+    let checked = check(&interfaces, &options);
+    let (failed, mesh) = (checked.failed.clone(), interfaces.mesh);
     drop(step);
     warn(&cocone, context);
     let skipped = "skipped: no distance field was given";
@@ -71,7 +69,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     context.report("cocone", json!(cocone));
     context.report("parted_vertices", parted);
     context.report("check", json!(checked));
-    describe_mesh(&checked, "", (&points.report, points.positions.len()), context);
+    describe_mesh(&checked, "", [points.positions.len(), points.report.dropped()], context);
     context.summary("improvement, comparison with F", skipped);
 
     let mut sizes: Vec<f64> = used.iter().map(|&v| points.sizes[v as usize]).collect();
@@ -87,7 +85,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
         version: meta::VERSION,
         source: Some(Source::Points),
         failed_checks: failed.clone(),
-        components: checked.components.len(),
+        components: checked.object().components.len(),
         ..SurfaceMeta::default()
     };
     write(args, context, &surface, &meta, offending(&mesh, &checked, &geometry), failed)

@@ -151,6 +151,13 @@ pub struct PrepareReport {
     pub crowded: usize,
 }
 
+impl PrepareReport {
+    /// Returns the number of particles that were not taken.
+    pub fn dropped(&self) -> usize {
+        self.invalid + self.not_projected + self.crowded
+    }
+}
+
 /// Projects particles on F = 0 and takes those that get there.
 ///
 /// # Errors

@@ -9,9 +9,10 @@
 //! worst triangles are lifted by local moves that break no criterion. At last everything a simulation counts on is checked anew, on the
 //! mesh as it is and against F as it was.
 
-use crate::check::{CheckOptions, CheckReport, check};
+use crate::check::{CheckOptions, CheckReport, Truth, check};
 use crate::held::one_of_each_component;
 use crate::improve::{ImproveOptions, ImproveReport, improve_holding};
+use crate::interfaces::Interfaces;
 use crate::join::{Joined, join};
 pub use crate::options::{Method, Options};
 use crate::prepare::{PrepareReport, prepare};
@@ -20,11 +21,13 @@ use crate::refine::RefineReport;
 use crate::tight_cocone::CoconeReport;
 use crate::verdict::TopologyReport;
 use glam::DVec3;
+use isoparticles_field::materials::MaterialId;
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldTopology;
 use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::inside::nodes_on_wrong_side;
 use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_stage::error::Result;
 use isoparticles_stage::monitor::Monitor;
@@ -56,8 +59,6 @@ pub struct Reconstruction {
     pub checked: CheckReport,
     /// The mesh beside the topology of F.
     pub topology: TopologyReport,
-    /// Edges of one triangle at an open border, which are no failure.
-    pub border_edges: usize,
     /// Checks that failed, in words.
     pub failed: Vec<String>,
     /// What deserves a warning but fails no check, in words.
@@ -87,7 +88,7 @@ pub fn reconstruct(
     let (delaunay, topology) = (delaunay?, topology?);
     drop(phase);
     monitor.check()?;
-    let Joined { mut mesh, sizes, report: refined, cocone, parted } =
+    let Joined { interfaces: Interfaces { mut mesh, .. }, sizes, report: refined, cocone, parted } =
         join(delaunay, &points, &spline, &topology, field, options, monitor)?;
 
     let phase = monitor.phase("improve");
@@ -110,15 +111,24 @@ pub fn reconstruct(
 
     let phase = monitor.phase("check");
     let how = CheckOptions {
-        field: Some(&spline),
-        sides: (!options.open_border).then_some(field),
+        truth: Some(&ObjectTruth { field: &spline, samples: (!options.open_border).then_some(field) }),
+        keeps_nodes: options.keeps_voxels,
         min_radius_ratio: options.min_radius_ratio,
         max_vertex_distance: Some(options.max_vertex_distance),
+        open_border: options.open_border,
+        ..CheckOptions::default()
     };
-    let mut checked = check(&mesh, &how);
-    let border_edges = if options.open_border { forgive_border(&mut checked, &mesh, spline.geometry()) } else { 0 };
+    let interfaces = Interfaces::of_object(mesh);
+    let checked = check(&interfaces, &how);
+    let mesh = interfaces.mesh;
     let found = TopologyReport::new(&mesh, &spline, &topology);
-    let (failed, doubtful) = judge(&mut checked, &found, &refined, options);
+    let (wrong, mut doubtful) = found.differences(options.open_border);
+    let failed = [checked.failed.clone(), wrong].concat();
+    if let Some(count) = refined.unresolved.get(&Reason::CriticalPoint) {
+        doubtful.push(format!(
+            "{count} critical points of F are on the wrong side of the mesh: necks, gaps or specks there are too thin for the particle spacing"
+        ));
+    }
     let sizes = mesh.vertices.par_iter().map(|&p| size(p)).collect();
     drop(phase);
     Ok(Reconstruction {
@@ -133,44 +143,29 @@ pub fn reconstruct(
         improved,
         checked,
         topology: found,
-        border_edges,
         failed,
         doubtful,
     })
 }
 
-/// Takes out of the open edges those where the volume ends; returns how many.
-fn forgive_border(checked: &mut CheckReport, mesh: &TriangleMesh, geometry: &Geometry) -> usize {
-    let upper = geometry.upper_corner();
-    let longest = |[a, b]: &[u32; 2]| mesh.vertices[*a as usize].distance(mesh.vertices[*b as usize]);
-    let is_near = |v: u32, edge: &[u32; 2]| {
-        let p = mesh.vertices[v as usize];
-        p.min(upper - p).min_element() < 2.0 * longest(edge) + geometry.mean_spacing()
-    };
-    let before = checked.open_edges;
-    checked.offenders.open_edges.retain(|edge| !edge.iter().all(|&v| is_near(v, edge)));
-    checked.open_edges = checked.offenders.open_edges.len();
-    before - checked.open_edges
+/// F, and its samples where grid nodes are compared.
+pub(crate) struct ObjectTruth<'a> {
+    pub(crate) field: &'a CubicSpline,
+    pub(crate) samples: Option<&'a Image<f32>>,
 }
 
-/// The checks that failed, and what is only doubtful, in words. Nodes on the wrong side fail for labels only, since for a scalar volume a chord
-/// may cut off a node next to the surface.
-fn judge(
-    checked: &mut CheckReport,
-    found: &TopologyReport,
-    refined: &RefineReport,
-    options: &Options,
-) -> (Vec<String>, Vec<String>) {
-    let nodes = checked.nodes_on_wrong_side;
-    checked.nodes_on_wrong_side = nodes.filter(|_| options.keeps_voxels);
-    let mut failed = checked.failed_checks();
-    checked.nodes_on_wrong_side = nodes;
-    let (wrong, mut doubtful) = found.differences(options.open_border);
-    failed.extend(wrong);
-    if let Some(count) = refined.unresolved.get(&Reason::CriticalPoint) {
-        doubtful.push(format!(
-            "{count} critical points of F are on the wrong side of the mesh: necks, gaps or specks there are too thin for the particle spacing"
-        ));
+impl Truth for ObjectTruth<'_> {
+    fn geometry(&self) -> &Geometry {
+        self.field.geometry()
     }
-    (failed, doubtful)
+
+    fn value_gradient(&self, _between: [MaterialId; 2], p: DVec3) -> (f64, DVec3) {
+        self.field.value_gradient(p)
+    }
+
+    fn wrong_nodes(&self, interfaces: &Interfaces) -> Option<Vec<usize>> {
+        let samples = self.samples?;
+        let linear = |[i, j, k]: [usize; 3]| samples.geometry.linear(i, j, k);
+        Some(nodes_on_wrong_side(&interfaces.mesh, samples).into_iter().map(linear).collect())
+    }
 }

@@ -13,7 +13,6 @@ use crate::volumes;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_mesh::point_cloud::is_point_cloud;
 use isoparticles_mesh::surface::check_surface_name;
-use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::cli::{Context, Outcome, particles_bytes};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
@@ -88,7 +87,7 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
     tell(&made, context);
 
     let surface = attributes(&made.mesh, &made.field, &made.sizes, &told.cap_planes);
-    let volumes = json!(volumes::of_object(&told, made.checked.volume));
+    let volumes = json!(volumes::of_object(&told, made.checked.object().volume));
     context.report("volumes", volumes.clone());
     let notes = [("topology", json!(made.topology)), ("refine", json!(made.refined)), ("volumes", volumes)];
     let meta = SurfaceMeta {
@@ -112,26 +111,11 @@ fn tell(made: &Reconstruction, context: &Context) {
     context.report("parted_vertices", made.parted);
     context.report("improve", json!(made.improved));
     context.report("check", json!(checked));
-    context.report("border_edges", made.border_edges);
     context.report("topology", json!(topology));
     if let Some(cocone) = &made.cocone {
         points_alone::warn(cocone, context);
     }
     made.doubtful.iter().for_each(|doubt| context.warn(doubt));
-    describe_mesh(checked, &topology.expected(), (&made.prepared, made.taken), context);
+    describe_mesh(checked, &topology.expected(), [made.taken, made.prepared.dropped()], context);
     context.summary("points added", format!("{} in {} rounds", refined.points(), refined.rounds));
-    if let (Some(v), Some(c)) = (checked.vertex_distance, checked.centroid_distance) {
-        context.summary(
-            "distance from F = 0, voxels",
-            format!(
-                "vertices at most {}; centroids mean {}, maximum {}",
-                significant(v.max),
-                significant(c.mean),
-                significant(c.max)
-            ),
-        );
-    }
-    if let Some(nodes) = checked.nodes_on_wrong_side {
-        context.summary("voxel centres on the wrong side", nodes);
-    }
 }

@@ -28,7 +28,7 @@ fn surface(scene: &Scene, spacing: f64) -> (TriangleMesh, Defects, RefineReport,
     let (facets, _) = refinement.run(|_| Ok(())).unwrap();
     let defects = refinement.object.defects(&facets);
     (
-        compact(refinement.object.restricted.points(), &facets).0,
+        compact(refinement.object.restricted.points(), &facets).0.mesh,
         defects,
         refinement.report.clone(),
         topology.components().iter().map(|c| c.euler).collect(),
@@ -59,7 +59,7 @@ pub(crate) fn tight_cocone_beside_field(scene: &Scene, spacing: f64) -> (Triangl
     let (facets, _) = cocone_of(&refinement).unwrap();
     let defects = refinement.compare_other(&facets);
     (
-        compact(refinement.object.restricted.points(), &facets).0,
+        compact(refinement.object.restricted.points(), &facets).0.mesh,
         topology.components().iter().map(|c| c.euler).collect(),
         defects,
     )

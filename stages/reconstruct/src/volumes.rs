@@ -1,7 +1,7 @@
 //! Volumes by material, mm^3: of the voxels and of F, as `distfield` tells them in its notes, and
 //! of the mesh. The surface carries the rows to `tetmesh-check`.
 
-use super::materials::check::MaterialReport;
+use crate::check::RegionReport;
 use isoparticles_stage::meta::{DistanceMeta, MaterialsMeta};
 use serde::Serialize;
 use serde_json::Value;
@@ -28,7 +28,7 @@ pub(crate) fn of_object(told: &DistanceMeta, mesh_mm3: f64) -> Vec<Volumes> {
 }
 
 /// A row for each material but the outside.
-pub(crate) fn of_materials(told: &MaterialsMeta, meshes: &[MaterialReport]) -> Vec<Volumes> {
+pub(crate) fn of_materials(told: &MaterialsMeta, meshes: &[RegionReport]) -> Vec<Volumes> {
     let table = told.notes.get("table").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
     let row = |entry: &Value| {
         let name = entry["name"].as_str().filter(|_| entry["number"] != 0)?;
@@ -63,7 +63,7 @@ mod tests {
             {"name": "lost", "number": 2, "volume_before": 1.0, "volume": 0.0},
         ]});
         let told: MaterialsMeta = serde_json::from_value(table).expect("a note");
-        let mesh = |name: &str, volume| MaterialReport { name: name.to_owned(), volume, ..MaterialReport::default() };
+        let mesh = |name: &str, volume| RegionReport { name: name.to_owned(), volume, ..RegionReport::default() };
         let meshes = [mesh("outside", -3.2), mesh("bone", 3.2)];
         assert_eq!(of_materials(&told, &meshes), [row("bone", Some(3.0), Some(3.5), 3.2)]);
     }

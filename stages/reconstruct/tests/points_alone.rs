@@ -5,7 +5,7 @@ use glam::DVec3;
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_mesh::shapes::{icosphere, torus};
 use isoparticles_mesh::surface::read_surface;
-use isoparticles_reconstruct::check::{CheckOptions, check};
+use isoparticles_reconstruct::check::{CheckOptions, check_object};
 use isoparticles_stage::history::History;
 use isoparticles_stage::particle_file::{ParticleKind, write_particles};
 use isoparticles_volume::{Geometry, Space};
@@ -40,9 +40,9 @@ impl Folder {
 
 /// Asserts that a surface passes all checks; returns its components and Euler characteristic.
 fn sound(path: &Path) -> (usize, i64) {
-    let report = check(&read_surface(path).unwrap().surface.mesh, &CheckOptions::default());
-    assert!(report.failed_checks().is_empty(), "{:?}", report.failed_checks());
-    (report.components.len(), report.euler)
+    let report = check_object(&read_surface(path).unwrap().surface.mesh, &CheckOptions::default());
+    assert!(report.failed.is_empty(), "{:?}", report.failed);
+    (report.object().components.len(), report.object().euler)
 }
 
 fn lines(points: &[DVec3]) -> String {

@@ -90,9 +90,7 @@ impl<'a> NodeSides<'a> {
     }
 
     fn place(&self, node: usize) -> DVec3 {
-        let [nx, ny, _] = self.geometry.size;
-        let index = DVec3::new((node % nx) as f64, (node / nx % ny) as f64, (node / nx / ny) as f64);
-        self.geometry.index_to_grid(index)
+        self.geometry.node_to_grid(node)
     }
 
     /// Returns the same nodes, but only those on the wrong side that lie in a box (grid frame, mm).

@@ -202,11 +202,12 @@ fn mean_edge(surface: &Surface) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::check::{CheckOptions, check};
+    use crate::check::{CheckOptions, check_object};
     use crate::improve::acceptance::commit_or_rollback;
     use crate::improve::moves;
     use crate::improve::nodes::NodeSides;
     use crate::improve::tests::{ball, sampled};
+    use crate::reconstruct::ObjectTruth;
     use isoparticles_field::random::uniform;
     use isoparticles_field::spline::CubicSpline;
     use isoparticles_mesh::quality::{radius_ratios, summarise};
@@ -263,8 +264,12 @@ mod tests {
         assert!(smallest(&made) >= smallest(&mesh));
         let mean = |mesh: &TriangleMesh| summarise(mesh).radius_ratio_mean;
         assert!(mean(&made) > mean(&mesh) + 0.02, "{} from {}", mean(&made), mean(&mesh));
-        let options = CheckOptions { field: Some(&field), max_vertex_distance: Some(1e-4), ..CheckOptions::default() };
-        assert_eq!(check(&made, &options).failed_checks(), Vec::<String>::new());
+        let options = CheckOptions {
+            truth: Some(&ObjectTruth { field: &field, samples: None }),
+            max_vertex_distance: Some(1e-4),
+            ..CheckOptions::default()
+        };
+        assert_eq!(check_object(&made, &options).failed, Vec::<String>::new());
     }
 
     #[test]

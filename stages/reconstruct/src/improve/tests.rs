@@ -3,7 +3,8 @@
 use super::patch::Patch;
 use super::target_length::How;
 use super::*;
-use crate::check::{CheckOptions, CheckReport, check};
+use crate::check::{CheckOptions, CheckReport, Fault, check_object};
+use crate::reconstruct::ObjectTruth;
 use constants::{ATTEMPTS, FIT, REACHES};
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::random::uniform;
@@ -42,18 +43,23 @@ fn ring(centre: DVec3, radius: f64, tube: f64) -> impl Fn(DVec3) -> f64 {
 /// Asserts that a mesh is closed, manifold, free of intersections, on F = 0, and has the same
 /// topology as before.
 pub(super) fn assert_sound(mesh: &TriangleMesh, field: &CubicSpline, before: &CheckReport, label: &str) -> CheckReport {
-    let options = CheckOptions { field: Some(field), max_vertex_distance: Some(1e-4), ..CheckOptions::default() };
-    let after = check(mesh, &options);
-    assert_eq!(after.failed_checks(), Vec::<String>::new(), "{label}");
-    assert_eq!((after.components.len(), after.euler), (before.components.len(), before.euler), "{label}");
-    assert_eq!(after.turned_triangles, Some(0), "{label}");
+    let options = CheckOptions {
+        truth: Some(&ObjectTruth { field, samples: None }),
+        max_vertex_distance: Some(1e-4),
+        ..CheckOptions::default()
+    };
+    let after = check_object(mesh, &options);
+    assert_eq!(after.failed, Vec::<String>::new(), "{label}");
+    let topology = |report: &CheckReport| (report.object().components.len(), report.object().euler);
+    assert_eq!(topology(&after), topology(before), "{label}");
+    assert_eq!(after.count(Fault::TurnedTriangles), 0, "{label}");
     after
 }
 
 fn remesh_from_marching_cubes(image: &Image<f32>, h: f64, label: &str) -> CheckReport {
     let field = CubicSpline::new(image);
     let mut mesh = marching_cubes(image, 0.0);
-    let before = check(&mesh, &CheckOptions::default());
+    let before = check_object(&mesh, &CheckOptions::default());
     let report = improve(&mut mesh, &field, &|_| h, &ImproveOptions::remesh(), &|| Ok(())).expect(label);
     assert_eq!(report.off_surface, 0, "{label}: {:?}", report.moves);
     assert_eq!(report.frozen_vertices, 0, "{label}");
@@ -73,7 +79,7 @@ fn remeshing_makes_good_meshes_of_marching_cubes() {
         [(&sphere, 1.3, 0, "sphere"), (&torus, 0.8, 1, "torus"), (&uneven, 1.3, 0, "uneven spacing")]
     {
         let after = remesh_from_marching_cubes(image, h, label);
-        assert_eq!(after.components[0].topology.genus, Some(genus), "{label}");
+        assert_eq!(after.object().components[0].topology.genus, Some(genus), "{label}");
         assert!(after.quality.radius_ratio_min >= 0.7, "{label}: {:?}", after.quality);
         assert!(after.quality.radius_ratio_mean >= 0.97, "{label}: {:?}", after.quality);
         assert!((after.quality.edge_length_mean / h - 1.0).abs() < 0.15, "{label}: {:?}", after.quality);
@@ -92,7 +98,7 @@ fn a_gyroid_keeps_its_genus_and_gets_good_triangles() {
     };
     let image = sampled([20; 3], DVec3::splat(0.85), gyroid);
     let after = remesh_from_marching_cubes(&image, 0.9, "gyroid in a ball");
-    assert_eq!(after.components[0].topology.genus, Some(2));
+    assert_eq!(after.object().components[0].topology.genus, Some(2));
     assert!(after.quality.radius_ratio_min >= 0.4, "{:?}", after.quality);
 }
 
@@ -101,7 +107,7 @@ fn the_two_faces_of_a_thin_shell_never_cross() {
     // a wall of 1.6 voxels, with edges nearly as long as the thickness of the wall
     let image = sampled([19; 3], DVec3::ONE, |p| (p.distance(DVec3::splat(9.1)) - 6.0).abs() - 0.8);
     let after = remesh_from_marching_cubes(&image, 1.4, "shell");
-    assert_eq!(after.components.len(), 2);
+    assert_eq!(after.object().components.len(), 2);
     assert!(after.quality.radius_ratio_min >= 0.5, "{:?}", after.quality);
 }
 
@@ -122,8 +128,12 @@ fn lifting_the_worst_leaves_the_rest_alone() {
         let (p, q) = (mesh.vertices[v as usize], mesh.vertices[near as usize]);
         mesh.vertices[v as usize] = onto(p.lerp(q, 0.9));
     }
-    let before = check(&mesh, &CheckOptions::default());
-    assert!(before.quality.radius_ratio_min < 0.2 && before.self_intersections == 0, "{:?}", before.quality);
+    let before = check_object(&mesh, &CheckOptions::default());
+    assert!(
+        before.quality.radius_ratio_min < 0.2 && before.count(Fault::SelfIntersections) == 0,
+        "{:?}",
+        before.quality
+    );
     let untouched: Vec<DVec3> = mesh.vertices.clone();
     let h = 0.3;
     let report = improve(&mut mesh, &field, &|_| h, &ImproveOptions::default(), &|| Ok(())).expect("a sound mesh");
@@ -145,8 +155,8 @@ fn polishing_raises_quality_and_keeps_the_counts() {
         let shake = DVec3::from_array(std::array::from_fn(|a| uniform(5, a as u64, n as u64) - 0.5));
         *p = field.project(*p + centre + 0.35 * shake, 1.0, 1e-7).unwrap_or(*p + centre);
     }
-    let before = check(&mesh, &CheckOptions::default());
-    assert_eq!(before.self_intersections, 0);
+    let before = check_object(&mesh, &CheckOptions::default());
+    assert_eq!(before.count(Fault::SelfIntersections), 0);
     let (vertices, triangles) = (mesh.vertices.len(), mesh.triangles.len());
     // without removal of vertices
     let options = ImproveOptions { thins: false, ..ImproveOptions::polish() };
@@ -165,7 +175,7 @@ fn all_triangles_at_a_neck_become_fit() {
     let mut unfit = 0;
     for h in [1.2, 1.6, 2.0, 2.4, 3.2] {
         let (mesh, _, _) = crate::tests::restricted(&scene, h / 1.2);
-        let before = check(&mesh, &CheckOptions::default());
+        let before = check_object(&mesh, &CheckOptions::default());
         let size = |_: DVec3| h;
         let mut surface = Surface::new(&mesh, &scene.field, &size);
         let mut tally = Tally::default();
@@ -186,7 +196,7 @@ fn patch_remeshing_changes_only_the_patch() {
     let mut lifted = 0;
     for h in [1.6, 2.0, 2.4, 3.2] {
         let (mesh, _, _) = crate::tests::restricted(&scene, h / 1.2);
-        let before = check(&mesh, &CheckOptions::default());
+        let before = check_object(&mesh, &CheckOptions::default());
         let size = |_: DVec3| h;
         let mut surface = Surface::new(&mesh, &scene.field, &size);
         let all = 0..mesh.triangles.len() as u32;
@@ -224,7 +234,7 @@ fn rough_sphere(centre: DVec3) -> (CubicSpline, TriangleMesh) {
 fn what_is_done_in_a_patch_is_one_transaction_of_the_whole() {
     let centre = DVec3::splat(6.1);
     let (field, mesh) = rough_sphere(centre);
-    let before = check(&mesh, &CheckOptions::default());
+    let before = check_object(&mesh, &CheckOptions::default());
     let (h, fine) = (|_: DVec3| 0.8, |_: DVec3| 0.4);
     let mut surface = Surface::new(&mesh, &field, &h);
     let region = Bounds { low: centre, high: centre + 5.0 };
@@ -266,7 +276,7 @@ fn what_is_done_in_a_patch_is_one_transaction_of_the_whole() {
 fn patches_that_do_not_meet_add_their_vertices_side_by_side() {
     let centre = DVec3::splat(6.1);
     let (field, mesh) = rough_sphere(centre);
-    let before = check(&mesh, &CheckOptions::default());
+    let before = check_object(&mesh, &CheckOptions::default());
     let mut surface = Surface::new(&mesh, &field, &|_| 0.6);
     let edits: Vec<_> = [DVec3::X, DVec3::NEG_X, DVec3::Y]
         .map(|side| {
@@ -417,18 +427,27 @@ fn guarded_nodes_stay_on_their_side() {
     });
     let field = CubicSpline::new(&image);
     let start = marching_cubes(&image, 0.0);
-    let before = check(&start, &CheckOptions { sides: Some(&image), ..CheckOptions::default() });
-    assert_eq!(before.nodes_on_wrong_side, Some(0));
+    let before = check_object(
+        &start,
+        &CheckOptions { truth: Some(&ObjectTruth { field: &field, samples: Some(&image) }), ..CheckOptions::default() },
+    );
+    assert_eq!(before.count(Fault::NodesOnWrongSide), 0);
     let run = |options: &ImproveOptions| {
         let mut mesh = start.clone();
         let report = improve(&mut mesh, &field, &|_| 1.8, options, &|| Ok(())).expect("a sound mesh");
-        let after = check(&mesh, &CheckOptions { sides: Some(&image), ..CheckOptions::default() });
-        (report, after.nodes_on_wrong_side, after.quality.radius_ratio_mean)
+        let after = check_object(
+            &mesh,
+            &CheckOptions {
+                truth: Some(&ObjectTruth { field: &field, samples: Some(&image) }),
+                ..CheckOptions::default()
+            },
+        );
+        (report, after.count(Fault::NodesOnWrongSide), after.quality.radius_ratio_mean)
     };
     let free = run(&ImproveOptions::remesh());
-    assert!(free.1.is_some_and(|n| n > 0), "the guard has nothing to do: {free:?}");
+    assert!(free.1 > 0, "the guard has nothing to do: {free:?}");
     let guarded = run(&ImproveOptions { sides: Some(&image), ..ImproveOptions::remesh() });
-    assert_eq!(guarded.1, Some(0));
+    assert_eq!(guarded.1, 0);
     assert_eq!(guarded.0.nodes_on_wrong_side, Some([0, 0]));
     assert!(guarded.2 > 0.9, "{:?}", guarded.0.after);
 }
@@ -439,7 +458,7 @@ fn a_graded_size_is_followed() {
     let image = sampled([21; 3], DVec3::ONE, ball(centre, 7.3));
     let field = CubicSpline::new(&image);
     let mut mesh = marching_cubes(&image, 0.0);
-    let before = check(&mesh, &CheckOptions::default());
+    let before = check_object(&mesh, &CheckOptions::default());
     let h = |p: DVec3| 0.6 + 0.1 * (p.z - 2.9).max(0.0);
     let report = improve(&mut mesh, &field, &h, &ImproveOptions::remesh(), &|| Ok(())).expect("a sound mesh");
     assert_sound(&mesh, &field, &before, "graded");

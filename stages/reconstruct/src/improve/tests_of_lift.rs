@@ -4,7 +4,8 @@ use super::constants::{AIM, FIT, TARGET};
 use super::surface::measure::quality_of;
 use super::tests::{ball, sampled};
 use super::*;
-use crate::check::{CheckOptions, check};
+use crate::check::{CheckOptions, Fault, check_object};
+use crate::reconstruct::ObjectTruth;
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_mesh::shapes;
 
@@ -25,8 +26,11 @@ fn wrong_grid_nodes_are_repaired_with_fit_triangles() {
     let [before, after] = report.nodes_on_wrong_side.expect("nodes are guarded");
     assert!(before > 0, "there was nothing to do");
     assert_eq!(after, 0, "{before} before, {:?}", report.moves);
-    let checked = check(&mesh, &CheckOptions { sides: Some(&image), ..CheckOptions::default() });
-    assert_eq!(checked.nodes_on_wrong_side, Some(0));
+    let checked = check_object(
+        &mesh,
+        &CheckOptions { truth: Some(&ObjectTruth { field: &field, samples: Some(&image) }), ..CheckOptions::default() },
+    );
+    assert_eq!(checked.count(Fault::NodesOnWrongSide), 0);
     assert!(checked.quality.radius_ratio_min >= FIT, "{:?}", checked.quality);
 }
 

@@ -2,7 +2,8 @@
 
 use super::surface::measure::quality_of;
 use super::*;
-use crate::check::{CheckOptions, check};
+use crate::check::{CheckOptions, Fault, check_object};
+use crate::reconstruct::ObjectTruth;
 use constants::FIT;
 use isoparticles_volume::Geometry;
 
@@ -107,14 +108,18 @@ fn a_small_component_of_needles_becomes_a_fit_ellipsoid() {
         let mut tally = Tally::default();
         optimise::optimise(&mut surface, FIT, &|| Ok(()), &mut tally).expect("nothing stops it");
         assert_eq!(tally.remeshed_patches, 1, "{tally:?}");
-        let options = CheckOptions { field: Some(&field), max_vertex_distance: Some(1e-4), ..Default::default() };
-        let after = check(&surface.into_mesh(), &options);
-        assert_eq!(after.failed_checks(), Vec::<String>::new());
-        assert_eq!((after.euler, after.turned_triangles), (2, Some(0)));
+        let options = CheckOptions {
+            truth: Some(&ObjectTruth { field: &field, samples: None }),
+            max_vertex_distance: Some(1e-4),
+            ..Default::default()
+        };
+        let after = check_object(&surface.into_mesh(), &options);
+        assert_eq!(after.failed, Vec::<String>::new());
+        assert_eq!((after.object().euler, after.count(Fault::TurnedTriangles)), (2, 0));
         let quality = &after.quality;
         assert!(quality.radius_ratio_min >= 0.5 && quality.angle_min >= 25.0 && quality.angle_max <= 120.0);
         // an icosahedron has 0.6 of the volume of its circumscribed ball
-        let share = after.volume / (sign * 4.0 / 3.0 * std::f64::consts::PI * HALF_AXES.element_product());
+        let share = after.object().volume / (sign * 4.0 / 3.0 * std::f64::consts::PI * HALF_AXES.element_product());
         assert!((0.5..1.0).contains(&share), "{share}");
     }
 }

@@ -4,7 +4,7 @@ use super::tests::assert_sound;
 use super::tests_of_patches::{SIDE, lattice, plane};
 use super::thin::thin_out;
 use super::*;
-use crate::check::{CheckOptions, check};
+use crate::check::{CheckOptions, check_object};
 
 #[test]
 fn only_the_superfluous_vertices_of_a_lattice_are_removed() {
@@ -37,7 +37,7 @@ fn only_the_superfluous_vertices_of_a_lattice_are_removed() {
 fn thinning_keeps_the_topology_of_walls_thinner_than_h() {
     let (scene, h) = (crate::scenes::gyroid(), 3.6);
     let (mesh, _, _) = crate::tests::restricted(&scene, h / 1.2);
-    let before = check(&mesh, &CheckOptions::default());
+    let before = check_object(&mesh, &CheckOptions::default());
     let improved = |thins: bool, threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
         let mut mesh = mesh.clone();
@@ -54,5 +54,6 @@ fn thinning_keeps_the_topology_of_walls_thinner_than_h() {
     let (was, is) = (&dense.quality, &thin.quality);
     assert!(is.radius_ratio_mean > was.radius_ratio_mean + 0.005, "{is:?} after {was:?}");
     assert!(is.radius_ratio_min > 0.6, "{is:?}");
-    assert!((thin.volume / dense.volume - 1.0).abs() < 0.05, "{} and {}", thin.volume, dense.volume);
+    let [thin, dense] = [thin, dense].map(|report| report.object().volume);
+    assert!((thin / dense - 1.0).abs() < 0.05, "{thin} and {dense}");
 }

@@ -2,8 +2,9 @@
 //! the indicators (Cheng, Dey and Levine 2008; Boissonnat and Oudot 2005; Oudot, Rineau and Yvinec 2005).
 
 use super::prepare::Prepared;
-use super::segments::{Segment, Segments};
+use super::segments::Segments;
 use crate::around::star;
+use crate::interfaces::{Interfaces, Segment};
 use crate::labelled::{Facet, Labelled};
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
@@ -39,6 +40,19 @@ pub struct Complex<'a> {
 }
 
 impl<'a> Complex<'a> {
+    /// Returns the interfaces that consist of some facets, and the dimension of the stratum of each
+    /// vertex.
+    pub fn interfaces(&self, facets: &[Facet]) -> (Interfaces, Vec<usize>) {
+        let triangles = facets.iter().map(|f| (f.vertices, self.sheet(f))).collect();
+        let (mut interfaces, used) = Interfaces::compact(self.points(), triangles);
+        let number = |v: u32| used.binary_search(&v).map_or(u32::MAX, |n| n as u32);
+        interfaces.segments = self.segments.all().map(|(pair, curve)| (pair.map(number), curve)).collect();
+        interfaces.segments.sort_unstable();
+        interfaces.joined = self.joined.iter().map(|&v| number(v)).filter(|&v| v != u32::MAX).collect();
+        let dimensions = used.iter().map(|&v| self.strata[v as usize].dimension()).collect();
+        (interfaces, dimensions)
+    }
+
     /// Gives the tetrahedra of a volume that ends at `upper` their materials.
     pub fn new(prepared: Prepared, indicators: &'a dyn Indicators, upper: DVec3, max_deviation: Option<f64>) -> Self {
         let Prepared { delaunay, strata, sizes, segments, .. } = prepared;

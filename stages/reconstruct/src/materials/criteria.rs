@@ -3,9 +3,9 @@
 //! Yvinec 2005).
 
 use super::complex::Complex;
-use super::segments::Segment;
 use super::topology::Simplices;
 use crate::around::boundary_facets_of;
+use crate::interfaces::Segment;
 use crate::labelled::Facet;
 use crate::object::{DEFAULT_DEVIATION, deviation_ratio};
 use crate::queue::{self, Reason, Simplex};

@@ -3,8 +3,8 @@
 
 use super::prepare::onto;
 use super::refine::Refinement;
-use super::segments::{Segment, segment};
 use super::way::{self, LONGEST_WAY, ONE_CURVE};
+use crate::interfaces::{Segment, segment};
 use glam::DVec3;
 use isoparticles_field::materials::Stratum;
 use isoparticles_field::materials::complex::{way_from, ways_along};

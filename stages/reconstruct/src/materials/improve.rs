@@ -1,9 +1,8 @@
 //! Better triangles in a complex: the optimiser of one object on each of its sheets, and along the junction curves between them, whose ends stay.
 
-use super::interfaces::Interfaces;
-use super::nodes::{Nodes, Wall};
-use super::segments::{Segment, segment};
+use super::nodes::Nodes;
 use crate::improve::{Freedom, ImproveOptions, ImproveReport, Sheets, SheetsOf, Step, improve_sheets};
+use crate::interfaces::{Interfaces, Segment, segment};
 use glam::DVec3;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::Jet;
@@ -60,21 +59,14 @@ impl Sheets for Differences<'_> {
     }
 }
 
-/// The triangles of interfaces as walls between materials.
-pub fn walls(interfaces: &Interfaces) -> Vec<Wall> {
-    (0..interfaces.between.len()).map(|t| (interfaces.mesh.corners(t), interfaces.between[t])).collect()
-}
-
 /// How each vertex may move, by the dimension of its stratum: those on a curve of three materials along it, where two of its segments join them to others; what else lies on
 /// several sheets stays.
 fn freedoms(interfaces: &Interfaces, dimensions: &[usize]) -> Vec<Freedom> {
     let meets = interfaces.materials_at_vertices();
     let mut on_sheet: Vec<bool> =
         meets.iter().zip(dimensions).map(|(ids, dimension)| ids.len() == 2 && *dimension == 2).collect();
-    for (edge, triangles) in interfaces.edges() {
-        if triangles.len() != 2 {
-            edge.iter().for_each(|&v| on_sheet[v as usize] = false);
-        }
+    for own in interfaces.edges().chunk_by(|a, b| a.0 == b.0).filter(|own| own.len() != 2) {
+        own[0].0.iter().for_each(|&v| on_sheet[v as usize] = false);
     }
     let mut at: BTreeMap<u32, Vec<Stratum>> = BTreeMap::new();
     interfaces
@@ -143,7 +135,7 @@ pub fn improve(
     let of_triangle: Vec<u32> = interfaces.between.iter().map(number).collect();
     let freedom = freedoms(interfaces, dimensions);
     let is_on_curve: Vec<bool> = freedom.iter().map(|&freedom| freedom == Freedom::Curve).collect();
-    let wrong_nodes = nodes.map(|nodes| (nodes.geometry(), nodes.wrong_by_walls(&walls(interfaces))));
+    let wrong_nodes = nodes.map(|nodes| (nodes.geometry(), nodes.wrong_by(interfaces)));
     let field = Differences { indicators, pairs };
     let mut sheets = SheetsOf { field: &field, of_triangle, freedom, wrong_nodes, numbers: Vec::new() };
     let report = improve_sheets(&mut interfaces.mesh, &mut sheets, size, options, step)?;

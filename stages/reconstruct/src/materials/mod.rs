@@ -8,12 +8,10 @@
 //! | tetrahedra given to another material where points do not help | `relabel` |
 //! | superfluous segments dropped, vertices joined to the interfaces that pass them | `unite` |
 
-pub mod check;
 pub mod complex;
 pub mod criteria;
 mod cut;
 pub mod improve;
-pub mod interfaces;
 pub mod nodes;
 pub mod pieces;
 pub mod prepare;
@@ -30,4 +28,4 @@ pub mod segments;
 mod tests;
 pub mod topology;
 mod unite;
-mod way;
+pub(crate) mod way;

@@ -3,7 +3,7 @@
 use super::complex::Complex;
 use super::criteria::{Mend, Violation};
 use super::prepare::onto;
-use super::segments::segment;
+use crate::interfaces::{Interfaces, segment};
 use crate::labelled::Facet;
 use crate::queue::{NEAREST_FOR_TOPOLOGY, Reason, Simplex};
 use crate::refine::nodes::AT_A_VERTEX;
@@ -26,7 +26,7 @@ pub struct Nodes {
 }
 
 /// A triangle between two materials, with corners in the grid frame.
-pub type Wall = ([DVec3; 3], [MaterialId; 2]);
+type Wall = ([DVec3; 3], [MaterialId; 2]);
 
 impl Nodes {
     /// Asks the indicators at each node of a grid.
@@ -55,20 +55,23 @@ impl Nodes {
 
     /// Place of a node, grid frame, mm.
     pub fn place(&self, node: usize) -> DVec3 {
-        let [nx, ny, _] = self.geometry.size;
-        let index = DVec3::new((node % nx) as f64, (node / nx % ny) as f64, (node / nx / ny) as f64);
-        self.geometry.index_to_grid(index)
+        self.geometry.node_to_grid(node)
     }
 
-    /// The material of each node by the triangles between materials, x fastest: along each grid line each crossing takes one material away and brings
-    /// another. What is beyond all triangles is outside.
-    pub fn by_walls(&self, walls: &[Wall]) -> Vec<u16> {
+    /// Returns the nodes, ascending, that interfaces put into another material.
+    pub fn wrong_by(&self, interfaces: &Interfaces) -> Vec<usize> {
+        let wall = |t: usize| (interfaces.mesh.corners(t), interfaces.between[t]);
+        self.wrong_by_walls((0..interfaces.between.len()).into_par_iter().map(wall))
+    }
+
+    /// Returns the nodes, ascending, that triangles put into another material. Each crossing along
+    /// a grid line removes one material and adds another. Beyond all triangles is the outside.
+    fn wrong_by_walls(&self, walls: impl ParallelIterator<Item = Wall>) -> Vec<usize> {
         let nx = self.geometry.size[0];
         let mut toggles: Vec<(usize, usize, u16)> = walls
-            .par_iter()
             .flat_map_iter(|(corners, sheet)| {
                 let mut own = Vec::new();
-                crossings(*corners, &self.geometry, |at| own.extend(sheet.map(|id| (at.row, at.first, id.0))));
+                crossings(corners, &self.geometry, |at| own.extend(sheet.map(|id| (at.row, at.first, id.0))));
                 own
             })
             .collect();
@@ -77,7 +80,7 @@ impl Nodes {
             let start = toggles.partition_point(|t| t.0 < row);
             let mut toggles = toggles[start..].iter().take_while(move |t| t.0 == row).peekable();
             let mut there = vec![MaterialId::OUTSIDE.0];
-            (0..nx).map(move |i| {
+            (0..nx).filter(move |&i| {
                 while let Some((_, _, id)) = toggles.next_if(|t| t.1 <= i) {
                     match there.iter().position(|known| known == id) {
                         Some(at) => drop(there.swap_remove(at)),
@@ -85,22 +88,17 @@ impl Nodes {
                     }
                 }
                 // none or several only where the triangles do not close
-                if let [only] = there[..] { only } else { u16::MAX }
+                there != [self.material[row * nx + i]]
             })
         };
-        (0..self.material.len() / nx.max(1)).into_par_iter().flat_map_iter(of_row).collect()
-    }
-
-    /// The nodes, ascending, that triangles put into another material.
-    pub fn wrong_by_walls(&self, walls: &[Wall]) -> Vec<usize> {
-        let found = self.by_walls(walls);
-        (0..found.len()).into_par_iter().filter(|&n| found[n] != self.material[n]).collect()
+        let rows = (0..self.material.len() / nx.max(1)).into_par_iter();
+        rows.flat_map_iter(|row| of_row(row).map(move |i| row * nx + i)).collect()
     }
 
     /// The nodes, ascending, that lie in tetrahedra of another material.
     pub(super) fn wrong(&self, complex: &Complex, facets: &[Facet]) -> Vec<usize> {
         let wall = |f: &Facet| (f.vertices.map(|v| complex.points()[v as usize]), complex.sheet(f));
-        self.wrong_by_walls(&facets.par_iter().map(wall).collect::<Vec<_>>())
+        self.wrong_by_walls(facets.par_iter().map(wall))
     }
 
     /// Returns the nodes in a tetrahedron or on its faces.

@@ -1,6 +1,7 @@
 //! The components of each material, of grid nodes that share a face, and whether they are in a mesh.
 
 use super::nodes::Nodes;
+use isoparticles_field::materials::Material;
 use isoparticles_mesh::components::DisjointSets;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -11,6 +12,8 @@ pub const SMALL: usize = 8;
 /// The components of a material.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Pieces {
+    /// Its name.
+    pub name: String,
     /// Grid nodes of it.
     pub nodes: usize,
     /// Components, of nodes that share a face.
@@ -21,8 +24,9 @@ pub struct Pieces {
     pub missing_specks: usize,
 }
 
-/// The components of each of so many materials, and which of them `found`, the material of each node by a mesh, lacks.
-pub fn pieces(nodes: &Nodes, found: &[u16], materials: usize) -> Vec<Pieces> {
+/// The components of each material of a table, and which of them a mesh lacks that has the nodes
+/// `wrong` (ascending) in another material.
+pub fn pieces(nodes: &Nodes, wrong: &[usize], table: &[Material]) -> Vec<Pieces> {
     let truth = nodes.materials();
     let [nx, ny, _] = nodes.geometry().size;
     let plane = nx * ny;
@@ -40,12 +44,14 @@ pub fn pieces(nodes: &Nodes, found: &[u16], materials: usize) -> Vec<Pieces> {
     }
     // nodes of each component, and whether one of them is in the mesh
     let mut components: BTreeMap<u32, (usize, bool)> = BTreeMap::new();
+    let mut wrong = wrong.iter().peekable();
     for n in 0..truth.len() {
         let own = components.entry(sets.find(n as u32)).or_default();
         own.0 += 1;
-        own.1 |= found[n] == truth[n];
+        own.1 |= wrong.next_if_eq(&&n).is_none();
     }
-    let mut pieces = vec![Pieces::default(); materials];
+    let mut pieces: Vec<Pieces> =
+        table.iter().map(|material| Pieces { name: material.name.clone(), ..Pieces::default() }).collect();
     for (root, (count, is_present)) in components {
         let Some(own) = pieces.get_mut(usize::from(truth[root as usize])) else { continue };
         own.nodes += count;
@@ -57,4 +63,10 @@ pub fn pieces(nodes: &Nodes, found: &[u16], materials: usize) -> Vec<Pieces> {
         }
     }
     pieces
+}
+
+/// Describes the missing components, if there are any.
+pub fn missing(pieces: &[Pieces]) -> Option<String> {
+    let count: usize = pieces.iter().map(|own| own.missing.len()).sum();
+    (count > 0).then(|| format!("{count} missing components of materials"))
 }

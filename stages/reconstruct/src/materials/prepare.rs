@@ -1,7 +1,8 @@
 //! From particles to points of a complex: each on its own stratum, real there, no two on one spot, and junction curves whose segments join.
 
-use super::segments::{Segment, Segments, segment};
+use super::segments::Segments;
 use super::way::{LONGEST_WAY, ONE_CURVE, foot, length};
+use crate::interfaces::{Segment, segment};
 use crate::prepare::{ON_SURFACE, PrepareReport, SurfacePoints};
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;

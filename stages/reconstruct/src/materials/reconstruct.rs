@@ -1,22 +1,24 @@
 //! The stage as one call: particles on strata become one conforming complex of triangles between materials, checked.
 
-use super::check::{CheckOptions, ComplexReport, check};
 use super::complex::Complex;
 use super::improve::improve;
-use super::interfaces::Interfaces;
 use super::nodes::Nodes;
-use super::prepare::{Taken, prepare};
+use super::pieces::{Pieces, missing, pieces};
+use super::prepare::{Taken, onto, prepare};
 use super::refine::{RefineReport, Refinement};
+use crate::check::{CheckOptions, CheckReport, Fault, Simplices, Truth, check};
 use crate::improve::{ImproveOptions, ImproveReport};
+use crate::interfaces::Interfaces;
 use crate::options::Options;
 use crate::queue::Reason;
 use glam::DVec3;
-use isoparticles_field::materials::{Indicators, Material};
+use isoparticles_field::materials::{Indicators, Material, MaterialId, Stratum};
 use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_field::sizing::SizingField;
 use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_stage::error::Result;
 use isoparticles_stage::monitor::Monitor;
+use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
 /// A complex with what is known of it.
@@ -32,14 +34,39 @@ pub struct Reconstruction {
     /// What improvement did.
     pub improved: ImproveReport,
     /// What was checked.
-    pub checked: ComplexReport,
+    pub checked: CheckReport,
+    /// The components of each material, of grid nodes.
+    pub pieces: Vec<Pieces>,
+    /// The checks that failed, in words.
+    pub failed: Vec<String>,
+}
+
+/// The indicators, and the materials that they give the grid nodes.
+pub(super) struct MaterialsTruth<'a> {
+    pub(super) indicators: &'a dyn Indicators,
+    pub(super) nodes: &'a Nodes,
+}
+
+impl Truth for MaterialsTruth<'_> {
+    fn geometry(&self) -> &Geometry {
+        self.nodes.geometry()
+    }
+
+    fn value_gradient(&self, [i, j]: [MaterialId; 2], p: DVec3) -> (f64, DVec3) {
+        self.indicators.difference_gradient(i, j, p)
+    }
+
+    fn wrong_nodes(&self, interfaces: &Interfaces) -> Option<Vec<usize>> {
+        Some(self.nodes.wrong_by(interfaces))
+    }
 }
 
 /// Joins particles on the strata of indicators, in their grid frame, into the interfaces between the materials of a table. Without `sizing`, h at a vertex is that
 /// of the nearest particle. The result is the same on any number of threads.
 ///
 /// # Errors
-/// On particles that are not on their strata or all in one plane, and when interrupted. A complex that fails a check is no error ([`ComplexReport::failed`]).
+/// On particles that are not on their strata or all in one plane, and when interrupted. A complex that fails a check is no
+/// error ([`Reconstruction::failed`]).
 pub fn reconstruct(
     (particles, strata): (&ParticleSet, &Strata),
     indicators: &dyn Indicators,
@@ -64,9 +91,10 @@ pub fn reconstruct(
         Ok(monitor.check()?)
     })?;
     let Refinement { complex, report: mut refined, .. } = refinement;
-    let (mut interfaces, mut dimensions) = Interfaces::of(&complex, &facets);
+    let (mut interfaces, mut dimensions) = complex.interfaces(&facets);
     if let Some(left) = refined.unresolved.remove(&Reason::Vertex) {
-        refined.parted = interfaces.part_sheets(indicators);
+        let project = |[i, j]: [MaterialId; 2], p| onto(indicators, Stratum::interface(i, j), p, indicators.voxel());
+        refined.parted = interfaces.part_sheets(project);
         dimensions.resize(interfaces.mesh.vertices.len(), 2);
         if left > refined.parted {
             refined.unresolved.insert(Reason::Vertex, left - refined.parted);
@@ -92,16 +120,22 @@ pub fn reconstruct(
 
     let phase = monitor.phase("check");
     let how = CheckOptions {
-        indicators,
+        truth: Some(&MaterialsTruth { indicators, nodes: &nodes }),
         table,
-        nodes: &nodes,
         keeps_nodes: options.keeps_voxels,
         min_radius_ratio: options.min_radius_ratio,
+        max_vertex_distance: Some(options.max_vertex_distance),
         accept_forced: options.accept_forced,
-        max_vertex_distance: options.max_vertex_distance,
+        ..CheckOptions::default()
     };
     let checked = check(&interfaces, &how);
+    let mut failed = checked.failed.clone();
+    let pieces = match checked.offenders.get(&Fault::NodesOnWrongSide) {
+        Some(Simplices::Nodes(wrong)) => pieces(&nodes, wrong, table),
+        _ => Vec::new(),
+    };
+    failed.extend(missing(&pieces));
     let sizes = interfaces.mesh.vertices.par_iter().map(|&p| size(p)).collect();
     drop(phase);
-    Ok(Reconstruction { interfaces, sizes, taken, refined, improved, checked })
+    Ok(Reconstruction { interfaces, sizes, taken, refined, improved, checked, pieces, failed })
 }

@@ -7,9 +7,9 @@
 use super::complex::Complex;
 use super::criteria::{Mend, Violation};
 use super::nodes::Nodes;
-use super::segments::Segment;
 use super::topology::Simplices;
 use crate::around::star;
+use crate::interfaces::Segment;
 use crate::labelled::Facet;
 use crate::queue::{NEAREST_FOR_SHAPE, NEAREST_FOR_TOPOLOGY, Queue, Reason, Refine, Remedy, Simplex};
 use isoparticles_field::materials::Stratum;

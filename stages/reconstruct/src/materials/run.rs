@@ -1,17 +1,15 @@
 //! The program where it is given the indicators of many materials: reading, the steps, the report, writing.
 
-use super::check::ComplexReport;
-use super::interfaces::Interfaces;
 use super::reconstruct::{Reconstruction, reconstruct};
 use crate::args::{Args, check_method};
 use crate::input::{about, read_settled, read_sizing};
-use crate::offending::Offending;
-use crate::output::{check_offenders, write};
+use crate::interfaces::Interfaces;
+use crate::offending::offending;
+use crate::output::{check_offenders, describe_mesh, write};
 use crate::volumes::of_materials;
 use isoparticles_field::materials::{Material, MaterialId};
 use isoparticles_mesh::quality::radius_ratios;
-use isoparticles_mesh::surface::{DataArray, Simplices, Surface, write_surface};
-use isoparticles_stage::cli::values::significant;
+use isoparticles_mesh::surface::{DataArray, Surface, write_surface};
 use isoparticles_stage::cli::{Context, FIT_BUT_FOR, Outcome, particles_bytes};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::check_same_grid;
@@ -68,7 +66,7 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
     tell(&made, context);
 
     let surface = attributes(&made, &geometry);
-    let volumes = json!(of_materials(&told, &made.checked.materials));
+    let volumes = json!(of_materials(&told, &made.checked.regions));
     context.report("volumes", volumes.clone());
     let mut notes = Map::new();
     notes.insert("volumes".to_owned(), volumes);
@@ -81,8 +79,8 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
         version: meta::VERSION,
         source: Some(Source::Labels),
         border: told.border,
-        failed_checks: made.checked.failed.clone(),
-        components: made.checked.materials.iter().map(|own| own.pieces.components).sum(),
+        failed_checks: made.failed.clone(),
+        components: made.pieces.iter().map(|own| own.components).sum(),
         materials: table.to_vec(),
         notes,
     };
@@ -95,13 +93,13 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
     if let Some(folder) = &args.each {
         write_each(folder, args, &made, table, &geometry, context)?;
     }
-    let failed = made.checked.failed.clone();
+    let failed = made.failed.clone();
     if failed.is_empty()
         && let Some(forced) = made.checked.forced()
     {
         context.warn(format!("{FIT_BUT_FOR}{} accepted triangles: {forced}", made.checked.poor_between_curves.len()));
     }
-    write(args, context, &surface, &meta, offending(&made, &geometry), failed)
+    write(args, context, &surface, &meta, offending(&made.interfaces.mesh, &made.checked, &geometry), failed)
 }
 
 /// The interfaces in the world, with what is known at vertices (h, how many materials meet) and triangles (the materials, radius ratio).
@@ -180,28 +178,6 @@ fn file_name(name: &str, id: MaterialId, taken: &mut BTreeSet<String>) -> String
     numbered
 }
 
-/// What is behind the failed checks of a complex: 1 edge in the wrong number of triangles, 2
-/// junction edge on no curve, 3 edge at which a material is not closed, 4 pinched vertex, 5 distant
-/// vertex, 6 grid node in another material, 8 no area, 9 crossing, 10 poor shape, 12 missing
-/// segment, 13 poor shape forced by junction curves.
-fn offending(made: &Reconstruction, geometry: &Geometry) -> Option<Simplices> {
-    let found = &made.checked.offenders;
-    let mut offending = Offending::new(&made.interfaces.mesh, geometry);
-    offending.vertices(&found.pinched, 4);
-    offending.vertices(&found.distant, 5);
-    let [nx, ny, _] = geometry.size;
-    found.nodes.iter().for_each(|&node| offending.node([node % nx, node / nx % ny, node / nx / ny], 6));
-    offending.edges(&found.edges, 1);
-    offending.edges(&found.spurious, 2);
-    offending.edges(&found.not_closed, 3);
-    offending.edges(&found.missing_segments, 12);
-    offending.triangles(&found.zero_area, 8);
-    offending.crossing(&found.crossing, 9);
-    offending.triangles(&found.poor, 10);
-    offending.triangles(&found.forced, 13);
-    offending.simplices()
-}
-
 /// Puts what was made into the report and the closing table, and warns of what is doubtful.
 fn tell(made: &Reconstruction, context: &Context) {
     let Reconstruction { checked, taken, refined, improved, .. } = made;
@@ -209,16 +185,13 @@ fn tell(made: &Reconstruction, context: &Context) {
     context.report("refine", json!(refined));
     context.report("improve", json!(improved));
     context.report("check", json!(checked));
-    describe(checked, context);
+    context.report("topology", json!(made.pieces));
     let lost = &taken.particles;
-    context.summary(
-        "particles used, not used",
-        format!(
-            "{}, {}",
-            lost.particles - lost.not_projected.min(lost.particles),
-            lost.not_projected + lost.crowded + taken.encroaching
-        ),
-    );
+    let dropped = lost.not_projected + lost.crowded + taken.encroaching;
+    describe_mesh(checked, "", [lost.particles.saturating_sub(lost.not_projected), dropped], context);
+    let missing: usize = made.pieces.iter().map(|own| own.missing.len()).sum();
+    let specks: usize = made.pieces.iter().map(|own| own.missing_specks).sum();
+    context.summary("components missing, specks missing", format!("{missing}, {specks}"));
     context.summary(
         "points added",
         format!("{}, {} of them on junction curves", refined.inserted.values().sum::<usize>(), refined.on_curves),
@@ -232,38 +205,4 @@ fn tell(made: &Reconstruction, context: &Context) {
             left.join(", ")
         ));
     }
-}
-
-/// The closing table of a complex.
-fn describe(checked: &ComplexReport, context: &Context) {
-    let quality = &checked.quality;
-    context.summary("vertices, triangles", format!("{}, {}", checked.vertices, checked.triangles));
-    let (materials, pairs) = (checked.materials.len(), checked.pairs.len());
-    context.summary("materials, pairs that touch", format!("{materials}, {pairs}"));
-    context.summary(
-        "junction edges, points",
-        format!(
-            "{}, {}; {} of {} segments missing",
-            checked.junction_edges, checked.junction_points, checked.missing_segments, checked.segments
-        ),
-    );
-    context.summary(
-        "components missing, specks missing",
-        format!("{}, {}", checked.missing_components, checked.missing_specks),
-    );
-    context.summary("voxel centres in the wrong material", checked.nodes_changed);
-    context.summary(
-        "radius ratio",
-        format!("mean {:.4}, minimum {:.4}", quality.radius_ratio_mean, quality.radius_ratio_min),
-    );
-    context.summary("angles, degrees", format!("{:.1} to {:.1}", quality.angle_min, quality.angle_max));
-    context.summary(
-        "distance from the interfaces, voxels",
-        format!(
-            "vertices at most {}; centroids mean {}, maximum {}",
-            significant(checked.vertex_distance.max),
-            significant(checked.centroid_distance.mean),
-            significant(checked.centroid_distance.max)
-        ),
-    );
 }

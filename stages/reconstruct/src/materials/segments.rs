@@ -1,17 +1,10 @@
 //! The segments of junction curves: pairs of points that follow each other, each on a curve of its own three materials, or of four where two curves coincide.
 
+use crate::interfaces::{Segment, segment};
 use glam::DVec3;
 use isoparticles_field::materials::Stratum;
 use isoparticles_mesh::spatial::Bins;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-
-/// Two points of a segment, the lower number first.
-pub type Segment = [u32; 2];
-
-/// A pair in order.
-pub fn segment(a: u32, b: u32) -> Segment {
-    [a.min(b), a.max(b)]
-}
 
 /// Segments by their ends, by each end, and by place.
 #[derive(Clone, Debug)]

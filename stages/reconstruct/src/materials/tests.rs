@@ -1,13 +1,14 @@
 //! Complexes of shapes that are known, against the truth.
 
-use super::check::{CheckOptions, ComplexReport, check};
 use super::complex::Complex;
-use super::interfaces::Interfaces;
 use super::nodes::Nodes;
+use super::pieces::{missing, pieces};
 use super::prepare::{Prepared, prepare};
-use super::reconstruct::{Reconstruction, reconstruct};
+use super::reconstruct::{MaterialsTruth, Reconstruction, reconstruct};
 use super::refine::Refinement;
 use super::scenes::{self, CENTRE, HALF, RADIUS, Scene, stratum};
+use crate::check::{CheckOptions, CheckReport, Fault, check};
+use crate::interfaces::Interfaces;
 use crate::options::Options;
 use crate::queue::{Refine, Simplex};
 use glam::DVec3;
@@ -33,14 +34,18 @@ fn ball_volume(radius: f64) -> f64 {
 
 /// Volume of each material but the outside.
 fn volumes(made: &Reconstruction) -> Vec<f64> {
-    made.checked.materials.iter().skip(1).map(|own| own.volume).collect()
+    made.checked.regions.iter().skip(1).map(|own| own.volume).collect()
 }
 
 fn assert_sound(made: &Reconstruction, what: &str) {
-    assert_eq!(made.checked.failed, Vec::<String>::new(), "{what}: {:?} {:?}", made.refined, made.improved);
+    assert_eq!(made.failed, Vec::<String>::new(), "{what}: {:?} {:?}", made.refined, made.improved);
     // a node may be left to the optimiser
     assert!(made.refined.unresolved.keys().all(|reason| !reason.is_topology()), "{what}: {:?}", made.refined);
-    assert_eq!((made.checked.nodes_changed, made.checked.missing_segments), (0, 0), "{what}");
+    assert_eq!(
+        [Fault::NodesOnWrongSide, Fault::MissingSegments].map(|fault| made.checked.count(fault)),
+        [0, 0],
+        "{what}"
+    );
     let quality = &made.checked.quality;
     let (mean, least) = (quality.radius_ratio_mean, quality.radius_ratio_min);
     // points thrown at random, not settled
@@ -63,12 +68,14 @@ fn known_shapes_have_their_strata_and_keep_every_node() {
         {
             let made = made(&scene, indicators, h, true);
             assert_sound(&made, &format!("{name} {kind}"));
-            assert!(made.checked.junction_edges >= junctions, "{name}: {}", made.checked.junction_edges);
-            assert_eq!(made.checked.junction_edges, made.checked.segments);
-            assert_eq!(made.checked.junction_points, points, "{name} {kind}");
             assert!(
-                made.checked.materials.iter().all(|own| own.pieces.components == 1 && own.pieces.missing.is_empty())
+                made.checked.junctions.junction_edges >= junctions,
+                "{name}: {}",
+                made.checked.junctions.junction_edges
             );
+            assert_eq!(made.checked.junctions.junction_edges, made.checked.junctions.segments);
+            assert_eq!(made.checked.junctions.junction_points, points, "{name} {kind}");
+            assert!(made.pieces.iter().all(|own| own.components == 1 && own.missing.is_empty()));
         }
     }
 }
@@ -77,7 +84,7 @@ fn known_shapes_have_their_strata_and_keep_every_node() {
 fn volumes_and_areas_converge_to_second_order() {
     let error = |scene: &Scene, h: f64, truth: &dyn Fn(&Reconstruction) -> f64| {
         let made = made(scene, &scene.analytic, h, false);
-        assert_eq!(made.checked.failed, Vec::<String>::new());
+        assert_eq!(made.failed, Vec::<String>::new());
         truth(&made)
     };
     let nested = |made: &Reconstruction| {
@@ -88,7 +95,7 @@ fn volumes_and_areas_converge_to_second_order() {
         let volumes = volumes(made).into_iter().map(|v| (v / (ball_volume(RADIUS) / 3.0) - 1.0).abs());
         // half a disk between each two
         let area = |pair: [u16; 2]| {
-            let part = made.interfaces.part(|between| between == pair.map(MaterialId));
+            let part = made.interfaces.part(pair.map(MaterialId));
             (measure(&part).area / (0.5 * PI * RADIUS * RADIUS) - 1.0).abs()
         };
         volumes.chain([[2, 1], [3, 1], [3, 2]].map(area)).fold(0.0, f64::max)
@@ -128,7 +135,8 @@ fn junction_curves_and_points_lie_where_they_should_and_sheets_meet_at_their_ang
         }
     }
     assert!((length - 2.0 * RADIUS).abs() < 1e-6, "{length}");
-    for (edge, triangles) in made.interfaces.edges() {
+    for own in made.interfaces.edges().chunk_by(|a, b| a.0 == b.0) {
+        let (edge, triangles) = (own[0].0, own.iter().map(|(_, t)| *t).collect::<Vec<u32>>());
         if segments.iter().all(|(pair, curve)| *pair != edge || *curve != axis) {
             continue;
         }
@@ -157,7 +165,7 @@ fn neighbours_have_the_same_vertices_and_all_volumes_fill_the_whole() {
     let [one, two] = [1, 2].map(|id| made.interfaces.surface_of(MaterialId(id)).1);
     let shared = one.iter().filter(|v| two.binary_search(v).is_ok()).count();
     assert!(shared > 20, "{shared}");
-    let all: f64 = made.checked.materials.iter().map(|own| own.volume).sum();
+    let all: f64 = made.checked.regions.iter().map(|own| own.volume).sum();
     assert!(all.abs() < 1e-9, "the outside is the whole turned round: {all}");
 }
 
@@ -195,8 +203,8 @@ fn lost_particles_of_curves_are_bridged_and_lonely_ones_get_a_ring() {
         let made = reconstruct((&fewer, &strata), &scene.analytic, &scene.table(), None, &options, &Silent);
         let made = made.expect("on their strata");
         assert!(made.taken.on_small_loops >= 2, "{}", made.taken.on_small_loops);
-        assert_eq!(made.checked.failed, Vec::<String>::new(), "{left}");
-        assert!(made.checked.junction_edges > 12, "{}", made.checked.junction_edges);
+        assert_eq!(made.failed, Vec::<String>::new(), "{left}");
+        assert!(made.checked.junctions.junction_edges > 12, "{}", made.checked.junctions.junction_edges);
     }
 }
 
@@ -205,15 +213,15 @@ fn a_closed_curve_without_particles_is_found_from_the_sheets_beside_it() {
     let scene = Scene { curves: Vec::new(), ..scenes::two_balls() };
     // samples, whose spline has no kinks on the curve
     let made = made(&scene, &scene.sampled(1.0), 1.5, false);
-    assert_eq!((made.taken.loops_added, &made.checked.failed), (1, &Vec::new()));
-    assert!(made.checked.junction_edges > 12, "{}", made.checked.junction_edges);
+    assert_eq!((made.taken.loops_added, &made.failed), (1, &Vec::new()));
+    assert!(made.checked.junctions.junction_edges > 12, "{}", made.checked.junctions.junction_edges);
 }
 
 #[test]
 fn a_layer_a_fifth_as_thick_as_its_triangles_are_long_stays_whole_without_more_points() {
     let scene = scenes::shell(9.0, 8.7);
     let made = made(&scene, &scene.analytic, 1.5, false);
-    assert_eq!(made.checked.failed, Vec::<String>::new());
+    assert_eq!(made.failed, Vec::<String>::new());
     let (points, added) = (made.interfaces.mesh.vertices.len(), made.refined.inserted.values().sum::<usize>());
     assert!(added * 50 < points, "{added} of {points}");
 }
@@ -411,18 +419,19 @@ fn each_check_finds_what_is_damaged() {
     let nodes = Nodes::new(&scene.geometry(1.0), &scene.analytic);
     let table = scene.table();
     let options = CheckOptions {
-        indicators: &scene.analytic,
+        truth: Some(&MaterialsTruth { indicators: &scene.analytic, nodes: &nodes }),
         table: &table,
-        nodes: &nodes,
         keeps_nodes: true,
         min_radius_ratio: Some(0.3),
-        accept_forced: false,
-        max_vertex_distance: 1e-4,
+        max_vertex_distance: Some(1e-4),
+        ..CheckOptions::default()
     };
     let failed = |damage: &dyn Fn(&mut Interfaces)| {
         let mut interfaces = made.interfaces.clone();
         damage(&mut interfaces);
-        check(&interfaces, &options).failed.join("; ")
+        let checked = check(&interfaces, &options);
+        let missing = missing(&pieces(&nodes, &nodes.wrong_by(&interfaces), &table));
+        [checked.failed, missing.into_iter().collect()].concat().join("; ")
     };
     assert_eq!(failed(&|_| {}), "");
     let plain = |i: &Interfaces| {
@@ -431,11 +440,11 @@ fn each_check_finds_what_is_damaged() {
     };
     type Damage<'a> = &'a dyn Fn(&mut Interfaces);
     let damages: [(&str, Damage); 9] = [
-        ("edges with a number of triangles", &|i| {
+        ("open edges", &|i| {
             i.mesh.triangles.pop();
             i.between.pop();
         }),
-        ("open or touches itself", &|i| {
+        ("opposite orientation", &|i| {
             let t = plain(i);
             i.mesh.triangles[t].swap(0, 1);
         }),
@@ -447,7 +456,7 @@ fn each_check_finds_what_is_damaged() {
             let v = i.mesh.triangles[plain(i)][0];
             i.mesh.vertices[v as usize] = CENTRE - 0.6 * (i.mesh.vertices[v as usize] - CENTRE);
         }),
-        ("from their interface", &|i| {
+        ("from the interface", &|i| {
             let v = i.mesh.triangles[plain(i)][0];
             i.mesh.vertices[v as usize] += DVec3::splat(0.01);
         }),
@@ -455,7 +464,9 @@ fn each_check_finds_what_is_damaged() {
             let [a, b, _] = i.mesh.triangles[plain(i)];
             i.mesh.vertices[a as usize] = i.mesh.vertices[a as usize].lerp(i.mesh.vertices[b as usize], 0.9);
         }),
-        ("in the wrong material", &|i| i.mesh.vertices.iter_mut().for_each(|p| *p = CENTRE + 0.8 * (*p - CENTRE))),
+        ("on the wrong side of the mesh", &|i| {
+            i.mesh.vertices.iter_mut().for_each(|p| *p = CENTRE + 0.8 * (*p - CENTRE))
+        }),
         ("missing components of materials", &|i| {
             let whole = MaterialId(1);
             for between in &mut i.between {
@@ -474,28 +485,29 @@ fn each_check_finds_what_is_damaged() {
 
 #[test]
 fn triangles_forced_by_curves_fail_unless_accepted() {
-    let scene = scenes::sectors();
+    let scene = scenes::quarters();
     let made = made(&scene, &scene.analytic, 3.0, true);
     let nodes = Nodes::new(&scene.geometry(1.0), &scene.analytic);
     let table = scene.table();
     let checked = |accept_forced: bool| {
         let options = CheckOptions {
-            indicators: &scene.analytic,
+            truth: Some(&MaterialsTruth { indicators: &scene.analytic, nodes: &nodes }),
             table: &table,
-            nodes: &nodes,
             keeps_nodes: true,
             min_radius_ratio: Some(1.0),
+            max_vertex_distance: Some(1e-4),
             accept_forced,
-            max_vertex_distance: 1e-4,
+            ..CheckOptions::default()
         };
         check(&made.interfaces, &options)
     };
     let [strict, accepting] = [false, true].map(checked);
     let count = strict.poor_between_curves.len();
-    assert!(count > 0 && strict.poor_between_curves.is_sorted_by_key(|t| t.radius_ratio));
-    assert_eq!((strict.offenders.forced.len(), accepting.offenders.forced.len()), (count, 0));
+    assert!(count > 0, "{:?}", strict.quality);
+    assert!(strict.poor_between_curves.is_sorted_by_key(|t| t.radius_ratio));
+    assert_eq!([&strict, &accepting].map(|report| report.count(Fault::ForcedTriangles)), [count, 0]);
     let said = format!("{count} poor triangles forced by the junction curves");
-    let told = |report: &ComplexReport| report.failed.iter().filter(|text| text.contains(&said)).count();
+    let told = |report: &CheckReport| report.failed.iter().filter(|text| text.contains(&said)).count();
     assert_eq!((told(&strict), told(&accepting)), (1, 0), "{:?}", strict.failed);
     let words = strict.failed.iter().find(|text| text.contains(&said)).expect("counted");
     let at = place(strict.poor_between_curves[0].place);

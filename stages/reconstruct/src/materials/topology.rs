@@ -1,8 +1,8 @@
 //! What is wrong with the topology of a complex at a simplex, by the materials of its tetrahedra alone: what mends it is another question, and takes far longer to answer.
 
 use super::complex::Complex;
-use super::segments::{Segment, segment};
 use crate::around::{boundary_facets_of, parts_round, runs_round, star};
+use crate::interfaces::{Segment, segment};
 use crate::labelled::Facet;
 use crate::queue::{Reason, Simplex};
 use isoparticles_delaunay::INFINITE;

@@ -5,8 +5,8 @@
 
 use super::complex::Complex;
 use super::refine::Refinement;
-use super::segments::Segment;
 use super::topology::Simplices;
+use crate::interfaces::Segment;
 use crate::queue::{Reason, Simplex};
 
 impl Refinement<'_> {
@@ -56,8 +56,9 @@ fn is_superfluous(complex: &Complex, pair: Segment) -> bool {
 mod tests {
     use super::super::prepare::{Prepared, Taken};
     use super::super::scenes::stratum;
-    use super::super::segments::{Segments, segment};
+    use super::super::segments::Segments;
     use super::*;
+    use crate::interfaces::segment;
     use glam::DVec3;
     use isoparticles_delaunay::Delaunay;
     use isoparticles_field::materials::{Analytic, Indicators, ball, half_space, maximum, negative};

@@ -8,7 +8,7 @@ pub(super) const LONGEST_WAY: f64 = 6.0;
 /// Curves nearer to each other than this, in voxels, are one over that length: they share points and segments, of four materials. New points keep a twentieth of h from others
 /// ([`crate::queue::NEAREST_FOR_TOPOLOGY`]), and h is seldom below a voxel, so that between nearer ones there is no room for facets. Of parts of `brain_parcellation` and
 /// `frog_tissue_labels` in which 345 segments were missing, 23 are with 0.02 and none with 0.05.
-pub(super) const ONE_CURVE: f64 = 0.05;
+pub(crate) const ONE_CURVE: f64 = 0.05;
 
 /// Length of a way, mm.
 pub(super) fn length(way: &[DVec3]) -> f64 {

@@ -17,7 +17,7 @@ impl Refinement<'_> {
     /// The grid nodes on the wrong side of some facets, none where they do not count; grid frame, mm.
     fn wrong_nodes(&self, facets: &[Facet]) -> Vec<DVec3> {
         let Some(samples) = self.nodes else { return Vec::new() };
-        let (mesh, _) = compact(self.object.points(), facets);
+        let mesh = compact(self.object.points(), facets).0.mesh;
         let place = |node: [usize; 3]| samples.geometry.index_to_grid(DVec3::from_array(node.map(|n| n as f64)));
         nodes_on_wrong_side(&mesh, samples).into_iter().map(place).collect()
     }

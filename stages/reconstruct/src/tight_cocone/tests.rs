@@ -1,9 +1,8 @@
 //! Tight Cocone on analytic scenes, and on clouds with faults.
 
 use super::*;
-use crate::check::{CheckOptions, CheckReport, check};
+use crate::check::{CheckOptions, CheckReport, check_object};
 use crate::join::compact;
-use crate::pinched::{part_sheets, pinched_vertices};
 use crate::prepare::SurfacePoints;
 use crate::scenes::{self, Scene};
 use isoparticles_field::random::uniform;
@@ -17,14 +16,13 @@ fn surface(positions: &[DVec3], normals: &[DVec3]) -> Result<(TriangleMesh, Coco
     let delaunay = points.triangulate()?;
     let normals = (!points.normals.is_empty()).then_some(&points.normals[..]);
     let (facets, report) = tight_cocone(&delaunay, normals)?;
-    let (mut mesh, _) = compact(&points.positions, &facets);
-    let pinched = pinched_vertices(&mesh);
-    part_sheets(&mut mesh, &pinched, Some);
-    Ok((mesh, report))
+    let mut interfaces = compact(&points.positions, &facets).0;
+    interfaces.part_sheets(|_, p| Some(p));
+    Ok((interfaces.mesh, report))
 }
 
 fn checked(mesh: &TriangleMesh) -> CheckReport {
-    check(mesh, &CheckOptions::default())
+    check_object(mesh, &CheckOptions::default())
 }
 
 fn normals_of(scene: &Scene, points: &[DVec3]) -> Vec<DVec3> {
@@ -35,7 +33,8 @@ fn normals_of(scene: &Scene, points: &[DVec3]) -> Vec<DVec3> {
 type Part = (i64, bool);
 
 fn parts(report: &CheckReport) -> Vec<Part> {
-    let mut parts: Vec<Part> = report.components.iter().map(|c| (c.topology.euler, c.measure.volume < 0.0)).collect();
+    let mut parts: Vec<Part> =
+        report.object().components.iter().map(|c| (c.topology.euler, c.measure.volume < 0.0)).collect();
     parts.sort_unstable();
     parts
 }
@@ -96,7 +95,7 @@ fn well_sampled_scenes_have_their_topology_with_normals_and_without() {
             ("all zero", vec![DVec3::ZERO; points.len()], false, false),
         ] {
             let (mesh, report) = surface(&points, &normals).unwrap();
-            let failed = checked(&mesh).failed_checks();
+            let failed = checked(&mesh).failed;
             assert!(failed.is_empty(), "{name}, normals {kind}: {failed:?} {report:?}");
             assert_eq!(parts(&checked(&mesh)), *expected, "{name}, normals {kind}: {report:?}");
             assert_eq!((report.normals_taken, report.normals_oriented), (taken, oriented), "{name}, normals {kind}");
@@ -111,8 +110,8 @@ fn the_ball_has_its_volume_and_area() {
     let (mesh, report) = surface(&scenes::sphere().points(1.0), &[]).unwrap();
     let checked = checked(&mesh);
     // an inscribed triangulation of edge e loses about e^2 / 12 R^2 of the area and a little over twice that of the volume
-    assert!((checked.volume / 4188.8 - 1.0).abs() < 0.01, "{}", checked.volume);
-    assert!((checked.area / 1256.6 - 1.0).abs() < 0.006, "{}", checked.area);
+    assert!((checked.object().volume / 4188.8 - 1.0).abs() < 0.01, "{}", checked.object().volume);
+    assert!((checked.object().area / 1256.6 - 1.0).abs() < 0.006, "{}", checked.object().area);
     assert_eq!((report.flat, report.with_umbrella, report.unused), (report.points, report.points, 0));
 }
 
@@ -138,11 +137,15 @@ fn noise_and_holes_leave_the_surface_watertight() {
             for normals in [&[][..], &normals[..]] {
                 let (mesh, report) = surface(&points, normals).unwrap();
                 let found = checked(&mesh);
-                let failed = found.failed_checks();
+                let failed = &found.failed;
                 assert!(failed.is_empty(), "noise {noise}, hole {hole}: {failed:?} {report:?}");
                 assert_eq!(parts(&found), [(euler, false)], "noise {noise}, hole {hole}: {report:?}");
                 // the largest hole cuts 7 % off the torus (measured)
-                assert!((found.volume / volume - 1.0).abs() < 0.1, "noise {noise}, hole {hole}: {}", found.volume);
+                assert!(
+                    (found.object().volume / volume - 1.0).abs() < 0.1,
+                    "noise {noise}, hole {hole}: {}",
+                    found.object().volume
+                );
             }
         }
     }
@@ -165,16 +168,16 @@ fn degenerate_points_are_meshed_or_refused() {
     let cube = cube_faces(8);
     let (mesh, report) = surface(&[&cube[..], &cube[..]].concat(), &[]).unwrap();
     let found = checked(&mesh);
-    assert!(found.failed_checks().is_empty(), "{:?} {report:?}", found.failed_checks());
+    assert!(found.failed.is_empty(), "{:?} {report:?}", found.failed);
     assert_eq!((parts(&found), report.points), (vec![(2, false)], cube.len()));
     // corners, whose cells are as wide as long, may be cut off
-    assert!((510.0..=512.0).contains(&found.volume), "{}", found.volume);
+    assert!((510.0..=512.0).contains(&found.object().volume), "{}", found.object().volume);
     // whole numbers exactly on one sphere
     let whole = |n: i32, side: i32| DVec3::new((n % side).into(), (n / side % side).into(), (n / (side * side)).into());
     let sphere: Vec<DVec3> =
         (0..43 * 43 * 43).map(|n| whole(n, 43) - 21.0).filter(|p| p.length_squared() == 441.0).collect();
     let (mesh, report) = surface(&sphere, &[]).unwrap();
-    assert!(checked(&mesh).failed_checks().is_empty());
+    assert!(checked(&mesh).failed.is_empty());
     assert_eq!((parts(&checked(&mesh)), mesh.vertices.len()), (vec![(2, false)], report.points));
     // no surface at all: points that fill space, or too few of them
     let lattice: Vec<DVec3> = (0..1000).map(|n| whole(n, 10)).collect();
@@ -226,28 +229,28 @@ fn of_scene(seed: u64, spacing: f64) -> OfScene {
     let scene = scenes::random(seed);
     let mut failures = Vec::new();
     let (mesh, euler, defects) = crate::tests::restricted(&scene, spacing);
-    let by_restricted = checked(&mesh).euler;
+    let by_restricted = checked(&mesh).object().euler;
     if !defects.is_manifold() {
         failures.push(format!("scene {seed} at {spacing}: restricted {defects:?}"));
     }
     let restricted = defects.is_empty();
     let (mesh, expected, defects) = crate::tests::tight_cocone_beside_field(&scene, spacing);
     let found = checked(&mesh);
-    if !found.failed_checks().is_empty() {
-        failures.push(format!("scene {seed} at {spacing}: beside F {:?}", found.failed_checks()));
+    if !found.failed.is_empty() {
+        failures.push(format!("scene {seed} at {spacing}: beside F {:?}", found.failed));
     }
     let beside = defects.is_empty();
-    let exact = [by_restricted, found.euler].map(|of_mesh| of_mesh == expected.iter().sum::<i64>());
+    let exact = [by_restricted, found.object().euler].map(|of_mesh| of_mesh == expected.iter().sum::<i64>());
     let points = scene.points(spacing);
     let normals = if seed % 2 == 1 { Vec::new() } else { normals_of(&scene, &points) };
     let alone = match surface(&points, &normals) {
         Ok((mesh, report)) => {
             let found = checked(&mesh);
-            let failed = found.failed_checks();
+            let failed = &found.failed;
             if !failed.is_empty() {
                 failures.push(format!("scene {seed} at {spacing}: {failed:?} {report:?}"));
             }
-            Some((found.components.len(), found.euler) == (euler.len(), euler.iter().sum()))
+            Some((found.object().components.len(), found.object().euler) == (euler.len(), euler.iter().sum()))
         }
         Err(error) => {
             assert!(error.what.contains("do not enclose a solid"), "{error}");

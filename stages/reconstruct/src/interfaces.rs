@@ -1,0 +1,259 @@
+//! A mesh with the materials on both sides of each triangle, and the segments of its junction
+//! curves. One object is the case of two materials: the object and the outside.
+
+use glam::DVec3;
+use isoparticles_field::materials::{MaterialId, Stratum};
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::components::DisjointSets;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Two points of a segment, the lower number first.
+pub type Segment = [u32; 2];
+
+/// Returns a pair in order.
+pub fn segment(a: u32, b: u32) -> Segment {
+    [a.min(b), a.max(b)]
+}
+
+/// A conforming mesh of all interfaces. Interfaces share the vertices at which they meet.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Interfaces {
+    /// Vertices in the grid frame, and triangles, counter-clockwise seen from their outside.
+    pub mesh: TriangleMesh,
+    /// The materials inside (the higher number) and outside of each triangle.
+    pub between: Vec<[MaterialId; 2]>,
+    /// Segments of junction curves, ascending, each with its curve. A vertex that is in no triangle
+    /// has the number `u32::MAX`.
+    pub segments: Vec<(Segment, Stratum)>,
+    /// Vertices on several curves that coincide within a tolerance: they are off some of their
+    /// interfaces by at most this tolerance.
+    pub joined: Vec<u32>,
+}
+
+/// The materials of the surface of one object.
+pub const OBJECT: [MaterialId; 2] = [MaterialId(1), MaterialId::OUTSIDE];
+
+/// Distance by which a vertex moves away from another part of the surface that touches it there,
+/// as a share of the way to the centroid of its own neighbours.
+const RETREAT: f64 = 0.2;
+
+impl Interfaces {
+    /// Returns the surface of one object, whose triangles face outward.
+    pub fn of_object(mesh: TriangleMesh) -> Self {
+        let between = vec![OBJECT; mesh.triangles.len()];
+        Self { mesh, between, ..Self::default() }
+    }
+
+    /// Returns the interfaces that consist of some triangles between points, and the index of the
+    /// point of each vertex, ascending. Triangles begin with their lowest vertex and are in
+    /// ascending order, so that the result does not depend on the order of `triangles`, and
+    /// triangles near each other are mostly near in memory.
+    pub fn compact(points: &[DVec3], mut triangles: Vec<([u32; 3], [MaterialId; 2])>) -> (Self, Vec<u32>) {
+        let mut number = vec![u32::MAX; points.len()];
+        triangles.iter().flat_map(|(corners, _)| corners).for_each(|&v| number[v as usize] = 0);
+        let used: Vec<u32> = (0..points.len() as u32).filter(|&v| number[v as usize] == 0).collect();
+        (0..).zip(&used).for_each(|(n, &v)| number[v as usize] = n);
+        triangles.par_iter_mut().for_each(|(corners, _)| {
+            *corners = corners.map(|v| number[v as usize]);
+            let lowest = (0..3).min_by_key(|&k| corners[k]).unwrap_or(0);
+            corners.rotate_left(lowest);
+        });
+        triangles.par_sort_unstable();
+        let vertices = used.iter().map(|&v| points[v as usize]).collect();
+        let (triangles, between) = triangles.into_iter().unzip();
+        (Self { mesh: TriangleMesh { vertices, triangles }, between, ..Self::default() }, used)
+    }
+
+    /// Returns all edges with each of their triangles, ascending.
+    pub fn edges(&self) -> Vec<(Segment, u32)> {
+        let sides = |(t, v): (usize, &[u32; 3])| {
+            let v = *v;
+            (0..3).map(move |k| (segment(v[k], v[(k + 1) % 3]), t as u32))
+        };
+        let mut all: Vec<_> = self.mesh.triangles.par_iter().enumerate().flat_map_iter(sides).collect();
+        all.par_sort_unstable();
+        all
+    }
+
+    /// Returns the interfaces at each vertex, ascending.
+    pub fn pairs_at_vertices(&self) -> Vec<(u32, [MaterialId; 2])> {
+        let mut first = vec![None; self.mesh.vertices.len()];
+        let mut more = Vec::new();
+        for (triangle, &pair) in self.mesh.triangles.iter().zip(&self.between) {
+            for &v in triangle {
+                if *first[v as usize].get_or_insert(pair) != pair {
+                    more.push((v, pair));
+                }
+            }
+        }
+        let mut all: Vec<_> = (0..).zip(first).filter_map(|(v, pair)| Some((v, pair?))).collect();
+        if !more.is_empty() {
+            all.extend(more);
+            all.par_sort_unstable();
+            all.dedup();
+        }
+        all
+    }
+
+    /// Returns the materials that meet at each vertex, ascending.
+    pub fn materials_at_vertices(&self) -> Vec<Vec<MaterialId>> {
+        let mut at: Vec<Vec<MaterialId>> = vec![Vec::new(); self.mesh.vertices.len()];
+        self.pairs_at_vertices().into_iter().for_each(|(v, pair)| at[v as usize].extend(pair));
+        at.par_iter_mut().for_each(|ids| {
+            ids.sort_unstable();
+            ids.dedup();
+        });
+        at
+    }
+
+    /// Returns the materials that have triangles, ascending.
+    pub fn materials(&self) -> Vec<MaterialId> {
+        let mut ids: Vec<MaterialId> = self.pairs().into_iter().flatten().collect();
+        ids.sort_unstable();
+        ids.dedup();
+        ids
+    }
+
+    /// Returns the pairs of materials that have triangles between them, ascending.
+    pub fn pairs(&self) -> Vec<[MaterialId; 2]> {
+        let mut pairs = self.between.clone();
+        pairs.dedup();
+        pairs.par_sort_unstable();
+        pairs.dedup();
+        pairs
+    }
+
+    /// Returns the closed surface of a material, facing outward, and the number of each of its
+    /// vertices and triangles in the whole.
+    pub fn surface_of(&self, id: MaterialId) -> (TriangleMesh, Vec<u32>, Vec<u32>) {
+        let own: Vec<u32> =
+            (0..self.between.len() as u32).filter(|&t| self.between[t as usize].contains(&id)).collect();
+        let mut vertices: Vec<u32> = own.iter().flat_map(|&t| self.mesh.triangles[t as usize]).collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        let local = |v: u32| vertices.partition_point(|&u| u < v) as u32;
+        let triangle = |&t: &u32| {
+            let [a, b, c] = self.mesh.triangles[t as usize].map(local);
+            if self.between[t as usize][0] == id { [a, b, c] } else { [a, c, b] }
+        };
+        let mesh = TriangleMesh {
+            vertices: vertices.iter().map(|&v| self.mesh.vertices[v as usize]).collect(),
+            triangles: own.iter().map(triangle).collect(),
+        };
+        (mesh, vertices, own)
+    }
+
+    /// Returns the triangles of one interface as a mesh with all vertices.
+    pub fn part(&self, pair: [MaterialId; 2]) -> TriangleMesh {
+        let own = self.mesh.triangles.iter().zip(&self.between).filter(|(_, between)| **between == pair);
+        TriangleMesh { vertices: self.mesh.vertices.clone(), triangles: own.map(|(t, _)| *t).collect() }
+    }
+
+    /// Separates parts of an interface that touch at a vertex away from junction curves. Each part
+    /// gets its own vertex, which moves away from the others; `project` returns the nearest point
+    /// of an interface. New vertices come last. Returns their number.
+    ///
+    /// If a saddle of F has exactly the iso value, as in volumes of integers at an integer iso
+    /// value, no sampling separates the parts.
+    pub fn part_sheets(&mut self, project: impl Fn([MaterialId; 2], DVec3) -> Option<DVec3>) -> usize {
+        let mut around: BTreeMap<u32, Vec<u32>> =
+            self.touching_vertices().into_iter().map(|v| (v, Vec::new())).collect();
+        if around.is_empty() {
+            return 0;
+        }
+        for (t, triangle) in (0..).zip(&self.mesh.triangles) {
+            for v in triangle {
+                if let Some(own) = around.get_mut(v) {
+                    own.push(t);
+                }
+            }
+        }
+        let before = self.mesh.vertices.len();
+        for (vertex, around) in around {
+            let pair = self.between[around[0] as usize];
+            let apex = self.mesh.vertices[vertex as usize];
+            for (n, fan) in fans(&self.mesh, vertex, &around).into_iter().enumerate() {
+                let ring = fan.iter().flat_map(|&t| self.mesh.triangles[t as usize]).filter(|v| *v != vertex);
+                let centroid = ring.map(|v| self.mesh.vertices[v as usize]).sum::<DVec3>() / (2 * fan.len()) as f64;
+                let place = project(pair, apex.lerp(centroid, RETREAT)).unwrap_or(apex);
+                if n == 0 {
+                    self.mesh.vertices[vertex as usize] = place;
+                    continue;
+                }
+                let new = self.mesh.vertices.len() as u32;
+                self.mesh.vertices.push(place);
+                for t in fan {
+                    let corners = &mut self.mesh.triangles[t as usize];
+                    *corners = corners.map(|v| if v == vertex { new } else { v });
+                }
+            }
+        }
+        self.mesh.vertices.len() - before
+    }
+
+    /// Returns the vertices on one interface whose triangles form several fans, ascending.
+    fn touching_vertices(&self) -> Vec<u32> {
+        let pairs = self.pairs_at_vertices();
+        let on_one = |v: u32| {
+            let start = pairs.partition_point(|(u, _)| *u < v);
+            pairs[start..].iter().take_while(|(u, _)| *u == v).count() == 1
+        };
+        let several = isoparticles_mesh::topology::analyse(&self.mesh).non_manifold_vertices;
+        several.into_iter().filter(|&v| on_one(v)).collect()
+    }
+}
+
+/// Returns the fans that the triangles at a vertex form across their edges.
+fn fans(mesh: &TriangleMesh, vertex: u32, around: &[u32]) -> Vec<Vec<u32>> {
+    let ring = |t: u32| mesh.triangles[t as usize].into_iter().filter(move |&v| v != vertex);
+    let mut joined = DisjointSets::new(around.len());
+    for (i, &s) in around.iter().enumerate() {
+        for (j, &t) in around[..i].iter().enumerate() {
+            if ring(s).any(|v| ring(t).any(|w| v == w)) {
+                joined.join(i as u32, j as u32);
+            }
+        }
+    }
+    let mut fans: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    for (i, &t) in around.iter().enumerate() {
+        fans.entry(joined.find(i as u32)).or_default().push(t);
+    }
+    fans.into_values().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_that_touch_in_a_vertex_are_separated_once() {
+        let top = [DVec3::new(1.0, 0.0, 1.0), DVec3::new(-0.5, 0.8, 1.0), DVec3::new(-0.5, -0.8, 1.0)];
+        let mut touching = Interfaces::of_object(TriangleMesh {
+            vertices: [vec![DVec3::ZERO], top.to_vec(), top.map(|p| -p).to_vec()].concat(),
+            triangles: vec![[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3], [0, 4, 5], [0, 5, 6], [0, 6, 4], [4, 6, 5]],
+        });
+        let mut part = || touching.part_sheets(|_, p| Some(p));
+        assert_eq!([part(), part()], [1, 0]);
+        let mesh = touching.mesh;
+        assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (8, 8));
+        assert!(mesh.triangles[..4].iter().flatten().all(|&v| v < 4));
+        assert!(mesh.triangles[4..].iter().flatten().all(|&v| v >= 4));
+        assert!((mesh.vertices[0] - DVec3::new(0.0, 0.0, RETREAT)).length() < 1e-12);
+        assert!((mesh.vertices[7] - DVec3::new(0.0, 0.0, -RETREAT)).length() < 1e-12);
+    }
+
+    #[test]
+    fn vertices_of_junction_curves_are_not_separated() {
+        // a fan between 1 and 0 and one between 2 and 0 that touch at vertex 0
+        let mesh = TriangleMesh {
+            vertices: vec![DVec3::ZERO; 7],
+            triangles: vec![[0, 1, 2], [0, 2, 3], [0, 3, 1], [0, 4, 5], [0, 5, 6], [0, 6, 4]],
+        };
+        let between = [1, 1, 1, 2, 2, 2].map(|id| [MaterialId(id), MaterialId::OUTSIDE]).to_vec();
+        let mut touching = Interfaces { mesh, between, ..Interfaces::default() };
+        assert_eq!(touching.part_sheets(|_, p| Some(p)), 0);
+        assert_eq!(touching.materials_at_vertices()[0], [0, 1, 2].map(MaterialId));
+        assert_eq!(touching.edges().len(), 18);
+    }
+}
