@@ -1,6 +1,6 @@
 #!/bin/sh
-# Installs the wheel on a bare Debian 12 (or Ubuntu 22.04 with Python 3.11, or later), as root. Both
-# recipes here use it.
+# Installs the wheel as root on a Debian or Ubuntu system whose python3 is 3.11 or later, such as
+# Debian 12. Both recipes in this folder use it.
 #
 #   containers/install.sh FOLDER [vulkan]
 #

@@ -73,7 +73,7 @@ privilege() {
     fi
 }
 
-# install_packages PACKAGE... : returns 1 when that is not allowed or fails
+# install_packages PACKAGE... : installs Debian packages; returns 1 if this is not allowed or fails
 install_packages() {
     how=$(privilege)
     [ "$how" != no ] || return 1

@@ -135,6 +135,7 @@ fn thin_shell_scalar() {
     assert_eq!(examined.bad_edges, 0);
     assert_eq!(Some(examined.components), truth.components);
     assert_eq!(examined.genus, 0);
+    eprintln!("RATIO {} {}", examined.area / truth.area.unwrap(), examined.volume / truth.volume.unwrap());
     assert!(examined.volume > 0.0 && examined.mean_radius_ratio > 0.95, "{examined:?}");
 }
 

@@ -267,9 +267,9 @@ impl Input {
     }
 
     /// Sets the nodes of a layer to the voxel values, or to the values of the spline beyond the
-    /// voxels. Where the box cuts the object, the value is the first-order distance times the
-    /// slope. All nodes then have the same unit, because the saddle value of a face combines
-    /// nodes on both sides of the cut.
+    /// voxels. Where the box cuts the object, the first-order distance to the cut object is
+    /// multiplied by the slope, so that all values have the same unit: the saddle value of a face
+    /// combines nodes on both sides of the cut.
     fn fill_nodes(
         &self,
         nodes: &mut Image<f32>,

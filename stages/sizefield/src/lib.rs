@@ -66,7 +66,7 @@ pub struct Parameters {
     pub max_deviation: f64,
     /// Minimum number of particles on each component of the surface.
     pub min_particles: f64,
-    /// Factor on the h that results from all parameters above.
+    /// Factor by which h is multiplied before gradation, after the limits above have been applied.
     pub scale: f64,
     /// Nodes at which the user limits h, with the limits in mm. A limit may be below the minimum h.
     pub refined: Vec<SizedNode>,

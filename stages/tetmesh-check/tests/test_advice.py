@@ -48,7 +48,9 @@ def test_advice_names_the_variable_that_is_set() -> None:
     message = "5 pairs of intersecting triangles"
     assert advice_for(message).endswith("a smaller MIN_SIZE, or RECONSTRUCT_OPTIONS='--method tight-cocone'")
     assert advice_for(message, {"VERTICES": "900"}).count("more VERTICES") == 1
-    assert advice_for(message, SEVERAL).endswith("use a smaller SIZE")
+    assert advice_for(message, SEVERAL).endswith(
+        "use a smaller SIZE, or smaller edges on one material (SIZEFIELD_OPTIONS='--size NAME=MM')"
+    )
 
 
 def test_open_edges_of_an_open_border_are_capped() -> None:

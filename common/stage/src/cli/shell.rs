@@ -65,7 +65,7 @@ impl CommandLine {
     /// positional files.
     #[must_use]
     pub fn command(&self) -> Command {
-        // clap keeps names until the program ends, which is soon after it prints them
+        // clap needs names with a static lifetime; the program ends soon after it prints them
         let kept = |text: &str| -> &'static str { text.to_owned().leak() };
         let arg = |option: &StageOption| {
             let arg = Arg::new(kept(&option.long)).long(kept(&option.long)).help(option.help.clone());
