@@ -1,6 +1,6 @@
 //! The simplices behind failed checks, for a file that shows where they are.
 
-use crate::check::{CheckReport, Simplices as Faulty};
+use crate::check::{CheckReport, Fault, Simplices as Faulty};
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::surface::{DataArray, Simplices};
 use isoparticles_volume::Geometry;
@@ -8,14 +8,20 @@ use std::collections::BTreeSet;
 
 /// Returns the simplices behind the faults of a mesh in the grid frame, in world coordinates, with
 /// the number of the fault (`reason`) on each; `None` if there are none. Edges with a vertex that is
-/// not in the mesh are left out.
-pub(crate) fn offending(mesh: &TriangleMesh, checked: &CheckReport, geometry: &Geometry) -> Option<Simplices> {
+/// not in the mesh are left out. Grid nodes are included if they must keep their material.
+pub(crate) fn offending(
+    mesh: &TriangleMesh,
+    checked: &CheckReport,
+    geometry: &Geometry,
+    keeps_nodes: bool,
+) -> Option<Simplices> {
     let points = mesh.vertices.iter().map(|&p| geometry.grid_to_world(p)).collect();
     let mut found = Simplices { points, ..Simplices::default() };
     // of vertices, edges and triangles
     let mut reasons: [Vec<i64>; 3] = Default::default();
     let corners = |t: &u32| mesh.triangles[*t as usize];
-    for (fault, simplices) in checked.offenders.iter().filter(|(fault, _)| fault.described().0 > 0) {
+    let is_shown = |fault: Fault| fault.described().0 > 0 && (keeps_nodes || fault != Fault::NodesOnWrongSide);
+    for (fault, simplices) in checked.offenders.iter().filter(|(fault, _)| is_shown(**fault)) {
         match simplices {
             Faulty::Vertices(list) => found.vertices.extend(list),
             Faulty::Nodes(list) => {
@@ -66,7 +72,7 @@ fn keep_used_points(mut simplices: Simplices) -> Simplices {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::check::{CheckOptions, Fault, check_object};
+    use crate::check::{CheckOptions, check_object};
     use crate::scenes;
     use glam::DVec3;
 
@@ -75,10 +81,10 @@ mod tests {
         let geometry = Geometry::axis_aligned([9; 3], DVec3::splat(2.0));
         let mut mesh = scenes::ball();
         let checked = |mesh: &TriangleMesh| check_object(mesh, &CheckOptions::default());
-        assert_eq!(offending(&mesh, &checked(&mesh), &geometry), None);
+        assert_eq!(offending(&mesh, &checked(&mesh), &geometry, true), None);
         let corners = mesh.corners(0);
         mesh.triangles.remove(0);
-        let simplices = offending(&mesh, &checked(&mesh), &geometry).expect("a hole");
+        let simplices = offending(&mesh, &checked(&mesh), &geometry, true).expect("a hole");
         assert_eq!((simplices.edges.len(), simplices.points.len()), (3, 3));
         assert!(simplices.points.iter().all(|p| corners.contains(p)));
     }
@@ -90,8 +96,10 @@ mod tests {
         let mut checked = CheckReport::default();
         checked.offenders.insert(Fault::NodesOnWrongSide, Faulty::Nodes(vec![geometry.linear(1, 2, 3)]));
         checked.offenders.insert(Fault::MissingSegments, Faulty::Edges(vec![[0, 1], [0, u32::MAX]]));
-        let simplices = offending(&mesh, &checked, &geometry).expect("three");
+        let simplices = offending(&mesh, &checked, &geometry, true).expect("three");
         assert_eq!((simplices.vertices.len(), simplices.edges.len(), simplices.points.len()), (1, 1, 3));
         assert!(simplices.points.contains(&DVec3::new(2.0, 4.0, 6.0)));
+        let edges = offending(&mesh, &checked, &geometry, false).expect("an edge");
+        assert_eq!((edges.vertices.len(), edges.edges.len()), (0, 1));
     }
 }

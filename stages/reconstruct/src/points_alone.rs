@@ -88,7 +88,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
         components: checked.object().components.len(),
         ..SurfaceMeta::default()
     };
-    write(args, context, &surface, &meta, offending(&mesh, &checked, &geometry), failed)
+    write(args, context, &surface, &meta, offending(&mesh, &checked, &geometry, false), failed)
 }
 
 fn read(args: &Args, context: &Context) -> Result<Input> {

@@ -99,7 +99,8 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
         materials: Vec::new(),
         notes: notes.into_iter().map(|(name, note)| (name.to_owned(), note)).collect(),
     };
-    write(args, context, &surface, &meta, offending(&made.mesh, &made.checked, made.field.geometry()), made.failed)
+    let offending = offending(&made.mesh, &made.checked, made.field.geometry(), options.keeps_voxels);
+    write(args, context, &surface, &meta, offending, made.failed)
 }
 
 /// Puts what was made into the report and the closing table, and warns of what is doubtful.

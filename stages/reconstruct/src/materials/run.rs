@@ -99,7 +99,8 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
     {
         context.warn(format!("{FIT_BUT_FOR}{} accepted triangles: {forced}", made.checked.poor_between_curves.len()));
     }
-    write(args, context, &surface, &meta, offending(&made.interfaces.mesh, &made.checked, &geometry), failed)
+    let offending = offending(&made.interfaces.mesh, &made.checked, &geometry, options.keeps_voxels);
+    write(args, context, &surface, &meta, offending, failed)
 }
 
 /// The interfaces in the world, with what is known at vertices (h, how many materials meet) and triangles (the materials, radius ratio).
