@@ -41,6 +41,7 @@
 pub mod cli;
 pub mod error;
 pub mod field_file;
+pub mod material_sizes;
 pub mod materials_file;
 pub mod meta;
 pub mod output;

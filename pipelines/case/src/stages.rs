@@ -227,6 +227,18 @@ fn materials(choice: &str) -> impl Iterator<Item = String> {
     named.flat_map(|one| ["--material".to_owned(), one.replacen(':', "=", 1)])
 }
 
+/// Returns the edge lengths of single materials in SIZEFIELD_OPTIONS, as options of `distfield`: they
+/// set the scales of these materials.
+fn sizes_of_materials(settings: &Settings) -> Vec<String> {
+    let words = settings.words(options_key("sizefield"));
+    let values = words.iter().enumerate().filter_map(|(n, word)| match word.strip_prefix("--size") {
+        Some("") => words.get(n + 1).map(String::as_str),
+        Some(rest) => rest.strip_prefix('='),
+        None => None,
+    });
+    values.flat_map(|value| ["--size".to_owned(), value.to_owned()]).collect()
+}
+
 /// Returns the arguments of a stage that may change its result.
 fn options(stage: &str, settings: &Settings) -> Vec<String> {
     let mut words = Vec::new();
@@ -244,8 +256,13 @@ fn options(stage: &str, settings: &Settings) -> Vec<String> {
     if stage == "distfield" && !chosen {
         SCALE_BY_KEY.iter().any(add);
     }
-    if stage == "distfield" {
-        words.extend(materials(settings.get("MATERIALS").unwrap_or_default()));
+    if stage == "distfield"
+        && let Some(choice) = settings.get("MATERIALS")
+    {
+        words.extend(materials(choice));
+        if !chosen && settings.get("SCALE").is_none() {
+            words.extend(sizes_of_materials(settings));
+        }
     }
     if ["reconstruct", "tetmesh-check"].contains(&stage) && settings.get("ACCEPT_FORCED") == Some("yes") {
         words.push("--accept-forced".to_owned());
@@ -362,6 +379,22 @@ mod tests {
         };
         assert_eq!(accepting("ACCEPT_FORCED=yes"), ["reconstruct", "tetmesh-check"]);
         assert!(accepting("ACCEPT_FORCED=no").is_empty());
+    }
+
+    #[test]
+    fn sizes_of_materials_reach_distfield_without_a_scale() {
+        let sizes = |more: &[&str]| {
+            let words = ["SIZEFIELD_OPTIONS=--size body=8 --delta 0.3 --size='left ear=1'"];
+            let words: Vec<String> = words.iter().chain(more).map(|word| (*word).to_owned()).collect();
+            let settings = Settings::read(&words, &[], None, &[]).expect("fit together");
+            let options = options("distfield", &settings);
+            options.iter().filter(|word| word.contains("body") || word.contains("ear")).cloned().collect::<Vec<_>>()
+        };
+        assert_eq!(sizes(&["MATERIALS=all"]), ["body=8", "left ear=1"]);
+        for one_scale in [&["MATERIALS=all", "SCALE=0"], &["MATERIALS=all", "DISTFIELD_OPTIONS=--scale 3"]] {
+            assert_eq!(sizes(one_scale), [""; 0]);
+        }
+        assert_eq!(sizes(&["LABELS=1"]), [""; 0], "one object");
     }
 
     #[test]

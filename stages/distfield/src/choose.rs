@@ -14,6 +14,7 @@ use crate::{Border, Inside, Keep, Redistanced};
 use isoparticles_stage::cli::values::{not_negative, positive, significant};
 use isoparticles_stage::cli::{Context, METHOD};
 use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::material_sizes::GivenSize;
 use isoparticles_stage::quality::Quality;
 use isoparticles_survey::selection::noted;
 use isoparticles_volume::{Geometry, Image, LayerLabel, Volume};
@@ -41,6 +42,12 @@ pub struct ScaleArgs {
     /// scale above 0; `medium` and `fine` give 0
     #[arg(long, value_enum, value_name = "HOW", conflicts_with_all = ["scale", "scale_for_size", "scale_for_vertices"], help_heading = METHOD)]
     pub quality: Option<Quality>,
+    /// Several materials only: edge length of the mesh on all interfaces of a material, or on the
+    /// interface of two materials, mm, as for `sizefield --size`. The scale there is 1.6 times this
+    /// length. Other interfaces have the scale of the options above. All scales are then at least
+    /// 2.7 voxels, unless every edge length is at most 0.75 voxel. May be given several times
+    #[arg(long, value_name = "NAME=H|NAME/NAME=H", conflicts_with = "scale", requires = "material", help_heading = METHOD)]
+    pub size: Vec<GivenSize>,
     /// Keep parts and gaps that are too thin for a mesh of the scale's edge length; such parts and
     /// gaps need a smaller h
     #[arg(long, help_heading = METHOD)]
@@ -51,7 +58,7 @@ pub struct ScaleArgs {
 /// Longer edges need a scale. Mean / minimum radius ratio on `heart_label`: at 0.65 voxel, 0.984 /
 /// 0.69 without a scale and 0.984 / 0.63 with a scale; at 1.25 voxels, 0.955 / 0.55 without and
 /// 0.984 / 0.71 with a scale. On `tooth_ct` with a scale, at 0.8 voxel: 0.988 / 0.83.
-const FINE_ENOUGH: f64 = 0.75;
+pub(crate) const FINE_ENOUGH: f64 = 0.75;
 
 /// A scale and the reason for it.
 pub struct ScaleChoice {
@@ -122,6 +129,9 @@ impl ScaleArgs {
             if let Some(value) = value {
                 parameters[name] = value;
             }
+        }
+        if !self.size.is_empty() {
+            parameters["size"] = json!(self.size);
         }
     }
 

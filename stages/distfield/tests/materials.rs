@@ -7,6 +7,7 @@ use glam::DVec3;
 use isoparticles_distfield::Border;
 use isoparticles_distfield::materials::choice::resolve;
 use isoparticles_distfield::materials::contacts::ContactReport;
+use isoparticles_distfield::materials::scaled::Scales;
 use isoparticles_distfield::materials::survey::{Survey, survey};
 use isoparticles_distfield::materials::{Extracted, LabelGrid, MaterialChoice, MaterialOptions, extract};
 use isoparticles_distfield::scale::Scale;
@@ -14,6 +15,7 @@ use isoparticles_field::materials::{Analytic, Indicators, MaterialId, ball, maxi
 use isoparticles_field::random::uniform;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::field_file::{FieldKind, read_field};
+use isoparticles_stage::material_sizes::Given;
 use isoparticles_stage::materials_file::read_materials;
 use isoparticles_stage::monitor::Silent;
 use isoparticles_tests::nrrd;
@@ -24,7 +26,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 const MARGIN: usize = 5;
-const OPTIONS: MaterialOptions = MaterialOptions { clearance: 0.05, scale: None };
+const OPTIONS: MaterialOptions = MaterialOptions { clearance: 0.05, scales: None };
 
 struct Made {
     grid: LabelGrid,
@@ -277,7 +279,35 @@ fn sectors(size: usize, radius: f64) -> Volume {
 }
 
 fn scaled(volume: Volume, length: f64) -> Made {
-    make_with(volume, Border::Cap, MaterialOptions { scale: Some(Scale { length, keep_thin: false }), ..OPTIONS })
+    make_with(
+        volume,
+        Border::Cap,
+        MaterialOptions { scales: Some(Scales::same(Scale { length, keep_thin: false })), ..OPTIONS },
+    )
+}
+
+/// Returns the deviation of the normals of the outer border of [`sectors`] of size 40 and radius
+/// 10.5 from those of a ball (root mean square, degrees), on the sectors that `is_meant` selects
+/// and away from their edges. The border must be within 0.3 of the radius.
+fn roughness(made: &Made, is_meant: impl Fn(u16) -> bool) -> f64 {
+    let materials = &made.extracted.materials;
+    let centre = materials.geometry().index_to_grid(DVec3::splat(0.5 * 39.0 + 0.13 + MARGIN as f64));
+    let (mut sum, mut count, mut farthest) = (0.0, 0.0, 0.0f64);
+    for n in 0..400 {
+        let way = DVec3::new(uniform(9, 0, n), uniform(9, 1, n), uniform(9, 2, n)) - 0.5;
+        let start = centre + way.normalize() * 10.5;
+        let near = materials.near(start);
+        let [(a, _), (b, _), ..] = near.entries() else { panic!("one material at {start}") };
+        let Some(p) = materials.project_onto_interface([*a, *b], start, 2.0, 1e-6) else { continue };
+        if a.0 * b.0 == 0 && is_meant(a.0 + b.0) && materials.clearance(p, &[*a, *b]) > 3.0 {
+            let normal = materials.difference_gradient(*a, *b, p).1.normalize();
+            sum += normal.cross((p - centre).normalize()).length_squared();
+            farthest = farthest.max((p.distance(centre) - 10.5).abs());
+            count += 1.0;
+        }
+    }
+    assert!(count > 50.0 && farthest < 0.4, "{count} {farthest}");
+    (sum / count).sqrt().to_degrees()
 }
 
 #[test]
@@ -294,26 +324,7 @@ fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
     // With the scale, the border of the ball has the normals of a ball; without the scale, voxel
     // steps show. The edges of the sectors are rounded, and the border next to the edges
     // compensates for this.
-    let rough = |made: &Made| {
-        let materials = &made.extracted.materials;
-        let centre = materials.geometry().index_to_grid(DVec3::splat(0.5 * 39.0 + 0.13 + MARGIN as f64));
-        let (mut sum, mut count, mut farthest) = (0.0, 0.0, 0.0f64);
-        for n in 0..400 {
-            let way = DVec3::new(uniform(9, 0, n), uniform(9, 1, n), uniform(9, 2, n)) - 0.5;
-            let start = centre + way.normalize() * 10.5;
-            let near = materials.near(start);
-            let [(a, _), (b, _), ..] = near.entries() else { panic!("one material at {start}") };
-            let Some(p) = materials.project_onto_interface([*a, *b], start, 2.0, 1e-6) else { continue };
-            if a.0 * b.0 == 0 && materials.clearance(p, &[*a, *b]) > 3.0 {
-                let normal = materials.difference_gradient(*a, *b, p).1.normalize();
-                sum += normal.cross((p - centre).normalize()).length_squared();
-                farthest = farthest.max((p.distance(centre) - 10.5).abs());
-                count += 1.0;
-            }
-        }
-        assert!(count > 200.0 && farthest < 0.3, "{count} {farthest}");
-        (sum / count).sqrt().to_degrees()
-    };
+    let rough = |made: &Made| roughness(made, |_| true);
     let labels = sectors(40, 10.5).voxels.to_f32();
     let ball = volume([40; 3], |[i, j, k]| u8::from(labels[(k * 40 + j) * 40 + i] > 0.0));
     let [smooth, stepped, one] = [&made, &kept, &scaled(ball, 5.0)].map(rough);
@@ -326,6 +337,32 @@ fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
         let p = materials.project_onto_curve(own, axis + DVec3::new(0.4, -0.3, z), 2.0, 1e-6).expect("near the axis");
         assert!((p - axis).truncate().length() < 0.2 && materials.clearance(p, &own) > 0.0, "{}", p - axis);
     }
+}
+
+#[test]
+fn sizes_of_materials_set_the_scales_of_their_interfaces() {
+    let names = ["outside", "1", "2", "3", "4"].map(str::to_owned);
+    let scales = |size: &str| {
+        let given = Given::new(&[size.parse().expect("a size")], &names).expect("a material");
+        Scales::new(Scale { length: 0.0, keep_thin: false }, given, 1.01)
+    };
+    assert!(scales("1=0.75").is_none(), "edges of 0.75 voxel need no scale");
+    let own = scales("1=3.125").expect("a scale");
+    assert_eq!(own.lengths(5), [2.7 * 1.01, 5.0]);
+    let made = make_with(sectors(40, 10.5), Border::Cap, MaterialOptions { scales: Some(own), ..OPTIONS });
+    for id in 0..4 {
+        let change = made.survey.volumes[id] / (made.extracted.tallies[id].voxels as f64 * 1.04) - 1.0;
+        assert!(change.abs() < 0.025, "{id}: {change}");
+    }
+    let all = scaled(sectors(40, 10.5), 5.0);
+    let [first, others] = [roughness(&made, |id| id == 1), roughness(&made, |id| id > 1)];
+    let [expected, stepped] = [&all, &make(sectors(40, 10.5), Border::Cap)].map(|made| roughness(made, |id| id == 1));
+    // measured: 1.2 and 4.2 degrees; with a scale of 5 for all, and without a scale, 0.9 and 3.3
+    let found = [first, others, expected, stepped];
+    assert!(first < 1.5 * expected && others < 1.5 * stepped, "{found:?}");
+    // parts keep together: the three sectors, and the outside around them
+    let components = made.extracted.tallies.iter().map(|tally| tally.parts[1].components);
+    assert_eq!(components.take(4).collect::<Vec<_>>(), [1; 4]);
 }
 
 #[test]

@@ -3,7 +3,6 @@
 
 use crate::feature::{Bumps, Features, Purpose};
 use crate::limits::{check_count, check_size, too_small, too_small_told};
-use crate::materials::{Given, GivenSize};
 use crate::region::{Refinement, SizedNode};
 use crate::report::{describe, noise_told, warn_if_too_coarse};
 use crate::vertices::{predicted_for, scaled_to_vertices, size_for_vertices};
@@ -18,6 +17,7 @@ use isoparticles_stage::cli::values::{not_negative, positive, significant};
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind, read_field, write_field};
+use isoparticles_stage::material_sizes::{Given, GivenSize};
 use isoparticles_stage::materials_file::is_materials;
 use isoparticles_stage::meta::{self, DistanceMeta, Source};
 use isoparticles_stage::quality::Quality;

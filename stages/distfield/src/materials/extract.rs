@@ -8,12 +8,11 @@
 use super::choice::Chosen;
 use super::contacts::{ContactReport, keep_contacts};
 use super::grid::{Extent, LabelGrid};
-use super::scaled::{Levels, Made};
+use super::scaled::{Levels, Made, Scales};
 use crate::changes::Changes;
 use crate::crop::VoxelBox;
 use crate::field::{Demands, Redistanced};
 use crate::labels::{LabelOptions, from_mask_with, room_of_labels};
-use crate::scale::Scale;
 use crate::topology::Parts;
 use crate::{Border, Keep};
 use isoparticles_field::materials::{Indicator, Material, MaterialId, Materials};
@@ -33,13 +32,13 @@ use rayon::prelude::*;
 const DEMANDS: Demands = Demands { limit: 7.0, pinned: 0.0005, pin_steps: 40 };
 
 /// Options for computing indicators from labels.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct MaterialOptions {
     /// Minimum distance of each border from voxel centres, in units of the minimum voxel spacing.
     /// Not used with a scale.
     pub clearance: f64,
-    /// The scale of the smoothing; `None` keeps every voxel centre in its material.
-    pub scale: Option<Scale>,
+    /// The scales of the smoothing; `None` keeps every voxel centre in its material.
+    pub scales: Option<Scales>,
 }
 
 /// Measurements of one material's indicator.
@@ -115,7 +114,7 @@ pub fn extract(
     order.sort_by_key(|&id| (std::cmp::Reverse(box_size(&extents[id])), id));
     let mut made: Vec<Option<(Indicator, Vec<u32>)>> = vec![None; extents.len()];
     let mut tallies = vec![Tally::default(); extents.len()];
-    let levels = options.scale.map(|scale| Levels::new(grid, &extents, scale, monitor)).transpose()?;
+    let levels = options.scales.as_ref().map(|scales| Levels::new(grid, &extents, scales, monitor)).transpose()?;
     let progress = monitor.counter("materials", Some(extents.len() as u64));
     for id in std::iter::once(0).chain(order) {
         monitor.check()?;
@@ -126,7 +125,7 @@ pub fn extract(
         } else {
             let one = OneMaterial { grid, id: MaterialId(id as u16), extent };
             // an outside without voxels is the space beyond the volume, at any scale
-            let scaled = levels.as_ref().zip(options.scale).filter(|_| extents[id].count > 0);
+            let scaled = levels.as_ref().filter(|_| extents[id].count > 0);
             let (indicator, tally) = one.indicator(scaled, options, &Quiet(monitor)).map_err(|error| Error {
                 what: format!("material '{}': {}", chosen.table[id].name, error.what),
                 ..error
@@ -148,7 +147,7 @@ pub fn extract(
             "crop the volume, or select fewer materials in MATERIALS (--material)",
         )
     })?;
-    let contacts = keep_contacts(&mut materials, options.scale.is_some(), monitor)?;
+    let contacts = keep_contacts(&mut materials, options.scales.is_some(), monitor)?;
     Ok(Extracted { materials, tallies, contacts })
 }
 
@@ -162,16 +161,16 @@ struct OneMaterial<'a> {
 
 impl OneMaterial<'_> {
     /// Computes the indicator, the bricks where it is negative throughout, and its tally. `scaled`
-    /// contains the level sets and the scale, if there is one.
+    /// contains the level sets, if there is a scale.
     fn indicator(
         &self,
-        scaled: Option<(&Levels, Scale)>,
+        scaled: Option<&Levels>,
         options: &MaterialOptions,
         monitor: &dyn Monitor,
     ) -> Result<((Indicator, Vec<u32>), Tally)> {
         let is_outside = self.id == MaterialId::OUTSIDE;
         let (own, first, tally) = match scaled {
-            Some((levels, scale)) => self.scaled(levels, scale, monitor)?,
+            Some(levels) => self.scaled(levels, monitor)?,
             None => {
                 let (own, tally) = self.make(options, monitor)?;
                 (Some(own), self.kept().low, tally)
@@ -194,13 +193,8 @@ impl OneMaterial<'_> {
 
     /// Computes the indicator at a scale. Also returns the first voxel of its box. The indicator is
     /// `None` if the whole material vanishes.
-    fn scaled(
-        &self,
-        levels: &Levels,
-        scale: Scale,
-        monitor: &dyn Monitor,
-    ) -> Result<(Option<Image<f32>>, [usize; 3], Tally)> {
-        let Made { result, first, changes } = levels.indicator(self.id, scale.length, &DEMANDS, monitor)?;
+    fn scaled(&self, levels: &Levels, monitor: &dyn Monitor) -> Result<(Option<Image<f32>>, [usize; 3], Tally)> {
+        let Made { result, first, changes } = levels.indicator(self.id, &DEMANDS, monitor)?;
         let Some(Redistanced { mut field, parts_before, parts_after, undecided, .. }) = result else {
             return Ok((None, first, Tally::default()));
         };

@@ -6,7 +6,7 @@ use super::contacts::ContactReport;
 use super::extract::{Extracted, MaterialOptions, Quiet, Tally, extract};
 use super::grid::LabelGrid;
 use super::islands::remove_islands;
-use super::scaled::edge_length;
+use super::scaled::{Scales, edge_length};
 use super::survey::{Survey, distance_limit, survey};
 use crate::args::Args;
 use crate::changes::{Changes, Kind, SPECK_SHARE};
@@ -20,6 +20,7 @@ use isoparticles_field::materials::{MaterialId, Materials};
 use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::material_sizes::Given;
 use isoparticles_stage::materials_file::{Shown, write_materials};
 use isoparticles_stage::meta::{self, MaterialsMeta};
 use isoparticles_volume::Volume;
@@ -42,18 +43,27 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     check_options(args)?;
     let step = context.step("materials read");
     let mut chosen = resolve(&args.material, &volume)?;
-    let scale = scale(args, &volume, &chosen, context)?;
+    let base = scale(args, &volume, &chosen, context)?;
+    let voxel = volume.geometry.mean_spacing();
+    let scales = |chosen: &Chosen| -> Result<Option<Scales>> {
+        let names: Vec<String> = chosen.table.iter().map(|material| material.name.clone()).collect();
+        Ok(Scales::new(base, Given::new(&args.scale.size, &names)?, voxel))
+    };
+    let longest = scales(&chosen)?.and_then(|scales| scales.lengths(chosen.table.len()).last().copied());
     let whole = volume.geometry.padded(args.margin.into());
     let found = VoxelBox::of_labels(&volume, |label| chosen.number(label) != MaterialId::OUTSIDE.0);
     // faces of the cropped grid count as borders of the volume: only the outside lies beyond them
-    let room = scale.map_or([LABEL_ROOM; 3], |scale| room_round(0.5 * scale.length / volume.geometry.spacing));
+    let room = longest.map_or([LABEL_ROOM; 3], |scale| room_round(0.5 * scale / volume.geometry.spacing));
     take_out(args, &mut volume, found, room, context)?;
     let mut grid = LabelGrid::new(&volume, &chosen, args.border, args.margin.into())?;
     drop((volume, step));
     remove_small(&mut grid, &mut chosen, args.smallest_island as usize, context);
     context.set_parameter("materials", json!(chosen.table));
     tell_grid(&whole, &grid.padded(), context);
-    let options = MaterialOptions { clearance: args.clearance, scale };
+    let options = MaterialOptions { clearance: args.clearance, scales: scales(&chosen)? };
+    let lengths = options.scales.as_ref().map(|scales| scales.lengths(chosen.table.len()));
+    let range = lengths.map(|lengths| [lengths[0], lengths[lengths.len() - 1]]);
+    tell_scales(range, context);
     let Extracted { materials, tallies, contacts } = extract(&grid, &chosen, &options, context)?;
     let geometry = materials.geometry();
     let step = context.step("materials checked");
@@ -69,8 +79,8 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     context.report("state_bytes", materials.bytes());
     describe(&materials, &tallies, &found, context);
     tell_contacts(contacts, context);
-    if let Some(scale) = scale {
-        tell_changes(&materials, &tallies, scale, context);
+    if let Some(range) = range {
+        tell_changes(&materials, &tallies, range, context);
     }
 
     let step = context.step("write");
@@ -82,13 +92,13 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
         }),
         margin: Some(args.margin.into()),
         distance_limit: Some(distance_limit(geometry)),
-        scale: scale.map(|scale| scale.length),
+        scale: range.map(|[_, longest]| longest),
         notes,
     };
     let shown = Shown { material: &found.material, interface_distance: &found.interface_distance };
     write_materials(output, &materials, shown, &meta, &context.history())?;
     drop(step);
-    let failed = match scale {
+    let failed = match range {
         Some(_) => failed_at_scale(&materials, &tallies, &found),
         None => failed_checks(&materials, &tallies, &found),
     };
@@ -155,11 +165,12 @@ pub(crate) fn check_options(args: &Args) -> Result<()> {
     Ok(())
 }
 
-/// Returns the scale from the options, or `None` if it is 0; every voxel centre then stays in its
-/// material.
-fn scale(args: &Args, volume: &Volume, chosen: &Chosen, context: &Context) -> Result<Option<Scale>> {
+/// Returns the scale of all materials without an edge length of their own; 0 keeps every voxel
+/// centre in its material.
+fn scale(args: &Args, volume: &Volume, chosen: &Chosen, context: &Context) -> Result<Scale> {
+    let keep_thin = args.scale.keep_thin;
     if !args.scale.is_given() {
-        return Ok(None);
+        return Ok(Scale { length: 0.0, keep_thin });
     }
     let choice = match args.scale.choose_by_length(&volume.geometry) {
         Some(choice) => choice,
@@ -177,7 +188,15 @@ fn scale(args: &Args, volume: &Volume, chosen: &Chosen, context: &Context) -> Re
     context.summary("scale, mm", format!("{} ({})", significant(choice.length), choice.reason));
     context.set_parameter("scale", choice.length);
     context.set_parameter("scale_reason", choice.reason);
-    Ok((choice.length > 0.0).then_some(Scale { length: choice.length, keep_thin: args.scale.keep_thin }))
+    Ok(Scale { length: choice.length, keep_thin })
+}
+
+/// Reports the shortest and the longest scale, mm, if they differ.
+fn tell_scales(range: Option<[f64; 2]>, context: &Context) {
+    let Some([shortest, longest]) = range.filter(|[shortest, longest]| shortest < longest) else { return };
+    let [from, to] = [shortest, longest].map(significant);
+    context.summary("scales of the interfaces, mm", format!("{from} to {to}"));
+    context.set_parameter("scale", longest);
 }
 
 /// Builds the notes on the materials for the output file and the report.
@@ -280,8 +299,13 @@ fn volumes_changed(materials: &Materials, tallies: &[Tally], found: &Survey, lim
 
 /// Warns about materials with broken or merged parts or filled gaps at a scale, and about the
 /// losses of each material.
-fn tell_changes(materials: &Materials, tallies: &[Tally], scale: Scale, context: &Context) {
-    let at_scale = format!("at a scale of {} mm,", significant(scale.length));
+fn tell_changes(materials: &Materials, tallies: &[Tally], range: [f64; 2], context: &Context) {
+    let [shortest, longest] = range.map(significant);
+    let at_scale = if shortest == longest {
+        format!("at a scale of {longest} mm,")
+    } else {
+        format!("at scales of {shortest} to {longest} mm,")
+    };
     let changed = || {
         let names = materials.table().iter().map(|material| material.name.as_str());
         names.zip(tallies).skip(1).filter_map(|(name, tally)| Some((name, tally.changes.as_ref()?)))
@@ -339,7 +363,8 @@ fn failed_at_scale(materials: &Materials, tallies: &[Tally], found: &Survey) -> 
     }
     vec![format!(
         "the volumes of {} materials changed by more than {:.0} %: {}; many of their parts are too thin for this \
-         scale. To keep them, lower SIZE or SCALE (--scale), raise VERTICES, or set \
+         scale. To keep them, lower SIZE or SCALE (--scale), raise VERTICES, set \
+         SIZEFIELD_OPTIONS=\"--size NAME=MM\" to smaller edges on these materials, or set \
          DISTFIELD_OPTIONS=\"--keep-thin\"",
         changed.len(),
         100.0 * SCALED_VOLUME_LIMITS.1,

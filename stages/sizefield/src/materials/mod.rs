@@ -6,10 +6,7 @@
 //! ignored.
 
 mod features;
-mod given;
 mod lines;
 mod program;
 
-pub(crate) use given::Given;
-pub use given::GivenSize;
 pub(crate) use program::run;

@@ -2,7 +2,6 @@
 //! fills in the report.
 
 use super::features::{StrataFeatures, measure};
-use super::given::Given;
 use super::lines;
 use crate::limits::check_count;
 use crate::report::percentiles;
@@ -17,6 +16,7 @@ use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{FieldKind, write_field};
+use isoparticles_stage::material_sizes::Given;
 use isoparticles_stage::materials_file::read_materials;
 use isoparticles_stage::meta::{self, SizeMeta};
 use isoparticles_volume::{Geometry, Image};

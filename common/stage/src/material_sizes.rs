@@ -1,7 +1,7 @@
-//! Implements `--size`, which sets an edge length for a material or an interface by name.
+//! The option `--size`, which sets an edge length for a material or an interface by name.
 
+use crate::error::{Error, Result};
 use isoparticles_field::materials::{MaterialId, Stratum};
-use isoparticles_stage::error::{Error, Result};
 use serde::{Serialize, Serializer};
 use std::fmt;
 use std::str::FromStr;
@@ -44,7 +44,7 @@ impl Serialize for GivenSize {
 
 /// Edge lengths that the user sets for materials and interfaces.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Given {
+pub struct Given {
     materials: Vec<(MaterialId, f64)>,
     interfaces: Vec<(Stratum, f64)>,
 }
@@ -54,7 +54,7 @@ impl Given {
     ///
     /// # Errors
     /// If a name is unknown.
-    pub(crate) fn new(sizes: &[GivenSize], names: &[String]) -> Result<Self> {
+    pub fn new(sizes: &[GivenSize], names: &[String]) -> Result<Self> {
         let mut given = Self::default();
         let named = |name: &str| names.iter().position(|other| other == name).map(|n| MaterialId(n as u16));
         for own in sizes {
@@ -77,9 +77,21 @@ impl Given {
         Ok(given)
     }
 
+    /// Returns the largest edge length, mm.
+    pub fn largest(&self) -> Option<f64> {
+        let all = self.materials.iter().map(|(_, size)| size).chain(self.interfaces.iter().map(|(_, size)| size));
+        all.copied().max_by(f64::total_cmp)
+    }
+
+    /// Returns the edge length in mm that is set for a material, the smallest if there are several.
+    /// Lengths of single interfaces do not count.
+    pub fn of_material(&self, id: MaterialId) -> Option<f64> {
+        self.materials.iter().filter(|(own, _)| *own == id).map(|(_, size)| *size).min_by(f64::total_cmp)
+    }
+
     /// Returns the edge length in mm of an interface: the length that is set for the interface, or
     /// else the smaller length of its two materials.
-    pub(super) fn of(&self, interface: &Stratum) -> Option<f64> {
+    pub fn of(&self, interface: &Stratum) -> Option<f64> {
         let smallest = |sizes: &mut dyn Iterator<Item = f64>| sizes.min_by(f64::total_cmp);
         let own = smallest(&mut self.interfaces.iter().filter(|(other, _)| other == interface).map(|(_, size)| *size));
         own.or_else(|| smallest(&mut self.materials.iter().filter(|(id, _)| interface.has(*id)).map(|(_, size)| *size)))
@@ -109,5 +121,6 @@ mod tests {
         assert_eq!(given.of(&Stratum::interface(b, a)), Some(3.0));
         assert_eq!(given.of(&Stratum::interface(a, c)), Some(2.0));
         assert_eq!(given.of(&Stratum::interface(MaterialId::OUTSIDE, c)), None);
+        assert_eq!([a, b, c].map(|id| given.of_material(id)), [Some(2.0), Some(1.0), None]);
     }
 }
