@@ -1,4 +1,6 @@
-//! The tetrahedra round an edge or a vertex, by the side that they are on (inside or outside, or one of many materials), and the facets between the sides.
+//! The tetrahedra around an edge or a vertex, grouped by label, and the facets between labels. A
+//! label (`side` in this module) is inside or outside, or one of many materials. At a facet between
+//! two labels, the greater label is inside.
 
 use isoparticles_delaunay::Delaunay;
 use isoparticles_mesh::components::DisjointSets;
@@ -8,16 +10,16 @@ use std::collections::{BTreeMap, HashSet};
 /// A facet between two labels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Facet {
-    /// Its vertices, counter-clockwise seen from outside: from the side of the smaller label.
+    /// Vertices, counter-clockwise as seen from outside, the side of the smaller label.
     pub vertices: [u32; 3],
-    /// The tetrahedron inside, that of the greater label.
+    /// The tetrahedron inside, with the greater label.
     pub tetrahedron: u32,
-    /// Which facet of it this is: the one opposite to the vertex at this place.
+    /// Index of the facet in this tetrahedron: that of the opposite vertex.
     pub opposite: u8,
 }
 
 impl Facet {
-    /// Its vertices, ascending.
+    /// Returns the vertices in ascending order.
     pub fn sorted(&self) -> [u32; 3] {
         let mut vertices = self.vertices;
         vertices.sort_unstable();
@@ -25,12 +27,13 @@ impl Facet {
     }
 }
 
-/// Where a vertex or neighbour is in a list of four that holds it.
+/// Returns the index of a vertex or neighbour in a list of four. The list must contain it.
 pub(crate) fn place_of(list: [u32; 4], what: u32) -> usize {
     list.iter().position(|&other| other == what).unwrap_or(0)
 }
 
-/// The facets of a tetrahedron that have it and its neighbour on two sides, each as one of the tetrahedron on the greater side: inside.
+/// Returns the facets of a tetrahedron at which its label differs from that of the neighbour. Each
+/// belongs to the tetrahedron with the greater label, which may be the neighbour.
 pub(crate) fn boundary_facets_of<S: Ord>(delaunay: &Delaunay, t: u32, side: impl Fn(u32) -> S) -> Vec<Facet> {
     let neighbours = delaunay.neighbours(t);
     let facet = |i: usize| {
@@ -41,7 +44,7 @@ pub(crate) fn boundary_facets_of<S: Ord>(delaunay: &Delaunay, t: u32, side: impl
     (0..4).filter(|&i| side(t) != side(neighbours[i])).map(facet).collect()
 }
 
-/// The facets between the sides, in the order of the tetrahedra on the greater ones.
+/// Returns the facets between labels, in the order of the tetrahedra with the greater label.
 pub(crate) fn boundary<S: Ord + Default>(delaunay: &Delaunay, side: impl Fn(u32) -> S + Sync) -> Vec<Facet> {
     let side = &side;
     (0..delaunay.slot_count() as u32)
@@ -51,7 +54,8 @@ pub(crate) fn boundary<S: Ord + Default>(delaunay: &Delaunay, side: impl Fn(u32)
         .collect()
 }
 
-/// The tetrahedra round an edge by runs of one `side`; `start` is one of them. An edge of a manifold surface parts two runs.
+/// Returns the runs of tetrahedra with the same label around an edge. `start` is one of the
+/// tetrahedra. An edge of a manifold surface has two runs.
 pub(crate) fn runs_round<S: PartialEq>(
     delaunay: &Delaunay,
     [a, b]: [u32; 2],
@@ -72,7 +76,7 @@ pub(crate) fn runs_round<S: PartialEq>(
             break;
         }
         ring.push(next);
-        // across the facet opposite to what was behind lies a tetrahedron with what was ahead
+        // the next tetrahedron, across the facet opposite vertex `behind`, contains vertex `ahead`
         behind = ahead;
     }
     let turns = |k: &usize| side(ring[*k]) != side(ring[(k + ring.len() - 1) % ring.len()]);
@@ -81,7 +85,7 @@ pub(crate) fn runs_round<S: PartialEq>(
     ring.chunk_by(|&s, &t| side(s) == side(t)).map(<[u32]>::to_vec).collect()
 }
 
-/// The tetrahedra at a vertex, ascending.
+/// Returns the tetrahedra at a vertex, ascending.
 pub(crate) fn star(delaunay: &Delaunay, vertex: u32) -> Vec<u32> {
     let mut star: Vec<u32> = delaunay.incident(vertex).into_iter().collect();
     let mut seen: HashSet<u32> = star.iter().copied().collect();
@@ -99,8 +103,8 @@ pub(crate) fn star(delaunay: &Delaunay, vertex: u32) -> Vec<u32> {
     star
 }
 
-/// The tetrahedra at a vertex (its `star`, ascending) by parts of one `side` that join through facets at it. A vertex of a manifold surface
-/// has two parts.
+/// Returns the parts of the star of a vertex: tetrahedra with the same label that are connected
+/// through facets at the vertex. `star` is ascending. A vertex of a manifold surface has two parts.
 pub(crate) fn parts_round<S: PartialEq>(
     delaunay: &Delaunay,
     vertex: u32,

@@ -29,54 +29,54 @@ pub use report::{
     Simplices,
 };
 
-/// Minimum radius ratio that passes, unless `--min-radius-ratio` says otherwise.
+/// Default minimum radius ratio of the check (`--min-radius-ratio`).
 pub const MIN_RADIUS_RATIO: f64 = 0.3;
 
-/// Ways to remove triangles that the junction curves force below the minimum radius ratio.
+/// Remedies for triangles that the junction curves force below the minimum radius ratio.
 const REMEDY: &str = "a scale (SCALE, or SIZE or VERTICES without SCALE=0) or smaller edges (SIZE, MIN_SIZE, more VERTICES) remove them, \
                       --accept-forced (ACCEPT_FORCED=yes) accepts them";
 
-/// What a mesh is compared with, in its frame (the grid frame).
+/// Reference for the checks, in the grid frame of the mesh.
 pub trait Truth: Sync {
-    /// The grid.
+    /// Returns the grid.
     fn geometry(&self) -> &Geometry;
 
-    /// Returns value and gradient of the function of an interface, which is zero on it and negative
-    /// in the first of its two materials.
+    /// Returns the value and the gradient of the function of an interface. The function is zero on
+    /// the interface and negative in the first of its two materials.
     fn value_gradient(&self, between: [MaterialId; 2], p: DVec3) -> (f64, DVec3);
 
-    /// Returns the grid nodes (x fastest, ascending) that the mesh has in another material; `None`
-    /// if the nodes are not compared.
+    /// Returns the grid nodes (x fastest, ascending) that are in another material in the mesh, or
+    /// `None` if nodes are not compared.
     fn wrong_nodes(&self, interfaces: &Interfaces) -> Option<Vec<usize>>;
 }
 
-/// What a mesh is compared with, and the limits it must meet. All are optional.
+/// The reference for the checks, and the limits.
 #[derive(Clone, Copy, Default)]
 pub struct CheckOptions<'a> {
-    /// The interface functions and the grid nodes.
+    /// The interface functions and the grid nodes, if the mesh is compared with them.
     pub truth: Option<&'a dyn Truth>,
-    /// Names of the materials, by their numbers; empty for one object.
+    /// Names of the materials, by material number; empty for one object.
     pub table: &'a [Material],
     /// Whether grid nodes in another material fail the check.
     pub keeps_nodes: bool,
-    /// Minimum radius ratio.
+    /// Minimum radius ratio; `None` means any.
     pub min_radius_ratio: Option<f64>,
     /// Maximum distance of a vertex from each of its interfaces, in voxels. The limit is at least
     /// [`SAME_JUNCTION`] where more than four materials meet, and at least `ONE_CURVE` where curves
-    /// coincide.
+    /// are merged.
     pub max_vertex_distance: Option<f64>,
     /// Whether triangles below the minimum radius ratio pass if the junction curves force them.
     pub accept_forced: bool,
-    /// Whether the surface may be open where the volume ends.
+    /// Whether the surface may be open at the border of the volume.
     pub open_border: bool,
 }
 
-/// Checks the surface of one object against everything in `options`.
+/// Checks the surface of one object, and returns the report.
 pub fn check_object(mesh: &TriangleMesh, options: &CheckOptions) -> CheckReport {
     check(&Interfaces::of_object(mesh.clone()), options)
 }
 
-/// Checks interfaces against everything in `options`.
+/// Checks interfaces, and returns the report.
 pub fn check(interfaces: &Interfaces, options: &CheckOptions) -> CheckReport {
     let mesh = &interfaces.mesh;
     let mut report = CheckReport {
@@ -120,7 +120,8 @@ pub fn check(interfaces: &Interfaces, options: &CheckOptions) -> CheckReport {
     report
 }
 
-/// Returns the number of materials that meet at each vertex, given the interfaces at each.
+/// Returns the number of materials that meet at each vertex. `pairs` contains the interfaces at
+/// each vertex, ascending.
 fn meeting(vertices: usize, pairs: &[(u32, [MaterialId; 2])]) -> Vec<u8> {
     let mut meeting = vec![0; vertices];
     for own in pairs.chunk_by(|a, b| a.0 == b.0) {
@@ -136,16 +137,16 @@ fn meeting(vertices: usize, pairs: &[(u32, [MaterialId; 2])]) -> Vec<u8> {
 struct Checker<'a> {
     interfaces: &'a Interfaces,
     options: &'a CheckOptions<'a>,
-    /// Number of materials that meet at each vertex.
+    /// Number of materials at each vertex.
     meeting: Vec<u8>,
-    /// The centroid of each triangle; none without a truth.
+    /// Measurements at the centroid of each triangle; empty without a reference.
     centroids: Vec<Centroid>,
 }
 
-/// The surface of a region.
+/// The surface of a region with its faults.
 struct Region {
     report: RegionReport,
-    /// Its faults, by the numbers of vertices and triangles in the whole.
+    /// Topology of the surface, with the indices of vertices and triangles in the whole mesh.
     topology: Topology,
     /// Number of components whose normals point against the gradient.
     inward: usize,
@@ -172,7 +173,7 @@ impl Centroid {
     }
 }
 
-/// Joins ascending lists into one.
+/// Returns the elements of several lists, ascending, without repetitions.
 fn merged<'a, T: Copy + Ord + 'a>(lists: impl Iterator<Item = &'a Vec<T>>) -> Vec<T> {
     let mut all: Vec<T> = lists.flatten().copied().collect();
     all.sort_unstable();
@@ -186,7 +187,7 @@ impl Checker<'_> {
         name.unwrap_or_else(|| if id == MaterialId::OUTSIDE { "outside" } else { "object" }.to_owned())
     }
 
-    /// Compares the edges of more than two triangles with the segments of junction curves.
+    /// Compares the edges of more than two triangles with the segments of the junction curves.
     fn look_at_curves(&self, report: &mut CheckReport) {
         let Interfaces { between, segments, .. } = self.interfaces;
         report.junctions.segments = segments.len();
@@ -209,7 +210,7 @@ impl Checker<'_> {
         report.offenders.insert(Fault::SpuriousJunctionEdges, Simplices::Edges(spurious));
     }
 
-    /// Returns whether an edge lies where the volume ends.
+    /// Returns whether both ends of an edge are close to the border of the volume.
     fn is_at_border(&self, edge: Segment) -> bool {
         let Some(truth) = self.options.truth else { return false };
         let [a, b] = edge.map(|v| self.interfaces.mesh.vertices[v as usize]);
@@ -220,7 +221,7 @@ impl Checker<'_> {
 
     /// Checks that the surface of each region is a closed oriented manifold, and measures it.
     fn look_at_regions(&self, report: &mut CheckReport) {
-        // the surface outside of a single interface is the same
+        // with a single interface, the surface of the outside has the same triangles
         let found: Vec<Region> = match self.interfaces.pairs()[..] {
             [[inside, _]] => vec![self.region(inside, &self.interfaces.mesh, None)],
             _ => {
@@ -251,8 +252,8 @@ impl Checker<'_> {
         report.regions = found.into_iter().map(|own| own.report).collect();
     }
 
-    /// Analyses the surface of a region, given the numbers of its vertices and triangles in the
-    /// whole, if they differ.
+    /// Analyses the surface of a region. `numbers` are the indices of its vertices and triangles in
+    /// the whole mesh, if they differ.
     fn region(&self, id: MaterialId, mesh: &TriangleMesh, numbers: Option<(Vec<u32>, Vec<u32>)>) -> Region {
         let mut topology = analyse(mesh);
         let measures = measure_components(mesh, &topology.component_of_triangle, topology.components.len());
@@ -282,7 +283,7 @@ impl Checker<'_> {
         Region { report, topology, inward }
     }
 
-    /// Measures the triangles of each interface.
+    /// Measures the area and the shapes of the triangles of each interface.
     fn look_at_pairs(&self, report: &mut CheckReport) {
         let of_pair = |pair: [MaterialId; 2]| {
             let part = self.interfaces.part(pair);
@@ -322,8 +323,8 @@ impl Checker<'_> {
         report.centroid_distance = Some(DistanceSummary::of(&centroids));
     }
 
-    /// Finds the triangles below the minimum radius ratio, and those of them that the junction
-    /// curves force. Returns the minimum of the others.
+    /// Finds the triangles below the minimum radius ratio, and separates those that the junction
+    /// curves force. Returns the minimum radius ratio of the other ones, or 1 if there are none.
     fn look_at_shapes(&self, report: &mut CheckReport) -> f64 {
         let Some(limit) = self.options.min_radius_ratio else { return 1.0 };
         let mesh = &self.interfaces.mesh;
@@ -346,8 +347,8 @@ impl Checker<'_> {
         smallest
     }
 
-    /// Describes the checks that failed; `smallest` is the minimum radius ratio of the triangles
-    /// that are not forced.
+    /// Returns the failed checks in words. `smallest` is the minimum radius ratio of the triangles
+    /// below the limit that are not forced.
     fn failed(&self, report: &CheckReport, smallest: f64) -> Vec<String> {
         let mut failed: Vec<String> = Vec::new();
         for (&fault, &count) in report.counts.iter().filter(|(_, count)| **count > 0) {
@@ -405,7 +406,7 @@ mod tests {
     }
 
     #[test]
-    fn a_good_mesh_passes_with_the_figures_of_its_sphere() {
+    fn a_good_sphere_passes_with_correct_measurements() {
         let (image, mesh) = ball(4.0);
         let field = CubicSpline::new(&image);
         let options = CheckOptions {
@@ -419,7 +420,7 @@ mod tests {
         let object = report.object();
         assert_eq!((object.euler, object.components.len(), report.count(Fault::TurnedTriangles)), (2, 1, 0));
         assert!(report.vertex_distance.is_some_and(|d| d.max < 0.01));
-        // the sagitta of a triangle with circumradius c under a sphere of radius R is about c^2 / (2 R)
+        // a triangle with circumradius c on a sphere of radius R has a sagitta of about c^2 / (2 R)
         let longest = report.quality.edge_length_max;
         let sagitta = longest * longest / 3.0 / 8.0 / 0.5;
         assert!(report.centroid_distance.is_some_and(|d| d.max < 1.1 * sagitta && d.max > 0.5 * sagitta));
@@ -427,7 +428,7 @@ mod tests {
     }
 
     #[test]
-    fn every_fault_is_told() {
+    fn every_fault_is_reported() {
         let (image, good) = ball(4.0);
         let field = CubicSpline::new(&image);
         let options = CheckOptions {

@@ -1,5 +1,6 @@
-//! Where a surface is not that of F: edges and vertices that are not manifold, facets that join different components of F = 0,
-//! and components that are missing, in pieces or of another genus.
+//! Finds the defects of a surface compared with F. Defects are edges and vertices that are not
+//! manifold, facets that join components of F = 0, and components that are missing, in several
+//! pieces, or of another genus.
 
 use crate::restricted::Facet;
 use isoparticles_field::topology::{FieldTopology, Group};
@@ -8,64 +9,68 @@ use isoparticles_mesh::incidence::{FanWork, Incidence};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Vertices looked at by one thread at a time.
+/// Number of vertices per parallel task.
 const CHUNK: usize = 1 << 12;
 
-/// Topology of a set of facets against that of F.
+/// Defects of a set of facets, and its topology compared with that of F.
 #[derive(Clone, Debug, Default)]
 pub struct Defects {
-    /// For each edge that is not in exactly two facets, its facets (numbers in the list given).
+    /// For each edge that is not in exactly two facets, the indices of its facets in the given
+    /// list. Open edges at an open border are excluded.
     pub edges: Vec<Vec<u32>>,
-    /// For each vertex with more than one fan of facets, the vertex and its facets.
+    /// For each vertex with more than one fan of facets, the vertex and the indices of its facets.
     pub vertices: Vec<(u32, Vec<u32>)>,
-    /// Facets whose vertices lie on different components of F = 0 that no undecided place can join.
+    /// Indices of facets whose vertices lie on different components of F = 0 that no undecided
+    /// place can join.
     pub bridges: Vec<u32>,
-    /// Components of F = 0 that have no facet.
+    /// Components of F = 0 without facets, except those that undecided places allow to be missing.
     pub missing: Vec<u32>,
-    /// Groups whose facets form more components than undecided places can account for.
+    /// Groups with more pieces than undecided places allow.
     pub in_pieces: Vec<Found>,
-    /// Groups whose facets form fewer, or have another Euler characteristic than these can account for.
+    /// Groups with fewer pieces, or another Euler characteristic, than undecided places allow.
+    /// Groups with missing components are excluded.
     pub wrong_genus: Vec<Found>,
     /// Euler characteristic of all facets.
     pub euler: i64,
-    /// Components of the facets that lie near no component of F = 0.
+    /// Number of pieces that are near no component of F = 0.
     pub strangers: usize,
-    /// Components of the facets.
+    /// Number of pieces: connected components of the facets.
     pub component_count: usize,
-    /// Component of each vertex among the facets; [`NO_COMPONENT`] for vertices of no facet.
+    /// Piece of each vertex, or [`NO_COMPONENT`] for vertices without facets.
     pub piece_of_vertex: Vec<u32>,
 }
 
-/// What the facets have of a group of components.
+/// Topology of the facets of a group of components.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Found {
     /// Number of the group.
     pub group: u32,
-    /// Components of the facets.
+    /// Number of pieces of its facets.
     pub components: usize,
-    /// Their Euler characteristic.
+    /// Euler characteristic of its facets.
     pub euler: i64,
 }
 
 impl Found {
-    /// Whether that is one of the topologies that F may have there.
+    /// Returns whether F may have this topology in the group.
     pub fn fits(&self, group: &Group) -> bool {
         group.may_be(self.components, self.euler)
     }
 }
 
-/// Where a surface is not manifold.
+/// Edges and vertices at which a surface is not manifold.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Pinches {
-    /// For each edge that is not in exactly two facets, its facets (numbers in the list given).
+    /// For each edge that is not in exactly two facets, the indices of its facets in the given
+    /// list. Open edges at an open border are excluded.
     pub edges: Vec<Vec<u32>>,
-    /// For each vertex with more than one fan of facets, the vertex and its facets.
+    /// For each vertex with more than one fan of facets, the vertex and the indices of its facets.
     pub vertices: Vec<(u32, Vec<u32>)>,
 }
 
 impl Pinches {
-    /// Those at the first `count` vertices; an edge counts with the first of its ends. `open_edge_allowed` tells which edges may be in one
-    /// facet only (open borders).
+    /// Finds the pinches at the first `count` vertices. An edge belongs to its lower end.
+    /// `open_edge_allowed` returns whether an edge may be in a single facet (open borders).
     pub fn at_first(count: usize, incidence: &Incidence, open_edge_allowed: impl Fn(u32, u32) -> bool + Sync) -> Self {
         let chunks: Vec<Self> = (0..count)
             .into_par_iter()
@@ -96,7 +101,8 @@ impl Pinches {
     }
 }
 
-/// The edge that facets, given by their numbers in a list, have in common; `None` for fewer than two.
+/// Returns the edge that is common to facets, which are given by their indices in a list. Returns
+/// `None` if there are fewer than two facets or they do not share exactly two vertices.
 pub fn edge_of(facets: &[Facet], around: &[u32]) -> Option<[u32; 2]> {
     let in_all = |v: &u32| around.iter().all(|&f| facets[f as usize].vertices.contains(v));
     let mut shared = facets[*around.first()? as usize].vertices.into_iter().filter(in_all);
@@ -105,8 +111,9 @@ pub fn edge_of(facets: &[Facet], around: &[u32]) -> Option<[u32; 2]> {
 }
 
 impl Defects {
-    /// Looks for defects; `component_of` gives the component of F = 0 of each vertex ([`NO_COMPONENT`] unknown).
-    /// `open_edge_allowed` tells which edges may be in one facet only (open borders).
+    /// Finds the defects. `component_of` contains the component of F = 0 of each vertex, or
+    /// [`NO_COMPONENT`] if it is unknown. `open_edge_allowed` returns whether an edge may be in a
+    /// single facet (open borders).
     pub fn find(
         triangles: &[[u32; 3]],
         component_of: &[u32],
@@ -119,7 +126,7 @@ impl Defects {
         defects
     }
 
-    /// The defects that do not depend on the isosurface, and the components of the facets.
+    /// Finds the defects that do not depend on F, and the pieces of the facets.
     pub fn of_shape(incidence: &Incidence, open_edge_allowed: impl Fn(u32, u32) -> bool + Sync) -> Self {
         let Pinches { edges, vertices } = Pinches::at_first(incidence.vertex_count(), incidence, open_edge_allowed);
         let (piece_of_vertex, component_count) =
@@ -127,14 +134,15 @@ impl Defects {
         Self { edges, vertices, component_count, piece_of_vertex, ..Self::default() }
     }
 
-    /// Compares the facets, of which the rest is known already, with the topology of F.
+    /// Compares the facets with the topology of F. Expects the result of [`Self::of_shape`].
     fn compare(&mut self, incidence: &Incidence, component_of: &[u32], topology: &FieldTopology) {
         let all = topology.groups();
         let triangles = incidence.triangles();
         let groups = all.all().len() as u32;
         let own = &self.piece_of_vertex;
         let group_of: Vec<u32> = component_of.par_iter().map(|&c| all.of(c).unwrap_or(NO_COMPONENT)).collect();
-        // a vertex of unknown component counts for nothing; where a whole facet is unknown, its piece tells
+        // vertices of unknown component are ignored; the piece gives the group of a facet without
+        // known vertices
         let mut group_of_piece = vec![NO_COMPONENT; self.component_count];
         let mut is_present = vec![false; topology.components().len()];
         for t in triangles {
@@ -144,7 +152,8 @@ impl Defects {
                 is_present.get_mut(component_of[v as usize] as usize).into_iter().for_each(|present| *present = true);
             }
         }
-        // the group of a facet, or one past the last for bridges and strangers
+        // the group of a facet, or `groups` for facets that join groups and for pieces near no
+        // component
         let group = |t: &[u32; 3]| {
             let mut known = t.iter().map(|&v| group_of[v as usize]).filter(|&g| g != NO_COMPONENT);
             let first = known.next().unwrap_or(group_of_piece[own[t[0] as usize] as usize]);
@@ -173,23 +182,24 @@ impl Defects {
         }
     }
 
-    /// Whether the surface is a closed manifold.
+    /// Returns whether the surface is manifold, and closed except at an open border.
     pub fn is_manifold(&self) -> bool {
         self.edges.is_empty() && self.vertices.is_empty()
     }
 
-    /// Whether the surface is a closed manifold with the topology of F.
+    /// Returns whether the surface is manifold ([`Self::is_manifold`]) and has the topology of F.
+    /// Pieces near no component of F = 0 (`strangers`) are not considered.
     pub fn is_empty(&self) -> bool {
         let same_components = self.bridges.is_empty() && self.missing.is_empty() && self.in_pieces.is_empty();
         self.is_manifold() && same_components && self.wrong_genus.is_empty()
     }
 }
 
-/// Into how many pieces the triangles of each group fall apart.
+/// Returns the number of pieces of each group. A piece counts in each group of its triangles.
 fn pieces_by_group(group_of: &[u32], triangles: &[[u32; 3]], piece_of_vertex: &[u32], groups: usize) -> Vec<usize> {
     let piece = |t: &[u32; 3]| piece_of_vertex[t[0] as usize];
     let mut met: Vec<(u32, u32)> = group_of.par_iter().zip(triangles).map(|(&group, t)| (group, piece(t))).collect();
-    // most neighbours in the list are of one group and piece
+    // adjacent entries mostly have the same group and piece
     met.dedup();
     met.par_sort_unstable();
     met.dedup();
@@ -206,7 +216,7 @@ mod tests {
     const TETRAHEDRON: [[u32; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
     #[test]
-    fn a_pinch_at_a_vertex_and_at_an_edge_are_found() {
+    fn pinched_vertices_and_edges_are_found() {
         let one = FieldTopology::new(&scenes::sphere().field);
         let find = |triangles: &[[u32; 3]], n: usize| Defects::find(triangles, &vec![0; n], &one, |_, _| false);
         assert!(find(&TETRAHEDRON, 4).is_empty());

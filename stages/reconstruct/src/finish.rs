@@ -1,4 +1,5 @@
-//! The finished mesh with its data, in the world, and the places where a check failed.
+//! Computes the data on the vertices and triangles of the finished mesh, and maps it to world
+//! coordinates.
 
 use glam::DVec3;
 use isoparticles_field::curvature::mean_curvature;
@@ -13,11 +14,13 @@ use isoparticles_stage::meta::CapPlane;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// Triangles whose corners are this near (voxels) to a capping plane lie on it.
+/// Maximum distance from a capping plane, in voxels along its axis, of the corners of a triangle
+/// that belongs to the cap.
 const ON_CAP: f64 = 0.1;
 
-/// Takes a mesh from the grid frame to the world, with what is known at its vertices (h, given as `sizes`, energy, normal, curvature,
-/// component) and triangles (radius ratio, deviation, cap).
+/// Returns a mesh in the grid frame as a surface in world coordinates. Data on vertices: h
+/// (`sizes`), energy, normal, curvature and component. Data on triangles: radius ratio, deviation
+/// and cap.
 pub fn attributes(mesh: &TriangleMesh, field: &CubicSpline, sizes: &[f64], caps: &[CapPlane]) -> Surface {
     let geometry = field.geometry();
     let jets: Vec<(DVec3, f64)> = mesh
@@ -88,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn data_of_a_ball_is_that_of_a_ball() {
+    fn curvature_normals_and_deviation_of_a_ball_are_correct() {
         let scene = scenes::sphere();
         let surface = attributes(&scenes::ball(), &scene.field, &vec![1.5; scenes::ball().vertices.len()], &[]);
         for &k in values(&surface.point_data, "curvature") {
@@ -98,14 +101,14 @@ mod tests {
             let outward = (*p - scenes::CENTRE).normalize();
             assert!(DVec3::from_slice(n).dot(outward) > 0.9999);
         }
-        // the chord of an edge e lies e^2 / 6R inside at the centroid
+        // the centroid of an equilateral triangle with edge e is e^2 / 6R inside the sphere
         for &d in values(&surface.cell_data, "deviation") {
             assert!((-0.05..0.0).contains(&d), "deviation {d}");
         }
     }
 
     #[test]
-    fn cap_triangles_are_those_on_the_plane() {
+    fn cap_triangles_are_on_the_capping_plane() {
         let caps = [CapPlane { axis: 2, side: Side::Low, position: 4.5 }];
         let geometry = Geometry::axis_aligned([9; 3], DVec3::ONE);
         let triangle = |z: f64| [DVec3::new(1.0, 1.0, 4.5), DVec3::new(2.0, 1.0, 4.52), DVec3::new(1.0, 2.0, z)];

@@ -1,7 +1,8 @@
-//! Vertices that improvement leaves where they are, so that no component of F = 0 loses its last one.
+//! Vertices that the improvement must not move, so that each component of F = 0 keeps a vertex.
 //!
-//! At an undecided gap a mesh may join two components. Where one of them is a speck of a few vertices, local moves may bring all of these over to the
-//! other, or merge them with its vertices, and break no other criterion.
+//! At an undecided gap, a mesh may join two components. If one of them is a speck with few
+//! vertices, local moves may shift all of them to the other component or merge them with its
+//! vertices. No other criterion prevents this.
 
 use crate::object::component_at;
 use isoparticles_field::spline::CubicSpline;
@@ -10,9 +11,10 @@ use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::quality::radius_ratios;
 use rayon::prelude::*;
 
-/// Of each component of F = 0 that an undecided place may join to another, the vertex that needs improvement least: the poorest of its triangles is the best.
+/// Returns one vertex of each component of F = 0 that an undecided place may join to another. It is
+/// the vertex whose worst triangle has the highest radius ratio, so it needs improvement least.
 pub(crate) fn one_of_each_component(mesh: &TriangleMesh, field: &CubicSpline, topology: &FieldTopology) -> Vec<u32> {
-    // above all ratios where a component is not asked for
+    // components that no undecided place joins start at infinity, which no radius ratio exceeds
     let mut best = vec![(f64::INFINITY, None); topology.components().len()];
     let joined = topology.undecided().iter().map(|place| &place.components).filter(|components| components.len() > 1);
     joined.flatten().for_each(|&c| best[c as usize].0 = f64::NEG_INFINITY);
@@ -25,7 +27,7 @@ pub(crate) fn one_of_each_component(mesh: &TriangleMesh, field: &CubicSpline, to
     }
     let component_of: Vec<u32> = mesh.vertices.par_iter().map(|&p| component_at(p, field, topology)).collect();
     for ((v, component), ratio) in (0..).zip(component_of).zip(poorest) {
-        // a component that cannot be told is none of the list
+        // vertices of unknown component have a number beyond the list
         if let Some(best) = best.get_mut(component as usize)
             && ratio.is_finite()
             && ratio > best.0
@@ -47,7 +49,8 @@ mod tests {
     use isoparticles_field::topology::critical_points;
     use isoparticles_mesh::quality::summarise;
 
-    /// A ball of radius 8 and a speck beside it, in the direction and of the radius given: the gap is finer than a mesh tells apart.
+    /// A ball of radius 8, and a speck of a given radius next to it in a given direction. The gap
+    /// is too fine for a mesh to resolve.
     fn ball_and_speck(direction: DVec3, radius: f64) -> Scene {
         let centre = DVec3::splat(15.7);
         let [gap, speck] = [8.0, 8.0 + radius].map(|r| centre + r * direction.normalize());
@@ -59,7 +62,7 @@ mod tests {
         scene(saddle.expect("a saddle in the gap").value - 2e-4)
     }
 
-    /// Direction of the speck, its radius, and the spacing of the points.
+    /// Direction and radius of the speck, and spacing of the points.
     const CASES: [([f64; 3], f64, f64); 7] = [
         ([0.569, 0.818, -0.084], 0.799, 2.829),
         ([0.481, 0.114, -0.870], 0.919, 2.401),
@@ -71,7 +74,7 @@ mod tests {
     ];
 
     #[test]
-    fn a_speck_that_the_mesh_joins_to_a_ball_keeps_a_vertex() {
+    fn a_speck_joined_to_a_ball_keeps_a_vertex() {
         let mut plain_loses = 0;
         for (direction, radius, spacing) in CASES {
             let scene = ball_and_speck(DVec3::from_array(direction), radius);

@@ -1,4 +1,4 @@
-//! Reads the inputs that one object and many materials have in common.
+//! Reads particles and size fields, and records them as inputs.
 
 use crate::args::Args;
 use isoparticles_field::sizing::SizingField;
@@ -9,7 +9,8 @@ use isoparticles_stage::particle_file::{ParticleFile, ParticleKind, read_particl
 use isoparticles_volume::Geometry;
 use std::path::Path;
 
-/// Reads the particles and records them as an input. Warns if they are not settled.
+/// Reads the particles and records them as an input. Warns if they are seeds or a checkpoint
+/// instead of settled particles.
 pub(crate) fn read_settled(args: &Args, context: &Context) -> Result<ParticleFile> {
     let kinds = [ParticleKind::Particles, ParticleKind::Seeds, ParticleKind::Checkpoint];
     let file = read_particles(&args.particles, &kinds)?;
@@ -21,7 +22,8 @@ pub(crate) fn read_settled(args: &Args, context: &Context) -> Result<ParticleFil
     Ok(file)
 }
 
-/// Reads a size field and records it as an input. It must be on the grid of the distance field.
+/// Reads a size field and records it as an input. Returns an error if it is not on the grid of the
+/// distance field.
 pub(crate) fn read_sizing(path: &Path, distance: (&Path, &Geometry), context: &Context) -> Result<SizingField> {
     let field = read_field(path, FieldKind::Sizing)?;
     check_same_grid((path, &field.image.geometry), distance)?;
@@ -29,7 +31,7 @@ pub(crate) fn read_sizing(path: &Path, distance: (&Path, &Geometry), context: &C
     Ok(SizingField::new(field.image))
 }
 
-/// Adds the path of a file to an error, unless the run was interrupted.
+/// Returns an error with the path of a file in front of its text. An interruption stays unchanged.
 pub(crate) fn about(path: &Path, error: Error) -> Error {
     if error.kind == Kind::Interrupted {
         return error;

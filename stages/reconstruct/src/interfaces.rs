@@ -8,34 +8,34 @@ use isoparticles_mesh::components::DisjointSets;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Two points of a segment, the lower number first.
+/// The two vertices of a segment, the lower number first.
 pub type Segment = [u32; 2];
 
-/// Returns a pair in order.
+/// Returns the segment between two vertices.
 pub fn segment(a: u32, b: u32) -> Segment {
     [a.min(b), a.max(b)]
 }
 
-/// A conforming mesh of all interfaces. Interfaces share the vertices at which they meet.
+/// A conforming mesh of all interfaces. Interfaces share the vertices and edges at which they meet.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Interfaces {
-    /// Vertices in the grid frame, and triangles, counter-clockwise seen from their outside.
+    /// Vertices in the grid frame, mm, and triangles, counter-clockwise as seen from outside.
     pub mesh: TriangleMesh,
     /// The materials inside (the higher number) and outside of each triangle.
     pub between: Vec<[MaterialId; 2]>,
     /// Segments of junction curves, ascending, each with its curve. A vertex that is in no triangle
     /// has the number `u32::MAX`.
     pub segments: Vec<(Segment, Stratum)>,
-    /// Vertices on several curves that coincide within a tolerance: they are off some of their
-    /// interfaces by at most this tolerance.
+    /// Vertices on several curves that are merged within a tolerance. Their distance from some of
+    /// their interfaces may be as large as this tolerance. `u32::MAX` denotes removed vertices.
     pub joined: Vec<u32>,
 }
 
-/// The materials of the surface of one object.
+/// The materials inside and outside of the surface of one object.
 pub const OBJECT: [MaterialId; 2] = [MaterialId(1), MaterialId::OUTSIDE];
 
-/// Distance by which a vertex moves away from another part of the surface that touches it there,
-/// as a share of the way to the centroid of its own neighbours.
+/// Distance by which a vertex moves away from another part of the surface that touches it, as a
+/// share of the distance to the centroid of its own neighbours.
 const RETREAT: f64 = 0.2;
 
 impl Interfaces {
@@ -46,9 +46,9 @@ impl Interfaces {
     }
 
     /// Returns the interfaces that consist of some triangles between points, and the index of the
-    /// point of each vertex, ascending. Triangles begin with their lowest vertex and are in
-    /// ascending order, so that the result does not depend on the order of `triangles`, and
-    /// triangles near each other are mostly near in memory.
+    /// point of each vertex, ascending. Triangles start with their lowest vertex and are sorted.
+    /// The result therefore does not depend on the order of `triangles`, and nearby triangles are
+    /// mostly close in memory.
     pub fn compact(points: &[DVec3], mut triangles: Vec<([u32; 3], [MaterialId; 2])>) -> (Self, Vec<u32>) {
         let mut number = vec![u32::MAX; points.len()];
         triangles.iter().flat_map(|(corners, _)| corners).for_each(|&v| number[v as usize] = 0);
@@ -65,7 +65,7 @@ impl Interfaces {
         (Self { mesh: TriangleMesh { vertices, triangles }, between, ..Self::default() }, used)
     }
 
-    /// Returns all edges with each of their triangles, ascending.
+    /// Returns each edge together with each of its triangles, ascending.
     pub fn edges(&self) -> Vec<(Segment, u32)> {
         let sides = |(t, v): (usize, &[u32; 3])| {
             let v = *v;
@@ -76,7 +76,7 @@ impl Interfaces {
         all
     }
 
-    /// Returns the interfaces at each vertex, ascending.
+    /// Returns each vertex together with each of its interfaces, ascending.
     pub fn pairs_at_vertices(&self) -> Vec<(u32, [MaterialId; 2])> {
         let mut first = vec![None; self.mesh.vertices.len()];
         let mut more = Vec::new();
@@ -96,7 +96,7 @@ impl Interfaces {
         all
     }
 
-    /// Returns the materials that meet at each vertex, ascending.
+    /// Returns the materials at each vertex, ascending.
     pub fn materials_at_vertices(&self) -> Vec<Vec<MaterialId>> {
         let mut at: Vec<Vec<MaterialId>> = vec![Vec::new(); self.mesh.vertices.len()];
         self.pairs_at_vertices().into_iter().for_each(|(v, pair)| at[v as usize].extend(pair));
@@ -124,8 +124,8 @@ impl Interfaces {
         pairs
     }
 
-    /// Returns the closed surface of a material, facing outward, and the number of each of its
-    /// vertices and triangles in the whole.
+    /// Returns the closed surface of a material, facing outward, and the indices of its vertices
+    /// and of its triangles in the whole mesh.
     pub fn surface_of(&self, id: MaterialId) -> (TriangleMesh, Vec<u32>, Vec<u32>) {
         let own: Vec<u32> =
             (0..self.between.len() as u32).filter(|&t| self.between[t as usize].contains(&id)).collect();
@@ -144,15 +144,15 @@ impl Interfaces {
         (mesh, vertices, own)
     }
 
-    /// Returns the triangles of one interface as a mesh with all vertices.
+    /// Returns the triangles of one interface as a mesh that keeps all vertices.
     pub fn part(&self, pair: [MaterialId; 2]) -> TriangleMesh {
         let own = self.mesh.triangles.iter().zip(&self.between).filter(|(_, between)| **between == pair);
         TriangleMesh { vertices: self.mesh.vertices.clone(), triangles: own.map(|(t, _)| *t).collect() }
     }
 
-    /// Separates parts of an interface that touch at a vertex away from junction curves. Each part
-    /// gets its own vertex, which moves away from the others; `project` returns the nearest point
-    /// of an interface. New vertices come last. Returns their number.
+    /// Separates parts of an interface that touch at a vertex away from junction curves, and
+    /// returns the number of new vertices. Each part gets its own vertex, which moves away from the
+    /// other parts. `project` returns the nearest point of an interface. New vertices come last.
     ///
     /// If a saddle of F has exactly the iso value, as in volumes of integers at an integer iso
     /// value, no sampling separates the parts.
@@ -192,7 +192,7 @@ impl Interfaces {
         self.mesh.vertices.len() - before
     }
 
-    /// Returns the vertices on one interface whose triangles form several fans, ascending.
+    /// Returns the vertices of a single interface whose triangles form several fans, ascending.
     fn touching_vertices(&self) -> Vec<u32> {
         let pairs = self.pairs_at_vertices();
         let on_one = |v: u32| {
@@ -204,7 +204,7 @@ impl Interfaces {
     }
 }
 
-/// Returns the fans that the triangles at a vertex form across their edges.
+/// Returns the triangles at a vertex by fans, whose triangles are connected by edges at the vertex.
 fn fans(mesh: &TriangleMesh, vertex: u32, around: &[u32]) -> Vec<Vec<u32>> {
     let ring = |t: u32| mesh.triangles[t as usize].into_iter().filter(move |&v| v != vertex);
     let mut joined = DisjointSets::new(around.len());
@@ -227,7 +227,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parts_that_touch_in_a_vertex_are_separated_once() {
+    fn parts_that_touch_at_a_vertex_are_separated_once() {
         let top = [DVec3::new(1.0, 0.0, 1.0), DVec3::new(-0.5, 0.8, 1.0), DVec3::new(-0.5, -0.8, 1.0)];
         let mut touching = Interfaces::of_object(TriangleMesh {
             vertices: [vec![DVec3::ZERO], top.to_vec(), top.map(|p| -p).to_vec()].concat(),
@@ -245,7 +245,7 @@ mod tests {
 
     #[test]
     fn vertices_of_junction_curves_are_not_separated() {
-        // a fan between 1 and 0 and one between 2 and 0 that touch at vertex 0
+        // two fans that touch at vertex 0: one between materials 1 and 0, one between 2 and 0
         let mesh = TriangleMesh {
             vertices: vec![DVec3::ZERO; 7],
             triangles: vec![[0, 1, 2], [0, 2, 3], [0, 3, 1], [0, 4, 5], [0, 5, 6], [0, 6, 4]],

@@ -1,4 +1,5 @@
-//! From triangulated points on F = 0 to a mesh: the facets by either method.
+//! Computes the surface of one object from triangulated points on F = 0, by the restricted Delaunay
+//! triangulation or by Tight Cocone.
 
 use crate::interfaces::{Interfaces, OBJECT};
 use crate::options::{Method, Options};
@@ -15,30 +16,32 @@ use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
-/// Rounds of Tight Cocone on more points, each of which takes as long as the first: one or two on clean volumes, four to six on noise.
+/// Maximum number of rounds that add points for Tight Cocone. Each round takes as long as the
+/// first. Clean volumes need one or two rounds, and noise needs four to six.
 pub(crate) const COCONE_ROUNDS: usize = 12;
 
-/// The same while the points enclose nothing, and each round doubles them or more.
+/// The same limit while the points enclose no solid. Each such round at least doubles their number.
 const COCONE_ROUNDS_IN_VAIN: usize = 2;
 
-/// A mesh joined from particles, before improvement.
+/// The surface before improvement.
 pub(crate) struct Joined {
-    /// The surface, grid frame.
+    /// The surface in the grid frame.
     pub(crate) interfaces: Interfaces,
-    /// All points of the triangulation, and the target edge length at each.
+    /// All points of the triangulation, and the target edge length at each, mm.
     pub(crate) sizes: (Vec<DVec3>, Vec<f64>),
-    /// What the refinement did, or would have had to do.
+    /// Report of the refinement. With Tight Cocone, the unresolved violations are those of its
+    /// surface.
     pub(crate) report: RefineReport,
-    /// What Tight Cocone found, where that was the method.
+    /// Report of Tight Cocone, if it is the method.
     pub(crate) cocone: Option<CoconeReport>,
-    /// Vertices added where sheets touch in a point.
+    /// Number of vertices added where parts of the surface touch at a vertex.
     pub(crate) parted: usize,
 }
 
-/// Joins triangulated points on F = 0 by the method asked for.
+/// Returns the surface of triangulated points on F = 0, by the method in `options`.
 ///
 /// # Errors
-/// When the points enclose nothing, and when interrupted.
+/// If a point cannot be inserted, if Tight Cocone finds no solid, or if the run is interrupted.
 pub(crate) fn join(
     delaunay: Delaunay,
     points: &SurfacePoints,
@@ -84,8 +87,9 @@ pub(crate) fn join(
     })
 }
 
-/// Tight Cocone of the points that are there by now, and of those added where it lacks what the surface by the sign of F has, or
-/// leaves grid nodes on the wrong side.
+/// Returns the surface by Tight Cocone, and its report. While this surface lacks parts of the
+/// restricted surface, or grid nodes are on its wrong side, points are added and both surfaces are
+/// computed again.
 pub(crate) fn cocones(
     refinement: &mut Refinement,
     max_rounds: usize,
@@ -95,7 +99,7 @@ pub(crate) fn cocones(
         let found = cocone_of(refinement);
         hear(refinement.object.points().len())?;
         let limit = if found.is_ok() { COCONE_ROUNDS } else { COCONE_ROUNDS_IN_VAIN };
-        // points that enclose nothing have no surface
+        // points that enclose no solid have no surface, so all facets are missing
         let closed = found.as_ref().map_or(&[][..], |(facets, _)| facets);
         let may_go_on = round < max_rounds.min(limit);
         if !may_go_on || refinement.insert_for_other(closed, &mut *hear)? == 0 {
@@ -104,20 +108,21 @@ pub(crate) fn cocones(
             refinement.compare_other(&facets);
             return Ok((facets, report));
         }
-        // the surface by the sign of F stays right, so that it can be compared with
+        // keeps the restricted surface correct, as it is the reference for the next comparison
         refinement.run(&mut *hear)?;
     }
     unreachable!("the rounds end")
 }
 
-/// Tight Cocone of all points of a refinement, with grad F for normals.
+/// Returns the surface by Tight Cocone of all points of a refinement, with grad F as normals.
 pub(crate) fn cocone_of(refinement: &Refinement) -> Result<(Vec<Facet>, CoconeReport)> {
     let (delaunay, field) = (refinement.object.restricted.delaunay(), refinement.object.restricted.field());
     let normals: Vec<DVec3> = delaunay.points().par_iter().map(|&p| field.value_gradient(p).1).collect();
     tight_cocone(delaunay, Some(&normals))
 }
 
-/// Returns the surface of one object that consists of some facets, and the point of each vertex.
+/// Returns the surface of one object that consists of some facets, and the index of the point of
+/// each vertex.
 pub(crate) fn compact(points: &[DVec3], facets: &[Facet]) -> (Interfaces, Vec<u32>) {
     Interfaces::compact(points, facets.iter().map(|facet| (facet.vertices, OBJECT)).collect())
 }

@@ -1,7 +1,9 @@
-//! A Delaunay triangulation whose tetrahedra bear labels: inside or outside of one object, or one of many materials.
+//! A Delaunay triangulation with a label for each tetrahedron: inside or outside one object, or one
+//! of many materials.
 //!
-//! The label of a tetrahedron is decided by its vertices and its circumcentre; beyond the hull it is the default one, outside. The facets between different
-//! labels are the surface, or the interfaces: closed and conforming by construction.
+//! The vertices and the circumcentre of a tetrahedron determine its label. Ghosts, beyond the
+//! convex hull, have the default label, outside. The facets between different labels form the
+//! surface or the interfaces, which are therefore closed and conforming.
 
 pub use crate::around::Facet;
 use crate::around::{boundary, boundary_facets_of, star};
@@ -12,27 +14,33 @@ use isoparticles_delaunay::{Delaunay, INFINITE, Insertion};
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 
-/// Fewer tetrahedra than these are labelled on one thread: waking others takes longer.
+/// Fewer tetrahedra than this are labelled on one thread, because waking other threads takes
+/// longer.
 const FEW: usize = 256;
 
-/// Most halvings of a Voronoi edge when the surface that it crosses is sought, and how long a piece is enough, voxels: the crossing is projected after that.
+/// Maximum number of bisections of a Voronoi edge in the search for its crossing with the surface,
+/// and length in voxels at which the search ends. The crossing is projected afterwards.
 const HALVINGS: usize = 60;
 const CROSSING: f64 = 1e-3;
 
-/// A triangulation in the grid frame of a volume whose tetrahedra bear labels; the greater of two is inside.
+/// A labelled triangulation in the grid frame of a volume. At a facet between two labels, the
+/// greater label is inside.
 pub struct Labelled<L> {
     delaunay: Delaunay,
-    /// The last corner of the volume, mm.
+    /// Upper corner of the volume in the grid frame, mm. The lower corner is the origin.
     upper: DVec3,
     labels: Vec<L>,
-    /// Tetrahedra made since the labels were last decided.
+    /// Tetrahedra that await a label: those created, or marked by `reconsider`, since the last call
+    /// of `decide`.
     undecided: Vec<u32>,
-    /// Tetrahedra made, or given another label, since the changes were last taken.
+    /// Tetrahedra that were labelled since the last call of `take_changed`.
     changed: Vec<u32>,
 }
 
 impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
-    /// Labels a triangulation by what `label` says of a tetrahedron and of its circumcentre, where that lies in the volume, which ends at `upper`.
+    /// Labels a triangulation. `label` returns the label of a tetrahedron from its number and its
+    /// circumcentre, which is `None` outside the volume. `upper` is the upper corner of the volume
+    /// (mm).
     pub fn new(delaunay: Delaunay, upper: DVec3, label: impl Fn(&Delaunay, u32, Option<DVec3>) -> L + Sync) -> Self {
         let undecided = delaunay.finite_tetrahedra().map(|(t, _)| t).collect();
         let mut new = Self { delaunay, upper, labels: Vec::new(), undecided, changed: Vec::new() };
@@ -41,36 +49,39 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         new
     }
 
-    /// The triangulation.
+    /// Returns the triangulation.
     pub fn delaunay(&self) -> &Delaunay {
         &self.delaunay
     }
 
-    /// The points, those inserted at the end.
+    /// Returns the points. Inserted points are at the end.
     pub fn points(&self) -> &[DVec3] {
         self.delaunay.points()
     }
 
-    /// The label of a tetrahedron.
+    /// Returns the label of a tetrahedron.
     pub fn of(&self, tetrahedron: u32) -> L {
         self.labels[tetrahedron as usize]
     }
 
-    /// Gives a tetrahedron another label.
+    /// Sets the label of a tetrahedron.
     pub fn set(&mut self, tetrahedron: u32, label: L) {
         self.labels[tetrahedron as usize] = label;
         self.changed.push(tetrahedron);
     }
 
-    /// Gives all tetrahedra other labels, by their numbers.
+    /// Sets the labels of all tetrahedra, by their numbers. [`Self::take_changed`] does not report
+    /// this change.
     pub fn set_all(&mut self, labels: Vec<L>) {
         self.labels = labels;
     }
 
-    /// Adds a point; [`Self::decide`] must follow the last of a round. `None` when it was there already.
+    /// Inserts a point and returns its number, or `None` if the point exists already. `near` is a
+    /// vertex close to it. [`Self::decide`] must be called before the labels of the new tetrahedra
+    /// are used.
     ///
     /// # Errors
-    /// Those of the triangulation.
+    /// If the triangulation cannot insert the point.
     pub fn insert(&mut self, point: DVec3, near: u32) -> Result<Option<u32>> {
         match self.delaunay.insert(point, Some(near)).map_err(not_triangulated)? {
             Insertion::Duplicate(_) => Ok(None),
@@ -81,12 +92,14 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         }
     }
 
-    /// Has the labels of the tetrahedra at a point decided anew.
+    /// Marks the tetrahedra at a point, so that the next call of [`Self::decide`] labels them
+    /// again.
     pub fn reconsider(&mut self, point: u32) {
         self.undecided.extend(star(&self.delaunay, point));
     }
 
-    /// Decides the label of every tetrahedron made since the last call, as [`Self::new`] does.
+    /// Labels every tetrahedron created or marked since the last call, with `label` as in
+    /// [`Self::new`].
     pub fn decide(&mut self, label: impl Fn(&Delaunay, u32, Option<DVec3>) -> L + Sync) {
         self.labels.resize(self.delaunay.slot_count(), L::default());
         let mut undecided = std::mem::take(&mut self.undecided);
@@ -110,7 +123,8 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         self.changed.append(&mut undecided);
     }
 
-    /// The tetrahedra made, or given another label one by one, since the last call, ascending.
+    /// Returns the existing tetrahedra, ascending, that [`Self::decide`] or [`Self::set`] labelled
+    /// since the last call.
     pub fn take_changed(&mut self) -> Vec<u32> {
         let mut changed = std::mem::take(&mut self.changed);
         changed.retain(|&t| self.delaunay.is_alive(t));
@@ -119,17 +133,18 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         changed
     }
 
-    /// The last corner of the volume, mm.
+    /// Returns the upper corner of the volume, mm.
     pub fn upper(&self) -> DVec3 {
         self.upper
     }
 
-    /// Whether a place lies in the volume.
+    /// Returns whether a position is in the volume.
     pub fn in_volume(&self, p: DVec3) -> bool {
         p.cmpge(DVec3::ZERO).all() && p.cmple(self.upper).all()
     }
 
-    /// The tetrahedron that a point lies in, `None` beyond the hull; `near` is a vertex not far from it.
+    /// Returns the tetrahedron that contains a point, or `None` beyond the convex hull. The walk
+    /// through the triangulation starts at `near`, a vertex close to the point.
     pub fn locate(&self, point: DVec3, near: u32) -> Option<u32> {
         let mut t = self.delaunay.incident(near)?;
         let mut entered_from = None;
@@ -137,7 +152,7 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
             let (vertices, neighbours) = (self.delaunay.vertices(t), self.delaunay.neighbours(t));
             let infinite = vertices.iter().position(|&v| v == INFINITE);
             let way = match infinite {
-                // beyond the hull, unless the walk has only started
+                // beyond the hull, except at the start of the walk
                 Some(_) if entered_from.is_some() => return None,
                 Some(i) => Some(i),
                 None => (0..4).filter(|&i| Some(neighbours[i]) != entered_from).find(|&i| {
@@ -147,14 +162,15 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
                 }),
             };
             let Some(i) = way else { return Some(t) };
-            // from beyond the hull the walk may turn back at once
+            // a walk that starts at a ghost may return to it at once
             entered_from = infinite.is_none().then_some(t);
             t = neighbours[i];
         }
     }
 
-    /// The point nearest to a place and its distance, mm: from `near` on to whatever neighbour is nearer, which ends at the nearest (Delaunay). The lowest
-    /// number wins a tie among neighbours.
+    /// Returns the vertex nearest to a position, and the distance in mm. The search starts at
+    /// `near` and moves to the nearest neighbour until none is nearer. In a Delaunay triangulation,
+    /// it ends at the nearest vertex. Among neighbours at equal distance, the lowest number wins.
     pub fn nearest(&self, place: DVec3, near: u32) -> (u32, f64) {
         let distance = |v: u32| self.points()[v as usize].distance(place);
         let mut best = (near, distance(near));
@@ -169,12 +185,12 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         }
     }
 
-    /// The facets between different labels, in the order of the tetrahedra.
+    /// Returns the facets between different labels, in the order of the tetrahedra.
     pub fn facets(&self) -> Vec<Facet> {
         boundary(&self.delaunay, |t| self.of(t))
     }
 
-    /// The facets between different labels at a vertex.
+    /// Returns the facets between different labels at a vertex.
     pub fn facets_at(&self, vertex: u32) -> Vec<Facet> {
         let star = star(&self.delaunay, vertex);
         let own = |t: u32| {
@@ -183,12 +199,13 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         star.into_iter().flat_map(own).filter(|f| f.vertices.contains(&vertex)).collect()
     }
 
-    /// The tetrahedron on the other side of a facet.
+    /// Returns the tetrahedron on the other side of a facet.
     pub fn across(&self, facet: &Facet) -> u32 {
         self.delaunay.neighbours(facet.tetrahedron)[usize::from(facet.opposite)]
     }
 
-    /// The two ends of the Voronoi edge dual to a facet, inside first, the outer one cut at the border of the volume.
+    /// Returns the two ends of the dual Voronoi edge of a facet, the inner end first. The outer end
+    /// is cut at the border of the volume. Returns `None` if an end is not finite.
     pub fn dual_edge(&self, facet: &Facet) -> Option<(DVec3, DVec3)> {
         let from = self.delaunay.circumcentre(facet.tetrahedron)?;
         let across = self.across(facet);
@@ -204,8 +221,9 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         to.is_finite().then_some((from, to))
     }
 
-    /// The two places, nearer to each other than a thousandth of a voxel, between which the Voronoi edge dual to a facet leaves what is inside, next to the facet; `None`
-    /// when it does not.
+    /// Returns an interval of the dual Voronoi edge of a facet in which it leaves the inside, at
+    /// the crossing next to the facet. The interval is shorter than a thousandth of a voxel;
+    /// `voxel` is in mm. Returns `None` if there is no such crossing.
     pub fn dual_crossing(
         &self,
         facet: &Facet,
@@ -215,7 +233,8 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         let tolerance = CROSSING * voxel;
         let (mut low, mut high) = self.dual_edge(facet)?;
         let [a, b, c] = facet.vertices.map(|v| self.points()[v as usize]);
-        // the point of the edge in the facet's plane parts it, so that the crossing next to the facet is taken
+        // the intersection with the plane of the facet divides the edge, to select the crossing
+        // next to the facet
         let normal = (b - a).cross(c - a);
         let along = (high - low).dot(normal);
         if along > 0.0 {
@@ -235,7 +254,7 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         Some((low, high))
     }
 
-    /// Where a ray leaves the volume.
+    /// Returns the point at which a ray leaves the volume.
     fn cut_at_border(&self, from: DVec3, direction: DVec3) -> DVec3 {
         let mut reach = f64::INFINITY;
         for axis in 0..3 {

@@ -1,16 +1,20 @@
-//! Particles on the isosurface, joined into a watertight triangle mesh with its topology.
+//! The stage `reconstruct`: turns particles on F = 0 into a closed, checked triangle mesh with the
+//! topology of F.
 //!
-//! [`reconstruct()`] is all of it, in ten sentences and one call; [`run`] is the program round it.
+//! [`reconstruct()`] computes the mesh, and [`mod@reconstruct`] lists its steps. [`run`] is the
+//! program: it reads the inputs, and writes the mesh and the report. [`materials`] meshes many
+//! materials.
 //!
 //! | step | module |
 //! |---|---|
-//! | the particles on F = 0, triangulated | [`prepare`] |
-//! | tetrahedra inside and outside, and the facets between them | [`restricted`], [`tight_cocone`] |
-//! | where a facet, an edge or a vertex violates a criterion; the topology of all facets | [`object`], [`defects`] |
-//! | points added there, most needed first | [`refine`], [`queue`] |
-//! | the worst triangles lifted | [`improve`] |
-//! | the mesh checked, beside the topology of F | [`check`], [`verdict`] |
-//! | data attached, and what offends shown | [`finish`] |
+//! | projection of the particles onto F = 0, Delaunay triangulation | [`prepare`] |
+//! | tetrahedra inside and outside, facets between them | [`restricted`], [`tight_cocone`] |
+//! | criteria for facets, edges and vertices; topology of all facets | [`object`], [`defects`] |
+//! | refinement, priority queue of violations | [`refine`], [`queue`] |
+//! | mesh with materials, separation of parts that touch | [`interfaces`] |
+//! | improvement of the triangles | [`improve`] |
+//! | checks, comparison with the topology of F | [`check`], [`verdict`] |
+//! | data on vertices and triangles | [`finish`] |
 
 pub mod args;
 mod around;

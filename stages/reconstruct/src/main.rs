@@ -1,4 +1,4 @@
-//! The `reconstruct` program: settled particles become a watertight triangle mesh.
+//! The program `reconstruct`: turns settled particles into a closed triangle mesh.
 
 use isoparticles_reconstruct::run::{Args, run};
 use isoparticles_stage::cli::run_stage;

@@ -1,5 +1,7 @@
-//! The triangulation whose tetrahedra are inside or outside of one object, and the pure criteria that find where its surface is not that of F (Boissonnat and
-//! Oudot 2005; Oudot, Rineau and Yvinec 2005): each looks at one simplex, and changes nothing.
+//! One object: a triangulation with tetrahedra inside and outside, and the criteria that compare
+//! its surface with F (Boissonnat and Oudot 2005; Oudot, Rineau and Yvinec 2005). Each local
+//! criterion is a pure function of one simplex. It returns a violation and its remedy, a point on
+//! F = 0. [`Object::defects`] compares a whole set of facets with F.
 
 use crate::around::boundary_facets_of;
 use crate::defects::Defects;
@@ -14,11 +16,13 @@ use isoparticles_mesh::components::{DisjointSets, NO_COMPONENT};
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 
-/// A facet may lie this part of h away from F = 0 when no limit is given: three times what a facet of edge h has on a
-/// ball of radius 2 h (h^2 / 6 R).
+/// Default maximum distance of the centroid of a facet from F = 0, in units of h or of a voxel,
+/// whichever is larger. It is three times the distance of a facet of edge h on a ball of radius 2 h
+/// (h^2 / 6 R).
 pub(crate) const DEFAULT_DEVIATION: f64 = 0.25;
 
-/// Cosine between a facet's normal and grad F at its centroid below which the facet counts as turned away from F = 0.
+/// Minimum cosine between the normal of a facet and grad F at its centroid. Below it, the facet
+/// violates the criterion of deviation and lies across F = 0.
 pub(crate) const TURNED: f64 = 0.3;
 
 impl Remedy for DVec3 {
@@ -27,27 +31,28 @@ impl Remedy for DVec3 {
     }
 }
 
-/// A violation of a criterion, mended by a point on F = 0.
+/// A violation whose remedy is a point on F = 0.
 pub type Violation = queue::Violation<DVec3>;
 
-/// Points on F = 0, and tetrahedra inside and outside.
+/// Points on F = 0, with a triangulation whose tetrahedra are inside or outside.
 pub struct Object<'a> {
-    /// The triangulation.
+    /// The triangulation with its labels.
     pub restricted: Restricted<'a>,
-    /// Target edge length at each point, mm.
+    /// Target edge length h at each point, mm.
     pub sizes: Vec<f64>,
-    /// Component of F = 0 of each point, [`NO_COMPONENT`] where there is none near.
+    /// Component of F = 0 of each point, or [`NO_COMPONENT`] if it is unknown.
     pub component_of: Vec<u32>,
-    /// What F has.
+    /// Topology of F.
     pub topology: &'a FieldTopology,
-    /// Farthest that the centroid of a facet may lie from F = 0, mm; `None`: a quarter of h, at least a quarter voxel.
+    /// Maximum distance of the centroid of a facet from F = 0, mm. `None`: a quarter of h, but at
+    /// least a quarter of a voxel.
     max_deviation: Option<f64>,
-    /// Whether the object is open where the volume ends.
+    /// Whether the object is open at the border of the volume.
     pub open_border: bool,
 }
 
 impl<'a> Object<'a> {
-    /// Of the triangulation of points on F = 0.
+    /// Labels a triangulation of points on F = 0.
     pub fn new(
         delaunay: Delaunay,
         points: &SurfacePoints,
@@ -61,15 +66,16 @@ impl<'a> Object<'a> {
         Self { restricted, sizes: points.sizes.clone(), component_of, topology, max_deviation, open_border }
     }
 
-    /// The points, those inserted at the end.
+    /// Returns the points. Inserted points are at the end.
     pub fn points(&self) -> &[DVec3] {
         self.restricted.points()
     }
 
-    /// Adds a point on F = 0 with its target edge length; false when it was there already.
+    /// Inserts a point on F = 0 with its target edge length and updates the labels. `near` is a
+    /// vertex close to it. Returns false if the point exists already.
     ///
     /// # Errors
-    /// Those of the triangulation.
+    /// If the triangulation cannot insert the point.
     pub fn insert(&mut self, place: DVec3, size: f64, near: u32) -> Result<bool> {
         if self.restricted.insert(place, near)?.is_none() {
             return Ok(false);
@@ -80,12 +86,13 @@ impl<'a> Object<'a> {
         Ok(true)
     }
 
-    /// The facets of the surface; with an open border, without those that would close it there.
+    /// Returns the facets of the surface. If the border is open, facets that would close the
+    /// surface there are omitted.
     pub fn facets(&self) -> Vec<Facet> {
         self.without_border_closure(self.restricted.facets())
     }
 
-    /// Facets without those that would close the surface at an open border.
+    /// Removes the facets that would close the surface at an open border.
     pub fn without_border_closure(&self, mut facets: Vec<Facet>) -> Vec<Facet> {
         if self.open_border {
             facets.retain(|f| !self.restricted.is_border_closure(f));
@@ -93,7 +100,7 @@ impl<'a> Object<'a> {
         facets
     }
 
-    /// Whether an edge may be in one facet only: at an open border.
+    /// Returns whether an edge may be in a single facet: both ends are close to an open border.
     fn may_be_open(&self, a: u32, b: u32) -> bool {
         let geometry = self.restricted.field().geometry();
         let upper = geometry.upper_corner();
@@ -104,18 +111,20 @@ impl<'a> Object<'a> {
         self.open_border && near_border(a) && near_border(b)
     }
 
-    /// What differs from F in a set of facets as a whole.
+    /// Returns the defects of a set of facets as a whole, compared with F.
     pub fn defects(&self, facets: &[Facet]) -> Defects {
         let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
         Defects::find(&triangles, &self.component_of, self.topology, |a, b| self.may_be_open(a, b))
     }
 
-    /// The facets at a vertex.
+    /// Returns the facets at a vertex.
     pub fn facets_at(&self, vertex: u32) -> Vec<Facet> {
         self.without_border_closure(self.restricted.facets_at(vertex))
     }
 
-    /// Round a vertex the facets must form one fan, and each edge at it must be in two of them; `edges` says which of these are looked at, by their other ends.
+    /// Returns the violations at a vertex and at edges from it. The facets at the vertex must form
+    /// one fan, and each edge must be in exactly two of them. `edges` selects the edges that are
+    /// tested, by their other ends.
     fn at_star(&self, vertex: u32, edges: impl Fn(u32) -> bool) -> Vec<Violation> {
         let facets = self.facets_at(vertex);
         let mut ends: Vec<(u32, usize)> = Vec::with_capacity(2 * facets.len());
@@ -143,7 +152,8 @@ impl<'a> Object<'a> {
         found
     }
 
-    /// A facet must not join components, nor stray from F = 0.
+    /// Returns the violation at a facet if it joins components of F = 0, or if its deviation or
+    /// normal deviation is too large.
     pub fn at_facet(&self, facet: &Facet) -> Option<Violation> {
         let reason = if self.is_bridge(facet) {
             Reason::Bridge
@@ -155,14 +165,14 @@ impl<'a> Object<'a> {
         self.by_largest_ball(reason, Simplex::Facet(facet.sorted()), std::slice::from_ref(facet))
     }
 
-    /// Whether a facet joins components of F = 0 that no undecided place can join.
+    /// Returns whether a facet joins components of F = 0 that no undecided place can join.
     pub fn is_bridge(&self, facet: &Facet) -> bool {
         let mut known =
             facet.vertices.into_iter().filter_map(|v| self.topology.groups().of(self.component_of[v as usize]));
         known.next().is_some_and(|first| known.any(|group| group != first))
     }
 
-    /// What is left of the violation at a simplex.
+    /// Returns the current violation at a simplex, or `None` if there is none.
     pub fn at_simplex(&self, simplex: Simplex) -> Option<Violation> {
         let at = |v: u32| self.at_star(v, |_| true).into_iter().find(|found| found.simplex == simplex);
         match simplex {
@@ -175,7 +185,8 @@ impl<'a> Object<'a> {
         }
     }
 
-    /// What is violated at the facets of some tetrahedra, and at their edges and vertices.
+    /// Returns the violations at the surface facets of some tetrahedra and of their neighbours
+    /// across these facets, and at the edges and vertices of these facets.
     pub fn at_tetrahedra(&self, tetrahedra: &[u32]) -> Vec<Violation> {
         let of = |&t: &u32| boundary_facets_of(self.restricted.delaunay(), t, |t| self.restricted.is_inside(t));
         let mut facets: Vec<Facet> = tetrahedra.iter().flat_map(of).collect();
@@ -187,11 +198,11 @@ impl<'a> Object<'a> {
         found
     }
 
-    /// What is violated at some vertices, and at the edges at them.
+    /// Returns the violations at some vertices and at the edges from them.
     pub fn at_vertices(&self, mut vertices: Vec<u32>) -> Vec<Violation> {
         vertices.sort_unstable();
         vertices.dedup();
-        // an edge between two of them is looked at once
+        // edges between two of the vertices are tested once
         let edges = |v: u32| {
             let vertices = &vertices;
             move |other: u32| other > v || vertices.binary_search(&other).is_err()
@@ -199,13 +210,16 @@ impl<'a> Object<'a> {
         vertices.iter().flat_map(|&v| self.at_star(v, edges(v))).collect()
     }
 
-    /// The violation at some facets that the centre of their largest surface ball mends.
+    /// Returns a violation at some facets. Its remedy is the centre of their largest surface
+    /// Delaunay ball.
     fn by_largest_ball(&self, reason: Reason, simplex: Simplex, facets: &[Facet]) -> Option<Violation> {
         let balls = facets.iter().filter_map(|f| self.by_ball(reason, simplex, f));
         balls.max_by(|a, b| a.radius.total_cmp(&b.radius))
     }
 
-    /// A violation that the centre of the surface ball of a facet mends: where its Voronoi edge crosses F = 0, else the projected centroid.
+    /// Returns a violation whose remedy is the centre of the surface Delaunay ball of a facet. It
+    /// is the point where the dual Voronoi edge crosses F = 0, or else the centroid, projected onto
+    /// F = 0. Returns `None` if neither can be projected.
     pub fn by_ball(&self, reason: Reason, simplex: Simplex, facet: &Facet) -> Option<Violation> {
         let [a, b, c] = facet.vertices.map(|v| self.points()[v as usize]);
         let crossing = self.restricted.dual_crossing(facet).and_then(|p| self.on_surface(p, 0.5));
@@ -214,18 +228,18 @@ impl<'a> Object<'a> {
         Some(Violation { reason, simplex, remedy, radius, size: self.size_of(facet), near: facet.vertices[0] })
     }
 
-    /// Mean target edge length at the vertices of a facet, mm.
+    /// Returns the mean target edge length at the vertices of a facet, mm.
     fn size_of(&self, facet: &Facet) -> f64 {
         facet.vertices.map(|v| self.sizes[v as usize]).iter().sum::<f64>() / 3.0
     }
 
-    /// The point of F = 0 next to a place, at most so many voxels away.
+    /// Projects a position onto F = 0. Returns `None` if the move exceeds `voxels`, in voxels.
     pub fn on_surface(&self, p: DVec3, voxels: f64) -> Option<DVec3> {
         let voxel = self.restricted.field().geometry().mean_spacing();
         self.restricted.field().project(p, voxels * voxel, ON_SURFACE * voxel)
     }
 
-    /// How far a facet strays, in units of what is allowed.
+    /// Returns the deviation of a facet relative to its limit. See [`deviation_ratio`].
     fn deviation_ratio(&self, facet: &Facet) -> f64 {
         let limit = self.max_deviation.unwrap_or_else(|| {
             DEFAULT_DEVIATION * self.size_of(facet).max(self.restricted.field().geometry().mean_spacing())
@@ -233,12 +247,14 @@ impl<'a> Object<'a> {
         deviation_ratio(self.at_centroid(facet), limit)
     }
 
-    /// Whether a facet lies across F = 0.
+    /// Returns whether a facet lies across F = 0: the cosine between its normal and grad F is below
+    /// `TURNED`.
     pub fn is_across(&self, facet: &Facet) -> bool {
         self.at_centroid(facet).1 < TURNED
     }
 
-    /// Distance of the centroid of a facet from F = 0 to first order, mm, and the cosine between the facet's normal and grad F there.
+    /// Returns the first-order distance of the centroid of a facet from F = 0 in mm, and the cosine
+    /// between the normal of the facet and grad F there.
     fn at_centroid(&self, facet: &Facet) -> (f64, f64) {
         let [a, b, c] = facet.vertices.map(|v| self.points()[v as usize]);
         let (value, gradient) = self.restricted.field().value_gradient((a + b + c) / 3.0);
@@ -247,13 +263,16 @@ impl<'a> Object<'a> {
     }
 }
 
-/// How far a facet strays, in units of what is allowed: by the distance of its centroid, mm, and the cosine between its normal and that of the surface there.
+/// Returns the deviation of a facet relative to its limit; a value above 1 is a violation. The
+/// arguments are the distance of the centroid (mm), the cosine between the normals of the facet and
+/// of the surface there, and the maximum distance (mm).
 pub(crate) fn deviation_ratio((distance, agreement): (f64, f64), limit: f64) -> f64 {
     let turned = if agreement < TURNED { 1.0 + TURNED - agreement } else { 0.0 };
     (distance / limit).max(turned)
 }
 
-/// The component of F = 0 that a point on it belongs to; [`NO_COMPONENT`] where that cannot be told.
+/// Returns the component of F = 0 that contains a point on F = 0, or [`NO_COMPONENT`] if it cannot
+/// be determined.
 pub(crate) fn component_at(p: DVec3, field: &CubicSpline, topology: &FieldTopology) -> u32 {
     topology.component_at(field, p, field.value_gradient(p).1).unwrap_or(NO_COMPONENT)
 }
@@ -266,14 +285,15 @@ mod tests {
     use crate::tests::surface_points;
 
     #[test]
-    fn what_is_violated_at_simplices_is_what_the_whole_surface_has_there() {
-        // so sparse that sheets touch
+    fn local_violations_equal_the_defects_of_the_surface() {
+        // at this spacing, parts of the surface touch
         let found = (0..12).map(|seed| compare(&scenes::random(seed), 1.8));
         let [edges, vertices] = found.fold([0, 0], |[a, b], [edges, vertices]| [a + edges, b + vertices]);
         assert!(edges > 0 && vertices > 0, "{edges} edges and {vertices} vertices: this shows nothing");
     }
 
-    /// Compares the violations of a scene found in parts with the defects of the whole surface; returns at how many edges and vertices there are any.
+    /// Compares the local violations of a scene with the defects of the whole surface. Returns the
+    /// number of edges and of vertices with violations.
     fn compare(scene: &Scene, spacing: f64) -> [usize; 2] {
         let mut points = surface_points(scene, spacing);
         let topology = FieldTopology::new(&scene.field);
@@ -297,7 +317,7 @@ mod tests {
         expected.sort_unstable();
         assert_eq!(found, expected);
         assert!(found.iter().all(|&simplex| object.at_simplex(simplex).is_some_and(|v| v.simplex == simplex)));
-        // a vertex has its own and those of the edges at it
+        // the violations at a vertex are its own and those of its edges
         for &v in &all {
             let at = |simplex: &&Simplex| match simplex {
                 Simplex::Edge(edge) => edge.contains(&v),
@@ -311,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_point_is_that_of_a_plain_search() {
+    fn nearest_vertex_equals_exhaustive_search() {
         let scene = scenes::gyroid();
         let mut points = surface_points(&scene, 1.4);
         let topology = FieldTopology::new(&scene.field);

@@ -1,4 +1,4 @@
-//! The simplices behind failed checks, for a file that shows where they are.
+//! Collects the simplices behind the failed checks, for a file that shows their positions.
 
 use crate::check::{CheckReport, Fault, Simplices as Faulty};
 use isoparticles_mesh::TriangleMesh;
@@ -6,9 +6,9 @@ use isoparticles_mesh::surface::{DataArray, Simplices};
 use isoparticles_volume::Geometry;
 use std::collections::BTreeSet;
 
-/// Returns the simplices behind the faults of a mesh in the grid frame, in world coordinates, with
-/// the number of the fault (`reason`) on each; `None` if there are none. Edges with a vertex that is
-/// not in the mesh are left out. Grid nodes are included if they must keep their material.
+/// Returns the offending simplices of a mesh in the grid frame, in world coordinates, with the
+/// number of the fault as cell data `reason`. Returns `None` if there are none. Edges with a vertex
+/// that is not in the mesh are omitted. Grid nodes are included if they must keep their material.
 pub(crate) fn offending(
     mesh: &TriangleMesh,
     checked: &CheckReport,
@@ -17,7 +17,7 @@ pub(crate) fn offending(
 ) -> Option<Simplices> {
     let points = mesh.vertices.iter().map(|&p| geometry.grid_to_world(p)).collect();
     let mut found = Simplices { points, ..Simplices::default() };
-    // of vertices, edges and triangles
+    // for vertices, edges and triangles
     let mut reasons: [Vec<i64>; 3] = Default::default();
     let corners = |t: &u32| mesh.triangles[*t as usize];
     let is_shown = |fault: Fault| fault.described().0 > 0 && (keeps_nodes || fault != Fault::NodesOnWrongSide);
@@ -50,7 +50,7 @@ pub(crate) fn offending(
     Some(keep_used_points(found))
 }
 
-/// Leaves out the points that no simplex uses.
+/// Returns the simplices without unused points.
 fn keep_used_points(mut simplices: Simplices) -> Simplices {
     let mut number = vec![u32::MAX; simplices.points.len()];
     let mut points = Vec::new();
@@ -77,7 +77,7 @@ mod tests {
     use glam::DVec3;
 
     #[test]
-    fn a_hole_is_shown_where_it_is() {
+    fn the_open_edges_of_a_hole_are_offending() {
         let geometry = Geometry::axis_aligned([9; 3], DVec3::splat(2.0));
         let mut mesh = scenes::ball();
         let checked = |mesh: &TriangleMesh| check_object(mesh, &CheckOptions::default());
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn nodes_and_edges_of_other_points_have_their_places() {
+    fn nodes_get_positions_and_edges_without_vertex_are_omitted() {
         let geometry = Geometry::axis_aligned([9; 3], DVec3::splat(2.0));
         let mesh = scenes::ball();
         let mut checked = CheckReport::default();

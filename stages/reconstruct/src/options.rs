@@ -22,12 +22,13 @@ pub struct Options {
     /// Maximum distance of the centroid of a facet from F = 0, mm. Points are added at facets
     /// beyond it. `None`: a quarter of h or of a voxel, whichever is larger.
     pub max_deviation: Option<f64>,
-    /// Maximum number of consecutive rounds that add points.
+    /// Maximum number of rounds that add points, in each run of the refinement. Grid nodes on the
+    /// wrong side have a separate budget of as many rounds.
     pub max_rounds: usize,
-    /// Radius ratio below which local moves improve a triangle. With 0 and no sweeps, the
+    /// Target radius ratio: local moves improve the triangles below it. With 0 and no sweeps, the
     /// triangulation stays unchanged.
     pub improve_below: f64,
-    /// Number of sweeps over the whole mesh before these moves.
+    /// Number of sweeps over the whole mesh before the local moves.
     pub relaxation_sweeps: usize,
     /// Whether every voxel centre must stay on its side (label maps at scale 0).
     pub keeps_voxels: bool,
@@ -35,7 +36,7 @@ pub struct Options {
     pub open_border: bool,
     /// Minimum radius ratio that passes; `None` means any.
     pub min_radius_ratio: Option<f64>,
-    /// Whether triangles below it pass if junction curves force them to be there.
+    /// Whether triangles below the minimum radius ratio pass if junction curves force them.
     pub accept_forced: bool,
     /// Maximum distance of a vertex from F = 0, in voxels (geometric mean spacing).
     pub max_vertex_distance: f64,

@@ -10,7 +10,7 @@ use isoparticles_stage::meta::SurfaceMeta;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// Returns the path of the file with the simplices behind the failed checks.
+/// Returns the path of the file with the offending simplices of the failed checks.
 fn offenders(args: &Args) -> PathBuf {
     args.output.with_extension("offending.vtp")
 }
@@ -34,8 +34,8 @@ pub(crate) fn check_offenders(args: &Args) -> Result<()> {
     }
 }
 
-/// Writes the surface. If a check failed, also writes the simplices behind it; otherwise removes
-/// their file.
+/// Writes the surface and returns the outcome. If a check failed, also writes the offending
+/// simplices; otherwise removes their file.
 pub(crate) fn write(
     args: &Args,
     context: &Context,
@@ -67,8 +67,9 @@ fn remove_stale(path: &Path, context: &Context) {
     }
 }
 
-/// Adds the rows of the closing table that every mesh has. `expected` continues the number of
-/// components of one object; `particles` are the used and unused ones.
+/// Adds the rows of the closing table that one object and many materials share. `expected` is
+/// appended to the number of components of one object. `particles` are the numbers of used and
+/// unused particles.
 pub(crate) fn describe_mesh(checked: &CheckReport, expected: &str, particles: [usize; 2], context: &Context) {
     let (quality, junctions) = (&checked.quality, &checked.junctions);
     context.summary("vertices, triangles", format!("{}, {}", checked.vertices, checked.triangles));

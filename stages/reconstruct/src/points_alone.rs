@@ -1,5 +1,6 @@
-//! Tight Cocone on points alone: particles without their fields, or a point cloud of another program. Nothing is projected on F = 0,
-//! improved or compared with an isosurface, because there is none; the report says so.
+//! Meshes points without a distance field by Tight Cocone: particles, or a point cloud of another
+//! program. Without F, no point is projected, and the mesh is neither improved nor compared with F.
+//! The report states this.
 
 use crate::args::Args;
 use crate::check::{CheckOptions, check};
@@ -21,24 +22,26 @@ use isoparticles_stage::meta::{self, Source, SurfaceMeta};
 use isoparticles_volume::Geometry;
 use serde_json::json;
 
-/// Where fewer of the points than this have an umbrella, most of the surface is guesswork.
+/// Minimum share of points with an umbrella. Below it, a warning says that the surface is
+/// uncertain.
 const MANY_UMBRELLAS: f64 = 0.8;
 
-/// Where more of the points than this are in no triangle, that is worth a warning.
+/// Maximum share of points that are not vertices of the mesh. Above it, a warning is issued.
 const MANY_UNUSED: f64 = 0.01;
 
-/// Points to join, and the way from their frame to the world.
+/// Points to mesh, and the transform from their frame to the world.
 struct Input {
     points: SurfacePoints,
     geometry: Geometry,
-    /// Whether each point carries a target edge length.
+    /// Whether each point has a target edge length.
     has_sizes: bool,
 }
 
-/// Runs the stage on points alone.
+/// Runs the stage on points without a distance field.
 ///
 /// # Errors
-/// On files that cannot be read or written, on points that cannot be triangulated or enclose nothing, and when interrupted.
+/// If files cannot be read or written, if the points cannot be triangulated or do not enclose a
+/// solid, or if the run is interrupted.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("read");
     let Input { mut points, geometry, has_sizes } = read(args, context)?;
@@ -74,7 +77,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
 
     let mut sizes: Vec<f64> = used.iter().map(|&v| points.sizes[v as usize]).collect();
     if parted > 0 {
-        // vertices parted from others come last; that of theirs is the nearest
+        // vertices added by the separation come last; each gets h of the nearest original vertex
         let tree = KdTree::new(&mesh.vertices[..used.len()]);
         let near = |p: &DVec3| tree.nearest(*p).map_or(1.0, |(v, _)| sizes[v]);
         let more: Vec<f64> = mesh.vertices[used.len()..].iter().map(near).collect();
@@ -98,13 +101,13 @@ fn read(args: &Args, context: &Context) -> Result<Input> {
         let report = PrepareReport { particles: cloud.positions.len(), ..PrepareReport::default() };
         let normals = cloud.normals.unwrap_or_default();
         let points = SurfacePoints { positions: cloud.positions, normals, report, ..SurfacePoints::default() };
-        // the cloud is in the world as it is
+        // point clouds are already in world coordinates
         let mut geometry = Geometry::axis_aligned([1; 3], DVec3::ONE);
         geometry.space = cloud.space;
         return Ok(Input { points, geometry, has_sizes: false });
     }
     let particles = read_settled(args, context)?.particles;
-    // reading has refused what is not finite
+    // the reader rejects values that are not finite
     let report = PrepareReport { particles: particles.positions.len(), ..PrepareReport::default() };
     let points = SurfacePoints {
         positions: particles.positions,
@@ -116,7 +119,7 @@ fn read(args: &Args, context: &Context) -> Result<Input> {
     Ok(Input { points, geometry: particles.geometry, has_sizes: true })
 }
 
-/// Warns of what makes the surface of Tight Cocone doubtful.
+/// Warns if few points have an umbrella, if many are unused, or if the given normals were not used.
 pub(crate) fn warn(cocone: &CoconeReport, context: &Context) {
     let share = |part: usize| part as f64 / cocone.points.max(1) as f64;
     if share(cocone.with_umbrella) < MANY_UMBRELLAS {
@@ -134,8 +137,8 @@ pub(crate) fn warn(cocone: &CoconeReport, context: &Context) {
     }
 }
 
-/// The mesh in the world with what is known at its vertices (h where the points carry it, normal, component) and triangles
-/// (radius ratio).
+/// Returns the mesh in world coordinates, with data on vertices (h if known, normal, component) and
+/// triangles (radius ratio).
 fn attributes(mesh: &TriangleMesh, geometry: &Geometry, sizes: Option<Vec<f64>>) -> Surface {
     let (component, _) = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
     let mut normals = vec![DVec3::ZERO; mesh.vertices.len()];

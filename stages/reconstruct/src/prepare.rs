@@ -1,4 +1,5 @@
-//! From particles to triangulated points: on F = 0 to the tolerance of the mesh, inside the volume, and no two on one spot.
+//! Projects the particles of one object onto F = 0 and triangulates them. Drops particles that are
+//! invalid, outside the volume, far from F = 0, or too close to another one.
 
 use glam::DVec3;
 use isoparticles_delaunay::{Delaunay, INFINITE};
@@ -10,37 +11,41 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeSet;
 
-/// |F| / |grad F| of a vertex, in voxels: far below the 1e-4 that is promised.
+/// Tolerance of projections onto F = 0: maximum |F| / |grad F| of a vertex, in voxels. It is far
+/// below the limit of the check, 1e-4.
 pub const ON_SURFACE: f64 = 1e-7;
 
-/// Farthest that a particle may be moved on to the surface, in voxels.
+/// Maximum distance by which a particle is moved onto F = 0, in voxels.
 const LONGEST_MOVE: f64 = 1.0;
 
-/// Two particles nearer than this part of the smaller h would only make slivers; one of them goes.
+/// Minimum distance of two particles, as a share of the smaller h. Closer particles would only form
+/// slivers, so one of them is removed.
 const TOO_CLOSE: f64 = 0.05;
 
-/// The edges of a tetrahedron, the lower vertex first.
+/// Returns the edges of a tetrahedron, each with the lower vertex first.
 fn edges(t: [u32; 4]) -> [(u32, u32); 6] {
     [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]].map(|ends| ends.map(|n| t[n])).map(|[a, b]| (a.min(b), a.max(b)))
 }
 
-/// Points on the surface, with their target edge lengths.
+/// Points on the surface with their target edge lengths.
 #[derive(Clone, Debug, Default)]
 pub struct SurfacePoints {
-    /// Positions, grid frame, mm.
+    /// Positions in the grid frame, mm.
     pub positions: Vec<DVec3>,
-    /// Target edge length h, mm; empty where none is known, and the spacing of the points once they are triangulated.
+    /// Target edge length h at each point, mm. If empty, [`Self::triangulate`] sets it to the
+    /// spacing of the points.
     pub sizes: Vec<f64>,
-    /// Normals, where they are needed and known; else empty.
+    /// Normals of the input for Tight Cocone without a field; otherwise empty.
     pub normals: Vec<DVec3>,
-    /// The strata of the first points, those at junction points and on curves; empty where there are none. Of those on different ones none gives way to another, however
-    /// near they lie, but on the same spot: curves would lose their ends and hairpins.
+    /// Strata of the points at junction points and on junction curves, which come first; empty for
+    /// one object. Such points of different strata are kept even if they are close, because curves
+    /// would otherwise lose their ends and hairpins. Only exact duplicates are removed.
     pub lower: Vec<Stratum>,
-    /// What happened on the way.
+    /// Numbers of particles read and dropped.
     pub report: PrepareReport,
 }
 
-/// What a user can do about points that cannot be triangulated.
+/// Returns the error for points that cannot be triangulated, with its reason and a remedy.
 pub fn not_triangulated(error: isoparticles_delaunay::Error) -> Error {
     use isoparticles_delaunay::Error as Cause;
     let (why, next) = match error {
@@ -57,11 +62,12 @@ pub fn not_triangulated(error: isoparticles_delaunay::Error) -> Error {
 }
 
 impl SurfacePoints {
-    /// Triangulates the points, and leaves out those that lie on the spot of another, or nearly. A point and its nearest
-    /// neighbour always share an edge of the triangulation, so its edges are the only pairs to look at.
+    /// Returns the Delaunay triangulation, and removes points that coincide with others or are too
+    /// close to them. Testing the edges is sufficient, because a point and its nearest neighbour
+    /// share an edge.
     ///
     /// # Errors
-    /// Those of [`Delaunay::new`], in three parts.
+    /// Those of [`Delaunay::new`], with a reason and a remedy.
     pub fn triangulate(&mut self) -> Result<Delaunay> {
         loop {
             let delaunay = Delaunay::new(&self.positions).map_err(not_triangulated)?;
@@ -84,19 +90,23 @@ impl SurfacePoints {
         }
     }
 
-    /// Whether two points lie at different junction points, or on curves and at points that do not end there.
+    /// Returns whether two points may be arbitrarily close: two junction points, points on
+    /// different junction curves, or a point on a curve and a junction point at which this curve
+    /// does not end.
     fn are_strangers(&self, a: usize, b: usize) -> bool {
         let (Some(a), Some(b)) = (self.lower.get(a), self.lower.get(b)) else { return false };
         let holds = |one: &Stratum, other: &Stratum| other.materials().iter().all(|&id| one.has(id));
         a.dimension() + b.dimension() == 0 || !holds(a, b) && !holds(b, a)
     }
 
-    /// Duplicates, and the later ends of edges that are too short, but between strangers and for those whose other end goes already; ascending.
+    /// Returns the points to remove, ascending: duplicates, and the later end of each edge that is
+    /// too short. The later end stays if the earlier end is removed, or if the two may be
+    /// arbitrarily close.
     fn crowded(&self, delaunay: &Delaunay) -> Vec<u32> {
         let mut gone: BTreeSet<u32> =
             (0..self.positions.len() as u32).filter(|&v| delaunay.duplicate_of(v).is_some()).collect();
         let is_short = |&(a, b): &(u32, u32)| {
-            // the vertex at infinity has the largest number of all
+            // the infinite vertex has the highest number, so it can only be the second
             if b == INFINITE {
                 return false;
             }
@@ -117,8 +127,8 @@ impl SurfacePoints {
     }
 }
 
-/// Spacing of points: the distance of each from the third nearest of its neighbours in the triangulation, so that one near
-/// duplicate, or two, do not pass for it; zero for duplicates.
+/// Returns the spacing at each point: the distance to the third nearest neighbour in the
+/// triangulation, so that one or two near duplicates do not reduce it. It is zero for duplicates.
 fn spacings(delaunay: &Delaunay) -> Vec<f64> {
     let mut nearest = vec![[f64::INFINITY; 3]; delaunay.points().len()];
     let finite = delaunay.par_tetrahedra().filter(|(_, t)| !t.contains(&INFINITE));
@@ -138,30 +148,31 @@ fn spacings(delaunay: &Delaunay) -> Vec<f64> {
     nearest.into_iter().map(|list| if list[2].is_finite() { list[2] } else { 0.0 }).collect()
 }
 
-/// Particles that were not taken, and why.
+/// Numbers of dropped particles, by reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct PrepareReport {
-    /// Particles in the file.
+    /// Number of particles in the file.
     pub particles: usize,
-    /// Not a number, or a target edge length that is not positive.
+    /// Particles with a coordinate that is not finite, or with h not finite or not positive.
     pub invalid: usize,
-    /// Outside the volume, or too far from F = 0 to be projected.
+    /// Particles outside the volume, or too far from F = 0 to be projected.
     pub not_projected: usize,
-    /// On the same spot as an earlier one, or nearly.
+    /// Particles that coincide with an earlier one, or are too close to it.
     pub crowded: usize,
 }
 
 impl PrepareReport {
-    /// Returns the number of particles that were not taken.
+    /// Returns the number of dropped particles.
     pub fn dropped(&self) -> usize {
         self.invalid + self.not_projected + self.crowded
     }
 }
 
-/// Projects particles on F = 0 and takes those that get there.
+/// Projects particles onto F = 0, and returns those that reach it inside the volume.
 ///
 /// # Errors
-/// When arrays of the set differ in length, or hardly any particle lies near F = 0: the files do not belong together.
+/// If there is not one target edge length for each particle, or if fewer than half of the particles
+/// (or fewer than four) reach F = 0. The files then do not belong together.
 pub fn prepare(particles: &ParticleSet, field: &CubicSpline) -> Result<SurfacePoints> {
     let count = particles.positions.len();
     if particles.sizes.len() != count {

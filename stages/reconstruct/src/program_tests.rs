@@ -1,4 +1,4 @@
-//! The program from files to files.
+//! Runs the whole program on files.
 
 use crate::run::{Args, run};
 use crate::scenes::{self, Scene};
@@ -22,7 +22,7 @@ struct Case {
 }
 
 impl Case {
-    /// Writes the two input files of a scene, placed in the world by `geometry`.
+    /// Writes the two input files of a scene. `geometry` places them in the world.
     fn new(scene: &Scene, geometry: Geometry, spacing: f64, meta: &Value) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let case = Self { folder };
@@ -76,7 +76,7 @@ fn numbers<'a>(arrays: &'a [DataArray], name: &str) -> &'a [f64] {
 }
 
 #[test]
-fn oblique_left_handed_torus_lands_in_the_world_facing_outward() {
+fn surface_in_an_oblique_left_handed_frame_faces_outward() {
     let scene = scenes::torus();
     let mut geometry = scene.image.geometry.clone();
     geometry.directions = DMat3::from_axis_angle(DVec3::new(1.0, 2.0, 3.0).normalize(), 0.7)
@@ -87,7 +87,8 @@ fn oblique_left_handed_torus_lands_in_the_world_facing_outward() {
     assert_eq!(case.run("torus.vtp", &[]).unwrap(), Outcome::Passed);
     let file = case.surface("torus.vtp");
     let surface = &file.surface;
-    // 2 pi^2 R r^2 and 4 pi^2 R r; points thrown 0.8 apart lose 1.2 % of the volume and 0.3 % of the area
+    // 2 pi^2 R r^2 and 4 pi^2 R r; points at a spacing of 0.8 lose 1.2 % of the volume and 0.3 % of
+    // the area
     let measured = measure(&surface.mesh);
     assert!((measured.volume / 2842.4 - 1.0).abs() < 0.015, "{measured:?}");
     assert!((measured.area / 1421.2 - 1.0).abs() < 0.005, "{measured:?}");
@@ -128,8 +129,8 @@ fn no_node_of_a_label_volume_changes_side() {
 }
 
 #[test]
-fn an_open_border_leaves_the_surface_open_there_and_nowhere_else() {
-    // a cylinder of radius 6 that runs through the volume along z
+fn the_surface_is_open_only_at_an_open_border() {
+    // a cylinder of radius 6 through the whole volume along z
     let scene = Scene::new([24, 24, 20], DVec3::ONE, |p| (p.truncate() - DVec2::splat(11.6)).length() - 6.0);
     let case = Case::new(&scene, scene.image.geometry.clone(), 1.0, &json!({"source": "scalar", "border": "open"}));
     for (method, name) in [("restricted", "tube.vtp"), ("tight-cocone", "cocone.vtp")] {
@@ -140,17 +141,17 @@ fn an_open_border_leaves_the_surface_open_there_and_nowhere_else() {
         assert_eq!((topology.components.len(), topology.euler), (1, 0), "{method}: a tube");
         let ends = |v: u32| mesh.vertices[v as usize].z.min(19.0 - mesh.vertices[v as usize].z);
         assert!(!topology.open_edges.is_empty() && topology.open_edges.iter().flatten().all(|&v| ends(v) < 1.5));
-        // 2 pi r times the length that the particles reach
+        // 2 pi r times the length that the particles cover
         let area = measure(&mesh).area;
         assert!((area / (TAU * 6.0 * 18.0) - 1.0).abs() < 0.06, "{method}: {area}");
-        // what closes the tube where the volume ends is no surface that lacks points
+        // the facets that close the tube at the border of the volume are not refined
         let added = file.meta["refine"]["inserted"].as_object().expect("points by what asked for them");
         assert!(added.values().filter_map(|n| n.as_u64()).sum::<u64>() < 40, "{method}: {added:?} points added");
     }
 }
 
 #[test]
-fn tight_cocone_on_fields_is_improved_compared_and_checked_as_well() {
+fn tight_cocone_with_a_field_is_improved_and_checked() {
     let scene = scenes::torus();
     let meta = json!({"source": "scalar", "border": "cap"});
     let case = Case::new(&scene, scene.image.geometry.clone(), 0.9, &meta);
@@ -178,7 +179,7 @@ fn a_failed_check_writes_the_mesh_and_the_offenders() {
 }
 
 #[test]
-fn wrong_input_is_refused_and_leaves_nothing_behind() {
+fn wrong_input_is_rejected_without_output() {
     let scene = scenes::sphere();
     let case = Case::new(&scene, scene.image.geometry.clone(), 2.0, &Value::Null);
     let refused = |output: &str, says: &str| {
@@ -190,7 +191,7 @@ fn wrong_input_is_refused_and_leaves_nothing_behind() {
     std::fs::copy(case.path("f.vti"), case.path("kept.vti")).unwrap();
     std::fs::copy(case.path("p.bin"), case.path("f.vti")).unwrap();
     refused("s.vtp", "f.vti");
-    // a field of another grid
+    // a field on a different grid
     let other = Case::new(&scenes::gyroid(), scenes::gyroid().image.geometry, 3.0, &Value::Null);
     std::fs::copy(other.path("f.vti"), case.path("f.vti")).unwrap();
     refused("s.vtp", "vti");

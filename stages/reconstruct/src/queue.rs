@@ -1,62 +1,70 @@
-//! Delaunay refinement as one loop, for one object and for many materials: a priority queue of violations, a point for each, and only what that changed is looked
-//! at again (Boissonnat and Oudot 2005; Oudot, Rineau and Yvinec 2005; Cheng, Dey and Levine 2008).
+//! The loop of Delaunay refinement for one object and for many materials. A priority queue orders
+//! the violations, and each is repaired by one point. Criteria are tested again only where the
+//! triangulation changed (Boissonnat and Oudot 2005; Oudot, Rineau and Yvinec 2005; Cheng, Dey and
+//! Levine 2008).
 //!
-//! The two differ in their criteria and in what mends a violation. What comes next never depends on threads: the reason decides, then the room, then the place.
+//! The two cases differ in their criteria and remedies ([`Refine`]). Violations are ordered by
+//! reason, then by radius, then by position. The order does not depend on the number of threads.
 
 use isoparticles_stage::error::Result;
 use serde::Serialize;
 use std::cmp::{Ordering, Reverse};
 use std::collections::{BinaryHeap, HashSet};
 
-/// Violations between two looks at whether to stop.
+/// Number of violations between two calls of `step`, which can stop the loop.
 pub const BETWEEN_STEPS: usize = 1 << 10;
 
-/// A new point keeps this part of h from all others, unless the topology or a grid node asks for it.
+/// Minimum distance of a point that is added for deviation from the vertices of its facet, in units
+/// of h.
 pub const NEAREST_FOR_SHAPE: f64 = 0.35;
 
-/// A new point keeps this part of h from all others where the topology or a grid node asks for it. With 0.02 the tissues of a chest (`thorax_labels`, all, at
-/// 3 mm) keep 94 of 3,825 segments missing, with 0.05 none; one object passes its checks with either.
+/// Minimum distance of a point that is added for the topology or for a grid node from the nearest
+/// vertices considered ([`Violation::radius`]), in units of h. With 0.02, the tissues of a chest
+/// (`thorax_labels`, all, at 3 mm) keep 94 of 3,825 segments missing, with 0.05 none. One object
+/// passes its checks with either.
 pub const NEAREST_FOR_TOPOLOGY: f64 = 0.05;
 
-/// What is violated, the most needed first.
+/// Reason of a violation, in the order of the queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reason {
-    /// A segment of a junction curve is no edge of the triangulation.
+    /// A segment of a junction curve is not an edge of the triangulation.
     Segment,
-    /// Round a segment the materials are not those of its curve, each in one run.
+    /// The materials around a segment are not those of its curve, or one of them has several runs.
     Ring,
     /// A component of F = 0 has no facet.
     Missing,
-    /// A facet between two materials has a vertex on whose stratum they do not meet.
+    /// A facet is between two materials that do not meet at one of its vertices.
     Stratum,
-    /// An edge (of many materials: one that is no segment) is in other than two facets.
+    /// An edge is not in exactly two facets. Segments are excluded.
     Edge,
-    /// Round a vertex the facets form several fans, or a material is in several parts.
+    /// The facets at a vertex form several fans. With many materials: a material, or all others
+    /// together, have several parts there.
     Vertex,
     /// A facet joins components of F = 0 that no undecided place can join.
     Bridge,
-    /// A component of F = 0 is in several pieces, or has another Euler characteristic.
+    /// A group of components of F = 0 has a wrong number of pieces or a wrong Euler characteristic.
     Component,
-    /// A critical point of F, or a place of the core of a handle, is on the wrong side.
+    /// A critical point of F, or a position on the core of a handle, is on the wrong side.
     CriticalPoint,
-    /// A surface found by other means (Tight Cocone's) lacks a facet that the sign of F has.
+    /// A surface from other labels (Tight Cocone) lacks a facet of the restricted surface.
     OtherLabels,
-    /// A facet strays from its sheet, or is turned away from it.
+    /// The deviation or the normal deviation of a facet is too large.
     Deviation,
     /// A grid node is on the wrong side, or in another material.
     Node,
 }
 
 impl Reason {
-    /// Whether the topology is another there than that of F, or of the indicators.
+    /// Returns whether the topology differs from that of F or of the indicators.
     #[cfg(test)]
     pub fn is_topology(self) -> bool {
         self < Self::Deviation
     }
 }
 
-/// Where a violation is: a simplex, vertices ascending; a grid node; or a place that was found by a look at the whole surface.
+/// Location of a violation: a simplex with ascending vertices, a grid node, or a position from a
+/// global criterion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Simplex {
     /// A vertex.
@@ -67,34 +75,36 @@ pub enum Simplex {
     Facet([u32; 3]),
     /// A grid node by its number, x fastest.
     Node(usize),
-    /// A place by what is violated there and its number among those found together.
+    /// A position: the reason and its index among the positions found in the same round.
     Place(Reason, usize),
 }
 
-/// What mends a violation.
+/// The remedy for a violation.
 pub trait Remedy: Copy {
-    /// Numbers that tell it from others, for the order of the queue.
+    /// Returns numbers that distinguish this remedy from others, for the order of the queue.
     fn place(&self) -> [f64; 3];
 }
 
 /// A violation of a criterion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Violation<R> {
-    /// What is violated.
+    /// Criterion that is violated.
     pub reason: Reason,
-    /// Where.
+    /// Location.
     pub simplex: Simplex,
-    /// What mends it.
+    /// Remedy.
     pub remedy: R,
-    /// Distance of the new point from the vertices known, mm.
+    /// Distance in mm of the new point from the nearest vertices that the criterion considers. For
+    /// a facet, it is the radius of the surface Delaunay ball.
     pub radius: f64,
-    /// Target edge length h there, mm.
+    /// Target edge length h at the violation, mm.
     pub size: f64,
-    /// A vertex not far away.
+    /// A vertex close to the violation, where searches start.
     pub near: u32,
 }
 
-/// A violation in the queue: most needed first, then the roomiest, then by place.
+/// A violation in the queue. The order is by reason, then by radius (maximum first), then by
+/// position.
 #[derive(Clone, Copy)]
 struct Entry<R>(Violation<R>);
 
@@ -103,7 +113,7 @@ impl<R: Remedy> Ord for Entry<R> {
         let ([a, b, c], [d, e, f]) = (self.0.remedy.place(), other.0.remedy.place());
         let places = a.total_cmp(&d).then(b.total_cmp(&e)).then(c.total_cmp(&f));
         let by_room = self.0.radius.total_cmp(&other.0.radius);
-        // the heap gives the greatest first
+        // the heap returns the greatest entry first
         let by_need = other.0.reason.cmp(&self.0.reason);
         by_need.then(by_room).then(places).then(Reverse(self.0.simplex).cmp(&Reverse(other.0.simplex)))
     }
@@ -123,7 +133,7 @@ impl<R: Remedy> PartialEq for Entry<R> {
 
 impl<R: Remedy> Eq for Entry<R> {}
 
-/// Violations, at most one a simplex.
+/// Priority queue of violations, at most one per simplex.
 pub struct Queue<R> {
     entries: BinaryHeap<Entry<R>>,
     queued: HashSet<Simplex>,
@@ -136,7 +146,8 @@ impl<R: Remedy> Default for Queue<R> {
 }
 
 impl<R: Remedy> Queue<R> {
-    /// Puts violations into the queue, those of simplices that are in it left out: what they are is found anew when their turn comes.
+    /// Adds violations to the queue. A violation of a simplex that is already queued is skipped,
+    /// because simplices are tested again when they leave the queue.
     pub fn add(&mut self, found: impl IntoIterator<Item = Violation<R>>) {
         for violation in found {
             if self.queued.insert(violation.simplex) {
@@ -152,35 +163,38 @@ impl<R: Remedy> Queue<R> {
     }
 }
 
-/// What is refined.
+/// A triangulation that [`Refine::drain`] refines.
 pub trait Refine {
-    /// What mends a violation of it.
+    /// Remedy for a violation.
     type Remedy: Remedy;
 
-    /// Its violations.
+    /// Returns the queue of violations.
     fn queue(&mut self) -> &mut Queue<Self::Remedy>;
 
-    /// What is left of a violation when its turn has come.
+    /// Returns the current violation at the simplex of an old one, or `None` if it has been
+    /// repaired.
     fn now(&self, old: &Violation<Self::Remedy>) -> Option<Violation<Self::Remedy>>;
 
-    /// Inserts the point that mends a violation, and nothing else: the triangulation, the labels of the tetrahedra that it makes, what is known of the point, and
-    /// the count in the report. False where there is no room for one.
+    /// Applies the remedy of a violation: inserts a point, labels the new tetrahedra, and updates
+    /// the data of the point and the count in the report. Adds no violations to the queue. Returns
+    /// false if the point would be too close to others.
     ///
     /// # Errors
-    /// Those of the triangulation.
+    /// If the triangulation cannot insert the point.
     fn mend(&mut self, violation: &Violation<Self::Remedy>) -> Result<bool>;
 
-    /// What is violated at the tetrahedra that have changed since the last call.
+    /// Returns the violations at the tetrahedra that have changed since the last call.
     fn at_changed(&mut self) -> Vec<Violation<Self::Remedy>>;
 
-    /// Points by now.
+    /// Returns the number of points.
     fn point_count(&self) -> usize;
 
-    /// Mends violations and those that come of it until there is no room for more points; returns how many were inserted. `step` hears the number of points
-    /// and may stop the loop with an error.
+    /// Repairs the given violations, those in the queue, and those that result from repairs, until
+    /// the queue is empty. A violation without room for a point is dropped. `step` is called with
+    /// the number of points and may stop the loop with an error. Returns the number of repairs.
     ///
     /// # Errors
-    /// Those of `step` and of the triangulation.
+    /// If `step` returns an error, or if the triangulation cannot insert a point.
     fn drain(
         &mut self,
         found: impl IntoIterator<Item = Violation<Self::Remedy>>,
@@ -217,7 +231,8 @@ mod tests {
         }
     }
 
-    /// Points on a line, of which those at whole numbers up to a last one are wanted; each new point asks for the next.
+    /// Points on a line. Whole numbers up to `last` are required, and each new point makes the next
+    /// one a violation.
     struct Line {
         points: Vec<f64>,
         last: f64,
@@ -260,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn the_most_needed_come_first_then_the_roomiest_and_what_they_bring_about_follows() {
+    fn queue_orders_violations_by_reason_then_radius() {
         let mut line = Line { points: Vec::new(), last: 3.0, queue: Queue::default(), newest: None };
         let found = [
             wanted(Reason::Node, 7.0, 3.0),
@@ -274,7 +289,7 @@ mod tests {
             steps += 1;
             Ok(())
         });
-        // 8 has no room, 9 stands in the queue once, 2 and 3 come of 1
+        // 8 has no room, 9 is queued only once, 2 and 3 result from 1
         assert_eq!((mended.unwrap(), steps), (5, 1));
         assert_eq!(line.points, [1.0, 9.0, 7.0, 2.0, 3.0]);
     }

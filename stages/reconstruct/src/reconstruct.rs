@@ -1,13 +1,24 @@
-//! The stage as one call: particles on F = 0 become a watertight triangle mesh of F = 0, checked.
+//! The whole stage for one object: turns particles on F = 0 into a checked triangle mesh.
 //!
-//! Its topology is that of F, computed from F alone before there is any mesh. The particles are put onto F = 0 and triangulated (Delaunay in
-//! space). Tetrahedra are labelled inside or outside: by the sign of F at their circumcentres, or by the shape of the Voronoi cells (Tight
-//! Cocone). The facets between them are the surface, closed by construction. Criteria compare it with F: is it a manifold, has it the
-//! components and the Euler characteristics of F, does a facet stray from F = 0 or turn away from it, does a voxel centre lie on its
-//! wrong side. A queue holds what is violated, most needed first, and for each a point is added at the centre of the facet's surface ball; only what that
-//! changed is looked at again, until the queue is empty or there is no room. The facets are extracted, and sheets that touch in a point are parted. The
-//! worst triangles are lifted by local moves that break no criterion. At last everything a simulation counts on is checked anew, on the
-//! mesh as it is and against F as it was.
+//! 1. The particles are projected onto F = 0, and their Delaunay triangulation is computed.
+//! 2. The topology of F = 0 is computed from the spline alone, so that the reference does not
+//!    depend on any mesh.
+//! 3. Each tetrahedron is labelled as inside if F is negative at its circumcentre, and as outside
+//!    otherwise.
+//! 4. The facets between inside and outside form the surface, which is closed by construction.
+//! 5. Local criteria cover manifold edges and vertices, deviation and normal deviation. Global
+//!    criteria cover components, Euler characteristics, critical points of F and voxel centres.
+//! 6. A priority queue orders the violations by kind, and each is repaired by a new point on F = 0,
+//!    usually the centre of a surface Delaunay ball.
+//! 7. Where points do not help, tetrahedra change sides. The refinement ends when there are no
+//!    violations, no further remedies, or no rounds left in the budget.
+//! 8. With `--method tight-cocone`, the shape of the Voronoi cells labels the tetrahedra instead,
+//!    and points are added where this surface lacks a part of the previous one.
+//! 9. The facets are extracted as a mesh, and parts of the surface that touch at a vertex are
+//!    separated.
+//! 10. Sweeps and local moves improve the triangles, and an acceptance test preserves the topology.
+//! 11. The finished mesh is checked independently of the previous steps, and its topology is
+//!     compared with that of F.
 
 use crate::check::{CheckOptions, CheckReport, Truth, check};
 use crate::held::one_of_each_component;
@@ -34,43 +45,45 @@ use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
-/// A mesh with what is known of it.
+/// A mesh with the results of all steps.
 #[derive(Clone, Debug)]
 pub struct Reconstruction {
-    /// F.
+    /// The spline F.
     pub field: CubicSpline,
-    /// The mesh, grid frame, triangles counter-clockwise seen from outside.
+    /// The mesh in the grid frame. Triangles are counter-clockwise as seen from outside.
     pub mesh: TriangleMesh,
-    /// Target edge length at each vertex, mm.
+    /// Target edge length h at each vertex, mm.
     pub sizes: Vec<f64>,
-    /// Particles taken and not.
+    /// Numbers of particles read and dropped.
     pub prepared: PrepareReport,
-    /// Points that were triangulated at first.
+    /// Number of points in the initial triangulation.
     pub taken: usize,
-    /// What refinement did.
+    /// Report of the refinement.
     pub refined: RefineReport,
-    /// What Tight Cocone found, where that was the method.
+    /// Report of Tight Cocone, if it is the method.
     pub cocone: Option<CoconeReport>,
-    /// Vertices added where sheets touch in a point.
+    /// Number of vertices added where parts of the surface touch at a vertex.
     pub parted: usize,
-    /// What improvement did.
+    /// Report of the improvement.
     pub improved: ImproveReport,
-    /// What was checked.
+    /// Report of the checks.
     pub checked: CheckReport,
-    /// The mesh beside the topology of F.
+    /// Comparison of the mesh with the topology of F.
     pub topology: TopologyReport,
-    /// Checks that failed, in words.
+    /// The checks that failed, in words.
     pub failed: Vec<String>,
-    /// What deserves a warning but fails no check, in words.
+    /// Warnings that do not fail a check, in words.
     pub doubtful: Vec<String>,
 }
 
-/// Joins particles, in the grid frame of the samples `field` of F, into a mesh of F = 0. Without `sizing`, h at a vertex is that of the nearest
-/// particle. The result is the same on any number of threads.
+/// Returns a mesh of F = 0 for particles in the grid frame of `field`, the samples of F. h at a
+/// vertex is taken from `sizing`, or else from the nearest point of the triangulation. The result
+/// does not depend on the number of threads.
 ///
 /// # Errors
-/// On particles that are not on F = 0, all in one plane or that enclose nothing, and when interrupted. A mesh that fails a check is
-/// no error ([`Reconstruction::failed`]).
+/// If fewer than half of the particles are near F = 0, if all are in one plane, if Tight Cocone
+/// finds no solid, or if the run is interrupted. A mesh that fails a check is not an error
+/// ([`Reconstruction::failed`]).
 pub fn reconstruct(
     particles: &ParticleSet,
     field: &Image<f32>,
@@ -82,7 +95,7 @@ pub fn reconstruct(
     let spline = CubicSpline::new(field);
     let mut points = prepare(particles, &spline)?;
     drop(phase);
-    // the triangulation keeps one thread busy, and neither knows of the other
+    // concurrent, because the triangulation uses a single thread and both results are independent
     let phase = monitor.phase("triangulate, topology");
     let (delaunay, topology) = rayon::join(|| points.triangulate(), || FieldTopology::watched(&spline, monitor));
     let (delaunay, topology) = (delaunay?, topology?);
@@ -98,7 +111,7 @@ pub fn reconstruct(
     let how = ImproveOptions {
         target: options.improve_below,
         relaxation_sweeps: options.relaxation_sweeps,
-        // a distance from F = 0 that was asked for wants its points
+        // an explicit deviation bound disables thinning
         thins: options.max_deviation.is_none(),
         sides: options.guarded(field),
         ..ImproveOptions::polish()
@@ -148,7 +161,7 @@ pub fn reconstruct(
     })
 }
 
-/// F, and its samples where grid nodes are compared.
+/// F, and its samples if grid nodes are compared with the mesh.
 pub(crate) struct ObjectTruth<'a> {
     pub(crate) field: &'a CubicSpline,
     pub(crate) samples: Option<&'a Image<f32>>,

@@ -1,10 +1,13 @@
-//! The refinement of one object: points are added on F = 0 until the restricted surface is a closed manifold with the components
-//! and the genus of F = 0, and no facet strays from it.
+//! Refines the restricted Delaunay triangulation of one object by points on F = 0. The result is a
+//! closed manifold with the components and the genus of F = 0 and a small deviation.
 //!
-//! Pure criteria find violations: at simplices (`object.rs`), which are looked at again where something changed, and of the surface as a whole, which are looked
-//! for when nothing else is left to do: components missing, critical points of F, cores of handles and grid nodes on the wrong side. Each is mended by a
-//! point, most needed first (`queue.rs`): the centre of a facet's surface ball, where its Voronoi edge crosses F = 0 (Boissonnat and Oudot 2005), or the place
-//! that the criterion names. The topology of F is known before and does not change. Where points do not help, tetrahedra change sides.
+//! Local criteria (`object.rs`) apply to one simplex and are tested again where the triangulation
+//! changes. Global criteria compare the whole surface with F when the queue is empty: missing
+//! components, critical points of F, cores of handles, and grid nodes on the wrong side.
+//!
+//! One point is inserted per violation (`queue.rs`): the centre of a facet's surface Delaunay ball
+//! (Boissonnat and Oudot 2005), or a position that the criterion gives. Where points do not help,
+//! tetrahedra change sides. The topology of F is computed beforehand.
 
 mod critical;
 pub(crate) mod nodes;
@@ -28,17 +31,20 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// A place that was found by a look at the whole surface is taken unless a point added since is nearer than this part of the ball round it.
+/// A position from a global criterion is dropped if the nearest vertex was added since then and is
+/// closer than this fraction of the position's radius.
 const STILL_FREE: f64 = 0.8;
 
-/// How far the refinement may go.
+/// Limits of the refinement.
 #[derive(Clone, Copy, Debug)]
 pub struct RefineOptions {
-    /// Most looks at the whole surface that add points for its topology, and as many for grid nodes.
+    /// Maximum number of global rounds that add points for the topology. The same limit applies to
+    /// rounds that add points for grid nodes.
     pub max_rounds: usize,
-    /// Farthest that the centroid of a facet may lie from F = 0, mm; `None`: a quarter of h, at least a quarter voxel.
+    /// Maximum distance of the centroid of a facet from F = 0, mm. `None`: a quarter of h, but at
+    /// least a quarter of a voxel.
     pub max_deviation: Option<f64>,
-    /// Whether the object is open where the volume ends.
+    /// Whether the object is open at the border of the volume.
     pub open_border: bool,
 }
 
@@ -48,45 +54,48 @@ impl Default for RefineOptions {
     }
 }
 
-/// What the refinement did.
+/// Report on the refinement.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RefineReport {
-    /// Looks at the whole surface that added points.
+    /// Number of global rounds that added points.
     pub rounds: usize,
-    /// Points inserted, by what asked for them.
+    /// Number of inserted points, by reason.
     pub inserted: BTreeMap<Reason, usize>,
-    /// Edges and vertices in which sheets touched and that tetrahedra parted by changing sides.
+    /// Number of edges and vertices at which touching parts of the surface were separated by
+    /// changing the sides of tetrahedra.
     pub parted_pinches: usize,
-    /// Small closed pieces of the mesh that are none of F = 0, and whose tetrahedra changed sides.
+    /// Number of small closed pieces of the mesh that corresponded to no component of F = 0 and
+    /// were removed by changing the sides of their tetrahedra.
     pub dropped_pieces: usize,
-    /// Violations of the topology left, by what is violated.
+    /// Number of remaining violations of the topology, by reason.
     pub unresolved: BTreeMap<Reason, usize>,
 }
 
 impl RefineReport {
-    /// Points inserted in all.
+    /// Returns the total number of inserted points.
     pub fn points(&self) -> usize {
         self.inserted.values().sum()
     }
 }
 
-/// A restricted surface on its way to the topology of F.
+/// State of the refinement of one object.
 pub struct Refinement<'a> {
-    /// The surface.
+    /// The triangulation with its labels and criteria.
     pub object: Object<'a>,
-    /// What was done so far.
+    /// Report so far.
     pub report: RefineReport,
     options: RefineOptions,
     queue: Queue<DVec3>,
-    /// Samples of F whose nodes must lie on their side, if any.
+    /// Samples of F whose grid nodes must stay on their side. `None` if grid nodes are not tested.
     nodes: Option<&'a Image<f32>>,
-    /// The points that it began with: from the nearest of them the triangulation leads to those added since.
+    /// The initial points. The search for the nearest vertex starts at the nearest of them and
+    /// continues in the triangulation.
     first: KdTree,
-    /// Points at the last look at the whole surface.
+    /// Number of points at the start of the last global round.
     known: usize,
-    /// Looks at critical points, and at the cores of handles.
+    /// Number of attempts at critical points, and at the cores of handles.
     looks: [usize; 2],
-    /// Times that tetrahedra changed sides where sheets touch.
+    /// Number of rounds in which tetrahedra changed sides where parts of the surface touch.
     partings: usize,
 }
 
@@ -111,7 +120,8 @@ impl Refine for Refinement<'_> {
     fn mend(&mut self, violation: &Violation) -> Result<bool> {
         let Violation { reason, remedy, radius, size, near, .. } = *violation;
         let least = if reason == Reason::Deviation { NEAREST_FOR_SHAPE } else { NEAREST_FOR_TOPOLOGY };
-        // a projected centroid may lie nearer to others than to the facet's vertices; a place is tried once a look
+        // A projected centroid can be closer to other vertices than to those of its facet.
+        // Positions from global criteria need no such test, because each is tried once per round.
         let is_free = || {
             matches!(violation.simplex, Simplex::Place(..))
                 || self.object.restricted.nearest(remedy, near).1 >= NEAREST_FOR_TOPOLOGY * size
@@ -134,10 +144,10 @@ impl Refine for Refinement<'_> {
 }
 
 impl<'a> Refinement<'a> {
-    /// Triangulates points on F = 0; `points` loses those that crowd others.
+    /// Triangulates points on F = 0. Points too close to others are removed from `points`.
     ///
     /// # Errors
-    /// When the points lie in one plane.
+    /// If the points cannot be triangulated, for example because they lie in one plane.
     pub fn new(
         points: &mut SurfacePoints,
         field: &'a CubicSpline,
@@ -148,7 +158,7 @@ impl<'a> Refinement<'a> {
         Ok(Self::of(delaunay, points, field, topology, options))
     }
 
-    /// Begins with the triangulation of points on F = 0.
+    /// Starts from an existing triangulation of points on F = 0.
     pub fn of(
         delaunay: Delaunay,
         points: &SurfacePoints,
@@ -159,7 +169,7 @@ impl<'a> Refinement<'a> {
         let RefineOptions { max_deviation, open_border, .. } = options;
         let first = KdTree::new(delaunay.points());
         let object = Object::new(delaunay, points, field, topology, max_deviation, open_border);
-        // what is amiss at edges and vertices comes with the first look at the whole surface
+        // the first global round finds violations at edges and vertices
         let found: Vec<Violation> = object.facets().par_iter().filter_map(|f| object.at_facet(f)).collect();
         let mut queue = Queue::default();
         queue.add(found);
@@ -167,16 +177,17 @@ impl<'a> Refinement<'a> {
         Self { object, report: RefineReport::default(), options, queue, nodes: None, first, known, looks, partings }
     }
 
-    /// Lets grid nodes count, the samples of F, from now on.
+    /// Enables the criterion for grid nodes. `samples` are the samples of F at the nodes.
     pub fn keep_nodes(&mut self, samples: &'a Image<f32>) {
         self.nodes = Some(samples);
     }
 
-    /// Adds points until nothing is violated, there is no room for more, or `max_rounds` are over. `step` hears the number of points and may stop
-    /// the loop with an error. Returns the facets, and what is left amiss in them.
+    /// Adds points until there are no violations, no point can be inserted, or `max_rounds` is
+    /// reached. `step` is called with the number of points and may stop the loop with an error.
+    /// Returns the facets and their remaining defects.
     ///
     /// # Errors
-    /// Those of `step` and of the triangulation.
+    /// If `step` returns an error, or if the triangulation cannot insert a point.
     pub fn run(&mut self, mut step: impl FnMut(usize) -> Result<()>) -> Result<(Vec<Facet>, Defects)> {
         let step: &mut dyn FnMut(usize) -> Result<()> = &mut step;
         let mut rounds_left = self.options.max_rounds;
@@ -219,7 +230,8 @@ impl<'a> Refinement<'a> {
         }
     }
 
-    /// Mends violations and those that come of it; returns how many points that took.
+    /// Repairs violations and those that result from the repairs. Returns the number of inserted
+    /// points.
     fn mend_all(&mut self, found: Vec<Violation>, step: &mut dyn FnMut(usize) -> Result<()>) -> Result<usize> {
         self.known = self.object.points().len();
         let mended = self.drain(found, step)?;
@@ -227,7 +239,7 @@ impl<'a> Refinement<'a> {
         Ok(mended)
     }
 
-    /// Puts into the report what is left.
+    /// Records the remaining violations in the report.
     fn tell(&mut self, defects: &Defects, critical: usize) {
         let left = [
             (Reason::Edge, defects.edges.len()),
@@ -240,7 +252,8 @@ impl<'a> Refinement<'a> {
         self.report.unresolved = left.into_iter().filter(|(_, count)| *count > 0).collect();
     }
 
-    /// What is violated in the topology of the surface, and where tetrahedra changed sides.
+    /// Returns the local violations at defects of the topology and at tetrahedra that changed
+    /// sides, and positions on missing components.
     fn at_defects(&mut self, facets: &[Facet], defects: &Defects) -> Vec<Violation> {
         let around = defects.edges.iter().flatten().chain(defects.vertices.iter().flat_map(|(_, around)| around));
         let mut found = self.object.at_vertices(around.flat_map(|&f| facets[f as usize].vertices).collect());
@@ -250,7 +263,7 @@ impl<'a> Refinement<'a> {
         found
     }
 
-    /// Places found together, as violations.
+    /// Returns one violation for each position from a global criterion.
     fn places(&self, reason: Reason, found: &[Place]) -> Vec<Violation> {
         let violation = |(k, &Place { point, radius, size }): (usize, &Place)| {
             let (simplex, near) = (Simplex::Place(reason, k), self.near(point));
@@ -259,22 +272,22 @@ impl<'a> Refinement<'a> {
         found.par_iter().enumerate().map(violation).collect()
     }
 
-    /// A point not far from a place.
+    /// Returns the initial point nearest to a position, as the start of a search.
     fn near(&self, place: DVec3) -> u32 {
         self.first.nearest(place).map_or(0, |(v, _)| v as u32)
     }
 
-    /// The point nearest to a place and its distance, mm.
+    /// Returns the vertex nearest to a position, and the distance in mm.
     fn nearest(&self, place: DVec3) -> (u32, f64) {
         self.object.restricted.nearest(place, self.near(place))
     }
 }
 
-/// A place for a new point.
+/// Position of a new point.
 struct Place {
-    /// On F = 0, grid frame, mm.
+    /// Position on F = 0 in the grid frame, mm.
     point: DVec3,
-    /// Distance from the points that matter, mm.
+    /// Distance to the nearest vertices that the criterion considers, mm.
     radius: f64,
     /// Target edge length h, mm.
     size: f64,

@@ -1,4 +1,5 @@
-//! The program: options, reading, the steps in order, the checks, writing.
+//! The program: reads the inputs, meshes one object, and writes the surface and the report. Passes
+//! many materials and points without a field on to their own modules.
 
 pub use crate::args::Args;
 use crate::args::check_each;
@@ -24,8 +25,8 @@ use std::path::Path;
 /// Runs the stage.
 ///
 /// # Errors
-/// On files that cannot be read or written or do not belong together, on particles that are not on F = 0, all in one
-/// plane or enclose nothing, on a distance field missing or in vain, and when interrupted.
+/// If files cannot be read or written or do not belong together, if a distance field is missing or
+/// does not fit the particles, or if the run is interrupted; and the errors of [`reconstruct()`].
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     check_surface_name(&args.output)?;
     check_offenders(args)?;
@@ -103,7 +104,7 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
     write(args, context, &surface, &meta, offending, made.failed)
 }
 
-/// Puts what was made into the report and the closing table, and warns of what is doubtful.
+/// Adds the results to the report and to the closing table, and issues the warnings.
 fn tell(made: &Reconstruction, context: &Context) {
     let Reconstruction { checked, topology, refined, .. } = made;
     context.report("prepare", json!(made.prepared));

@@ -9,16 +9,16 @@ use isoparticles_mesh::shapes::icosphere;
 use isoparticles_mesh::spatial::Bins;
 use isoparticles_volume::{Geometry, Image};
 
-/// A signed distance (or like) function on a grid.
+/// A function on a grid that is similar to a signed distance.
 pub(crate) struct Scene {
-    /// Samples.
+    /// Samples of the function.
     pub(crate) image: Image<f32>,
-    /// Spline through them.
+    /// Spline through the samples.
     pub(crate) field: CubicSpline,
 }
 
 impl Scene {
-    /// Samples a function over a grid of `size` voxels of the given spacing.
+    /// Samples a function on a grid of `size` voxels with a given spacing (mm).
     pub(crate) fn new(size: [usize; 3], spacing: DVec3, function: impl Fn(DVec3) -> f64) -> Self {
         let geometry = Geometry::axis_aligned(size, spacing);
         let mut data = Vec::with_capacity(geometry.voxel_count());
@@ -35,13 +35,13 @@ impl Scene {
         Self { image, field }
     }
 
-    /// Gradient of F.
+    /// Returns the gradient of F.
     pub(crate) fn gradient(&self, p: DVec3) -> DVec3 {
         self.field.value_gradient(p).1
     }
 
-    /// Points on F = 0, no two nearer than `spacing` (dart throwing over a dense sample): the sampling radius is about
-    /// `spacing`, worse than that of settled particles.
+    /// Returns points on F = 0 with a minimum distance of `spacing`, by dart throwing on a dense
+    /// sample. The sampling radius is about `spacing`, which is less even than settled particles.
     pub(crate) fn points(&self, spacing: f64) -> Vec<DVec3> {
         let mesh = marching_cubes(&self.image, 0.0);
         let mut candidates: Vec<DVec3> = Vec::new();
@@ -70,19 +70,19 @@ impl Scene {
 
 pub(crate) const CENTRE: DVec3 = DVec3::splat(15.7);
 
-/// Triangles of a ball of radius 10.
+/// Returns the triangles of a ball of radius 10.
 pub(crate) fn ball() -> TriangleMesh {
     let mut mesh = icosphere(10.0, 3);
     mesh.vertices.iter_mut().for_each(|p| *p += CENTRE);
     mesh
 }
 
-/// Ball of radius 10.
+/// A ball of radius 10.
 pub(crate) fn sphere() -> Scene {
     Scene::new([32; 3], DVec3::ONE, |p| p.distance(CENTRE) - 10.0)
 }
 
-/// Torus of radii 9 and 4.
+/// A torus of radii 9 and 4.
 pub(crate) fn torus() -> Scene {
     Scene::new([32; 3], DVec3::ONE, |p| {
         let q = p - CENTRE;
@@ -98,23 +98,24 @@ pub(crate) fn two_balls() -> Scene {
     })
 }
 
-/// Spherical shell between the radii 8 and 10.5.
+/// A spherical shell between the radii 8 and 10.5.
 pub(crate) fn shell() -> Scene {
     Scene::new([32; 3], DVec3::ONE, |p| (p.distance(CENTRE) - 9.25).abs() - 1.25)
 }
 
-/// Gyroid inside a ball of radius 13: one component of high genus.
+/// A gyroid inside a ball of radius 13: one component of high genus.
 pub(crate) fn gyroid() -> Scene {
     Scene::new([36; 3], DVec3::ONE, |p| {
         let q = (p - DVec3::splat(17.6)) * 0.45;
         let g = q.x.sin() * q.y.cos() + q.y.sin() * q.z.cos() + q.z.sin() * q.x.cos();
         let (g, ball) = (g / 0.7, (p - DVec3::splat(17.6)).length() - 13.0);
-        // smooth maximum, so that the rim is no crease
+        // smooth maximum, so that the rim has no crease
         (g + ball + (g - ball).hypot(1.0)) / 2.0
     })
 }
 
-/// Torus of radii 5 and 4.8, as a smooth function: its hole is 0.4 voxel wide, and no grid node lies in its narrow part.
+/// A torus of radii 5 and 4.8, as a smooth function. Its hole is 0.4 voxel wide, and no grid node
+/// is in the narrow part of the hole.
 pub(crate) fn pierced() -> Scene {
     let (ring, tube) = (5.0, 4.8);
     Scene::new([28; 3], DVec3::ONE, |p| {
@@ -124,7 +125,7 @@ pub(crate) fn pierced() -> Scene {
     })
 }
 
-/// Two balls of radius 6 joined by a neck of about half a voxel in radius.
+/// Two balls of radius 6, connected by a neck with a radius of about half a voxel.
 pub(crate) fn hourglass() -> Scene {
     Scene::new([34, 24, 24], DVec3::ONE, |p| {
         let q = p - DVec3::new(16.43, 11.61, 11.52);
@@ -134,7 +135,7 @@ pub(crate) fn hourglass() -> Scene {
     })
 }
 
-/// A smooth union of a few balls, tori and thin plates, about 2 to 12 across.
+/// A smooth union of two to five balls, tori and thin plates.
 pub(crate) fn random(seed: u64) -> Scene {
     let u = |k: u64| uniform(78, seed, k);
     let parts: Vec<(DVec3, DVec3, f64, f64, f64)> = (0..2 + (4.0 * u(0)) as u64)

@@ -1,4 +1,4 @@
-//! The reconstruction of analytic scenes from sparse and from dense points.
+//! Reconstructs analytic scenes from sparse and dense points.
 
 use crate::defects::Defects;
 use crate::join::{COCONE_ROUNDS, cocone_of, compact};
@@ -35,13 +35,15 @@ fn surface(scene: &Scene, spacing: f64) -> (TriangleMesh, Defects, RefineReport,
     )
 }
 
-/// The restricted surface, the Euler characteristic of each component of F = 0, and what differs.
+/// Returns the restricted surface, the Euler characteristic of each component of F = 0, and the
+/// differences from F.
 pub(crate) fn restricted(scene: &Scene, spacing: f64) -> (TriangleMesh, Vec<i64>, Defects) {
     let (mesh, defects, _, euler) = surface(scene, spacing);
     (mesh, euler, defects)
 }
 
-/// The surface by Tight Cocone of the points and of those added until it has the topology of the restricted surface, and what differs
+/// Returns the surface by Tight Cocone after points are added until it has the topology of the
+/// restricted surface, the Euler characteristic of each component of F = 0, and the differences
 /// from F.
 pub(crate) fn tight_cocone_beside_field(scene: &Scene, spacing: f64) -> (TriangleMesh, Vec<i64>, Defects) {
     let mut points = surface_points(scene, spacing);
@@ -72,7 +74,8 @@ fn volume_and_area(mesh: &TriangleMesh) -> (f64, f64) {
     })
 }
 
-/// Reconstructs at a spacing and demands the topology, all vertices on F = 0, and nothing unresolved.
+/// Reconstructs a scene at a spacing. Asserts the topology of F and vertices on F = 0. Returns
+/// volume, area and report.
 fn sound(scene: &Scene, spacing: f64, expected: &[i64]) -> (f64, f64, RefineReport) {
     let (mesh, defects, report, euler) = surface(scene, spacing);
     assert!(defects.is_empty(), "at spacing {spacing}: {report:?}");
@@ -86,10 +89,11 @@ fn sound(scene: &Scene, spacing: f64, expected: &[i64]) -> (f64, f64, RefineRepo
     (volume, area, report)
 }
 
-/// The middle of a cell.
+/// Centre of a voxel cell.
 const SPECK: DVec3 = DVec3::new(24.5, 15.5, 15.5);
 
-/// A ball, and one of radius 0.6 round the middle of a cell, whose corners are outside: splines reproduce quadratic functions.
+/// A ball, and another one of radius 0.6 around the centre of a cell, whose corners are all
+/// outside. The spline represents the small ball, because it reproduces quadratic functions.
 fn ball_and_speck() -> Scene {
     Scene::new([32; 3], DVec3::ONE, |p| {
         let ball = p.distance(DVec3::new(10.0, 15.7, 15.7)) - 8.0;
@@ -106,7 +110,7 @@ fn a_speck_between_the_samples_is_found_and_counted() {
 }
 
 #[test]
-fn a_speck_between_the_samples_counts_for_tight_cocone_too_whether_the_border_is_open_or_not() {
+fn tight_cocone_keeps_a_speck_with_open_and_closed_border() {
     for open_border in [false, true] {
         let scene = ball_and_speck();
         let mut points = surface_points(&scene, 1.4);
@@ -121,7 +125,7 @@ fn a_speck_between_the_samples_counts_for_tight_cocone_too_whether_the_border_is
 }
 
 #[test]
-fn sheets_that_touch_in_a_saddle_of_f_are_parted() {
+fn surfaces_that_touch_at_a_saddle_of_f_are_separated() {
     let balls = |level: f64| {
         let [a, b] = [9.3, 21.8].map(|x| DVec3::new(x, 15.4, 15.6));
         Scene::new([32; 3], DVec3::ONE, |p| (p.distance(a) - 6.0).min(p.distance(b) - 6.0) - level)
@@ -130,12 +134,12 @@ fn sheets_that_touch_in_a_saddle_of_f_are_parted() {
     let near = |c: &CriticalPoint| c.position.distance(middle);
     let saddles = critical_points(&balls(0.0).field, 0.0);
     let saddle = saddles.into_iter().min_by(|a, b| near(a).total_cmp(&near(b))).unwrap();
-    // splines reproduce constants: the saddle now lies on F = 0, to the last digit of the samples
+    // splines reproduce constants, so the saddle lies on F = 0 up to the rounding of the samples
     let scene = balls(saddle.value);
     let parted = [1.4, 1.7, 2.0, 2.3, 2.6, 2.9].map(|spacing| {
         let mut points = surface_points(&scene, spacing);
         let topology = FieldTopology::new(&scene.field);
-        // no round of points, so that the tetrahedra have to do it
+        // no points are added, so only tetrahedra can separate the parts
         let options = RefineOptions { max_rounds: 0, ..RefineOptions::default() };
         let mut refinement = Refinement::new(&mut points, &scene.field, &topology, options).unwrap();
         let before = refinement.object.defects(&refinement.object.facets());
@@ -149,8 +153,8 @@ fn sheets_that_touch_in_a_saddle_of_f_are_parted() {
 }
 
 #[test]
-fn what_a_closed_surface_goes_round_is_found_and_can_change_sides() {
-    // a ball beside another, and the cavity of a shell
+fn enclosed_tetrahedra_are_found_and_can_change_sides() {
+    // one of two balls, and the cavity of a shell
     for (scene, is_cavity) in [(scenes::two_balls(), false), (scenes::shell(), true)] {
         let mut points = surface_points(&scene, 1.4);
         let topology = FieldTopology::new(&scene.field);
@@ -174,11 +178,12 @@ fn within(measured: f64, truth: f64, part: f64) -> bool {
     (measured - truth).abs() < part * truth
 }
 
-// An inscribed triangulation of edge e loses about e^2 / 12 R^2 of the area and a little over twice that of the
-// volume: 0.4 % and 1 % for e = 1.9 (points thrown 1.5 apart end up 1.9 apart in the mean) on a ball of radius 10.
+// An inscribed triangulation with edge e loses 5 e^2 / 24 R^2 of the area and 3 e^2 / 8 R^2 of the
+// volume: 0.8 % and 1.4 % for e = 1.9 on a ball of radius 10. Points at a spacing of 1.5 have a
+// mean edge of 1.9.
 
 #[test]
-fn sphere_has_its_volume_area_and_genus() {
+fn sphere_has_the_correct_volume_area_and_genus() {
     let (volume, area, report) = sound(&scenes::sphere(), 1.0, &[2]);
     assert!(within(volume, 4188.8, 0.01), "{volume}");
     assert!(within(area, 1256.6, 0.006), "{area}");
@@ -189,7 +194,7 @@ fn sphere_has_its_volume_area_and_genus() {
 }
 
 #[test]
-fn torus_has_its_volume_area_and_genus() {
+fn torus_has_the_correct_volume_area_and_genus() {
     let (volume, area, _) = sound(&scenes::torus(), 0.6, &[0]);
     assert!(within(volume, 2842.4, 0.01), "{volume}");
     assert!(within(area, 1421.2, 0.005), "{area}");
@@ -199,7 +204,7 @@ fn torus_has_its_volume_area_and_genus() {
 }
 
 #[test]
-fn two_balls_stay_two_even_when_the_points_are_sparser_than_the_gap() {
+fn two_balls_stay_apart_with_points_sparser_than_the_gap() {
     let (volume, _, _) = sound(&scenes::two_balls(), 0.5, &[2, 2]);
     assert!(within(volume, 2.0 * 523.6, 0.015), "{volume}");
     for spacing in [2.5, 4.0, 5.0] {
@@ -208,8 +213,9 @@ fn two_balls_stay_two_even_when_the_points_are_sparser_than_the_gap() {
 }
 
 #[test]
-fn both_sheets_of_a_thin_wall_are_kept() {
-    // 8 and 10.5 mm: the wall is 2.5 mm thick; at 4 mm one sheet's points are farther apart than the sheets are
+fn both_sides_of_a_thin_wall_are_kept() {
+    // The wall between the radii 8 and 10.5 mm is 2.5 mm thick. At 4 mm, the points on one side are
+    // farther apart than the two sides.
     let (volume, _, _) = sound(&scenes::shell(), 0.8, &[2, 2]);
     assert!(within(volume, 2704.2, 0.01), "{volume}");
     for spacing in [2.5, 4.0] {
@@ -240,7 +246,7 @@ fn a_hole_narrower_than_marching_cubes_can_see_is_kept() {
 
 #[test]
 fn a_component_without_particles_is_found_and_sampled() {
-    // two balls, one of them a voxel and a half in radius, and points on the large one alone
+    // two balls, one with a radius of 1.5 voxels, and points only on the large one
     let scene = Scene::new([32, 24, 24], DVec3::ONE, |p| {
         let centre = |x: f64| DVec3::new(x, 11.6, 11.6);
         (p.distance(centre(9.6)) - 6.0).min(p.distance(centre(23.2)) - 1.5)
@@ -258,8 +264,9 @@ fn a_component_without_particles_is_found_and_sampled() {
 }
 
 #[test]
-fn grid_aligned_and_repeated_particles_are_no_trouble() {
-    // a cuboid whose faces lie on grid planes: flat, cospherical and collinear points, each given twice
+fn grid_aligned_and_repeated_particles_are_accepted() {
+    // A cuboid with faces halfway between grid planes. The points are coplanar, cospherical and
+    // collinear, and each occurs twice.
     let scene = Scene::new([24; 3], DVec3::ONE, |p| {
         let q = (p - DVec3::splat(11.5)).abs() - DVec3::splat(6.0);
         q.max(DVec3::ZERO).length() + q.max_element().min(0.0) - 1.0
@@ -301,7 +308,7 @@ fn particles(scene: &Scene, positions: Vec<DVec3>, size: f64) -> ParticleSet {
 }
 
 #[test]
-fn particles_that_cannot_be_used_are_counted_or_refused() {
+fn unusable_particles_are_counted_or_rejected() {
     let scene = scenes::sphere();
     let mut set = particles(&scene, scene.points(2.0), 2.4);
     let good = set.positions.len();
@@ -325,7 +332,7 @@ fn particles_that_cannot_be_used_are_counted_or_refused() {
 }
 
 #[test]
-fn a_crowd_on_one_spot_leaves_one_point() {
+fn near_duplicates_are_reduced_to_one_point() {
     let scene = scenes::sphere();
     let mut set = particles(&scene, scene.points(2.0), 2.4);
     let good = set.positions.len();
@@ -340,9 +347,9 @@ fn a_crowd_on_one_spot_leaves_one_point() {
     assert_eq!(delaunay.vertex_count(), good);
 }
 
-/// Smooth unions and differences of a few balls and tori, from points as sparse as their thinnest parts.
+/// Smooth unions of balls and tori, with points as sparse as the thinnest parts.
 #[test]
-fn random_blends_come_out_closed_with_the_right_topology() {
+fn random_blends_are_closed_with_the_correct_topology() {
     let mut inserted = 0;
     for seed in 0..16u64 {
         let u = |k: u64| uniform(77, seed, k);
@@ -366,7 +373,8 @@ fn random_blends_come_out_closed_with_the_right_topology() {
             assert!(defects.is_empty(), "scene {seed}: {euler:?} {report:?}");
             let (volume, _) = volume_and_area(&mesh);
             let voxels = scene.image.data.iter().filter(|f| **f < 0.0).count() as f64;
-            // chords of 1.2 on tubes of radius 1 cut off up to 9 % (measured), those of 2.5 up to a quarter
+            // chords of 1.2 on tubes of radius 1 cut off up to 9 % (measured), those of 2.5 up to a
+            // quarter
             assert!(spacing > 2.0 || within(volume, voxels, 0.12), "scene {seed}: {volume} of {voxels}");
             inserted += report.points();
         }
@@ -374,7 +382,7 @@ fn random_blends_come_out_closed_with_the_right_topology() {
     assert!(inserted > 0, "none of the scenes needed refinement: they are too easy");
 }
 
-/// A ball with six small ones round it, each on a thin stalk.
+/// A ball with six small balls around it, each on a thin stalk.
 fn ball_with_buds(seed: u64) -> Scene {
     let random = |n: u64| uniform(seed, 7, n);
     let centre = DVec3::splat(15.0) + 0.5 * DVec3::new(random(0), random(1), random(2));
@@ -395,7 +403,7 @@ fn ball_with_buds(seed: u64) -> Scene {
     })
 }
 
-/// A ball with six thin rings stuck into it, or a block that is hollow where these are.
+/// A ball with six thin rings attached to it, or (`is_hollow`) a block with a cavity of this shape.
 fn ball_with_rings(seed: u64, is_hollow: bool) -> Scene {
     let random = |n: u64| uniform(seed, 8, n);
     let centre = DVec3::splat(15.0) + 0.5 * DVec3::new(random(0), random(1), random(2));
@@ -418,18 +426,20 @@ fn ball_with_rings(seed: u64, is_hollow: bool) -> Scene {
     })
 }
 
-/// All of these, of scenes 0 to 59 at these three spacings, had a bud that stayed apart when no more was asked of the mesh than to have the critical points of F on their sides and a point
-/// between the bud and the ball.
+/// Scenes that need the cores of handles, from seeds 0 to 59 at these three spacings. In each, a
+/// bud stays detached if the refinement requires only critical points on the correct sides and a
+/// point between bud and ball.
 #[test]
-fn buds_on_thin_stalks_stay_on_them() {
+fn buds_stay_attached_to_their_thin_stalks() {
     for (seed, spacing) in [(1, 3.0), (9, 3.0), (17, 5.0), (19, 7.0), (27, 7.0), (28, 5.0), (30, 5.0), (38, 3.0)] {
         let (_, defects, report, _) = surface(&ball_with_buds(seed), spacing);
         assert!(defects.is_empty() && report.unresolved.is_empty(), "scene {seed} at {spacing}: {report:?}");
     }
 }
 
-/// All of these, of scenes 0 to 59 at these three spacings, lacked handles or fell into pieces when no more was asked of the mesh than to have the critical points of F on their sides
-/// and a point in each gap.
+/// Scenes that need the cores of handles, from seeds 0 to 59 at these three spacings. Each lacks
+/// handles or is in pieces if the refinement requires only critical points on the correct sides and
+/// a point in each gap.
 #[test]
 fn thin_rings_and_tunnels_are_neither_cut_nor_closed() {
     let rings =
@@ -468,9 +478,9 @@ fn ball_with_cones(seed: u64) -> Scene {
     })
 }
 
-/// Towards the tip of a cone F has no critical point, and so no core.
+/// F has no critical point near the tip of a cone, and therefore no core.
 #[test]
-fn the_tips_of_cones_stay_on_them() {
+fn the_tips_of_cones_are_kept() {
     for (seed, spacing) in (0..12).flat_map(|seed| [3.0, 5.0, 7.0].map(|spacing| (seed, spacing))) {
         let (_, defects, report, _) = surface(&ball_with_cones(seed), spacing);
         let is_right = defects.is_empty() && report.unresolved.is_empty() && report.dropped_pieces == 0;

@@ -1,5 +1,6 @@
-//! The finished mesh against the topology of F, which no mesh has had a say in, up to the undecided places of F: there a mesh may have either of
-//! two topologies, which is listed and fails no check; elsewhere mesh and F must be the same.
+//! Compares the finished mesh with the topology of F, which is computed without any mesh. At
+//! undecided places of F, either of two topologies is accepted and listed. Elsewhere, any
+//! difference fails the check.
 
 use crate::defects::{Defects, Found};
 use crate::object::component_at;
@@ -12,45 +13,51 @@ use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// What F has, what the mesh has, and where they differ.
+/// The topology of F, that of the mesh, and their differences.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TopologyReport {
-    /// What F has.
+    /// Topology of F.
     pub field: TopologySummary,
-    /// Components of the mesh.
+    /// Number of components of the mesh.
     pub components: usize,
-    /// Its Euler characteristic.
+    /// Euler characteristic of the mesh.
     pub euler: i64,
-    /// Triangles whose corners lie on different components of F = 0 that no undecided place can join.
+    /// Number of triangles with vertices on different components of F = 0 that no undecided place
+    /// can join.
     pub joining_triangles: usize,
-    /// Components of F = 0 that the mesh lacks: a point near each of them, in world coordinates (mm).
+    /// Components of F = 0 that the mesh lacks: a position near each of them, in world coordinates
+    /// (mm).
     pub missing: Vec<[f64; 3]>,
-    /// Components of the mesh that lie near none of F = 0, beyond those that undecided places may be.
+    /// Number of components of the mesh that are near no component of F = 0, minus those that
+    /// undecided specks allow.
     pub superfluous: usize,
-    /// Groups of components of which the mesh has more, fewer or of another Euler characteristic than F can have.
+    /// Groups of components for which the number of components or the Euler characteristic of the
+    /// mesh is outside the range that F allows.
     pub wrong: Vec<Difference>,
 }
 
-/// A group of components that mesh and F have in different ways.
+/// A group of components whose topology in the mesh is not allowed by F.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Difference {
-    /// A point near its first component, in world coordinates (mm).
+    /// A position near the first component of the group, in world coordinates (mm).
     pub place: [f64; 3],
-    /// What the mesh has there.
+    /// Topology of the mesh in this group.
     pub mesh: Found,
-    /// Components of F = 0 there, and how many they may be at least and at most up to the undecided places.
+    /// Number of components of F = 0 in this group, and the minimum and maximum that the undecided
+    /// places allow.
     pub components: [usize; 3],
-    /// The Euler characteristic of F = 0 there in the same way.
+    /// Euler characteristic of F = 0 in this group, with its minimum and maximum.
     pub euler: [i64; 3],
-    /// The undecided places there: numbers in the list of those of F.
+    /// Indices of the undecided places of this group in the list of [`TopologySummary`].
     pub undecided: Vec<u32>,
 }
 
 impl TopologyReport {
-    /// Compares a mesh in the grid frame, its vertices on F = 0.
+    /// Compares a mesh in the grid frame, with its vertices on F = 0, with the topology of F.
     pub fn new(mesh: &TriangleMesh, field: &CubicSpline, topology: &FieldTopology) -> Self {
         let component_of: Vec<u32> = mesh.vertices.par_iter().map(|&p| component_at(p, field, topology)).collect();
-        // what is no manifold is told elsewhere
+        // the checks report edges and vertices that are not manifold, so open edges are allowed
+        // here
         let defects = Defects::find(&mesh.triangles, &component_of, topology, |_, _| true);
         let geometry = field.geometry();
         let missing = |&c: &u32| geometry.grid_to_world(topology.components()[c as usize].place).to_array();
@@ -68,8 +75,9 @@ impl TopologyReport {
         }
     }
 
-    /// The differences in words: those that fail, and those that do not. With an open border, where the mesh may end
-    /// a little before or behind that of the volume, other Euler characteristics do not fail.
+    /// Returns the differences in words: those that fail the check, and those that only cause a
+    /// warning. With an open border, a group in `wrong` fails only if the mesh has too many
+    /// components, because the mesh may end slightly before or beyond the border of the volume.
     pub fn differences(&self, is_open: bool) -> (Vec<String>, Vec<String>) {
         let mut failed = Vec::new();
         if self.joining_triangles > 0 {
@@ -88,7 +96,7 @@ impl TopologyReport {
         (failed, open.into_iter().map(Difference::told).collect())
     }
 
-    /// How many components F has, for the closing table.
+    /// Returns the number of components of F and of undecided places, for the closing table.
     pub fn expected(&self) -> String {
         let count = self.field.components;
         match self.field.undecided.len() {
@@ -146,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_right_mesh_has_no_differences_and_a_wrong_one_is_told_apart() {
+    fn only_meshes_with_wrong_topology_have_differences() {
         let scene = scenes::two_balls();
         let good = marching_cubes(&scene.image, 0.0);
         let right = report(&good, &scene);
@@ -160,7 +168,7 @@ mod tests {
         assert!(failed.len() == 1 && failed[0].contains("1 components of F = 0 are missing"), "{failed:?}");
         assert!(doubtful.is_empty());
 
-        // a tube from ball to ball in place of a triangle of each
+        // replaces one triangle of each ball by a tube between the balls
         let mut joined = good.clone();
         let facing = |first: bool| {
             let own = (0..good.triangles.len()).filter(|&t| is_first(&good, &good.triangles[t]) == first);
@@ -174,7 +182,7 @@ mod tests {
         let (failed, _) = report(&joined, &scene).differences(false);
         assert!(failed[0].contains("6 triangles join different components"), "{failed:?}");
 
-        // a third ball beside them
+        // adds a third ball
         let mut more = good.clone();
         let count = more.vertices.len() as u32;
         let beside = good.vertices.iter().map(|&p| 0.1 * p + DVec3::new(0.0, 0.0, 0.5)).collect::<Vec<_>>();
@@ -193,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn what_undecided_places_account_for_is_told_but_does_not_fail() {
+    fn differences_at_undecided_places_do_not_fail() {
         let balls = |level: f64| {
             let [a, b] = [9.3, 21.8].map(|x| DVec3::new(x, 15.4, 15.6));
             Scene::new([32; 3], DVec3::ONE, |p| (p.distance(a) - 6.0).min(p.distance(b) - 6.0) - level)
@@ -209,7 +217,7 @@ mod tests {
             assert_eq!(found.field.components_between, [1, 2]);
             assert!(found.expected().ends_with(", 1 undecided"), "{}", found.expected());
         }
-        // a value that says which, but too small for a mesh
+        // the sign at the saddle determines the topology, but the gap is too small for a mesh
         let scene = balls(saddle.value - 3e-4);
         let [apart, together] = [-0.2f32, 0.2].map(|iso| report(&marching_cubes(&scene.image, iso), &scene));
         assert_eq!(([apart.components, together.components], [apart.euler, together.euler]), ([2, 1], [4, 2]));

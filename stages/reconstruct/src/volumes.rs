@@ -1,25 +1,26 @@
-//! Volumes by material, mm^3: of the voxels and of F, as `distfield` tells them in its notes, and
-//! of the mesh. The surface carries the rows to `tetmesh-check`.
+//! Volumes of each material in mm^3: of the voxels and of F (from the metadata of `distfield`), and
+//! of the mesh. The surface file passes these rows on to `tetmesh-check`.
 
 use crate::check::RegionReport;
 use isoparticles_stage::meta::{DistanceMeta, MaterialsMeta};
 use serde::Serialize;
 use serde_json::Value;
 
-/// The volumes of the object, or of a material.
+/// The volumes of one object, or of one material.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Volumes {
-    /// Name of the material; `object` where it is the only one.
+    /// Name of the material; `object` for one object.
     name: String,
-    /// Of the voxels, without the parts that were left out on purpose; none of a scalar volume.
+    /// Volume of the voxels without dropped parts. `None` if unknown, as for an isosurface without
+    /// a scale.
     voxels_mm3: Option<f64>,
-    /// Of F < 0.
+    /// Volume of F < 0.
     field_mm3: Option<f64>,
-    /// Inside the mesh.
+    /// Volume inside the mesh.
     mesh_mm3: f64,
 }
 
-/// The row of one object, whose mesh has the volume `mesh_mm3`.
+/// Returns the row of one object. `mesh_mm3` is the volume inside its mesh.
 pub(crate) fn of_object(told: &DistanceMeta, mesh_mm3: f64) -> Vec<Volumes> {
     let dropped = told.notes.get("dropped").and_then(|dropped| dropped["volume"].as_f64()).unwrap_or(0.0);
     let voxels_mm3 = told.volume_before.map(|volume| volume - dropped);
@@ -27,7 +28,7 @@ pub(crate) fn of_object(told: &DistanceMeta, mesh_mm3: f64) -> Vec<Volumes> {
     vec![Volumes { name: "object".to_owned(), voxels_mm3, field_mm3, mesh_mm3 }]
 }
 
-/// A row for each material but the outside.
+/// Returns a row for each material of the mesh except the outside.
 pub(crate) fn of_materials(told: &MaterialsMeta, meshes: &[RegionReport]) -> Vec<Volumes> {
     let table = told.notes.get("table").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
     let row = |entry: &Value| {
@@ -45,7 +46,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn rows_have_the_volumes_that_the_field_tells() {
+    fn rows_contain_the_volumes_of_the_field_metadata() {
         let told = json!({"volume_before": 12.0, "volume": 11.5, "dropped": {"volume": 2.0}});
         let told: DistanceMeta = serde_json::from_value(told).expect("a note");
         let row = |name: &str, voxels_mm3, field_mm3, mesh_mm3| Volumes {

@@ -2,8 +2,8 @@
 
 use crate::interfaces::{Interfaces, segment};
 
-/// Returns whether the junction curves force a triangle to have a radius ratio below a limit;
-/// `meeting` counts the materials at each vertex.
+/// Returns whether the junction curves force the radius ratio of a triangle below a limit.
+/// `meeting` is the number of materials at each vertex.
 pub(super) fn is_forced(interfaces: &Interfaces, meeting: &[u8], limit: f64, triangle: u32) -> bool {
     let corners = interfaces.mesh.triangles[triangle as usize];
     let places = interfaces.mesh.corners(triangle as usize);
@@ -14,7 +14,7 @@ pub(super) fn is_forced(interfaces: &Interfaces, meeting: &[u8], limit: f64, tri
         let [a, b] = side.map(|k| corners[k]);
         let is_whole = [a, b].iter().all(|&v| meeting[v as usize] > 3);
         let is_segment = || interfaces.segments.binary_search_by_key(&segment(a, b), |(pair, _)| *pair).is_ok();
-        // 2r/R of a triangle with one side of length a and two of length b is at most 2a/b
+        // 2r/R of a triangle with a side of length a and two sides of length b is at most 2a/b
         is_whole && 2.0 * length(side) < limit * longest && is_segment()
     };
     corners.iter().all(|&v| meeting[v as usize] > 2) || sides.into_iter().any(is_short_curve)
@@ -28,7 +28,7 @@ mod tests {
     use isoparticles_mesh::TriangleMesh;
 
     #[test]
-    fn curves_force_triangles_between_them_and_on_short_ones() {
+    fn triangles_between_or_on_short_curves_are_forced() {
         let at = |x: f64| DVec3::new(x, 0.0, 0.0);
         let vertices = vec![at(0.0), at(0.1), at(0.2), DVec3::Y];
         let mesh = TriangleMesh { vertices, triangles: vec![[0, 1, 3], [1, 2, 3]] };

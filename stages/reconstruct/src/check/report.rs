@@ -10,14 +10,14 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Kinds of faults.
+/// Kinds of faults in a mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Fault {
     /// Edges of only one triangle in the surface of a region.
     OpenEdges,
-    /// Edges of only one triangle where the volume ends, if the surface may be open there. This is
-    /// no failure.
+    /// Edges of only one triangle at the border of the volume, if the surface may be open there.
+    /// They do not fail the check.
     BorderEdges,
     /// Edges of more than two triangles in the surface of a region.
     NonManifoldEdges,
@@ -35,26 +35,27 @@ pub enum Fault {
     SelfIntersections,
     /// Components whose normals point against the gradient.
     InwardComponents,
-    /// Edges of several interfaces that are on no junction curve.
+    /// Edges of more than two triangles that are not segments of a junction curve.
     SpuriousJunctionEdges,
-    /// Segments of junction curves without triangles of their materials.
+    /// Segments of junction curves that are not edges of at least three triangles between their
+    /// materials.
     MissingSegments,
-    /// Grid nodes in another material.
+    /// Grid nodes in another material. They fail the check only if nodes must stay on their side.
     NodesOnWrongSide,
-    /// Triangles below the minimum radius ratio, without the forced ones.
+    /// Triangles below the minimum radius ratio that are not forced.
     PoorTriangles,
-    /// Triangles below the minimum radius ratio that the junction curves force, if not accepted.
+    /// Triangles that the junction curves force below the minimum radius ratio, unless accepted.
     ForcedTriangles,
-    /// Vertices too far from an interface.
+    /// Vertices whose distance from an interface exceeds the limit.
     DistantVertices,
-    /// Triangles whose normal points against the gradient at the centroid. This is no failure: it
-    /// shows detail finer than the edges.
+    /// Triangles whose normal points against the gradient at the centroid. They do not fail the
+    /// check: they show detail finer than the edges.
     TurnedTriangles,
 }
 
 impl Fault {
-    /// Returns the number of the fault in the file of offending simplices, 0 if it has none there,
-    /// and its name in messages.
+    /// Returns the number of the fault in the file of offending simplices (0 if it is not written
+    /// there), and its name in messages.
     pub(crate) fn described(self) -> (i64, &'static str) {
         match self {
             Self::OpenEdges => (1, "open edges (edges of only one triangle)"),
@@ -83,15 +84,15 @@ impl Fault {
 pub enum Simplices {
     /// Vertices of the mesh.
     Vertices(Vec<u32>),
-    /// Pairs of vertices. Vertices that are not in the mesh have the number `u32::MAX`.
+    /// Pairs of vertices. `u32::MAX` denotes a vertex that is not in the mesh.
     Edges(Vec<Segment>),
     /// Triangles of the mesh.
     Triangles(Vec<u32>),
     /// Pairs of triangles of the mesh.
     TrianglePairs(Vec<[u32; 2]>),
-    /// Grid nodes, x fastest.
+    /// Grid nodes by linear index, x fastest.
     Nodes(Vec<usize>),
-    /// A number of components.
+    /// The number of components.
     Components(usize),
 }
 
@@ -107,19 +108,19 @@ impl Simplices {
     }
 }
 
-/// Distances |F| / |grad F| in voxels (geometric mean spacing).
+/// Summary of the distances |F| / |grad F| in voxels (geometric mean spacing).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct DistanceSummary {
-    /// Mean.
+    /// Mean distance.
     pub mean: f64,
     /// 99th percentile.
     pub p99: f64,
-    /// Maximum.
+    /// Maximum distance.
     pub max: f64,
 }
 
 impl DistanceSummary {
-    /// Summarises distances.
+    /// Returns the summary of some distances.
     pub fn of(distances: &[f64]) -> Self {
         let mut ascending = distances.to_vec();
         ascending.par_sort_unstable_by(f64::total_cmp);
@@ -134,112 +135,114 @@ impl DistanceSummary {
 /// Topology and size of one component of the surface of a region.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ComponentReport {
-    /// Counts, Euler characteristic, genus.
+    /// Counts of simplices, Euler characteristic and genus.
     #[serde(flatten)]
     pub topology: ComponentTopology,
-    /// Area, and signed volume, which is negative for the surface of a cavity.
+    /// Area in mm^2, and signed volume in mm^3, which is negative for the surface of a cavity.
     #[serde(flatten)]
     pub measure: Measure,
 }
 
-/// The closed surface of a region.
+/// Measurements of the closed surface of a region.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RegionReport {
     /// Name of the material; `object` for one object.
     pub name: String,
-    /// Volume, mm^3. The volume of the outside is minus that of all other regions.
+    /// Volume in mm^3. The volume of the outside is minus the sum of all others.
     pub volume: f64,
     /// Area, mm^2.
     pub area: f64,
     /// Euler characteristic.
     pub euler: i64,
-    /// The components of the surface: one for each component of the region, and one for each
-    /// cavity.
+    /// Components of the surface: one for each component of the region, and one for each cavity.
     pub components: Vec<ComponentReport>,
 }
 
-/// The triangles between two materials.
+/// Measurements of the triangles between two materials.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct PairReport {
     /// Names of the materials inside and outside.
     pub between: [String; 2],
     /// Area, mm^2.
     pub area: f64,
-    /// Shapes.
+    /// Summary of the shapes of the triangles.
     pub quality: QualitySummary,
 }
 
 /// Numbers of elements on junction curves.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct JunctionReport {
-    /// Edges of three triangles or more.
+    /// Edges of at least three triangles.
     pub junction_edges: usize,
-    /// Vertices at which four materials or more meet.
+    /// Vertices of at least four materials.
     pub junction_points: usize,
     /// Segments of junction curves.
     pub segments: usize,
 }
 
-/// A poor triangle that the junction curves force: its corners all lie on them, or one of its sides
-/// is the whole of a curve between two junction points that is far shorter than h.
+/// A triangle that the junction curves force below the minimum radius ratio. Either all its
+/// vertices are on junction curves, or one edge is a whole curve between two junction points and is
+/// shorter than half the minimum ratio times the longest edge.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ForcedTriangle {
-    /// Its centroid in world coordinates, mm.
+    /// Centroid in world coordinates, mm.
     pub place: [f64; 3],
-    /// Its radius ratio.
+    /// Radius ratio.
     pub radius_ratio: f64,
 }
 
-/// Result of a check. Serialises to the JSON of the reports, without the offending simplices.
+/// Result of a check. The JSON form omits the offending simplices.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct CheckReport {
-    /// False if a coordinate is not finite or an index names no vertex; nothing else is checked
-    /// then.
+    /// Whether all coordinates are finite and all vertex indices are valid. If not, nothing else is
+    /// checked.
     pub well_formed: bool,
     /// Number of vertices.
     pub vertices: usize,
     /// Number of triangles.
     pub triangles: usize,
-    /// Number of simplices by fault, for each fault that was looked for.
+    /// Number of simplices of each fault that was searched for.
     #[serde(flatten)]
     pub counts: BTreeMap<Fault, usize>,
     /// Numbers of elements on junction curves.
     #[serde(flatten)]
     pub junctions: JunctionReport,
-    /// The regions, ascending by material; for one interface, only the region inside.
+    /// Surfaces of the regions, by ascending material. With a single interface, only the region
+    /// inside.
     pub regions: Vec<RegionReport>,
     /// The interfaces.
     pub pairs: Vec<PairReport>,
-    /// Distances of the vertices from their interfaces.
+    /// Summary of the distances of the vertices from their interfaces.
     pub vertex_distance: Option<DistanceSummary>,
-    /// Distances of the centroids of the triangles from their interfaces.
+    /// Summary of the distances of the triangle centroids from their interfaces.
     pub centroid_distance: Option<DistanceSummary>,
-    /// Shapes of all triangles.
+    /// Summary of the shapes of all triangles.
     pub quality: QualitySummary,
     /// Triangles that the junction curves force below the minimum radius ratio, worst first.
     pub poor_between_curves: Vec<ForcedTriangle>,
-    /// The limit for the minimum radius ratio.
+    /// Minimum radius ratio that passes.
     pub min_radius_ratio_allowed: Option<f64>,
-    /// The offending simplices.
+    /// Offending simplices of each fault that was searched for.
     #[serde(skip)]
     pub offenders: BTreeMap<Fault, Simplices>,
-    /// The checks that failed, in words; empty if the mesh passes.
+    /// Failed checks in words; empty if the mesh passes.
     pub failed: Vec<String>,
 }
 
 impl CheckReport {
-    /// Returns the number of simplices of a fault, 0 if it was not looked for.
+    /// Returns the number of simplices of a fault, 0 if it was not searched for.
     pub fn count(&self, fault: Fault) -> usize {
         self.counts.get(&fault).copied().unwrap_or_default()
     }
 
-    /// Returns the surface of one object; an empty one if the mesh has no triangles.
+    /// Returns the first region, which is the surface of one object. It is empty if the mesh has no
+    /// triangles.
     pub fn object(&self) -> RegionReport {
         self.regions.first().cloned().unwrap_or_default()
     }
 
-    /// Describes the triangles that the junction curves force below the minimum radius ratio, with
-    /// the position of the worst.
+    /// Returns a description of the triangles that the junction curves force below the minimum
+    /// radius ratio, with the position of the worst one. Returns `None` if there are none.
     pub fn forced(&self) -> Option<String> {
         let worst = self.poor_between_curves.first()?;
         let (count, ratio, at) = (self.poor_between_curves.len(), worst.radius_ratio, place(worst.place));

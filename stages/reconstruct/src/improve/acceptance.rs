@@ -2,7 +2,8 @@
 //! kept.
 //!
 //! A transaction must reach its [`Goal`] and stay within its [`Limits`]. It must not produce
-//! intersecting triangles (exact predicates), and must not move a grid node to the wrong side.
+//! intersecting triangles (exact predicates). A guarded grid node may move to the wrong side only
+//! if the number of nodes on the wrong side decreases.
 
 use super::constants::{
     AGREEMENT, BELOW, FIT, FOLD, FOLLOWS, LEAST_GAIN, LEAST_MEAN_GAIN, LENGTHS, LOOSE_AGREEMENT, LOOSE_DEVIATION,
@@ -12,8 +13,8 @@ use super::surface::{Facts, Surface};
 use isoparticles_mesh::intersect::corners_cross;
 use isoparticles_mesh::spatial::{Bounds, BoxTree};
 
-/// Limits for the touched triangles. If a limit was exceeded before, it must not be exceeded
-/// further.
+/// Limits for the touched triangles. If some of them violated a limit before, their worst value
+/// before is the limit instead.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limits {
     /// Minimum cosine between the normal of a triangle and grad F at its centroid.
@@ -34,7 +35,8 @@ impl Limits {
     pub(super) const STRICT: Self =
         Self { agreement: AGREEMENT, fold: FOLD, fold_of_f: LOOSE_FOLD, deviation: MAX_DEVIATION, lengths: LENGTHS };
 
-    /// The limits for triangles that no operation within the strict limits improves.
+    /// The limits for projections, and for triangles that no single move within the strict limits
+    /// improves.
     pub(super) const LOOSE: Self = Self {
         agreement: LOOSE_AGREEMENT,
         fold: LOOSE_FOLD,
@@ -48,21 +50,23 @@ impl Limits {
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Goal {
     /// The shortfall of triangles below `bar` decreases, and the minimum quality does not decrease.
-    /// Alternatively, the number of grid nodes on the wrong side decreases, and the minimum quality
-    /// does not fall below [`FIT`].
+    /// Alternatively, the number of grid nodes on the wrong side decreases. The minimum quality
+    /// then does not fall below [`FIT`], or does not decrease if it was lower.
     Lift {
         /// Quality below which a triangle falls short.
         bar: f64,
     },
-    /// The mean quality increases by more than `price` times the increase of the mean deviation.
-    /// The minimum quality does not fall below `floor`, or does not decrease where it was lower.
+    /// The mean quality increases by more than [`LEAST_MEAN_GAIN`], and by more than `price` times
+    /// the increase of the mean deviation. The minimum quality does not fall below `floor`, or does
+    /// not decrease if it was lower.
     Mean {
         /// The minimum quality to keep.
         floor: f64,
-        /// Mean quality per mean deviation in units of h.
+        /// Required increase of the mean quality per increase of the mean deviation by h; 0 for
+        /// none.
         price: f64,
     },
-    /// The minimum quality does not fall below `floor`, or does not decrease where it was lower. No
+    /// The minimum quality does not fall below `floor`, or does not decrease if it was lower. No
     /// triangle has zero area.
     Keep {
         /// The minimum quality to keep.
@@ -94,15 +98,15 @@ impl Score {
     }
 }
 
-/// Returns the scores of the touched triangles as last committed and as they are now.
+/// Returns the scores of the touched triangles at the last commit and now.
 fn scores(surface: &Surface, touched: &[u32], bar: f64) -> (Score, Score) {
     let before = Score::of(touched.iter().map(|&t| surface.facts[t as usize].quality), bar);
     let now = touched.iter().filter(|&&t| surface.is_alive(t)).map(|&t| surface.quality(t));
     (before, Score::of(now, bar))
 }
 
-/// Returns the gain of the edits since the last commit in terms of [`Goal::Lift`]; negative
-/// infinity if they violate it.
+/// Returns the gain of the edits since the last commit, as measured by [`Goal::Lift`]. Returns
+/// negative infinity if the minimum quality or the grid nodes rule the edits out.
 pub(super) fn gain(surface: &Surface, bar: f64) -> f64 {
     let touched = surface.touched();
     let mended =
@@ -110,8 +114,8 @@ pub(super) fn gain(surface: &Surface, bar: f64) -> f64 {
     mended.map_or(f64::NEG_INFINITY, |mended| gain_of(scores(surface, &touched, bar), mended))
 }
 
-/// Returns the decrease of the shortfall below a bar, ignoring the minimum quality: for the first
-/// of two moves.
+/// Returns the decrease of the shortfall below a bar, ignoring the minimum quality. It rates the
+/// first of two moves.
 pub(super) fn progress(surface: &Surface, bar: f64) -> f64 {
     let (before, after) = scores(surface, &surface.touched(), bar);
     before.shortfall - after.shortfall
@@ -123,8 +127,8 @@ fn gain_of((before, after): (Score, Score), mended: usize) -> f64 {
     if after.smallest < floor { f64::NEG_INFINITY } else { gain }
 }
 
-/// Returns the increase of the summed quality of the touched triangles since the last commit. Their
-/// number must be unchanged.
+/// Returns the increase of the summed quality of the touched triangles since the last commit. The
+/// edits must not add or remove triangles.
 pub(super) fn total_gain(surface: &Surface) -> f64 {
     let change = |t: u32| surface.quality(t) - surface.facts[t as usize].quality;
     surface.touched().into_iter().map(change).sum()
@@ -142,8 +146,8 @@ pub(super) fn change_of_mean(surface: &Surface) -> f64 {
     after.mean - before.mean
 }
 
-/// Returns whether the edits reach a goal. `mended` is the decrease of the number of grid nodes on
-/// the wrong side.
+/// Returns whether the edits reach a goal, ignoring the price of [`Goal::Mean`]. `mended` is the
+/// decrease of the number of grid nodes on the wrong side.
 fn is_reached(surface: &Surface, touched: &[u32], goal: Goal, mended: usize) -> bool {
     let bar = if let Goal::Lift { bar } = goal { bar } else { 0.0 };
     let (before, after) = scores(surface, touched, bar);
@@ -156,8 +160,8 @@ fn is_reached(surface: &Surface, touched: &[u32], goal: Goal, mended: usize) -> 
     }
 }
 
-/// Commits the edits since the last commit if they pass, and rolls them back otherwise. Returns the
-/// touched triangles if they pass.
+/// Commits the edits since the last commit if they pass the acceptance test, and rolls them back
+/// otherwise. Returns the touched triangles, or `None` if the edits fail.
 pub(super) fn commit_or_rollback(surface: &mut Surface, limits: &Limits, goal: Goal) -> Option<Vec<u32>> {
     let touched = surface.touched();
     let Some((facts, changed)) = judged(surface, limits, goal, &touched) else {
@@ -171,13 +175,14 @@ pub(super) fn commit_or_rollback(surface: &mut Surface, limits: &Limits, goal: G
     Some(touched)
 }
 
-/// Returns the facts of the touched triangles and the grid nodes that change sides, if the edits
-/// since the last commit pass.
+/// Returns the facts of the touched triangles and the grid nodes that change sides, or `None` if
+/// the edits since the last commit fail the acceptance test.
 fn judged(surface: &Surface, limits: &Limits, goal: Goal, touched: &[u32]) -> Option<(Vec<Facts>, Vec<usize>)> {
     if touched.is_empty() || !surface.is_within_region(touched) {
         return None;
     }
-    // the cheap tests come first; if no node is on the wrong side, the nodes are tested last
+    // cheap tests come first; while nodes are on the wrong side, the goal depends on the nodes, so
+    // these are tested before it
     let mends = surface.has_wrong_nodes();
     let early = if mends { changed_nodes(surface, touched)? } else { (Vec::new(), 0) };
     if !is_reached(surface, touched, goal, early.1) {
@@ -236,7 +241,7 @@ fn is_sound(surface: &Surface, limits: &Limits, touched: &[u32], facts: &[Facts]
             && now.lengths[0] >= worst.lengths[0].min(limits.lengths[0])
             && now.lengths[1] <= worst.lengths[1].max(limits.lengths[1])
     });
-    // a patch with triangles turned against F may also have been folded
+    // where triangles were turned against grad F before, the surface may have been folded as well
     let limit = |a: &Facts, b: &Facts| {
         let is_of_f = a.agreement.min(b.agreement) >= FOLLOWS;
         if is_of_f { limits.fold_of_f } else { limits.fold }.min(before_fold)
@@ -257,8 +262,8 @@ fn is_sound(surface: &Surface, limits: &Limits, touched: &[u32], facts: &[Facts]
         })
 }
 
-/// Returns whether a touched triangle intersects any other triangle. Always false while the surface
-/// has no grid; intersections are then tested at the end ([`Surface::crosses_in_all`]).
+/// Returns whether a touched triangle intersects any other triangle. Returns `false` while the
+/// surface has no grid; intersections are then tested at the end ([`Surface::crosses_in_all`]).
 fn crosses(surface: &Surface, touched: &[u32]) -> bool {
     let Some(grid) = &surface.grid else { return false };
     let own: Vec<(u32, Bounds)> =
@@ -282,7 +287,8 @@ fn cross(surface: &Surface, first: u32, second: u32) -> bool {
 }
 
 impl Surface<'_> {
-    /// Returns whether any changed triangle intersects another triangle.
+    /// Returns whether any triangle that has changed since the surface was created intersects
+    /// another triangle.
     pub(super) fn crosses_in_all(&self) -> bool {
         let alive: Vec<u32> = (0..self.triangles.len() as u32).filter(|&t| self.is_alive(t)).collect();
         if !alive.iter().any(|&t| self.has_changed(t)) {
@@ -297,14 +303,16 @@ impl Surface<'_> {
 }
 
 /// Returns the grid nodes that change sides, and the decrease of the number of nodes on the wrong
-/// side. Returns `None` if a node leaves its correct side and the number does not decrease.
+/// side. Returns `None` if a node leaves its correct side and this number does not decrease, or if
+/// a node changes sides while a junction curve changes.
 fn changed_nodes(surface: &Surface, touched: &[u32]) -> Option<(Vec<usize>, usize)> {
     let Some(sides) = &surface.sides else { return Some((Vec::new(), 0)) };
     let sides_of = |t: u32| surface.field.sides(surface.sheet[t as usize]);
     let now = touched.iter().filter(|&&t| surface.is_alive(t)).map(|&t| (surface.corners(t), sides_of(t)));
     let former = surface.former_corners(touched).into_iter().map(|(t, corners)| (corners, sides_of(t)));
     let changed = sides.changed(former.chain(now));
-    // near a curve, a node may change from one wrong material to another
+    // near a curve, a node may change from one wrong material to another, which is not a change of
+    // sides
     if !changed.is_empty() && surface.changes_a_curve() {
         return None;
     }

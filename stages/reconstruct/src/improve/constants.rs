@@ -4,10 +4,11 @@
 // --- quality of a triangle ---
 
 /// Minimum radius ratio, and minimum and maximum angle (degrees), for finite elements. A triangle
-/// at any of these limits has quality 0.5.
+/// at one of these limits has at most quality 0.5.
 pub(super) const FIT: f64 = 0.5;
 pub(super) const FIT_ANGLES: [f64; 2] = [25.0, 120.0];
-/// Soft targets, not enforced by a check. A triangle at any of these limits has quality 0.65.
+/// Soft targets, not enforced by a check. A triangle at one of these limits has at most quality
+/// 0.65.
 pub(super) const AIM: f64 = 0.65;
 pub(super) const AIM_ANGLES: [f64; 2] = [28.0, 105.0];
 /// An edge between two junction points is short if it is shorter than this share s of h. A triangle
@@ -28,7 +29,7 @@ pub(super) const LEAST_GAIN: f64 = 1e-5;
 /// meshes of 1,000 to 20,000 vertices by 0.0005 to 0.002, in three times the time.
 pub(super) const LEAST_MEAN_GAIN: f64 = 1e-4;
 /// Contribution of each triangle below a bar to the shortfall, in addition to the squared
-/// difference. A triangle just below the bar is therefore worth a move, too.
+/// difference. With it, a move that lifts a triangle from just below the bar also gains.
 pub(super) const BELOW: f64 = 1e-3;
 /// Gain for each grid node that is brought to its correct side. It exceeds the shortfall of any
 /// patch: at most `MOST_TRIANGLES` = 4,000 triangles with at most 1 + `BELOW` each.
@@ -40,12 +41,12 @@ pub(super) const NODE: f64 = 1e4;
 /// normals of adjacent triangles.
 pub(super) const AGREEMENT: f64 = 0.3;
 pub(super) const FOLD: f64 = 0.0;
-/// Cosine between normal and grad F above which a triangle follows F. A fold between two such
+/// Cosine between normal and grad F from which a triangle follows F. A fold between two such
 /// triangles is a fold of F.
 pub(super) const FOLLOWS: f64 = 0.5;
-/// Loose limits: triangles turned by up to a right angle, and folds of F of up to 143 degrees. The
-/// fold of 107 degrees is also the strict limit for folds of F. It leaves 73 degrees inside, as
-/// between the faces of a regular tetrahedron.
+/// Loose limits: a normal deviation of up to a right angle, folds of up to 107 degrees, and folds
+/// of F of up to 143 degrees. The limit of 107 degrees is also the strict limit for folds of F. It
+/// leaves 73 degrees inside, about as between the faces of a regular tetrahedron.
 pub(super) const LOOSE_AGREEMENT: f64 = 0.0;
 pub(super) const LOOSE_FOLD: f64 = -0.3;
 pub(super) const LOOSE_FOLD_OF_F: f64 = -0.8;
@@ -64,13 +65,14 @@ pub(super) const LOOSE_LENGTHS: [f64; 2] = [0.05, 3.0];
 /// Distances in voxels: a vertex farther from F = 0 is off the surface; tolerance of a projection.
 pub(super) const ON_SURFACE: f64 = 5e-5;
 pub(super) const PROJECTION_TOLERANCE: f64 = 1e-5;
-/// Distances in units of h. Above the first, the first-order estimate |F| / |grad F| of the
-/// deviation is replaced by the distance to a point of F = 0. This point is searched for up to the
-/// second.
+/// Distances in units of h. Above the first, the distance to a point of F = 0 replaces the
+/// first-order estimate |F| / |grad F| of the deviation. The second is the maximum distance at
+/// which this point is searched for.
 pub(super) const FIRST_ORDER: f64 = 0.15;
 pub(super) const MOST_DEVIATION: f64 = 1.0;
-/// Number of samples on each side in the search for a crossing along a line, and number of
-/// bisections of the interval found (to 2^-20, a millionth, of the sample spacing).
+/// `LINE_STEPS`: number of samples on each side in the search for a crossing along a line.
+/// `HALVINGS`: number of bisections of the interval found, to 2^-20, a millionth, of the sample
+/// spacing.
 pub(super) const LINE_STEPS: usize = 16;
 pub(super) const HALVINGS: usize = 20;
 
@@ -82,17 +84,17 @@ pub(super) const TURN: f64 = 0.3;
 /// the distance to the next vertex).
 pub(super) const FIRST_STEP: f64 = 0.25;
 pub(super) const LAST_STEP: f64 = 0.01;
-/// Maximum share of the way to a neighbour on a junction curve that a vertex moves. The edge
-/// between them keeps at least a tenth of its length. Shorter edges are left to collapses.
+/// Maximum move of a vertex on a junction curve, as a share of the way to its neighbour. The edge
+/// between them keeps at least a tenth of its length. Collapses remove shorter edges.
 pub(super) const FARTHEST_ALONG: f64 = 0.9;
 /// Maximum distance between a junction curve and the midpoint of an edge on it after a move, in
 /// units of h: half the strict limit for centroids ([`MAX_DEVIATION`]). If the distance was larger
 /// before, it must not increase.
 pub(super) const CURVE_STRAYS: f64 = 0.15;
-/// Shares of the way to the best position that are tried, in this order. A shorter way may pass the
+/// Shares of the way to the best position, in the order tried. A shorter way may pass the
 /// acceptance test if the full way fails.
 pub(super) const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
-/// Maximum number of passes that relocate the vertices around a move.
+/// Maximum number of passes that relocate the vertices around a move, before the acceptance test.
 pub(super) const RELOCATIONS: usize = 2;
 /// Change of the minimum quality of the touched triangles, after the first pass, below which the
 /// second pass is skipped. 22,044 of 37,157 failed moves are below it, and 52 of 5,171 successful
@@ -145,27 +147,27 @@ pub(super) const PRICE_OF_DEVIATION: f64 = 1.5;
 // --- remeshing (Botsch and Kobbelt 2004) ---
 
 /// Edges longer than `LONG` h are split, edges shorter than `SHORT` h are collapsed. At these
-/// lengths, the edges that result are as far from h: a split halves an edge (4/3 - 1 = 1 - 2/3),
-/// and a collapse to the midpoint lengthens the adjacent edges by half (1 - 4/5 = 6/5 - 1).
+/// lengths, the edges before and after a move are equally far from h. A split halves an edge:
+/// 4/3 - 1 = 1 - 2/3. A collapse to the midpoint lengthens adjacent edges of the same length by
+/// half: 1 - 4/5 = 6/5 - 1.
 pub(super) const LONG: f64 = 4.0 / 3.0;
 pub(super) const SHORT: f64 = 4.0 / 5.0;
-/// Minimum quality that splits, collapses and flips keep, and that relaxation keeps. The former is
-/// lower because the following steps improve the triangles.
+/// Minimum quality that splits, collapses and flips keep, and minimum quality that relaxation
+/// keeps. The first is lower because the following steps improve the triangles.
 pub(super) const FLOOR: f64 = 0.35;
 pub(super) const FLOOR_OF_RELAXATION: f64 = 0.6;
 
 // --- queue of bad triangles ---
 
-/// Maximum number of triangles, worst first, that are processed in parallel. Their surroundings are
-/// disjoint.
+/// Maximum number of triangles with disjoint surroundings that are processed in parallel.
 pub(super) const BATCH: usize = 32;
 /// Number of rings of triangles around a triangle that single moves and pairs of moves, with their
 /// relocations, may change.
 pub(super) const RINGS: usize = 4;
-/// Number of first moves of a pair that are tried: those with the largest decrease of the
-/// shortfall. Each is followed by a second move.
+/// Number of first moves of a pair that are tried with second moves: those with the maximum
+/// decrease of the shortfall.
 pub(super) const FIRST_MOVES: usize = 4;
-/// Transactions by which the wasted work at a level of a band may exceed the useful work: some 130
+/// Transactions by which the wasted work at a level of a band may exceed the useful work: about 130
 /// single moves, 40 pairs of moves or two patches. With 3,000, 6,000 and 10,000, `thorax_ct` above
 /// 200 reaches a minimum radius ratio of 0.535, 0.620 and 0.659; eight labelled cubes of 6 voxels
 /// take 24, 38 and 51 thousand transactions. Attempts to remesh one patch end after half as many.
@@ -174,39 +176,40 @@ pub(super) const WASTED_WORK_LIMIT: usize = 6_000;
 // --- patch remeshing at a smaller target length, where F bends within h ---
 
 /// The mean edge length in this number of rings around a triangle is the length of the mesh there,
-/// if it is below h. With six rings on eight cubes of 4^3 voxels, the rings span the cubes, the
-/// smallest patch has 130 of 1,146 vertices, and the improvement takes four times as many
+/// if it is below h. With six rings on eight cubes of 4^3 voxels, the rings span the cubes, and the
+/// smallest patch has 130 of 1,146 vertices. The improvement then takes four times as many
 /// transactions and fails the check (`tests/tests/labelled_cubes.rs`).
 pub(super) const RINGS_OF_LENGTH: usize = 2;
-/// Radii of the patch in units of the length of the mesh there, smallest first. The smallest patch
-/// that succeeds adds the fewest vertices. Trabecular bone (1,000 vertices requested) has 1,276
-/// vertices before the improvement, 1,284 after a patch of 1.6 and 1,478 after one of 2.5, before
-/// superfluous vertices are collapsed.
+/// Radii of the patch in units of the length of the mesh there, in the order tried. The smallest
+/// patch that succeeds adds the fewest vertices. Trabecular bone (1,000 vertices requested) has
+/// 1,276 vertices before the improvement, 1,284 after a patch of 1.6 and 1,478 after one of 2.5,
+/// before superfluous vertices are collapsed.
 pub(super) const REACHES: [f64; 4] = [1.6, 2.5, 4.0, 6.0];
 /// Rates at which target lengths grow with distance, in mm per mm, in the order tried. On noise
 /// (the torso CT at 200, both methods), 3 of 1.8 million triangles stay below [`FIT`] with the
 /// first rate alone, and none with all three.
 pub(super) const GRADATIONS: [f64; 3] = [0.45, 0.3, 0.6];
 /// Maximum number of times that a patch is remeshed with each rate. Each repetition also uses the
-/// lengths that the previous result demands. With 4 instead of 2, minimum and mean radius ratio of
-/// `heart_ct` at 20,000 vertices, `thorax_labels` 1 with `sizefield --vertices 5000` and labelled
-/// cubes of 2 to 5 voxels are the same.
+/// demands of the previous result. With 4 instead of 2, minimum and mean radius ratio of `heart_ct`
+/// at 20,000 vertices, `thorax_labels` 1 with `sizefield --vertices 5000` and labelled cubes of 2
+/// to 5 voxels are the same.
 pub(super) const ATTEMPTS: usize = 2;
-/// Target length as a share of the radius of curvature. At this length, nearly equilateral
-/// triangles have a small deviation and normal deviation (Amenta and Bern 1999). The next two are
-/// lower bounds of the target length as shares of the length of the mesh: in the patch, and at its
-/// rim.
+/// `CHORD`: target length as a share of the radius of curvature. At this length, nearly equilateral
+/// triangles have a small deviation and normal deviation (Amenta and Bern 1999). `FINEST` and
+/// `RIM`: lower bounds of the target length as shares of the length of the mesh, in the patch and
+/// at its rim.
 pub(super) const CHORD: f64 = 1.0;
 pub(super) const FINEST: f64 = 0.08;
 pub(super) const RIM: f64 = 0.8;
-/// After remeshing, a triangle demands a target length of `SHORTER` times its mean side if the
-/// distance of its centroid from F = 0 exceeds `STRAYS` times its mean side, or if the cosine
-/// between its normal and grad F is below `TURNED`.
+/// After remeshing, a triangle demands a target length of `SHORTER` times its mean side or its
+/// target length, whichever is less, in two cases. Either the distance of its centroid from F = 0
+/// exceeds `STRAYS` times its mean side, or the cosine between its normal and grad F is below
+/// `TURNED`.
 pub(super) const SHORTER: f64 = 0.5;
 pub(super) const STRAYS: f64 = 0.2;
 pub(super) const TURNED: f64 = 0.6;
-/// Number of rounds of splits, collapses, flips and relaxation, and then of moves that raise the
-/// triangles of the patch to quality `TARGET`.
+/// Number of rounds of splits, collapses, flips and relaxation in a patch. The same number of
+/// rounds then raises the triangles of the patch to quality `TARGET`.
 pub(super) const ROUNDS: usize = 5;
 pub(super) const TARGET: f64 = 0.6;
 /// Range of edge lengths in units of the target length while a patch is remeshed.

@@ -1,6 +1,6 @@
-//! Moves of vertices on junction curves, where three interfaces meet: along the curve to maximise
-//! the minimum quality, and into a neighbour on the curve. The acceptance test judges the triangles
-//! of all three interfaces together.
+//! Moves of vertices on junction curves, where three interfaces meet. A vertex slides along its
+//! curve to maximise the minimum quality, or is merged into a neighbour on the curve. The
+//! acceptance test covers the triangles of all three interfaces together.
 
 use super::constants::{CURVE_STRAYS, FARTHEST_ALONG, FIRST_STEP, LAST_STEP, LEAST_GAIN, PROJECTION_TOLERANCE};
 use super::sheets::Freedom;
@@ -9,27 +9,29 @@ use super::surface::{Curve, DEAD, Surface};
 use glam::DVec3;
 
 impl Surface<'_> {
-    /// Returns the junction curve at a vertex that can move along it.
+    /// Returns the junction curve of a vertex that may move along it, or `None` for any other
+    /// vertex.
     fn way_of(&self, vertex: u32) -> Option<Curve> {
         let v = vertex as usize;
         (self.freedom[v] == Freedom::Curve && !self.frozen[v]).then(|| self.curve_through(vertex)).flatten()
     }
 
-    /// Projects `p` onto a curve, at most `limit` mm away.
+    /// Returns the projection of `p` onto a curve, or `None` if it fails or is farther than `limit`
+    /// (mm).
     fn onto_curve(&self, curve: &Curve, p: DVec3, limit: f64) -> Option<DVec3> {
         let [first, second, _] = curve.sheets;
         self.field.project_onto_curve([first, second], p, limit, PROJECTION_TOLERANCE * self.field.voxel())
     }
 
-    /// Returns the distance (mm) of the midpoint of two points of a curve from the curve, or
-    /// infinity if the projection fails.
+    /// Returns the distance (mm) between a curve and the midpoint of two of its points, or infinity
+    /// if the projection fails.
     fn bow(&self, curve: &Curve, [p, q]: [DVec3; 2]) -> f64 {
         let middle = p.midpoint(q);
         self.onto_curve(curve, middle, 0.5 * p.distance(q)).map_or(f64::INFINITY, |foot| foot.distance(middle))
     }
 
-    /// Returns whether the bow (mm, [`Self::bow`]) of the edges at a vertex of a curve is
-    /// acceptable: within the limit, or not above the bow before.
+    /// Returns whether the bow (mm, [`Self::bow`]) of the edges at a vertex of a curve is at most
+    /// [`CURVE_STRAYS`] h, or at most the bow before.
     fn may_bow(&self, vertex: u32, bow: f64, before: f64) -> bool {
         bow <= before.max(CURVE_STRAYS * self.target[vertex as usize])
     }
@@ -57,7 +59,8 @@ pub(super) fn slide(surface: &mut Surface, vertex: u32) -> bool {
         let quality = |&(a, b, normal): &(DVec3, DVec3, DVec3)| quality_facing([p, a, b], normal);
         ring.iter().map(quality).fold(f64::INFINITY, f64::min)
     };
-    // position after a share of the way to the second neighbour, or to the first if negative
+    // position after a share of the way to the second neighbour on the curve, or to the first if
+    // the share is negative
     let place = |along: f64| {
         let end = ends[usize::from(along > 0.0)];
         let limit = along.abs() * start.distance(end);
@@ -82,14 +85,14 @@ pub(super) fn slide(surface: &mut Surface, vertex: u32) -> bool {
     true
 }
 
-/// Returns the point of the vertex's curve at a share of the way from one position to another.
+/// Returns the point of the curve of a vertex at a share of the way from one position to another.
 pub(super) fn part_of_slide(surface: &Surface, vertex: u32, [from, to]: [DVec3; 2], share: f64) -> Option<DVec3> {
     let curve = surface.way_of(vertex)?;
     surface.onto_curve(&curve, from.lerp(to, share), from.distance(to))
 }
 
-/// Merges `gone` into its neighbour `keep` on its curve. `keep` does not move. The last vertex
-/// between two junction points is kept if the edge between them would be short
+/// Merges `gone` into its neighbour `keep` on the same curve. `keep` does not move. The last vertex
+/// between two junction points stays if the edge between them would be short
 /// ([`Surface::is_short_side`]). Returns whether the collapse is possible.
 pub(super) fn collapse_along(surface: &mut Surface, keep: u32, gone: u32) -> bool {
     let Some(curve) = surface.way_of(gone) else { return false };
@@ -106,8 +109,8 @@ pub(super) fn collapse_along(surface: &mut Surface, keep: u32, gone: u32) -> boo
     neighbours.sort_unstable();
     neighbours.dedup();
     // link condition (Dey, Edelsbrunner, Guha and Nekhayev 1999) for the complex and the curve: the
-    // ends share no neighbours except the corners opposite the edge, no two of these corners form a
-    // triangle with `gone`, and the ends share no neighbour on the curve
+    // two ends share no neighbours except the corners opposite the edge, no two of these corners
+    // form a triangle with `gone`, and no other neighbour on the curve is shared
     let shared = neighbours.iter().filter(|&&v| surface.joined(v, keep)).count();
     let is_shared_side = |&(a, b): &(u32, u32)| corners.contains(&a) && corners.contains(&b);
     let is_held = |&v: &u32| surface.frozen[v as usize];

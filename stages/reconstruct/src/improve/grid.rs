@@ -1,7 +1,7 @@
-//! Finds the triangles near a triangle while the mesh is being edited.
+//! A spatial index that finds the triangles near a box while the mesh is being edited.
 //!
-//! The grid is hashed and has one level for each power of two of the triangle size, so that a
-//! strongly graded mesh costs no more than a uniform one. Each triangle is stored in the cell that
+//! The grid is hashed and has one level for each power of two of the triangle size. A strongly
+//! graded mesh therefore costs no more than a uniform one. Each triangle is stored in the cell that
 //! contains the centre of its bounding box.
 
 use glam::DVec3;
@@ -10,20 +10,20 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 
-/// Number of levels. The coarsest level contains all larger triangles.
+/// Number of levels. The coarsest level also contains all larger triangles.
 const LEVELS: usize = 32;
 /// Maximum number of cells along an axis in one level: 19 bits of the key.
 const CELLS: f64 = (1 << 19) as f64;
 
-/// Number of parts of the cells that are filled in parallel, and minimum number of triangles for
-/// this.
+/// Number of parts of the cells that are filled in parallel, and the number of triangles from which
+/// a grid has these parts.
 const PARTS: usize = 16;
 const MANY: usize = 1 << 14;
 
 /// The triangles in each cell.
 type Cells = HashMap<u64, Vec<u32>, BuildHasherDefault<KeyHasher>>;
 
-/// Triangles by position and size.
+/// The triangles in cells by position and size.
 #[derive(Clone)]
 pub(super) struct TriangleGrid {
     origin: DVec3,
@@ -35,11 +35,11 @@ pub(super) struct TriangleGrid {
 }
 
 impl TriangleGrid {
-    /// Creates an empty grid for triangles in the box `whole` (mm). The smallest triangles have a
-    /// size of about `finest` (mm).
+    /// Creates an empty grid for triangles in the box `whole` (mm). `finest` is the side of the
+    /// cells of the finest level (mm), about the size of the small triangles.
     pub(super) fn new(whole: Bounds, finest: f64) -> Self {
         let extent = (whole.high - whole.low).max_element().max(f64::MIN_POSITIVE);
-        // the cells are so coarse that the outermost ones are never reached
+        // coarse enough that the box of all triangles never reaches the outermost cells
         let finest = finest.max(extent / (0.25 * CELLS));
         Self {
             origin: whole.low - extent,
@@ -115,12 +115,12 @@ impl TriangleGrid {
         }
     }
 
-    /// Returns whether `test` holds for any triangle whose box meets `query`. The test receives the
-    /// box.
+    /// Returns whether `test` holds for any triangle whose box meets `query`. It receives the
+    /// triangle and its box.
     pub(super) fn any(&self, query: &Bounds, mut test: impl FnMut(u32, &Bounds) -> bool) -> bool {
         for level in (0..LEVELS).filter(|&l| self.population[l] > 0) {
-            // the centre of the box of a triangle of this level is at most half a cell from its
-            // points
+            // the points of a triangle of this level are at most half a cell from the centre of its
+            // box, along each axis
             let reach = if level + 1 < LEVELS { 0.5 * self.size(level) } else { f64::INFINITY };
             let low = self.cell(level, query.low - reach);
             let high = self.cell(level, query.high + reach);
@@ -170,12 +170,12 @@ fn level_of(key: u64) -> usize {
     (key >> 57) as usize
 }
 
-/// Returns the part of a cell if there are [`PARTS`] parts.
+/// Returns the part of a cell in a grid of [`PARTS`] parts.
 fn part_of(key: u64) -> usize {
     (key.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32) as usize % PARTS
 }
 
-/// Hashes one 64-bit key. No result depends on the order of the map.
+/// Hash function of a 64-bit key. No result depends on the order of the map.
 #[derive(Default)]
 pub(super) struct KeyHasher(u64);
 
@@ -202,7 +202,7 @@ mod tests {
     use isoparticles_field::random::uniform;
 
     #[test]
-    fn finds_what_a_scan_finds_through_insertions_and_removals() {
+    fn queries_match_a_scan_after_insertions_and_removals() {
         let boxes: Vec<Bounds> = (0..400u64)
             .map(|n| {
                 let at = |s: u64| DVec3::new(uniform(s, 0, n), uniform(s, 1, n), uniform(s, 2, n));

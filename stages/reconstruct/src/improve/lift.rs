@@ -1,5 +1,5 @@
-//! Improves a bad triangle by a single move, with relocations around it if needed, or by two moves
-//! in a row.
+//! Improves a bad triangle by a single move, followed by relocations around it if needed, or by two
+//! moves in a row.
 
 use super::acceptance::{Goal, Limits, commit_or_rollback, gain, progress};
 use super::constants::{FIRST_MOVES, LEAST_GAIN};
@@ -13,7 +13,7 @@ const MOST_COPIED: usize = 1000;
 /// Minimum number of moves per copy.
 const MOVES_A_COPY: usize = 4;
 
-/// What follows a move before it is judged.
+/// What follows a move before the acceptance test.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum After {
     /// Nothing.
@@ -22,18 +22,20 @@ pub(super) enum After {
     Relocations,
 }
 
-/// Commits the single move on a triangle with the largest gain that passes the acceptance test. If
-/// none passes, tries moves followed by relocations. Returns whether a move passed.
+/// Tries the moves on a triangle, maximum gain first, and commits the first that passes the
+/// acceptance test. If none passes, tries moves followed by relocations. Returns whether a move
+/// passed.
 pub(super) fn lift(surface: &mut Surface, triangle: u32, limits: &Limits, bar: f64) -> bool {
     let candidates = moves_near([surface.triangles[triangle as usize]]);
     let mut by_best = |after| lift_by_best(surface, &candidates, after, limits, bar);
     by_best(After::Nothing) || by_best(After::Relocations)
 }
 
-/// Commits the move with the largest gain that passes the acceptance test. Returns whether a move
-/// passed.
+/// Tries moves, maximum gain first, and commits the first that passes the acceptance test. Returns
+/// whether a move passed.
 fn lift_by_best(surface: &mut Surface, candidates: &[Move], after: After, limits: &Limits, bar: f64) -> bool {
-    // the relocations that follow move a vertex all the way
+    // the relocations that follow move each vertex to its best position, so partial relocations are
+    // redundant
     let candidates: Vec<Move> =
         candidates.iter().filter(|m| after == After::Nothing || !m.is_partial()).copied().collect();
     let rated = rated(surface, &candidates, after, gain_above(bar));
@@ -46,8 +48,9 @@ fn lift_by_best(surface: &mut Surface, candidates: &[Move], after: After, limits
 }
 
 /// Commits a single move if one passes ([`lift`]), and otherwise two moves in a row, each with
-/// relocations. The first is on the triangle or its neighbours and may lower the minimum quality.
-/// The second is on the worst triangle after the first. Returns whether anything was committed.
+/// relocations. The first move is on the triangle or its neighbours and may lower the minimum
+/// quality. The second move is on the worst triangle that the first has touched. Returns whether
+/// anything was committed.
 pub(super) fn lift_by_two(surface: &mut Surface, triangle: u32, limits: &Limits, bar: f64) -> bool {
     let whole = |triangles: Vec<[u32; 3]>| -> Vec<Move> {
         moves_near(triangles).into_iter().filter(|m| !m.is_partial()).collect()
@@ -83,8 +86,8 @@ fn gain_above(bar: f64) -> impl Fn(&Surface) -> Option<f64> + Sync {
     move |made| Some(gain(made, bar)).filter(|&gain| gain > LEAST_GAIN)
 }
 
-/// Rates each move by a measure of the surface after it, and rolls it back. Returns the rates and
-/// moves, highest first, without moves that are not possible or have no rate.
+/// Makes each move, rates it by a measure of the surface, and rolls it back. Returns the rates and
+/// moves in descending order, without moves that are not possible or have no rate.
 fn rated(
     surface: &mut Surface,
     candidates: &[Move],
@@ -112,7 +115,7 @@ fn rated(
     } else {
         candidates.iter().filter_map(|&candidate| rate(surface, candidate)).collect()
     };
-    // stable sort: equal moves keep their order
+    // the sort is stable: moves with equal rates keep their order
     rated.sort_by(|a, b| b.0.total_cmp(&a.0));
     rated
 }

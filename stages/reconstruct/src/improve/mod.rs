@@ -1,11 +1,11 @@
 //! Improves the triangles of a closed mesh whose vertices lie on F = 0, and keeps its topology.
 //!
-//! All edits are transactions of edge flips, collapses, splits and relocations. They leave all
-//! vertices on F = 0 (Eq. 5). A transaction is kept if it passes the acceptance test
-//! (`acceptance`). `sweep` improves the whole mesh, `optimise` processes a queue of bad triangles,
-//! and `target_length` remeshes a patch at a smaller target length where F bends within h.
-//! Optionally, `remesh` remeshes the whole mesh towards h first, so that the input may be the
-//! output of marching cubes. The result does not depend on the number of threads.
+//! A transaction consists of edge flips, collapses, splits and relocations, and leaves all vertices
+//! on F = 0 (Eq. 5). It is kept if it passes the acceptance test (`acceptance`). `sweep` improves
+//! the whole mesh, and `optimise` processes a queue of bad triangles. `target_length` remeshes a
+//! patch at a smaller target length where h is too long for the curvature of F. Optionally,
+//! `remesh` first remeshes the whole mesh towards h, so that the input may come from marching
+//! cubes. The result does not depend on the number of threads.
 
 mod acceptance;
 mod constants;
@@ -52,22 +52,22 @@ use serde::Serialize;
 pub use sheets::{Freedom, Sheets};
 use surface::Surface;
 
-/// Extent of the improvement. By default, only triangles below 0.6 are improved.
+/// Options of [`improve`]. By default, only triangles of quality below 0.6 are improved.
 #[derive(Clone, Copy, Debug)]
 pub struct ImproveOptions<'a> {
-    /// Quality below which the optimiser works on a triangle; 0 disables the optimiser.
+    /// Quality below which the optimiser improves a triangle; 0 disables the optimiser.
     pub target: f64,
-    /// Number of rounds of remeshing the whole mesh towards h, before all else; 0 for none.
+    /// Number of rounds that remesh the whole mesh towards h, before the sweeps; 0 for none.
     pub remesh_rounds: usize,
     /// Number of sweeps over the whole mesh; 0 for none. The first removes vertices (if `thins`),
-    /// flips edges towards degree six and relaxes vertices. Smoothing then raises the mean quality
-    /// until nothing moves or its budget of visits is used up. Except for the removal of vertices,
-    /// no move lowers the minimum quality of its triangles below 0.9, or further if it is already
-    /// lower.
+    /// flips edges towards degree six and relaxes vertices. Vertices are then smoothed until
+    /// nothing moves or a budget of visits is used up. Except for the removal of vertices, no move
+    /// lowers the minimum quality of its triangles below 0.9, or further if it was lower before.
     pub relaxation_sweeps: usize,
     /// Whether the first sweep removes vertices where the mesh is denser than h.
     pub thins: bool,
-    /// Samples of F whose grid nodes must not change sides of the mesh (label volumes).
+    /// Samples of F at the grid nodes. If given, the number of nodes on the wrong side of the mesh
+    /// never increases (label maps).
     pub sides: Option<&'a Image<f32>>,
 }
 
@@ -78,14 +78,15 @@ impl Default for ImproveOptions<'_> {
 }
 
 impl ImproveOptions<'_> {
-    /// Options for a mesh of settled particles: a few sweeps raise the mean and minimum quality of
-    /// the whole mesh, then the worst triangles are improved.
+    /// Returns the options for a mesh of settled particles: three sweeps over the whole mesh, the
+    /// first with the removal of vertices, and then the optimiser for triangles of quality below
+    /// 0.9.
     pub fn polish() -> Self {
         Self { target: GOOD, relaxation_sweeps: 3, thins: true, ..Self::default() }
     }
 
-    /// Options that remesh the whole surface towards h. The input may be any closed mesh, including
-    /// the output of marching cubes.
+    /// Returns the options that remesh the whole surface towards h. The input may be any closed
+    /// mesh, including the output of marching cubes.
     pub fn remesh() -> Self {
         Self { remesh_rounds: 8, relaxation_sweeps: 4, ..Self::default() }
     }
@@ -94,21 +95,22 @@ impl ImproveOptions<'_> {
 /// Numbers of moves made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Tally {
-    /// Vertices projected onto F = 0.
+    /// Projections of vertices onto F = 0.
     pub projections: usize,
-    /// Vertices relaxed or smoothed.
+    /// Relocations of vertices by remeshing rounds and sweeps.
     pub relocations: usize,
-    /// Edges flipped by remeshing rounds and sweeps.
+    /// Edge flips of remeshing rounds and sweeps.
     pub flips: usize,
-    /// Edges collapsed by remeshing rounds, by sweeps, and to remove vertices off F = 0.
+    /// Edge collapses of remeshing rounds and sweeps, and those that remove vertices off F = 0.
     pub collapses: usize,
-    /// Edges split by remeshing rounds.
+    /// Edge splits of remeshing rounds.
     pub splits: usize,
-    /// Single moves for bad triangles, with the relocations after them.
+    /// Single moves for bad triangles. The relocations that follow a move are not counted
+    /// separately.
     pub single_moves: usize,
-    /// Pairs of moves for bad triangles, with the relocations after them.
+    /// Successes of the level that tries pairs of moves. It may also succeed with a single move.
     pub double_moves: usize,
-    /// Patches around bad triangles that were remeshed at a target length from the curvature of F.
+    /// Remeshed patches around bad triangles, at a target length from the curvature of F.
     pub remeshed_patches: usize,
     /// Transactions for bad triangles, kept or rolled back.
     pub tried: usize,
@@ -123,19 +125,21 @@ pub struct ImproveReport {
     pub after: QualitySummary,
     /// Numbers of moves made.
     pub moves: Tally,
-    /// Triangles with a radius ratio below the target before.
+    /// Number of triangles with a radius ratio below the target before.
     pub below_target_before: usize,
-    /// Triangles with a radius ratio below the target after.
+    /// Number of triangles with a radius ratio below the target after.
     pub below_target: usize,
-    /// Frozen vertices: their triangles do not form one closed fan.
+    /// Number of frozen vertices: those inside an interface whose triangles do not form one closed
+    /// fan.
     pub frozen_vertices: usize,
-    /// Vertices that could not be brought onto F = 0 (0 if all lay on F = 0 before).
+    /// Number of vertices off F = 0 after the improvement. It is 0 if all vertices were on F = 0
+    /// before.
     pub off_surface: usize,
-    /// Number of grid nodes on the wrong side before and after; `None` if nodes are not guarded.
+    /// Numbers of grid nodes on the wrong side before and after; `None` if nodes are not guarded.
     pub nodes_on_wrong_side: Option<[usize; 2]>,
 }
 
-/// Function that long loops call regularly. An error stops the work.
+/// Callback of long loops, which call it regularly. An error stops the work.
 pub type Step<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 
 /// Improves a mesh in the grid frame. `size` is the target edge length h (mm) at a position.
@@ -179,22 +183,24 @@ pub fn improve_holding(
 
 /// The interfaces of a mesh.
 pub struct SheetsOf<'a> {
-    /// The implicit functions of the interfaces.
+    /// Implicit functions of the interfaces.
     pub field: &'a dyn Sheets,
     /// Index of the interface of each triangle.
     pub of_triangle: Vec<u32>,
     /// How each vertex may move.
     pub freedom: Vec<Freedom>,
-    /// The grid and the indices of its nodes on the wrong side. If present, all nodes are guarded.
+    /// The grid, and the indices of its nodes in the wrong material. If present, all nodes are
+    /// guarded. Ignored if [`ImproveOptions::sides`] is given.
     pub wrong_nodes: Option<(&'a Geometry, Vec<usize>)>,
     /// Output: index of each vertex in the improved mesh, `u32::MAX` if it was removed.
     pub numbers: Vec<u32>,
 }
 
-/// Improves a mesh of several interfaces that meet in junction curves. The edges of junction curves
-/// are those that are not in two triangles. Vertices stay on their interfaces and curves. If a
-/// vertex of a curve is removed, an edge joins its two neighbours on the curve. Afterwards,
-/// `of_triangle` and `numbers` belong to the improved mesh, and `freedom` is no longer valid.
+/// Improves a mesh (grid frame) of several interfaces that meet in junction curves. Edges that are
+/// not in exactly two triangles are edges of junction curves. Vertices stay on their interfaces and
+/// curves. If a vertex of a curve is removed, an edge joins its two neighbours on the curve.
+/// Afterwards, `of_triangle` and `numbers` refer to the improved mesh, and `freedom` is no longer
+/// valid.
 ///
 /// # Errors
 /// Those of [`improve`].
@@ -236,7 +242,7 @@ pub fn improve_sheets(
     let limits = Limits::STRICT;
     let tally = &mut report.moves;
     project_all(&mut surface, tally);
-    // sweeps start without a grid and fill it at the end
+    // sweeps remove the grid and fill it at their end
     if surface.grid.is_none() && (options.remesh_rounds > 0 || options.relaxation_sweeps == 0) {
         surface.fill_grid();
     }
@@ -262,7 +268,7 @@ pub fn improve_sheets(
     Ok(report)
 }
 
-/// Returns the vertices that do not lie on F = 0, ascending.
+/// Returns the free vertices that do not lie on F = 0, ascending.
 fn off_surface(surface: &Surface) -> Vec<u32> {
     let numbers = 0..surface.positions.len() as u32;
     numbers.into_par_iter().filter(|&v| is_off_surface(surface, v as usize)).collect()
@@ -277,8 +283,9 @@ fn is_off_surface(surface: &Surface, v: usize) -> bool {
     value.abs() > ON_SURFACE * voxel * gradient.length()
 }
 
-/// Projects vertices that do not lie on F = 0 onto it, and fills the grid first if there are any. A
-/// vertex whose projection fails is merged into a neighbour on F = 0.
+/// Projects all free vertices that do not lie on F = 0, and fills the grid first if there are any.
+/// If the projection of a vertex fails or is rejected, the vertex is merged into a neighbour on
+/// F = 0.
 fn project_all(surface: &mut Surface, tally: &mut Tally) {
     let limits = &Limits::LOOSE;
     let off = off_surface(surface);

@@ -1,6 +1,6 @@
 //! Elementary moves: flip, collapse and split of an edge, and relocation of a vertex among its
-//! neighbours. All moves keep the mesh a manifold of the same topology (link condition). The
-//! acceptance test decides whether the result is kept.
+//! neighbours. All moves preserve the topology of the mesh (link condition). The acceptance test
+//! then decides whether the result is kept.
 
 use super::acceptance::change_of_smallest;
 use super::constants::{
@@ -64,7 +64,8 @@ pub(super) fn collapse(surface: &mut Surface, keep: u32, gone: u32, at: DVec3) -
     true
 }
 
-/// Splits the edge a, b at a new vertex on F = 0 near its midpoint. Returns the vertex.
+/// Splits the edge a, b at a new vertex on F = 0 near its midpoint. Returns the vertex, or `None`
+/// if this is not possible.
 pub(super) fn split(surface: &mut Surface, a: u32, b: u32) -> Option<u32> {
     let [(left, c), (right, d)] = surface.edge_triangles(a, b)?;
     if [a, b, c, d].iter().any(|&v| surface.frozen[v as usize]) || c == d {
@@ -84,8 +85,8 @@ pub(super) fn split(surface: &mut Surface, a: u32, b: u32) -> Option<u32> {
 }
 
 /// Moves a vertex along the surface to maximise the minimum quality of its triangles. The search
-/// tests eight directions at once, and halves the step if none is better. Returns whether the
-/// vertex moved.
+/// tests eight directions at once. If none is better, it halves the step and rotates the
+/// directions. Returns whether the vertex moved.
 pub(super) fn relocate(surface: &mut Surface, vertex: u32) -> bool {
     let Some(site) = Site::of(surface, vertex) else { return false };
     let worth = |p: DVec3| site.worth_above(p, f64::NEG_INFINITY).unwrap_or(f64::NEG_INFINITY);
@@ -100,7 +101,8 @@ pub(super) fn relocate(surface: &mut Surface, vertex: u32) -> bool {
         let candidates = directions.map(|direction| best + step * direction);
         let along = [candidates.map(|c| c.x), candidates.map(|c| c.y)];
         let ratios = dispatch!(instructions, simd => ring.smallest_ratios(simd, along));
-        // a quality never exceeds its radius ratio, so the highest ratios are tested first
+        // a quality never exceeds its radius ratio, so the search tests the highest ratios first
+        // and stops at the first ratio below the bar
         let mut lanes: [usize; LANES] = std::array::from_fn(|lane| lane);
         lanes.sort_by(|&a, &b| ratios[b].total_cmp(&ratios[a]));
         let mut next = None;
@@ -121,8 +123,7 @@ pub(super) fn relocate(surface: &mut Surface, vertex: u32) -> bool {
             Some(_) => break,
             None => {
                 step *= 0.5;
-                // other directions: a ridge of the minimum of several functions may lie between two
-                // directions
+                // the minimum of several functions has ridges, which may lie between two directions
                 directions = directions.map(|direction| turn.rotate(direction));
             }
         }
@@ -140,13 +141,14 @@ pub(super) fn relocate(surface: &mut Surface, vertex: u32) -> bool {
 }
 
 /// Moves a vertex along the surface, or along its junction curve, to maximise the minimum quality
-/// of its triangles.
+/// of its triangles. Returns whether the vertex moved.
 fn relocate_or_slide(surface: &mut Surface, vertex: u32) -> bool {
     if surface.is_free(vertex) { relocate(surface, vertex) } else { slide(surface, vertex) }
 }
 
-/// Moves a vertex along the surface by `share` of the way to the mean of the centroids of its
-/// triangles, weighted by area divided by the squared target length.
+/// Moves a vertex along the surface by `share` of the way to the weighted mean of the centroids of
+/// its triangles. The weight is the area divided by the squared target length. Returns whether the
+/// vertex moved.
 pub(super) fn relax(surface: &mut Surface, vertex: u32, share: f64) -> bool {
     let v = vertex as usize;
     if surface.frozen[v] || !surface.is_free(vertex) || surface.around[v].is_empty() {
@@ -182,13 +184,14 @@ pub(super) fn relax(surface: &mut Surface, vertex: u32, share: f64) -> bool {
 /// A move that may improve a bad triangle.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Move {
-    /// Moves the vertex by this share of the way to its best position.
+    /// A move of the vertex by this share of the way to its best position.
     Relocate(u32, f64),
-    /// Flips an edge.
+    /// A flip of an edge.
     Flip(u32, u32),
-    /// Merges the second vertex into the first, which moves by this share of the way to the second.
+    /// A collapse of the second vertex into the first, which moves by this share of the way to the
+    /// second.
     Collapse(u32, u32, f64),
-    /// Splits an edge.
+    /// A split of an edge.
     Split(u32, u32),
 }
 
@@ -265,8 +268,8 @@ pub(super) fn moves_near(triangles: impl IntoIterator<Item = [u32; 3]>) -> Vec<M
     moves
 }
 
-/// Relocates vertices in turn, and again if one of them moved and the result is not hopeless
-/// ([`HOPELESS_AFTER_RELOCATIONS`]).
+/// Relocates vertices in turn, in up to [`RELOCATIONS`] passes. Stops if no vertex moved, or if the
+/// minimum quality has changed by less than [`HOPELESS_AFTER_RELOCATIONS`].
 pub(super) fn relocate_all(surface: &mut Surface, mut vertices: Vec<u32>) {
     vertices.sort_unstable();
     for _ in 0..RELOCATIONS {

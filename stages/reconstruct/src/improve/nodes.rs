@@ -1,10 +1,10 @@
-//! Tracks which grid nodes lie on the wrong side of the mesh, compared with F (label volumes: no
-//! voxel may change sides).
+//! Tracks which grid nodes lie on the wrong side of the mesh, compared with F. In a label map,
+//! every voxel centre must stay on its side.
 //!
-//! The removed and the new triangles of a move bound closed regions, and the nodes in these regions
-//! change sides. They are found by exact parity along grid lines, as in
-//! [`isoparticles_mesh::inside`]. At a crossing with a triangle, the material on one side of its
-//! interface changes to that on the other side.
+//! The old and the new triangles of a move together bound closed regions, and the nodes in these
+//! regions change sides. They are found by exact parity along grid lines, as in
+//! [`isoparticles_mesh::inside`]. Where a grid line crosses a triangle, the material changes from
+//! one side of the interface to the other.
 
 use glam::DVec3;
 use isoparticles_mesh::TriangleMesh;
@@ -17,21 +17,21 @@ use std::collections::HashSet;
 #[derive(Clone)]
 pub(super) struct NodeSides<'a> {
     geometry: &'a Geometry,
-    /// Samples of F. A node with the sample zero has no side. Empty if every node has a side.
+    /// Samples of F at the nodes; a node with F = 0 has no side. Empty if every node has a side.
     samples: &'a [f32],
     wrong: HashSet<usize>,
 }
 
 impl<'a> NodeSides<'a> {
-    /// Determines the nodes on the wrong side of a mesh.
+    /// Creates the sides of the nodes of an image of F, given a closed mesh.
     pub(super) fn new(mesh: &TriangleMesh, image: &'a Image<f32>) -> Self {
         let geometry = &image.geometry;
         let wrong = nodes_on_wrong_side(mesh, image).into_iter().map(|[i, j, k]| geometry.linear(i, j, k)).collect();
         Self { geometry, samples: &image.data, wrong }
     }
 
-    /// Creates the sides of a grid where every node has a side, from the indices of those on the
-    /// wrong side.
+    /// Creates the sides of a grid in which every node has a side, from the indices of the nodes on
+    /// the wrong side.
     pub(super) fn of(geometry: &'a Geometry, wrong: impl IntoIterator<Item = usize>) -> Self {
         Self { geometry, samples: &[], wrong: wrong.into_iter().collect() }
     }
@@ -42,8 +42,8 @@ impl<'a> NodeSides<'a> {
     }
 
     /// Returns the nodes that change sides if triangles are replaced by others with the same
-    /// border. The iterator yields all old and new triangles, each with the materials on its two
-    /// sides.
+    /// border. The iterator yields all old and all new triangles, each with the materials on its
+    /// two sides.
     pub(super) fn changed(&self, triangles: impl Iterator<Item = ([DVec3; 3], [u32; 2])>) -> Vec<usize> {
         let geometry = self.geometry;
         let mut toggles: Vec<(Crossing, [u32; 2])> = Vec::new();
@@ -53,8 +53,8 @@ impl<'a> NodeSides<'a> {
         toggles.sort_unstable();
         let mut changed = Vec::new();
         for row in toggles.chunk_by(|a, b| a.0.row == b.0.row) {
-            // materials of the nodes before or after, but not both; empty if the material is
-            // unchanged
+            // materials that the nodes have either before or after, but not both; empty if their
+            // material is unchanged
             let mut unequal: Vec<u32> = Vec::new();
             for pair in row.windows(2) {
                 let [(from, sides), (to, _)] = [pair[0], pair[1]];
@@ -93,7 +93,7 @@ impl<'a> NodeSides<'a> {
         self.geometry.node_to_grid(node)
     }
 
-    /// Returns the same nodes, but only those on the wrong side that lie in a box (grid frame, mm).
+    /// Returns a copy that contains only the wrong nodes in a box (grid frame, mm).
     pub(super) fn within(&self, region: &Bounds) -> Self {
         let wrong = self.wrong.iter().copied().filter(|&n| region.holds(self.place(n))).collect();
         Self { wrong, ..*self }
@@ -125,7 +125,8 @@ mod tests {
         let sides = NodeSides::of(&geometry, []);
         let wall = |x: f64| [(0.5, 0.5), (3.0, 0.5), (0.5, 3.0)].map(|(y, z)| DVec3::new(x, y, z));
         let [first, second, both] = [(wall(0.5), [1, 2]), (wall(2.5), [2, 3]), (wall(1.5), [1, 3])];
-        // in three rows, the first node keeps 1, the second and third lose 2, and the last keeps 3
+        // in three rows, the first node keeps 1, the second and third nodes lose 2, and the last
+        // keeps 3
         assert_eq!(sides.changed([first, second, both].into_iter()), [21, 22, 25, 26, 37, 38]);
         assert_eq!(sides.changed([first, first].into_iter()), [0; 0]);
     }

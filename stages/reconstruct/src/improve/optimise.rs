@@ -1,13 +1,14 @@
 //! Improves the worst triangles: one queue, ordered by quality and effort.
 //!
-//! A triangle below its target enters the queue in one of [`BANDS`] bands of quality, at the first
-//! level of the [`schedule`]. A failure raises its level: from single moves to pairs of moves, and
-//! then to patches that are remeshed at growing reach. A success returns the changed triangles and
-//! their neighbours to the first level. Each level of each band has one budget ([`Budget`]).
+//! A triangle below the target quality enters the queue in one of [`BANDS`] bands of quality, at
+//! the first level of the [`schedule`]. A failure raises its level: from single moves to pairs of
+//! moves, and then to patch remeshing with an increasing radius. A success returns the changed
+//! triangles and their neighbours to the first level. Each level of each band has one budget
+//! ([`Budget`]).
 //!
 //! Worse bands come first. The first band contains the triangles nearest to grid nodes on the wrong
-//! side. Triangles with disjoint surroundings are worked on concurrently. The result does not
-//! depend on the number of threads.
+//! side. Triangles with disjoint surroundings are processed in parallel. The result does not depend
+//! on the number of threads.
 
 use super::acceptance::Limits;
 use super::constants::{AIM, ATTEMPTS, BATCH, FIT, POOR, REACHES, RINGS, WASTED_WORK_LIMIT};
@@ -46,11 +47,12 @@ struct Level {
 /// Number of levels.
 const LEVELS: usize = 7;
 
-/// Number of bands of quality: at grid nodes on the wrong side, and below [`FIT`], [`AIM`] and the
-/// target. A band cannot use up the budget of another one.
+/// Number of bands of quality: triangles at grid nodes on the wrong side, and triangles below
+/// [`FIT`], [`AIM`] and the target. A band cannot use up the budget of another band.
 const BANDS: usize = 4;
 
-/// Returns the levels of effort. No level applies to triangles of quality `target` or more.
+/// Returns the levels of effort, in ascending order. No level applies to triangles of quality
+/// `target` or higher.
 fn schedule(target: f64) -> [Level; LEVELS] {
     let [smallest, small, large, largest] = REACHES.map(|reach| Operation::Remesh { reach });
     let levels = [
@@ -67,10 +69,12 @@ fn schedule(target: f64) -> [Level; LEVELS] {
 
 impl Level {
     /// Returns whether the level applies to a triangle of this quality (0 at a grid node on the
-    /// wrong side). Vertices on junction curves cannot leave them. Between curves, only single
-    /// moves are worth their time, and next to curves only local operations: on the four tissues of
-    /// the torso phantom at h = 4 mm, all operations on all triangles take 38 s instead of 15 s and
-    /// raise the minimum radius ratio from 0.475 to 0.493 (`make CASE=torso-tissues surface`).
+    /// wrong side). Vertices on junction curves cannot leave the curves. A triangle between curves
+    /// therefore gets single moves only. A triangle next to a curve gets single moves and the two
+    /// smaller patches; below [`POOR`], it gets all operations. Grid nodes on the wrong side
+    /// override both restrictions. On the four tissues of the torso phantom at h = 4 mm, all
+    /// operations on all triangles take 38 s instead of 15 s and raise the minimum radius ratio
+    /// from 0.475 to 0.493 (`make CASE=torso-tissues surface`).
     fn applies(&self, surface: &Surface, triangle: u32, quality: f64) -> bool {
         let is_local = match self.operation {
             _ if quality >= self.bar => return false,
@@ -84,7 +88,7 @@ impl Level {
         is_local || quality < POOR || !surface.is_held(triangle)
     }
 
-    /// Returns the region that the operation on a triangle can change.
+    /// Returns the box that contains all changes of the operation on a triangle.
     fn region(&self, surface: &Surface, triangle: u32) -> Bounds {
         match self.operation {
             Operation::Move | Operation::Pair => surface.rings(triangle, RINGS).bounds(surface),
@@ -93,7 +97,7 @@ impl Level {
     }
 
     /// Tries the operation on a copy of the region. Returns the work in transactions and, if the
-    /// operation succeeds, the grid nodes that change sides and the edits.
+    /// operation succeeds, the grid nodes that change sides and the edits of the mesh.
     fn attempt(
         &self,
         surface: &Surface,
@@ -116,22 +120,22 @@ impl Level {
 
 /// The work at a level of a band, in transactions. The level ends when its wasted work exceeds its
 /// useful work by [`WASTED_WORK_LIMIT`]. Useful work raises the number of lifted triangles to a new
-/// maximum, so the number of poor triangles bounds the sum of both.
+/// maximum. The number of bad triangles therefore bounds the total work.
 #[derive(Clone, Copy, Default)]
 struct Budget {
     useful: usize,
     wasted: usize,
     /// Number of attempts.
     attempts: usize,
-    /// Triangles brought above the band and grid nodes brought to their correct side, minus
-    /// triangles that fell into the band.
+    /// Number of triangles lifted out of the band or a worse one, minus the number that fell into
+    /// them, plus the number of grid nodes that changed sides.
     lifted: isize,
     most_lifted: isize,
 }
 
 impl Budget {
-    /// Returns the number of attempts that are left at the mean cost so far; at least one while any
-    /// budget is left.
+    /// Returns the number of attempts that the remaining budget allows at the mean cost so far; at
+    /// least one while any budget remains.
     fn left(&self) -> usize {
         let left = (WASTED_WORK_LIMIT + self.useful).saturating_sub(self.wasted);
         let mean_cost = (self.useful + self.wasted).div_ceil(self.attempts.max(1));
@@ -157,7 +161,7 @@ impl Budget {
 /// A band and a level.
 type Tier = (usize, usize);
 
-/// Tier of a triangle that is not in the queue.
+/// The tier of a triangle that is not in the queue.
 const DONE: Tier = (BANDS, LEVELS);
 
 /// The triangles that remain to be improved.
@@ -166,9 +170,10 @@ struct Queue {
     /// Upper bounds of the bands.
     bands: [f64; BANDS],
     budgets: [[Budget; LEVELS]; BANDS],
-    /// Tiers, ranks and numbers of triangles, smallest first.
+    /// Tiers, ranks ([`Self::rank`]) and indices of triangles, in ascending order. Some entries are
+    /// no longer valid.
     heap: BinaryHeap<Reverse<(Tier, u64, u32)>>,
-    /// Tier of the valid entry of each triangle.
+    /// Tier of the valid entry of each triangle, or [`DONE`].
     tier_of: Vec<Tier>,
     /// Triangles nearest to grid nodes on the wrong side, ascending.
     at_nodes: Vec<u32>,
@@ -189,14 +194,15 @@ impl Queue {
         queue
     }
 
-    /// Returns the quality of a triangle as ordered bits, 0 at a grid node on the wrong side.
+    /// Returns the bits of the quality of a triangle, or 0 at a grid node on the wrong side.
     fn rank(&self, surface: &Surface, t: u32) -> u64 {
         let is_at_node = surface.is_alive(t) && self.at_nodes.binary_search(&t).is_ok();
-        // qualities are non-negative, so their bits have the order of their values
+        // qualities are non-negative, so their bits are ordered like their values
         if is_at_node { 0 } else { surface.facts[t as usize].quality.to_bits() }
     }
 
-    /// Enters a triangle at the first level from `least` on that applies to it and has budget left.
+    /// Enters a triangle at the first level from `least` that applies to it and has a budget left.
+    /// If there is none, the triangle leaves the queue.
     fn enter(&mut self, surface: &Surface, t: u32, least: usize) {
         let rank = self.rank(surface, t);
         let quality = f64::from_bits(rank);
@@ -210,8 +216,8 @@ impl Queue {
         self.heap.extend(tier.map(|tier| Reverse((tier, rank, t))));
     }
 
-    /// Removes the next triangles from the queue: all of one tier, worst first, with disjoint
-    /// regions. Returns the tier and the triangles with their regions.
+    /// Removes the next triangles from the queue: the worst ones of one tier, with disjoint
+    /// regions. Returns the tier, and the triangles with their regions.
     fn pop(&mut self, surface: &Surface) -> Option<(Tier, Vec<(u32, Bounds)>)> {
         let mut batch = Vec::new();
         let mut tier = DONE;
@@ -242,7 +248,7 @@ impl Queue {
         Some((tier, chosen))
     }
 
-    /// Returns changed triangles and those around them to the first level.
+    /// Enters changed triangles and their neighbours at the first level.
     fn reset(&mut self, surface: &Surface, touched: &[u32]) {
         self.tier_of.resize(surface.triangles.len(), DONE);
         let alive = touched.iter().filter(|&&t| surface.is_alive(t));
@@ -258,8 +264,8 @@ impl Queue {
     }
 }
 
-/// Improves the triangles whose quality is below `target`. `step` is called before each batch and
-/// can stop the work.
+/// Improves the triangles whose quality is below `target`. Each batch calls `step` first, which can
+/// stop the work.
 ///
 /// # Errors
 /// Those of `step`.
@@ -291,7 +297,7 @@ pub(super) fn optimise(surface: &mut Surface, target: f64, step: Step, tally: &m
     Ok(())
 }
 
-/// Returns how many of some triangles are below a quality.
+/// Returns the number of given triangles that are below a quality.
 fn count_below(surface: &Surface, triangles: &[u32], quality: f64) -> usize {
     triangles.iter().filter(|&&t| surface.facts[t as usize].quality < quality).count()
 }

@@ -1,14 +1,15 @@
-//! A part of the surface as an independent surface. All edits and commits in the part become one
-//! transaction of the whole surface.
+//! A copy of a part of the surface, which can be edited independently. All commits in the part
+//! become one transaction of the whole surface.
 
 use super::surface::{DEAD, Facts, Size, Surface};
 use glam::DVec3;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
 
-/// The part, and the indices of its vertices and triangles in the whole. Their order is the same.
+/// A part of a surface, and the indices of its vertices and triangles in the whole, in the same
+/// order.
 pub(super) struct Patch<'a> {
-    /// The part. Vertices on its rim are frozen, because some of their triangles are missing.
+    /// The part. The vertices on its rim are frozen, because some of their triangles are missing.
     pub(super) surface: Surface<'a>,
     /// Index in the whole of each original vertex of the part.
     vertices: Vec<u32>,
@@ -17,7 +18,8 @@ pub(super) struct Patch<'a> {
 }
 
 impl<'a> Patch<'a> {
-    /// Creates the part of a surface that meets a box, for changes inside the box.
+    /// Creates the part of a surface (with a grid) that meets a box. Changes are possible only
+    /// inside the box.
     pub(super) fn within(whole: &Surface<'a>, region: &Bounds) -> Self {
         let mut triangles = Vec::new();
         if let Some(grid) = &whole.grid {
@@ -26,22 +28,23 @@ impl<'a> Patch<'a> {
                 false
             });
         }
-        // independent of the order of cells in the grid
+        // the result must not depend on the order of the cells in the grid
         triangles.sort_unstable();
         let mut patch = Self::of(whole, region, triangles);
         patch.fill_grid(whole);
         patch
     }
 
-    /// Fills the grid of the part, if the whole has one. Commits are then tested for intersections.
+    /// Fills the grid of the part if the whole has a grid. Commits are then tested for
+    /// intersections.
     pub(super) fn fill_grid(&mut self, whole: &Surface) {
         if whole.grid.is_some() {
             self.surface.fill_grid();
         }
     }
 
-    /// Creates the part that consists of some triangles (ascending) that meet a box, without a
-    /// grid.
+    /// Creates the part that consists of given triangles (ascending), for changes inside a box. The
+    /// part has no grid.
     pub(super) fn of(whole: &Surface<'a>, region: &Bounds, triangles: Vec<u32>) -> Self {
         let mut vertices: Vec<u32> = triangles.iter().flat_map(|&t| whole.triangles[t as usize]).collect();
         vertices.sort_unstable();
@@ -52,7 +55,7 @@ impl<'a> Patch<'a> {
         Self { surface, vertices, triangles }
     }
 
-    /// Copies a whole surface, with another target edge length (mm).
+    /// Creates a copy of a whole surface with another target edge length (mm).
     pub(super) fn with_target(whole: &Surface<'a>, size: Size<'a>) -> Self {
         let mut surface = whole.clone();
         surface.size = size;
@@ -63,8 +66,7 @@ impl<'a> Patch<'a> {
         Self { vertices: numbers(surface.positions.len()), triangles: numbers(surface.triangles.len()), surface }
     }
 
-    /// Returns the index in the part of a triangle of the whole. The part must contain the
-    /// triangle.
+    /// Returns the index in the part of a triangle of the whole, which the part must contain.
     pub(super) fn local(&self, triangle: u32) -> u32 {
         self.triangles.partition_point(|&t| t < triangle) as u32
     }
@@ -76,19 +78,20 @@ impl<'a> Patch<'a> {
         }
     }
 
-    /// Selects the values of the vertices of the part from those of the whole.
+    /// Returns the values of the original vertices of the part, given the values of all vertices of
+    /// the whole.
     pub(super) fn pick<T: Copy>(&self, of_whole: &[T]) -> Vec<T> {
         self.vertices.iter().map(|&v| of_whole[v as usize]).collect()
     }
 
-    /// Returns the grid nodes that changed sides in the part since its creation.
+    /// Returns the grid nodes that have changed sides since the part was created.
     pub(super) fn turned_nodes(&self, whole: &Surface) -> Vec<usize> {
         let (Some(now), Some(before)) = (&self.surface.sides, &whole.sides) else { return Vec::new() };
         let before = self.surface.region.map_or_else(|| before.clone(), |region| before.within(&region));
         now.difference(&before)
     }
 
-    /// Returns the changes of the part since its creation.
+    /// Returns the changes since the part was created.
     pub(super) fn edits(self, whole: &Surface) -> Edits {
         let part = self.surface;
         let old = self.vertices.iter().zip(part.positions.iter().zip(&part.target));
@@ -98,7 +101,7 @@ impl<'a> Patch<'a> {
         let first_added = whole.positions.len() as u32;
         let mut added = Vec::new();
         for v in number.len()..part.positions.len() {
-            // a removed vertex is in no triangle
+            // an added vertex without triangles has been removed again
             number.push(first_added + added.len() as u32);
             if !part.around[v].is_empty() {
                 added.push((part.positions[v], part.target[v]));
@@ -128,10 +131,10 @@ impl<'a> Patch<'a> {
 
 /// Changes of a surface, in indices of the whole surface.
 pub(super) struct Edits {
-    /// Index of the first added vertex: the number of vertices of the whole when the changes were
-    /// found.
+    /// Index of the first added vertex: the number of vertices of the whole when these edits were
+    /// created.
     first_added: u32,
-    /// Moved vertices, their new positions, and the target lengths there in the part.
+    /// Moved vertices, their new positions, and their target lengths in the part.
     moved: Vec<(u32, DVec3, f64)>,
     /// Positions and target lengths of the added vertices.
     added: Vec<(DVec3, f64)>,
@@ -139,20 +142,20 @@ pub(super) struct Edits {
     retriangled: Vec<(u32, [u32; 3])>,
     /// Corners, interfaces and facts of the added triangles.
     new_triangles: Vec<([u32; 3], u32, Facts)>,
-    /// Facts of all existing triangles that changed in the part.
+    /// Original triangles that changed in the part, and their facts.
     facts: Vec<(u32, Facts)>,
 }
 
 impl Edits {
-    /// Makes the changes in the whole surface without a commit. The surface must be unchanged where
-    /// the part was.
+    /// Makes the changes in the whole surface without a commit. Since the part was created, its
+    /// region of the whole must not have changed.
     pub(super) fn make(self, whole: &mut Surface) {
         let size = whole.size;
         self.make_with(whole, |p, _| size(p));
     }
 
-    /// Makes the changes, with the target length at a position given by the position and the length
-    /// in the part.
+    /// Makes the changes. `target` returns the target length at a position, given the position and
+    /// its target length in the part.
     fn make_with(self, whole: &mut Surface, target: impl Fn(DVec3, f64) -> f64) {
         let shift = whole.positions.len() as u32 - self.first_added;
         let number = |v: u32| if v >= self.first_added && v != u32::MAX { v + shift } else { v };
@@ -166,13 +169,13 @@ impl Edits {
         }
     }
 
-    /// Returns the changed triangles of the whole, without added ones.
+    /// Returns the changed triangles of the whole, without the added ones.
     pub(super) fn touched(&self) -> Vec<u32> {
         self.facts.iter().map(|&(t, _)| t).collect()
     }
 
-    /// Makes and commits changes that were committed in the part, with the same target lengths.
-    /// `nodes` are the grid nodes that change sides. Returns the touched triangles.
+    /// Makes and commits the changes, with the target lengths of the part, which must have
+    /// committed them. `nodes` are the grid nodes that change sides. Returns the touched triangles.
     pub(super) fn commit(mut self, whole: &mut Surface, nodes: &[usize]) -> Vec<u32> {
         let first_new = whole.triangles.len() as u32;
         let new = (first_new..).zip(&self.new_triangles).map(|(t, &(_, _, facts))| (t, facts));

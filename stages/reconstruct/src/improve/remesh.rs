@@ -1,6 +1,7 @@
-//! Adjusts edge lengths and vertex degrees of the whole mesh: splits long edges, collapses short
-//! edges, flips edges towards degree six and relaxes vertices along the surface (after Botsch and
-//! Kobbelt 2004). Every step must pass the acceptance test, and the vertices stay on F = 0.
+//! Adjusts the edge lengths and vertex degrees of the whole mesh (after Botsch and Kobbelt 2004). A
+//! round splits long edges, collapses short edges, flips edges towards degree six, and relaxes
+//! vertices along the surface. Every move must pass the acceptance test, and the vertices stay on
+//! F = 0.
 
 use super::Tally;
 use super::acceptance::{Goal, Limits, commit_or_rollback, total_gain};
@@ -9,7 +10,7 @@ use super::moves::{collapse, flip, relax, split};
 use super::smooth::shift;
 use super::surface::{DEAD, Surface, edges_of};
 
-/// Performs one round of all steps.
+/// Performs one round of splits, collapses, flips and two relaxations.
 pub(super) fn round(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
     split_long(surface, limits, tally);
     collapse_short(surface, limits, tally);
@@ -20,7 +21,7 @@ pub(super) fn round(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
     }
 }
 
-/// Returns all edges, lower vertex first, in ascending order.
+/// Returns all edges in ascending order, each with the lower vertex first.
 pub(super) fn edges(surface: &Surface) -> Vec<(u32, u32)> {
     edges_of(surface.triangles.iter().filter(|t| **t != DEAD))
 }
@@ -70,14 +71,14 @@ fn collapse_short(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
     }
 }
 
-/// Flips edges if the degrees of their four vertices become closer to six. Only edges of triangles
-/// with a vertex in question are tested.
+/// Flips an edge if this lowers the sum of the squared surpluses ([`Surface::surplus`]) of its four
+/// vertices. Only edges of triangles with a vertex in `in_question` are tested.
 ///
 /// If the goal requires a gain, the four vertices of a flip are smoothed before the acceptance
-/// test, because a flip alone rarely improves the triangles immediately. Flips that do not change
-/// the sum of squares are then tried as well; they move a 5-7 pair by one edge. With them, the mean
-/// radius ratio of `heart_label` 1 at 5,000 vertices is 0.9919 instead of 0.9915, and that of the
-/// lungs at 1,000 is 0.9885 instead of 0.9877.
+/// test, because a flip alone rarely improves the triangles. Flips that do not change the sum are
+/// then tried as well; they move a 5-7 pair by one edge. With them, the mean radius ratio of
+/// `heart_label` 1 at 5,000 vertices is 0.9919 instead of 0.9915, and that of the lungs at 1,000 is
+/// 0.9885 instead of 0.9877.
 pub(super) fn equalise_degrees(
     surface: &mut Surface,
     limits: &Limits,
@@ -105,7 +106,8 @@ pub(super) fn equalise_degrees(
     }
 }
 
-/// Relaxes every vertex in question once, in order.
+/// Relaxes each vertex in `in_question` once, in order: all the way or, if this fails, by 0.4 of
+/// it.
 pub(super) fn relax_all(surface: &mut Surface, limits: &Limits, goal: Goal, in_question: &[bool], tally: &mut Tally) {
     for v in (0..surface.positions.len() as u32).filter(|&v| in_question[v as usize]) {
         for share in [1.0, 0.4] {

@@ -1,5 +1,5 @@
-//! The triangles around a vertex: their radius ratios for eight positions of the vertex at once
-//! (SIMD).
+//! Computes the minimum radius ratio of the triangles around a vertex for eight positions of the
+//! vertex at once (SIMD). The surface is approximated by a paraboloid.
 
 use super::site::Site;
 use fearless_simd::{Simd, f64x8, prelude::*};
@@ -8,8 +8,9 @@ use glam::DVec3;
 /// Number of positions that are evaluated together.
 pub(super) const LANES: usize = 8;
 
-/// Edge opposite the vertex. `ends`: coordinates relative to the vertex along the two axes of the
-/// tangent plane and the normal. `length`: length of the edge. All in mm.
+/// The edge opposite the vertex in one triangle. `ends`: coordinates of its ends relative to the
+/// vertex, along the two axes of the tangent plane and the normal. `length`: length of the edge.
+/// All in mm.
 struct Side {
     ends: [[f64; 3]; 2],
     length: f64,
@@ -23,7 +24,7 @@ pub(super) struct Ring {
 }
 
 impl Ring {
-    /// Creates the ring of a site.
+    /// Returns the ring of a site.
     pub(super) fn of(site: &Site) -> Self {
         let [e1, e2] = site.axes;
         let seen = |p: DVec3| [e1.dot(p - site.start), e2.dot(p - site.start), site.normal.dot(p - site.start)];
@@ -31,13 +32,13 @@ impl Ring {
         Self { sides: site.ring.iter().map(side).collect(), bend: site.bend }
     }
 
-    /// Returns the minimum radius ratio of the triangles for each of eight positions of the vertex,
-    /// given by coordinates in the tangent plane (mm). The ratio of a triangle turned against the
-    /// normal is reduced by 1.
+    /// Returns the minimum radius ratio of the triangles for each of eight positions of the vertex.
+    /// `along` contains the coordinates of the positions in the tangent plane (mm). The ratio of a
+    /// triangle turned against the normal is reduced by 1.
     ///
     /// The ratio of a triangle with sides x, y and c is
-    /// (y + c - x) (c + x - y) (x + y - c) / (x y c). No operations are fused, so all instruction
-    /// sets give identical results.
+    /// (y + c - x) (c + x - y) (x + y - c) / (x y c). Multiplications and additions are not fused,
+    /// so all instruction sets give identical results.
     #[inline(always)]
     pub(super) fn smallest_ratios<S: Simd>(&self, simd: S, along: [[f64; LANES]; 2]) -> [f64; LANES] {
         let (u, v) = (f64x8::simd_from(simd, along[0]), f64x8::simd_from(simd, along[1]));
@@ -57,8 +58,8 @@ impl Ring {
     }
 }
 
-/// Returns the distances of eight positions from a point. A closure would not be compiled for the
-/// selected instruction set.
+/// Returns the distances of eight positions from a point. This is not a closure, because a closure
+/// would not be compiled for the selected instruction set.
 #[inline(always)]
 fn distance<S: Simd>([u, v, w]: [f64x8<S>; 3], end: &[f64; 3]) -> f64x8<S> {
     let (x, y, z) = (u - end[0], v - end[1], w - end[2]);

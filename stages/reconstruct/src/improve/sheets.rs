@@ -1,5 +1,5 @@
 //! Implicit functions whose zero sets are the interfaces of a mesh: F for one object, or one
-//! function for each interface between two of many materials.
+//! function for each pair of adjacent materials.
 
 use super::constants::{HALVINGS, LINE_STEPS, PROJECTION_TOLERANCE};
 use glam::DVec3;
@@ -8,48 +8,51 @@ use isoparticles_field::spline::{CubicSpline, Jet};
 /// How a vertex may move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Freedom {
-    /// On its interface.
+    /// Anywhere on its interface.
     Sheet,
     /// Along its junction curve, where three interfaces meet.
     Curve,
-    /// The vertex is fixed.
+    /// Fixed.
     None,
-    /// The vertex is fixed and is a junction point, where junction curves end.
+    /// Fixed: the vertex is a junction point, where junction curves end.
     Point,
 }
 
 /// Implicit functions of the interfaces, by interface index, at positions in the grid frame (mm).
-/// Each function is zero on its interface and negative inside. The triangles of the interface face
-/// outward.
+/// Each function is zero on its interface and negative inside, that is, in the first of its two
+/// materials. The triangles of the interface face outward.
 pub trait Sheets: Sync {
     /// Returns the value of the function of an interface.
     fn value(&self, sheet: u32, p: DVec3) -> f64;
 
-    /// Returns value and gradient.
+    /// Returns the value and gradient of the function of an interface.
     fn value_gradient(&self, sheet: u32, p: DVec3) -> (f64, DVec3);
 
-    /// Returns value, gradient and Hessian.
+    /// Returns the value, gradient and Hessian of the function of an interface.
     fn jet(&self, sheet: u32, p: DVec3) -> Jet;
 
-    /// Returns the point of an interface near `start`, and the gradient there. Returns `None` if
-    /// the point is farther than `limit` (mm), is not found to within `tolerance` (mm), or the
-    /// interface ends before.
+    /// Returns the projection of `start` onto an interface, and the gradient there. Returns `None`
+    /// if the point is farther than `limit` (mm), is not found to within `tolerance` (mm), or lies
+    /// beyond the end of the interface.
     fn project(&self, sheet: u32, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)>;
 
-    /// Returns the point near `start` of the junction curve of two given interfaces and a third
-    /// one. Returns `None` as [`Self::project`] does, and if the interfaces do not meet.
+    /// Returns the projection of `start` onto the junction curve of two given interfaces and a
+    /// third one. Returns `None` as [`Self::project`] does, and if the interfaces do not meet in a
+    /// curve.
     fn project_onto_curve(&self, _sheets: [u32; 2], _start: DVec3, _limit: f64, _tolerance: f64) -> Option<DVec3> {
         None
     }
 
-    /// Projects `p` onto an interface, at most `limit` mm away.
+    /// Returns the projection of `p` onto an interface, with the default tolerance and at most
+    /// `limit` mm away.
     fn projected(&self, sheet: u32, p: DVec3, limit: f64) -> Option<DVec3> {
         self.project(sheet, p, limit, PROJECTION_TOLERANCE * self.voxel()).map(|(q, _)| q)
     }
 
-    /// Projects `p` onto a point of an interface where the gradient points to the side of the unit
-    /// vector `normal`, that is, not onto the other face of a thin wall or gap. If Newton's method
-    /// along the gradient ends on the other face, the nearest crossing along `normal` is used.
+    /// Returns the projection of `p` onto a point of an interface where the gradient points to the
+    /// side of the unit vector `normal`. This excludes the other face of a thin wall or gap. If the
+    /// projection along the gradient ends there, the nearest crossing along `normal` is projected
+    /// instead.
     fn projected_facing(&self, sheet: u32, p: DVec3, normal: DVec3, limit: f64) -> Option<DVec3> {
         let tolerance = PROJECTION_TOLERANCE * self.voxel();
         let facing = |start: DVec3, limit: f64| {
@@ -65,7 +68,7 @@ pub trait Sheets: Sync {
         })
     }
 
-    /// Returns the material numbers inside and outside of an interface.
+    /// Returns the numbers of the materials inside and outside an interface.
     fn sides(&self, _sheet: u32) -> [u32; 2] {
         [1, 0]
     }
@@ -74,7 +77,8 @@ pub trait Sheets: Sync {
     fn voxel(&self) -> f64;
 }
 
-/// Returns the interval nearest to 0, between -`limit` and `limit`, in which `f` rises through 0.
+/// Returns the interval nearest to 0, between -`limit` and `limit`, in which `f` increases through
+/// zero. Each interval is `limit` / [`LINE_STEPS`] long.
 fn crossing_along(f: impl Fn(f64) -> f64, limit: f64) -> Option<(f64, f64)> {
     let step = limit / LINE_STEPS as f64;
     let centre = f(0.0);

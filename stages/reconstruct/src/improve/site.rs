@@ -1,11 +1,12 @@
-//! A free vertex and its neighbourhood in the tangent plane.
+//! The geometry around a free vertex: the tangent plane, the paraboloid that approximates the
+//! surface, and the triangles at the vertex. The searches for a better position use it.
 
 use super::surface::Surface;
 use super::surface::measure::quality_facing;
 use glam::{DVec2, DVec3};
 use isoparticles_field::spline::LEAST_GRADIENT;
 
-/// A vertex that may move, and the geometry around it.
+/// The geometry around a vertex that may move on its interface.
 pub(super) struct Site {
     pub(super) start: DVec3,
     pub(super) sheet: u32,
@@ -15,14 +16,15 @@ pub(super) struct Site {
     /// Second derivatives (xx, xy, yy; per mm) of the height of the tangent plane over the
     /// paraboloid that approximates the surface to second order.
     pub(super) bend: [f64; 3],
-    /// For each triangle at the vertex, the positions of the other two corners.
+    /// For each triangle at the vertex, the positions of the other two corners ([`Surface::side`]).
     pub(super) ring: Vec<(DVec3, DVec3)>,
     /// Mean distance to the neighbours, mm.
     pub(super) reach: f64,
 }
 
 impl Site {
-    /// Returns the site of a vertex, or `None` if the vertex must stay or grad F vanishes.
+    /// Returns the site of a vertex, or `None` if the vertex may not move on an interface or grad F
+    /// vanishes.
     pub(super) fn of(surface: &Surface, vertex: u32) -> Option<Self> {
         let v = vertex as usize;
         if surface.frozen[v] || !surface.is_free(vertex) || surface.around[v].is_empty() {
@@ -43,7 +45,7 @@ impl Site {
         Some(Self { start, sheet, normal, axes, bend, ring, reach })
     }
 
-    /// Returns the point of the paraboloid at coordinates `at` (mm) of the tangent plane.
+    /// Returns the point of the paraboloid above the coordinates `at` (mm) in the tangent plane.
     pub(super) fn place(&self, at: DVec2) -> DVec3 {
         let [xx, xy, yy] = self.bend;
         let height = 0.5 * (xx * at.x * at.x + yy * at.y * at.y) + xy * at.x * at.y;
@@ -51,8 +53,8 @@ impl Site {
     }
 
     /// Returns the minimum quality of the triangles with the vertex at `p`, or `None` if it is at
-    /// most `bar`. The quality of a triangle turned against the normal is reduced by 1, to at most
-    /// 0.
+    /// most `bar`. The quality of a triangle turned against the normal is reduced by 1, and
+    /// therefore at most 0.
     pub(super) fn worth_above(&self, p: DVec3, bar: f64) -> Option<f64> {
         let mut smallest = f64::INFINITY;
         for &(a, b) in &self.ring {

@@ -1,4 +1,5 @@
-//! Moves vertices to maximise the mean radius ratio of their triangles.
+//! Moves vertices to maximise the mean radius ratio of their triangles, by Newton's method in the
+//! tangent plane. The surface is approximated by a paraboloid; the result is projected onto F = 0.
 
 use super::acceptance::{Goal, Limits, commit_or_rollback};
 use super::constants::{FIRST_STEP, LEAST_MEAN_GAIN, SHARES};
@@ -8,8 +9,8 @@ use glam::{DVec2, DVec3};
 use isoparticles_mesh::quality::radius_ratio;
 
 /// Moves a vertex by a Newton step in its tangent plane towards the maximum mean radius ratio of
-/// its triangles. Commits the step if the mean increases by more than [`LEAST_MEAN_GAIN`] and the
-/// acceptance test passes. Returns whether a step was committed.
+/// its triangles, or by a share of this step. Commits the move if the mean increases by more than
+/// [`LEAST_MEAN_GAIN`] and the acceptance test passes. Returns whether a move was committed.
 pub(super) fn smooth(surface: &mut Surface, vertex: u32, limits: &Limits, goal: Goal) -> bool {
     let Some(step) = Step::of(surface, vertex) else { return false };
     let least = LEAST_MEAN_GAIN * step.site.ring.len() as f64;
@@ -20,15 +21,15 @@ pub(super) fn smooth(surface: &mut Surface, vertex: u32, limits: &Limits, goal: 
     })
 }
 
-/// Moves a vertex like [`smooth`], but without a commit and without a minimum gain.
+/// Moves a vertex like [`smooth`], but without a commit, an acceptance test or a minimum gain.
 pub(super) fn shift(surface: &mut Surface, vertex: u32) {
     if let Some(step) = Step::of(surface, vertex) {
-        // if the full step overshoots, a part of it may not
+        // if the full step overshoots, a share of it may not
         let _ = SHARES.into_iter().any(|share| step.make(surface, share, 0.0));
     }
 }
 
-/// A Newton step of a vertex. The surface is approximated by a paraboloid over the tangent plane.
+/// A Newton step of a vertex on the paraboloid of its site.
 struct Step {
     vertex: u32,
     site: Site,
@@ -46,15 +47,16 @@ impl Step {
         Some(step)
     }
 
-    /// Returns the sum of the radius ratios with the vertex at coordinates of the tangent plane.
+    /// Returns the sum of the radius ratios with the vertex on the paraboloid above coordinates
+    /// (mm) in the tangent plane.
     fn sum(&self, at: DVec2) -> f64 {
         let p = self.site.place(at);
         self.site.ring.iter().map(|&(a, b)| radius_ratio(p, a, b)).sum()
     }
 
-    /// Returns the sum of the radius ratios with the vertex at its present position, the gradient
-    /// of the sum and its Hessian (xx, xy, yy). The ratio of a triangle with sides x, y and c is
-    /// (y + c - x) (c + x - y) (x + y - c) / (x y c); c is constant.
+    /// Returns the sum of the radius ratios with the vertex at its present position, and the
+    /// gradient and Hessian (xx, xy, yy) of the sum. The ratio of a triangle with sides x, y and c
+    /// is (y + c - x) (c + x - y) (x + y - c) / (x y c); c is constant.
     fn derivatives(&self) -> (f64, DVec2, [f64; 3]) {
         let (mut sum, mut gradient, mut hessian) = (0.0, DVec2::ZERO, [0.0; 3]);
         for &(a, b) in &self.site.ring {
@@ -96,10 +98,12 @@ impl Step {
         (length, gradient, [(1.0 - gx * gx - xx) / length, (-gx * gy - xy) / length, (1.0 - gy * gy - yy) / length])
     }
 
-    /// Returns the Newton step towards a maximum. It also increases the sum where the sum is not
-    /// concave.
+    /// Returns the Newton step towards a maximum, at most [`FIRST_STEP`] times the mean distance to
+    /// the neighbours. Absolute values replace the eigenvalues of the Hessian, so that the step
+    /// leads uphill even where the sum is not concave.
     fn newton(&self, gradient: DVec2, [xx, xy, yy]: [f64; 3]) -> Option<DVec2> {
-        // eigenvalues, and the direction of the first
+        // the eigenvalues are mean + spread and mean - spread; `first` is the eigenvector of the
+        // former
         let (mean, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
         let spread = half.hypot(xy);
         let angle = 0.5 * xy.atan2(half);
@@ -112,8 +116,8 @@ impl Step {
     }
 
     /// Moves the vertex by a share of the step, if this raises the sum by more than `least` on the
-    /// paraboloid. Most steps do not, so their projection is avoided (`heart_label` 1, h = 2.1 mm:
-    /// 185,000 of 238,000, of which one would have passed). Returns whether the vertex moved.
+    /// paraboloid. Most steps do not, and need no projection (`heart_label` 1, h = 2.1 mm: 185,000
+    /// of 238,000, of which one would have passed). Returns whether the vertex moved.
     fn make(&self, surface: &mut Surface, share: f64, least: f64) -> bool {
         let at = share * self.way;
         if self.sum(at) - self.before <= least {

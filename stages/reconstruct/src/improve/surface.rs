@@ -1,5 +1,5 @@
-//! A triangle mesh that can be edited: positions, triangles and the triangles around each vertex. A
-//! log records all edits, so that they can be rolled back until [`Surface::commit`].
+//! A triangle mesh that can be edited: positions, triangles, and the triangles around each vertex.
+//! A log records all edits until [`Surface::commit`], so that they can be rolled back.
 
 mod edits;
 pub(super) mod measure;
@@ -27,18 +27,18 @@ pub(super) struct Facts {
     pub(super) quality: f64,
     /// Cosine between the normal and grad F at the centroid.
     pub(super) agreement: f64,
-    /// Distance of the centroid from F = 0 in units of the mean target edge length: |F| / |grad F|,
+    /// Distance of the centroid from F = 0 in units of the mean target edge length: |F| / |grad F|
     /// or, if this is large, the distance to a point of F = 0 that faces the same way. Near
-    /// critical points, the former is a poor estimate.
+    /// critical points, |F| / |grad F| is a poor estimate.
     pub(super) deviation: f64,
-    /// Minimum and maximum side in units of the target edge length.
+    /// Minimum and maximum length of a side, in units of the target edge length.
     pub(super) lengths: [f64; 2],
     /// Unit normal.
     pub(super) normal: DVec3,
 }
 
 impl Facts {
-    /// Facts of a removed triangle: the best value of each quantity.
+    /// Facts of a removed triangle. Each quantity has its best value.
     pub(super) const NONE: Self = Self {
         quality: f64::INFINITY,
         agreement: 1.0,
@@ -57,7 +57,7 @@ enum Change {
     TriangleAdded,
 }
 
-/// Rings of triangles around a triangle, and their vertices, both ascending.
+/// The triangles of rings around a triangle, and their vertices, both ascending.
 pub(super) struct Rings {
     pub(super) vertices: Vec<u32>,
     pub(super) triangles: Vec<u32>,
@@ -83,7 +83,7 @@ pub(super) struct Curve {
 /// A mesh that can be edited.
 #[derive(Clone)]
 pub(super) struct Surface<'a> {
-    /// The implicit functions.
+    /// The implicit functions of the interfaces.
     pub(super) field: &'a dyn Sheets,
     /// Target edge length h (mm) at a grid position.
     pub(super) size: Size<'a>,
@@ -95,27 +95,29 @@ pub(super) struct Surface<'a> {
     pub(super) triangles: Vec<[u32; 3]>,
     /// Interface of each triangle, including removed ones. No edit changes it.
     pub(super) sheet: Vec<u32>,
-    /// Triangles around each vertex, ascending, so that the order does not depend on earlier edits.
+    /// Triangles around each vertex. They are in ascending order, which does not depend on earlier
+    /// edits.
     pub(super) around: Vec<Vec<u32>>,
-    /// Frozen vertices do not move, and the triangles at them keep their corners: vertices whose
-    /// triangles do not form one closed fan, and in a patch all vertices that must stay.
+    /// Whether each vertex is frozen. Frozen vertices do not move, and the triangles at them keep
+    /// their corners. These are the vertices inside an interface whose triangles do not form one
+    /// closed fan, and in a patch all vertices that must stay.
     pub(super) frozen: Vec<bool>,
     /// How each vertex may move.
     pub(super) freedom: Vec<Freedom>,
     /// Facts of each triangle at its last commit.
     pub(super) facts: Vec<Facts>,
-    /// Committed triangles by position. While this is `None`, commits are not tested for
-    /// intersections ([`Surface::crosses_in_all`] tests all changed triangles at the end).
+    /// Spatial index of the committed triangles. While it is `None`, commits are not tested for
+    /// intersections, and [`Surface::crosses_in_all`] tests all changed triangles at the end.
     pub(super) grid: Option<TriangleGrid>,
     /// An empty grid with the same cells.
     empty: TriangleGrid,
     /// Sides of the grid nodes, if nodes are guarded.
     pub(super) sides: Option<NodeSides<'a>>,
-    /// Box that must contain all changes, if this is a part of another surface.
+    /// Box that must strictly contain all touched triangles, if this is a part of another surface.
     pub(super) region: Option<Bounds>,
     log: Vec<Change>,
-    /// Number of transactions so far, kept or rolled back. It measures work independently of
-    /// threads.
+    /// Number of transactions so far, kept or rolled back. This measure of work does not depend on
+    /// the number of threads.
     pub(super) tried: usize,
     /// Whether each triangle has changed since the surface was created.
     has_changed: Vec<bool>,
@@ -131,9 +133,9 @@ impl<'a> Surface<'a> {
         new
     }
 
-    /// Creates the surface of a well-formed mesh, given the interface of each triangle and how each
-    /// vertex may move. A vertex of a curve becomes fixed if [`Self::curve_through`] finds no curve
-    /// there. The surface has no grid ([`Self::fill_grid`]).
+    /// Creates the surface of a well-formed mesh, given the interface of each triangle and the
+    /// freedom of each vertex. A vertex of a curve becomes fixed if [`Self::curve_through`] finds
+    /// no curve there. The surface has no grid ([`Self::fill_grid`]).
     pub(super) fn of_sheets(
         mesh: &TriangleMesh,
         sheet: Vec<u32>,
@@ -171,15 +173,16 @@ impl<'a> Surface<'a> {
         surface
     }
 
-    /// Creates the grid of all triangles. All edits must be committed.
+    /// Creates the grid and fills it with all triangles. All edits must be committed.
     pub(super) fn fill_grid(&mut self) {
         let bounds = |t: u32| if self.is_alive(t) { self.bounds(t) } else { Bounds::EMPTY };
         let boxes = (0..self.triangles.len() as u32).into_par_iter().map(bounds).collect();
         self.grid = Some(self.empty.filled(boxes));
     }
 
-    /// Copies some triangles (ascending) on some vertices (ascending), with their facts. The copy
-    /// has no grid and no guarded nodes. Vertices with missing triangles are frozen.
+    /// Returns a copy of given triangles (ascending) on given vertices (ascending), with their
+    /// facts. The copy has no grid, region or guarded nodes. Vertices with missing triangles are
+    /// frozen.
     pub(super) fn part(&self, vertices: &[u32], triangles: &[u32]) -> Self {
         let local = |list: &[u32], item: u32| list.binary_search(&item).ok().map(|n| n as u32);
         let around: Vec<Vec<u32>> = vertices
@@ -217,8 +220,9 @@ impl<'a> Surface<'a> {
         self.into_sheets().0
     }
 
-    /// Returns the mesh without removed vertices and triangles, in the same order; the interface of
-    /// each of its triangles; and the index in it of each vertex, `u32::MAX` if removed.
+    /// Returns the mesh without removed vertices and triangles, in the same order. Also returns the
+    /// interface of each triangle of the mesh, and the index in the mesh of each vertex of the
+    /// surface (`u32::MAX` if removed).
     pub(super) fn into_sheets(self) -> (TriangleMesh, Vec<u32>, Vec<u32>) {
         let mut number = vec![u32::MAX; self.positions.len()];
         let mut mesh = TriangleMesh::default();
@@ -260,7 +264,7 @@ impl<'a> Surface<'a> {
         self.positions[a as usize].distance(self.positions[b as usize])
     }
 
-    /// Returns a triangle and `count` rings of triangles around it.
+    /// Returns a triangle and the `count` rings of triangles around it. `count` is at least 1.
     pub(super) fn rings(&self, triangle: u32, count: usize) -> Rings {
         let mut rings = Rings { vertices: self.triangles[triangle as usize].to_vec(), triangles: Vec::new() };
         for _ in 0..count {
@@ -300,9 +304,9 @@ impl<'a> Surface<'a> {
         })
     }
 
-    /// Returns the two triangles of an edge with their third corners; the triangle with the edge
-    /// from `a` to `b` comes first. Returns `None` if the edge is not in exactly two triangles of
-    /// opposite direction.
+    /// Returns the two triangles of an edge with their third corners. The triangle with the edge
+    /// from `a` to `b` comes first. Returns `None` unless the edge is in exactly two triangles,
+    /// with opposite directions.
     pub(super) fn edge_triangles(&self, a: u32, b: u32) -> Option<[(u32, u32); 2]> {
         let (mut left, mut right) = (None, None);
         for &t in &self.around[a as usize] {
@@ -334,9 +338,9 @@ impl<'a> Surface<'a> {
         self.around[vertex as usize].len()
     }
 
-    /// Returns the junction curve through a vertex, if the triangles of the vertex belong to three
-    /// interfaces and those of each interface form a fan from one neighbour on the curve to the
-    /// other.
+    /// Returns the junction curve through a vertex, or `None` if there is none. The triangles of
+    /// the vertex must belong to three interfaces, and those of each interface must form a fan from
+    /// one neighbour on the curve to the other.
     pub(super) fn curve_through(&self, vertex: u32) -> Option<Curve> {
         let fan: Vec<(u32, u32, u32)> = self.around[vertex as usize]
             .iter()
@@ -370,34 +374,36 @@ impl<'a> Surface<'a> {
         self.freedom[vertex as usize] == Freedom::Sheet
     }
 
-    /// Returns the interface of a free vertex that has triangles.
+    /// Returns the interface of a free vertex, or 0 if the vertex has no triangles.
     pub(super) fn sheet_at(&self, vertex: u32) -> u32 {
         self.around[vertex as usize].first().map_or(0, |&t| self.sheet[t as usize])
     }
 
-    /// Returns whether a vertex cannot lose a triangle. A vertex that is not free always can: where
-    /// an edge inside an interface ends there, the vertex has two triangles in that interface.
+    /// Returns whether a vertex has too few triangles to lose one. A vertex that is not free never
+    /// has: if an edge inside an interface ends there, at least two triangles of that interface
+    /// meet there.
     pub(super) fn has_few(&self, vertex: u32) -> bool {
         self.is_free(vertex) && self.degree(vertex) < 4
     }
 
     /// Returns whether a corner of a triangle is not free. The quality of such a triangle mostly
     /// depends on the length of a segment of a junction curve, or on the angle between two
-    /// segments. Few moves of other triangles improve it.
+    /// segments. Few changes of other triangles improve it.
     pub(super) fn is_held(&self, triangle: u32) -> bool {
         self.triangles[triangle as usize].iter().any(|&v| v != u32::MAX && !self.is_free(v))
     }
 
-    /// Returns whether no corner of a triangle is free, and all lie on other interfaces as well,
-    /// that is, on junction curves.
+    /// Returns whether all corners of a triangle lie on junction curves: no corner is free, and
+    /// each also belongs to another interface.
     pub(super) fn is_between_curves(&self, triangle: u32) -> bool {
         let own = self.sheet[triangle as usize];
         let is_on_others = |v: u32| self.around[v as usize].iter().any(|&t| self.sheet[t as usize] != own);
         self.triangles[triangle as usize].iter().all(|&v| v != u32::MAX && !self.is_free(v) && is_on_others(v))
     }
 
-    /// Returns the number of triangles of a vertex minus six. If the vertex is not free, only the
-    /// interface of `triangle` counts, and the angle there divided by 60 degrees replaces six.
+    /// Returns the number of triangles at a vertex minus six. If the vertex is not free, only the
+    /// triangles in the interface of `triangle` count, and their total angle divided by 60 degrees
+    /// (rounded, at least 1) replaces six.
     pub(super) fn surplus(&self, vertex: u32, triangle: u32) -> i64 {
         if self.is_free(vertex) {
             return self.degree(vertex) as i64 - 6;
@@ -415,7 +421,7 @@ impl<'a> Surface<'a> {
         count - (angle / FRAC_PI_3).round().max(1.0) as i64
     }
 
-    /// Returns whether nodes are guarded and some are on the wrong side.
+    /// Returns whether grid nodes are guarded and some of them are on the wrong side.
     pub(super) fn has_wrong_nodes(&self) -> bool {
         self.sides.as_ref().is_some_and(|sides| sides.wrong_count() > 0)
     }
@@ -429,7 +435,8 @@ impl<'a> Surface<'a> {
         nearest
     }
 
-    /// Returns the triangle nearest to a point, or the first of several.
+    /// Returns the triangle nearest to a point, and the lowest index of several. Returns `None`
+    /// without a grid or triangles.
     fn nearest_triangle(&self, p: DVec3) -> Option<u32> {
         let furthest = self.positions.iter().map(|q| q.distance(p)).fold(0.0, f64::max);
         let mut reach = self.field.voxel();
@@ -480,7 +487,8 @@ fn distance_to_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
     sides.map(to_side).into_iter().fold(f64::INFINITY, f64::min)
 }
 
-/// Returns the edges of some triangles without duplicates, lower vertex first, in ascending order.
+/// Returns the edges of given triangles without duplicates, in ascending order, each with the lower
+/// vertex first.
 pub(super) fn edges_of<'t>(triangles: impl IntoIterator<Item = &'t [u32; 3]>) -> Vec<(u32, u32)> {
     let sides = triangles.into_iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
     let mut edges: Vec<(u32, u32)> = sides.map(|(a, b)| (a.min(b), a.max(b))).collect();

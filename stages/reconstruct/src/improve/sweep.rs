@@ -1,11 +1,11 @@
-//! Sweeps over the whole mesh, in spatial blocks, on all threads.
+//! Sweeps over the whole mesh: all threads improve spatial blocks in parallel.
 //!
 //! A vertex is free in a block if all its triangles lie inside. Moves and flips of free vertices
 //! then touch only triangles inside the block, and the acceptance test compares them only with
 //! triangles that meet the block. Blocks are therefore independent, and the result does not depend
-//! on the number of threads. Vertices at the faces between blocks are processed in blocks with
-//! other faces ([`ROUNDS`]). The remaining vertices (none of the torso; some if the mesh is
-//! strongly graded) are processed in the whole mesh, on one thread.
+//! on the number of threads. The vertices at the faces between blocks follow in blocks with other
+//! faces ([`ROUNDS`]). The remaining vertices (none of the torso; some if the mesh is strongly
+//! graded) follow in the whole mesh, on one thread.
 
 use super::acceptance::{Goal, Limits};
 use super::constants::{BLOCK, GOOD, PRICE_OF_DEVIATION, VISITS};
@@ -19,20 +19,20 @@ use isoparticles_mesh::spatial::Bounds;
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 
-/// For each round: side of the blocks in units of the side in the first round, and distance, in
-/// sides of the round, by which the first face lies outside the mesh. The faces of the second round
-/// lie midway between those of the first. The vertices that both rounds leave lie where a face of
-/// one crosses a face of the other. The faces of the third round are as far as possible from these,
-/// and those of the fourth from the vertices that the third leaves.
+/// For each round: side of the blocks in units of the side in the first round, and distance of the
+/// first face from the box of the mesh, in sides of the round. The faces of the second round lie
+/// midway between those of the first. Vertices that are not free in either round lie where a face
+/// of one crosses a face of the other. The faces of the third round are as far as possible from
+/// these vertices. Those of the fourth are as far as possible from the vertices that are then left.
 const ROUNDS: [(f64, f64); 4] = [(1.0, 0.25), (1.0, 0.75), (0.5, 1.0), (0.5, 0.75)];
 
-/// Goal of all moves of a sweep, except for the removal of vertices.
+/// The goal of all moves of a sweep, except for the removal of vertices.
 const GOAL: Goal = Goal::Mean { floor: GOOD, price: PRICE_OF_DEVIATION };
 
 /// Removes vertices where the mesh is denser than h (if `thins`), flips edges towards degree six
 /// and relaxes each vertex once. Then flips and smooths until nothing moves or a budget is used up:
-/// `sweeps` - 1 visits per vertex plus [`VISITS`] for the whole mesh. `step` is called before each
-/// pass in a block and can stop the work.
+/// `sweeps` - 1 visits per vertex plus [`VISITS`] for the whole mesh. Each pass in a block calls
+/// `step` first, which can stop the work.
 ///
 /// # Errors
 /// Those of `step`.
@@ -59,7 +59,7 @@ pub(super) fn sweep(
     };
     let mut todo = vec![true; surface.positions.len()];
     let mut tallies = Vec::new();
-    // the grid is filled again after all blocks
+    // the grid is filled again after the last round
     surface.grid = None;
     let side = BLOCK * mean_edge(surface);
     for (share, before) in ROUNDS {
@@ -75,8 +75,8 @@ pub(super) fn sweep(
                 }
                 Ok::<_, isoparticles_stage::error::Error>((work(&mut part.surface, &todo)?, part))
             };
-            // intersections are rare: test once at the end, and repeat the block with all tests if
-            // there are any
+            // intersections are rare: test once at the end, and if there are any, repeat the block
+            // with a test of each transaction
             let (mut tally, mut part) = worked(false)?;
             if part.surface.crosses_in_all() {
                 (tally, part) = worked(true)?;
@@ -100,8 +100,9 @@ pub(super) fn sweep(
     Ok(())
 }
 
-/// Flips and smooths at the vertices in `todo`, then at the moved vertices and their neighbours,
-/// until nothing moves or the next pass would exceed the budget of `visits`.
+/// Flips edges and smooths vertices: first at the vertices in `todo`, then at the moved vertices
+/// and their neighbours. Ends when nothing moves or the next pass would exceed the budget of
+/// `visits`.
 fn smooth_all(
     part: &mut Surface,
     limits: &Limits,
@@ -134,14 +135,15 @@ fn smooth_all(
 /// A block and its contents.
 struct Block {
     region: Bounds,
-    /// The free vertices, ascending.
+    /// The vertices that are free in the block, ascending.
     free: Vec<u32>,
     /// The triangles whose bounding boxes meet the block, ascending.
     triangles: Vec<u32>,
 }
 
-/// Returns the blocks that contain free vertices of `todo`, in order. The first face lies `before`
-/// sides outside the mesh. Vertices that are not in `todo` may also be free in a block.
+/// Returns the blocks of side `side` (mm) with free vertices in `todo`, in grid order. The first
+/// face lies `before` sides outside the box of the mesh. Vertices that are not in `todo` may also
+/// be free.
 fn blocks(surface: &Surface, todo: &[bool], side: f64, before: f64) -> Vec<Block> {
     let whole = Bounds::of(&surface.positions);
     let origin = whole.low - before * side;
@@ -217,8 +219,8 @@ mod tests {
     const RADIUS: f64 = 6.0;
     const LIMITS: Limits = Limits { lengths: [0.3, 2.0], ..Limits::STRICT };
 
-    /// Returns F of a sphere, a mesh of 20,480 triangles with perturbed vertices and some flipped
-    /// edges, and its mean edge length before the perturbation.
+    /// Returns F of a ball, a mesh of 20,480 triangles with perturbed vertices and some flipped
+    /// edges, and its mean edge length before the perturbation (mm).
     fn rough_ball() -> (CubicSpline, TriangleMesh, f64) {
         let field = CubicSpline::new(&sampled([17; 3], DVec3::ONE, ball(CENTRE, RADIUS)));
         let mut mesh = shapes::icosphere(RADIUS, 5);
@@ -293,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn blocks_do_not_overlap_and_leave_next_to_no_vertex_out() {
+    fn blocks_are_disjoint_and_omit_few_vertices() {
         let (field, mesh, h) = rough_ball();
         let size = |_: DVec3| h;
         let surface = Surface::new(&mesh, &field, &size);
@@ -320,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_leaves_its_region() {
+    fn changes_stay_strictly_inside_the_region() {
         let (field, mesh, h) = rough_ball();
         let size = |_: DVec3| h;
         let mut surface = Surface::new(&mesh, &field, &size);
@@ -338,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_block_brings_to_cross_is_seen_at_its_end() {
+    fn intersections_made_in_a_block_are_found_at_its_end() {
         let (field, mesh, h) = rough_ball();
         let size = |_: DVec3| h;
         let whole = Surface::new(&mesh, &field, &size);

@@ -1,11 +1,11 @@
-//! Remeshes the patch around a triangle at a smaller target length, where h is too long for the
-//! curvature of F.
+//! Patch remeshing: remeshes the surroundings of a triangle at a smaller target length, where h is
+//! too long for the curvature of F.
 //!
 //! If edges are short compared with the radii of curvature, nearly equilateral triangles have a
 //! small deviation and normal deviation (sampling by local feature size, Amenta and Bern 1999). The
 //! target length is therefore a share of the radius of curvature. It grows with distance up to the
-//! edge length at the rim of the patch. If the deviation or normal deviation of the result is too
-//! large, edges half as long are demanded there, and the original patch is remeshed again. A small
+//! edge length at the rim of the patch. Where the deviation or normal deviation of the result is
+//! too large, edges half as long are demanded, and the original patch is remeshed again. A small
 //! closed component is a patch without a rim.
 
 use super::acceptance::{Goal, Limits, commit_or_rollback};
@@ -24,17 +24,18 @@ use isoparticles_field::curvature::curvature_tensor;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
 
-/// A demand for short edges near a position.
+/// A demand for short edges: an upper bound of the target length at a position, which grows with
+/// distance at the rate of the gradation. The lower bound [`Place::least`] takes precedence.
 #[derive(Clone, Copy, Debug)]
 struct Demand {
-    /// Position, grid frame, mm.
+    /// Position in the grid frame, mm.
     at: DVec3,
     /// Target length at the position, mm.
     length: f64,
 }
 
-/// Position of a patch: centroid of its triangle, and mean edge length of the mesh around it (at
-/// most h), in mm.
+/// Centre and scale of a patch: the centroid of its triangle, and the mean edge length of the mesh
+/// around it (at most h), in mm.
 #[derive(Clone, Copy)]
 struct Place {
     centre: DVec3,
@@ -55,15 +56,16 @@ impl Place {
         Self { centre: (a + b + c) / 3.0, length, reach: reach * length }
     }
 
-    /// Returns the minimum target length at `p` that allows edges to grow to their length at the
-    /// rim.
+    /// Returns the lower bound of the target length (mm) at `p`. From there, the target length can
+    /// still grow to [`RIM`] times the length of the mesh at the rim; it is at least [`FINEST`]
+    /// times this length.
     fn least(&self, p: DVec3, gradation: f64) -> f64 {
         let at_rim = RIM * self.length - gradation * (self.reach - p.distance(self.centre));
         at_rim.max(FINEST * self.length)
     }
 }
 
-/// Returns the box that contains all changes if the patch around a triangle is remeshed.
+/// Returns the box that contains all changes of the remeshing of the patch around a triangle.
 pub(super) fn region(surface: &Surface, triangle: u32, reach: f64) -> Bounds {
     let place = Place::of(surface, triangle, reach);
     // the triangles across the rim extend beyond the ball
@@ -71,20 +73,21 @@ pub(super) fn region(surface: &Surface, triangle: u32, reach: f64) -> Bounds {
     Bounds { low: place.centre - half, high: place.centre + half }
 }
 
-/// Parameters of patch remeshing.
+/// The parameters of patch remeshing.
 #[derive(Clone, Copy)]
 pub(super) struct How {
-    /// Radius of the patch in units of the edge length there.
+    /// Radius of the patch in units of the length of the mesh there.
     pub(super) reach: f64,
     /// Maximum number of attempts with each gradation.
     pub(super) attempts: usize,
-    /// Whether all gradations are tried in parallel. The result is the same. This pays if no other
-    /// patch uses the threads, since the later gradations are often not needed.
+    /// Whether all gradations are tried in parallel. This does not change the result. It pays only
+    /// if no other patch uses the threads, since the later gradations are often not needed.
     pub(super) side_by_side: bool,
 }
 
-/// Remeshes the patch around a triangle. Commits the first result that passes the acceptance test
-/// with the loose limits, and then removes superfluous vertices. Returns whether a result passed.
+/// Remeshes the patch around a triangle with each gradation in turn. Commits the first result that
+/// passes the acceptance test with the loose limits and [`Goal::Lift`] at `bar`, and then removes
+/// superfluous vertices. Returns whether a result passed.
 pub(super) fn remesh(surface: &mut Surface, triangle: u32, how: How, bar: f64) -> bool {
     let place = Place::of(surface, triangle, how.reach);
     let Some(free) = free_vertices(surface, triangle, &place) else { return false };
@@ -127,7 +130,7 @@ pub(super) fn remesh(surface: &mut Surface, triangle: u32, how: How, bar: f64) -
             // without new demands, the next attempt would have the same result
             *demands = demands.take().filter(|_| !more.is_empty()).map(|asked| [asked, more].concat());
         }
-        // a level can fail on two patches before its budget is spent
+        // half the limit: a level can fail on two patches before its budget is used up
         if surface.tried > before + WASTED_WORK_LIMIT / 2 {
             break;
         }
@@ -135,9 +138,9 @@ pub(super) fn remesh(surface: &mut Surface, triangle: u32, how: How, bar: f64) -
     false
 }
 
-/// Returns the vertices of the patch that may move, ascending, if there are any: those within the
-/// radius of the patch that are connected with the triangle, and whose neighbours lie in the
-/// region.
+/// Returns the vertices of the patch that may move, ascending, or `None` if there are none. They
+/// lie within the radius of the patch, are connected with the triangle, and have all neighbours in
+/// the region.
 fn free_vertices(surface: &Surface, triangle: u32, place: &Place) -> Option<Vec<u32>> {
     let is_free = |v: u32| {
         let p = surface.positions[v as usize];
@@ -160,11 +163,11 @@ fn free_vertices(surface: &Surface, triangle: u32, place: &Place) -> Option<Vec<
     (!found.is_empty()).then_some(found)
 }
 
-/// Collapses edges of some triangles that are shorter than [`SHORT`] times `length`, shortest
-/// first, if the quality stays at least [`TARGET`]. Remeshing also refines where no demand requires
-/// it.
+/// Collapses edges of given triangles that are shorter than [`SHORT`] times `length` (mm), shortest
+/// first, if the minimum quality stays at least [`TARGET`] or does not decrease. This removes
+/// vertices that remeshing has added where no demand requires them.
 pub(super) fn coarsen(surface: &mut Surface, mut triangles: Vec<u32>, length: f64) {
-    // do not coarsen more than the curvature of F allows
+    // stricter limits keep the resolution that the curvature of F requires
     let limits = Limits { fold_of_f: Limits::STRICT.fold, deviation: STRAYS, ..Limits::STRICT };
     let mut collapsed = true;
     while collapsed {
@@ -195,11 +198,11 @@ fn is_too_large(part: &Surface) -> bool {
     part.triangles.iter().filter(|t| **t != DEAD).count() > MOST_TRIANGLES
 }
 
-/// Returns a copy of the surface with the patch remeshed to a target length. Remeshing stops if the
-/// patch becomes too large.
+/// Returns a copy of the surface in which the vertices in `free` are remeshed to a target length.
+/// Remeshing stops if the patch becomes too large.
 fn remeshed<'a>(surface: &Surface<'a>, free: &[u32], target: &'a (dyn Fn(DVec3) -> f64 + Sync)) -> Patch<'a> {
-    // deviation is relative to the target lengths, which the edges do not have yet, so it has no
-    // limit
+    // the deviation has no limit, because its unit is a target length that the edges do not have
+    // yet
     let limits = &Limits { deviation: f64::INFINITY, lengths: PATCH_LENGTHS, ..Limits::LOOSE };
     let mut patch = Patch::with_target(surface, target);
     patch.keep_free(|v| free.binary_search(&v).is_ok());
@@ -223,8 +226,8 @@ fn remeshed<'a>(surface: &Surface<'a>, free: &[u32], target: &'a (dyn Fn(DVec3) 
     patch
 }
 
-/// Returns the demands from the curvature of F at corners, midpoints of sides and centroids of the
-/// triangles at some vertices.
+/// Returns the demands from the curvature of F at the corners, midpoints of sides and centroids of
+/// the triangles at given vertices. Only lengths below the length of the mesh are demands.
 fn demands_of_curvature(surface: &Surface, vertices: &[u32], place: &Place) -> Vec<Demand> {
     let mut triangles: Vec<u32> = vertices.iter().flat_map(|&v| surface.around[v as usize].iter().copied()).collect();
     triangles.sort_unstable();
@@ -241,7 +244,8 @@ fn demands_of_curvature(surface: &Surface, vertices: &[u32], place: &Place) -> V
     demands.filter(|demand| demand.length < place.length).collect()
 }
 
-/// Returns the demands of triangles whose deviation or normal deviation is too large.
+/// Returns the demands of triangles whose deviation or normal deviation is too large. Triangles at
+/// frozen vertices have no demands.
 fn demands_of_outcome(part: &Surface) -> Vec<Demand> {
     let mut demands = Vec::new();
     for t in (0..part.triangles.len() as u32).filter(|&t| part.is_alive(t)) {
@@ -267,8 +271,8 @@ fn demands_of_nodes(part: &Surface, place: &Place) -> Vec<Demand> {
     in_reach.map(|at| Demand { at, length: SHORTER * (part.size)(at).min(place.length) }).collect()
 }
 
-/// Returns the root of the sum of the squared principal curvatures of F at a point of an interface,
-/// per mm.
+/// Returns the square root of the sum of the squared principal curvatures of an interface at a
+/// point, per mm.
 fn curvature(surface: &Surface, sheet: u32, p: DVec3) -> f64 {
     let tensor = curvature_tensor(&surface.field.jet(sheet, p));
     tensor.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt()

@@ -1,4 +1,5 @@
-//! Meshes with bad triangles on analytic surfaces: the result must be better, and sound.
+//! Improves meshes with bad triangles on analytic surfaces. The result must have better triangles
+//! and pass the checks.
 
 use super::patch::Patch;
 use super::target_length::How;
@@ -12,7 +13,7 @@ use isoparticles_mesh::shapes;
 use isoparticles_mesh::spatial::Bounds;
 use isoparticles_volume::Geometry;
 
-/// Parameters of a single small patch.
+/// Parameters for remeshing a patch of the minimum radius.
 const SMALLEST: How = How { reach: REACHES[0], attempts: ATTEMPTS, side_by_side: true };
 
 pub(super) fn sampled(size: [usize; 3], spacing: DVec3, f: impl Fn(DVec3) -> f64) -> Image<f32> {
@@ -69,7 +70,7 @@ fn remesh_from_marching_cubes(image: &Image<f32>, h: f64, label: &str) -> CheckR
 }
 
 #[test]
-fn remeshing_makes_good_meshes_of_marching_cubes() {
+fn remeshing_improves_meshes_of_marching_cubes() {
     let centre = DVec3::splat(10.2);
     let sphere = sampled([21; 3], DVec3::ONE, ball(centre, 7.3));
     let torus = sampled([42, 42, 18], DVec3::splat(0.5), ring(DVec3::new(10.3, 10.1, 4.2), 6.4, 2.3));
@@ -112,7 +113,7 @@ fn the_two_faces_of_a_thin_shell_never_cross() {
 }
 
 #[test]
-fn lifting_the_worst_leaves_the_rest_alone() {
+fn improving_the_worst_triangles_keeps_the_others() {
     let (centre, radius) = (DVec3::splat(6.1), 4.0);
     let image = sampled([26; 3], DVec3::splat(0.5), ball(centre, radius));
     let field = CubicSpline::new(&image);
@@ -121,7 +122,7 @@ fn lifting_the_worst_leaves_the_rest_alone() {
     for p in &mut mesh.vertices {
         *p = onto(*p + centre);
     }
-    // some vertices are moved along the surface until their triangles are needles
+    // some vertices move along the surface until their triangles are needles
     let dragged = [100u32, 700, 1500, 2200];
     for v in dragged {
         let near = mesh.triangles.iter().find(|t| t.contains(&v)).map_or(0, |t| t[usize::from(t[0] == v)]);
@@ -140,7 +141,7 @@ fn lifting_the_worst_leaves_the_rest_alone() {
     let after = assert_sound(&mesh, &field, &before, "dragged vertices");
     assert!(after.quality.radius_ratio_min >= 0.6, "{:?}", after.quality);
     assert_eq!(report.below_target, 0);
-    // all vertices more than two rings from a moved one are unchanged
+    // all vertices more than two rings from a moved vertex are unchanged
     let stayed = untouched.iter().filter(|p| mesh.vertices.contains(p)).count();
     assert!(stayed + dragged.len() * 20 >= untouched.len(), "{stayed} of {} stayed", untouched.len());
 }
@@ -221,7 +222,7 @@ fn patch_remeshing_changes_only_the_patch() {
     assert!(lifted > 0, "there was nothing to do");
 }
 
-/// F of a ball and the mesh of marching cubes, projected onto F = 0.
+/// Returns F of a ball and its mesh of marching cubes, with the vertices on F = 0.
 fn rough_sphere(centre: DVec3) -> (CubicSpline, TriangleMesh) {
     let image = sampled([26; 3], DVec3::splat(0.5), ball(centre, 4.0));
     let field = CubicSpline::new(&image);
@@ -231,7 +232,7 @@ fn rough_sphere(centre: DVec3) -> (CubicSpline, TriangleMesh) {
 }
 
 #[test]
-fn what_is_done_in_a_patch_is_one_transaction_of_the_whole() {
+fn edits_in_a_patch_form_one_transaction_of_the_whole() {
     let centre = DVec3::splat(6.1);
     let (field, mesh) = rough_sphere(centre);
     let before = check_object(&mesh, &CheckOptions::default());
@@ -273,7 +274,7 @@ fn what_is_done_in_a_patch_is_one_transaction_of_the_whole() {
 }
 
 #[test]
-fn patches_that_do_not_meet_add_their_vertices_side_by_side() {
+fn disjoint_patches_can_all_add_vertices() {
     let centre = DVec3::splat(6.1);
     let (field, mesh) = rough_sphere(centre);
     let before = check_object(&mesh, &CheckOptions::default());
@@ -301,8 +302,8 @@ fn patches_that_do_not_meet_add_their_vertices_side_by_side() {
     assert_sound(&made, &field, &before, "three splits");
 }
 
-/// A double cone. Its rim of radius 8 is a fold of F: the normals on its two sides differ by 140
-/// degrees.
+/// Returns F of a double cone and its mesh. The rim of radius 8 is a fold of F: the normals on its
+/// two sides differ by 140 degrees.
 fn double_cone() -> (Image<f32>, TriangleMesh) {
     let (centre, radius) = (DVec3::splat(11.6), 8.0);
     let (sine, cosine) = 20f64.to_radians().sin_cos();
@@ -324,7 +325,7 @@ fn double_cone() -> (Image<f32>, TriangleMesh) {
 }
 
 #[test]
-fn neighbours_may_fold_where_f_folds_and_nowhere_else() {
+fn adjacent_triangles_may_fold_only_where_f_folds() {
     let (image, mesh) = double_cone();
     let loose = Limits { deviation: f64::INFINITY, lengths: [0.0, f64::INFINITY], ..Limits::LOOSE };
     let moved_along_the_rim = |field: &CubicSpline, limits: &Limits| {
@@ -335,16 +336,16 @@ fn neighbours_may_fold_where_f_folds_and_nowhere_else() {
     let cone = CubicSpline::new(&image);
     assert!(moved_along_the_rim(&cone, &loose));
     assert!(!moved_along_the_rim(&cone, &Limits { fold_of_f: loose.fold, ..loose }), "the rim is no fold");
-    // at this vertex, the angle between the triangles and this gradient is 70 degrees: they do not
-    // follow F, so the fold is not one of F
+    // here, the normals of the triangles at this vertex deviate by 70 degrees from grad F: the
+    // triangles do not follow F, so their fold is not a fold of F
     let plane = CubicSpline::new(&sampled([24; 3], DVec3::ONE, |p| p.x - 19.6));
     assert!(!moved_along_the_rim(&plane, &loose));
     assert!(moved_along_the_rim(&plane, &Limits { fold: -0.8, ..loose }), "it was not for the fold");
 }
 
 #[test]
-fn the_middle_of_an_edge_stays_on_its_own_face_of_a_thin_wall() {
-    // the chord between two points of the outer face extends beyond the middle of the wall
+fn edge_midpoints_stay_on_their_face_of_a_thin_wall() {
+    // the midpoint of a chord of the outer face may lie beyond the middle of the wall
     let centre = DVec3::splat(8.1);
     let image = sampled([66; 3], DVec3::splat(0.25), |p| (p.distance(centre) - 6.0).abs() - 0.5);
     let field = CubicSpline::new(&image);
@@ -367,7 +368,7 @@ fn the_middle_of_an_edge_stays_on_its_own_face_of_a_thin_wall() {
 }
 
 #[test]
-fn a_triangle_across_a_neck_strays_by_the_radius_of_the_neck() {
+fn deviation_across_a_neck_is_the_radius_of_the_neck() {
     // F has its saddle at the centroid, where |F| / |grad F| is unbounded
     let centre = DVec3::new(11.37, 12.21, 11.84);
     let image = sampled([24; 3], DVec3::ONE, |p| {
@@ -385,7 +386,7 @@ fn a_triangle_across_a_neck_strays_by_the_radius_of_the_neck() {
 }
 
 #[test]
-fn a_stop_ends_the_improvement_and_leaves_the_mesh() {
+fn an_error_of_step_leaves_the_mesh_unchanged() {
     use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
     let scene = crate::scenes::hourglass();
     let (before, _, _) = crate::tests::restricted(&scene, 2.0);
@@ -403,7 +404,7 @@ fn a_stop_ends_the_improvement_and_leaves_the_mesh() {
 }
 
 #[test]
-fn a_good_mesh_is_not_touched_at_all() {
+fn a_good_mesh_is_not_changed() {
     let centre = DVec3::splat(6.1);
     let image = sampled([26; 3], DVec3::splat(0.5), ball(centre, 4.0));
     let field = CubicSpline::new(&image);
@@ -419,7 +420,7 @@ fn a_good_mesh_is_not_touched_at_all() {
 
 #[test]
 fn guarded_nodes_stay_on_their_side() {
-    // grid nodes near the surface on both sides: long edges would move many of them to the wrong
+    // grid nodes lie near the surface on both sides; long edges would put many of them on the wrong
     // side
     let image = sampled([22; 3], DVec3::ONE, |p| {
         let f = p.distance(DVec3::splat(10.3)) - 7.4;
@@ -453,7 +454,7 @@ fn guarded_nodes_stay_on_their_side() {
 }
 
 #[test]
-fn a_graded_size_is_followed() {
+fn edge_lengths_follow_a_graded_size() {
     let centre = DVec3::splat(10.2);
     let image = sampled([21; 3], DVec3::ONE, ball(centre, 7.3));
     let field = CubicSpline::new(&image);
@@ -489,7 +490,7 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
             let mut ball = marching_cubes(&image, 0.0);
             let options = ImproveOptions { remesh_rounds: 2, ..ImproveOptions::remesh() };
             improve(&mut ball, &CubicSpline::new(&image), &|_| 1.2, &options, &|| Ok(())).expect("sound");
-            // patches are remeshed at its neck
+            // patches are remeshed at the neck of this scene
             let scene = crate::scenes::hourglass();
             let mut tally = Tally::default();
             let necks = [1.6, 2.0, 2.4, 3.2].map(|h| {
@@ -511,7 +512,7 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
 }
 
 #[test]
-fn what_is_not_manifold_is_left_alone_and_nonsense_is_refused() {
+fn non_manifold_parts_stay_and_invalid_input_fails() {
     let centre = DVec3::splat(6.1);
     let image = sampled([26; 3], DVec3::splat(0.5), ball(centre, 4.0));
     let field = CubicSpline::new(&image);

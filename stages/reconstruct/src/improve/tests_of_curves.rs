@@ -1,4 +1,5 @@
-//! Vertices slide along junction curves and are merged into neighbours, with all three interfaces.
+//! Vertices on a junction curve of three interfaces slide along it and are merged into neighbours
+//! on it.
 
 use super::acceptance::{Goal, Limits, commit_or_rollback};
 use super::curves::{collapse_along, slide};
@@ -9,8 +10,8 @@ use glam::DMat3;
 use isoparticles_field::spline::Jet;
 use std::f64::consts::TAU;
 
-/// Three half-planes that meet in the z axis. The function of each is the signed distance from its
-/// plane.
+/// Three half-planes that meet in the z axis. The function of each half-plane is the signed
+/// distance from its plane.
 struct HalfPlanes;
 
 fn way(sheet: u32) -> DVec3 {
@@ -54,8 +55,9 @@ impl Sheets for HalfPlanes {
     }
 }
 
-/// A mesh with vertices on the axis at some heights, where the first and last are fixed, and in
-/// each interface a row of fixed vertices beside them, joined by triangles.
+/// Returns a mesh of three interfaces, the interface of each triangle and the freedom of each
+/// vertex. The vertices on the axis have the given heights; the first and last are fixed. In each
+/// interface, triangles join them to a row of fixed vertices.
 fn fan(heights: &[f64]) -> (TriangleMesh, Vec<u32>, Vec<Freedom>) {
     let count = heights.len() as u32;
     let mut mesh = TriangleMesh { vertices: heights.iter().map(|&z| DVec3::Z * z).collect(), triangles: Vec::new() };
@@ -94,7 +96,7 @@ fn sliding_maximises_the_minimum_over_three_interfaces() {
     assert!(place.truncate().length() == 0.0 && (place.z - 2.0).abs() < 0.02, "{place}");
     assert!(commit_or_rollback(&mut surface, &LIMITS, Goal::Lift { bar: 0.9 }).is_some());
     assert!(!slide(&mut surface, 2), "there is no better place");
-    // only the triangles at the vertex have changed, not the triangles next to them
+    // only the triangles at the vertex have changed, not their neighbours
     let at_vertex = |t: u32| surface.triangles[t as usize].contains(&2);
     let all = 0..surface.triangles.len() as u32;
     assert!(all.into_iter().all(|t| surface.has_changed(t) == at_vertex(t)));

@@ -1,4 +1,5 @@
-//! Grid nodes on the wrong side, superfluous vertices, and the quality of a triangle.
+//! Repairs grid nodes on the wrong side, collapses superfluous vertices, and measures the quality
+//! of triangles.
 
 use super::constants::{AIM, FIT, TARGET};
 use super::surface::measure::quality_of;
@@ -13,7 +14,7 @@ const LIMITS: Limits = Limits::STRICT;
 
 #[test]
 fn wrong_grid_nodes_are_repaired_with_fit_triangles() {
-    // grid nodes near the surface on both sides; an unguarded mesh has some on the wrong side
+    // grid nodes lie near the surface on both sides; an unguarded mesh has some on the wrong side
     let image = sampled([22; 3], DVec3::ONE, |p| {
         let f = p.distance(DVec3::splat(10.3)) - 7.4;
         if f.abs() < 0.08 { 0.08 * f.signum() } else { f }
@@ -66,8 +67,8 @@ fn superfluous_vertices_are_collapsed_and_the_others_kept() {
 }
 
 #[test]
-fn quality_is_what_is_asked_for_at_the_limits_of_the_angles() {
-    // angle at the apex of an isosceles triangle, degrees
+fn quality_is_fit_and_aim_at_the_limits_of_the_angles() {
+    // quality of an isosceles triangle with this angle (degrees) at the apex
     let quality = |apex: f64| {
         let (x, y) = (0.5 * apex.to_radians()).sin_cos();
         quality_of(DVec3::ZERO, DVec3::new(x, y, 0.0), DVec3::new(-x, y, 0.0))
@@ -79,7 +80,7 @@ fn quality_is_what_is_asked_for_at_the_limits_of_the_angles() {
 }
 
 #[test]
-fn triangles_on_short_fixed_sides_are_judged_by_height() {
+fn triangles_on_short_fixed_sides_are_rated_by_height() {
     // a tetrahedron with h = 1 and one short edge between fixed vertices
     let apex = |y: f64, z: f64| DVec3::new(0.025, y, z);
     let vertices = vec![DVec3::ZERO, DVec3::X * 0.05, apex(0.75f64.sqrt(), 0.0), apex(0.0, 0.3)];

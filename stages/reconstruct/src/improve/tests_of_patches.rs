@@ -1,4 +1,5 @@
-//! Lattices, necks and small components whose triangles are not fit for finite elements.
+//! The optimiser on a lattice and on a small component whose triangles are not fit for finite
+//! elements.
 
 use super::surface::measure::quality_of;
 use super::*;
@@ -7,12 +8,12 @@ use crate::reconstruct::ObjectTruth;
 use constants::FIT;
 use isoparticles_volume::Geometry;
 
-/// Number of vertices along a side of the lattice, and distance between displaced vertices.
+/// Number of vertices along a side of the lattice, and number of edges between displaced vertices.
 pub(super) const SIDE: usize = 64;
 const APART: usize = 6;
 
-/// A lattice of equilateral triangles with sides of length 1 in a plane, with some vertices
-/// displaced by `shift` in the plane.
+/// Returns a plane lattice of equilateral triangles with sides of length 1. Some vertices are
+/// displaced in the plane by `shift`.
 pub(super) fn lattice(shift: f64) -> TriangleMesh {
     let mut mesh = TriangleMesh::default();
     for j in 0..SIDE {
@@ -32,7 +33,7 @@ pub(super) fn lattice(shift: f64) -> TriangleMesh {
     mesh
 }
 
-/// F that is zero on the plane of the lattice.
+/// Returns an F that is zero on the plane of the lattice.
 pub(super) fn plane() -> CubicSpline {
     let mut image = Image::filled(Geometry::axis_aligned([70, 62, 8], DVec3::ONE), 0.0f32);
     for (n, value) in image.data.iter_mut().enumerate() {
@@ -49,7 +50,7 @@ fn many_triangles_just_outside_the_limits_are_all_lifted() {
         corners.map(|[a, b, c]| quality_of(a, b, c)).collect()
     };
     let smallest = |mesh: &TriangleMesh| qualities(mesh).into_iter().fold(f64::INFINITY, f64::min);
-    // a displacement that moves the worst triangles just below the limits
+    // a displacement for which the worst triangles are just below the limits
     let shift = (1..400).map(|n| 0.002 * f64::from(n)).find(|&shift| smallest(&lattice(shift)) < FIT).unwrap();
     let mesh = lattice(shift);
     assert!(smallest(&mesh) > FIT - 0.01, "{}", smallest(&mesh));
@@ -71,8 +72,8 @@ fn many_triangles_just_outside_the_limits_are_all_lifted() {
 const MIDDLE: DVec3 = DVec3::new(6.2, 5.9, 6.1);
 const HALF_AXES: DVec3 = DVec3::new(2.4, 1.5, 1.2);
 
-/// A quadratic function, which the spline reproduces, with an ellipsoid as zero set. `sign`: 1 for
-/// an object, -1 for a hole.
+/// Returns an F whose zero set is an ellipsoid: a quadratic function, which the spline reproduces.
+/// `sign` is 1 for an object and -1 for a hole.
 fn ellipsoid(sign: f64) -> CubicSpline {
     let mut image = Image::filled(Geometry::axis_aligned([13; 3], DVec3::ONE), 0.0f32);
     for (n, value) in image.data.iter_mut().enumerate() {
@@ -82,7 +83,8 @@ fn ellipsoid(sign: f64) -> CubicSpline {
     CubicSpline::new(&image)
 }
 
-/// A mesh of two poles and some points of the equator, at given angles, on F = 0.
+/// Returns a closed mesh with vertices on F = 0: two poles, and points near the equator at given
+/// angles.
 fn bipyramid(field: &CubicSpline, angles: &[f64], is_hole: bool) -> TriangleMesh {
     let ring = angles.iter().map(|a| DVec3::new(a.cos(), a.sin(), 0.1 * a.sin()));
     let ways = ring.chain([DVec3::new(0.1, 0.2, 1.0), DVec3::new(0.2, -0.1, -1.0)]);

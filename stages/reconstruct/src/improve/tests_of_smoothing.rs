@@ -1,5 +1,5 @@
-//! A displaced vertex, 5-7 pairs, and a sliver in a lattice of equilateral triangles, which is
-//! optimal.
+//! A displaced vertex, 5-7 pairs, and a sliver in a lattice of equilateral triangles. The
+//! undisturbed lattice is optimal.
 
 use super::acceptance::commit_or_rollback;
 use super::surface::measure::quality_of;
@@ -8,7 +8,7 @@ use super::*;
 use constants::GOOD;
 
 const LIMITS: Limits = Limits::STRICT;
-/// A vertex far from the rim, and its neighbours to the right and above.
+/// A vertex far from the rim, and its neighbours in the direction of x and in the next row.
 const MIDDLE: u32 = (SIDE * 30 + 30) as u32;
 const RIGHT: u32 = MIDDLE + 1;
 const ABOVE: u32 = MIDDLE + SIDE as u32;
@@ -40,7 +40,7 @@ fn a_displaced_vertex_returns_to_the_centre_of_its_ring() {
             assert!(now >= before.min(GOOD), "{now} after {before}");
             before = now;
         }
-        // the remaining distance would gain less than the minimum gain
+        // moving the rest of the way would gain less than the minimum gain
         assert!(surface.positions[MIDDLE as usize].distance(home) < 0.02, "{}", surface.positions[MIDDLE as usize]);
     }
 }
@@ -64,7 +64,7 @@ fn two_pairs_of_degrees_five_and_seven_cancel() {
 }
 
 #[test]
-fn a_sliver_becomes_good_triangles_and_the_smallest_never_falls() {
+fn a_sliver_is_improved_without_lowering_the_minimum() {
     let (field, mesh) = (plane(), lattice(0.0));
     let size = |_: DVec3| 1.0;
     let mut surface = Surface::new(&mesh, &field, &size);

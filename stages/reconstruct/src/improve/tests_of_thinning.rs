@@ -1,4 +1,4 @@
-//! Meshes that are denser than h: superfluous vertices are removed, and the topology is kept.
+//! Meshes that are denser than h: thinning removes superfluous vertices and keeps the topology.
 
 use super::tests::assert_sound;
 use super::tests_of_patches::{SIDE, lattice, plane};

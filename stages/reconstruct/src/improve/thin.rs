@@ -1,6 +1,6 @@
-//! Removes vertices where the mesh is denser than h. Refinement inserts points where F bends within
-//! h, to obtain the topology and a small deviation. After vertices have moved, fewer vertices
-//! suffice.
+//! Removes vertices where the mesh is denser than h. Refinement inserts points closer than h to
+//! obtain the topology of F and a small deviation. Once the surrounding vertices are smoothed,
+//! fewer of them suffice.
 
 use super::acceptance::{Goal, Limits, change_of_mean, commit_or_rollback};
 use super::constants::{HOPELESS_BEFORE_SETTLINGS, SHORT, TARGET};
@@ -10,13 +10,13 @@ use super::surface::{DEAD, Surface, edges_of};
 use super::{Step, Tally};
 use isoparticles_stage::error::Result;
 
-/// Collapses edges at the vertices in question that are shorter than [`SHORT`] times h, shortest
-/// first, and smooths the vertices around them. A collapse is kept if the mean quality increases
-/// and the minimum quality stays at least [`TARGET`], or does not decrease if it was lower. This is
-/// repeated near changed triangles until nothing changes.
+/// Collapses edges at the vertices in `in_question` that are shorter than [`SHORT`] times h,
+/// shortest first, and smooths the vertices around them. A collapse is kept if the mean quality
+/// increases and the minimum quality stays at least [`TARGET`], or does not decrease if it was
+/// lower. Further passes examine the vertices of changed triangles until nothing changes.
 ///
-/// The loose limits for normals and folds apply, because a rim or rod thinner than h folds by more
-/// than the strict limits allow. For deviation and edge lengths, the strict limits apply.
+/// Normals and folds have the loose limits, because a rim or rod thinner than h folds by more than
+/// the strict limits allow. Deviation and edge lengths have the strict limits.
 ///
 /// # Errors
 /// Those of `step`.
@@ -33,7 +33,7 @@ pub(super) fn thin_out(surface: &mut Surface, in_question: &[bool], step: Step, 
         short.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut next = vec![false; open.len()];
         for (_, a, b) in short {
-            // the edge may have become longer, or been removed
+            // earlier collapses may have lengthened or removed the edge
             let is_short = surface.edge_triangles(a, b).is_some() && surface.relative_length(a, b) < SHORT;
             if is_short && let Some(touched) = collapse_smoothly(surface, a, b, limits) {
                 tally.collapses += 1;
@@ -47,9 +47,9 @@ pub(super) fn thin_out(surface: &mut Surface, in_question: &[bool], step: Step, 
 }
 
 /// Collapses an edge into its midpoint or one of its ends, and smooths the vertices around it.
-/// Commits the first of these that passes the acceptance test, and returns the touched triangles.
-/// Relocations afterwards would lower the mean quality: with them, ribs at 5,000 vertices reach
-/// 0.971 instead of 0.974, in three times the time.
+/// Commits the first collapse that passes the acceptance test, and returns the touched triangles.
+/// Further relocations would lower the mean quality: with them, ribs at 5,000 vertices reach 0.971
+/// instead of 0.974, in three times the time.
 fn collapse_smoothly(surface: &mut Surface, a: u32, b: u32, limits: &Limits) -> Option<Vec<u32>> {
     [Move::Collapse(a, b, 0.5), Move::Collapse(a, b, 0.0), Move::Collapse(b, a, 0.0)].into_iter().find_map(
         |candidate| {
@@ -62,8 +62,9 @@ fn collapse_smoothly(surface: &mut Surface, a: u32, b: u32, limits: &Limits) -> 
     )
 }
 
-/// Smooths vertices and their neighbours in turn, once for each of [`HOPELESS_BEFORE_SETTLINGS`].
-/// Returns `false` if the collapse is abandoned.
+/// Smooths vertices and their neighbours in turn, once for each limit in
+/// [`HOPELESS_BEFORE_SETTLINGS`]. Returns `false` if the collapse is abandoned, that is, if the
+/// change of the mean quality is below a limit.
 fn settle(surface: &mut Surface, vertices: &[u32]) -> bool {
     let neighbours = vertices.iter().flat_map(|&v| surface.link(v).map(|(u, _)| u));
     let mut round: Vec<u32> = neighbours.chain(vertices.iter().copied()).collect();

@@ -1,5 +1,9 @@
-//! The triangulation whose tetrahedra belong to materials, with the strata of its points, and the pure criteria that find where it is not the complex of
-//! the indicators (Cheng, Dey and Levine 2008; Boissonnat and Oudot 2005; Oudot, Rineau and Yvinec 2005).
+//! The Delaunay triangulation of points on strata, with a material for each tetrahedron (Cheng, Dey
+//! and Levine 2008). The facets between different materials form the interfaces.
+//!
+//! `topology.rs` and `criteria.rs` find where this complex differs from the strata of the
+//! indicators, and `refine.rs` repairs it. Where a stratum passes a point within `ONE_CURVE`, its
+//! materials are added to those that meet at the point.
 
 use super::prepare::Prepared;
 use super::segments::Segments;
@@ -13,29 +17,31 @@ use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::LEAST_GRADIENT;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Where no indicator of the materials of a tetrahedron is known at its circumcentre, they are asked for on the way to its centroid, in so many steps.
+/// Number of steps from the circumcentre of a tetrahedron to its centroid in the search for a
+/// position at which an indicator of its candidate materials is known.
 const STEPS: i32 = 8;
 
-/// The materials of junction points where more than four meet, by their number.
+/// Materials of the points at which more than four meet, by point index.
 type Crowded = BTreeMap<u32, Vec<MaterialId>>;
 
-/// Points on strata, and tetrahedra of materials.
+/// Points on strata, and a material for each tetrahedron.
 pub struct Complex<'a> {
-    /// The triangulation.
+    /// The triangulation, with the materials of its tetrahedra.
     pub labelled: Labelled<MaterialId>,
     /// The indicators.
     pub indicators: &'a dyn Indicators,
-    /// The stratum of each point.
+    /// Stratum of each point.
     pub strata: Vec<Stratum>,
     /// Target edge length h at each point, mm.
     pub sizes: Vec<f64>,
     /// Segments of junction curves.
     pub segments: Segments,
-    /// Points of strata that were joined to others, nearer than `ONE_CURVE`.
+    /// Points joined to another stratum that passes them within `ONE_CURVE`.
     pub joined: BTreeSet<u32>,
-    /// The materials of junction points where more than four meet.
+    /// Materials of the points at which more than four meet.
     crowded: Crowded,
-    /// Farthest that the centroid of a facet may lie from its sheet, mm; `None`: [`DEFAULT_DEVIATION`] of h or of a voxel.
+    /// Maximum distance in mm between the centroid of a facet and its interface. `None`:
+    /// [`crate::object::DEFAULT_DEVIATION`] times h, or times a voxel if that is longer.
     pub(super) max_deviation: Option<f64>,
 }
 
@@ -53,7 +59,8 @@ impl<'a> Complex<'a> {
         (interfaces, dimensions)
     }
 
-    /// Gives the tetrahedra of a volume that ends at `upper` their materials.
+    /// Creates the complex of prepared points, and assigns a material to each tetrahedron. `upper`
+    /// is the last corner of the volume (grid frame, mm).
     pub fn new(prepared: Prepared, indicators: &'a dyn Indicators, upper: DVec3, max_deviation: Option<f64>) -> Self {
         let Prepared { delaunay, strata, sizes, segments, .. } = prepared;
         let crowded = (0..strata.len() as u32)
@@ -73,13 +80,15 @@ impl<'a> Complex<'a> {
         Self { labelled, indicators, strata, sizes, segments, joined: BTreeSet::new(), crowded, max_deviation }
     }
 
-    /// Gives the tetrahedra made since the last call their materials.
+    /// Assigns materials to the tetrahedra that were created or marked for reconsideration since
+    /// the last call.
     pub fn decide(&mut self) {
         let Self { labelled, indicators, strata, crowded, .. } = self;
         labelled.decide(|delaunay, t, centre| material_of(*indicators, strata, crowded, delaunay, t, centre));
     }
 
-    /// Has a segment pass through a point that lies on its curve but for `ONE_CURVE`, where its materials meet then too.
+    /// Replaces a segment by two through an existing point that its curve passes within
+    /// `ONE_CURVE`. The materials of the curve then meet at the point.
     pub fn pass(&mut self, pair: Segment, point: u32) {
         let Some(curve) = self.segments.curve(pair) else { return };
         self.segments.split(pair, point, self.labelled.points());
@@ -91,7 +100,8 @@ impl<'a> Complex<'a> {
         self.decide();
     }
 
-    /// Has the materials of a stratum that passes a point within `ONE_CURVE` meet there.
+    /// Adds the materials of a stratum, which must pass a point within `ONE_CURVE`, to those that
+    /// meet at the point.
     fn join(&mut self, point: u32, stratum: &Stratum) {
         let own = &mut self.strata[point as usize];
         if !own.is_on(stratum) {
@@ -108,7 +118,8 @@ impl<'a> Complex<'a> {
         }
     }
 
-    /// Whether all materials of a stratum are equally near at a point, but for `ONE_CURVE`.
+    /// Returns whether the interfaces between the first and each other material of a stratum pass a
+    /// point within `ONE_CURVE`, to first order.
     fn is_passed(&self, point: u32, stratum: &Stratum) -> bool {
         let reach = super::way::ONE_CURVE * self.indicators.voxel();
         let (place, ids) = (self.points()[point as usize], stratum.materials());
@@ -118,7 +129,9 @@ impl<'a> Complex<'a> {
         })
     }
 
-    /// Has the materials of a facet between two meet at each of its vertices that its sheet passes within `ONE_CURVE`; true when that makes it right.
+    /// Adds the two materials of a facet to those that meet at each of its vertices, if their
+    /// interface passes the vertex within `ONE_CURVE`. Returns whether the facet then satisfies its
+    /// criterion. `vertices` are ascending.
     pub fn join_facet(&mut self, vertices: [u32; 3]) -> bool {
         let Some(facet) = self.facet_on(vertices) else { return false };
         let [inside, outside] = self.sheet(&facet);
@@ -132,7 +145,9 @@ impl<'a> Complex<'a> {
         self.wrong_facet(&facet).is_none()
     }
 
-    /// Takes an edge round which three or four materials come once each as a segment, if its ends lie nearer than `ONE_CURVE` to the sheets between these; true when it does.
+    /// Makes an edge a segment if three or four materials occur once each around it, and if the
+    /// interfaces between them pass both ends within `ONE_CURVE`. Returns whether it became a
+    /// segment.
     pub fn adopt(&mut self, edge: Segment) -> bool {
         let Some(start) = self.at_edge(edge) else { return false };
         let ids: Vec<MaterialId> = self.runs_round(edge, start).iter().map(|run| self.material(run[0])).collect();
@@ -145,7 +160,7 @@ impl<'a> Complex<'a> {
         true
     }
 
-    /// Gives up the adopted segments that are no longer edges between their materials.
+    /// Removes the adopted segments that are no longer edges between their materials.
     pub fn give_up_adopted(&mut self) {
         for edge in self.segments.adopted() {
             let curve = self.segments.curve(edge);
@@ -155,7 +170,9 @@ impl<'a> Complex<'a> {
         }
     }
 
-    /// Has the segments at a point that are shorter than `ONE_CURVE` and end at one of the same four materials be of all of them: on which of their curves they lie cannot be told.
+    /// Assigns all four materials of a junction point to its segments shorter than `ONE_CURVE` that
+    /// end at a junction point of the same materials. These segments could lie on any of the curves
+    /// between the materials.
     fn widen_short_segments(&mut self, point: u32) {
         let reach = super::way::ONE_CURVE * self.indicators.voxel();
         let own = self.strata[point as usize];
@@ -166,56 +183,59 @@ impl<'a> Complex<'a> {
         short.into_iter().for_each(|pair| self.segments.widen(pair, own));
     }
 
-    /// The points, those inserted at the end.
+    /// Returns the points; inserted points come last.
     pub fn points(&self) -> &[DVec3] {
         self.labelled.points()
     }
 
-    /// The material of a tetrahedron.
+    /// Returns the material of a tetrahedron.
     pub fn material(&self, tetrahedron: u32) -> MaterialId {
         self.labelled.of(tetrahedron)
     }
 
-    /// The sheet that a facet lies in: of the materials inside and outside.
+    /// Returns the materials inside and outside of a facet.
     pub fn sheet(&self, facet: &Facet) -> [MaterialId; 2] {
         [self.material(facet.tetrahedron), self.material(self.labelled.across(facet))]
     }
 
-    /// Whether a material meets others at the stratum of a point.
+    /// Returns whether a material is one of those that meet at a point.
     pub fn meets(&self, point: u32, id: MaterialId) -> bool {
         meeting(&self.strata, &self.crowded, point).contains(&id)
     }
 
-    /// Mean target edge length of some points, mm.
+    /// Returns the mean target edge length h at the given points in mm.
     pub(super) fn size_of(&self, points: &[u32]) -> f64 {
         points.iter().map(|&v| self.sizes[v as usize]).sum::<f64>() / points.len() as f64
     }
 
-    /// Length of a segment, mm.
+    /// Returns the length of a segment in mm.
     pub fn length(&self, [a, b]: Segment) -> f64 {
         self.points()[a as usize].distance(self.points()[b as usize])
     }
 
-    /// A tetrahedron that has an edge, if there is one.
+    /// Returns a tetrahedron at an edge, or `None` if the triangulation does not have the edge.
     pub fn at_edge(&self, [a, b]: [u32; 2]) -> Option<u32> {
         let delaunay = self.labelled.delaunay();
         star(delaunay, a).into_iter().find(|&t| delaunay.vertices(t).contains(&b))
     }
 
-    /// The facet between two materials on three points, if there is one.
+    /// Returns the facet between two materials on three vertices (ascending), if there is one.
     pub fn facet_on(&self, vertices: [u32; 3]) -> Option<Facet> {
         self.labelled.facets_at(vertices[0]).into_iter().find(|f| f.sorted() == vertices)
     }
 }
 
-/// The materials that meet at a point.
+/// Returns the materials that meet at a point.
 fn meeting<'a>(strata: &'a [Stratum], crowded: &'a Crowded, point: u32) -> &'a [MaterialId] {
     crowded.get(&point).map_or_else(|| strata[point as usize].materials(), Vec::as_slice)
 }
 
-/// The material of a tetrahedron: of those that meet at all of its vertices the one with the smallest indicator at its circumcentre. A tetrahedron across a
-/// layer has vertices on both sides of it, at which the layer's material alone meets; its circumcentre may lie far beyond the layer. Where none meets at all
-/// vertices, the material at the circumcentre.
+/// Returns the material of a tetrahedron. The candidates are the materials that meet at all four
+/// vertices. A single candidate is the result; of several, the one with the minimum indicator at
+/// the circumcentre. Without candidates, the result is the material at the circumcentre.
+///
+/// The candidates have priority because of thin layers. The material of the layer is the only
+/// candidate for a tetrahedron across it, but the circumcentre may lie far beyond the layer.
 fn material_of(
     indicators: &dyn Indicators,
     strata: &[Stratum],

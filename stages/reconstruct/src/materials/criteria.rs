@@ -1,6 +1,6 @@
-//! The criteria that find where a complex differs from the complex of the indicators, and the
-//! points that remedy it (Cheng, Dey and Levine 2008; Boissonnat and Oudot 2005; Oudot, Rineau and
-//! Yvinec 2005).
+//! The criteria that find where a complex differs from the strata of the indicators, and the remedy
+//! for each violation: a point to insert or a segment to split (Cheng, Dey and Levine 2008;
+//! Boissonnat and Oudot 2005; Oudot, Rineau and Yvinec 2005).
 
 use super::complex::Complex;
 use super::topology::Simplices;
@@ -13,9 +13,9 @@ use glam::DVec3;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::LEAST_GRADIENT;
 
-/// A segment around which a material is missing is split if the surface balls there have radii
-/// below this fraction of its length. Points inserted so close to the segment do not add the
-/// material.
+/// A segment with a wrong set of materials around it is split if the surface Delaunay balls there
+/// have radii below this share of its length. Points inserted so close to the segment do not add
+/// the missing material.
 const SMALL_BALL: f64 = 0.5;
 
 /// Maximum distance from a circumcentre, relative to the circumradius, at which a point counts as
@@ -27,12 +27,12 @@ const WITHIN: f64 = 1.0 - 1e-9;
 pub enum Mend {
     /// Insert a point on an interface.
     Point {
-        /// Position in mm in the grid frame.
+        /// Position in the grid frame, mm.
         place: DVec3,
         /// The interface.
         stratum: Stratum,
     },
-    /// Split a segment in the middle.
+    /// Split a segment at a point on its curve.
     Split(Segment),
     /// No remedy is known.
     None,
@@ -44,7 +44,8 @@ pub type Violation = queue::Violation<Mend>;
 /// The surface Delaunay ball of a facet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ball {
-    /// Centre, on an interface: where the dual Voronoi edge crosses it.
+    /// Centre, on an interface: the point at which the dual Voronoi edge crosses it, or the
+    /// projected centroid of the facet.
     pub place: DVec3,
     /// That interface.
     pub stratum: Stratum,
@@ -53,8 +54,8 @@ pub struct Ball {
 }
 
 impl Complex<'_> {
-    /// Returns the facets between materials at an edge, sorted by their tetrahedra. `runs` are
-    /// those of [`Self::runs_round`].
+    /// Returns the facets between materials at an edge, sorted by their tetrahedra. `runs` is the
+    /// result of [`Self::runs_round`].
     fn facets_between(&self, edge: [u32; 2], runs: &[Vec<u32>]) -> Vec<Facet> {
         let delaunay = self.labelled.delaunay();
         let facet = |t: u32| {
@@ -68,9 +69,10 @@ impl Complex<'_> {
         facets
     }
 
-    /// Returns the surface ball of a facet. Its centre is the point where the dual Voronoi edge
-    /// leaves the material inside, or else the centroid of the facet, each projected onto the
-    /// interface. The first of the two whose insertion removes the facet is preferred.
+    /// Returns the surface Delaunay ball of a facet. Its centre is the point where the dual Voronoi
+    /// edge leaves the material inside, or else the centroid of the facet, each projected onto the
+    /// interface. The first of the two whose insertion removes the facet is preferred. Returns
+    /// `None` if neither can be projected.
     pub fn ball(&self, facet: &Facet) -> Option<Ball> {
         let corners = facet.vertices.map(|v| self.points()[v as usize]);
         let voxel = self.indicators.voxel();
@@ -90,9 +92,10 @@ impl Complex<'_> {
         Some(Ball { place, stratum, radius })
     }
 
-    /// Returns whether the insertion of a point removes a facet: the point is inside the
-    /// circumsphere of a tetrahedron at the facet. After projection onto the interface, the centre
-    /// of a surface ball can be outside, even at a vertex that was inserted for the same facet.
+    /// Returns whether the insertion of a point removes a facet, that is, whether the point lies
+    /// inside the circumsphere of a tetrahedron at the facet. After its projection onto the
+    /// interface, the centre of a surface Delaunay ball can lie outside, for example at a vertex
+    /// that was inserted for the same facet.
     fn parts(&self, place: DVec3, facet: &Facet) -> bool {
         let delaunay = self.labelled.delaunay();
         let corner = self.points()[facet.vertices[0] as usize];
@@ -111,8 +114,8 @@ impl Complex<'_> {
         Some((low.midpoint(high), [inside, self.indicators.material_at(high)]))
     }
 
-    /// Returns a violation at some facets. Its remedy is the centre of the largest surface ball, if
-    /// possible one that removes its facet.
+    /// Returns a violation at some facets. Its remedy is the centre of the largest of their surface
+    /// Delaunay balls, if possible of one whose insertion removes its facet.
     fn by_largest_ball(&self, reason: Reason, simplex: Simplex, facets: &[Facet]) -> Option<Violation> {
         let first = facets.first()?;
         let balls = facets.iter().filter_map(|f| self.ball(f).map(|ball| (self.parts(ball.place, f), ball, f)));
@@ -142,8 +145,8 @@ impl Complex<'_> {
         Violation { reason, simplex, remedy: Mend::Split(pair), radius, size, near: pair[0] }
     }
 
-    /// Returns the violation at a segment. `start` is a tetrahedron at it, if the segment is an
-    /// edge.
+    /// Returns the violation at a segment, if there is one. `start` is a tetrahedron at the
+    /// segment; `None` if the segment is not an edge.
     fn at_segment(&self, pair: Segment, curve: Stratum, start: Option<u32>) -> Option<Violation> {
         let simplex = Simplex::Edge(pair);
         let reason = self.wrong_segment(pair, curve, start)?;
@@ -153,14 +156,15 @@ impl Complex<'_> {
         Some(by_ball.filter(|v| !is_small(v)).unwrap_or_else(|| self.by_split(reason, simplex, pair)))
     }
 
-    /// Returns the violation at an edge that is not a segment. `start` is a tetrahedron at it.
+    /// Returns the violation at an edge that is not a segment, if there is one. `start` is a
+    /// tetrahedron at the edge.
     fn at_plain_edge(&self, edge: [u32; 2], start: u32) -> Option<Violation> {
         let reason = self.wrong_plain_edge(edge, start)?;
         self.by_largest_ball(reason, Simplex::Edge(edge), &self.facets_between(edge, &self.runs_round(edge, start)))
     }
 
-    /// Returns the violation at an edge or segment. `start` is a tetrahedron at it, if there is
-    /// one.
+    /// Returns the violation at an edge or segment, if there is one. `start` is a tetrahedron at
+    /// it; `None` if the segment is not an edge.
     fn at_any_edge(&self, edge: [u32; 2], start: Option<u32>) -> Option<Violation> {
         match self.segments.curve(edge) {
             Some(curve) => self.at_segment(edge, curve, start),
@@ -168,20 +172,22 @@ impl Complex<'_> {
         }
     }
 
-    /// Returns the violation at a vertex.
+    /// Returns the violation at a vertex, if there is one.
     fn at_vertex(&self, vertex: u32) -> Option<Violation> {
         let reason = self.wrong_vertex(vertex)?;
         self.by_largest_ball(reason, Simplex::Vertex(vertex), &self.labelled.facets_at(vertex))
     }
 
-    /// Returns the violation at a facet: its topology, or its deviation from the interface.
+    /// Returns the violation at a facet, if there is one: of its topology, its deviation or its
+    /// normal deviation.
     fn at_facet(&self, facet: &Facet) -> Option<Violation> {
         let strays = || (self.deviation_ratio(facet) > 1.0).then_some(Reason::Deviation);
         let reason = self.wrong_facet(facet).or_else(strays)?;
         self.by_largest_ball(reason, Simplex::Facet(facet.sorted()), std::slice::from_ref(facet))
     }
 
-    /// Returns the deviation of a facet from its interface, relative to the limit.
+    /// Returns the deviation of a facet from its interface relative to the limit, or a value above
+    /// 1 if its normal deviation is too large.
     fn deviation_ratio(&self, facet: &Facet) -> f64 {
         let limit = self
             .max_deviation
@@ -190,7 +196,7 @@ impl Complex<'_> {
         deviation_ratio(straying(self.indicators, self.sheet(facet), corners), limit)
     }
 
-    /// Returns the violation at a simplex, if the simplex still exists and is wrong.
+    /// Returns the violation at a simplex, if the simplex still exists and violates a criterion.
     pub fn at_simplex(&self, simplex: Simplex) -> Option<Violation> {
         match simplex {
             Simplex::Vertex(v) => self.at_vertex(v),
@@ -208,7 +214,8 @@ impl Complex<'_> {
 
 /// Returns the first-order distance (mm) of the centroid of a triangle from the interface of the
 /// materials inside and outside, and the cosine between the normals of the triangle and of the
-/// interface. Where a third material is present, the distance is at least half its margin.
+/// interface. If a third material has a smaller indicator at the centroid, the distance is at least
+/// half the difference.
 pub(super) fn straying(indicators: &dyn Indicators, sheet: [MaterialId; 2], [a, b, c]: [DVec3; 3]) -> (f64, f64) {
     let centroid = (a + b + c) / 3.0;
     let (value, gradient) = indicators.difference_gradient(sheet[0], sheet[1], centroid);

@@ -1,5 +1,6 @@
-//! Where a segment of a junction curve is cut: at a point that is there and that its curve passes,
-//! or at a new one on the curve between its ends.
+//! Splits segments of junction curves. The split is at an existing point that the curve of the
+//! segment passes within `ONE_CURVE`, or at a new point on the curve between the ends of the
+//! segment. Paths along the curve come from `ways_along` and `way_from`.
 
 use super::prepare::onto;
 use super::refine::Refinement;
@@ -11,20 +12,22 @@ use isoparticles_field::materials::complex::{way_from, ways_along};
 use isoparticles_stage::error::Result;
 use std::collections::BTreeSet;
 
-/// Ends of a segment are no nearer to the point that splits it than this part of its length.
+/// Minimum distance between a new point and the ends of the segment that it splits, as a share of
+/// the length of the segment.
 const MIDDLE: f64 = 0.2;
 
-/// How a segment becomes two.
+/// Position at which a segment is split.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Cut {
-    /// It passes through a point that is there.
+    /// An existing point.
     At(u32),
-    /// A point is inserted, grid frame, mm.
+    /// A new point in the grid frame, mm.
     New(DVec3),
 }
 
 impl Refinement<'_> {
-    /// Cuts a segment in two where [`cut`](Self::cut) says; false where there is no room.
+    /// Splits a segment at the position that [`cut`](Self::cut) returns. Returns false if there is
+    /// none. A new point is at least `least` (mm) from both ends.
     pub(super) fn split(&mut self, pair: Segment, least: f64) -> Result<bool> {
         let Some((curve, cut)) = self.cut(pair, least) else { return Ok(false) };
         let place = match cut {
@@ -40,8 +43,8 @@ impl Refinement<'_> {
         let inserted = self.complex.labelled.insert(place, pair[0])?;
         let outcome = self.settle(inserted, curve, size);
         if let Some(v) = inserted {
-            // of four materials it lies on one curve of three, and the others pass within
-            // `ONE_CURVE`
+            // A new point on a segment of four materials lies on one of their curves. The others
+            // pass it within `ONE_CURVE`.
             if curve.dimension() < 1 {
                 self.complex.joined.insert(v);
             }
@@ -51,10 +54,16 @@ impl Refinement<'_> {
         Ok(outcome)
     }
 
-    /// The curve of a segment and where it is cut: at a point that its curve passes; else at a new
-    /// place of the curve between its ends, no nearer than `least` to either; else at a junction
-    /// point that leads on; else, where the curve cannot be followed, where it is nearest to the
-    /// middle of the segment. `None` where there is none of these.
+    /// Returns the curve of a segment and the position at which the segment is split. In order of
+    /// preference, this is:
+    /// - an existing point that the curve passes,
+    /// - a new point on the curve between the ends ([`Self::new_place`]),
+    /// - a junction point returned by [`Self::linked`],
+    /// - if the curve cannot be followed, the projection of the midpoint of the segment onto the
+    ///   curve.
+    ///
+    /// New points are at least `least` (mm) from both ends. Returns `None` if there is no such
+    /// position.
     fn cut(&self, pair: Segment, least: f64) -> Option<(Stratum, Cut)> {
         let curve = self.complex.segments.curve(pair)?;
         let [a, b] = pair.map(|v| self.complex.points()[v as usize]);
@@ -75,12 +84,15 @@ impl Refinement<'_> {
         self.cut_near(pair, curve, on_curve.filter(is_between)?)
     }
 
-    /// A new place of a segment's curve that `is_between` its ends. It is next to the point that
-    /// lies deepest in the ball of which the segment is a diameter, if there is one: where two
-    /// curves run side by side, nearer to each other than their points are, these come to lie in
-    /// pairs, and both curves' segments are edges (the ball on a side of a rectangle holds no
-    /// corner). Else it is in the middle of the way, or as far as the curve can be followed from
-    /// one end.
+    /// Returns a new position on the curve of a segment that passes the test `is_between`. It is
+    /// next to the deepest point in the diametral ball of the segment, if there is one. Otherwise,
+    /// or if this position fails the test, it is the middle of the path. If the curve cannot be
+    /// followed to the other end, it is the farthest position that can be reached
+    /// ([`Self::farthest`]).
+    ///
+    /// The deepest point matters where two curves run side by side, closer than their points.
+    /// Points in pairs make the segments of both curves edges, because the diametral ball of a side
+    /// of a rectangle contains no corner.
     fn new_place(
         &self,
         pair: Segment,
@@ -97,8 +109,8 @@ impl Refinement<'_> {
         places.filter_map(|along| self.place_on(curve, way, along)).find(is_between)
     }
 
-    /// A cut at a new place, or at the point of the curve that is one with it; `None` where the
-    /// segment cannot pass through that.
+    /// Returns a cut at a new position, or at an existing point of the curve within `ONE_CURVE` of
+    /// it. Returns `None` if the segment cannot be split at the existing point.
     fn cut_near(&self, pair: Segment, curve: Stratum, place: DVec3) -> Option<(Stratum, Cut)> {
         let (known, distance) = self.complex.labelled.nearest(place, pair[0]);
         let is_known = !pair.contains(&known)
@@ -110,8 +122,8 @@ impl Refinement<'_> {
         }
     }
 
-    /// Points of curves that a way passes within `ONE_CURVE`, without those at its ends; `near` is
-    /// one not far from its first place.
+    /// Returns the points on junction curves, and the junction points, that a path passes within
+    /// `ONE_CURVE` between its ends. `near` is a vertex near the start of the path.
     fn on_way(&self, way: &[DVec3], near: u32) -> Vec<u32> {
         let reach = ONE_CURVE * self.complex.indicators.voxel();
         let whole = way::length(way);
@@ -131,10 +143,12 @@ impl Refinement<'_> {
         found
     }
 
-    /// JunctionPoint points in the ball of which a segment is a diameter, or nearer to it than
-    /// `ONE_CURVE`, that have segments with one of its ends or lie nearest to it, and at which all
-    /// materials of its curve meet: where the curve is one with another it may be undercut, and
-    /// these lead on.
+    /// Returns the junction points that have all materials of the curve of a segment, and that
+    /// share a segment with one of its ends or that the segment passes within `ONE_CURVE`. They lie
+    /// in the diametral ball of the segment, or within `ONE_CURVE` of the segment.
+    ///
+    /// A merged curve cannot be followed where a fourth material has a smaller indicator. These
+    /// points then continue it.
     fn linked(&self, pair: Segment, curve: Stratum) -> Vec<u32> {
         let points = self.complex.points();
         let [a, b] = pair.map(|v| points[v as usize]);
@@ -152,10 +166,13 @@ impl Refinement<'_> {
         ends.filter(|v| !pair.contains(v) && is_beside(v) && leads(v)).collect()
     }
 
-    /// Whether a segment can give way to two by way of a point that its curve passes, and no curve
-    /// is left open by that: what lies nearer together than `ONE_CURVE` is one. Without it two
-    /// curves that coincide over some length would be refined without end, as neither's segments
-    /// can be edges beside the other's points.
+    /// Returns whether a segment can be split at an existing point that its curve passes. A segment
+    /// is split at the same point at most once, unless other segments of its curve already connect
+    /// the point to both ends. The split must not leave an end of the segment with a single
+    /// segment.
+    ///
+    /// Without such splits, two curves that coincide over some length would be refined
+    /// indefinitely. The points of each curve prevent segments of the other from being edges.
     fn can_pass(&self, pair: Segment, point: u32) -> bool {
         let segments = &self.complex.segments;
         let is_new = || !self.passes.contains(&(pair, point)) || segments.is_covered(pair, point);
@@ -170,14 +187,15 @@ impl Refinement<'_> {
             && segments.can_pass(pair, point, self.complex.points())
     }
 
-    /// The way along the curve of a segment from one end to the other, the shortest of those of
-    /// four materials. One that leaves an end by a segment of the same curve is that of other
-    /// segments, round a loop: a curve goes on where it comes from only at its ends.
+    /// Returns the path along the curve of a segment from one end to the other. For a segment of
+    /// four materials, it is the shortest path on one of their curves. Paths that leave an end
+    /// along another segment of the same curve are excluded: they follow the other segments of a
+    /// closed curve. This does not apply to ends at junction points.
     fn way(&self, pair: Segment, curve: Stratum) -> Option<Vec<DVec3>> {
         let indicators = self.complex.indicators;
         let ends = pair.map(|v| self.complex.points()[v as usize]);
         let longest = LONGEST_WAY * ends[0].distance(ends[1]).max(indicators.voxel());
-        // a point of curves that are one lies on one of them
+        // A point on merged curves lies exactly on only one of them.
         let own =
             |curve: Stratum| ends.map(|p| onto(indicators, curve, p, ONE_CURVE * indicators.voxel()).unwrap_or(p));
         let is_its_own = |curve: Stratum, way: &[DVec3]| {
@@ -200,15 +218,16 @@ impl Refinement<'_> {
         ways.min_by(|a, b| way::length(a).total_cmp(&way::length(b)))
     }
 
-    /// The other ends of the segments of a curve at a point.
+    /// Returns the other ends of the segments of a curve at a point.
     fn others(&self, point: u32, curve: Stratum) -> impl Iterator<Item = u32> + '_ {
         let segments = self.complex.segments.at(point);
         let own = segments.filter(move |&pair| self.complex.segments.curve(pair) == Some(curve));
         own.flatten().filter(move |&end| end != point)
     }
 
-    /// Where the curve of a segment leads from one of its ends, away from the segment before, half
-    /// of the segment's length along: of both ends the one from which it leads farther.
+    /// Returns the position that is reached from an end of a segment along its curve, away from the
+    /// previous segment, over at most half the length of the segment. Of the two ends, the one with
+    /// the longer path is used.
     fn farthest(&self, pair: Segment, curve: Stratum) -> Option<DVec3> {
         let [a, b] = pair;
         let place = |v: u32| self.complex.points()[v as usize];
@@ -223,7 +242,7 @@ impl Refinement<'_> {
         farthest.and_then(|way| way.last().copied())
     }
 
-    /// The place of a curve so far along a way on it, mm.
+    /// Returns the position on a curve at the arc length `along` (mm) of a path on it.
     fn place_on(&self, curve: Stratum, way: &[DVec3], along: f64) -> Option<DVec3> {
         let mut sum = 0.0;
         let step = way.windows(2).find(|step| {
@@ -235,7 +254,8 @@ impl Refinement<'_> {
         self.onto_curve(curve, step[1].lerp(step[0], share), 0.5 * own)
     }
 
-    /// The place of a segment's curve near another.
+    /// Projects a position onto the curve of a segment, at most `limit` mm away. For a segment of
+    /// four materials, this is the first of their curves for which the projection succeeds.
     fn onto_curve(&self, curve: Stratum, place: DVec3, limit: f64) -> Option<DVec3> {
         curve.curves().find_map(|curve| onto(self.complex.indicators, curve, place, limit))
     }

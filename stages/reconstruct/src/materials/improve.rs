@@ -1,4 +1,6 @@
-//! Better triangles in a complex: the optimiser of one object on each of its sheets, and along the junction curves between them, whose ends stay.
+//! Improves the triangles of a complex with the optimiser of one object ([`crate::improve`]). Each
+//! interface has the function G_ij of its two materials instead of F. Vertices on a junction curve
+//! of three materials stay on the curve, and junction points stay fixed.
 
 use super::nodes::Nodes;
 use crate::improve::{Freedom, ImproveOptions, ImproveReport, Sheets, SheetsOf, Step, improve_sheets};
@@ -9,7 +11,7 @@ use isoparticles_field::spline::Jet;
 use isoparticles_stage::error::Result;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// G of each pair of materials, inside first.
+/// The functions G_ij of the interfaces, material inside first.
 struct Differences<'a> {
     indicators: &'a dyn Indicators,
     pairs: Vec<[MaterialId; 2]>,
@@ -59,8 +61,9 @@ impl Sheets for Differences<'_> {
     }
 }
 
-/// How each vertex may move, by the dimension of its stratum: those on a curve of three materials along it, where two of its segments join them to others; what else lies on
-/// several sheets stays.
+/// Returns how each vertex may move, given the dimension of its stratum. A vertex of two materials
+/// moves on its interface. A vertex on a curve of three materials moves along it if it has exactly
+/// two segments of this curve and is not joined to another stratum. All other vertices are fixed.
 fn freedoms(interfaces: &Interfaces, dimensions: &[usize]) -> Vec<Freedom> {
     let meets = interfaces.materials_at_vertices();
     let mut on_sheet: Vec<bool> =
@@ -87,7 +90,8 @@ fn freedoms(interfaces: &Interfaces, dimensions: &[usize]) -> Vec<Freedom> {
     (0..meets.len()).map(freedom).collect()
 }
 
-/// Segments in which each vertex of a curve that is gone gives way to a segment between its two neighbours.
+/// Returns the segments, ascending, after vertices of curves are removed. The two segments at a
+/// removed vertex are replaced by one between its neighbours.
 fn bridged(segments: Vec<(Segment, Stratum)>, is_gone: impl Fn(u32) -> bool) -> Vec<(Segment, Stratum)> {
     let (open, mut kept): (Vec<_>, Vec<_>) =
         segments.into_iter().partition(|(pair, _)| pair.iter().any(|&v| is_gone(v)));
@@ -116,11 +120,13 @@ fn bridged(segments: Vec<(Segment, Stratum)>, is_gone: impl Fn(u32) -> bool) -> 
     kept
 }
 
-/// Improves the triangles of interfaces. Vertices of the first ones lie on strata of the `dimensions`: those on curves stay on them, those at points, and where curves are one,
-/// stay; `nodes` are those of the grid where they shall keep their materials. `size` is the target edge length h (mm) at a position.
+/// Improves the triangles of interfaces. `dimensions` contains the dimension of the stratum of each
+/// vertex. Vertices on curves stay on them; junction points and vertices on merged curves are
+/// fixed. `nodes` are the grid nodes that must keep their materials. `size` is the target edge
+/// length h (mm) at a position.
 ///
 /// # Errors
-/// When h is not positive somewhere, and those of `step`.
+/// If the mesh is malformed or h is not positive and finite at a vertex; and the errors of `step`.
 pub fn improve(
     interfaces: &mut Interfaces,
     dimensions: &[usize],
@@ -153,7 +159,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn segments_lead_past_vertices_that_are_gone_and_keep_their_curve() {
+    fn removed_vertices_are_bridged_on_their_curve() {
         let [curve, other] = [[0, 1, 2], [0, 1, 3]].map(|ids| Stratum::new(&ids.map(MaterialId)).expect("three"));
         let segments = vec![([0, 4], curve), ([1, 2], other), ([2, 5], curve), ([3, 5], curve), ([4, 5], curve)];
         let left = bridged(segments.clone(), |v| v == 4 || v == 5);

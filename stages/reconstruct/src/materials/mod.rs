@@ -1,12 +1,17 @@
-//! Many materials: particles on strata become one conforming complex of triangles between materials.
+//! Many materials: computes one conforming complex of material interfaces from particles on strata.
+//! The method is Delaunay refinement (Cheng, Dey and Levine 2008; `docs/developer/materials.md`).
 //!
 //! | step | module |
 //! |---|---|
-//! | the particles on their strata, triangulated; segments of junction curves | [`prepare`], [`segments`] |
-//! | tetrahedra of materials, what is violated there, and what mends it | [`topology`], [`complex`], [`nodes`] |
-//! | points added, most needed first | [`refine`] |
-//! | tetrahedra given to another material where points do not help | `relabel` |
-//! | superfluous segments dropped, vertices joined to the interfaces that pass them | `unite` |
+//! | projection onto strata, triangulation, junction segments | [`prepare`], [`segments`] |
+//! | materials of tetrahedra | [`complex`] |
+//! | violations and their remedies | [`topology`], [`criteria`], [`nodes`] |
+//! | insertion of points, segments split on their curves | [`refine`], `cut` |
+//! | tetrahedra that change their material where points do not help | `relabel` |
+//! | redundant segments dropped, vertices joined to interfaces that pass them | `unite` |
+//! | improvement of the triangles | [`improve`] |
+//! | components of the materials | [`pieces`] |
+//! | all steps in order; the program | [`reconstruct`], [`run`] |
 
 pub mod complex;
 pub mod criteria;

@@ -1,4 +1,6 @@
-//! Grid nodes, the centres of voxels of labels: each shall lie in the mesh in the material that the indicators give it.
+//! Grid nodes, which are the voxel centres of a label map. Each must lie in the mesh in the
+//! material that the indicators give it. Finds the nodes in another material by the crossings of
+//! triangles with grid lines, and the points to insert for them.
 
 use super::complex::Complex;
 use super::criteria::{Mend, Violation};
@@ -15,13 +17,13 @@ use isoparticles_mesh::inside::crossings;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// Farthest that an interface is sought from a node, voxels.
+/// Maximum distance from a node to the interface that is searched for, in voxels.
 const REACH: f64 = 2.0;
 
 /// The material of each grid node.
 pub struct Nodes {
     geometry: Geometry,
-    /// x fastest.
+    /// Material numbers, x fastest.
     material: Vec<u16>,
 }
 
@@ -29,7 +31,7 @@ pub struct Nodes {
 type Wall = ([DVec3; 3], [MaterialId; 2]);
 
 impl Nodes {
-    /// Asks the indicators at each node of a grid.
+    /// Computes the material of each node of a grid from the indicators.
     pub fn new(geometry: &Geometry, indicators: &dyn Indicators) -> Self {
         let [nx, ny, nz] = geometry.size;
         let row = |row: usize| {
@@ -43,29 +45,30 @@ impl Nodes {
         Self { geometry: geometry.clone(), material }
     }
 
-    /// The grid.
+    /// Returns the grid.
     pub fn geometry(&self) -> &Geometry {
         &self.geometry
     }
 
-    /// The material of each node, x fastest.
+    /// Returns the material number of each node, x fastest.
     pub fn materials(&self) -> &[u16] {
         &self.material
     }
 
-    /// Place of a node, grid frame, mm.
+    /// Returns the position of a node (grid frame, mm).
     pub fn place(&self, node: usize) -> DVec3 {
         self.geometry.node_to_grid(node)
     }
 
-    /// Returns the nodes, ascending, that interfaces put into another material.
+    /// Returns the nodes, ascending, that lie in another material of the mesh.
     pub fn wrong_by(&self, interfaces: &Interfaces) -> Vec<usize> {
         let wall = |t: usize| (interfaces.mesh.corners(t), interfaces.between[t]);
         self.wrong_by_walls((0..interfaces.between.len()).into_par_iter().map(wall))
     }
 
-    /// Returns the nodes, ascending, that triangles put into another material. Each crossing along
-    /// a grid line removes one material and adds another. Beyond all triangles is the outside.
+    /// Returns the nodes, ascending, that lie in another material according to the given triangles.
+    /// Each crossing along a grid line in x removes one material and adds another. A grid line
+    /// starts in the outside.
     fn wrong_by_walls(&self, walls: impl ParallelIterator<Item = Wall>) -> Vec<usize> {
         let nx = self.geometry.size[0];
         let mut toggles: Vec<(usize, usize, u16)> = walls
@@ -87,7 +90,7 @@ impl Nodes {
                         None => there.push(*id),
                     }
                 }
-                // none or several only where the triangles do not close
+                // none or several materials if the triangles are not closed
                 there != [self.material[row * nx + i]]
             })
         };
@@ -95,7 +98,8 @@ impl Nodes {
         rows.flat_map_iter(|row| of_row(row).map(move |i| row * nx + i)).collect()
     }
 
-    /// The nodes, ascending, that lie in tetrahedra of another material.
+    /// Returns the nodes, ascending, that lie in tetrahedra of another material. `facets` are all
+    /// facets of the complex.
     pub(super) fn wrong(&self, complex: &Complex, facets: &[Facet]) -> Vec<usize> {
         let wall = |f: &Facet| (f.vertices.map(|v| complex.points()[v as usize]), complex.sheet(f));
         self.wrong_by_walls(facets.par_iter().map(wall))
@@ -124,13 +128,14 @@ impl Nodes {
         nodes.map(|(i, j, k)| self.geometry.linear(i, j, k)).filter(is_in).collect()
     }
 
-    /// Returns whether a node lies in a tetrahedron of its own material.
+    /// Returns whether a tetrahedron contains a node of its own material.
     pub(super) fn holds_own(&self, complex: &Complex, tetrahedron: u32) -> bool {
         let own = complex.material(tetrahedron).0;
         self.nodes_in(complex, tetrahedron).into_iter().any(|node| self.material[node] == own)
     }
 
-    /// Returns the number of nodes in some tetrahedra whose material is not their own.
+    /// Returns the number of nodes in the given tetrahedra whose material differs from that of the
+    /// tetrahedron.
     pub(super) fn wrong_in(&self, complex: &Complex, tetrahedra: &[u32]) -> usize {
         let wrong = |&t: &u32| {
             let own = complex.material(t).0;
@@ -139,7 +144,9 @@ impl Nodes {
         tetrahedra.iter().map(wrong).sum()
     }
 
-    /// The violation at a node in another material; `near` is a vertex not far from it.
+    /// Returns the violation at a node if it lies in another material. `near` is a vertex near the
+    /// node. The remedy is the projection of the node onto the interface of its own material. If
+    /// this fails or a vertex is already there, the remedy is a split of a facet nearby.
     pub(super) fn violation(&self, complex: &Complex, node: usize, near: u32) -> Option<Violation> {
         let place = self.place(node);
         let own = MaterialId(self.material[node]);
@@ -165,8 +172,9 @@ impl Nodes {
         };
         let size = complex.sizes[near as usize];
         let vertices_of = |t: Option<u32>| t.map_or(vec![near], |t| complex.labelled.delaunay().vertices(t).to_vec());
-        // Where the point cannot be at the foot, a facet around the node is refined. In a tube far
-        // thinner than h, all facets that pass the node by may be too small; any other is refined.
+        // If no point can be inserted at the projection, a facet near the node is split. In a tube
+        // far thinner than h, all facets with the node on the wrong side may be too small. Any
+        // other facet is then split.
         let by_split = |vertices: Vec<u32>| {
             let widest = |must_pass_by: bool| {
                 let finite = vertices.iter().filter(|&&v| v != INFINITE);
@@ -189,8 +197,9 @@ impl Nodes {
         by_split(vec![vertex]).or_else(|| by_split(vertices_of(t))).or(Some(at_foot))
     }
 
-    /// Refines a facet at a vertex next to a node, at the middle of its longest edge: one that
-    /// passes the node by, or any facet.
+    /// Returns a violation at a node whose remedy splits a facet at `vertex` in the middle of its
+    /// longest edge. The facet with the longest such edge is chosen, only among those with the node
+    /// on the wrong side if `must_pass_by` is set.
     fn by_split(&self, complex: &Complex, node: usize, vertex: u32, must_pass_by: bool) -> Option<Violation> {
         let (place, own) = (self.place(node), MaterialId(self.material[node]));
         let passes_by = |f: &Facet| {
@@ -234,7 +243,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nodes_of_changed_tetrahedra_are_wrong_in_them() {
+    fn nodes_in_relabelled_tetrahedra_are_wrong() {
         let scene = scenes::sectors();
         let (particles, strata) = scene.particles(1.5, 0.7);
         let prepared = prepare(&particles, &strata, &scene.analytic).expect("on their strata");

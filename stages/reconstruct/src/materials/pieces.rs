@@ -1,4 +1,5 @@
-//! The components of each material, of grid nodes that share a face, and whether they are in a mesh.
+//! The connected components of each material, of grid nodes that share a face, and the components
+//! that are missing in a mesh.
 
 use super::nodes::Nodes;
 use isoparticles_field::materials::Material;
@@ -6,26 +7,28 @@ use isoparticles_mesh::components::DisjointSets;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// A component of no more nodes than these may be missing: it is a speck of which the mesh of edge h cannot know.
+/// Maximum number of nodes of a component that may be missing. A mesh of edge length h does not
+/// resolve such a speck.
 pub const SMALL: usize = 8;
 
 /// The components of a material.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Pieces {
-    /// Its name.
+    /// Name of the material.
     pub name: String,
-    /// Grid nodes of it.
+    /// Number of its grid nodes.
     pub nodes: usize,
-    /// Components, of nodes that share a face.
+    /// Number of components of nodes that share a face.
     pub components: usize,
-    /// Nodes of each of the components, of more than [`SMALL`], none of whose nodes the mesh has in the material.
+    /// Numbers of nodes of the missing components of more than [`SMALL`] nodes. A component is
+    /// missing if all its nodes lie in other materials of the mesh.
     pub missing: Vec<usize>,
-    /// The same of smaller ones: how many.
+    /// Number of missing components of at most [`SMALL`] nodes.
     pub missing_specks: usize,
 }
 
-/// The components of each material of a table, and which of them a mesh lacks that has the nodes
-/// `wrong` (ascending) in another material.
+/// Returns the components of each material of a table, and which of them are missing in a mesh.
+/// `wrong` contains the nodes (ascending) that lie in another material of the mesh.
 pub fn pieces(nodes: &Nodes, wrong: &[usize], table: &[Material]) -> Vec<Pieces> {
     let truth = nodes.materials();
     let [nx, ny, _] = nodes.geometry().size;
@@ -42,7 +45,7 @@ pub fn pieces(nodes: &Nodes, wrong: &[usize], table: &[Material]) -> Vec<Pieces>
             sets.join(n as u32, (n - plane) as u32);
         }
     }
-    // nodes of each component, and whether one of them is in the mesh
+    // number of nodes of each component, and whether the mesh has one of them in its material
     let mut components: BTreeMap<u32, (usize, bool)> = BTreeMap::new();
     let mut wrong = wrong.iter().peekable();
     for n in 0..truth.len() {

@@ -1,4 +1,7 @@
-//! From particles to points of a complex: each on its own stratum, real there, no two on one spot, and junction curves whose segments join.
+//! Turns particles into the points of a complex. Each particle is projected onto its stratum.
+//! Particles that are too close to others or encroach upon segments are removed. Consecutive points
+//! on junction curves are connected by segments, and closed curves with too few points get more.
+//! The result is triangulated.
 
 use super::segments::Segments;
 use super::way::{LONGEST_WAY, ONE_CURVE, foot, length};
@@ -15,53 +18,57 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Farthest that a particle may be moved onto its stratum, in voxels.
+/// Maximum displacement of a particle onto its stratum, in voxels.
 const LONGEST_MOVE: f64 = 1.0;
 
-/// Indicators nearer to each other than this, in voxels, count as equal where a projection onto a curve or point does not converge: beside a kink.
+/// Indicators that differ by less than this, in voxels, count as equal if the projection onto a
+/// curve or junction point does not converge. This happens next to a kink of the indicators.
 const EQUAL: f64 = 1e-3;
 
-/// A particle on a sheet tells of a curve where a third material is so little farther, in voxels: at less than a voxel from the curve.
+/// A particle on an interface indicates a junction curve if the indicator of a third material
+/// exceeds its own by at most this, in voxels. The curve is searched for within one voxel.
 const NEAR_A_CURVE: f64 = 0.5;
 
-/// A place of a curve is known where a way along it passes so near, in voxels: its steps are a fifth of a voxel and shorter.
+/// A position on a curve counts as known if a path along the curve has a point within this
+/// distance, in voxels. The steps of a path are at most about a fifth of a voxel long.
 const ON_A_WAY: f64 = 0.15;
 
-/// What was taken and what not.
+/// Numbers of particles and segments that were used, added or not used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Taken {
-    /// As for one object.
+    /// The counts that one object has as well.
     #[serde(flatten)]
     pub particles: PrepareReport,
-    /// A third material is nearer than those of the particle's own stratum.
+    /// Particles on a stratum that is not real because a third material is nearer. Not counted:
+    /// these particles are among those not projected.
     pub not_real: usize,
-    /// On a sheet, but in the ball of which a segment of a junction curve is a diameter.
+    /// Particles on interfaces in the diametral ball of a segment of a junction curve.
     pub encroaching: usize,
     /// Segments of junction curves at the start.
     pub segments: usize,
-    /// Of these, put in the place of particles that were not taken.
+    /// Segments that replace particles that were not used.
     pub bridged: usize,
     /// Points added on closed curves of one or two particles.
     pub on_small_loops: usize,
-    /// Closed curves that had no particles, and got points.
+    /// Closed curves without particles that got points.
     pub loops_added: usize,
 }
 
-/// Points on strata, triangulated.
+/// Triangulated points on strata.
 pub struct Prepared {
-    /// Their Delaunay triangulation.
+    /// Delaunay triangulation of the points.
     pub delaunay: Delaunay,
-    /// The stratum of each.
+    /// Stratum of each point.
     pub strata: Vec<Stratum>,
-    /// Target edge length h at each, mm.
+    /// Target edge length h at each point, mm.
     pub sizes: Vec<f64>,
     /// Segments of junction curves.
     pub segments: Segments,
-    /// What was taken.
+    /// Numbers of particles and segments that were used, added or not used.
     pub report: Taken,
 }
 
-/// A particle on its way.
+/// A particle that has been projected onto its stratum.
 #[derive(Clone, Copy)]
 pub(super) struct Point {
     pub(super) place: DVec3,
@@ -69,7 +76,9 @@ pub(super) struct Point {
     pub(super) size: f64,
 }
 
-/// The place of a stratum near another, no farther than `limit` mm, if it is real there.
+/// Projects a position onto a stratum, at most `limit` mm away. Returns `None` if the stratum is
+/// not real there. If the projection onto a curve or junction point fails, returns `start` if the
+/// indicators there are equal to within [`EQUAL`].
 pub(super) fn onto(indicators: &dyn Indicators, stratum: Stratum, start: DVec3, limit: f64) -> Option<DVec3> {
     let voxel = indicators.voxel();
     let tolerance = ON_SURFACE * voxel;
@@ -87,10 +96,11 @@ pub(super) fn onto(indicators: &dyn Indicators, stratum: Stratum, start: DVec3, 
     on.or_else(equal_there).filter(|&p| indicators.clearance(p, stratum.materials()) > -SAME_JUNCTION * voxel)
 }
 
-/// Brings particles onto their strata, takes those that get there, and triangulates them.
+/// Projects particles onto their strata, selects those that can be used, and triangulates them.
 ///
 /// # Errors
-/// When arrays differ in length, or hardly any particle lies near its stratum: the files do not belong together.
+/// If the arrays differ in length, or if fewer than four or fewer than half of the particles can be
+/// projected (the files then do not belong together); and the errors of the triangulation.
 pub fn prepare(particles: &ParticleSet, strata: &Strata, indicators: &dyn Indicators) -> Result<Prepared> {
     let count = particles.positions.len();
     if particles.sizes.len() != count || strata.of.len() != count {
@@ -134,7 +144,9 @@ pub fn prepare(particles: &ParticleSet, strata: &Strata, indicators: &dyn Indica
     triangulated(points, pairs, (indicators, upper), report)
 }
 
-/// Pairs of neighbours on curves, where closed curves of one or two particles get three points or more: the pairs of two would be one segment.
+/// Returns the pairs of consecutive points on curves, each once. Closed curves of one or two
+/// particles get at least three points, because the two pairs of two particles would be one
+/// segment.
 fn small_loops(
     points: &mut Vec<Option<Point>>,
     pairs: &[[u32; 2]],
@@ -158,7 +170,7 @@ fn small_loops(
             points[first as usize] = None;
             continue;
         }
-        // a second particle gives way to those that lie as h asks for
+        // The points of the ring are about h apart and replace the second particle.
         let ring = ring(&point, &way);
         let chain: Vec<u32> = std::iter::once(first).chain(points.len() as u32..).take(ring.len()).collect();
         points[first as usize] = Some(ring[0]);
@@ -172,19 +184,21 @@ fn small_loops(
     all
 }
 
-/// Points like one along a closed way that begins at its place: as many as its h asks for, three at least.
+/// Returns points like `point` along a closed path that starts at its position: one for each h of
+/// its length, but at least three.
 fn ring(point: &Point, way: &[DVec3]) -> Vec<Point> {
     let count = ((length(way) / point.size).round() as usize).max(3).min(way.len());
     let size = point.size.min(length(way) / count as f64);
     (0..count).map(|n| Point { place: way[n * way.len() / count], size, ..*point }).collect()
 }
 
-/// The segments of a closed chain.
+/// Returns the segments of a closed chain.
 fn closed(chain: &[u32]) -> impl Iterator<Item = Segment> + '_ {
     (0..chain.len()).map(|k| segment(chain[k], chain[(k + 1) % chain.len()]))
 }
 
-/// Adds the closed curves near particles on sheets that no pair lies along: round a hole in a layer that is smaller than what the lattice of `seed` sees.
+/// Adds closed curves that particles on interfaces indicate and no pair follows. An example is the
+/// rim of a hole in a layer that is smaller than the lattice of `seed` resolves.
 fn missing_loops(
     points: &mut Vec<Point>,
     pairs: &mut Vec<Segment>,
@@ -232,7 +246,7 @@ fn missing_loops(
     }
 }
 
-/// Particles that were taken, and the pairs with those bridged that were not.
+/// Returns the projected points, and the pairs between them. Lost points are bridged.
 fn without_the_lost(points: &[Option<Point>], pairs: Vec<Segment>, report: &mut Taken) -> (Vec<Point>, Vec<Segment>) {
     let is_kept: Vec<bool> = points.iter().map(Option::is_some).collect();
     let (pairs, bridged) = bridged(&is_kept, pairs);
@@ -241,7 +255,8 @@ fn without_the_lost(points: &[Option<Point>], pairs: Vec<Segment>, report: &mut 
     (kept, renumbered(&is_kept, pairs))
 }
 
-/// Pairs in which each particle that is not kept gives way to a pair of its two neighbours, and how many of these there are.
+/// Returns the pairs between the points that are kept, and the number of bridges. A point that is
+/// not kept and has two neighbours is replaced by a pair of these neighbours.
 fn bridged(is_kept: &[bool], pairs: Vec<Segment>) -> (Vec<Segment>, usize) {
     let mut ends: BTreeMap<u32, BTreeSet<u32>> = BTreeMap::new();
     let join = |ends: &mut BTreeMap<u32, BTreeSet<u32>>, a: u32, b: u32| {
@@ -265,7 +280,7 @@ fn bridged(is_kept: &[bool], pairs: Vec<Segment>) -> (Vec<Segment>, usize) {
     (pairs.collect(), count)
 }
 
-/// Pairs by the numbers among those kept.
+/// Returns pairs with the indices of their points among those kept.
 fn renumbered(is_kept: &[bool], pairs: Vec<Segment>) -> Vec<Segment> {
     let numbers: Vec<u32> = is_kept
         .iter()
@@ -278,7 +293,9 @@ fn renumbered(is_kept: &[bool], pairs: Vec<Segment>) -> Vec<Segment> {
     pairs.into_iter().map(|pair| pair.map(|v| numbers[v as usize])).collect()
 }
 
-/// Leaves out particles that crowd others, those of lower strata first kept, and particles on sheets that encroach on segments.
+/// Sorts points by the dimension of their strata, and removes points on interfaces that encroach
+/// upon segments. The triangulation keeps the first of two points that are too close, which is then
+/// the one on the lower stratum.
 fn without_the_crowded(
     points: Vec<Point>,
     pairs: Vec<Segment>,
@@ -300,8 +317,14 @@ fn without_the_crowded(
     (kept, renumbered(&is_kept, pairs))
 }
 
-/// The curve of each pair: that of its end on a curve; between two junction points the shortest of their common materials that leads from one to the other and has no
-/// particles on the way, whose segments these would be, with another that is one with it (`ONE_CURVE`). Where none can be followed, that which is real in the middle.
+/// Returns the pairs with their curves. A pair with an end on a curve has this curve. Two junction
+/// points with three common materials have the curve of these; with fewer, the pair is dropped.
+///
+/// Two junction points with four common materials have the shortest curve of three of them that
+/// leads from one to the other. A curve with particles on this path is excluded, because the
+/// segments on it are those of the particles. If another such curve stays within `ONE_CURVE` of the
+/// shortest one, the pair has the materials of both. If no curve can be followed, the pair has the
+/// curve with the maximum clearance at the midpoint.
 fn with_curves(
     pairs: &[Segment],
     points: &[Point],
@@ -360,7 +383,7 @@ fn triangulated(
     };
     let delaunay = surface.triangulate()?;
     report.particles = surface.report;
-    // what is left of the points keeps its order
+    // the remaining points keep their order
     let mut left = surface.positions.iter().peekable();
     let is_kept: Vec<bool> = points.iter().map(|p| left.next_if(|&&place| place == p.place).is_some()).collect();
     let (pairs, count) = bridged(&is_kept, pairs);

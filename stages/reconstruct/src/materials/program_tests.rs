@@ -1,4 +1,4 @@
-//! The program from files to files, with many materials.
+//! Tests of the program with many materials, from input files to output files.
 
 use super::scenes::{self, Scene};
 use crate::run::{Args, run};
@@ -85,7 +85,7 @@ fn a_complex_and_each_of_its_surfaces_are_written() {
         let own = case.surface(&format!("each/m{id}.vtp")).surface;
         let topology = analyse(&own.mesh);
         assert!(topology.is_closed_manifold() && topology.euler == 2 && measure(&own.mesh).volume > 600.0);
-        // vertex for vertex those of the whole
+        // the vertices are those of the whole complex
         for (&v, p) in integers(&own.point_data, "vertex").iter().zip(&own.mesh.vertices) {
             assert_eq!(file.surface.mesh.vertices[v as usize], *p);
         }
@@ -97,7 +97,7 @@ fn a_complex_and_each_of_its_surfaces_are_written() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_and_a_failed_check_is_shown() {
+fn invalid_input_is_refused_and_failed_checks_are_reported() {
     let case = Case::new(&scenes::two_balls(), &json!({"version": 1, "border": "cap"}));
     let refused = |words: &[&str], said: &str| {
         let error = case.run(words).expect_err(said);

@@ -1,4 +1,5 @@
-//! The stage as one call: particles on strata become one conforming complex of triangles between materials, checked.
+//! The whole stage as one function: turns particles on strata into a conforming complex of the
+//! interfaces between materials, improves its triangles, and checks it.
 
 use super::complex::Complex;
 use super::improve::improve;
@@ -21,27 +22,27 @@ use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// A complex with what is known of it.
+/// A complex of interfaces, with the reports of all steps.
 pub struct Reconstruction {
-    /// The triangles between materials, grid frame.
+    /// The triangles between materials, in the grid frame.
     pub interfaces: Interfaces,
     /// Target edge length at each vertex, mm.
     pub sizes: Vec<f64>,
-    /// Particles taken and not.
+    /// Numbers of particles and segments that were used, added or not used.
     pub taken: Taken,
-    /// What refinement did.
+    /// Report of the refinement.
     pub refined: RefineReport,
-    /// What improvement did.
+    /// Report of the improvement.
     pub improved: ImproveReport,
-    /// What was checked.
+    /// Report of the checks.
     pub checked: CheckReport,
-    /// The components of each material, of grid nodes.
+    /// The components of each material on the grid nodes.
     pub pieces: Vec<Pieces>,
-    /// The checks that failed, in words.
+    /// Descriptions of the checks that failed.
     pub failed: Vec<String>,
 }
 
-/// The indicators, and the materials that they give the grid nodes.
+/// The indicators, and the material of each grid node.
 pub(super) struct MaterialsTruth<'a> {
     pub(super) indicators: &'a dyn Indicators,
     pub(super) nodes: &'a Nodes,
@@ -61,12 +62,13 @@ impl Truth for MaterialsTruth<'_> {
     }
 }
 
-/// Joins particles on the strata of indicators, in their grid frame, into the interfaces between the materials of a table. Without `sizing`, h at a vertex is that
-/// of the nearest particle. The result is the same on any number of threads.
+/// Reconstructs the interfaces between the materials of a table from particles on the strata of the
+/// indicators (grid frame). Without `sizing`, h at a position is that of the nearest point of the
+/// refined complex. The result is the same for any number of threads.
 ///
 /// # Errors
-/// On particles that are not on their strata or all in one plane, and when interrupted. A complex that fails a check is no
-/// error ([`Reconstruction::failed`]).
+/// If the particles are not on their strata or lie in one plane, and if the run is interrupted. A
+/// complex that fails a check is not an error ([`Reconstruction::failed`]).
 pub fn reconstruct(
     (particles, strata): (&ParticleSet, &Strata),
     indicators: &dyn Indicators,
@@ -109,7 +111,8 @@ pub fn reconstruct(
     let how = ImproveOptions {
         target: options.improve_below,
         relaxation_sweeps: options.relaxation_sweeps,
-        // fewer points between junctions cost volume (nested balls in the tests: 7 % at the coarse size, more than is passed)
+        // Removing vertices between junctions would change volumes: by 7 % for the nested balls of
+        // the tests at the coarse size, which is more than the test allows.
         thins: false,
         ..ImproveOptions::polish()
     };

@@ -1,8 +1,11 @@
-//! Delaunay refinement of a complex: one priority queue of violations, a point for each, and only what changed is looked at again (Cheng, Dey and Levine 2008).
+//! Delaunay refinement of a complex (Cheng, Dey and Levine 2008). One priority queue orders the
+//! violations, each is repaired by inserting a point, and only changed tetrahedra are checked
+//! again.
 //!
-//! Segments of junction curves come first, then facets, edges and vertices of another topology than the indicators', then facets that stray, then grid nodes in
-//! another material. A point that would lie in the ball of which a segment is a diameter splits the segment in its place (Ruppert 1995). The queue ends empty,
-//! or with violations that only points nearer to others than the smallest radius could mend: these are counted and shown.
+//! The order is: segments of junction curves; facets, edges and vertices whose topology differs
+//! from that of the indicators; facets with too large a deviation; grid nodes in another material.
+//! A point that would encroach upon a segment splits the segment instead (Ruppert 1995). Violations
+//! remain where a new point would be too close to existing ones. They are counted in the report.
 
 use super::complex::Complex;
 use super::criteria::{Mend, Violation};
@@ -18,29 +21,34 @@ use isoparticles_stage::error::Result;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Times that grid nodes are looked for in other materials, each time with an empty queue.
+/// Maximum number of searches for grid nodes in other materials, each with an empty queue.
 const NODE_ROUNDS: usize = 12;
 
-/// What the refinement did.
+/// Report of the refinement.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RefineReport {
-    /// Violations at the start, by what was violated; grid nodes come later.
+    /// Violations at the start, by reason, without grid nodes.
     pub violations: BTreeMap<Reason, usize>,
-    /// Points inserted, by what asked for them.
+    /// Violations repaired, by reason: by an inserted point, or by a split at an existing point
+    /// (`passes`).
     pub inserted: BTreeMap<Reason, usize>,
-    /// Of these, on junction curves.
+    /// Points inserted on junction curves.
     pub on_curves: usize,
-    /// Times that a segment was made to pass through a point of another, nearer than `ONE_CURVE`.
+    /// Splits of a segment at an existing point that its curve passes within `ONE_CURVE`.
     pub passes: usize,
-    /// Edges that no known segment lay on, and became one: their ends lie nearer to their curve than `ONE_CURVE`.
+    /// Edges without a segment that became one, because their curve passes both ends within
+    /// `ONE_CURVE`.
     pub adopted: usize,
-    /// Parts of stars and runs round edges that were given to another material.
+    /// Changes of the material of tetrahedra: parts of stars, runs around edges, and single
+    /// tetrahedra.
     pub relabelled: usize,
-    /// Segments that were no edges between their materials, and join two places that their curve passes by others.
+    /// Dropped segments that are not edges between their materials and whose ends are connected by
+    /// other segments of their curve.
     pub superfluous: usize,
-    /// Vertices in which sheets of the same two materials still touched: each sheet gets its own.
+    /// Vertices added to separate parts of the interface of the same two materials that touch at a
+    /// vertex.
     pub parted: usize,
-    /// Violations left, by what is violated: only points nearer to others than the smallest radius could mend them.
+    /// Remaining violations of the topology, and grid nodes in another material, by reason.
     pub unresolved: BTreeMap<Reason, usize>,
 }
 
@@ -54,16 +62,17 @@ impl Remedy for Mend {
     }
 }
 
-/// A complex on the way to that of the indicators.
+/// The refinement of a complex towards the strata of the indicators.
 pub struct Refinement<'a> {
     /// The complex.
     pub complex: Complex<'a>,
-    /// What was done.
+    /// The report so far.
     pub report: RefineReport,
     queue: Queue<Mend>,
-    /// Segments that were made to pass through a point: each once, so that this ends.
+    /// Segments and existing points at which they were split, so that splits are not repeated
+    /// indefinitely.
     pub(super) passes: BTreeSet<(Segment, u32)>,
-    /// Those of the grid, where they shall keep their materials.
+    /// Grid nodes that must keep their materials; `None` if no node must.
     pub(super) nodes: Option<&'a Nodes>,
 }
 
@@ -100,7 +109,8 @@ impl Refine for Refinement<'_> {
 }
 
 impl<'a> Refinement<'a> {
-    /// Begins with all violations of a complex; `nodes` are those of the grid, where they shall keep their materials.
+    /// Creates the refinement with all violations of a complex in its queue. `nodes` are the grid
+    /// nodes that must keep their materials.
     pub fn new(complex: Complex<'a>, nodes: Option<&'a Nodes>) -> Self {
         let found = complex.violations(&Simplices::all(&complex, complex.labelled.facets()));
         let mut report = RefineReport::default();
@@ -110,7 +120,9 @@ impl<'a> Refinement<'a> {
         new
     }
 
-    /// Adds points until nothing is violated, or there is no room. `step` hears the number of points and may stop the loop with an error. Returns the facets.
+    /// Inserts points until no criterion is violated or no further point can be inserted, then
+    /// changes materials and strata where points do not help. Calls `step` with the number of
+    /// points; its error ends the refinement. Returns the facets.
     ///
     /// # Errors
     /// Those of `step` and of the triangulation.
@@ -123,7 +135,7 @@ impl<'a> Refinement<'a> {
             }
         }
         self.report.relabelled += self.relabel(&mut step)?;
-        // what is left of edges without a known segment may lie on a curve all the same
+        // Remaining edges without a segment may still lie on a curve.
         let found = self.adopt();
         if !found.is_empty() {
             self.drain(found, &mut step)?;
@@ -145,7 +157,8 @@ impl<'a> Refinement<'a> {
         Ok(facets)
     }
 
-    /// Takes edges on which three or four materials meet, and which are no segments, as such where their curve passes both of their ends; returns the violations round them.
+    /// Makes edges at which three or four materials meet segments, if their curve passes both ends
+    /// within `ONE_CURVE`. Returns the violations around them.
     fn adopt(&mut self) -> Vec<Violation> {
         let wrong = self.complex.wrong(&Simplices::all(&self.complex, self.complex.labelled.facets()));
         let mut changed = Vec::new();
@@ -161,7 +174,7 @@ impl<'a> Refinement<'a> {
         self.complex.violations(&Simplices::of(&self.complex, &changed))
     }
 
-    /// The grid nodes in other materials.
+    /// Returns the violations at grid nodes in other materials.
     pub(super) fn at_nodes(&self) -> Vec<Violation> {
         let Some(nodes) = self.nodes else { return Vec::new() };
         let wrong = nodes.wrong(&self.complex, &self.complex.labelled.facets());
@@ -176,12 +189,13 @@ impl<'a> Refinement<'a> {
         wrong.into_iter().filter_map(violation).collect()
     }
 
-    /// Inserts the point that mends a violation, or splits the segment on which it encroaches; false where there is no room for one.
+    /// Inserts the point that repairs a violation, or splits the segment upon which the point
+    /// encroaches. Returns false if there is no room.
     fn insert(&mut self, violation: &Violation) -> Result<bool> {
         let least = violation.size
             * if violation.reason == Reason::Deviation { NEAREST_FOR_SHAPE } else { NEAREST_FOR_TOPOLOGY };
         if violation.radius < least {
-            // a segment that passes through a point which is there wants no room
+            // The split of a segment at an existing point needs no room.
             return match violation.simplex {
                 Simplex::Edge(pair) => self.split(pair, least),
                 _ => Ok(false),
@@ -200,7 +214,8 @@ impl<'a> Refinement<'a> {
         }
     }
 
-    /// Takes note of a point, if it is new; true when it is.
+    /// Records the stratum and the target edge length (mm) of an inserted point, and assigns
+    /// materials to the new tetrahedra. Returns false if the point existed already.
     pub(super) fn settle(&mut self, inserted: Option<u32>, stratum: Stratum, size: f64) -> bool {
         if inserted.is_none() {
             return false;

@@ -1,6 +1,6 @@
-//! Tetrahedra that change their material where points do not help: parts of a star, or runs round
-//! an edge, whose interfaces are closer together than points can resolve; and tetrahedra around
-//! grid nodes in another material.
+//! Changes the material of tetrahedra where inserted points do not help: parts of a star and runs
+//! around an edge whose interfaces are closer together than points can resolve, and tetrahedra that
+//! contain grid nodes of another material.
 
 use super::complex::Complex;
 use super::criteria::Violation;
@@ -52,7 +52,7 @@ impl Refinement<'_> {
         Ok(count)
     }
 
-    /// Returns the tetrahedra around the grid nodes that lie in another material.
+    /// Returns the tetrahedra that contain the grid nodes in another material.
     fn around_wrong_nodes(&self) -> Vec<u32> {
         let Some(nodes) = self.nodes else { return Vec::new() };
         let around = |violation: &Violation| match violation.simplex {
@@ -70,16 +70,17 @@ struct Change {
 }
 
 impl Change {
-    /// Makes it and returns the old materials.
+    /// Applies the change, and returns the previous materials.
     fn make(&self, complex: &mut Complex) -> Vec<MaterialId> {
         let old = self.tetrahedra.iter().map(|&t| complex.material(t)).collect();
         self.tetrahedra.iter().for_each(|&t| complex.labelled.set(t, self.to));
         old
     }
 
-    /// Returns by how much it reduces the number of violations; `None` if it does not.
+    /// Returns the number of violations that the change removes; `None` if their number does not
+    /// fall.
     fn gain(&self, complex: &mut Complex, nodes: Option<&Nodes>) -> Option<usize> {
-        // nothing changes except at the simplices of the tetrahedra
+        // only the simplices of these tetrahedra change
         let count = |complex: &Complex| {
             let wrong_nodes = nodes.map_or(0, |nodes| nodes.wrong_in(complex, &self.tetrahedra));
             complex.wrong(&Simplices::of(complex, &self.tetrahedra)).len() + wrong_nodes
@@ -92,8 +93,8 @@ impl Change {
     }
 }
 
-/// Makes the change of one of some sets of tetrahedra that leaves the fewest violations. Returns
-/// false if none leaves fewer than there are.
+/// Applies the change to one of the given sets of tetrahedra that removes the most violations.
+/// Returns false if no change reduces their number.
 fn relabel_one(complex: &mut Complex, sets: Vec<Vec<u32>>, nodes: Option<&Nodes>) -> bool {
     let mut best: Option<(usize, Change)> = None;
     for tetrahedra in sets {
@@ -120,8 +121,8 @@ fn relabel_one(complex: &mut Complex, sets: Vec<Vec<u32>>, nodes: Option<&Nodes>
     best.is_some_and(|(_, change)| !change.make(complex).is_empty())
 }
 
-/// Returns the sets of tetrahedra of one material that contain a given one: itself, and those
-/// around one of its edges or vertices.
+/// Returns sets of tetrahedra of one material that contain the given one: the tetrahedron itself,
+/// and its runs around edges and parts of stars.
 fn sets_with(complex: &Complex, tetrahedron: u32) -> Vec<Vec<u32>> {
     let vertices = complex.labelled.delaunay().vertices(tetrahedron);
     let edges = (0..4).flat_map(|i| (0..i).map(move |j| [i, j])).map(|ends| ends.map(|k| vertices[k]));
@@ -131,8 +132,9 @@ fn sets_with(complex: &Complex, tetrahedron: u32) -> Vec<Vec<u32>> {
     std::iter::once(vec![tetrahedron]).chain(all).collect()
 }
 
-/// Sets of tetrahedra at a simplex that may change together: the runs round an edge, the parts of a
-/// star, the two of a facet.
+/// Returns the sets of tetrahedra at a simplex that may change their material together: the parts
+/// of the star of a vertex, the runs and the single tetrahedra around an edge, or each of the two
+/// tetrahedra at a facet.
 fn sets_at(complex: &Complex, simplex: Simplex) -> Vec<Vec<u32>> {
     let delaunay = complex.labelled.delaunay();
     let side = |t: u32| complex.material(t);

@@ -1,4 +1,5 @@
-//! The program where it is given the indicators of many materials: reading, the steps, the report, writing.
+//! The program for many materials: reads the indicators, particles and target edge lengths,
+//! reconstructs and checks the interfaces, and writes the report and the surfaces.
 
 use super::reconstruct::{Reconstruction, reconstruct};
 use crate::args::{Args, check_method};
@@ -23,8 +24,8 @@ use std::path::Path;
 /// Runs the stage on the indicators of many materials.
 ///
 /// # Errors
-/// On files that cannot be read or written or do not belong together, on particles that are not on their strata, on options that one object alone understands,
-/// and when interrupted.
+/// If a file cannot be read or written, the files do not belong together, the particles are not on
+/// their strata, an option applies to one object only, or the run is interrupted.
 pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
     check_method(args, path)?;
     check_offenders(args)?;
@@ -57,7 +58,7 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
     context.add_input(path, given.history.clone())?;
     let sizing = args.sizefield.as_deref().map(|size| read_sizing(size, (path, &geometry), context)).transpose()?;
     drop(step);
-    // without a scale voxel centres keep their materials
+    // without a scale, voxel centres keep their materials
     let options = crate::options::Options { keeps_voxels: told.scale.is_none(), ..args.general_options() };
     let table = given.materials.table();
     let made = reconstruct((&file.particles, &strata), &given.materials, table, sizing.as_ref(), &options, context)
@@ -103,7 +104,8 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
     write(args, context, &surface, &meta, offending, failed)
 }
 
-/// The interfaces in the world, with what is known at vertices (h, how many materials meet) and triangles (the materials, radius ratio).
+/// Returns the interfaces in the world frame, with attributes of vertices (h, number of materials
+/// that meet) and triangles (the two materials, radius ratio).
 fn attributes(made: &Reconstruction, geometry: &Geometry) -> Surface {
     let Interfaces { mesh, between, .. } = &made.interfaces;
     let mut surface = Surface::from_grid(mesh, geometry);
@@ -118,7 +120,8 @@ fn attributes(made: &Reconstruction, geometry: &Geometry) -> Surface {
     surface
 }
 
-/// Writes the closed surface of each material but the outside, vertex for vertex that of its neighbours.
+/// Writes the closed surface of each material except the outside. Neighbouring surfaces have the
+/// same vertices on their common interface.
 fn write_each(
     folder: &Path,
     args: &Args,
@@ -165,12 +168,13 @@ fn write_each(
     Ok(())
 }
 
-/// The name of a material as that of a file, unlike all before: what is neither letter nor digit becomes a line, and its number tells two apart.
+/// Returns a file name for a material. Characters other than letters, digits, `-` and `.` become
+/// `_`. A name in `taken` gets the number of the material as a suffix.
 fn file_name(name: &str, id: MaterialId, taken: &mut BTreeSet<String>) -> String {
     let plain: String =
         name.chars().map(|c| if c.is_alphanumeric() || c == '-' || c == '.' { c } else { '_' }).collect();
     let plain = if plain.trim_matches(['.', '_']).is_empty() { format!("material_{}", id.0) } else { plain };
-    // file systems that do not tell capitals apart
+    // some file systems ignore case
     if taken.insert(plain.to_lowercase()) {
         return plain;
     }
@@ -179,7 +183,7 @@ fn file_name(name: &str, id: MaterialId, taken: &mut BTreeSet<String>) -> String
     numbered
 }
 
-/// Puts what was made into the report and the closing table, and warns of what is doubtful.
+/// Adds the results to the report and the closing table, and warns of remaining violations.
 fn tell(made: &Reconstruction, context: &Context) {
     let Reconstruction { checked, taken, refined, improved, .. } = made;
     context.report("prepare", json!(taken));

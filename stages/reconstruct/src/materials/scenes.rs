@@ -1,4 +1,4 @@
-//! Materials whose strata are known in closed form, with particles on them: for tests.
+//! Materials whose strata are known in closed form, and particles on these strata, for tests.
 
 use glam::DVec3;
 use isoparticles_field::materials::{
@@ -10,18 +10,19 @@ use isoparticles_mesh::spatial::Bins;
 use isoparticles_volume::{Geometry, Image};
 use std::f64::consts::TAU;
 
-/// A curve: its materials, places along it one after the other, and whether it closes.
+/// A junction curve: its materials, the positions along it for parameters from 0 to 1, and whether
+/// it is closed.
 pub(super) struct Curve {
     pub(super) ids: [u16; 3],
     pub(super) way: Box<dyn Fn(f64) -> DVec3 + Sync>,
-    /// mm.
+    /// Length in mm.
     pub(super) length: f64,
     pub(super) closed: bool,
-    /// Numbers of the points at its ends.
+    /// Indices of the junction points at its ends; not used if it is closed.
     pub(super) ends: [usize; 2],
 }
 
-/// Indicators on a cube from 0 to `extent`, with their lower strata.
+/// Indicators on a cube from 0 to `extent` (mm), with their junction points and curves.
 pub(super) struct Scene {
     pub(super) analytic: Analytic,
     pub(super) extent: f64,
@@ -34,17 +35,17 @@ pub(super) fn stratum(ids: &[u16]) -> Stratum {
 }
 
 impl Scene {
-    /// The grid, `spacing` mm apart.
+    /// Returns the grid, with nodes `spacing` mm apart.
     pub(super) fn geometry(&self, spacing: f64) -> Geometry {
         Geometry::axis_aligned([(self.extent / spacing).round() as usize + 1; 3], DVec3::splat(spacing))
     }
 
-    /// Names of the materials.
+    /// Returns the table of the materials.
     pub(super) fn table(&self) -> Vec<Material> {
         self.analytic.ids().map(|id| Material { name: format!("m{}", id.0), labels: Vec::new() }).collect()
     }
 
-    /// The same from samples.
+    /// Returns indicators sampled on the grid.
     pub(super) fn sampled(&self, spacing: f64) -> Materials {
         let geometry = self.geometry(spacing);
         let of = |id: MaterialId| {
@@ -55,7 +56,8 @@ impl Scene {
         Materials::new(geometry.clone(), self.analytic.ids().map(of).collect()).expect("parts of one grid")
     }
 
-    /// Particles about h apart: equidistant on curves, at random on sheets, no two nearer than `share` of h.
+    /// Returns particles about h apart: equidistant on curves, random on interfaces. Each particle
+    /// on an interface is at least `share` h from all others.
     pub(super) fn particles(&self, h: f64, share: f64) -> (ParticleSet, Strata) {
         let mut positions: Vec<DVec3> = self.points.iter().map(|(_, p)| *p).collect();
         let mut of: Vec<Stratum> = self.points.iter().map(|(ids, _)| stratum(ids)).collect();
@@ -109,26 +111,27 @@ impl Scene {
 
 pub(super) const CENTRE: DVec3 = DVec3::new(12.1, 11.8, 12.3);
 
-/// A ball of 5 mm in one of 9 mm.
+/// A ball of radius 5 mm in one of 9 mm.
 pub(super) fn nested() -> Scene {
     shell(9.0, 5.0)
 }
 
-/// A ball in a larger one, by their radii.
+/// A ball in a larger one, with the given radii.
 pub(super) fn shell(outer: f64, inner: f64) -> Scene {
     let between = maximum(ball(CENTRE, outer), negative(ball(CENTRE, inner)));
     let analytic = Analytic::new(vec![negative(ball(CENTRE, outer)), between, ball(CENTRE, inner)], 1.0);
     Scene { analytic, extent: 24.0, points: Vec::new(), curves: Vec::new() }
 }
 
-/// Radius of the ball of sectors.
+/// Radius of the ball of [`sectors`], mm.
 pub(super) const RADIUS: f64 = 8.0;
 
 fn round_the_axis(turns: f64) -> DVec3 {
     DVec3::new((turns * TAU).cos(), (turns * TAU).sin(), 0.0)
 }
 
-/// Three sectors of 120 degrees of a ball of 8 mm: one curve along the axis, three on the surface, two points.
+/// Three sectors of 120 degrees of a ball of radius 8 mm: one curve along the axis, three on the
+/// surface, two junction points.
 pub(super) fn sectors() -> Scene {
     let normal = |turns: f64| round_the_axis(turns + 0.25);
     let sector = |n: f64| {
@@ -145,7 +148,7 @@ pub(super) fn sectors() -> Scene {
         ends: [0, 1],
     };
     let meridian = |n: u16| Curve {
-        // the plane at the start of sector n lies between it and the one before
+        // the plane at the start of sector n separates it from the previous one
         ids: [0, n + 1, (n + 2) % 3 + 1],
         way: Box::new(move |x| {
             let (sine, cosine) = (0.5 * TAU * x).sin_cos();
@@ -159,10 +162,10 @@ pub(super) fn sectors() -> Scene {
     Scene { analytic, extent: 24.0, points: poles.into(), curves }
 }
 
-/// Distance of the centres of two balls of 6 mm that share a disk: half of it.
+/// Half the distance between the centres of two balls of radius 6 mm that share a disk, mm.
 pub(super) const HALF: f64 = 4.0;
 
-/// Two balls of 6 mm that touch in a disk: one closed curve.
+/// Two balls of radius 6 mm that share a disk: one closed curve.
 pub(super) fn two_balls() -> Scene {
     let part = |side: f64| maximum(ball(CENTRE + DVec3::X * side * HALF, 6.0), half_space(CENTRE, DVec3::X * -side));
     let outside = isoparticles_field::materials::minimum(
@@ -184,8 +187,9 @@ pub(super) fn two_balls() -> Scene {
     Scene { analytic, extent: 24.0, points: Vec::new(), curves: vec![rim] }
 }
 
-/// Four regions of a ball of 9 mm that meet in its centre, each round the direction of a corner of a tetrahedron: four curves inside, six on the surface, one point
-/// inside and four on the surface.
+/// Four regions of a ball of radius 9 mm that meet at its centre, each around the direction of a
+/// corner of a tetrahedron. They have four curves inside and six on the surface, and one junction
+/// point inside and four on the surface.
 pub(super) fn quarters() -> Scene {
     let radius = 9.0;
     let ways = [DVec3::ONE, DVec3::new(1.0, -1.0, -1.0), DVec3::new(-1.0, 1.0, -1.0), DVec3::new(-1.0, -1.0, 1.0)];
@@ -196,7 +200,7 @@ pub(super) fn quarters() -> Scene {
     let mut functions = vec![negative(ball(CENTRE, radius))];
     functions.extend(ways.map(region));
     let analytic = Analytic::new(functions, 1.0);
-    // opposite to each way the other three meet
+    // the three other materials meet opposite to each direction
     let others = |n: usize| [1u16, 2, 3, 4].into_iter().filter(|&id| usize::from(id) != n + 1).collect::<Vec<_>>();
     let corner = |n: usize| CENTRE - radius * ways[n].normalize();
     let mut points = vec![([1, 2, 3, 4], CENTRE)];

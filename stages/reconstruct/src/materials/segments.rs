@@ -1,4 +1,6 @@
-//! The segments of junction curves: pairs of points that follow each other, each on a curve of its own three materials, or of four where two curves coincide.
+//! The segments of junction curves. A segment is a pair of consecutive points on a curve of three
+//! materials, or of four materials where two curves are merged. Finds the segments at a point, and
+//! the segment upon which a position encroaches (Ruppert 1995).
 
 use crate::interfaces::{Segment, segment};
 use glam::DVec3;
@@ -6,22 +8,24 @@ use isoparticles_field::materials::Stratum;
 use isoparticles_mesh::spatial::Bins;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-/// Segments by their ends, by each end, and by place.
+/// Segments, indexed by both ends, by each end and by midpoint.
 #[derive(Clone, Debug)]
 pub struct Segments {
     curve: BTreeMap<Segment, Stratum>,
     /// The other ends of the segments at each point.
     ends: HashMap<u32, Vec<u32>>,
-    /// Segments by their middles; none is longer than two bins.
+    /// Segments by midpoint, in bins of half the maximum length. The midpoint of a segment upon
+    /// which a position encroaches is in the bin of this position or an adjacent one.
     middles: Bins<Segment>,
-    /// The longest of the first ones, mm.
+    /// Maximum length of the initial segments, mm.
     longest: f64,
-    /// Those that were taken from the triangulation: they last no longer than they are edges of their materials.
+    /// Segments adopted from edges of the triangulation. They are removed when they are no longer
+    /// edges between their materials.
     adopted: BTreeSet<Segment>,
 }
 
 impl Segments {
-    /// Of pairs of points with their curves.
+    /// Creates the segments from pairs of points and their curves.
     pub fn new(pairs: impl IntoIterator<Item = (Segment, Stratum)>, points: &[DVec3]) -> Self {
         let pairs: BTreeMap<Segment, Stratum> = pairs.into_iter().collect();
         let length = |[a, b]: &Segment| points[*a as usize].distance(points[*b as usize]);
@@ -32,7 +36,8 @@ impl Segments {
         new
     }
 
-    /// Adds a segment no longer than the longest of the first ones. One that is there already is of both curves.
+    /// Adds a segment, which must not be longer than `longest`. A segment that exists already gets
+    /// the materials of both curves.
     fn add(&mut self, pair: Segment, curve: Stratum, points: &[DVec3]) {
         if self.curve.contains_key(&pair) {
             self.widen(pair, curve);
@@ -45,14 +50,15 @@ impl Segments {
         self.middles.add(points[a as usize].midpoint(points[b as usize]), pair);
     }
 
-    /// Has a segment be of the materials of another stratum, too, if they are four in all at most.
+    /// Adds the materials of a stratum to those of a segment, if this gives at most four.
     pub fn widen(&mut self, pair: Segment, stratum: Stratum) {
         if let Some(known) = self.curve.get_mut(&pair) {
             *known = known.joined(&stratum).unwrap_or(*known);
         }
     }
 
-    /// Whether a segment can give way to two by way of a point: they are not too long, and no more than four materials meet on either.
+    /// Returns whether a segment can be split at an existing point: neither part is longer than
+    /// `longest` or gets more than four materials.
     pub fn can_pass(&self, [a, b]: Segment, by: u32, points: &[DVec3]) -> bool {
         let Some(curve) = self.curve([a, b]) else { return false };
         let fits = |end: u32| {
@@ -62,13 +68,16 @@ impl Segments {
         by != a && by != b && fits(a) && fits(b)
     }
 
-    /// Whether there are segments from a point to both ends of another one that are of its curve as well.
+    /// Returns whether segments with all materials of the curve of `pair` connect a point to both
+    /// of its ends.
     pub fn is_covered(&self, pair: Segment, by: u32) -> bool {
         let Some(curve) = self.curve(pair) else { return false };
         pair.iter().all(|&end| self.curve(segment(end, by)).is_some_and(|known| known.is_on(&curve)))
     }
 
-    /// Puts two segments by way of a point in the place of one.
+    /// Replaces a segment by two through a point. The parts of an adopted segment are adopted if
+    /// they are new. An adopted segment that coincides with a part of another segment is no longer
+    /// adopted.
     pub fn split(&mut self, pair: Segment, by: u32, points: &[DVec3]) {
         let Some(curve) = self.curve(pair) else { return };
         let is_adopted = self.remove(pair, points);
@@ -83,7 +92,8 @@ impl Segments {
         }
     }
 
-    /// Adds an edge of the triangulation whose ends lie on a curve, if it is no segment yet and no longer than the longest of the first ones; true when it did.
+    /// Adds an edge of the triangulation whose ends lie on a curve, if it is not a segment yet and
+    /// not longer than `longest`. Returns whether it was added.
     pub fn adopt(&mut self, edge: Segment, curve: Stratum, points: &[DVec3]) -> bool {
         let [a, b] = edge.map(|v| points[v as usize]);
         let is_new = !self.curve.contains_key(&edge) && a.distance(b) <= self.longest;
@@ -94,12 +104,12 @@ impl Segments {
         is_new
     }
 
-    /// Those that were adopted, ascending.
+    /// Returns the adopted segments, ascending.
     pub fn adopted(&self) -> Vec<Segment> {
         self.adopted.iter().copied().collect()
     }
 
-    /// Takes a segment away; true when it was adopted.
+    /// Removes a segment. Returns whether it was adopted.
     pub fn remove(&mut self, pair: Segment, points: &[DVec3]) -> bool {
         self.curve.remove(&pair);
         let [a, b] = pair;
@@ -110,27 +120,29 @@ impl Segments {
         self.adopted.remove(&pair)
     }
 
-    /// The curve of a pair of points, if they are a segment.
+    /// Returns the curve of a pair of points, if the pair is a segment.
     pub fn curve(&self, pair: Segment) -> Option<Stratum> {
         self.curve.get(&pair).copied()
     }
 
-    /// All segments with their curves, ascending.
+    /// Returns all segments with their curves, ascending.
     pub fn all(&self) -> impl Iterator<Item = (Segment, Stratum)> + '_ {
         self.curve.iter().map(|(&pair, &curve)| (pair, curve))
     }
 
-    /// How many there are.
+    /// Returns the number of segments.
     pub fn count(&self) -> usize {
         self.curve.len()
     }
 
-    /// The segments at a point.
+    /// Returns the segments at a point.
     pub fn at(&self, point: u32) -> impl Iterator<Item = Segment> + '_ {
         self.ends.get(&point).into_iter().flatten().map(move |&end| segment(point, end))
     }
 
-    /// The segment on which a place encroaches: it lies in the ball of which the segment is a diameter (Ruppert 1995), the deepest of several.
+    /// Returns the segment upon which a position encroaches: the position lies in its diametral
+    /// ball (Ruppert 1995). Of several, returns the one with the minimum distance from the centre
+    /// of the ball relative to its radius.
     pub fn encroached(&self, place: DVec3, points: &[DVec3]) -> Option<Segment> {
         let depth = |&pair: &Segment| {
             let [a, b] = pair.map(|v| points[v as usize]);
@@ -153,7 +165,7 @@ mod tests {
     use isoparticles_field::materials::MaterialId;
 
     #[test]
-    fn what_is_in_the_ball_on_a_segment_encroaches_on_it_until_it_is_split() {
+    fn positions_in_the_diametral_ball_encroach_until_a_split() {
         let mut points = vec![DVec3::ZERO, DVec3::X * 2.0, DVec3::new(2.0, 1.0, 0.0)];
         let curve = Stratum::new(&[0, 1, 2].map(MaterialId)).expect("three");
         let mut segments = Segments::new([([0, 1], curve), ([1, 2], curve)], &points);
@@ -168,7 +180,8 @@ mod tests {
         assert_eq!(segments.all().map(|(pair, _)| pair).collect::<Vec<_>>(), [[0, 3], [1, 2], [1, 3]]);
         assert_eq!(segments.at(1).collect::<Vec<_>>(), [[1, 2], [1, 3]]);
         assert_eq!((segments.curve([0, 1]), segments.curve([1, 3])), (None, Some(curve)));
-        // what is adopted stays so when it is split, until another segment comes to lie on it
+        // the parts of an adopted segment are adopted, until a part of another segment coincides
+        // with them
         points.extend([DVec3::new(1.0, 1.0, 0.0), DVec3::new(0.5, 0.5, 0.0)]);
         assert!(segments.adopt([0, 4], curve, &points) && !segments.adopt([0, 3], curve, &points));
         segments.split([0, 4], 5, &points);

@@ -1,4 +1,4 @@
-//! Complexes of shapes that are known, against the truth.
+//! Compares complexes of known shapes with the exact strata, volumes and areas.
 
 use super::complex::Complex;
 use super::nodes::Nodes;
@@ -21,7 +21,7 @@ use isoparticles_stage::monitor::Silent;
 use isoparticles_volume::Geometry;
 use std::f64::consts::PI;
 
-/// All the way from particles of a scene to a checked complex.
+/// Returns the checked complex of the particles of a scene.
 fn made(scene: &Scene, indicators: &dyn Indicators, h: f64, keeps_voxels: bool) -> Reconstruction {
     let (particles, strata) = scene.particles(h, 0.75);
     let options = Options { keeps_voxels, ..Options::default() };
@@ -32,14 +32,14 @@ fn ball_volume(radius: f64) -> f64 {
     4.0 / 3.0 * PI * radius.powi(3)
 }
 
-/// Volume of each material but the outside.
+/// Returns the volume of each material except the outside.
 fn volumes(made: &Reconstruction) -> Vec<f64> {
     made.checked.regions.iter().skip(1).map(|own| own.volume).collect()
 }
 
 fn assert_sound(made: &Reconstruction, what: &str) {
     assert_eq!(made.failed, Vec::<String>::new(), "{what}: {:?} {:?}", made.refined, made.improved);
-    // a node may be left to the optimiser
+    // grid nodes in another material may be left to the optimiser
     assert!(made.refined.unresolved.keys().all(|reason| !reason.is_topology()), "{what}: {:?}", made.refined);
     assert_eq!(
         [Fault::NodesOnWrongSide, Fault::MissingSegments].map(|fault| made.checked.count(fault)),
@@ -48,7 +48,7 @@ fn assert_sound(made: &Reconstruction, what: &str) {
     );
     let quality = &made.checked.quality;
     let (mean, least) = (quality.radius_ratio_mean, quality.radius_ratio_min);
-    // points thrown at random, not settled
+    // the particles are random, not settled
     assert!(mean > 0.88 && least > 0.45, "{what}: {mean} {least}");
 }
 
@@ -62,7 +62,8 @@ fn known_shapes_have_their_strata_and_keep_every_node() {
     ] {
         let sampled = scene.sampled(1.0);
         let analytic = &scene.analytic as &dyn Indicators;
-        // no curve of these functions can be sought from outside the ball, where two maxima are equal: so only samples are kept at a large h
+        // From outside the ball, where two maxima are equal, projections onto curves of the
+        // analytic functions fail. The large h is therefore tested on samples only.
         for (kind, indicators, h) in
             [("analytic", analytic, 1.5), ("sampled", &sampled, 1.5), ("coarse", &sampled, 2.0)]
         {
@@ -93,7 +94,7 @@ fn volumes_and_areas_converge_to_second_order() {
     };
     let sectors = |made: &Reconstruction| {
         let volumes = volumes(made).into_iter().map(|v| (v / (ball_volume(RADIUS) / 3.0) - 1.0).abs());
-        // half a disk between each two
+        // half a disk between any two sectors
         let area = |pair: [u16; 2]| {
             let part = made.interfaces.part(pair.map(MaterialId));
             (measure(&part).area / (0.5 * PI * RADIUS * RADIUS) - 1.0).abs()
@@ -118,7 +119,7 @@ fn volumes_and_areas_converge_to_second_order() {
 }
 
 #[test]
-fn junction_curves_and_points_lie_where_they_should_and_sheets_meet_at_their_angles() {
+fn junction_curves_are_exact_and_interfaces_meet_at_120_degrees() {
     let scene = scenes::sectors();
     let made = made(&scene, &scene.analytic, 1.0, true);
     let Interfaces { mesh, between, segments, joined } = &made.interfaces;
@@ -159,7 +160,7 @@ fn junction_curves_and_points_lie_where_they_should_and_sheets_meet_at_their_ang
 }
 
 #[test]
-fn neighbours_have_the_same_vertices_and_all_volumes_fill_the_whole() {
+fn neighbours_share_vertices_and_all_volumes_sum_to_zero() {
     let scene = scenes::quarters();
     let made = made(&scene, &scene.analytic, 1.5, true);
     let [one, two] = [1, 2].map(|id| made.interfaces.surface_of(MaterialId(id)).1);
@@ -181,7 +182,7 @@ fn the_result_does_not_depend_on_threads() {
 }
 
 #[test]
-fn lost_particles_of_curves_are_bridged_and_lonely_ones_get_a_ring() {
+fn lost_curve_particles_are_bridged_and_small_loops_get_points() {
     let scene = scenes::two_balls();
     let (mut particles, strata) = scene.particles(1.5, 0.75);
     let count = strata.segments.len();
@@ -189,7 +190,7 @@ fn lost_particles_of_curves_are_bridged_and_lonely_ones_get_a_ring() {
     let prepared = prepare(&particles, &strata, &scene.analytic).expect("on their strata");
     assert_eq!((prepared.report.particles.not_projected, prepared.report.bridged), (1, 1));
     assert_eq!(prepared.segments.count(), count - 1);
-    // of the closed curve one particle alone is left, or two
+    // one or two particles are left on the closed curve
     for left in [1usize, 2] {
         let (particles, mut strata) = scene.particles(1.5, 0.75);
         let keep = |v: usize| strata.of[v].dimension() == 2 || v < left;
@@ -209,16 +210,16 @@ fn lost_particles_of_curves_are_bridged_and_lonely_ones_get_a_ring() {
 }
 
 #[test]
-fn a_closed_curve_without_particles_is_found_from_the_sheets_beside_it() {
+fn closed_curve_without_particles_is_found_from_interfaces() {
     let scene = Scene { curves: Vec::new(), ..scenes::two_balls() };
-    // samples, whose spline has no kinks on the curve
+    // the spline through samples has no kinks on the curve
     let made = made(&scene, &scene.sampled(1.0), 1.5, false);
     assert_eq!((made.taken.loops_added, &made.failed), (1, &Vec::new()));
     assert!(made.checked.junctions.junction_edges > 12, "{}", made.checked.junctions.junction_edges);
 }
 
 #[test]
-fn a_layer_a_fifth_as_thick_as_its_triangles_are_long_stays_whole_without_more_points() {
+fn layer_of_a_fifth_of_h_stays_whole_with_few_added_points() {
     let scene = scenes::shell(9.0, 8.7);
     let made = made(&scene, &scene.analytic, 1.5, false);
     assert_eq!(made.failed, Vec::<String>::new());
@@ -227,8 +228,8 @@ fn a_layer_a_fifth_as_thick_as_its_triangles_are_long_stays_whole_without_more_p
 }
 
 #[test]
-fn of_two_curves_between_the_same_junction_points_each_segment_has_its_own() {
-    // two balls touch in a strip between two walls, and part beyond its ends
+fn two_curves_between_two_junction_points_are_distinguished() {
+    // two balls touch in a strip between two half spaces, and are separate beyond its ends
     let (far, sag): (f64, f64) = (30.0, 0.1);
     let half_length = ((far + sag).powi(2) - far.powi(2)).sqrt();
     let functions = vec![
@@ -252,8 +253,9 @@ fn of_two_curves_between_the_same_junction_points_each_segment_has_its_own() {
 }
 
 #[test]
-fn junction_points_far_nearer_than_h_both_stay_and_keep_their_curves() {
-    // Voronoi cells of five sites, two above each other and three round them, so that the two points of four cells lie `half` above and below the middle
+fn junction_points_far_closer_than_h_keep_their_curves() {
+    // Voronoi cells of five sites: one above, one below, and three around the middle. The two
+    // points where four cells meet lie `half` above and below the middle.
     let (half, up): (f64, f64) = (0.015, 5.0);
     let round = (up * up - 2.0 * half * up).sqrt();
     let turned = |thirds: f64| DVec3::new((thirds * 2.0 * PI / 3.0).cos(), (thirds * 2.0 * PI / 3.0).sin(), 0.0);
@@ -268,7 +270,7 @@ fn junction_points_far_nearer_than_h_both_stay_and_keep_their_curves() {
     let mut pairs = vec![[0, 1]];
     for (end, (id, side)) in (0..).zip(ends) {
         for n in 0..3u16 {
-            // a millimetre along the curve, between two of the three
+            // one millimetre along the curve, between two of the three sites
             pairs.push([end, all.len() as u32]);
             let place = turned(f64::from(n) + 0.5) + DVec3::Z * side * (half + 0.5 * round / up);
             all.push((vec![id, n + 1, (n + 1) % 3 + 1], CENTRE + place));
@@ -281,8 +283,8 @@ fn junction_points_far_nearer_than_h_both_stay_and_keep_their_curves() {
 }
 
 #[test]
-fn curves_that_pass_each_other_far_nearer_than_h_keep_their_points() {
-    // two balls in a plane, whose circles there are 0.03 apart
+fn curves_far_closer_than_h_keep_their_points() {
+    // two balls cut by a plane, on which their circles are 0.03 mm apart
     let (radius, half) = (3.0, 0.015);
     let centre = |side: f64| CENTRE + DVec3::X * side * (radius + half);
     let [low, high] = [DVec3::Z, -DVec3::Z].map(|outwards| half_space(CENTRE, outwards));
@@ -295,7 +297,7 @@ fn curves_that_pass_each_other_far_nearer_than_h_keep_their_points() {
             all.push((vec![0, 1, id], centre(side) + radius * DVec3::new(-side * cos, sin, 0.0)));
         }
     }
-    // and one out of their plane
+    // one point off the plane
     all.push((vec![0, 2], centre(-1.0) - DVec3::Z * 0.5 * radius));
     let prepared = prepared_of(&all, pairs, &analytic);
     assert_eq!(prepared.segments.count(), 8);
@@ -303,14 +305,16 @@ fn curves_that_pass_each_other_far_nearer_than_h_keep_their_points() {
     assert_eq!(prepared.report.particles.crowded, 0);
 }
 
-/// Two materials on either side of a ribbon, twice `half` wide, at which the two above and below it touch.
+/// Returns two materials on either side of a ribbon, on which the materials above and below it
+/// touch. The width of the ribbon is twice `half` (mm).
 fn ribbon(half: f64) -> Analytic {
     let wedge = |side: f64| half_space(CENTRE + DVec3::X * side * half, -DVec3::X * side);
     let [low, high] = [DVec3::Z, -DVec3::Z].map(|outwards| half_space(CENTRE, outwards));
     Analytic::new(vec![low, high, wedge(-1.0), wedge(1.0)], 1.0)
 }
 
-/// Refined from points a millimetre apart on the two curves along the ribbon, which do not lie side by side.
+/// Returns the complex refined from points one millimetre apart on the two curves along the ribbon.
+/// The points of one curve are shifted along it relative to those of the other.
 fn refined_ribbon(analytic: &Analytic, half: f64) -> Complex<'_> {
     let (mut all, mut pairs) = (Vec::new(), Vec::new());
     for (id, side, offset) in [(2, -1.0, 0.0), (3, 1.0, 0.37)] {
@@ -332,14 +336,15 @@ fn refined_ribbon(analytic: &Analytic, half: f64) -> Complex<'_> {
     let prepared = prepared_of(&all, pairs, analytic);
     assert_eq!(prepared.segments.count(), 16);
     let mut refinement = Refinement::new(Complex::new(prepared, analytic, DVec3::splat(24.0), None), None);
-    // beyond the ends of the curves there are sheets without curves, whose refinement does not end soon
+    // the interfaces beyond the ends of the curves have no curves, and their refinement takes long
     let enough = |points: usize| if points < 600 { Ok(()) } else { Err(Error::input("enough points", "", "")) };
     let outcome = refinement.drain([], &mut { enough });
     assert!(outcome.is_ok() || refinement.complex.points().len() >= 600, "{outcome:?}");
     refinement.complex
 }
 
-/// The curves of the segments of a ribbon that have points round them, as those at its ends have not; all must be right.
+/// Returns the curves of the segments away from the ends of a ribbon, where points surround them.
+/// All of these segments must be right.
 fn inner_curves(complex: &Complex) -> Vec<Stratum> {
     let is_inner = |v: &u32| (complex.points()[*v as usize] - CENTRE).y.abs() < 3.2;
     let inner = complex.segments.all().filter(|(pair, _)| pair.iter().all(is_inner));
@@ -349,24 +354,25 @@ fn inner_curves(complex: &Complex) -> Vec<Stratum> {
 }
 
 #[test]
-fn curves_side_by_side_far_nearer_than_their_points_get_points_in_pairs() {
+fn close_parallel_curves_get_points_in_pairs() {
     let half = 0.04;
     let analytic = ribbon(half);
     let curves = inner_curves(&refined_ribbon(&analytic, half));
-    // of twelve each was split once or twice, not down to the width of the ribbon
+    // each of twelve segments is split once or twice, not down to the width of the ribbon
     assert!((12..=36).contains(&curves.len()), "{}", curves.len());
     assert!(curves.iter().all(|curve| curve.dimension() == 1), "{curves:?}");
 }
 
 #[test]
-fn curves_that_leave_no_room_between_them_share_their_points() {
-    // first a ribbon of a hundredth, then none: four materials meet along a line
+fn curves_with_no_room_between_them_share_points() {
+    // first a ribbon 0.01 mm wide, then none: four materials meet along a line
     for half in [0.005, 0.0] {
         let analytic = ribbon(half);
         let complex = refined_ribbon(&analytic, half);
         let curves = inner_curves(&complex);
         let shared = curves.iter().filter(|&&curve| curve == stratum(&[0, 1, 2, 3])).count();
-        // all lie in one line of a millimetre's steps or halves of it, but where the points of one curve alone are known
+        // all are on one line, in steps of one or half a millimetre, except where only one curve
+        // has points
         assert!(shared >= 6 && curves.len() <= 18, "{half}: {shared} of {}", curves.len());
         let met = (0..18).filter(|&v| complex.strata[v].count() == 4).count();
         assert!(met >= 6, "{half}: {met} points of curves");
@@ -374,8 +380,9 @@ fn curves_that_leave_no_room_between_them_share_their_points() {
 }
 
 #[test]
-fn the_centre_of_a_surface_ball_parts_its_facet_where_one_can() {
-    // six corners on a ball: the Voronoi edges of the facets cross it far beyond them
+fn inserted_ball_centre_removes_its_facet() {
+    // six corners on a ball; the dual Voronoi edges of the facets cross the ball far from the
+    // facets
     let analytic = Analytic::new(vec![negative(ball(CENTRE, RADIUS)), ball(CENTRE, RADIUS)], 1.0);
     let mut all: Vec<(Vec<u16>, DVec3)> = Vec::new();
     for [x, y, z] in
@@ -397,7 +404,7 @@ fn the_centre_of_a_surface_ball_parts_its_facet_where_one_can() {
     }
 }
 
-/// Points at places on strata of their own, h = 1 mm, with their pairs.
+/// Prepares points at the given positions on the given strata, with h = 1 mm.
 fn prepared_of(all: &[(Vec<u16>, DVec3)], segments: Vec<[u32; 2]>, indicators: &dyn Indicators) -> Prepared {
     let count = all.len();
     let particles = ParticleSet {
@@ -413,7 +420,7 @@ fn prepared_of(all: &[(Vec<u16>, DVec3)], segments: Vec<[u32; 2]>, indicators: &
 }
 
 #[test]
-fn each_check_finds_what_is_damaged() {
+fn each_kind_of_damage_fails_its_check() {
     let scene = scenes::sectors();
     let made = made(&scene, &scene.analytic, 1.5, true);
     let nodes = Nodes::new(&scene.geometry(1.0), &scene.analytic);

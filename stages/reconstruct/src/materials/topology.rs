@@ -1,4 +1,6 @@
-//! What is wrong with the topology of a complex at a simplex, by the materials of its tetrahedra alone: what mends it is another question, and takes far longer to answer.
+//! The criteria for the topology of a complex, as functions of the materials of its tetrahedra.
+//! They report only whether and how a simplex violates its criterion. The remedies (`criteria.rs`)
+//! take far longer to compute.
 
 use super::complex::Complex;
 use crate::around::{boundary_facets_of, parts_round, runs_round, star};
@@ -9,16 +11,18 @@ use isoparticles_delaunay::INFINITE;
 use isoparticles_field::materials::{MaterialId, Stratum};
 use rayon::prelude::*;
 
-/// Simplices of a complex that criteria are asked of.
+/// Simplices of a complex at which criteria are evaluated.
 pub struct Simplices {
-    /// Edges, vertices ascending, each with a tetrahedron at it: none for a segment that is no edge.
+    /// Edges, vertices ascending, each with a tetrahedron at it; `None` for a segment that is not
+    /// an edge.
     edges: Vec<(Segment, Option<u32>)>,
     vertices: Vec<u32>,
     facets: Vec<Facet>,
 }
 
 impl Simplices {
-    /// All of a complex, whose facets are given.
+    /// Returns all simplices of the interfaces of a complex, whose facets are given, and all
+    /// segments.
     pub fn all(complex: &Complex, facets: Vec<Facet>) -> Self {
         let mut edges: Vec<(Segment, Option<u32>)> = facets
             .iter()
@@ -36,7 +40,8 @@ impl Simplices {
         Self { edges, vertices, facets }
     }
 
-    /// The vertices, edges and facets of some tetrahedra, and the segments of their vertices.
+    /// Returns the vertices, edges and facets between materials of some tetrahedra, and the
+    /// segments at these vertices.
     pub fn of(complex: &Complex, tetrahedra: &[u32]) -> Self {
         let delaunay = complex.labelled.delaunay();
         let mut vertices: Vec<u32> =
@@ -67,14 +72,16 @@ impl Simplices {
         Self { edges, vertices, facets }
     }
 
-    /// What is found at each of them.
+    /// Returns the results of the three functions at the simplices: first edges, then vertices,
+    /// then facets.
     pub fn each<T: Send>(
         &self,
         at_edge: impl Fn(Segment, Option<u32>) -> Option<T> + Sync,
         at_vertex: impl Fn(u32) -> Option<T> + Sync,
         at_facet: impl Fn(&Facet) -> Option<T> + Sync,
     ) -> Vec<T> {
-        /// Fewer than these are gone through on one thread: waking others takes longer.
+        /// Lists shorter than this are processed on one thread, because waking other threads takes
+        /// longer.
         const FEW: usize = 10_000;
         let most = |count: usize| if count < FEW { count } else { 1 };
         let mut found: Vec<T> = Vec::new();
@@ -89,14 +96,14 @@ impl Simplices {
 }
 
 impl Complex<'_> {
-    /// Where the topology is wrong among some simplices, and how.
+    /// Returns the violations of the topology at some simplices.
     pub fn wrong(&self, simplices: &Simplices) -> Vec<(Reason, Simplex)> {
         let at_edge = |edge: Segment, start: Option<u32>| Some((self.wrong_edge(edge, start)?, Simplex::Edge(edge)));
         let at_vertex = |v: u32| Some((self.wrong_vertex(v)?, Simplex::Vertex(v)));
         simplices.each(at_edge, at_vertex, |f| Some((self.wrong_facet(f)?, Simplex::Facet(f.sorted()))))
     }
 
-    /// Whether the topology is wrong at a simplex.
+    /// Returns whether the topology is wrong at a simplex.
     pub fn is_wrong(&self, simplex: Simplex) -> bool {
         let reason = match simplex {
             Simplex::Vertex(v) => self.wrong_vertex(v),
@@ -107,12 +114,14 @@ impl Complex<'_> {
         reason.is_some()
     }
 
-    /// The tetrahedra round an edge by runs of one material; `start` is one of them.
+    /// Returns the tetrahedra around an edge as runs of one material. `start` is a tetrahedron at
+    /// the edge.
     pub(super) fn runs_round(&self, edge: Segment, start: u32) -> Vec<Vec<u32>> {
         runs_round(self.labelled.delaunay(), edge, start, |t| self.material(t))
     }
 
-    /// An edge, segment or not; `start` is a tetrahedron at it, if there is one.
+    /// Returns the violation at an edge or segment, if there is one. `start` is a tetrahedron at
+    /// it; `None` if the segment is not an edge.
     fn wrong_edge(&self, edge: Segment, start: Option<u32>) -> Option<Reason> {
         match self.segments.curve(edge) {
             Some(curve) => self.wrong_segment(edge, curve, start),
@@ -120,8 +129,10 @@ impl Complex<'_> {
         }
     }
 
-    /// A segment must be an edge, with the three materials of its curve round it, each in one run; of the four where curves are one three at least, since what lies between these
-    /// has no width. `start` is a tetrahedron at it.
+    /// Returns the violation at a segment, if there is one. A segment must be an edge around which
+    /// each of the three materials of its curve forms one run. For four materials, three are
+    /// enough, because the material between merged curves has no width. `start` is a tetrahedron at
+    /// the segment.
     pub(super) fn wrong_segment(&self, pair: Segment, curve: Stratum, start: Option<u32>) -> Option<Reason> {
         let Some(start) = start else { return Some(Reason::Segment) };
         let runs = self.runs_round(pair, start);
@@ -131,13 +142,15 @@ impl Complex<'_> {
         (!is_right).then_some(Reason::Ring)
     }
 
-    /// An edge that is no segment must be in two facets, or in none; `start` is a tetrahedron at it.
+    /// Returns the violation at an edge that is not a segment, if there is one. The edge must be in
+    /// two facets or in none. `start` is a tetrahedron at the edge.
     pub(super) fn wrong_plain_edge(&self, edge: Segment, start: u32) -> Option<Reason> {
         (self.runs_round(edge, start).len() > 2).then_some(Reason::Edge)
     }
 
-    /// Round a vertex each material must be in one part, and so must all that is not of it: its surface touches itself there else, as that of one that lies like a
-    /// ring between two others.
+    /// Returns the violation at a vertex, if there is one. Around the vertex, each material must
+    /// form one part, and so must its complement. Otherwise, the surface of the material touches
+    /// itself there, as for a material that forms a ring between two others.
     pub(super) fn wrong_vertex(&self, vertex: u32) -> Option<Reason> {
         let delaunay = self.labelled.delaunay();
         let star = star(delaunay, vertex);
@@ -145,12 +158,13 @@ impl Complex<'_> {
         let mut ids: Vec<MaterialId> = parts.iter().map(|part| self.material(part[0])).collect();
         ids.sort_unstable();
         let is_parted = |&id: &MaterialId| parts_round(delaunay, vertex, &star, |t| self.material(t) == id).len() > 2;
-        // of two materials the one is all that is not of the other
+        // of two materials, each is the complement of the other
         let is_right = ids.windows(2).all(|pair| pair[0] < pair[1]) && (ids.len() < 3 || !ids.iter().any(is_parted));
         (!is_right).then_some(Reason::Vertex)
     }
 
-    /// The materials of a facet must meet at each of its vertices.
+    /// Returns the violation at a facet, if there is one. The two materials of the facet must meet
+    /// at each of its vertices.
     pub(super) fn wrong_facet(&self, facet: &Facet) -> Option<Reason> {
         let sheet = self.sheet(facet);
         let is_on = |v: &u32| sheet.iter().all(|&id| self.meets(*v, id));
@@ -167,7 +181,7 @@ mod tests {
     use std::collections::BTreeSet;
 
     #[test]
-    fn a_material_round_a_vertex_like_a_ring_between_two_others_is_wrong_there() {
+    fn ring_of_a_material_around_a_vertex_is_wrong() {
         let scene = scenes::sectors();
         let (particles, strata) = scene.particles(1.5, 0.7);
         let prepared = prepare(&particles, &strata, &scene.analytic).expect("on their strata");
@@ -182,7 +196,7 @@ mod tests {
         let at = |complex: &Complex, u: u32| -> Vec<u32> {
             own.iter().copied().filter(|&t| complex.labelled.delaunay().vertices(t).contains(&u)).collect()
         };
-        // the two of its neighbours that lie in the most different directions
+        // the two neighbours in the most opposite directions
         let link: BTreeSet<u32> =
             own.iter().flat_map(|&t| complex.labelled.delaunay().vertices(t)).filter(|&u| u != v).collect();
         let way = |u: u32| (complex.points()[u as usize] - complex.points()[v as usize]).normalize();

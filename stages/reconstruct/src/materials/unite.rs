@@ -1,7 +1,7 @@
-//! The last changes to the strata of a complex, when no points are added any more. Edges on which
-//! three or four materials meet become segments of the curve that passes their ends. Segments
-//! between points that their curve passes by other segments are dropped. Vertices of facets are
-//! joined to the interface that passes them within `ONE_CURVE`.
+//! The final changes to the strata of a complex, after the last point is inserted. Edges on which
+//! three or four materials meet become segments if their curve passes both ends within `ONE_CURVE`.
+//! Superfluous segments are dropped. Vertices of facets are joined to the interface if it passes
+//! them within `ONE_CURVE`.
 
 use super::complex::Complex;
 use super::refine::Refinement;
@@ -38,9 +38,10 @@ impl Refinement<'_> {
     }
 }
 
-/// Returns whether a segment that is not an edge between its materials is superfluous: its curve is
-/// of three materials, and at both ends it already has two other segments that are such edges. This
-/// happens if `seed` follows a curve from one of two close branches to the other.
+/// Returns whether a segment that is not an edge between its materials is superfluous. Its curve is
+/// of three materials, and each of its ends has two other segments of this curve that are such
+/// edges. Without the segment, the topology at the edge is right. This happens if `seed` follows a
+/// curve from one of two close branches to the other.
 fn is_superfluous(complex: &Complex, pair: Segment) -> bool {
     let Some(curve) = complex.segments.curve(pair).filter(|curve| curve.dimension() == 1) else { return false };
     let is_right = |other: &Segment| {
@@ -104,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn a_segment_between_points_that_their_curve_passes_already_is_one_too_many() {
+    fn segments_bypassed_by_others_are_superfluous() {
         let (analytic, points) = three_sectors();
         let axis = [[0, 1], [1, 2], [2, 3], [3, 4]];
         let extra = |pair: Segment| {

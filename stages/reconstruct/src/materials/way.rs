@@ -1,21 +1,27 @@
-//! Ways along junction curves: chains of places, no farther apart than a fifth of a voxel.
+//! Paths along junction curves: polylines with steps of at most about a fifth of a voxel (see
+//! `follow.rs` in `common/field/src/materials/complex/`). Computes their lengths and nearest
+//! points, and defines the distance at which curves are merged.
 
 use glam::DVec3;
 
-/// A curve is followed from one end of a segment to the other for so many of its lengths (or voxels): round a hairpin.
+/// Maximum length of the path along a curve between the ends of a segment, in units of the length
+/// of the segment or of a voxel, whichever is longer. It allows for hairpins.
 pub(super) const LONGEST_WAY: f64 = 6.0;
 
-/// Curves nearer to each other than this, in voxels, are one over that length: they share points and segments, of four materials. New points keep a twentieth of h from others
-/// ([`crate::queue::NEAREST_FOR_TOPOLOGY`]), and h is seldom below a voxel, so that between nearer ones there is no room for facets. Of parts of `brain_parcellation` and
-/// `frog_tissue_labels` in which 345 segments were missing, 23 are with 0.02 and none with 0.05.
+/// Junction curves closer than this distance, in voxels, are merged: they share points and
+/// segments, of four materials. New points are at least a twentieth of h from others
+/// ([`crate::queue::NEAREST_FOR_TOPOLOGY`]), and h is seldom below a voxel. Closer curves therefore
+/// leave no room for facets between them. Of 345 missing segments in parts of `brain_parcellation`
+/// and `frog_tissue_labels`, 23 remain with 0.02 and none with 0.05.
 pub(crate) const ONE_CURVE: f64 = 0.05;
 
-/// Length of a way, mm.
+/// Returns the length of a path in mm.
 pub(super) fn length(way: &[DVec3]) -> f64 {
     way.windows(2).map(|step| step[0].distance(step[1])).sum()
 }
 
-/// How far along a way its place nearest to another place lies, and how far from that, mm.
+/// Returns the arc length along a path to its point nearest to `place`, and the distance between
+/// this point and `place`, both in mm.
 pub(super) fn foot(way: &[DVec3], place: DVec3) -> (f64, f64) {
     let (mut passed, mut nearest) = (0.0, (f64::INFINITY, 0.0));
     for step in way.windows(2) {

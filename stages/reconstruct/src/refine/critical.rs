@@ -1,4 +1,6 @@
-//! Handles and gaps: the critical points of F that the mesh has on the wrong side get points around them.
+//! Adds points around critical points of F on the wrong side of the mesh (Boissonnat, Cohen-Steiner
+//! and Vegter 2004), and where the mesh crosses the core of a handle.
+//! `common/field/src/topology/critical.rs` finds the critical points.
 
 use super::{Place, Refinement};
 use crate::defects::Defects;
@@ -10,37 +12,49 @@ use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 use std::collections::HashSet;
 
-/// Looks at critical points that stay on the wrong side of the mesh, and as many at cores that it crosses.
+/// Maximum number of attempts at critical points that stay on the wrong side of the mesh, and of
+/// attempts at cores that the mesh crosses.
 const LOOKS: usize = 6;
 
-/// Spheres of points round a critical point or a place of a core that is still on the wrong side after its nearest points of F = 0 are in the mesh, each twice as large as the one before.
+/// Number of concentric spheres of points around a critical point, or around a position on a core.
+/// They are used if it is still on the wrong side after the first attempt, which adds the nearest
+/// points of F = 0. Each sphere has twice the radius of the previous one.
 const SPHERES: i32 = 4;
 
-/// Longest step along the core of a handle, in voxels, and shortest one, in longest ones: F bends from voxel to voxel, and a valley of F that is narrower than a step is followed by shorter
-/// ones. No more than so many are tried on either way, at most 2,500 voxels and less from a thin neck: a core that turns to and fro in a valley for longer is not followed to its end.
+/// Maximum step along the core of a handle, in voxels, and minimum step as a fraction of it. F
+/// bends from voxel to voxel, and shorter steps follow a valley of F that is narrower than a step.
+/// At most `MOST_STEPS` steps are tried in each direction: at most 2,500 voxels, and less from a
+/// thin neck. A longer core in a winding valley is not followed to its end.
 const CORE_STEP: f64 = 0.25;
 const SHORTEST_STEP: f64 = 0.01;
 const MOST_STEPS: usize = 10_000;
 
-/// Points of such a sphere keep this part of its radius from all others.
+/// Minimum distance of a point on a sphere from all vertices, as a fraction of the radius of the
+/// sphere.
 const APART: f64 = 0.5;
 
 impl Refinement<'_> {
-    /// The critical points that the mesh has on the wrong side, with the nearest vertex of each.
+    /// Returns the critical points on the wrong side of the mesh, with the vertex nearest to each.
     pub(super) fn wrong_sided(&self) -> Vec<(CriticalPoint, u32)> {
         let is_wrong = |c: &&CriticalPoint| !self.has_right(c, self.near(c.position));
         self.critical_points().filter(is_wrong).map(|c| (*c, self.nearest(c.position).0)).collect()
     }
 
-    /// Whether the mesh has a critical point on its right side; `near` is a vertex not far from it.
+    /// Returns whether a critical point is on the correct side of the mesh. `near` is a vertex
+    /// close to it, where the search starts.
     fn has_right(&self, c: &CriticalPoint, near: u32) -> bool {
         self.object.restricted.holds(c.position, near) == (c.value < 0.0)
     }
 
-    /// Where the mesh leaves the cores of handles and gaps of groups that are not as F has them, as critical points there, with the nearest vertex of each.
+    /// Returns the positions at which the core of a neck or tunnel leaves its correct side of the
+    /// mesh. Each is a critical point moved there, with the nearest vertex. Only groups of
+    /// components with a wrong topology are considered.
     ///
-    /// Saddles on their right sides do not yet make a handle: it is the way down from a neck's saddle to a minimum of F at either end, inside the object, or up from that of a
-    /// tunnel to a maximum, outside, that the mesh must not cross (the one-dimensional cells of the Morse complex of either side, which all of its handles are made of).
+    /// A handle can be missing although its saddle is on the correct side: the mesh must not cross
+    /// its core either. The core of a neck is the path of steepest descent inside the object from
+    /// the saddle to a minimum of F at either end. The core of a tunnel is the path of steepest
+    /// ascent outside to a maximum. These paths are the one-dimensional cells of the Morse complex
+    /// of either side, and all of its handles consist of them.
     pub(super) fn cores_left(&self, defects: &Defects) -> Vec<(CriticalPoint, u32)> {
         let groups = self.object.topology.groups();
         let wrong: HashSet<u32> =
@@ -54,7 +68,9 @@ impl Refinement<'_> {
         of_wrong.flat_map_iter(|c| [1.0, -1.0].into_iter().flat_map(|sign| self.leaves_core(c, sign))).collect()
     }
 
-    /// Where the mesh leaves one of the two ways from a saddle that is one of a neck or tunnel.
+    /// Returns where one of the two core paths from the saddle of a neck or tunnel leaves its
+    /// correct side of the mesh. `sign` selects the path. For other critical points, the result is
+    /// empty.
     fn leaves_core(&self, c: &CriticalPoint, sign: f64) -> Vec<(CriticalPoint, u32)> {
         let across: Vec<DVec3> = c.ways.iter().copied().filter(|way| *way != DVec3::ZERO).collect();
         let [a, b] = across[..] else { return Vec::new() };
@@ -65,7 +81,7 @@ impl Refinement<'_> {
         let (mut way, mut step) = (sign * a.cross(b).normalize_or_zero(), longest);
         let (mut is_right, mut found) = (true, Vec::new());
         for _ in 0..MOST_STEPS {
-            // at the end of the way F goes no farther from zero
+            // |F| increases along the path, which ends where no step increases it
             if step <= SHORTEST_STEP * longest || way == DVec3::ZERO {
                 break;
             }
@@ -89,13 +105,15 @@ impl Refinement<'_> {
         found
     }
 
-    /// The critical points that the mesh must have on their right sides.
+    /// Returns the critical points that must be on the correct side of the mesh: those whose radius
+    /// is at least [`RESOLUTION`].
     pub(super) fn critical_points(&self) -> impl ParallelIterator<Item = &CriticalPoint> {
         let resolution = RESOLUTION * self.object.restricted.field().geometry().mean_spacing();
         self.object.topology.critical_points().par_iter().filter(move |c| c.radius >= resolution)
     }
 
-    /// Whether an extremum of F next to some vertices (ascending) is on its right side.
+    /// Returns whether an extremum of F is on its correct side and its nearest vertex is one of
+    /// `vertices` (ascending).
     pub(super) fn holds_extremum(&self, vertices: &[u32]) -> bool {
         let is_held = |c: &CriticalPoint| {
             let near = self.nearest(c.position).0;
@@ -104,15 +122,18 @@ impl Refinement<'_> {
         self.critical_points().any(|c| c.is_enclosed() && is_held(c))
     }
 
-    /// Whether there is another look at critical points, or at cores, after so many.
+    /// Returns whether another attempt is allowed after `looks` attempts at critical points, or at
+    /// cores.
     pub(super) fn may_look(&self, looks: usize) -> bool {
         looks < LOOKS.min(self.options.max_rounds)
     }
 
-    /// Adds points round critical points, or places of their cores, on the wrong side until some fit; returns how many. `looks` are those so far.
+    /// Adds points around critical points, or positions on cores, on the wrong side. Attempts
+    /// continue until one of them inserts points or none is left. Returns the number of points.
+    /// `looks` counts the attempts so far.
     ///
     /// # Errors
-    /// Those of `step` and of the triangulation.
+    /// If `step` returns an error, or if the triangulation cannot insert a point.
     pub(super) fn mend_critical_points(
         &mut self,
         wrong_sided: &[(CriticalPoint, u32)],
@@ -130,8 +151,9 @@ impl Refinement<'_> {
         Ok(0)
     }
 
-    /// Points round the critical points on the wrong side: first where F = 0 is nearest to each in its principal directions, then on spheres
-    /// around it.
+    /// Returns points around critical points on the wrong side. The first attempt takes the points
+    /// of F = 0 nearest to each in its principal directions, later attempts take points near
+    /// spheres around it.
     fn at_critical_points(&self, wrong_sided: &[(CriticalPoint, u32)], attempt: usize) -> Vec<Violation> {
         let around = |&(c, near): &(CriticalPoint, u32)| -> Vec<Place> {
             let h = self.object.sizes[near as usize];
@@ -145,7 +167,9 @@ impl Refinement<'_> {
         self.places(Reason::CriticalPoint, &found)
     }
 
-    /// Places on spheres of up to a radius (mm) round one where h is given, each half as large as the next, and none larger than 2 h.
+    /// Returns points of F = 0 near concentric spheres around `centre`, where the target edge
+    /// length is `h`. The maximum radius is `largest` (mm). Each sphere has half the radius of the
+    /// next, and spheres of radius 2 h or more are omitted.
     fn on_spheres(&self, centre: DVec3, h: f64, largest: f64) -> Vec<Place> {
         let radii = (0..SPHERES).map(|k| largest * f64::powi(2.0, k - SPHERES + 1)).filter(|&radius| radius < 2.0 * h);
         let on_sphere =
@@ -153,7 +177,8 @@ impl Refinement<'_> {
         radii.flat_map(on_sphere).collect()
     }
 
-    /// The place on F = 0 next to where a way (mm) leads to, if it is nearer to that than the way is long and has more room than said.
+    /// Projects `from + way` onto F = 0. Returns `None` if the projection moves by the length of
+    /// `way` or more, or if a vertex is within `room` of the result (all in mm).
     fn place_beside(&self, from: DVec3, way: DVec3, h: f64, room: f64) -> Option<Place> {
         let (start, reach) = (from + way, way.length());
         let point = self.object.on_surface(start, 2.0)?;
@@ -163,7 +188,7 @@ impl Refinement<'_> {
     }
 }
 
-/// The 26 directions to the neighbours in a grid.
+/// Returns the unit vectors towards the 26 neighbours in a grid.
 fn directions() -> impl Iterator<Item = DVec3> {
     let all = (0..27).map(|n| DVec3::new(f64::from(n % 3) - 1.0, f64::from(n / 3 % 3) - 1.0, f64::from(n / 9) - 1.0));
     all.filter(|d| *d != DVec3::ZERO).map(DVec3::normalize)

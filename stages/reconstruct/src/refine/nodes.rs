@@ -1,4 +1,6 @@
-//! Points at grid nodes of a label volume that lie on the wrong side of the mesh.
+//! Adds points where grid nodes of a label volume are on the wrong side of the mesh. Such a node
+//! gets the nearest point of F = 0, or points on the edges of facets that have it on the wrong
+//! side.
 
 use super::{Place, Refinement};
 use crate::join::compact;
@@ -10,11 +12,13 @@ use isoparticles_mesh::inside::nodes_on_wrong_side;
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// A grid node on the wrong side whose nearest point of F = 0 is nearer than this part of h to a vertex has that vertex.
+/// Distance in units of h between a vertex and the point of F = 0 nearest to a grid node on the
+/// wrong side. Below this distance, facets at this vertex are split instead of adding the point.
 pub(crate) const AT_A_VERTEX: f64 = 0.15;
 
 impl Refinement<'_> {
-    /// The grid nodes on the wrong side of some facets, none where they do not count; grid frame, mm.
+    /// Returns the grid nodes on the wrong side of a closed set of facets, in the grid frame, mm.
+    /// Returns no nodes if they are not tested.
     fn wrong_nodes(&self, facets: &[Facet]) -> Vec<DVec3> {
         let Some(samples) = self.nodes else { return Vec::new() };
         let mesh = compact(self.object.points(), facets).0.mesh;
@@ -22,7 +26,7 @@ impl Refinement<'_> {
         nodes_on_wrong_side(&mesh, samples).into_iter().map(place).collect()
     }
 
-    /// Where points bring the grid nodes that lie on the wrong side of some facets to the right one.
+    /// Returns the points that move grid nodes to their correct side of the facets.
     pub(super) fn at_nodes(&self, facets: &[Facet]) -> Vec<Violation> {
         let nodes = self.wrong_nodes(facets);
         if nodes.is_empty() {
@@ -36,7 +40,8 @@ impl Refinement<'_> {
         self.places(Reason::Node, &found)
     }
 
-    /// The point of F = 0 nearest to a node or, where a vertex is there already, the middles of the longest edges of the facets at it that pass the node by.
+    /// Returns the point of F = 0 nearest to a node. If a vertex is already there, returns the
+    /// midpoints of the longest edges of those facets at it that have the node on the wrong side.
     fn at_node(&self, node: DVec3, facets_at: &HashMap<u32, Vec<&Facet>>) -> Vec<Place> {
         let Some(point) = self.object.on_surface(node, 2.0) else { return Vec::new() };
         let (vertex, radius) = self.nearest(point);
@@ -53,7 +58,7 @@ impl Refinement<'_> {
         facets.filter(passes_by).filter_map(|f| self.split(f)).collect()
     }
 
-    /// The point of F = 0 at the middle of the longest edge of a facet.
+    /// Returns the midpoint of the longest edge of a facet, projected onto F = 0.
     fn split(&self, facet: &Facet) -> Option<Place> {
         let ends = |k: usize| [k, (k + 1) % 3].map(|k| self.object.points()[facet.vertices[k] as usize]);
         let length = |k: &usize| ends(*k)[0].distance(ends(*k)[1]);

@@ -1,5 +1,6 @@
-//! A surface found by other means than the sign of F at the circumcentres (Tight Cocone's), beside the one by that sign: where the
-//! two differ for want of points, points are added.
+//! Compares the surface of Tight Cocone, or of any labels other than the sign of F at the
+//! circumcentres, with the restricted surface of the same triangulation. Points are added where the
+//! two differ because the sampling is too sparse.
 
 use super::{Place, Refinement};
 use crate::around::{boundary_facets_of, star};
@@ -15,15 +16,18 @@ use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
-/// A tetrahedron is missed where its middle lies farther from F = 0 than this part of h, and of a voxel: a thin sheet or a finger that
-/// is left out, while the flat tetrahedra in which good surfaces differ lie within h^2 / 8 R of it.
+/// A tetrahedron with another label is deep if its centroid is farther from F = 0 than this
+/// fraction of h and of a voxel. Deep tetrahedra indicate a missing thin layer or finger. The flat
+/// tetrahedra in which correct surfaces differ lie within h^2 / 8 R of F = 0.
 const DEEP: f64 = 0.5;
 
-/// Slopes of F, mm per mm, below this are taken for this when distances are reckoned from F.
+/// Minimum slope of F, in mm per mm, in estimates of the distance from F = 0. Smaller slopes are
+/// replaced by it.
 const FLATTEST: f64 = 0.3;
 
 impl Refinement<'_> {
-    /// Takes over a surface that was found by other means, and compares it with F; returns its defects.
+    /// Compares another surface with F, updates the report and returns the defects of the surface.
+    /// With a closed border, its labels replace the current ones.
     pub fn compare_other(&mut self, facets: &[Facet]) -> Defects {
         let has_sides = !self.options.open_border;
         if has_sides {
@@ -37,12 +41,14 @@ impl Refinement<'_> {
         defects
     }
 
-    /// Adds points where a closed surface that was found by other means differs from that by the sign of F in topology, joins
-    /// components, has critical points of F on the wrong side, or lies far from F = 0: on the facets by sign that it lacks; where there are none, at grid nodes
-    /// that it has on the wrong side. Returns how many.
+    /// Adds points where a closed surface from other labels differs from the restricted surface.
+    /// The difference is one of topology, a facet that joins components, a critical point of F on
+    /// the wrong side, or a tetrahedron far from F = 0. The points are on restricted facets that
+    /// the other surface lacks. If none is inserted, points are added for grid nodes on its wrong
+    /// side. Returns the number of points.
     ///
     /// # Errors
-    /// Those of `step` and of the triangulation.
+    /// If `step` returns an error, or if the triangulation cannot insert a point.
     pub fn insert_for_other(&mut self, facets: &[Facet], mut step: impl FnMut(usize) -> Result<()>) -> Result<usize> {
         let sides = self.object.restricted.sides_of(facets);
         let wrong = self.wrong_by(&sides);
@@ -50,7 +56,7 @@ impl Refinement<'_> {
         let wanting = |part: &Vec<u32>| {
             let own =
                 part.iter().flat_map(|&t| boundary_facets_of(object.restricted.delaunay(), t, |t| sides[t as usize]));
-            // the dearest test comes last
+            // the most expensive test is last
             part.iter().any(|t| wrong.contains(t) || is_deep(object, *t))
                 || own.into_iter().any(|f| object.is_bridge(&f))
                 || euler_change(&object.restricted, part, &sides) != 0
@@ -77,7 +83,8 @@ impl Refinement<'_> {
         self.mend_all(found, &mut step)
     }
 
-    /// The tetrahedra that hold critical points of F which other `sides` have wrong and the sign of F has right.
+    /// Returns the tetrahedra that contain a critical point of F on the wrong side by `sides` and
+    /// on the correct side by the sign of F.
     fn wrong_by(&self, sides: &[bool]) -> HashSet<u32> {
         let restricted = &self.object.restricted;
         let wrong = |c: &CriticalPoint| {
@@ -89,7 +96,7 @@ impl Refinement<'_> {
     }
 }
 
-/// Whether the middle of a tetrahedron lies far from F = 0.
+/// Returns whether the centroid of a tetrahedron is far from F = 0 ([`DEEP`]).
 fn is_deep(object: &Object, t: u32) -> bool {
     let vertices = object.restricted.delaunay().vertices(t);
     if vertices.contains(&INFINITE) {
@@ -100,11 +107,12 @@ fn is_deep(object: &Object, t: u32) -> bool {
     let field = object.restricted.field();
     let (value, gradient) = field.value_gradient(middle);
     let limit = DEEP * size.max(field.geometry().mean_spacing());
-    // near critical points |F| over its slope has no bound
+    // |F| / |grad F| is unbounded near critical points
     value.abs() > limit * gradient.length().max(FLATTEST)
 }
 
-/// By how much the Euler characteristic of the surface changes when the tetrahedra of a part take their other sides.
+/// Returns the change of the Euler characteristic of the surface if the tetrahedra of `part` take
+/// their labels from `sides`.
 fn euler_change(restricted: &Restricted, part: &[u32], sides: &[bool]) -> i64 {
     let delaunay = restricted.delaunay();
     let own: HashSet<Face> = part.iter().flat_map(|&t| simplices(&delaunay.vertices(t))).collect();
@@ -121,14 +129,14 @@ fn euler_change(restricted: &Restricted, part: &[u32], sides: &[bool]) -> i64 {
     euler(&|t| sides[t as usize]) - euler(&|t| restricted.is_inside(t))
 }
 
-/// A vertex, edge or triangle: its vertices ascending, [`INFINITE`] in the places that are left.
+/// A vertex, edge or triangle: its vertices in ascending order, padded with [`INFINITE`].
 type Face = [u32; 3];
 
 fn is_edge(simplex: &Face) -> bool {
     simplex[1] != INFINITE && simplex[2] == INFINITE
 }
 
-/// The finite vertices, edges and triangles of a triangle or tetrahedron.
+/// Returns the finite vertices, edges and triangles of a triangle or tetrahedron.
 fn simplices(vertices: &[u32]) -> impl Iterator<Item = Face> + use<> {
     let mut finite: Vec<u32> = vertices.iter().copied().filter(|&v| v != INFINITE).collect();
     finite.sort_unstable();
@@ -140,7 +148,8 @@ fn simplices(vertices: &[u32]) -> impl Iterator<Item = Face> + use<> {
     })
 }
 
-/// The tetrahedra whose side differs from that by the sign of F, by parts that share no vertex.
+/// Returns the tetrahedra whose label in `sides` differs from their current label. They are divided
+/// into parts that share no vertex.
 fn differing_parts(restricted: &Restricted, sides: &[bool]) -> Vec<Vec<u32>> {
     let delaunay = restricted.delaunay();
     let differing: Vec<u32> = (0..sides.len() as u32)
@@ -176,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_sheet_gets_points() {
+    fn missing_parts_of_the_surface_get_points() {
         for (scene, spacing) in [(scenes::two_balls(), 1.4), (scenes::shell(), 1.4)] {
             let topology = FieldTopology::new(&scene.field);
             let mut refinement = refined(&scene, &topology, spacing);
@@ -185,7 +194,7 @@ mod tests {
             let points = refinement.object.restricted.points();
             let by_place = |f: &&Facet| {
                 let p = points[f.vertices[0] as usize];
-                // one of the balls, or the outer sheet of the shell
+                // one of the balls, or the outer surface of the shell
                 if scene.image.geometry.size[1] == 24 { p.x < 15.6 } else { p.distance(scenes::CENTRE) > 9.25 }
             };
             let (other, lost): (Vec<Facet>, Vec<Facet>) = facets.iter().partition(by_place);
@@ -198,13 +207,13 @@ mod tests {
                 .collect();
             assert_eq!(changes, [-2], "one sheet less");
             let inserted = refinement.insert_for_other(&other, |_| Ok(())).unwrap();
-            // a point a facet, less those too near to others
+            // one point per missing facet, except those too close to other points
             assert!(inserted > lost.len() / 4 && inserted <= lost.len(), "{inserted} of {}", lost.len());
         }
     }
 
     #[test]
-    fn a_flat_tetrahedron_on_the_other_side_is_the_same_surface() {
+    fn a_flat_tetrahedron_may_be_on_either_side() {
         let scene = scenes::torus();
         let topology = FieldTopology::new(&scene.field);
         let refinement = refined(&scene, &topology, 1.4);
@@ -217,7 +226,8 @@ mod tests {
             if own.len() == 2 {
                 let mut other = sides.clone();
                 other[t as usize] ^= true;
-                // two facets give way to the two on the other side of the tetrahedron: an edge is turned
+                // the other two facets of the tetrahedron replace its two facets on the surface: an
+                // edge flip
                 assert_eq!(euler_change(&refinement.object.restricted, &[t], &other), 0);
                 assert!(!is_deep(&refinement.object, t));
                 turned += 1;

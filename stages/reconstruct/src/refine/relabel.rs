@@ -1,4 +1,5 @@
-//! Tetrahedra that change sides where points do not help: where sheets touch, and in small pieces of the mesh that are none of F = 0.
+//! Changes the sides of tetrahedra where points do not help. This separates parts of the surface
+//! that touch, and removes small pieces of the mesh that correspond to no component of F = 0.
 
 use super::Refinement;
 use crate::defects::{Defects, edge_of};
@@ -8,15 +9,17 @@ use rayon::prelude::*;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashSet};
 
-/// Times that tetrahedra may change sides where sheets touch; in the second half of them they may only join the object, lest they go to and fro.
+/// Maximum number of rounds in which tetrahedra change sides where parts of the surface touch. In
+/// the second half of the rounds, they only change from outside to inside, to prevent oscillation.
 const PARTINGS: usize = 16;
 
-/// Vertices of a piece of the mesh that may be dropped, and tetrahedra within it.
+/// Maximum number of vertices of a piece of the mesh that is removed, and of tetrahedra inside it.
 const LARGEST_DROPPED: usize = 16;
 const DROPPED_TETRAHEDRA: usize = 64;
 
 impl Refinement<'_> {
-    /// Parts the sheets that touch in edges, or else in vertices; returns at how many.
+    /// Separates parts of the surface that touch at edges or, if no edge can be separated, at
+    /// vertices. Returns the number of edges or vertices.
     pub(super) fn part_pinches(&mut self, facets: &[Facet], defects: &Defects) -> usize {
         if defects.is_manifold() || self.partings >= PARTINGS {
             return 0;
@@ -39,8 +42,10 @@ impl Refinement<'_> {
         parted
     }
 
-    /// Lets the tetrahedra of small pieces change sides that are none of F = 0: pieces too many of their group, or near no component, with a
-    /// facet across F = 0 and no extremum of F, which every closed surface F = 0 goes round. Returns how many there were.
+    /// Removes small pieces of the mesh that correspond to no component of F = 0: their tetrahedra
+    /// change sides. Such a piece is near no component, or is not the largest piece of a group with
+    /// too many pieces. One of its facets lies across F = 0, and no extremum of F belongs to it;
+    /// every closed surface F = 0 encloses an extremum. Returns the number of pieces.
     pub(super) fn drop_pieces(&mut self, facets: &[Facet], defects: &Defects) -> usize {
         if defects.in_pieces.is_empty() && defects.strangers == 0 {
             return 0;
@@ -62,7 +67,8 @@ impl Refinement<'_> {
         enclosed.len()
     }
 
-    /// The vertices, ascending, of each piece but the largest of each group that fell apart.
+    /// Returns the vertices, ascending, of each piece except the largest of each group with too
+    /// many pieces.
     fn smaller_pieces(&self, defects: &Defects) -> impl Iterator<Item = Vec<u32>> + use<> {
         let groups = self.object.topology.groups();
         let mut pieces: BTreeMap<u32, BTreeMap<u32, Vec<u32>>> =
@@ -82,7 +88,8 @@ impl Refinement<'_> {
         })
     }
 
-    /// The vertices, ascending, of each piece of the mesh that lies near no component of F = 0.
+    /// Returns the vertices, ascending, of each piece of the mesh that is near no component of
+    /// F = 0.
     fn strange_pieces(&self, defects: &Defects) -> Vec<Vec<u32>> {
         let mut pieces: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
         if defects.strangers > 0 {

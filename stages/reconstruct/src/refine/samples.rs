@@ -1,4 +1,4 @@
-//! Points on components of F = 0 that have no facets.
+//! Samples components of F = 0 that have no facets.
 
 use super::{Place, Refinement};
 use crate::object::Violation;
@@ -8,17 +8,19 @@ use isoparticles_mesh::spatial::{Bins, Bounds};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// Points on a component are no closer than this part of a voxel, or of the extent of the component where that is less.
+/// Minimum distance between the points on a component, in voxels or in units of the maximum extent
+/// of the component, whichever is smaller.
 const CLOSEST: f64 = 0.02;
 
-/// Each time that the points of a component give it no facet, the next are this much nearer to each other.
+/// Factor by which the distance between points decreases if the previous points gave the component
+/// no facet.
 const NEARER: f64 = 0.7;
 
-/// Target edge length at such points over the distance that they keep from each other.
+/// Target edge length h at these points, as a multiple of the distance between them.
 const SIZE_OF_SPACING: f64 = 1.2;
 
 impl Refinement<'_> {
-    /// Points on components that have no facets.
+    /// Returns points on components that have no facets.
     pub(super) fn on_missing(&self, missing: &[u32]) -> Vec<Violation> {
         let mut members: HashMap<u32, Vec<u32>> = missing.iter().map(|&component| (component, Vec::new())).collect();
         if members.is_empty() {
@@ -32,8 +34,9 @@ impl Refinement<'_> {
         self.places(Reason::Missing, &found)
     }
 
-    /// Points on a component that has no facets: about a voxel apart or as its extent is, nearer to each other than those that it has; at least a
-    /// dozen, where it is large enough.
+    /// Returns points on a component that has no facet. Their distance is about a voxel or the
+    /// extent of the component, and smaller than that of the points `members` already on it. A
+    /// component of sufficient size gets at least a dozen points.
     fn sample_component(&self, component: u32, members: &[u32]) -> Vec<Place> {
         let voxel = self.object.restricted.field().geometry().mean_spacing();
         let samples = self.object.topology.samples(component);
@@ -48,7 +51,8 @@ impl Refinement<'_> {
         let wanted = if members.is_empty() { voxel } else { NEARER / SIZE_OF_SPACING * smallest };
         let mut spacing = wanted.min(extent).max(CLOSEST * voxel.min(extent));
         let mut kept = thinned(&present, &samples, spacing);
-        // where none is new, the next look would be all there is to do
+        // If all points exist already, smaller distances are tried at once: the next round would do
+        // no more.
         while (kept.len() < 12 || kept.iter().all(|k| k.is_present)) && spacing > 0.1 * voxel.min(extent) {
             spacing *= NEARER;
             kept = thinned(&present, &samples, spacing);
@@ -65,7 +69,8 @@ struct Kept {
     is_present: bool,
 }
 
-/// Points no two of which are nearer than `spacing`, first come first kept.
+/// Returns points of `present` and `samples` that are at least `spacing` apart. Earlier points take
+/// precedence, those of `present` first.
 fn thinned(present: &[DVec3], samples: &[DVec3], spacing: f64) -> Vec<Kept> {
     let mut kept: Vec<Kept> = Vec::new();
     let mut bins = Bins::new(spacing);

@@ -1,23 +1,26 @@
-//! Voronoi cells as the cocone sees them: corners, poles, flatness, and the facets whose dual edge meets the cocones.
+//! Voronoi cells of Tight Cocone: their vertices, poles and flatness, and the candidate facets,
+//! whose dual edges intersect the cocones (Amenta and Bern 1999; Amenta, Choi, Dey and Leekha 2000;
+//! Dey and Giesen 2001).
 
 use crate::around::place_of;
 use glam::DVec3;
 use isoparticles_delaunay::{Delaunay, INFINITE};
 use rayon::prelude::*;
 
-/// Sine of the cocone's half angle, pi/8 from the tangent plane.
+/// Sine of pi/8, the angle between the tangent plane and the boundary of the cocone.
 const COCONE: f64 = 0.382_683_432_365_089_8;
 
-/// A flat cell is this much longer than wide.
+/// Minimum ratio of the length (distance to the nearer pole) and the width of a flat cell.
 const FLATNESS_RATIO: f64 = 1.2;
 
-/// Cosine of the largest angle between the normals of a flat vertex and of its cocone neighbours, pi/3.
+/// Cosine of pi/3, the maximum angle between the normals of a flat vertex and of its cocone
+/// neighbours.
 const FLATNESS_COSINE: f64 = 0.5;
 
-/// No tetrahedron.
+/// Denotes a missing tetrahedron.
 pub(super) const NOBODY: u32 = u32::MAX;
 
-/// The tetrahedra at each vertex, ghosts included, ascending.
+/// The tetrahedra at each vertex, including ghosts, ascending.
 pub(super) struct Stars {
     starts: Vec<u32>,
     tetrahedra: Vec<u32>,
@@ -33,7 +36,8 @@ impl Stars {
         for v in 1..starts.len() {
             starts[v] += starts[v - 1];
         }
-        // each start runs to its end while the list is filled, and that is the start of the next
+        // `starts[v + 1]` advances from the start to the end of star v, which is the start of star
+        // v + 1
         let mut tetrahedra = vec![0; starts[starts.len() - 1] as usize];
         for (t, vertices_of_t) in delaunay.tetrahedra() {
             for v in vertices(vertices_of_t) {
@@ -46,72 +50,81 @@ impl Stars {
         Self { starts, tetrahedra }
     }
 
-    /// Tetrahedra at a vertex.
+    /// Returns the tetrahedra at a vertex.
     pub(super) fn of(&self, vertex: u32) -> &[u32] {
         let v = vertex as usize;
         &self.tetrahedra[self.starts[v] as usize..self.starts[v + 1] as usize]
     }
 
-    /// Places in a list aligned with that of all stars.
+    /// Returns the index range of a vertex in the concatenation of all stars.
     pub(super) fn range(&self, vertex: u32) -> std::ops::Range<usize> {
         self.starts[vertex as usize] as usize..self.starts[vertex as usize + 1] as usize
     }
 
-    /// Vertices, duplicates (with no star) included.
+    /// Returns the number of vertices, including duplicates, whose stars are empty.
     pub(super) fn vertex_count(&self) -> usize {
         self.starts.len() - 1
     }
 }
 
-/// A Voronoi cell.
+/// Properties of the Voronoi cell of a vertex.
 #[derive(Clone, Copy)]
 struct Cell {
-    /// Unit normal of the surface at the vertex, up to its sign.
+    /// Unit normal of the surface at the vertex, up to sign.
     normal: DVec3,
-    /// Tetrahedra whose circumcentres are the poles: the farthest on the side of the normal, and on the other.
+    /// Tetrahedra whose circumcentres are the poles: the farthest on the side of the normal, and
+    /// the farthest on the other side.
     poles: [u32; 2],
-    /// Whether the cell is long along the normal; given normals are taken at their word.
+    /// Whether the cell is long along the normal. With a given normal, it only needs to have both
+    /// poles.
     is_long: bool,
-    /// On the convex hull 1 where the normal points out of it and -1 where it points into it, else 0.
+    /// For a vertex on the convex hull, 1 if the normal points out of it and -1 if it points into
+    /// it. Otherwise 0.
     hull_side: i8,
-    /// Cosine between the estimate of the normal (outward on the hull) and the given one; 0 where none was given.
+    /// Cosine between the estimated normal (outward on the hull) and the given one; 0 if none is
+    /// given.
     agreement: f64,
 }
 
-/// All Voronoi cells.
+/// The Voronoi cells of all vertices, and the candidate facets.
 pub(super) struct Cells<'a> {
     pub(super) delaunay: &'a Delaunay,
     pub(super) stars: Stars,
-    /// Circumcentre of each tetrahedron; for a ghost the unit outward normal of its hull triangle.
+    /// Circumcentre of each tetrahedron. For a ghost, the outward unit normal of its hull triangle.
     corners: Vec<DVec3>,
     /// Whether each tetrahedron is a ghost.
     is_ghost: Vec<bool>,
-    /// Unit normal of the surface at each vertex, up to its sign unless it was given.
+    /// Unit normal of the surface at each vertex: the given one, or an estimate up to sign.
     pub(super) normals: Vec<DVec3>,
-    /// Poles of each vertex, as tetrahedra: on the side of the normal and on the other ([`NOBODY`] where there is none).
+    /// Tetrahedra of the poles of each vertex, on the side of the normal and on the other side.
+    /// [`NOBODY`] denotes a missing pole.
     pub(super) poles: Vec<[u32; 2]>,
-    /// Whether each vertex passed the flatness test.
+    /// Whether each vertex is flat.
     pub(super) is_flat: Vec<bool>,
-    /// Share of the given normals that, as lines, lie within pi/3 of the direction to the poles; 0 where none was given.
+    /// Share of the given normals within pi/3 of the direction to the poles, up to sign; 0 if none
+    /// is given.
     pub(super) normals_near_poles: f64,
-    /// Share of the normals given on the convex hull that point out of it; a half, which says nothing, where none was given.
+    /// Share of the given normals on the convex hull that point out of it. It is 0.5, which is
+    /// undecided, if none is given.
     pub(super) normals_out_of_hull: f64,
-    /// For each vertex on the convex hull 1 where its normal points out of it and -1 where it points into it; 0 for all others.
+    /// For each vertex on the convex hull, 1 if its normal points out of it and -1 if it points
+    /// into it. 0 for all other vertices.
     pub(super) hull_side: Vec<i8>,
-    /// A bit for each facet of each tetrahedron and each vertex of the facet, at four times the place opposite to the facet and the
-    /// place of the vertex: whether the dual edge meets the cocone of the vertex.
+    /// Bit 4 j + k of each tetrahedron: whether the edge dual to the facet opposite vertex j
+    /// intersects the cocone of vertex k.
     meetings: Vec<u16>,
-    /// A bit for each facet of each tetrahedron: whether it is a candidate for the surface.
+    /// Bit j of each tetrahedron: whether the facet opposite vertex j is a candidate.
     candidates: Vec<u8>,
 }
 
+/// Position of a circumcentre relative to the cocone of a vertex.
 const WITHIN: u8 = 0;
 const ABOVE: u8 = 1;
 const BELOW: u8 = 2;
 
 impl<'a> Cells<'a> {
-    /// Reckons poles, flatness and candidates. `normals` are given ones, zero where there is none; they take the place of
-    /// the direction to the pole, and of the test of length.
+    /// Computes poles, flat vertices and candidates. `normals` contains the given normals, zero if
+    /// unknown. A given normal replaces the direction to the pole and the test of length.
     pub(super) fn new(delaunay: &'a Delaunay, normals: Option<&[DVec3]>) -> Self {
         let stars = Stars::new(delaunay);
         let slots = delaunay.slot_count() as u32;
@@ -152,7 +165,8 @@ impl<'a> Cells<'a> {
         cells
     }
 
-    /// Direction from a point to the corner of a tetrahedron, and whether that is at infinity.
+    /// Returns the vector from a position to the circumcentre of a tetrahedron and `false`. For a
+    /// ghost, returns the unit direction to infinity and `true`.
     fn towards(&self, t: u32, from: DVec3) -> (DVec3, bool) {
         let corner = self.corners[t as usize];
         if self.is_ghost[t as usize] { (corner, true) } else { (corner - from, false) }
@@ -182,7 +196,8 @@ impl<'a> Cells<'a> {
             let along = direction.dot(normal);
             let side = usize::from(along < 0.0);
             if is_infinite && (along < 0.0) != (along_hull < 0.0) {
-                // at a sharp edge a triangle of the hull may face away from the normal; outside is where most of them face
+                // At a sharp edge, a hull triangle may face away from the normal. The sum of the
+                // hull normals determines on which side the pole is at infinity.
                 continue;
             }
             let height = if is_infinite { f64::MAX * (0.5 + 0.5 * along.abs()) } else { direction.length_squared() };
@@ -201,7 +216,8 @@ impl<'a> Cells<'a> {
         }
     }
 
-    /// Largest distance from a vertex to where its cell's edges cross its tangent plane.
+    /// Returns the maximum distance between a vertex and the intersections of the edges of its cell
+    /// with its tangent plane, mm.
     fn width(&self, v: u32, normal: DVec3) -> f64 {
         let p = self.delaunay.points()[v as usize];
         let mut width = 0.0f64;
@@ -230,7 +246,8 @@ impl<'a> Cells<'a> {
         width
     }
 
-    /// Two bits for each place of a tetrahedron: its corner seen from that vertex, above, below or within the cocone.
+    /// Returns two bits for each vertex of a tetrahedron: whether the circumcentre is within, above
+    /// or below the cocone of this vertex.
     fn zones_of(&self, t: u32) -> u8 {
         if !self.delaunay.is_alive(t) {
             return 0;
@@ -254,7 +271,9 @@ impl<'a> Cells<'a> {
         (0..4).fold(0, |zones, i| zones | zone(v[i]) << (2 * i))
     }
 
-    /// Above and below a cocone are convex cones, so a Voronoi edge misses it exactly when its ends lie in one of them.
+    /// Returns the bits of `meetings` for a tetrahedron. The regions above and below a cocone are
+    /// convex cones. A Voronoi edge therefore misses the cocone exactly if both its ends are in the
+    /// same one.
     fn meetings_of(&self, t: u32, zones: &[u8]) -> u16 {
         if !self.delaunay.is_alive(t) {
             return 0;
@@ -277,13 +296,14 @@ impl<'a> Cells<'a> {
         meetings
     }
 
-    /// Whether the Voronoi edge dual to the facet opposite to a place meets the cocone of the facet's vertex at another.
+    /// Returns whether the edge dual to the facet opposite vertex `opposite` (local index)
+    /// intersects the cocone of vertex `place` of this facet.
     fn meets(&self, t: u32, opposite: usize, place: usize) -> bool {
         self.meetings[t as usize] >> (4 * opposite + place) & 1 == 1
     }
 
-    /// Tells `hear` the cocone neighbours of vertices that a tetrahedron's facets show, as (v, w): the cocone of w reaches into the
-    /// cell of v.
+    /// Calls `hear` with the cocone neighbours found at the facets of a tetrahedron: pairs (v, w)
+    /// for which the cocone of w intersects the cell of v.
     fn cocone_neighbours(&self, t: u32, mut hear: impl FnMut(u32, u32)) {
         if self.meetings[t as usize] == 0 {
             return;
@@ -302,8 +322,9 @@ impl<'a> Cells<'a> {
         self.normals[v as usize].dot(self.normals[w as usize]).abs() >= FLATNESS_COSINE
     }
 
-    /// Flat are the vertices with long cells whose normals agree with those of all cocone neighbours, then those with long
-    /// cells that agree with a flat one.
+    /// Returns whether each vertex is flat. A vertex with a long cell is flat if its normal agrees
+    /// with those of all its cocone neighbours. Further vertices with long cells become flat if
+    /// their normals agree with that of a flat cocone neighbour.
     fn find_flat(&self, is_long: Vec<bool>) -> Vec<bool> {
         let apart: Vec<u32> = (0..self.corners.len() as u32)
             .into_par_iter()
@@ -351,20 +372,23 @@ impl<'a> Cells<'a> {
         (0..4).fold(0, |bits, j| bits | u8::from(is_candidate(j)) << j)
     }
 
-    /// Whether the facet of a tetrahedron opposite to a place is a candidate for the surface.
+    /// Returns whether the facet of a tetrahedron opposite the vertex with local index `opposite`
+    /// is a candidate.
     pub(super) fn is_candidate(&self, t: u32, opposite: usize) -> bool {
         self.candidates[t as usize] >> opposite & 1 == 1
     }
 }
 
-/// Circumcentre of a tetrahedron, or the outward normal of a ghost's hull triangle.
+/// Returns the circumcentre of a tetrahedron, or the outward unit normal of the hull triangle of a
+/// ghost.
 fn corner(delaunay: &Delaunay, t: u32) -> DVec3 {
     let v = delaunay.vertices(t);
     if !delaunay.is_alive(t) {
         return DVec3::ZERO;
     }
     let Some(i) = v.iter().position(|&v| v == INFINITE) else {
-        // beyond the numbers only for a cell that is all but flat: the middle then stands for the point at infinity
+        // Only an almost flat tetrahedron has no finite circumcentre. Its centroid replaces the
+        // point at infinity.
         let middle = || v.map(|v| delaunay.points()[v as usize]).into_iter().sum::<DVec3>() / 4.0;
         return delaunay.circumcentre(t).unwrap_or_else(middle);
     };

@@ -1,12 +1,16 @@
-//! Tight Cocone (Dey and Goswami 2003): a watertight surface from points alone, by the shape of their Voronoi cells.
+//! Tight Cocone (Dey and Goswami 2003): computes a closed surface from points alone, by the shape
+//! of their Voronoi cells.
 //!
-//! On a well-sampled smooth surface a Voronoi cell is long and thin along the normal; its farthest corners, the *poles* (Amenta and
-//! Bern 1999), give the normal, and the Delaunay triangles whose dual edges pass through the *cocones* (the part of the cell within
-//! pi/8 of the tangent plane, Amenta, Choi, Dey and Leekha 2000) are candidates for the surface. Vertices whose cells are not flat lie
-//! where the sampling ends or is too sparse (Dey and Giesen 2001) and have no say. The steps: `cells` finds poles, flat
-//! vertices and candidates; `umbrellas` finds where the candidates part a vertex's tetrahedra, and which are on which side; `walk`
-//! gives the normals of each sheet one sense; `peel` marks tetrahedra and eats away those outside; `repair` parts what touches in
-//! an edge or a vertex. What is left is a set of tetrahedra, so its boundary is closed whatever the points.
+//! On a well-sampled smooth surface, a Voronoi cell is long and thin along the normal. Its farthest
+//! vertices, the *poles*, give the normal (Amenta and Bern 1999). The *cocone* is the part of the
+//! cell within pi/8 of the tangent plane. Delaunay triangles whose dual edges intersect the cocones
+//! are candidates (Amenta, Choi, Dey and Leekha 2000). Points whose cells are not flat, at
+//! undersampled regions and boundaries, are ignored (Dey and Giesen 2001).
+//!
+//! `cells` computes poles, flat points and candidates. `umbrellas` finds the candidates that
+//! separate the two poles of a point. `walk` orients the normals consistently. `peel` marks
+//! tetrahedra and removes those outside. `repair` separates parts of the surface that touch. The
+//! result is the boundary of a set of tetrahedra, so it is closed for any set of points.
 
 mod cells;
 mod peel;
@@ -25,44 +29,50 @@ use serde::Serialize;
 use umbrellas::Umbrellas;
 use walk::Sheets;
 
-/// Given normals are taken where this share of them lies near the direction to the pole.
+/// Minimum share of given normals close to the direction to the pole. Below it, the given normals
+/// are not used.
 const NORMALS_TRUSTED: f64 = 0.75;
 
-/// Given normals are outward (or all inward) where this share of those on the convex hull points that way.
+/// Minimum share of given normals on the convex hull that point to the same side of it. Below it,
+/// the given normals do not determine the outside.
 const NORMALS_ORIENTED: f64 = 0.9;
 
-/// Where a smaller share of the points has an umbrella, the surface would be guesswork.
+/// Minimum share of points with an umbrella. Below it, the surface would be arbitrary, and an error
+/// is returned.
 const FEWEST_UMBRELLAS: f64 = 0.5;
 
-/// What was found on the way.
+/// Counts and measurements of Tight Cocone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct CoconeReport {
-    /// Distinct points.
+    /// Number of distinct points.
     pub points: usize,
-    /// Points whose Voronoi cells are long and thin and whose neighbours agree.
+    /// Points whose Voronoi cells are long and thin, and whose normals agree with those of their
+    /// neighbours.
     pub flat: usize,
-    /// Points round which the candidate triangles part outside from inside.
+    /// Points with an umbrella: candidate triangles that separate the two poles.
     pub with_umbrella: usize,
-    /// Points that no triangle of the surface uses.
+    /// Points that are not vertices of the surface.
     pub unused: usize,
-    /// Tetrahedra that changed sides because parts of the surface touched in an edge or a vertex.
+    /// Tetrahedra that changed sides because parts of the surface touched at an edge or a vertex.
     pub changed_sides: usize,
-    /// Share of the given normals that lie within 60 degrees of the direction to the pole, as lines; `None` without normals, or when
-    /// all of them are zero.
+    /// Share of the given normals within 60 degrees of the direction to the pole, up to sign.
+    /// `None` if no normals are given or all are zero.
     pub normals_near_poles: Option<f64>,
-    /// Whether given normals took the place of the direction to the pole.
+    /// Whether the given normals were used instead of the direction to the pole.
     pub normals_taken: bool,
-    /// Whether given normals said which side is outside.
+    /// Whether the given normals determined the outside.
     pub normals_oriented: bool,
-    /// Share of the triangles that face the way of the given normals, of those at points with normals; `None` when there are none.
+    /// Share of the triangles that face to the side of the given normals, among those with normals
+    /// at their vertices. `None` if there are none.
     pub facing_normals: Option<f64>,
 }
 
-/// The surface of the points of a triangulation, as facets counter-clockwise seen from outside. `normals`, where there are any, are
-/// one a point, of any length, zero where unknown; they need not point outward.
+/// Returns the surface through the points of a triangulation, as facets that are counter-clockwise
+/// as seen from outside. `normals` contains one vector of any length for each point, zero if
+/// unknown. The vectors need not point outward.
 ///
 /// # Errors
-/// When no part of the points is sampled densely and evenly enough to be the surface of a solid.
+/// If fewer than half of the points have an umbrella, or no tetrahedron is inside the surface.
 pub fn tight_cocone(delaunay: &Delaunay, normals: Option<&[DVec3]>) -> Result<(Vec<Facet>, CoconeReport)> {
     let is_known = |normal: &DVec3| normal.try_normalize().is_some();
     let normals = normals.filter(|normals| normals.iter().any(is_known));
@@ -81,7 +91,8 @@ pub fn tight_cocone(delaunay: &Delaunay, normals: Option<&[DVec3]>) -> Result<(V
     if (report.with_umbrella as f64) < FEWEST_UMBRELLAS * report.points as f64 {
         return Err(encloses_nothing(&format!("only {}", umbrellas_found(&report))));
     }
-    // estimates have no sense of their own, so one point without a normal leaves the sense to the walk
+    // estimated normals have no orientation, so a single point without a given normal requires the
+    // walk
     let all_known = || normals.is_some_and(|n| n.iter().zip(&umbrellas.is_good).all(|(n, good)| !good || is_known(n)));
     let outward = cells.normals_out_of_hull;
     let is_oriented = !(1.0 - NORMALS_ORIENTED..NORMALS_ORIENTED).contains(&outward);

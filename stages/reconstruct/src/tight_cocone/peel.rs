@@ -1,4 +1,5 @@
-//! Marking and peeling: umbrellas mark the tetrahedra outside, and from the hull everything marked so is eaten away.
+//! Marking and peeling: umbrellas mark tetrahedra as outside or inside, and tetrahedra marked
+//! outside are removed from the convex hull inward.
 
 use super::cells::Cells;
 use super::umbrellas::Umbrellas;
@@ -9,18 +10,20 @@ use isoparticles_delaunay::Delaunay;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Marks of a tetrahedron none of whose vertices has an umbrella.
+/// Mark of a tetrahedron without any vertex that has an umbrella.
 const TRANSPARENT: i8 = i8::MIN;
 
-/// A sheet is met for sure when this part in a thousand of it is met on one side.
+/// Net share of the votes of a sheet, in thousandths, from which its orientation is certain.
 const SURELY_MET: i64 = 900;
 
-/// Outside for all four vertices, and inside for all.
+/// Mark of a tetrahedron that is outside for all four vertices. The negative is inside for all
+/// four.
 const UNANIMOUS: i8 = 4;
 
-/// Peels until nothing more comes off; returns for each tetrahedron whether it is outside. Sheets met for the first time get their
-/// sense then: what is outside on one side of them. Those that are never met bound cavities: what is inside is on one side of
-/// them, and the other side is peeled as well.
+/// Returns whether each tetrahedron is outside. Peeling removes tetrahedra until no further one can
+/// be removed. When it reaches a sheet of unknown orientation, the side of the removed tetrahedra
+/// becomes its outer side. Sheets that peeling does not reach bound cavities. They are oriented by
+/// the tetrahedra inside on one side, and the other side is removed, too.
 pub(super) fn peel(cells: &Cells, umbrellas: &Umbrellas, sheets: &mut Sheets) -> Vec<bool> {
     let delaunay = cells.delaunay;
     let slots = delaunay.slot_count() as u32;
@@ -51,7 +54,8 @@ pub(super) fn peel(cells: &Cells, umbrellas: &Umbrellas, sheets: &mut Sheets) ->
     is_out
 }
 
-/// For each tetrahedron, how many of its umbrellas have it outside less how many inside.
+/// Returns the mark of each tetrahedron: the number of its vertices whose umbrellas have it
+/// outside, minus the number of those that have it inside.
 fn mark(cells: &Cells, umbrellas: &Umbrellas, sheets: &Sheets) -> Vec<i8> {
     let mut marks = vec![TRANSPARENT; cells.delaunay.slot_count()];
     for v in (0..cells.stars.vertex_count() as u32).filter(|&v| umbrellas.is_good[v as usize]) {
@@ -64,8 +68,8 @@ fn mark(cells: &Cells, umbrellas: &Umbrellas, sheets: &Sheets) -> Vec<i8> {
     marks
 }
 
-/// Eats from what is outside into tetrahedra marked outside, and into transparent ones through all facets but that of least
-/// circumradius.
+/// Removes tetrahedra marked outside that are adjacent to removed ones. Transparent tetrahedra are
+/// removed through any facet except the one with the minimum circumradius.
 fn eat(delaunay: &Delaunay, marks: &[i8], is_out: &mut [bool]) {
     let mut front: Vec<u32> = (0..is_out.len() as u32).filter(|&t| is_out[t as usize]).collect();
     while let Some(t) = front.pop() {
@@ -84,7 +88,7 @@ fn eat(delaunay: &Delaunay, marks: &[i8], is_out: &mut [bool]) {
     }
 }
 
-/// The facet of least circumradius.
+/// Returns the local index of the facet with the minimum circumradius.
 fn opaque_facet(delaunay: &Delaunay, t: u32) -> usize {
     let radius = |i: &usize| {
         let [a, b, c] = delaunay.facet(t, *i).map(|v| delaunay.points()[v as usize]);
@@ -94,7 +98,8 @@ fn opaque_facet(delaunay: &Delaunay, t: u32) -> usize {
     (0..4).min_by(|i, j| radius(i).total_cmp(&radius(j))).unwrap_or(0)
 }
 
-/// The tetrahedra that what is marked inside reaches without crossing a candidate triangle.
+/// Returns whether each tetrahedron is marked inside, or can be reached from one marked inside
+/// without crossing a candidate triangle.
 fn fill(cells: &Cells, marks: &[i8], is_out: &[bool]) -> Vec<bool> {
     let mut filled: Vec<bool> = marks.iter().map(|&mark| mark < 0 && mark != TRANSPARENT).collect();
     let mut front: Vec<u32> = (0..filled.len() as u32).filter(|&t| filled[t as usize]).collect();
@@ -109,8 +114,9 @@ fn fill(cells: &Cells, marks: &[i8], is_out: &[bool]) -> Vec<bool> {
     filled
 }
 
-/// Gives the sheets whose sense is not known yet and which are met on one side the sense that makes this side outward (`kind` 1) or
-/// inward (-1). True when there was one.
+/// Orients the sheets of unknown orientation that have `is_met` tetrahedra mainly on one side: this
+/// side becomes the outer one (`kind` 1) or the inner one (-1). Returns whether there is such a
+/// sheet.
 fn orient(
     cells: &Cells,
     umbrellas: &Umbrellas,
@@ -135,12 +141,12 @@ fn orient(
         *sum += vote;
         *total += vote.abs();
     }
-    // a sheet met on both sides waits until those that are sure have had their say
+    // sheets with such tetrahedra on both sides wait until the clear ones are oriented
     let share = |(sum, total): (i64, i64)| 1000 * sum.abs() / total.max(1);
     let met: Vec<(u32, (i64, i64))> = sums.into_iter().filter(|(_, (sum, _))| *sum != 0).collect();
     let bar = match met.iter().map(|(_, votes)| share(*votes)).max().unwrap_or(0) {
         most if most >= SURELY_MET => SURELY_MET,
-        // halves, so that a noisy cloud with many small sheets does not take as many rounds
+        // half of the maximum, so that noisy clouds with many small sheets need fewer rounds
         most => most / 2,
     };
     for &(sheet, votes) in met.iter().filter(|(_, votes)| share(*votes) >= bar) {
@@ -149,7 +155,8 @@ fn orient(
     !met.is_empty()
 }
 
-/// Parts of the object without a tetrahedron that all four vertices have inside are no parts: a few tetrahedra between sheets.
+/// Removes connected parts of the object without a tetrahedron that is inside for all four
+/// vertices. Such parts are a few tetrahedra between sheets.
 fn drop_unsupported(delaunay: &Delaunay, marks: &[i8], is_out: &mut [bool]) {
     let mut is_seen = is_out.to_vec();
     let mut part = Vec::new();
@@ -176,8 +183,8 @@ fn drop_unsupported(delaunay: &Delaunay, marks: &[i8], is_out: &mut [bool]) {
     }
 }
 
-/// Share of the facets whose outward side agrees with the normals given at their vertices, of those that have any; `None` where no
-/// facet has.
+/// Returns the share of the facets whose outer side agrees with the given normals at their
+/// vertices, among the facets with normals. Returns `None` if there are no such facets.
 pub(super) fn agreement(delaunay: &Delaunay, facets: &[Facet], normals: &[DVec3]) -> Option<f64> {
     let given = |f: &Facet| f.vertices.iter().map(|&v| normals[v as usize].normalize_or_zero()).sum::<DVec3>();
     let agrees = |f: &&Facet| {

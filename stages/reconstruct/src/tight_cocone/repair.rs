@@ -1,4 +1,5 @@
-//! Edges and vertices in which parts of the surface touch: a part of space there changes sides.
+//! Separates parts of the surface that touch at an edge or a vertex: some tetrahedra there change
+//! sides.
 
 use super::cells::Cells;
 use super::umbrellas::{Umbrellas, good_vertices};
@@ -7,14 +8,17 @@ use crate::defects::{Pinches, edge_of};
 use crate::restricted::Facet;
 use isoparticles_mesh::incidence::Incidence;
 
-/// Rounds in which parts may go either way; after them they may only join the object, so that there is an end.
+/// Number of rounds in which tetrahedra may change to either side. Afterwards, they may only change
+/// to the inside, so that the loop ends.
 const FREE_ROUNDS: usize = 8;
 
-/// At a vertex no more tetrahedra than these change sides; where more would have to, the vertex is doubled later.
+/// Maximum number of tetrahedra that change sides at a vertex. If more are needed, the vertex is
+/// duplicated later.
 const SMALL_PART: usize = 12;
 
-/// Lets tetrahedra at edges in more than two facets change sides until there is none, and few at vertices with more than one fan;
-/// returns the facets and how many tetrahedra changed.
+/// Lets tetrahedra change sides at edges of more than two facets, and small groups of tetrahedra at
+/// vertices with more than one fan. Ends when there are no such edges or nothing more can change.
+/// Returns the facets and the number of changes.
 pub(super) fn part_pinches(cells: &Cells, umbrellas: &Umbrellas, is_out: &mut [bool]) -> (Vec<Facet>, usize) {
     let mut changed = 0;
     for round in 0.. {
@@ -31,7 +35,7 @@ pub(super) fn part_pinches(cells: &Cells, umbrellas: &Umbrellas, is_out: &mut [b
             let Some(edge) = edge_of(&facets, &around) else { continue };
             let runs = runs_round(cells.delaunay, edge, facets[around[0] as usize].tetrahedron, |t| is_out[t as usize]);
             if runs.len() < 4 {
-                // an edge nearby took care of it
+                // a change at a nearby edge has already separated the parts
                 continue;
             }
             let may_change = |run: &&Vec<u32>| {
@@ -64,7 +68,8 @@ pub(super) fn part_pinches(cells: &Cells, umbrellas: &Umbrellas, is_out: &mut [b
     unreachable!("the rounds end when no edge is left, and each round after the free ones adds to the object")
 }
 
-/// How much speaks against a change of sides: tetrahedra, and umbrellas at them.
+/// Returns the cost of a change of sides: the number of tetrahedra and of umbrellas at their
+/// vertices.
 fn doubt(cells: &Cells, umbrellas: &Umbrellas, part: &[u32]) -> usize {
     part.iter().map(|&t| 1 + good_vertices(cells, umbrellas, t).count()).sum()
 }

@@ -1,4 +1,4 @@
-//! Tight Cocone on analytic scenes, and on clouds with faults.
+//! Tests Tight Cocone on analytic scenes, and on noisy, incomplete and degenerate point clouds.
 
 use super::*;
 use crate::check::{CheckOptions, CheckReport, check_object};
@@ -9,7 +9,7 @@ use isoparticles_field::random::uniform;
 use isoparticles_mesh::TriangleMesh;
 use rayon::prelude::*;
 
-/// As the program does it.
+/// Returns the surface of points, as the program computes it without a field.
 fn surface(positions: &[DVec3], normals: &[DVec3]) -> Result<(TriangleMesh, CoconeReport)> {
     let (positions, normals) = (positions.to_vec(), normals.to_vec());
     let mut points = SurfacePoints { positions, normals, ..SurfacePoints::default() };
@@ -39,7 +39,7 @@ fn parts(report: &CheckReport) -> Vec<Part> {
     parts
 }
 
-/// A torus with bumps all over, radii 9 and 3.5.
+/// A torus of radii 9 and 3.5 with bumps.
 fn bumpy_torus() -> Scene {
     Scene::new([32; 3], DVec3::ONE, |p| {
         let q = p - scenes::CENTRE;
@@ -57,7 +57,7 @@ fn ball_in_a_shell() -> Scene {
 }
 
 #[test]
-fn well_sampled_scenes_have_their_topology_with_normals_and_without() {
+fn well_sampled_scenes_keep_topology_with_and_without_normals() {
     const BALL: Part = (2, false);
     const CAVITY: Part = (2, true);
     let cases: &[(&str, Scene, f64, &[Part])] = &[
@@ -106,16 +106,17 @@ fn well_sampled_scenes_have_their_topology_with_normals_and_without() {
 }
 
 #[test]
-fn the_ball_has_its_volume_and_area() {
+fn the_ball_has_the_correct_volume_and_area() {
     let (mesh, report) = surface(&scenes::sphere().points(1.0), &[]).unwrap();
     let checked = checked(&mesh);
-    // an inscribed triangulation of edge e loses about e^2 / 12 R^2 of the area and a little over twice that of the volume
+    // an inscribed triangulation with edge e loses 5 e^2 / 24 R^2 of the area and 3 e^2 / 8 R^2 of
+    // the volume
     assert!((checked.object().volume / 4188.8 - 1.0).abs() < 0.01, "{}", checked.object().volume);
     assert!((checked.object().area / 1256.6 - 1.0).abs() < 0.006, "{}", checked.object().area);
     assert_eq!((report.flat, report.with_umbrella, report.unused), (report.points, report.points, 0));
 }
 
-/// Points moved by up to so much along each axis.
+/// Returns the points, each moved by a random distance of at most `by` along each axis.
 fn noisy(points: &[DVec3], by: f64) -> Vec<DVec3> {
     let moved = |(n, p): (usize, &DVec3)| {
         let u = |axis| 2.0 * uniform(8, axis, n as u64) - 1.0;
@@ -126,7 +127,8 @@ fn noisy(points: &[DVec3], by: f64) -> Vec<DVec3> {
 
 #[test]
 fn noise_and_holes_leave_the_surface_watertight() {
-    // noise up to 0.4 on points 0.8 and more apart; holes up to 6 across on tubes of radius 4
+    // Noise of up to 0.4 on points at least 0.8 apart. Points within up to 6 of `top` are removed,
+    // on tubes of radius 4.
     for (scene, euler, volume) in [(scenes::sphere(), 2, 4188.8), (scenes::torus(), 0, 2842.4)] {
         let clean = scene.points(0.8);
         let top = scenes::CENTRE + DVec3::new(6.0, 5.0, 4.0);
@@ -140,7 +142,7 @@ fn noise_and_holes_leave_the_surface_watertight() {
                 let failed = &found.failed;
                 assert!(failed.is_empty(), "noise {noise}, hole {hole}: {failed:?} {report:?}");
                 assert_eq!(parts(&found), [(euler, false)], "noise {noise}, hole {hole}: {report:?}");
-                // the largest hole cuts 7 % off the torus (measured)
+                // the largest hole reduces the volume of the torus by 7 % (measured)
                 assert!(
                     (found.object().volume / volume - 1.0).abs() < 0.1,
                     "noise {noise}, hole {hole}: {}",
@@ -151,7 +153,7 @@ fn noise_and_holes_leave_the_surface_watertight() {
     }
 }
 
-/// Points on the faces of a cube, on a grid.
+/// Returns the grid points on the faces of a cube with edges of `count` cells.
 fn cube_faces(count: i32) -> Vec<DVec3> {
     let mut points = Vec::new();
     for (i, j, k) in (0..=count).flat_map(|i| (0..=count).flat_map(move |j| (0..=count).map(move |k| (i, j, k)))) {
@@ -163,23 +165,23 @@ fn cube_faces(count: i32) -> Vec<DVec3> {
 }
 
 #[test]
-fn degenerate_points_are_meshed_or_refused() {
+fn degenerate_points_are_meshed_or_rejected() {
     // on a grid, in flat faces with sharp edges, cospherical everywhere, each point twice
     let cube = cube_faces(8);
     let (mesh, report) = surface(&[&cube[..], &cube[..]].concat(), &[]).unwrap();
     let found = checked(&mesh);
     assert!(found.failed.is_empty(), "{:?} {report:?}", found.failed);
     assert_eq!((parts(&found), report.points), (vec![(2, false)], cube.len()));
-    // corners, whose cells are as wide as long, may be cut off
+    // the corners may be cut off, because their cells are as wide as long
     assert!((510.0..=512.0).contains(&found.object().volume), "{}", found.object().volume);
-    // whole numbers exactly on one sphere
+    // integer points exactly on one sphere
     let whole = |n: i32, side: i32| DVec3::new((n % side).into(), (n / side % side).into(), (n / (side * side)).into());
     let sphere: Vec<DVec3> =
         (0..43 * 43 * 43).map(|n| whole(n, 43) - 21.0).filter(|p| p.length_squared() == 441.0).collect();
     let (mesh, report) = surface(&sphere, &[]).unwrap();
     assert!(checked(&mesh).failed.is_empty());
     assert_eq!((parts(&checked(&mesh)), mesh.vertices.len()), (vec![(2, false)], report.points));
-    // no surface at all: points that fill space, or too few of them
+    // no surface: points that fill a volume, or that are too few
     let lattice: Vec<DVec3> = (0..1000).map(|n| whole(n, 10)).collect();
     let dust: Vec<DVec3> =
         (0..1000).map(|n| DVec3::new(uniform(1, 0, n), uniform(1, 1, n), uniform(1, 2, n))).collect();
@@ -211,20 +213,23 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
     assert_eq!(with(1), with(5));
 }
 
-/// What became of a random scene.
+/// Results of both methods on a random scene.
 struct OfScene {
-    /// Whether the restricted surface has the topology of F, up to its undecided places.
+    /// Whether the restricted surface has the topology of F, except at undecided places.
     restricted: bool,
-    /// Whether Tight Cocone beside F, which adds points, has it, up to the same places.
+    /// Whether Tight Cocone with the field, which adds points, has this topology.
     beside: bool,
-    /// Whether both have the Euler characteristic of F, undecided places included.
+    /// Whether the restricted surface and Tight Cocone with the field have the Euler characteristic
+    /// of F, including undecided places.
     exact: [bool; 2],
-    /// Whether Tight Cocone of the points alone has it; `None` where they were refused.
+    /// Whether Tight Cocone on the points alone has the topology of F. `None` if it returned an
+    /// error.
     alone: Option<bool>,
     failures: Vec<String>,
 }
 
-/// A random scene by both methods, every other one without normals where Tight Cocone has the points alone.
+/// Meshes a random scene by both methods. For odd seeds, Tight Cocone on the points alone gets no
+/// normals.
 fn of_scene(seed: u64, spacing: f64) -> OfScene {
     let scene = scenes::random(seed);
     let mut failures = Vec::new();
@@ -260,10 +265,14 @@ fn of_scene(seed: u64, spacing: f64) -> OfScene {
     OfScene { restricted, beside, exact, alone, failures }
 }
 
-/// `ISOPARTICLES_SCENES=500 cargo test --release -p isoparticles-reconstruct random_scenes -- --nocapture` takes more of them and tells the
-/// counts.
+/// Prints the counts. This command uses more scenes:
+///
+/// ```text
+/// ISOPARTICLES_SCENES=500 cargo test --release -p isoparticles-reconstruct random_scenes \
+///     -- --nocapture
+/// ```
 #[test]
-fn random_scenes_come_out_watertight_by_both_methods() {
+fn random_scenes_are_watertight_with_both_methods() {
     let count = std::env::var("ISOPARTICLES_SCENES").ok().and_then(|text| text.parse().ok()).unwrap_or(8u64);
     for spacing in [0.7, 1.4] {
         let found: Vec<OfScene> = (0..count).into_par_iter().map(|seed| of_scene(seed, spacing)).collect();

@@ -1,7 +1,10 @@
-//! Umbrellas: where the candidate triangles at a vertex part the tetrahedra round it, which are on which side.
+//! Umbrellas: candidate triangles at a vertex that separate its two poles, and the side of each
+//! tetrahedron at the vertex.
 //!
-//! The sheet of candidates next to a side is the umbrella that a walk on that side would find; triangles that part nothing (those on
-//! sharp edges, which the paper prunes one by one) have no say, whatever their number.
+//! The tetrahedra at a vertex are connected across facets that are not candidates. The candidates
+//! around the region of a pole are the umbrella that a walk on this side would find. Candidates
+//! that separate nothing, such as those at sharp edges, have no effect. The paper prunes them one
+//! by one.
 
 use super::cells::{Cells, NOBODY};
 use crate::around::place_of;
@@ -9,9 +12,10 @@ use isoparticles_delaunay::INFINITE;
 use isoparticles_mesh::components::DisjointSets;
 use rayon::prelude::*;
 
-/// Sides at the vertices that have an umbrella.
+/// Sides of the tetrahedra at each vertex with an umbrella.
 pub(super) struct Umbrellas {
-    /// For each tetrahedron of each star: 1 on the side of the normal, -1 on the other, 0 between sheets or without umbrella.
+    /// For each tetrahedron of each star: 1 on the side of the normal, -1 on the other side, 0
+    /// between candidates or without an umbrella.
     sides: Vec<i8>,
     /// Whether each vertex has an umbrella.
     pub(super) is_good: Vec<bool>,
@@ -35,19 +39,19 @@ impl Umbrellas {
         Self { sides: sides.concat(), is_good: is_good.concat() }
     }
 
-    /// Side of a tetrahedron as seen from a vertex of it.
+    /// Returns the side of a tetrahedron with respect to one of its vertices.
     pub(super) fn side(&self, cells: &Cells, vertex: u32, tetrahedron: u32) -> i8 {
         let at = cells.stars.of(vertex).binary_search(&tetrahedron);
         at.map_or(0, |at| self.sides[cells.stars.range(vertex).start + at])
     }
 
-    /// The tetrahedra at a vertex with their sides.
+    /// Returns the tetrahedra at a vertex with their sides.
     pub(super) fn star<'a>(&'a self, cells: &'a Cells, vertex: u32) -> impl Iterator<Item = (u32, i8)> + 'a {
         cells.stars.of(vertex).iter().copied().zip(self.sides[cells.stars.range(vertex)].iter().copied())
     }
 }
 
-/// Appends the sides of a vertex's tetrahedra; true when its poles are parted.
+/// Appends the sides of the tetrahedra at a vertex. Returns whether candidates separate its poles.
 fn part_star(cells: &Cells, v: u32, sides: &mut Vec<i8>) -> bool {
     let star = cells.stars.of(v);
     let poles = cells.poles[v as usize];
@@ -76,7 +80,7 @@ fn part_star(cells: &Cells, v: u32, sides: &mut Vec<i8>) -> bool {
     true
 }
 
-/// Vertices of a tetrahedron that have an umbrella.
+/// Returns the vertices of a tetrahedron that have an umbrella.
 pub(super) fn good_vertices(cells: &Cells, umbrellas: &Umbrellas, t: u32) -> impl Iterator<Item = u32> {
     let vertices = cells.delaunay.vertices(t);
     vertices.map(|v| (v != INFINITE && umbrellas.is_good[v as usize]).then_some(v)).into_iter().flatten()

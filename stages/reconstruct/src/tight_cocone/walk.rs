@@ -1,32 +1,36 @@
-//! The walk from umbrella to umbrella over surface triangles, which gives the normals of each sheet one sense.
+//! Walks from umbrella to umbrella across surface triangles, and orients the normals of each sheet
+//! consistently. A sheet is a connected set of umbrellas.
 
 use super::cells::Cells;
 use super::umbrellas::Umbrellas;
 use isoparticles_delaunay::INFINITE;
 use rayon::prelude::*;
 
-/// What the walk found: sheets of vertices, and the sense of each normal in its sheet.
+/// The sheet of each vertex, and the orientation of each normal.
 pub(super) struct Sheets {
     /// Sheet of each vertex: the number of its first vertex.
     pub(super) sheet: Vec<u32>,
-    /// 1 where the normal of the vertex has the sense of its sheet, -1 where it is the other way round.
+    /// Orientation of the normal of each vertex relative to its sheet: 1 equal, -1 opposite.
     pub(super) sense: Vec<i8>,
-    /// Sense of each sheet, by the number of its first vertex: 1 outward, -1 inward, 0 not known yet.
+    /// Orientation of each sheet, at the number of its first vertex: 1 outward, -1 inward, 0
+    /// unknown.
     pub(super) outward: Vec<i8>,
 }
 
-/// Two vertices joined by surface triangles.
+/// Two vertices that surface triangles connect.
 struct Link {
-    /// Share of the tetrahedra at both whose sides agree with the most, then how far the normals agree, as lines; in whole numbers,
-    /// so that it sorts.
+    /// Net share of the common tetrahedra that have equal (or opposite) sides at both ends, in
+    /// thousandths. Then the cosine between the normals, up to sign, in millionths. Integers make
+    /// the links sortable.
     agreement: (u32, u32),
     ends: [u32; 2],
-    /// Whether their normals have the same sense.
+    /// Whether the normals have the same orientation.
     same: bool,
 }
 
 impl Sheets {
-    /// Walks over the links in the order of how well the normals agree. Sheets that reach the convex hull are outward there.
+    /// Follows the links in descending order of agreement, as a maximum spanning forest. The hull
+    /// determines the orientation of the sheets that reach it.
     pub(super) fn walk(cells: &Cells, umbrellas: &Umbrellas) -> Self {
         let count = cells.stars.vertex_count();
         let mut links: Vec<Link> =
@@ -45,18 +49,18 @@ impl Sheets {
         Self { sheet, sense, outward }
     }
 
-    /// All normals have one sense: 1 outward, -1 inward.
+    /// Returns a single sheet whose normals all have the given orientation: 1 outward, -1 inward.
     pub(super) fn given(count: usize, sense: i8) -> Self {
         Self { sheet: vec![0; count], sense: vec![1; count], outward: vec![sense; count] }
     }
 
-    /// Sense of the normal at a vertex: 1 outward, -1 inward, 0 not known.
+    /// Returns the orientation of the normal at a vertex: 1 outward, -1 inward, 0 unknown.
     pub(super) fn sense_of(&self, v: u32) -> i8 {
         self.sense[v as usize] * self.outward[self.sheet[v as usize] as usize]
     }
 }
 
-/// The links of a vertex with an umbrella to those of higher number.
+/// Returns the links of a vertex with an umbrella to vertices with a higher number.
 fn links_of(cells: &Cells, umbrellas: &Umbrellas, v: u32) -> Vec<Link> {
     if !umbrellas.is_good[v as usize] {
         return Vec::new();
@@ -66,7 +70,7 @@ fn links_of(cells: &Cells, umbrellas: &Umbrellas, v: u32) -> Vec<Link> {
         let is_wanted = move |w: u32| w != INFINITE && w > v && umbrellas.is_good[w as usize];
         (0..4).map(move |k| (k, vertices[k])).filter(move |&(_, w)| is_wanted(w))
     };
-    // the ends of the edges at the vertex whose triangles part both umbrellas
+    // vertices w for which a candidate triangle at the edge v w separates the sides at both v and w
     let mut joined: Vec<u32> = Vec::new();
     for (t, side) in umbrellas.star(cells, v) {
         let (vertices, neighbours) = (cells.delaunay.vertices(t), cells.delaunay.neighbours(t));
@@ -80,7 +84,8 @@ fn links_of(cells: &Cells, umbrellas: &Umbrellas, v: u32) -> Vec<Link> {
     }
     joined.sort_unstable();
     joined.dedup();
-    // tetrahedra at each of these edges, and how many more of them have the same side at both ends than not
+    // for each of these edges: its tetrahedra, and those with equal sides at both ends minus those
+    // with opposite sides
     let mut counts = vec![(0u32, 0i32); joined.len()];
     for (t, side) in umbrellas.star(cells, v) {
         for (_, w) in others(t) {
@@ -102,7 +107,8 @@ fn links_of(cells: &Cells, umbrellas: &Umbrellas, v: u32) -> Vec<Link> {
     joined.iter().zip(&counts).filter_map(link).collect()
 }
 
-/// Union-find whose members know their sign relative to the smallest member of their set.
+/// Union-find structure that stores the sign of each member relative to the smallest member of its
+/// set.
 struct SignedSets {
     parent: Vec<(u32, i8)>,
 }
@@ -132,7 +138,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn signs_follow_the_links_in_whatever_order() {
+    fn signs_do_not_depend_on_the_order_of_links() {
         let links = [([0u32, 1], -1i8), ([2, 3], 1), ([1, 2], -1), ([4, 5], -1), ([3, 4], 1), ([0, 5], 1)];
         let signs = |links: &[([u32; 2], i8)]| {
             let mut sets = SignedSets { parent: (0..7).map(|v| (v, 1)).collect() };

@@ -1,4 +1,4 @@
-//! Edits of the mesh. The log records them until they are rolled back or committed.
+//! Edits of the mesh: the log records them until they are rolled back or committed.
 
 use super::{Change, DEAD, Facts, Surface};
 use crate::improve::sheets::Freedom;
@@ -109,7 +109,8 @@ impl Surface<'_> {
         }
     }
 
-    /// Returns the triangles that differ from their last commit, ascending, including removed ones.
+    /// Returns the touched triangles: those that were edited, added or removed since the last
+    /// commit, and those at moved vertices, in ascending order.
     pub(in crate::improve) fn touched(&self) -> Vec<u32> {
         let mut touched = Vec::new();
         for change in &self.log {
@@ -136,8 +137,8 @@ impl Surface<'_> {
         })
     }
 
-    /// Returns the touched triangles that existed at the last commit, with their corner positions
-    /// then.
+    /// Returns those of the touched triangles that existed at the last commit, with their corners
+    /// (mm) at that time.
     pub(in crate::improve) fn former_corners(&self, touched: &[u32]) -> Vec<(u32, [DVec3; 3])> {
         let mut moved: Vec<(u32, DVec3)> = Vec::new();
         let mut retriangled: Vec<(u32, [u32; 3])> = Vec::new();
@@ -166,13 +167,14 @@ impl Surface<'_> {
         self.has_changed[triangle as usize]
     }
 
-    /// Returns whether the touched triangles lie in the region, if there is one.
+    /// Returns whether the touched triangles lie strictly inside the region, or there is no region.
     pub(in crate::improve) fn is_within_region(&self, touched: &[u32]) -> bool {
         let mut corners = touched.iter().filter(|&&t| self.is_alive(t)).flat_map(|&t| self.corners(t));
         self.region.is_none_or(|region| corners.all(|p| region.encloses(p)))
     }
 
-    /// Commits the edits since the last commit without a test. Returns the touched triangles.
+    /// Commits the edits since the last commit without the acceptance test. Returns the touched
+    /// triangles.
     #[cfg(test)]
     pub(in crate::improve) fn commit_as_it_is(&mut self) -> Vec<u32> {
         let touched = self.touched();

@@ -1,4 +1,4 @@
-//! Measures triangles: quality, deviation from F = 0 and edge lengths.
+//! Measures triangles: quality, normal deviation, deviation from F = 0, and edge lengths.
 
 use super::{DEAD, Facts, Surface};
 use crate::improve::constants::{
@@ -9,16 +9,17 @@ use glam::DVec3;
 use isoparticles_field::spline::distance_estimate;
 use isoparticles_mesh::quality::radius_ratio;
 
-/// Returns the quality of a triangle: its radius ratio, or less if its minimum or maximum angle is
-/// worse. Each of the three gives [`FIT`] and [`AIM`] at its limits, and is linear between and
-/// beyond them. The quality is 0 if the area is zero.
+/// Returns the quality of a triangle: the minimum of its radius ratio and the ratings of its
+/// minimum and maximum angle. The rating of an angle is [`FIT`] and [`AIM`] at its two limits and
+/// linear between and above them. Below, it is proportional to the angle (or to 180 degrees minus
+/// it). The quality is 0 if the area is zero.
 pub(in crate::improve) fn quality_of(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     let ratio = radius_ratio(a, b, c);
     if ratio > SURELY_WIDE {
         return ratio;
     }
-    // angles opposite the shortest and longest sides; the law of cosines is accurate near all
-    // limits
+    // the minimum and maximum angles are opposite the shortest and longest sides; the law of
+    // cosines is accurate near all limits
     let mut squares = [a.distance_squared(b), b.distance_squared(c), c.distance_squared(a)];
     squares.sort_unstable_by(f64::total_cmp);
     let [short, middle, long] = squares;
@@ -36,23 +37,23 @@ pub(in crate::improve) fn quality_of(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     ))
 }
 
-/// Returns the quality of a triangle, reduced by 1 if it is turned against a normal.
+/// Returns the quality of a triangle, reduced by 1 if the triangle is turned against a normal.
 pub(in crate::improve) fn quality_facing([p, a, b]: [DVec3; 3], normal: DVec3) -> f64 {
     let quality = quality_of(p, a, b);
     if (a - p).cross(b - p).dot(normal) > 0.0 { quality } else { quality - 1.0 }
 }
 
 impl Surface<'_> {
-    /// Returns the present quality of a triangle. If a short fixed side ([`Self::side`]) prevents a
-    /// triangle of this height from passing the check, the side is replaced by one of length h.
+    /// Returns the present quality of a triangle. If a short fixed side ([`Self::is_short_side`])
+    /// prevents a triangle of this height from passing the check, a side of length h replaces it.
     pub(in crate::improve) fn quality(&self, triangle: u32) -> f64 {
         let corners = self.triangles[triangle as usize];
         let [a, b, c] = corners.map(|v| self.positions[v as usize]);
         let longest = || a.distance(b).max(b.distance(c)).max(c.distance(a));
         for k in 0..3 {
             let (from, to) = (corners[k], corners[(k + 1) % 3]);
-            // if the third corner is near the side, a better position may be even nearer: no
-            // replacement
+            // no replacement if the third corner is near the side: a better position may be even
+            // nearer
             if let Some((p, q)) = self.stretched(from, to)
                 && 2.0 * self.length(from, to) < POOR * longest()
             {
@@ -63,8 +64,8 @@ impl Surface<'_> {
     }
 
     /// Returns the ends of a side of length h that replaces a short side between two junction
-    /// points, if it is one. No triangle on the short side can be good, wherever its third corner
-    /// lies.
+    /// points, or `None` for any other side. No position of the third corner makes a triangle on a
+    /// short side good.
     fn stretched(&self, a: u32, b: u32) -> Option<(DVec3, DVec3)> {
         if !self.is_short_side(a, b) {
             return None;
@@ -74,21 +75,21 @@ impl Surface<'_> {
         Some((middle - half, middle + half))
     }
 
-    /// Returns whether an edge would be short, that is, join two junction points at a distance far
-    /// below h ([`SHORT_SIDE`]).
+    /// Returns whether an edge between two vertices, which need not exist, is short: it joins two
+    /// junction points at a distance far below h ([`SHORT_SIDE`]).
     pub(in crate::improve) fn is_short_side(&self, a: u32, b: u32) -> bool {
         let is_point = |v: u32| self.freedom[v as usize] == Freedom::Point;
         is_point(a) && is_point(b) && self.relative_length(a, b) < SHORT_SIDE
     }
 
-    /// Returns the ends of a side, for a search for the position of the third corner. A short fixed
-    /// side is replaced by one of length h. The third corner then moves to the height of a good
-    /// triangle, not towards the short side, where it would degrade the other triangles around it.
+    /// Returns the ends of a side (mm), for a search for the position of the third corner. A side
+    /// of length h replaces a short side. The third corner then moves to the height of a good
+    /// triangle. Next to the short side, it would degrade the other triangles around it.
     pub(in crate::improve) fn side(&self, a: u32, b: u32) -> (DVec3, DVec3) {
         self.stretched(a, b).unwrap_or_else(|| (self.positions[a as usize], self.positions[b as usize]))
     }
 
-    /// Measures a triangle.
+    /// Returns the present facts of a triangle, [`Facts::NONE`] if it is removed.
     pub(in crate::improve) fn measure(&self, triangle: u32) -> Facts {
         let corners = self.triangles[triangle as usize];
         if corners == DEAD {
