@@ -227,8 +227,8 @@ fn materials(choice: &str) -> impl Iterator<Item = String> {
     named.flat_map(|one| ["--material".to_owned(), one.replacen(':', "=", 1)])
 }
 
-/// Returns the edge lengths of single materials in SIZEFIELD_OPTIONS, as options of `distfield`: they
-/// set the scales of these materials.
+/// Returns the edge lengths of single materials in SIZEFIELD_OPTIONS, as options of `distfield`,
+/// where they set scales.
 fn sizes_of_materials(settings: &Settings) -> Vec<String> {
     let words = settings.words(options_key("sizefield"));
     let values = words.iter().enumerate().filter_map(|(n, word)| match word.strip_prefix("--size") {

@@ -1,6 +1,7 @@
 """Compare meshes of many materials with CGAL's Mesh_3, Cleaver and VTK's surface nets.
 
-    materials_peers.py NAME=VOLUME;DISTFIELD OPTIONS;SIZEFIELD OPTIONS ... [--cleaver PYTHON] [--mesh-3 PROGRAM]
+    materials_peers.py NAME=VOLUME;DISTFIELD OPTIONS;SIZEFIELD OPTIONS ... [--cleaver PYTHON]
+        [--mesh-3 PROGRAM]
 
 Run it with the Python of `make env` (`make bench-materials-peers` does). VOLUME is a file, or the
 arguments of `phantom` that make one. $NAME stands for an environment variable. Our program runs all

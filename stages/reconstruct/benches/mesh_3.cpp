@@ -1,10 +1,11 @@
-// Tetrahedra of a label image by CGAL's Mesh_3, with junctions protected where they are given: for materials_peers.py.
+// Meshes a label image with CGAL's Mesh_3, for materials_peers.py. Junctions can be protected.
 //
 //   mesh_3 LABELS.raw NX NY NZ SX SY SZ SIZE JUNCTIONS.txt OUT.txt
 //
-// LABELS.raw holds NX x NY x NZ bytes, x fastest; 0 is the outside. SIZE is the target edge length of triangles and tetrahedra.
-// JUNCTIONS.txt has a line a polyline: the number of its points, then their coordinates; an empty file protects none. OUT.txt gets
-// the numbers of points and tetrahedra, the peak memory in kB, the points, and the tetrahedra with their labels.
+// LABELS.raw contains NX x NY x NZ bytes, x fastest; 0 is the outside. SIZE is the target edge
+// length of triangles and tetrahedra. Each line of JUNCTIONS.txt is a polyline: the number of its
+// points, then their coordinates. An empty file protects no junctions. OUT.txt contains the numbers
+// of points and tetrahedra, the peak memory in kB, the points, and the tetrahedra with their labels.
 #include <CGAL/Exact_predicates_inexact_constructions_kernel.h>
 #include <CGAL/Image_3.h>
 #include <CGAL/ImageIO.h>

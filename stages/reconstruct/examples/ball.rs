@@ -1,4 +1,5 @@
-//! Points on a ball become a checked mesh of it: `cargo run --release -p isoparticles-reconstruct --example ball`.
+//! Reconstructs a ball from points on it:
+//! `cargo run --release -p isoparticles-reconstruct --example ball`.
 
 use glam::DVec3;
 use isoparticles_field::particle_set::ParticleSet;

@@ -34,8 +34,8 @@ use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
-/// Minimum scale if only some materials have an edge length, in units of the mean voxel spacing. On a
-/// ball divided into three sectors (test `sizes_of_materials_set_the_scales_of_their_interfaces`),
+/// Minimum scale if only some materials have an edge length, in units of the mean voxel spacing. On
+/// a ball divided into three sectors (test `sizes_of_materials_set_the_scales_of_their_interfaces`),
 /// the normals deviate from those of an exact ball by 5.5, 3.6 and 2.1 degrees at scales of 2, 2.4
 /// and 3, and by 2.9 degrees without a scale (root mean square).
 const LEAST_SCALE: f64 = 2.7;
@@ -60,7 +60,7 @@ impl Scales {
     }
 
     /// Derives the scales from edge lengths of materials and pairs. `base` is the scale of pairs
-    /// without an edge length; 0 stands for [`LEAST_SCALE`]. `voxel` is the mean spacing in mm.
+    /// without an edge length; 0 stands for 2.7 voxels. `voxel` is the mean spacing in mm.
     /// Returns `None` if no pair needs a scale: every voxel centre then stays in its material.
     pub fn new(base: Scale, given: Given, voxel: f64) -> Option<Self> {
         let smallest = LEAST_SCALE * voxel;

@@ -1,5 +1,5 @@
-//! Multi-material test bodies with known strata. The positions of junction particles are computed in
-//! closed form. The particles on interfaces are random points, projected onto the interfaces.
+//! Multi-material test bodies with known strata. The positions of junction particles are computed
+//! in closed form. Particles on interfaces are random points, projected onto the interfaces.
 
 use crate::coarse::empty;
 use crate::constants::INITIAL_LAMBDA;
