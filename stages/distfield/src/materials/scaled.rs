@@ -35,9 +35,9 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
 /// Minimum scale if only some materials have an edge length, in units of the mean voxel spacing. On
-/// a ball divided into three sectors (test `sizes_of_materials_set_the_scales_of_their_interfaces`),
-/// the normals deviate from those of an exact ball by 5.5, 3.6 and 2.1 degrees at scales of 2, 2.4
-/// and 3, and by 2.9 degrees without a scale (root mean square).
+/// a ball divided into three sectors, the normals deviate from those of an exact ball by 5.5, 3.6
+/// and 2.1 degrees at scales of 2, 2.4 and 3, and by 2.9 degrees without a scale (root mean square;
+/// test `sizes_of_materials_set_the_scales_of_their_interfaces`).
 const LEAST_SCALE: f64 = 2.7;
 
 /// The scales of all pairs of materials.
