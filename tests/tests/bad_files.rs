@@ -28,7 +28,7 @@ fn good() -> &'static Files {
         .1
 }
 
-/// Returns the command line of each stage with valid inputs, and the name of the stage's output.
+/// Returns, for four stages, the name, the arguments with valid inputs, and the name of the output.
 fn commands(files: &Files) -> [(&'static str, Vec<OsString>, &'static str); 4] {
     let fields = arguments!["--distfield", &files.distfield, "--sizefield", &files.sizefield];
     let with_fields = |first: &Path| {

@@ -1,5 +1,5 @@
-//! Reads the points of legacy VTK files (`.vtk`) with vtkio. docs/developer/formats.md lists the
-//! tasks for which vtkio is not used.
+//! Reads the points and normals of legacy VTK files (`.vtk`) with vtkio. docs/developer/formats.md
+//! explains why vtkio is not used for XML files.
 
 use glam::DVec3;
 use vtkio::model::{Attribute, DataSet, IOBuffer, Piece, UnstructuredGridPiece, Vtk};

@@ -1,5 +1,5 @@
-//! Tests one file of each released format version. The file must remain readable, and writing the
-//! same data must give the same bytes.
+//! Tests one file of each released format version. Files of our own formats must remain readable,
+//! and writing the same data must give the same bytes as in the file of the current version.
 //!
 //! `UPDATE_GOLDEN=1 cargo test -p isoparticles-stage --test golden` rewrites the files of the
 //! current versions.

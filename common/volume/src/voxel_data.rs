@@ -254,8 +254,8 @@ fn is_separator(byte: u8) -> bool {
     byte.is_ascii_whitespace() || byte == b','
 }
 
-/// Returns the file names that a `printf` pattern with one integer gives for the numbers from `low`
-/// to `high`. Returns `None` if the pattern or the range is invalid.
+/// Returns the file names that a `printf` pattern with one integer gives for every `step`-th number
+/// from `low` to `high`. Returns `None` if the pattern or the range is invalid.
 pub(crate) fn numbered_names(format: &str, low: i64, high: i64, step: i64) -> Option<Vec<String>> {
     let (prefix, rest) = format.split_once('%')?;
     let end = rest.find(|c: char| !c.is_ascii_digit())?;

@@ -107,7 +107,7 @@ impl Settings {
         self.get(key).and_then(shlex::split).unwrap_or_default()
     }
 
-    /// Returns the name of the case file without its ending.
+    /// Returns the file name of the case file without its extension, if there is a case file.
     pub fn case_file(&self) -> Option<&str> {
         self.case_file.as_deref()
     }

@@ -178,7 +178,7 @@ pub struct PassRecord {
     pub tries_per_particle: f64,
     /// Mean number of listed neighbours.
     pub neighbours: f64,
-    /// Number of particles without exactly six neighbours in the first ring, after the movement.
+    /// Number of lattice defects after the movement.
     pub lattice_defects: usize,
     /// Seconds since the first pass of this run on this level.
     pub seconds: f64,
@@ -217,7 +217,7 @@ pub struct PassOutcome {
     pub tries_per_particle: f64,
     /// Mean number of listed neighbours.
     pub neighbours: f64,
-    /// Number of particles without exactly six neighbours in the first ring, after the movement.
+    /// Number of lattice defects after the movement.
     pub lattice_defects: usize,
 }
 

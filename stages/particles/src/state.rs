@@ -22,9 +22,9 @@ pub struct Fields<'a, S = CubicSpline> {
 }
 
 impl<S: Implicit> Fields<'_, S> {
-    /// Projects a point onto F = 0 or onto the interface of its stratum (Eq. 5). Returns position,
-    /// unit normal and h at the projected point. `limit` and `tolerance` have the same meaning as
-    /// in [`Implicit::project`].
+    /// Projects a point onto F = 0 or, with many materials, onto the interface `stratum` (Eq. 5).
+    /// Returns position, unit normal and h at the projected point, or `None` if the projection
+    /// fails. `limit` and `tolerance` have the same meaning as in [`Implicit::project`].
     #[inline(always)]
     pub(crate) fn project(
         &self,
@@ -213,6 +213,7 @@ impl State {
 pub(crate) struct Measures {
     /// Sum of the energies of the particles, added in a fixed order.
     pub energy: f64,
-    /// Number of particles without exactly six neighbours in the first ring.
+    /// Number of lattice defects: particles without exactly six neighbours in the first ring. Held
+    /// particles and their neighbours do not count.
     pub lattice_defects: usize,
 }

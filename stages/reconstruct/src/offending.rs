@@ -6,9 +6,10 @@ use isoparticles_mesh::surface::{DataArray, Simplices};
 use isoparticles_volume::Geometry;
 use std::collections::BTreeSet;
 
-/// Returns the offending simplices of a mesh in the grid frame, in world coordinates, with the
-/// number of the fault as cell data `reason`. Returns `None` if there are none. Edges with a vertex
-/// that is not in the mesh are omitted. Grid nodes are included if they must keep their material.
+/// Returns the offending simplices in world coordinates, with the number of the fault as cell data
+/// `reason`; faults without a number are omitted. The mesh is in the grid frame. Returns `None` if
+/// nothing remains. Edges with a vertex that is not in the mesh are omitted, and so are grid nodes,
+/// unless they must keep their material.
 pub(crate) fn offending(
     mesh: &TriangleMesh,
     checked: &CheckReport,

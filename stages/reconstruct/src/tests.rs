@@ -265,8 +265,8 @@ fn a_component_without_particles_is_found_and_sampled() {
 
 #[test]
 fn grid_aligned_and_repeated_particles_are_accepted() {
-    // A cuboid with faces halfway between grid planes. The points are coplanar, cospherical and
-    // collinear, and each occurs twice.
+    // A cube with rounded edges and faces halfway between grid planes. Many points on a face are
+    // coplanar, cospherical or collinear, and each point occurs twice.
     let scene = Scene::new([24; 3], DVec3::ONE, |p| {
         let q = (p - DVec3::splat(11.5)).abs() - DVec3::splat(6.0);
         q.max(DVec3::ZERO).length() + q.max_element().min(0.0) - 1.0

@@ -95,8 +95,9 @@ fn size_for_area(area: f64, parameters: &Parameters) -> f64 {
     size.max(SMALLEST_SHARE * parameters.min_size)
 }
 
-/// Returns the number of sampled components that are so small that their h is below `min_size`, and
-/// the smallest such h in mm. Returns `None` if there are none.
+/// Returns the number of sampled components that are so small that their h is below `min_size`
+/// before `scale` is applied, and the smallest such h in mm after it. Returns `None` if there are
+/// none.
 pub fn lowered(features: &Features, parameters: &Parameters) -> Option<(usize, f64)> {
     let mut is_sampled = vec![false; features.component_area.len()];
     for &component in &features.component {

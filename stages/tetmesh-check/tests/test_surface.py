@@ -161,7 +161,8 @@ def test_crossing_pairs_against_all_pairs() -> None:
 
 
 def test_mirrored_overlap_is_found() -> None:
-    # by symmetry, the balls intersect on edges of both; no edge crosses the interior of a triangle
+    # the balls are mirror images, so every edge that reaches the other ball meets its mirror image:
+    # no edge crosses the interior of a triangle
     both = merged(ball(), ball().translate((9.0, 0, 0)))
     triangles = np.asarray(both.faces).reshape(-1, 4)[:, 1:].astype(np.int64)
     assert len(self_intersections(np.asarray(both.points), triangles)) > 0

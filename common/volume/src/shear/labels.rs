@@ -1,10 +1,10 @@
 //! Resamples labels to the orthonormal grid.
 //!
 //! A new voxel lies between two old voxels of its row. If both have the same label, the new voxel
-//! gets that label. If the labels differ, rounding would shift each slice by up to half a voxel and
-//! roughen every surface. Instead, these voxels are ranked by the labels in their neighbourhood. In
-//! every slice, the voxels with the highest rank for a label get that label. Their number follows
-//! from linear interpolation.
+//! gets that label. If the labels differ, rounding would shift each row by up to half a voxel and
+//! roughen every surface. Instead, these voxels are ranked by the labels in their neighbourhood,
+//! except where a label is only one voxel long in its row. In every slice, the voxels with the
+//! highest rank for a label get that label. Their number follows from linear interpolation.
 
 use super::{Pass, Shear};
 use crate::voxels::Voxels;

@@ -4,11 +4,10 @@
 // --- quality of a triangle ---
 
 /// Minimum radius ratio, and minimum and maximum angle (degrees), for finite elements. A triangle
-/// at one of these limits has at most quality 0.5.
+/// at one of these limits has a quality of at most 0.5.
 pub(super) const FIT: f64 = 0.5;
 pub(super) const FIT_ANGLES: [f64; 2] = [25.0, 120.0];
-/// Soft targets, not enforced by a check. A triangle at one of these limits has at most quality
-/// 0.65.
+/// Soft targets, not enforced by a check. A triangle at one of them has a quality of at most 0.65.
 pub(super) const AIM: f64 = 0.65;
 pub(super) const AIM_ANGLES: [f64; 2] = [28.0, 105.0];
 /// An edge between two junction points is short if it is shorter than this share s of h. A triangle

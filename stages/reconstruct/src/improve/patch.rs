@@ -66,7 +66,8 @@ impl<'a> Patch<'a> {
         Self { vertices: numbers(surface.positions.len()), triangles: numbers(surface.triangles.len()), surface }
     }
 
-    /// Returns the index in the part of a triangle of the whole, which the part must contain.
+    /// Converts the index of a triangle in the whole surface to its index in the part, which must
+    /// contain the triangle.
     pub(super) fn local(&self, triangle: u32) -> u32 {
         self.triangles.partition_point(|&t| t < triangle) as u32
     }

@@ -11,7 +11,7 @@ use isoparticles_field::spline::Jet;
 use isoparticles_stage::error::Result;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The functions G_ij of the interfaces, material inside first.
+/// The functions G_ij of the interfaces. Each pair has the material inside first.
 struct Differences<'a> {
     indicators: &'a dyn Indicators,
     pairs: Vec<[MaterialId; 2]>,

@@ -1,5 +1,5 @@
-//! The connected components of each material, of grid nodes that share a face, and the components
-//! that are missing in a mesh.
+//! Counts the connected components of each material, of grid nodes that share a face, and finds the
+//! components that are missing from a mesh.
 
 use super::nodes::Nodes;
 use isoparticles_field::materials::Material;
@@ -27,7 +27,7 @@ pub struct Pieces {
     pub missing_specks: usize,
 }
 
-/// Returns the components of each material of a table, and which of them are missing in a mesh.
+/// Counts the components of each material of a table, and those that are missing from a mesh.
 /// `wrong` contains the nodes (ascending) that lie in another material of the mesh.
 pub fn pieces(nodes: &Nodes, wrong: &[usize], table: &[Material]) -> Vec<Pieces> {
     let truth = nodes.materials();

@@ -34,9 +34,9 @@ impl Refinement<'_> {
         self.places(Reason::Missing, &found)
     }
 
-    /// Returns points on a component that has no facet. Their distance is about a voxel or the
-    /// extent of the component, and smaller than that of the points `members` already on it. A
-    /// component of sufficient size gets at least a dozen points.
+    /// Returns new points on a component that has no facet. Their spacing is at most a voxel and
+    /// the extent of the component, and smaller than that of the points `members` already on it. It
+    /// is reduced, down to a limit, until the component has a dozen points and one of them is new.
     fn sample_component(&self, component: u32, members: &[u32]) -> Vec<Place> {
         let voxel = self.object.restricted.field().geometry().mean_spacing();
         let samples = self.object.topology.samples(component);
