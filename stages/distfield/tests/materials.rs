@@ -340,6 +340,24 @@ fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
 }
 
 #[test]
+fn specks_do_not_fill_gaps_between_materials_at_a_scale() {
+    // single voxels of label 5 on the axis at which the three sectors meet
+    let with_specks = || {
+        let labels = sectors(40, 10.5).voxels.to_f32();
+        volume([40; 3], |[i, j, k]| {
+            let is_speck = (i, j) == (20, 20) && k % 4 == 0 && k > 12 && k < 28;
+            if is_speck { 5 } else { labels[(k * 40 + j) * 40 + i] as u8 }
+        })
+    };
+    for keep_thin in [false, true] {
+        let scales = Some(Scales::same(Scale { length: 5.0, keep_thin }));
+        let made = make_with(with_specks(), Border::Cap, MaterialOptions { scales, ..OPTIONS });
+        let [speck, before] = [made.survey.volumes[5], made.extracted.tallies[5].voxels as f64 * 1.04];
+        assert!(speck <= before, "{keep_thin}: {speck} mm^3 of {before}");
+    }
+}
+
+#[test]
 fn sizes_of_materials_set_the_scales_of_their_interfaces() {
     let names = ["outside", "1", "2", "3", "4"].map(str::to_owned);
     let scales = |size: &str| {

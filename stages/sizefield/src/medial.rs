@@ -37,8 +37,8 @@ const LEAST_CAP: f64 = 2.0;
 
 /// Maximum number of leaves of the sample tree that one query visits, nearest leaf first. The limit
 /// is needed for a ball that fits the whole surface, because all samples are near its boundary.
-/// Measured with 400 and 100: label 2 of `lungs_label_big` gets 238,911 and 238,902 particles, and a
-/// ball in 256^3 voxels takes 4.7 and 3.5 s.
+/// Measured with 400 and 100: label 2 of `lungs_label_big` gets 238,911 and 238,902 particles, and
+/// a ball in 256^3 voxels takes 4.7 and 3.5 s.
 const MOST_LEAVES: usize = 100;
 
 /// Number of consecutive samples in a run. Consecutive samples are mostly neighbours, so each ball

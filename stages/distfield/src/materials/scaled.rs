@@ -116,14 +116,31 @@ const MOST_NEAR: usize = 4;
 /// `a_scale_keeps_the_volumes_of_all_and_smooths_their_borders`).
 const ROUNDED_DEVIATION: f32 = 0.1;
 
+/// Minimum smoothed occupancy, as a share of its level, with which a material wins a voxel. Without
+/// a minimum, materials that are too small for the scale fill the gaps between others. With 0, 1/3
+/// and 2/3, the 121 voxels (65 parts) of `label_25` of `frog_tissue_labels` at 50,000 vertices give
+/// 550, 0 and 0 voxels, and label 1 of `thorax_labels` at 20,000 vertices loses 11, 12 and 17 %.
+const LEAST_SHARE: f32 = 1.0 / 3.0;
+
 /// A material at a voxel.
 #[derive(Clone, Copy)]
 struct Share {
     material: u16,
     /// The smoothed occupancy minus the level, in units of 1 / [`UNIT`].
     above: i16,
-    /// Distance of the level from 1/2, in units of 1/255.
-    off: u8,
+    /// The level minus 1/2, in units of 1/255.
+    off: i8,
+}
+
+impl Share {
+    fn above(self) -> f32 {
+        f32::from(self.above) / UNIT
+    }
+
+    /// Returns the smoothed occupancy minus the minimum with which the material wins a voxel.
+    fn surplus(self) -> f32 {
+        self.above() + (1.0 - LEAST_SHARE) * (0.5 + f32::from(self.off) / 255.0)
+    }
 }
 
 /// Entry of [`Levels::near`] without a material.
@@ -135,7 +152,8 @@ fn between(a: Share, b: Share) -> f32 {
     // `ROUNDED_DEVIATION`
     let off = |share: Share| (f32::from(share.off) / 255.0 / ROUNDED_DEVIATION).powi(2);
     let weight = 1.0 / (1.0 + (off(a) - off(b)).exp());
-    (weight * f32::from(a.above) - (1.0 - weight) * f32::from(b.above)) / UNIT
+    let (low, high) = (-b.surplus(), a.surplus());
+    if low > high { 0.5 * (low + high) } else { (weight * a.above() - (1.0 - weight) * b.above()).clamp(low, high) }
 }
 
 /// The smoothed occupancy of a material minus the level that preserves its volume, in a box around
@@ -146,8 +164,8 @@ struct Level {
     size: [usize; 3],
     /// Values in units of 1 / [`UNIT`].
     above: Vec<i16>,
-    /// Distance of the level from 1/2, in units of 1/255.
-    off: Vec<u8>,
+    /// The level minus 1/2, in units of 1/255.
+    off: Vec<i8>,
 }
 
 impl Level {
@@ -482,6 +500,6 @@ fn smoothed(grid: &LabelGrid, id: MaterialId, extent: &Extent, scale: Scale, roo
     let size = occupancy.geometry.size;
     let LevelSet { above, level } = level_set(&occupancy, &smoothing);
     let above = above.into_par_iter().map(|value| (value.clamp(-1.0, 1.0) * UNIT).round() as i16).collect();
-    let off = level.into_par_iter().map(|level| ((level - 0.5).abs() * 255.0).round() as u8).collect();
+    let off = level.into_par_iter().map(|level| ((level - 0.5) * 255.0).round() as i8).collect();
     Level { first, size, above, off }
 }

@@ -30,9 +30,9 @@ const ROUNDS: [(f64, f64); 4] = [(1.0, 0.25), (1.0, 0.75), (0.5, 1.0), (0.5, 0.7
 const GOAL: Goal = Goal::Mean { floor: GOOD, price: PRICE_OF_DEVIATION };
 
 /// Removes vertices where the mesh is denser than h (if `thins`), flips edges to bring the degrees
-/// of vertices closer to six, and relaxes each vertex once. Then flips and smooths until nothing moves or a budget is used up:
-/// `sweeps` - 1 visits per vertex plus [`VISITS`] for the whole mesh. Each pass in a block calls
-/// `step` first, which can stop the work.
+/// of vertices closer to six, and relaxes each vertex once. Then flips and smooths until nothing
+/// moves or a budget is used up: `sweeps` - 1 visits per vertex plus [`VISITS`] for the whole mesh.
+/// Each pass in a block calls `step` first, which can stop the work.
 ///
 /// # Errors
 /// Those of `step`.
