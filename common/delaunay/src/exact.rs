@@ -250,15 +250,15 @@ mod tests {
 
     #[test]
     fn the_largest_differences_do_not_overflow() {
-        // corners of a box with edges of 2^53 - 2 units of 512, or points one unit away from a
-        // corner
+        // corners of a box with an edge of 2^62 - 1024 units, or points one unit (at the lower
+        // corners) or 512 units away from a corner
         let edge = 2f64.powi(62);
         for n in 0..4000u64 {
             let points: [DVec3; 5] = std::array::from_fn(|k| {
                 let random = bits(9, k as u64, n);
                 let coordinate = |axis: u64| {
-                    let corner = if random >> axis & 1 == 0 { 0.0 } else { edge - 1024.0 };
-                    corner + (random >> (8 + 8 * axis) & 1) as f64 * 512.0
+                    let (corner, step) = if random >> axis & 1 == 0 { (0.0, 1.0) } else { (edge - 1024.0, 512.0) };
+                    corner + (random >> (8 + 8 * axis) & 1) as f64 * step
                 };
                 DVec3::new(coordinate(0), coordinate(1), coordinate(2)) * 2f64.powi((n % 200) as i32 - 160)
             });
