@@ -50,7 +50,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     drop(step);
     if summary.bare_components > 0 {
         context.warn(format!(
-            "{} of {} components of interfaces got no particle, because they are far smaller than a voxel",
+            "{} of {} components of interfaces got no particle, because no sample could be projected onto them",
             summary.bare_components, summary.components
         ));
     }
