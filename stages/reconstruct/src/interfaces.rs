@@ -151,8 +151,8 @@ impl Interfaces {
     }
 
     /// Separates parts of an interface that touch at a vertex away from junction curves, and
-    /// returns the number of new vertices. Each part gets its own vertex, which moves away from the
-    /// other parts. `project` returns the nearest point of an interface. New vertices come last.
+    /// returns the number of such vertices. Each part gets its own vertex, which moves away from
+    /// the other parts. `project` returns the nearest point of an interface. New vertices come last.
     ///
     /// If a saddle of F has exactly the iso value, as in volumes of integers at an integer iso
     /// value, no sampling separates the parts.
@@ -169,7 +169,7 @@ impl Interfaces {
                 }
             }
         }
-        let before = self.mesh.vertices.len();
+        let count = around.len();
         for (vertex, around) in around {
             let pair = self.between[around[0] as usize];
             let apex = self.mesh.vertices[vertex as usize];
@@ -189,7 +189,7 @@ impl Interfaces {
                 }
             }
         }
-        self.mesh.vertices.len() - before
+        count
     }
 
     /// Returns the vertices of a single interface whose triangles form several fans, ascending.

@@ -34,7 +34,7 @@ pub(crate) struct Joined {
     pub(crate) report: RefineReport,
     /// Report of Tight Cocone, if it is the method.
     pub(crate) cocone: Option<CoconeReport>,
-    /// Number of vertices added where parts of the surface touch at a vertex.
+    /// Number of vertices at which touching parts of the surface were separated.
     pub(crate) parted: usize,
 }
 

@@ -62,7 +62,7 @@ pub struct Reconstruction {
     pub refined: RefineReport,
     /// Report of Tight Cocone, if it is the method.
     pub cocone: Option<CoconeReport>,
-    /// Number of vertices added where parts of the surface touch at a vertex.
+    /// Number of vertices at which touching parts of the surface were separated.
     pub parted: usize,
     /// Report of the improvement.
     pub improved: ImproveReport,

@@ -283,7 +283,8 @@ pub(super) fn optimise(surface: &mut Surface, target: f64, step: Step, tally: &m
                 queue.enter(surface, t, n + 1);
                 continue;
             };
-            let before = count_below(surface, &edits.touched(), bar) + nodes.len();
+            let mended = surface.sides.as_ref().and_then(|sides| sides.mended_by(&nodes)).unwrap_or_default();
+            let before = count_below(surface, &edits.touched(), bar) + mended;
             let touched = edits.commit(surface, &nodes);
             queue.budgets[band][n].enter(work, before as isize - count_below(surface, &touched, bar) as isize);
             queue.reset(surface, &touched);

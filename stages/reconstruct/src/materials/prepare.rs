@@ -39,9 +39,6 @@ pub struct Taken {
     /// The counts that one object has as well.
     #[serde(flatten)]
     pub particles: PrepareReport,
-    /// Particles on a stratum that is not real because a third material is nearer. Not counted:
-    /// these particles are among those not projected.
-    pub not_real: usize,
     /// Particles on interfaces in the diametral ball of a segment of a junction curve.
     pub encroaching: usize,
     /// Segments of junction curves at the start.

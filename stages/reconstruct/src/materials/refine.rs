@@ -45,8 +45,7 @@ pub struct RefineReport {
     /// Dropped segments that are not edges between their materials and whose ends are connected by
     /// other segments of their curve.
     pub superfluous: usize,
-    /// Vertices added to separate parts of the interface of the same two materials that touch at a
-    /// vertex.
+    /// Number of vertices at which touching parts of an interface were separated.
     pub parted: usize,
     /// Remaining violations of the topology, and grid nodes in another material, by reason.
     pub unresolved: BTreeMap<Reason, usize>,

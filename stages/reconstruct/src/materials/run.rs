@@ -174,13 +174,12 @@ fn file_name(name: &str, id: MaterialId, taken: &mut BTreeSet<String>) -> String
     let plain: String =
         name.chars().map(|c| if c.is_alphanumeric() || c == '-' || c == '.' { c } else { '_' }).collect();
     let plain = if plain.trim_matches(['.', '_']).is_empty() { format!("material_{}", id.0) } else { plain };
+    let mut unique = plain;
     // some file systems ignore case
-    if taken.insert(plain.to_lowercase()) {
-        return plain;
+    while !taken.insert(unique.to_lowercase()) {
+        unique = format!("{unique}_{}", id.0);
     }
-    let numbered = format!("{plain}_{}", id.0);
-    taken.insert(numbered.to_lowercase());
-    numbered
+    unique
 }
 
 /// Adds the results to the report and the closing table, and warns of remaining violations.
@@ -193,7 +192,7 @@ fn tell(made: &Reconstruction, context: &Context) {
     context.report("topology", json!(made.pieces));
     let lost = &taken.particles;
     let dropped = lost.not_projected + lost.crowded + taken.encroaching;
-    describe_mesh(checked, "", [lost.particles.saturating_sub(lost.not_projected), dropped], context);
+    describe_mesh(checked, "", [lost.particles.saturating_sub(dropped), dropped], context);
     let missing: usize = made.pieces.iter().map(|own| own.missing.len()).sum();
     let specks: usize = made.pieces.iter().map(|own| own.missing_specks).sum();
     context.summary("components missing, specks missing", format!("{missing}, {specks}"));
@@ -209,5 +208,19 @@ fn tell(made: &Reconstruction, context: &Context) {
              (sizefield without --uniform grades it by thickness)",
             left.join(", ")
         ));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn file_names_of_materials_are_unique() {
+        let mut taken = BTreeSet::new();
+        let names = ["a_b_3", "a b", "A_b", "..."];
+        let files: Vec<String> =
+            (1..).zip(names).map(|(id, name)| file_name(name, MaterialId(id), &mut taken)).collect();
+        assert_eq!(files, ["a_b_3", "a_b", "A_b_3_3", "material_4"]);
     }
 }
