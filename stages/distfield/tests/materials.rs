@@ -443,8 +443,8 @@ fn scale_for_vertices_uses_the_area_of_all_interfaces() {
     let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
     let (input, output) = (at("in.nrrd"), at("out.vti"));
     write_halves(Path::new(&input));
-    let vertices = 800.0;
-    let run = distfield(&[&input, "-o", &output, "--material", "all", "--scale-for-vertices", "800"]);
+    let vertices = 500.0;
+    let run = distfield(&[&input, "-o", &output, "--material", "all", "--scale-for-vertices", "500"]);
     assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
     let made = read_materials(Path::new(&output)).expect("read");
     let interfaces = made.meta["interfaces"].as_array().expect("interfaces");
@@ -462,7 +462,7 @@ fn one_material_at_a_scale_equals_one_object() {
     let input = at("in.nrrd");
     write_halves(Path::new(&input));
     let run = |choice: [&str; 2], output: &str| {
-        let run = distfield(&[&input, "-o", output, choice[0], choice[1], "--scale-for-size", "1.5"]);
+        let run = distfield(&[&input, "-o", output, choice[0], choice[1], "--scale-for-size", "2"]);
         assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
     };
     let (many, one) = (at("many.vti"), at("one.vti"));
@@ -472,7 +472,7 @@ fn one_material_at_a_scale_equals_one_object() {
         read_materials(Path::new(&many)).expect("read"),
         CubicSpline::new(&read_field(Path::new(&one), FieldKind::Distance).expect("read").image),
     );
-    assert!(many.meta["scale"].as_f64().is_some_and(|scale| (scale - 2.4).abs() < 1e-9), "{}", many.meta);
+    assert!(many.meta["scale"].as_f64().is_some_and(|scale| (scale - 3.2).abs() < 1e-9), "{}", many.meta);
     let centre = one.geometry().index_to_grid(DVec3::splat(7.6 + MARGIN as f64));
     let mut worst = 0.0f64;
     for n in 0..300 {

@@ -96,7 +96,9 @@ fn scale_zero_changes_nothing_and_a_chosen_scale_has_a_reason() {
     for (options, low, high) in [
         (&["--scale", "5"][..], 5.0, 5.0),
         (&["--scale-for-size", "4"], 6.4, 6.4),
-        (&["--quality", "coarse"], 2.4, 2.4),
+        // 1.6 and 2.4 would show voxel steps
+        (&["--scale-for-size", "1"], 2.7, 2.7),
+        (&["--quality", "coarse"], 2.7, 2.7),
         // six faces of 21 x 21 mm, with rounded edges
         (&["--scale-for-vertices", "200"], 5.5, 6.3),
     ] {

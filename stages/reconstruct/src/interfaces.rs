@@ -152,7 +152,7 @@ impl Interfaces {
 
     /// Separates parts of an interface that touch at a vertex away from junction curves, and
     /// returns the number of such vertices. Each part gets its own vertex, which moves away from
-    /// the other parts. `project` returns the nearest point of an interface. New vertices come last.
+    /// the others. `project` returns the nearest point of an interface. New vertices come last.
     ///
     /// If a saddle of F has exactly the iso value, as in volumes of integers at an integer iso
     /// value, no sampling separates the parts.

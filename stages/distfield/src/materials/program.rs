@@ -172,7 +172,7 @@ fn scale(args: &Args, volume: &Volume, chosen: &Chosen, context: &Context) -> Re
     if !args.scale.is_given() {
         return Ok(Scale { length: 0.0, keep_thin });
     }
-    let choice = match args.scale.choose_by_length(&volume.geometry) {
+    let choice = match args.scale.choose_by_length(&volume.geometry, true) {
         Some(choice) => choice,
         None => {
             let _step = context.step("choose the scale");
@@ -182,7 +182,7 @@ fn scale(args: &Args, volume: &Volume, chosen: &Chosen, context: &Context) -> Re
             let voxels = grid.numbers.iter().filter(|&&number| number != MaterialId::OUTSIDE.0).count();
             let named = voxels as f64 * volume.geometry.spacing.element_product();
             let found = |vertices, keep_thin| edge_length(&grid, table.len(), vertices, keep_thin, &Quiet(context));
-            args.scale.choose_by_area(&volume.geometry, named, found)?
+            args.scale.choose_by_area(&volume.geometry, true, named, found)?
         }
     };
     context.summary("scale, mm", format!("{} ({})", significant(choice.length), choice.reason));

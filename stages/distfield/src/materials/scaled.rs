@@ -16,7 +16,7 @@
 use super::grid::{Extent, LabelGrid};
 use crate::bits::{Bits, Numbering};
 use crate::changes::{Changes, remove_crumbs};
-use crate::choose::FINE_ENOUGH;
+use crate::choose::{FINE_ENOUGH, LEAST_SCALE};
 use crate::crop::{CutFaces, VoxelBox};
 use crate::field::Demands;
 use crate::level::{LevelSet, level_set};
@@ -33,12 +33,6 @@ use isoparticles_stage::material_sizes::Given;
 use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
-
-/// Minimum scale if only some materials have an edge length, in units of the mean voxel spacing. On
-/// a ball divided into three sectors, the normals deviate from those of an exact ball by 5.5, 3.6
-/// and 2.1 degrees at scales of 2, 2.4 and 3, and by 2.9 degrees without a scale (root mean square;
-/// test `sizes_of_materials_set_the_scales_of_their_interfaces`).
-const LEAST_SCALE: f64 = 2.7;
 
 /// The scales of all pairs of materials.
 #[derive(Clone, Debug)]
