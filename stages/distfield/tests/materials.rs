@@ -7,7 +7,7 @@ use glam::DVec3;
 use isoparticles_distfield::Border;
 use isoparticles_distfield::materials::choice::resolve;
 use isoparticles_distfield::materials::contacts::ContactReport;
-use isoparticles_distfield::materials::scaled::Scales;
+use isoparticles_distfield::materials::scales::Scales;
 use isoparticles_distfield::materials::survey::{Survey, survey};
 use isoparticles_distfield::materials::{Extracted, LabelGrid, MaterialChoice, MaterialOptions, extract};
 use isoparticles_distfield::scale::Scale;

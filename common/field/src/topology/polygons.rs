@@ -1,6 +1,5 @@
-//! Represents the surface given by the signs of F at the cell corners as polygons. Their corners
-//! are the crossings of the surface with cell edges. Components and Euler characteristics need no
-//! triangles.
+//! Represents the surface given by the signs of F at cell corners as polygons. Their corners are the
+//! crossings with cell edges. Components and Euler characteristics need no triangles.
 //!
 //! Each edge is divided as finely as the smallest cell that contains it, and each face as finely as
 //! the smaller of its two cells. All cells therefore use the same crossings, and the polygons form

@@ -8,7 +8,8 @@
 use super::choice::Chosen;
 use super::contacts::{ContactReport, keep_contacts};
 use super::grid::{Extent, LabelGrid};
-use super::scaled::{Levels, Made, Scales};
+use super::scaled::{Levels, Made};
+use super::scales::Scales;
 use crate::changes::Changes;
 use crate::crop::VoxelBox;
 use crate::field::{Demands, Redistanced};

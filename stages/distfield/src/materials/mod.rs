@@ -3,7 +3,7 @@
 //!
 //! [`choice`] maps labels to materials and [`grid`] maps voxels to materials; [`islands`] removes
 //! small components. [`mod@extract`] computes the indicators one after the other by the method for
-//! a single object or, with a scale, from the smoothed occupancy of [`scaled`]. [`contacts`]
+//! a single object or, with [`scales`], from the smoothed occupancy of [`scaled`]. [`contacts`]
 //! corrects the indicators where several materials meet. [`survey`] measures the result: material
 //! of every node, volumes, areas, junctions and changed voxel centres. [`program`] runs the stage.
 
@@ -14,6 +14,7 @@ pub mod grid;
 pub mod islands;
 pub mod program;
 pub mod scaled;
+pub mod scales;
 pub mod survey;
 
 pub use choice::MaterialChoice;

@@ -6,7 +6,8 @@ use super::contacts::ContactReport;
 use super::extract::{Extracted, MaterialOptions, Quiet, Tally, extract};
 use super::grid::LabelGrid;
 use super::islands::remove_islands;
-use super::scaled::{Scales, edge_length};
+use super::scaled::edge_length;
+use super::scales::Scales;
 use super::survey::{Survey, distance_limit, survey};
 use crate::args::Args;
 use crate::changes::{Changes, Kind, SPECK_SHARE};
@@ -20,7 +21,7 @@ use isoparticles_field::materials::{MaterialId, Materials};
 use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_stage::material_sizes::Given;
+use isoparticles_stage::material_sizes::{Given, GivenSize};
 use isoparticles_stage::materials_file::{Shown, write_materials};
 use isoparticles_stage::meta::{self, MaterialsMeta};
 use isoparticles_volume::Volume;
@@ -45,11 +46,8 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     let mut chosen = resolve(&args.material, &volume)?;
     let base = scale(args, &volume, &chosen, context)?;
     let voxel = volume.geometry.mean_spacing();
-    let scales = |chosen: &Chosen| -> Result<Option<Scales>> {
-        let names: Vec<String> = chosen.table.iter().map(|material| material.name.clone()).collect();
-        Ok(Scales::new(base, Given::new(&args.scale.size, &names)?, voxel))
-    };
-    let longest = scales(&chosen)?.and_then(|scales| scales.lengths(chosen.table.len()).last().copied());
+    Given::new(&args.scale.size, &names(&chosen))?;
+    let longest = scales(args, base, &chosen, voxel).map(|scales| scales.range(chosen.table.len())[1]);
     let whole = volume.geometry.padded(args.margin.into());
     let found = VoxelBox::of_labels(&volume, |label| chosen.number(label) != MaterialId::OUTSIDE.0);
     // faces of the cropped grid count as borders of the volume: only the outside lies beyond them
@@ -60,14 +58,12 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     remove_small(&mut grid, &mut chosen, args.smallest_island as usize, context);
     context.set_parameter("materials", json!(chosen.table));
     tell_grid(&whole, &grid.padded(), context);
-    let options = MaterialOptions { clearance: args.clearance, scales: scales(&chosen)? };
-    let lengths = options.scales.as_ref().map(|scales| scales.lengths(chosen.table.len()));
-    let range = lengths.map(|lengths| [lengths[0], lengths[lengths.len() - 1]]);
+    let options = MaterialOptions { clearance: args.clearance, scales: scales(args, base, &chosen, voxel) };
+    let range = options.scales.as_ref().map(|scales| scales.range(chosen.table.len()));
     tell_scales(range, context);
     let Extracted { materials, tallies, contacts } = extract(&grid, &chosen, &options, context)?;
-    let geometry = materials.geometry();
     let step = context.step("materials checked");
-    let found = survey(&materials, geometry, &grid, tallies.len(), context)?;
+    let found = survey(&materials, materials.geometry(), &grid, tallies.len(), context)?;
     drop(step);
     drop(grid);
     let notes = notes(&materials, &tallies, &found);
@@ -91,7 +87,7 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
             Border::Open => meta::Border::Open,
         }),
         margin: Some(args.margin.into()),
-        distance_limit: Some(distance_limit(geometry)),
+        distance_limit: Some(distance_limit(materials.geometry())),
         scale: range.map(|[_, longest]| longest),
         notes,
     };
@@ -189,6 +185,20 @@ fn scale(args: &Args, volume: &Volume, chosen: &Chosen, context: &Context) -> Re
     context.set_parameter("scale", choice.length);
     context.set_parameter("scale_reason", choice.reason);
     Ok(Scale { length: choice.length, keep_thin })
+}
+
+fn names(chosen: &Chosen) -> Vec<String> {
+    chosen.table.iter().map(|material| material.name.clone()).collect()
+}
+
+/// Returns the scales of all interfaces; `None` if no interface needs one. `base` is the scale
+/// without `--size`, and `voxel` the mean spacing in mm. Sizes of materials that were removed have
+/// no effect.
+fn scales(args: &Args, base: Scale, chosen: &Chosen, voxel: f64) -> Option<Scales> {
+    let names = names(chosen);
+    let is_known = |size: &&GivenSize| Given::new(std::slice::from_ref(*size), &names).is_ok();
+    let known: Vec<GivenSize> = args.scale.size.iter().filter(is_known).cloned().collect();
+    Scales::new(base, Given::new(&known, &names).ok()?, voxel)
 }
 
 /// Reports the shortest and the longest scale, mm, if they differ.

@@ -1,0 +1,64 @@
+//! The scales of the interfaces of several materials, from one scale for all and from the edge
+//! lengths of `--size`.
+
+use crate::choose::{FINE_ENOUGH, LEAST_SCALE};
+use crate::scale::{SCALE_OVER_SIZE, Scale};
+use isoparticles_field::materials::{MaterialId, Stratum};
+use isoparticles_stage::material_sizes::Given;
+
+/// The scales of all pairs of materials.
+#[derive(Clone, Debug)]
+pub struct Scales {
+    /// The scale of the pairs without an edge length, mm.
+    base: f64,
+    /// Edge lengths of single materials and pairs.
+    given: Given,
+    /// The minimum scale of pairs with an edge length, mm.
+    smallest: f64,
+    /// Whether parts are kept that are too thin for a mesh of the matching edge length.
+    pub(super) keep_thin: bool,
+}
+
+impl Scales {
+    /// Returns one scale for all materials.
+    pub fn same(scale: Scale) -> Self {
+        Self { base: scale.length, given: Given::default(), smallest: 0.0, keep_thin: scale.keep_thin }
+    }
+
+    /// Derives the scales from edge lengths of materials and pairs. `base` is the scale of pairs
+    /// without an edge length; 0 stands for 2.7 voxels. `voxel` is the mean spacing in mm.
+    /// Returns `None` if no pair needs a scale: every voxel centre then stays in its material.
+    pub fn new(base: Scale, given: Given, voxel: f64) -> Option<Self> {
+        let smallest = LEAST_SCALE * voxel;
+        let needs = base.length > 0.0 || given.largest().is_some_and(|size| size > FINE_ENOUGH * voxel);
+        let length = if base.length > 0.0 { base.length } else { smallest };
+        needs.then_some(Self { base: length, given, smallest, keep_thin: base.keep_thin })
+    }
+
+    /// Returns the scale of the interface of two materials, mm.
+    pub(super) fn of_pair(&self, a: u16, b: u16) -> f64 {
+        let size = self.given.of(&Stratum::interface(MaterialId(a), MaterialId(b)));
+        size.map_or(self.base, |size| (SCALE_OVER_SIZE * size).max(self.smallest))
+    }
+
+    /// Returns the scale of the interfaces of a material that have no edge length of their own, mm.
+    pub fn of_material(&self, id: MaterialId) -> f64 {
+        let size = self.given.of_material(id);
+        size.map_or(self.base, |size| (SCALE_OVER_SIZE * size).max(self.smallest))
+    }
+
+    /// Returns the shortest and the longest scale of the pairs of so many materials, mm.
+    pub fn range(&self, materials: usize) -> [f64; 2] {
+        let lengths = self.lengths(materials);
+        [lengths.first(), lengths.last()].map(|length| length.copied().unwrap_or(self.base))
+    }
+
+    /// Returns the different scales of the pairs of so many materials, ascending, mm.
+    pub fn lengths(&self, materials: usize) -> Vec<f64> {
+        let pairs = (0..materials as u16).flat_map(|a| (0..a).map(move |b| (a, b)));
+        let mut lengths: Vec<f64> = pairs.map(|(a, b)| self.of_pair(a, b)).collect();
+        lengths.sort_by(f64::total_cmp);
+        lengths.dedup();
+        lengths
+    }
+}
