@@ -1,4 +1,4 @@
-//! Represents the surface given by the signs of F at cell corners as polygons. Their corners are the
+//! Represents the surface given by the signs of F at cell corners as polygons. Their corners are
 //! crossings with cell edges. Components and Euler characteristics need no triangles.
 //!
 //! Each edge is divided as finely as the smallest cell that contains it, and each face as finely as
