@@ -99,7 +99,7 @@ def test_page_of_a_machine_without_a_gpu(tmp_path: Path) -> None:
     write(tmp_path, *rows, adapter=None)
     assert call("page", "--folder", tmp_path, "-o", tmp_path / "results.md").returncode == 0
     text = (tmp_path / "results.md").read_text()
-    assert "No GPU was there" in text
+    assert "No GPU was available" in text
     assert "{{" not in text
     assert "| torso ribcage (ribcage) | 9,460 | 269 | 35.2 | 90 | 4.00 | 4.00 | 20 |" in text
 
