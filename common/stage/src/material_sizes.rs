@@ -77,10 +77,9 @@ impl Given {
         Ok(given)
     }
 
-    /// Returns the largest edge length, mm.
+    /// Returns the largest edge length of a material, mm.
     pub fn largest(&self) -> Option<f64> {
-        let all = self.materials.iter().map(|(_, size)| size).chain(self.interfaces.iter().map(|(_, size)| size));
-        all.copied().max_by(f64::total_cmp)
+        self.materials.iter().map(|(_, size)| *size).max_by(f64::total_cmp)
     }
 
     /// Returns the edge length in mm that is set for a material, the smallest if there are several.

@@ -227,8 +227,7 @@ fn materials(choice: &str) -> impl Iterator<Item = String> {
     named.flat_map(|one| ["--material".to_owned(), one.replacen(':', "=", 1)])
 }
 
-/// Returns the edge lengths of single materials in SIZEFIELD_OPTIONS, as options of `distfield`,
-/// where they set scales.
+/// Returns the `--size` options in SIZEFIELD_OPTIONS. `distfield` derives scales from them.
 fn sizes_of_materials(settings: &Settings) -> Vec<String> {
     let words = settings.words(options_key("sizefield"));
     let values = words.iter().enumerate().filter_map(|(n, word)| match word.strip_prefix("--size") {
@@ -260,7 +259,8 @@ fn options(stage: &str, settings: &Settings) -> Vec<String> {
         && let Some(choice) = settings.get("MATERIALS")
     {
         words.extend(materials(choice));
-        if !chosen && settings.get("SCALE").is_none() {
+        let has_scale = more.iter().any(|word| word == "--scale" || word.starts_with("--scale="));
+        if !has_scale && settings.get("SCALE").is_none() {
             words.extend(sizes_of_materials(settings));
         }
     }

@@ -235,8 +235,8 @@ def row(case: Case, vertices: int) -> tuple[str, float, int]:
         quality["radius_ratio_min"],
         quality["angle_min"],
         quality["angle_max"],
-        checked["volume"],
-        len(checked["components"]),
+        checked["regions"][0]["volume"],
+        len(checked["regions"][0]["components"]),
         checked["open_edges"] == 0,
     )
     stages = ", ".join(f"{report['seconds']:.1f}" for _, report in reports)

@@ -99,18 +99,37 @@ pub struct Changes {
 /// # Errors
 /// If there are too many runs of voxels to label the parts.
 pub fn remove_crumbs(level: &mut [f32], geometry: &Geometry, smallest: f64) -> Result<()> {
+    remove_parts(level, geometry, |_| true, |volume, _| volume < smallest)
+}
+
+/// Removes the parts of `level > 0` that `is_crumb` selects by their volume (voxel count, mm^3) and
+/// by the share of their nodes for which `is_own` holds. If it selects all parts, no part is
+/// removed.
+///
+/// # Errors
+/// If there are too many runs of voxels to label the parts.
+pub fn remove_parts(
+    level: &mut [f32],
+    geometry: &Geometry,
+    is_own: impl Fn(usize) -> bool,
+    is_crumb: impl Fn(f64, f64) -> bool,
+) -> Result<()> {
     let inside = Runs::of(geometry.size, |n| level[n] > 0.0);
     let part = parts_of_runs(&inside, geometry.size, &[])?;
     let voxel = geometry.spacing.element_product();
-    let mut volume = vec![0.0; part.len()];
-    for (run, &part) in inside.all().iter().zip(&part) {
-        volume[part as usize] += run.columns().len() as f64 * voxel;
-    }
-    if volume.iter().all(|&volume| volume < smallest) {
+    // all nodes of each part, and those that are its own
+    let mut counts = vec![[0usize; 2]; part.len()];
+    inside.each_in_nodes(|run, nodes| {
+        let [all, own] = &mut counts[part[run] as usize];
+        *all += nodes.len();
+        *own += nodes.filter(|&n| is_own(n)).count();
+    });
+    let is_crumb = |[all, own]: [usize; 2]| is_crumb(all as f64 * voxel, own as f64 / all as f64);
+    if counts.iter().filter(|[all, _]| *all > 0).all(|&counts| is_crumb(counts)) {
         return Ok(());
     }
     inside.each_in_nodes(|run, nodes| {
-        if volume[part[run] as usize] < smallest {
+        if is_crumb(counts[part[run] as usize]) {
             level[nodes].iter_mut().for_each(|value| *value = -CLEARLY_OUTSIDE - *value);
         }
     });

@@ -43,10 +43,10 @@ pub struct ScaleArgs {
     /// scale above 0; `medium` and `fine` give 0
     #[arg(long, value_enum, value_name = "HOW", conflicts_with_all = ["scale", "scale_for_size", "scale_for_vertices"], help_heading = METHOD)]
     pub quality: Option<Quality>,
-    /// Several materials only: edge length of the mesh on all interfaces of a material, or on the
-    /// interface of two materials, mm, as for `sizefield --size`. The scale there is 1.6 times this
-    /// length. Other interfaces have the scale of the options above, or 2.7 voxels. If every edge
-    /// length is at most 0.75 voxel, there is no scale. May be given several times
+    /// Several materials only: edge length of the mesh on all interfaces of a material, mm, as for
+    /// `sizefield --size`. The scale there is 1.6 times this length. Other interfaces have the
+    /// scale of the options above, or 2.7 voxels. If every edge length is at most 0.75 voxel, there
+    /// is no scale. Lengths of pairs (NAME/NAME=H) set no scale. May be given several times
     #[arg(long, value_name = "NAME=H|NAME/NAME=H", conflicts_with = "scale", requires = "material", help_heading = METHOD)]
     pub size: Vec<GivenSize>,
     /// Keep parts and gaps that are too thin for a mesh of the scale's edge length; such parts and
@@ -63,11 +63,9 @@ pub(crate) const FINE_ENOUGH: f64 = 0.75;
 
 /// Minimum scale of labels for a mesh, in units of the mean voxel spacing: smaller scales show
 /// voxel steps. On a ball of radius 22 voxels (`phantom ball --kind label`) with edges of 0.8
-/// voxel, the normals of the triangles deviate from those of the ball by 12.6, 2.5 and 3.0 degrees
-/// at a scale of 1.28, of 2.7 and without a scale (root mean square); with 1.2 voxels by 5.6 at
-/// 1.92, 2.5 and
-/// 2.8. On a ball divided into three materials, F deviates by 5.5, 3.6 and 2.1 degrees at scales of
-/// 2, 2.4 and 3, and by 2.9 without a scale.
+/// voxel, the normals of the triangles deviate from those of the ball by 12.6 degrees at a scale of
+/// 1.28, by 2.5 at 2.7, and by 3.0 without a scale (root mean square). With edges of 1.2 voxels,
+/// they deviate by 5.6 at 1.92, by 2.5 at 2.7, and by 2.8 without a scale.
 pub(crate) const LEAST_SCALE: f64 = 2.7;
 
 /// A scale and the reason for it.
@@ -191,18 +189,24 @@ impl ScaleArgs {
         edge_length: impl FnOnce(f64, bool) -> Result<Option<f64>>,
     ) -> Result<ScaleChoice> {
         let vertices = self.scale_for_vertices.unwrap_or(0);
-        let length = edge_length(vertices as f64, self.keep_thin)?
-            .ok_or_else(|| nothing_left(&format!("a mesh of {vertices} vertices"), volume))?;
+        let length = edge_length(vertices as f64, self.keep_thin)?.ok_or_else(|| {
+            let voxel = is_labels.then(|| geometry.mean_spacing());
+            nothing_left(&format!("a mesh of {vertices} vertices"), volume, voxel)
+        })?;
         let whose = format!("the edge length of {} mm for {vertices} vertices", significant(length));
         Ok(ScaleChoice::for_length(length, &whose, geometry.mean_spacing(), is_labels))
     }
 }
 
-/// Returns the error for a scale that leaves nothing of an object of `volume` mm^3.
-fn nothing_left(by: &str, volume: f64) -> Error {
+/// Returns the error for a scale that leaves nothing of an object of `volume` mm^3. `voxel` is the
+/// mean spacing of labels, mm.
+fn nothing_left(by: &str, volume: f64, voxel: Option<f64>) -> Error {
     // surface area of a ball of that volume
     let area = (36.0 * PI * volume * volume).cbrt();
     let size = (2.0 * area / (3f64.sqrt() * 100.0)).sqrt();
+    // a smaller scale than the minimum of labels is none
+    let has_scale = |voxel: &f64| SCALE_OVER_SIZE * size >= LEAST_SCALE * voxel;
+    let size = voxel.filter(|voxel| !has_scale(voxel)).map_or(size, |voxel| size.min(FINE_ENOUGH * voxel));
     Error::input(
         format!("{by}: nothing is left of the object of {} mm^3", significant(volume)),
         "parts smaller than the scale are smoothed away, and every part is smaller",
@@ -271,10 +275,12 @@ pub fn extract_scaled(
             json!({ "source": "scalar", "iso": iso, "inside": inside_name(*inside) })
         }
     };
+    let voxel = matches!(object, Object::Labels(_)).then(|| volume.geometry.mean_spacing());
     drop(volume);
     let volume_before = occupancy.volume();
-    let smoothed = scaled(occupancy, Scale { length, keep_thin }, options.keep, grid)?
-        .ok_or_else(|| nothing_left(&format!("a scale of {} mm ({reason})", significant(length)), volume_before))?;
+    let smoothed = scaled(occupancy, Scale { length, keep_thin }, options.keep, grid)?.ok_or_else(|| {
+        nothing_left(&format!("a scale of {} mm ({reason})", significant(length)), volume_before, voxel)
+    })?;
     drop(step);
     report_changes(&smoothed.changes, length, options.keep, context);
     meta["scale"] = json!(length);

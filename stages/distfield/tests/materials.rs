@@ -340,6 +340,37 @@ fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
 }
 
 #[test]
+fn parts_larger_than_their_own_scale_are_kept_beside_coarser_ones() {
+    // label 2 in label 1: balls of radius 7 and 4 (268 mm^3); a scale of 16 mm would drop both
+    let balls = volume([44, 40, 30], |at| {
+        let p = DVec3::from_array(at.map(|n| n as f64)) * DVec3::new(1.0, 0.8, 1.3);
+        let is_in = |x: f64, radius: f64| p.distance(DVec3::new(x, 16.0, 19.5)) < radius;
+        if is_in(12.0, 7.0) || is_in(32.0, 4.0) { 2 } else { 1 }
+    });
+    let names = ["outside", "1", "2"].map(str::to_owned);
+    let given = Given::new(&["2=2".parse().expect("a size")], &names).expect("a material");
+    let own = Scales::new(Scale { length: 16.0, keep_thin: false }, given, 1.01).expect("scales");
+    let made = make_with(balls, Border::Cap, MaterialOptions { scales: Some(own), ..OPTIONS });
+    assert_eq!(made.extracted.tallies[2].parts.map(|parts| parts.components), [2, 2]);
+    let change = made.survey.volumes[2] / (made.extracted.tallies[2].voxels as f64 * 1.04) - 1.0;
+    assert!(change.abs() < 0.05, "{change}");
+}
+
+#[test]
+fn a_volume_of_islands_only_is_outside_at_a_scale() {
+    let folder = tempfile::tempdir().expect("folder");
+    let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
+    let (input, output) = (at("in.nrrd"), at("out.vti"));
+    let labels = nrrd::Voxels::U8((0..16 * 16 * 16).map(|n| u8::from(n == 2184)).collect());
+    let geometry = Geometry::axis_aligned([16; 3], DVec3::ONE);
+    nrrd::write(Path::new(&input), &geometry, nrrd::FileSpace::Lps, &labels, true).expect("written");
+    let words = ["--material", "s=1", "--scale", "3", "--smallest-island", "100"];
+    let run = distfield(&[&[&input, "-o", &output][..], &words].concat());
+    let said = String::from_utf8_lossy(&run.stderr);
+    assert!(run.status.code().is_some_and(|code| code < 3) && !said.contains("panicked"), "{said}");
+}
+
+#[test]
 fn specks_do_not_fill_gaps_between_materials_at_a_scale() {
     // single voxels of label 5 on the axis at which the three sectors meet
     let with_specks = || {

@@ -190,7 +190,7 @@ def surfaces(case: Case, backend: str) -> str:
             str(report["exit_code"]),
             f"{checked['vertices']:,}",
             results["components"],
-            str(checked["euler"]),
+            str(checked["regions"][0]["euler"]),
             f"{quality['radius_ratio_mean']:.3f} / {quality['radius_ratio_min']:.3f}",
             f"{quality['angle_min']:.1f} to {quality['angle_max']:.1f}",
             f"{sum(refined['inserted'].values()):,}, {refined['rounds']}",

@@ -60,7 +60,7 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     tell_grid(&whole, &grid.padded(), context);
     let options = MaterialOptions { clearance: args.clearance, scales: scales(args, base, &chosen, voxel) };
     let range = options.scales.as_ref().map(|scales| scales.range(chosen.table.len()));
-    tell_scales(range, context);
+    tell_scales(range, args, context);
     let Extracted { materials, tallies, contacts } = extract(&grid, &chosen, &options, context)?;
     let step = context.step("materials checked");
     let found = survey(&materials, materials.geometry(), &grid, tallies.len(), context)?;
@@ -201,12 +201,13 @@ fn scales(args: &Args, base: Scale, chosen: &Chosen, voxel: f64) -> Option<Scale
     Scales::new(base, Given::new(&known, &names).ok()?, voxel)
 }
 
-/// Reports the shortest and the longest scale, mm, if they differ.
-fn tell_scales(range: Option<[f64; 2]>, context: &Context) {
-    let Some([shortest, longest]) = range.filter(|[shortest, longest]| shortest < longest) else { return };
+/// Reports the shortest and the longest scale, mm, that follow from `--size`.
+fn tell_scales(range: Option<[f64; 2]>, args: &Args, context: &Context) {
+    let Some([shortest, longest]) = range.filter(|_| !args.scale.size.is_empty()) else { return };
     let [from, to] = [shortest, longest].map(significant);
     context.summary("scales of the interfaces, mm", format!("{from} to {to}"));
     context.set_parameter("scale", longest);
+    context.set_parameter("scale_reason", "the longest scale of the edge lengths of materials (--size)");
 }
 
 /// Builds the notes on the materials for the output file and the report.

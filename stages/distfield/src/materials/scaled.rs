@@ -16,7 +16,7 @@
 use super::grid::{Extent, LabelGrid};
 use super::scales::Scales;
 use crate::bits::{Bits, Numbering};
-use crate::changes::{Changes, remove_crumbs};
+use crate::changes::{Changes, remove_parts};
 use crate::crop::{CutFaces, VoxelBox};
 use crate::field::Demands;
 use crate::level::{LevelSet, level_set};
@@ -184,7 +184,11 @@ impl<'a> LevelsAt<'a> {
             progress.add(1);
         }
         let new = Self::of(grid, scale.length, levels);
-        if scale.keep_thin { Ok(new) } else { new.without_crumbs(smallest_part(scale.length), monitor) }
+        if scale.keep_thin {
+            Ok(new)
+        } else {
+            new.without_crumbs(|_, volume, _| volume < smallest_part(scale.length), monitor)
+        }
     }
 
     /// Compares the level sets of all materials.
@@ -197,13 +201,13 @@ impl<'a> LevelsAt<'a> {
         new
     }
 
-    /// Removes the parts of each material that are smaller than `smallest` (mm^3), as
-    /// [`Self::remove_crumbs`] does.
-    fn without_crumbs(mut self, smallest: f64, monitor: &dyn Monitor) -> Result<Self> {
+    /// Removes the parts of each material that `is_crumb` selects by the number of the material,
+    /// their volume (mm^3) and the share of their voxels that have the label of the material.
+    fn without_crumbs(mut self, is_crumb: impl Fn(usize, f64, f64) -> bool, monitor: &dyn Monitor) -> Result<Self> {
         for id in 0..self.levels.len() {
             monitor.check()?;
             if !self.levels[id].above.is_empty() {
-                self.remove_crumbs(id, smallest)?;
+                self.remove_crumbs(id, |volume, share| is_crumb(id, volume, share))?;
             }
         }
         self.compare();
@@ -246,10 +250,10 @@ impl<'a> LevelsAt<'a> {
         }
     }
 
-    /// Returns the minimum of the border functions ([`between`]) of the material of `own` and each
-    /// other material at a voxel; 1 if there is none. Given `scales`, only materials count whose
-    /// interface has the scale of this set. The value is positive where the voxel belongs to the
-    /// material of `own`.
+    /// Returns the minimum of the border functions ([`between`]) of the material of `own` and the
+    /// near materials at a voxel, or the highest other material where at most two are near. Given
+    /// `scales`, materials whose interface has another scale are skipped; the value is 1 if none
+    /// remains. It is positive where the voxel belongs to the material of `own`.
     fn above_others(&self, voxel: usize, own: Share, scales: Option<&Scales>) -> f32 {
         let has_scale = |other: u16| {
             other != own.material && scales.is_none_or(|scales| scales.of_pair(own.material, other) == self.length)
@@ -280,12 +284,18 @@ impl<'a> LevelsAt<'a> {
         rows.par_iter().flat_map_iter(row).collect()
     }
 
-    /// Removes the parts of a material that are smaller than `smallest` (mm^3), unless all parts
-    /// are smaller. Other materials take over the voxels of removed parts.
-    fn remove_crumbs(&mut self, id: usize, smallest: f64) -> Result<()> {
+    /// Removes the parts of a material that `is_crumb` selects by their volume (mm^3) and the share
+    /// of their voxels that have the label of the material, unless it selects all parts. Other
+    /// materials take over the voxels of removed parts.
+    fn remove_crumbs(&mut self, id: usize, is_crumb: impl Fn(f64, f64) -> bool) -> Result<()> {
         let before = self.above(id, None);
         let mut after = before.clone();
-        remove_crumbs(&mut after, &self.geometry(id), smallest)?;
+        let mut is_own = vec![false; before.len()];
+        for (in_grid, in_box) in self.levels[id].rows(self.grid.geometry.size) {
+            let row = is_own[in_box..].iter_mut().zip(&self.grid.numbers[in_grid..]).take(self.levels[id].size[0]);
+            row.for_each(|(is_own, number)| *is_own = usize::from(*number) == id);
+        }
+        remove_parts(&mut after, &self.geometry(id), |n| is_own[n], is_crumb)?;
         let level = &mut self.levels[id];
         level.above.par_iter_mut().zip(before.par_iter().zip(&after)).for_each(|(value, (before, after))| {
             if before != after {
@@ -334,7 +344,7 @@ impl<'a> Levels<'a> {
         let room = room_round(0.5 * longest / grid.geometry.spacing);
         let ids = || 0..extents.len() as u16;
         let set = |&length: &f64| {
-            let has_scale = |a: u16| ids().any(|b| b != a && scales.of_pair(a, b) == length);
+            let has_scale = |a: u16| extents.len() == 1 || ids().any(|b| b != a && scales.of_pair(a, b) == length);
             let needed = |(a, extent): (u16, &Extent)| {
                 if has_scale(a) { *extent } else { Extent { count: 0, ..*extent } }
             };
@@ -342,15 +352,16 @@ impl<'a> Levels<'a> {
             LevelsAt::new(grid, &extents, Scale { length, keep_thin: scales.keep_thin }, room, monitor)
         };
         let mut sets = lengths.iter().map(set).collect::<Result<Vec<_>>>()?;
-        let set = if sets.len() > 1 { Self::combined(sets, scales, lengths[1], monitor)? } else { sets.remove(0) };
+        let set = if sets.len() > 1 { Self::combined(sets, scales, monitor)? } else { sets.remove(0) };
         Ok(Self { scales, set })
     }
 
     /// Combines the level sets of several scales. The value of a material is the minimum of its
     /// border functions with all others, each at its scale. Where interfaces of different scales
-    /// meet, no material may have a positive value; the largest value decides. This leaves small
-    /// parts, which are removed if they are too small for the scale `length`.
-    fn combined(sets: Vec<LevelsAt<'a>>, scales: &Scales, length: f64, monitor: &dyn Monitor) -> Result<LevelsAt<'a>> {
+    /// meet, the values of all materials can be negative. The material with the largest value then
+    /// gets the position. Parts are removed that are too small for the shortest scale of their
+    /// material, or for the longest of all if most of their voxels belong to other materials.
+    fn combined(sets: Vec<LevelsAt<'a>>, scales: &Scales, monitor: &dyn Monitor) -> Result<LevelsAt<'a>> {
         let level = |id: usize| {
             let mut with_id = sets.iter().filter(|set| !set.levels[id].above.is_empty());
             let Some(first) = with_id.next() else { return Level::default() };
@@ -364,9 +375,15 @@ impl<'a> Levels<'a> {
             Level { first, size, off: vec![0; above.len()], above }
         };
         let levels: Vec<Level> = (0..sets[0].levels.len()).map(level).collect();
-        let new = LevelsAt::of(sets[0].grid, length, levels);
+        let count = levels.len();
+        let new = LevelsAt::of(sets[0].grid, sets[0].length, levels);
+        let longest = sets.iter().map(|set| set.length).fold(0.0, f64::max);
         drop(sets);
-        if scales.keep_thin { Ok(new) } else { new.without_crumbs(smallest_part(length), monitor) }
+        let is_crumb = |id: usize, volume: f64, share: f64| {
+            let is_small = |scale: f64| volume < smallest_part(scale);
+            is_small(scales.shortest_of(id as u16, count)) || share < 0.5 && is_small(longest)
+        };
+        if scales.keep_thin { Ok(new) } else { new.without_crumbs(is_crumb, monitor) }
     }
 
     /// Computes the indicator of a material that has voxels. For the outside, computes the

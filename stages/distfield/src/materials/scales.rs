@@ -3,7 +3,7 @@
 
 use crate::choose::{FINE_ENOUGH, LEAST_SCALE};
 use crate::scale::{SCALE_OVER_SIZE, Scale};
-use isoparticles_field::materials::{MaterialId, Stratum};
+use isoparticles_field::materials::MaterialId;
 use isoparticles_stage::material_sizes::Given;
 
 /// The scales of all pairs of materials.
@@ -11,7 +11,7 @@ use isoparticles_stage::material_sizes::Given;
 pub struct Scales {
     /// The scale of the pairs without an edge length, mm.
     base: f64,
-    /// Edge lengths of single materials and pairs.
+    /// Edge lengths of single materials.
     given: Given,
     /// The minimum scale of pairs with an edge length, mm.
     smallest: f64,
@@ -25,8 +25,8 @@ impl Scales {
         Self { base: scale.length, given: Given::default(), smallest: 0.0, keep_thin: scale.keep_thin }
     }
 
-    /// Derives the scales from edge lengths of materials and pairs. `base` is the scale of pairs
-    /// without an edge length; 0 stands for 2.7 voxels. `voxel` is the mean spacing in mm.
+    /// Derives the scales from edge lengths of materials. `base` is the scale of pairs without an
+    /// edge length; 0 stands for 2.7 voxels. `voxel` is the mean spacing in mm.
     /// Returns `None` if no pair needs a scale: every voxel centre then stays in its material.
     pub fn new(base: Scale, given: Given, voxel: f64) -> Option<Self> {
         let smallest = LEAST_SCALE * voxel;
@@ -35,13 +35,23 @@ impl Scales {
         needs.then_some(Self { base: length, given, smallest, keep_thin: base.keep_thin })
     }
 
-    /// Returns the scale of the interface of two materials, mm.
+    /// Returns the scale of the interface of two materials, mm: that of the smaller edge length of
+    /// the two. Edge lengths of pairs do not count, because each material would then need a
+    /// comparison with all others at every scale.
     pub(super) fn of_pair(&self, a: u16, b: u16) -> f64 {
-        let size = self.given.of(&Stratum::interface(MaterialId(a), MaterialId(b)));
+        let sizes = [a, b].map(|id| self.given.of_material(MaterialId(id)));
+        let size = sizes.into_iter().flatten().min_by(f64::total_cmp);
         size.map_or(self.base, |size| (SCALE_OVER_SIZE * size).max(self.smallest))
     }
 
-    /// Returns the scale of the interfaces of a material that have no edge length of their own, mm.
+    /// Returns the shortest scale of the interfaces of one of so many materials, mm.
+    pub(super) fn shortest_of(&self, id: u16, materials: usize) -> f64 {
+        let others = (0..materials as u16).filter(|&other| other != id);
+        others.map(|other| self.of_pair(id, other)).min_by(f64::total_cmp).unwrap_or(self.base)
+    }
+
+    /// Returns the scale that the edge length of a material gives, or else the base scale, mm. An
+    /// interface with a material of smaller edge length has another scale.
     pub fn of_material(&self, id: MaterialId) -> f64 {
         let size = self.given.of_material(id);
         size.map_or(self.base, |size| (SCALE_OVER_SIZE * size).max(self.smallest))
@@ -59,6 +69,6 @@ impl Scales {
         let mut lengths: Vec<f64> = pairs.map(|(a, b)| self.of_pair(a, b)).collect();
         lengths.sort_by(f64::total_cmp);
         lengths.dedup();
-        lengths
+        if lengths.is_empty() { vec![self.base] } else { lengths }
     }
 }
