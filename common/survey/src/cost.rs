@@ -44,8 +44,9 @@ const GRADATION_LABELS: f64 = 1.82;
 /// no faces to sample.
 const GRADATION_SCAN: f64 = 2.22;
 
-/// Expected maximum ratio between the predicted and the actual vertex count, in either direction.
-/// The ratio is within 1.43 for all of the fourteen surfaces except the smallest (`predicted.py`).
+/// Expected maximum factor between the predicted and the actual vertex count, in either direction.
+/// The prediction is within a factor of 1.43 for all but the smallest of the fourteen surfaces
+/// (`predicted.py`).
 pub const UNCERTAINTY: f64 = 1.5;
 
 /// Minimum number of vertices of a part with default sizes; equal to `MIN_PARTICLES` of

@@ -271,7 +271,7 @@ impl<'a> Header<'a> {
     }
 }
 
-/// Converts a type name of MetaIO to a scalar type. MetaIO's `LONG` always has 32 bits.
+/// Converts a MetaIO type name to a scalar type. MetaIO's `LONG` always has 32 bits.
 fn scalar_type(name: &str) -> Option<ScalarType> {
     Some(match name {
         "MET_CHAR" => ScalarType::I8,

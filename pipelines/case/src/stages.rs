@@ -16,10 +16,10 @@ pub struct Programs {
     pub bin: PathBuf,
     /// `tetmesh-check`; its page and index programs are in the same folder.
     pub tetmesh_check: PathBuf,
-    /// Files that `tetmesh-check` consists of. If their content changes, the tetrahedra are made
-    /// again.
+    /// Files that make up `tetmesh-check`. If their contents change, the tetrahedra are
+    /// regenerated.
     pub tetmesh_files: Vec<PathBuf>,
-    /// Files that the page program consists of.
+    /// Files that make up the page program.
     pub page_files: Vec<PathBuf>,
 }
 

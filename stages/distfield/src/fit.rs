@@ -51,7 +51,7 @@ const GRADIENT_TOLERANCE: f64 = 0.001;
 
 /// A voxel cell that contains samples.
 struct Cell {
-    /// Number of the first coefficient in each of the 16 rows of four coefficients that determine F
+    /// Index of the first coefficient in each of the 16 rows of four coefficients that determine F
     /// in the cell.
     rows: [u32; 16],
     /// Index of the cell's first sample. The cell's samples end at the first sample of the next

@@ -47,11 +47,11 @@ use isoparticles_field::energy::SUPPORT;
 
 /// Margin of a GPU's neighbour lists beyond the support, as a fraction of the support. It keeps the
 /// lists complete at the start of a pass: two particles may have approached each other by 2
-/// [`REBUILD_MOVE`] = 0.2 h, which is less than `SUPPORT SKIN` = 0.52 h.
+/// [`REBUILD_MOVE`] = 0.2 h, which is less than `SUPPORT * SKIN` = 0.52 h.
 pub(crate) const SKIN: f64 = 0.3;
 
-/// A GPU's lists are rebuilt after a particle has moved by this fraction of its h since they were
-/// last built. Upper bound: half of `SUPPORT SKIN`, 0.26.
+/// A GPU's lists are rebuilt once any particle has moved by this fraction of its h since the last
+/// rebuild. Upper bound: half of `SUPPORT * SKIN`, 0.26.
 pub(crate) const REBUILD_MOVE: f64 = 0.1;
 
 /// Maximum step length in the tangent plane per pass, as a fraction of h (the paper's bound is h).

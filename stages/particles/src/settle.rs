@@ -257,8 +257,8 @@ pub(crate) struct Level {
     pub max_passes: u64,
 }
 
-/// Settles on a single level with edge length h, with any engine. At the end the CPU projects the
-/// particles onto F = 0 with a tolerance of 1e-8 voxels.
+/// Settles the particles at a single level, whose edge length is h, using any engine. At the end,
+/// the CPU projects them onto F = 0 with a tolerance of 1e-8 voxels.
 pub fn settle_with<S: Implicit>(
     engine: &mut dyn Engine,
     fields: &Fields<S>,

@@ -150,7 +150,7 @@ fn graded_sizes_are_followed() {
     let (set, _) =
         settle(&seeds(&surface, &sizing, 900, |d| 12.0 * d), None, &fields, &Parameters::default(), |_, _| Ok(()))
             .unwrap();
-    // the area of the ball between x and x + dx is 2 pi R dx, and h is linear in x
+    // the area of the sphere between x and x + dx is 2 pi R dx, and h is linear in x
     let centre = 0.5 * image.geometry.upper_corner();
     for (low, high) in [(-12.0, -6.0), (-6.0, 0.0), (0.0, 6.0), (6.0, 12.0)] {
         let steps = 600;

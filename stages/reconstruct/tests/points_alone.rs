@@ -38,7 +38,8 @@ impl Folder {
     }
 }
 
-/// Asserts that a surface passes all checks; returns its components and Euler characteristic.
+/// Asserts that a surface passes all checks; returns the number of its components and its Euler
+/// characteristic.
 fn sound(path: &Path) -> (usize, i64) {
     let report = check_object(&read_surface(path).unwrap().surface.mesh, &CheckOptions::default());
     assert!(report.failed.is_empty(), "{:?}", report.failed);

@@ -58,8 +58,8 @@ pub struct Surface<'a> {
     pub points: &'a [DVec3],
     /// Unit normals, outward.
     pub normals: &'a [DVec3],
-    /// Tolerance of each sample in mm. Other samples at a smaller depth inside the medial ball do
-    /// not shrink the ball; near the tangent point they are ripple or noise, not shape.
+    /// Depth in mm, for each sample, to which other samples may lie inside its medial ball without
+    /// shrinking it. Near the tangent point, such samples are due to ripple or noise.
     pub blur: &'a [f64],
     /// Height in mm of the noise at each sample.
     pub noise: &'a [f64],

@@ -69,7 +69,7 @@ fn the_options_of_a_phantom_are_checked_first() {
     phantom("bal --size 24").expect_error(2, &["phantom", "bal"]);
     assert!(!case.out().exists());
     phantom("ball --size 24").expect_success("make distfield");
-    // The volume of the earlier run no longer belongs to the case.
+    // The phantom replaces the volume of the earlier run, so its labels are not checked against it.
     let labels = ["PHANTOM=ball --size 24 --kind label", "LABELS=1"];
     run(&mut case.bare("distfield", &labels)).expect_success("labels in place of a scan");
 }

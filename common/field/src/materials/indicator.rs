@@ -59,8 +59,8 @@ pub fn bricks_along(size: [usize; 3]) -> [usize; 3] {
     size.map(|n| n.saturating_sub(1).div_ceil(CELLS).max(1))
 }
 
-/// Returns the indices of the eight blocks that the cells of a brick use, x fastest, in the grid of
-/// blocks. Along each axis, block c contains the coefficients of nodes 4 c - 1 to 4 c + 2, so a
+/// Returns the indices, in the grid of blocks, of the eight blocks that the cells of a brick use (x
+/// fastest). Along each axis, block c contains the coefficients of nodes 4 c - 1 to 4 c + 2, so a
 /// cell of brick b uses blocks b and b + 1.
 fn blocks_of(brick: u32, bricks: [usize; 3]) -> [u32; 8] {
     let [bx, by, _] = bricks;
@@ -393,8 +393,9 @@ impl BrickSigns {
         Self { first, count, signs: signs.collect(), low, high, bricks: bricks_along(size) }
     }
 
-    /// Returns the signs in the cubes of a brick and in all adjacent cubes. Returns `None` if no
-    /// cell of the brick lies in the box.
+    /// Returns whether any coefficient in the cube of a brick or in an adjacent cube is at most
+    /// zero, and whether any is at least zero. Returns `None` if no cell of the brick lies in the
+    /// box.
     fn around(&self, brick: [usize; 3]) -> Option<(bool, bool)> {
         let has_cell = (0..3).all(|a| {
             let (start, end) = (brick[a] * CELLS, (brick[a] + 1) * CELLS);

@@ -332,8 +332,8 @@ impl<'a> Reader<'a> {
         self.crossings = crossings;
     }
 
-    /// Adds the crossings on a cell edge along an axis, in forward or backward order. The edge
-    /// starts at the lowest corner of `edge`.
+    /// Adds the crossings on one edge of a cell, in forward or backward order. The edge runs along
+    /// `axis` from the lowest corner of the cell `edge`.
     fn edge(&mut self, edge: Cell, axis: usize, forward: bool, crossings: &mut Vec<(Crossing, bool)>) {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         let is_own = edge.level == self.present.level;

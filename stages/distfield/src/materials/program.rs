@@ -201,7 +201,7 @@ fn scales(args: &Args, base: Scale, chosen: &Chosen, voxel: f64) -> Option<Scale
     Scales::new(base, Given::new(&known, &names).ok()?, voxel)
 }
 
-/// Reports the shortest and the longest scale, mm, that follow from `--size`.
+/// Reports the shortest and longest scales, in mm, that result from `--size`.
 fn tell_scales(range: Option<[f64; 2]>, args: &Args, context: &Context) {
     let Some([shortest, longest]) = range.filter(|_| !args.scale.size.is_empty()) else { return };
     let [from, to] = [shortest, longest].map(significant);

@@ -41,9 +41,9 @@ impl<'a> DeviceSurface<'a> {
 /// Data that is stored with the normal of each particle: the damping and, with many materials, the
 /// stratum.
 ///
-/// With many materials the value is 16 times the index of the stratum, plus log10(damping / 0.001)
-/// or [`HELD_CODE`]. Interfaces have the first indices, in ascending order. Each held particle has
-/// a separate index after the indices of the interfaces.
+/// With many materials, both are packed into one number: 16 times the index of the stratum, plus
+/// log10(damping / 0.001) or, for a held particle, [`HELD_CODE`]. Interfaces come first, in
+/// ascending order. Each held particle then has an index of its own.
 #[derive(Debug, Default)]
 pub(super) struct Carried {
     /// Strata by index; empty for one object.
