@@ -267,11 +267,15 @@ impl Checker<'_> {
         };
         topology.collapsed_triangles.append(&mut topology.duplicate_triangles);
         let whole = |t: usize| numbers.as_ref().map_or(t, |(_, triangles)| triangles[t] as usize);
-        let mut flux = vec![0.0; measures.len()];
+        // a component counts once: for the material inside its triangles
+        let mut flux = vec![None; measures.len()];
         for (t, &component) in topology.component_of_triangle.iter().enumerate() {
-            flux[component as usize] += self.centroids.get(whole(t)).map_or(0.0, |centroid| centroid.flux);
+            let t = whole(t);
+            if let Some(centroid) = self.centroids.get(t).filter(|_| self.interfaces.between[t][0] == id) {
+                *flux[component as usize].get_or_insert(0.0) += centroid.flux;
+            }
         }
-        let inward = flux.into_iter().filter(|flux| *flux <= 0.0).count();
+        let inward = flux.into_iter().flatten().filter(|flux| *flux <= 0.0).count();
         if let Some((vertices, triangles)) = numbers {
             let Topology { open_edges, non_manifold_edges, badly_oriented_edges, .. } = &mut topology;
             for list in [open_edges, non_manifold_edges, badly_oriented_edges] {

@@ -491,6 +491,21 @@ fn each_kind_of_damage_fails_its_check() {
 }
 
 #[test]
+fn a_reversed_interface_is_one_inward_component() {
+    let scene = scenes::nested();
+    let made = made(&scene, &scene.analytic, 2.0, false);
+    let nodes = Nodes::new(&scene.geometry(1.0), &scene.analytic);
+    let options = CheckOptions {
+        truth: Some(&MaterialsTruth { indicators: &scene.analytic, nodes: &nodes }),
+        ..CheckOptions::default()
+    };
+    let mut reversed = made.interfaces.clone();
+    let core = reversed.between.iter().map(|between| between[1] != MaterialId::OUTSIDE);
+    reversed.mesh.triangles.iter_mut().zip(core).filter(|(_, is_core)| *is_core).for_each(|(t, _)| t.swap(0, 1));
+    assert_eq!(check(&reversed, &options).failed, ["1 components with inward normals"]);
+}
+
+#[test]
 fn triangles_forced_by_curves_fail_unless_accepted() {
     let scene = scenes::quarters();
     let made = made(&scene, &scene.analytic, 3.0, true);
