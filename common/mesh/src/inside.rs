@@ -12,12 +12,11 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use robust::Coord;
 
-/// Returns the grid nodes (i, j, k) where the closed mesh, in the grid frame, disagrees with the
-/// sign of F (negative inside). The nodes are in ascending order, and i varies fastest. Nodes with
-/// F = 0 are never included.
-pub fn nodes_on_wrong_side(mesh: &TriangleMesh, image: &Image<f32>) -> Vec<[usize; 3]> {
+/// Returns the linear indices of the grid nodes where the closed mesh, in the grid frame, disagrees
+/// with the sign of F (negative inside), in ascending order. Nodes with F = 0 are never included.
+pub fn nodes_on_wrong_side(mesh: &TriangleMesh, image: &Image<f32>) -> Vec<usize> {
     let geometry = &image.geometry;
-    let [nx, ny, _] = geometry.size;
+    let nx = geometry.size[0];
     if image.data.is_empty() {
         return Vec::new();
     }
@@ -35,7 +34,7 @@ pub fn nodes_on_wrong_side(mesh: &TriangleMesh, image: &Image<f32>) -> Vec<[usiz
                     inside = !inside;
                 }
                 if (inside && sample > 0.0) || (!inside && sample < 0.0) {
-                    wrong.push([i, row % ny, row / ny]);
+                    wrong.push(row * nx + i);
                 }
             }
             wrong
@@ -220,7 +219,7 @@ mod tests {
         assert!(nodes_on_wrong_side(&mesh, &field).is_empty());
         let at = field.geometry.linear(7, 5, 4);
         field.data[at] = 0.5;
-        assert_eq!(nodes_on_wrong_side(&mesh, &field), [[7, 5, 4]]);
+        assert_eq!(nodes_on_wrong_side(&mesh, &field), [at]);
         field.data[at] = 0.0;
         assert!(nodes_on_wrong_side(&mesh, &field).is_empty());
     }

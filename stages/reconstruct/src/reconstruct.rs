@@ -177,8 +177,6 @@ impl Truth for ObjectTruth<'_> {
     }
 
     fn wrong_nodes(&self, interfaces: &Interfaces) -> Option<Vec<usize>> {
-        let samples = self.samples?;
-        let linear = |[i, j, k]: [usize; 3]| samples.geometry.linear(i, j, k);
-        Some(nodes_on_wrong_side(&interfaces.mesh, samples).into_iter().map(linear).collect())
+        Some(nodes_on_wrong_side(&interfaces.mesh, self.samples?))
     }
 }

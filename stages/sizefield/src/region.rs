@@ -139,7 +139,8 @@ fn mask_nodes(file: &Path, geometry: &Geometry) -> Result<Vec<usize>> {
     let mut nodes: Vec<usize> = (0..geometry.voxel_count())
         .into_par_iter()
         .filter(|&n| {
-            let index = place.grid_to_index(place.world_to_grid(geometry.grid_to_world(position(geometry, n)))).round();
+            let index =
+                place.grid_to_index(place.world_to_grid(geometry.grid_to_world(geometry.node_to_grid(n)))).round();
             let is_within = (0..3).all(|a| index[a] >= 0.0 && index[a] < place.size[a] as f64);
             is_within && is_set(mask[place.linear(index.x as usize, index.y as usize, index.z as usize)])
         })
@@ -147,18 +148,12 @@ fn mask_nodes(file: &Path, geometry: &Geometry) -> Result<Vec<usize>> {
     let own: Vec<usize> = (0..mask.len())
         .into_par_iter()
         .filter(|&n| is_set(mask[n]))
-        .flat_map_iter(|n| nodes_around(geometry, geometry.world_to_grid(place.grid_to_world(position(&place, n)))))
+        .flat_map_iter(|n| nodes_around(geometry, geometry.world_to_grid(place.grid_to_world(place.node_to_grid(n)))))
         .collect();
     nodes.extend(own);
     nodes.par_sort_unstable();
     nodes.dedup();
     Ok(nodes)
-}
-
-/// Returns the position of a voxel in the grid frame.
-fn position(geometry: &Geometry, n: usize) -> DVec3 {
-    let [nx, ny, _] = geometry.size;
-    geometry.index_to_grid(DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / (nx * ny)) as f64))
 }
 
 /// Returns the nodes of the cell that contains a position in the grid frame; no nodes for a
@@ -222,7 +217,7 @@ mod tests {
     fn the_nodes_in_the_ball_are_found_and_no_others() {
         let geometry = Geometry::axis_aligned([20, 20, 20], DVec3::new(1.0, 0.5, 2.0));
         let ball = Ball { centre: DVec3::new(9.0, 5.0, 20.0), radius: 4.0, size: 0.5 };
-        let want: Vec<usize> = (0..8000).filter(|&at| position(&geometry, at).distance(ball.centre) <= 4.0).collect();
+        let want: Vec<usize> = (0..8000).filter(|&at| geometry.node_to_grid(at).distance(ball.centre) <= 4.0).collect();
         assert!(want.len() > 200);
         assert_eq!(ball.nodes(&geometry).collect::<Vec<_>>(), want);
         let tiny = Ball { centre: DVec3::new(9.5, 5.2, 21.0), radius: 1e-3, size: 0.25 };
@@ -265,7 +260,7 @@ mod tests {
         let geometry = Geometry::axis_aligned([20, 20, 20], DVec3::ONE);
         let found = Refinement::Mask { file: file.clone(), size: 0.5 }.nodes(&geometry).unwrap();
         for n in 0..geometry.voxel_count() {
-            let p = position(&geometry, n);
+            let p = geometry.node_to_grid(n);
             let is_found = found.contains(&(n, 0.5));
             if p.cmpge(low).all() && p.cmple(high).all() {
                 assert!(is_found, "{p}");

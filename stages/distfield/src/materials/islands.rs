@@ -2,7 +2,6 @@
 //! merged into the surrounding materials (`--smallest-island`).
 
 use super::grid::LabelGrid;
-use glam::DVec3;
 use isoparticles_field::materials::{Material, MaterialId};
 use isoparticles_mesh::components::DisjointSets;
 use rayon::prelude::*;
@@ -120,9 +119,8 @@ fn remove_outermost(grid: &mut LabelGrid, least: usize, found: &mut BTreeMap<u16
         own.voxels += size;
         if size > own.largest {
             own.largest = size;
-            let n = first.voxels[0];
-            let index = DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / (nx * ny)) as f64);
-            own.place = grid.geometry.grid_to_world(grid.geometry.index_to_grid(index)).to_array();
+            let place = grid.geometry.node_to_grid(first.voxels[0]);
+            own.place = grid.geometry.grid_to_world(place).to_array();
         }
     }
     !heirs.is_empty()
@@ -172,6 +170,7 @@ fn each_contact<N: Iterator<Item = usize>>(
 mod tests {
     use super::*;
     use crate::Border;
+    use glam::DVec3;
     use isoparticles_volume::Geometry;
 
     /// Builds a grid from rows of characters. Empty strings separate slices, and '.' is the

@@ -26,7 +26,7 @@ impl<'a> NodeSides<'a> {
     /// Creates the sides of the nodes of an image of F, given a closed mesh.
     pub(super) fn new(mesh: &TriangleMesh, image: &'a Image<f32>) -> Self {
         let geometry = &image.geometry;
-        let wrong = nodes_on_wrong_side(mesh, image).into_iter().map(|[i, j, k]| geometry.linear(i, j, k)).collect();
+        let wrong = nodes_on_wrong_side(mesh, image).into_iter().collect();
         Self { geometry, samples: &image.data, wrong }
     }
 

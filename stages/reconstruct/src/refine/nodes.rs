@@ -22,8 +22,8 @@ impl Refinement<'_> {
     fn wrong_nodes(&self, facets: &[Facet]) -> Vec<DVec3> {
         let Some(samples) = self.nodes else { return Vec::new() };
         let mesh = compact(self.object.points(), facets).0.mesh;
-        let place = |node: [usize; 3]| samples.geometry.index_to_grid(DVec3::from_array(node.map(|n| n as f64)));
-        nodes_on_wrong_side(&mesh, samples).into_iter().map(place).collect()
+        let wrong = nodes_on_wrong_side(&mesh, samples);
+        wrong.into_iter().map(|node| samples.geometry.node_to_grid(node)).collect()
     }
 
     /// Returns the points that move grid nodes to their correct side of the facets.
