@@ -372,6 +372,7 @@ impl<'a> Levels<'a> {
             }
             let Level { first, size, .. } = first.levels[id];
             let above: Vec<i16> = above.into_par_iter().map(|above| (above * UNIT).round() as i16).collect();
+            // equal levels give both materials of a border the same weight
             Level { first, size, off: vec![0; above.len()], above }
         };
         let levels: Vec<Level> = (0..sets[0].levels.len()).map(level).collect();

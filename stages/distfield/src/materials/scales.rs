@@ -26,8 +26,8 @@ impl Scales {
     }
 
     /// Derives the scales from edge lengths of materials. `base` is the scale of pairs without an
-    /// edge length; 0 stands for 2.7 voxels. `voxel` is the mean spacing in mm.
-    /// Returns `None` if no pair needs a scale: every voxel centre then stays in its material.
+    /// edge length; 0 stands for 2.7 voxels. `voxel` is the mean spacing in mm. Returns `None` if no
+    /// pair needs a scale: every voxel centre then stays in its material.
     pub fn new(base: Scale, given: Given, voxel: f64) -> Option<Self> {
         let smallest = LEAST_SCALE * voxel;
         let needs = base.length > 0.0 || given.largest().is_some_and(|size| size > FINE_ENOUGH * voxel);
@@ -39,9 +39,8 @@ impl Scales {
     /// the two. Edge lengths of pairs do not count, because each material would then need a
     /// comparison with all others at every scale.
     pub(super) fn of_pair(&self, a: u16, b: u16) -> f64 {
-        let sizes = [a, b].map(|id| self.given.of_material(MaterialId(id)));
-        let size = sizes.into_iter().flatten().min_by(f64::total_cmp);
-        size.map_or(self.base, |size| (SCALE_OVER_SIZE * size).max(self.smallest))
+        let own = [a, b].map(|id| self.own(MaterialId(id)));
+        own.into_iter().flatten().min_by(f64::total_cmp).unwrap_or(self.base)
     }
 
     /// Returns the shortest scale of the interfaces of one of so many materials, mm.
@@ -53,8 +52,11 @@ impl Scales {
     /// Returns the scale that the edge length of a material gives, or else the base scale, mm. An
     /// interface with a material of smaller edge length has another scale.
     pub fn of_material(&self, id: MaterialId) -> f64 {
-        let size = self.given.of_material(id);
-        size.map_or(self.base, |size| (SCALE_OVER_SIZE * size).max(self.smallest))
+        self.own(id).unwrap_or(self.base)
+    }
+
+    fn own(&self, id: MaterialId) -> Option<f64> {
+        self.given.of_material(id).map(|size| (SCALE_OVER_SIZE * size).max(self.smallest))
     }
 
     /// Returns the shortest and the longest scale of the pairs of so many materials, mm.
