@@ -99,22 +99,22 @@ pub fn check(interfaces: &Interfaces, options: &CheckOptions) -> CheckReport {
     let pairs = interfaces.pairs_at_vertices();
     let meeting = meeting(mesh.vertices.len(), &pairs);
     let centroids = options.truth.map_or_else(Vec::new, |truth| Centroid::all(interfaces, truth));
-    let checker = Checker { interfaces, options, meeting, centroids };
+    let checker = Checker { interfaces, options, kinds: interfaces.pairs(), meeting, centroids };
     let found = &mut report.offenders;
     found.insert(Fault::ZeroAreaTriangles, Simplices::Triangles(zero_area_triangles(mesh)));
     found.insert(Fault::SelfIntersections, Simplices::TrianglePairs(self_intersections(mesh)));
     let unused = (0..).zip(&checker.meeting).filter(|(_, count)| **count == 0).map(|(v, _)| v).collect();
     found.insert(Fault::UnusedVertices, Simplices::Vertices(unused));
-    checker.look_at_curves(&mut report);
-    checker.look_at_regions(&mut report);
-    checker.look_at_pairs(&mut report);
+    checker.check_curves(&mut report);
+    checker.check_regions(&mut report);
+    checker.measure_pairs(&mut report);
     if let Some(truth) = options.truth {
-        checker.look_at_distances(truth, &pairs, &mut report);
+        checker.check_distances(truth, &pairs, &mut report);
         if let Some(wrong) = truth.wrong_nodes(interfaces) {
             report.offenders.insert(Fault::NodesOnWrongSide, Simplices::Nodes(wrong));
         }
     }
-    let smallest_elsewhere = checker.look_at_shapes(&mut report);
+    let smallest_elsewhere = checker.check_shapes(&mut report);
     report.counts = report.offenders.iter().map(|(fault, list)| (*fault, list.count())).collect();
     report.failed = checker.failed(&report, smallest_elsewhere);
     report
@@ -137,6 +137,8 @@ fn meeting(vertices: usize, pairs: &[(u32, [MaterialId; 2])]) -> Vec<u8> {
 struct Checker<'a> {
     interfaces: &'a Interfaces,
     options: &'a CheckOptions<'a>,
+    /// The pairs of materials that have an interface, ascending.
+    kinds: Vec<[MaterialId; 2]>,
     /// Number of materials at each vertex.
     meeting: Vec<u8>,
     /// Measurements at the centroid of each triangle; empty without a reference.
@@ -188,12 +190,12 @@ impl Checker<'_> {
     }
 
     /// Compares the edges of more than two triangles with the segments of the junction curves.
-    fn look_at_curves(&self, report: &mut CheckReport) {
+    fn check_curves(&self, report: &mut CheckReport) {
         let Interfaces { between, segments, .. } = self.interfaces;
         report.junctions.segments = segments.len();
         report.junctions.junction_points = self.meeting.iter().filter(|&&count| count > 3).count();
         let (mut spurious, mut is_present) = (Vec::new(), vec![false; segments.len()]);
-        if self.interfaces.pairs().len() > 1 || !segments.is_empty() {
+        if self.kinds.len() > 1 || !segments.is_empty() {
             for own in self.interfaces.edges().chunk_by(|a, b| a.0 == b.0).filter(|own| own.len() > 2) {
                 report.junctions.junction_edges += 1;
                 match segments.binary_search_by_key(&own[0].0, |(pair, _)| *pair) {
@@ -220,9 +222,9 @@ impl Checker<'_> {
     }
 
     /// Checks that the surface of each region is a closed oriented manifold, and measures it.
-    fn look_at_regions(&self, report: &mut CheckReport) {
+    fn check_regions(&self, report: &mut CheckReport) {
         // with a single interface, the surface of the outside has the same triangles
-        let found: Vec<Region> = match self.interfaces.pairs()[..] {
+        let found: Vec<Region> = match self.kinds[..] {
             [[inside, _]] => vec![self.region(inside, &self.interfaces.mesh, None)],
             _ => {
                 let of_material = |id| {
@@ -288,16 +290,16 @@ impl Checker<'_> {
     }
 
     /// Measures the area and the shapes of the triangles of each interface.
-    fn look_at_pairs(&self, report: &mut CheckReport) {
+    fn measure_pairs(&self, report: &mut CheckReport) {
         let of_pair = |pair: [MaterialId; 2]| {
             let part = self.interfaces.part(pair);
             PairReport { between: pair.map(|id| self.name(id)), area: measure(&part).area, quality: summarise(&part) }
         };
-        report.pairs = self.interfaces.pairs().into_iter().map(of_pair).collect();
+        report.pairs = self.kinds.iter().map(|&pair| of_pair(pair)).collect();
     }
 
     /// Measures the distances of vertices and centroids from their interfaces.
-    fn look_at_distances(&self, truth: &dyn Truth, pairs: &[(u32, [MaterialId; 2])], report: &mut CheckReport) {
+    fn check_distances(&self, truth: &dyn Truth, pairs: &[(u32, [MaterialId; 2])], report: &mut CheckReport) {
         let Interfaces { mesh, joined, .. } = self.interfaces;
         let voxel = truth.geometry().mean_spacing();
         let distance = |&(v, pair): &(u32, [MaterialId; 2])| {
@@ -329,7 +331,7 @@ impl Checker<'_> {
 
     /// Finds the triangles below the minimum radius ratio, and separates those that the junction
     /// curves force. Returns the minimum radius ratio of the other ones, or 1 if there are none.
-    fn look_at_shapes(&self, report: &mut CheckReport) -> f64 {
+    fn check_shapes(&self, report: &mut CheckReport) -> f64 {
         let Some(limit) = self.options.min_radius_ratio else { return 1.0 };
         let mesh = &self.interfaces.mesh;
         let ratios = radius_ratios(mesh);

@@ -237,8 +237,10 @@ impl CheckReport {
 
     /// Returns the first region, which is the surface of one object. It is empty if the mesh has no
     /// triangles.
-    pub fn object(&self) -> RegionReport {
-        self.regions.first().cloned().unwrap_or_default()
+    pub fn object(&self) -> &RegionReport {
+        static EMPTY: RegionReport =
+            RegionReport { name: String::new(), volume: 0.0, area: 0.0, euler: 0, components: Vec::new() };
+        self.regions.first().unwrap_or(&EMPTY)
     }
 
     /// Returns a description of the triangles that the junction curves force below the minimum
