@@ -1,4 +1,4 @@
-"""Run the command of a row for a stage, `info` or `page`. The Snakefile calls this program.
+"""Run one command of a row: that of a stage, `info` or `page`. The Snakefile calls this program.
 
     call.py ROWS.jsonl NAME WHAT [KEY=VALUE | --OPTION]...
 
@@ -24,7 +24,7 @@ def main() -> None:
     stages = {it["stage"]: it["command"] for it in row["stages"]}
     program, goal, *words = stages[what] if what in stages else row[what]
     os.chdir(row["folder"])
-    # Assignments go before the options, because some options take any number of words. The last
+    # Assignments go before the options, because some options take any number of values. The last
     # assignment to a key takes effect, so the settings of the job override those of the row.
     at = next((n for n, word in enumerate(words) if word.startswith("-")), len(words))
     set_here = [word for word in more if not word.startswith("-")]

@@ -1,4 +1,4 @@
-# All tissues of the torso phantom at half the resolution of the paper's volume, as one mesh with
+# All tissues of the torso phantom at half the resolution of the paper's volume, in one mesh with
 # shared interfaces. Keys: see demo.mk.
 PHANTOM := torso --kind label --size 134,65,89 --spacing 2.6
 MATERIALS := heart:1,lungs:2,ribs:3,body:4

@@ -1,5 +1,5 @@
-# Trabecular bone: micro-CT with an iso value. All six faces of the volume cut the rods and plates
-# (LHDL, MIT). Keys: see demo.mk.
+# Trabecular bone: micro-CT, meshed at an iso value. All six faces of the volume cut the rods and
+# plates (LHDL, MIT). Keys: see demo.mk.
 #
 # The volume; its spacing is 0.0195 mm.
 INPUT := $(DATA)/trabecular_bone.nrrd

@@ -5,12 +5,13 @@
 
 struct Planned {
     number: u32,
-    // Number of particles. COUNT_ON_DEVICE stands for the number that the previous pass left.
+    // Number of particles, or COUNT_ON_DEVICE for the number of particles that the previous pass
+    // left.
     count: u32,
     allow_insert: u32,
-    // Number of particles that this pass has room for.
+    // Maximum number of particles for which this pass has room.
     room: u32,
-    // Capacity of each neighbour list and number of classes that the previous pass dispatched.
+    // Capacity of each neighbour list, and number of classes that the previous pass dispatched.
     list_room: u32,
     classes: u32,
     unused_1: u32,
@@ -18,7 +19,7 @@ struct Planned {
 }
 
 @group(0) @binding(2) var<uniform> planned: Planned;
-// Buffers `now` and `scan_keep`, which the other kernels read.
+// The buffers `now` and `scan_keep`, which the other kernels read.
 @group(0) @binding(3) var<storage, read_write> begun: array<u32>;
 @group(0) @binding(4) var<storage, read_write> begun_scan: array<u32>;
 @group(0) @binding(15) var<storage, read> words: array<u32>;

@@ -1,5 +1,5 @@
-// Computes the index of the first member of each class and the number of workgroups that move the
-// class (indirect dispatch).
+// Computes the index of the first member of each class, and the number of workgroups for the
+// indirect dispatch that moves the class.
 
 @group(0) @binding(4) var<storage, read_write> class_counts: array<u32>;
 @group(0) @binding(5) var<storage, read_write> class_starts: array<u32>;

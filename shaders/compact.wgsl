@@ -1,7 +1,7 @@
-// Density control, last step: writes the remaining particles and the newcomers in order. The output
-// goes to the `listed_*` buffers that the pass did not read. If a list was truncated, the kernel
-// does nothing and the host repeats the pass. If the host repeats the pass because there were too
-// few classes, it ignores this output.
+// Density control, last step: writes the remaining particles and the newcomers in order. There are
+// two sets of `listed_*` buffers; the output goes to the set that the pass did not read. If a list
+// was truncated, the kernel does nothing and the host repeats the pass. If too few classes were
+// dispatched, the host ignores the output and repeats the pass as well.
 
 @group(0) @binding(2) var<storage, read_write> listed_place: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> keep: array<u32>;

@@ -1,5 +1,5 @@
 // Computes the energy (Eq. 1) and the lattice-defect flag of every particle, and resets the marks
-// of density control. Particles next to a held particle do not count as defects.
+// of density control. Particles next to a held particle are not counted as defects.
 //
 // Twin: `measure` in stages/particles/src/state.rs
 

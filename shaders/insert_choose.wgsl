@@ -1,8 +1,8 @@
-// Density control: selects the particles to keep and the newcomers to insert. Newcomers conflict if
-// their parents are neighbours or if they are closer together than newcomer_distance. A newcomer is
-// inserted only if its parent draws the highest random number among all conflicting newcomers. The
-// kernel writes flags. Their prefix sum gives the new index of every particle: first the kept
-// particles, then the newcomers.
+// Density control: selects the particles to keep and the newcomers to insert. Two newcomers
+// conflict if their parents are neighbours or if the newcomers are closer together than
+// newcomer_distance. A newcomer is inserted only if its parent has a higher random priority than
+// the parents of all conflicting newcomers. The kernel writes flags whose prefix sum gives the new
+// indices: first the kept particles, then the newcomers.
 //
 // Twin: `insert` in stages/particles/src/density.rs
 
@@ -20,9 +20,9 @@ fn beats(j: u32, i: u32) -> bool {
 }
 
 // Returns whether the newcomer of i is too close to a newcomer of higher priority. The bins hold
-// the positions of the parents at the time of the sort. Since then, a parent of size h has moved by
-// at most (REBUILD_MOVE + FARTHEST_MOVE) h. A newcomer is within two lattice spacings of its
-// parent, because it is projected by at most one spacing from a point one spacing away.
+// the parents at their positions at the time of the sort. Since then, a parent of size h has moved
+// by at most (REBUILD_MOVE + FARTHEST_MOVE) h. A newcomer is within two lattice spacings of its
+// parent, because it starts one spacing away and is projected by at most one more spacing.
 fn is_too_near(i: u32) -> bool {
     let own = newcomer_place[i];
     let facing = newcomer_normal[i];

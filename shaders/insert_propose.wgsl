@@ -1,5 +1,5 @@
-// Density control, insertion: each undersampled particle proposes a newcomer. The candidate
-// position is one lattice spacing away, in the middle of the widest gap between neighbours,
+// Density control, insertion: each undersampled particle proposes a newcomer. The candidate is
+// placed one lattice spacing away, in the middle of the widest gap between neighbours, and
 // projected onto the surface. The proposal is dropped if the projection fails, if the normals
 // differ too much, or if a particle is too close.
 //
@@ -13,8 +13,8 @@
 @group(0) @binding(15) var<storage, read_write> newcomer_place: array<vec4<f32>>;
 @group(0) @binding(16) var<storage, read_write> newcomer_normal: array<vec4<f32>>;
 
-// Returns the direction in radians from the particle to neighbour j in the tangent plane. The
-// result is 2 TAU if j is deleted or outside the second ring.
+// Returns the direction, in radians in the tangent plane, from the particle to neighbour j. Returns
+// 2 TAU if j is deleted or outside the second ring.
 fn angle_of(own: vec4<f32>, plane: Plane, j: u32) -> f32 {
     let offset = place[j].xyz - own.xyz;
     let edge = parameters.spacing_in_h * own.w;
@@ -25,8 +25,8 @@ fn angle_of(own: vec4<f32>, plane: Plane, j: u32) -> f32 {
     return atan2(dot(plane.v, offset), dot(plane.u, offset));
 }
 
-// Returns the direction of the middle of the widest gap. The neighbours are distributed over the
-// lanes of the team. If several gaps are equally wide, the first in the list is used.
+// Returns the direction of the middle of the widest gap. The lanes of the team share the loop over
+// the neighbours. If several gaps are equally wide, the first in the list is used.
 fn widest_gap(own: vec4<f32>, plane: Plane, list: List, lane: u32) -> f32 {
     var lowest = TAU;
     for (var k = lane; k < list.length; k += TEAM) {
@@ -108,7 +108,7 @@ fn insert_propose(
         }
     }
     workgroupBarrier();
-    // few particles are undersampled, so with one invocation per particle most lanes would be idle
+    // few particles are undersampled, so most lanes would be idle with one invocation per particle
     let count = atomicLoad(&lacking_count);
     for (var k = local / TEAM; k < count; k += TEAMS) {
         propose(lacking[k], local % TEAM);

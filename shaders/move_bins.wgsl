@@ -1,12 +1,12 @@
-// One pass of movement for the bins of one colour (sections 4.1, 5.1 and 5.2 of the paper). A
-// workgroup processes one bin. The particles of the bin move one after the other, and the
-// neighbours of the moving particle are distributed over the lanes.
+// Moves each particle in the bins of one colour once (sections 4.1, 5.1 and 5.2 of the paper). A
+// workgroup processes one bin. The particles of the bin move one after another, and the lanes share
+// the neighbours of the moving particle.
 //
 // Every third bin along each axis has the same colour, so there are 27 colours. Workgroups do not
 // conflict: neighbour lists reach no farther than one bin edge, so a workgroup writes one bin and
 // reads that bin and the 26 adjacent bins. Two bins of one colour are separated by two other bins,
-// so the two regions are disjoint. Bins and lists do not change until the next sort, so this also
-// holds for all passes before that sort.
+// so the two regions are disjoint. Bins and lists do not change until the next sort, so this holds
+// for all passes before that sort.
 
 @group(0) @binding(5) var<storage, read> bin_starts: array<u32>;
 

@@ -1,8 +1,8 @@
-// One pass of movement for one class of particles (sections 3.2.1 and 3.2.2, Algorithm 1 of the
-// paper). A team of lanes moves each particle.
+// Moves each particle of one class once (sections 3.2.1 and 3.2.2, Algorithm 1 of the paper). A
+// team of lanes moves each particle.
 //
-// Particles do not conflict: each particle reads itself and its listed neighbours and writes only
-// itself, and no two members of a class are in each other's lists.
+// Teams do not conflict: each reads its particle and the neighbours in the particle's list, and
+// writes only the particle. No two members of a class are in each other's lists.
 //
 // Twin: `pass` in stages/particles/src/movement.rs
 

@@ -1,4 +1,4 @@
-// Builds the neighbour lists and writes four members at a time. The stored length counts all
+// Builds the neighbour lists, writing four members at a time. The stored length counts all
 // neighbours, including those that do not fit into the list.
 //
 // Twin: `NeighbourLists` in common/field/src/neighbours.rs
@@ -7,7 +7,7 @@
 @group(0) @binding(11) var<storage, read_write> lists: array<vec4<u32>>;
 
 var<private> particle: u32;
-// The last four members found; w holds the newest.
+// The last four members found, with the most recent one in w.
 var<private> last_four: vec4<u32>;
 
 fn found(n: u32, j: u32) {

@@ -1,5 +1,5 @@
-// Totals of a pass, step 2: a single workgroup adds up the blocks and writes the words that the
-// host reads.
+// Totals of a pass, step 2: a single workgroup sums the totals of all blocks and writes the words
+// that the host reads.
 
 @group(0) @binding(6) var<storage, read> block_totals: array<Totals>;
 // The words are documented in stages/particles/src/gpu/constants.rs.

@@ -66,7 +66,7 @@ def phantoms(folder: Path, program: Path, count: int) -> list[dict[str, str]]:
         path = folder / f"{shape}-{number:02}.nrrd"
         subprocess.run([program, shape, "-o", path, *variant, "--seed", str(number)], check=True)
         labels = "label" in variant
-        # Two of three rows have a constant edge length; other rows use the local feature size.
+        # Two out of three rows have a constant edge length; the others use the local feature size.
         row = {"NAME": path.stem, "INPUT": path.name, "LABELS" if labels else "ISO": "1" if labels else "100"}
         rows.append({**row, "SIZE": "2"} if number % 3 else row)
     return rows
@@ -167,7 +167,7 @@ def interrupt(first: subprocess.Popen[bytes], on_slurm: bool) -> None:
 def judge(command: list[object], rows: list[dict[str, str]], out: Path, on_slurm: bool) -> int:
     """Run the batch twice and report the outcome."""
     wrong = []
-    # make ends with 2 whenever a command fails.
+    # make exits with 2 whenever a command fails.
     stopped, not_fit = (2, 2) if on_slurm else (130, 1)
     begun = time.monotonic()
     with (out.parent / "log").open("wb") as log:

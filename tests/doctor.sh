@@ -14,7 +14,7 @@ bad() {
     missing=$((missing + 1))
 }
 
-# at_least HAVE WANT: compares dotted versions of up to three numbers.
+# at_least HAVE WANT: succeeds if version HAVE is WANT or newer. Compares up to three components.
 at_least() {
     printf '%s %s\n' "$1" "$2" | awk '{
         split($1, have, "."); split($2, want, ".");

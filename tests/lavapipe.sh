@@ -1,9 +1,9 @@
 #!/bin/sh
-# Installs Mesa's software Vulkan driver, lavapipe, for the tests of the GPU backend, but only if
-# there is no adapter and the user may install packages (as root, or with sudo without a password).
-# The script never fails: without an adapter, the tests of the GPU backend are reported as skipped.
+# Installs Mesa's software Vulkan driver, lavapipe, for the tests of the GPU backend, if there is no
+# adapter and the user may install packages (as root, or with sudo without a password). The script
+# never fails: without an adapter, the tests of the GPU backend are reported as skipped.
 #
-#   lavapipe.sh PARTICLES      PARTICLES: path of the stage program that lists the adapters
+#   lavapipe.sh PARTICLES      PARTICLES: path of the program `particles`, which lists the adapters
 set -u
 
 if [ -n "$("$1" --list-adapters --quiet 2>/dev/null)" ]; then exit 0; fi

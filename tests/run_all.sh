@@ -1,7 +1,6 @@
 #!/bin/sh
-# Runs the goals of `make test` in order, up to the first goal that fails. The last line contains
-# the numbers of tests that passed, failed and were skipped. The lines above it list the skipped
-# tests with their reasons.
+# Runs the goals of `make test` in order and stops at the first goal that fails. At the end, lists
+# the skipped tests with their reasons and prints how many tests passed, failed and were skipped.
 #
 #   run_all.sh MAKE GOAL...      called by `make test`
 set -u
@@ -30,7 +29,7 @@ sort -u "$ISOPARTICLES_SKIPS" | awk -F '\t' '{ print "skipped: " $1 ": " $2 }'
 sed -n 's/^SKIPPED \[\([0-9]*\)\] /skipped: \1 x /p' "$folder/log"
 skips=$(cut -f 1 "$ISOPARTICLES_SKIPS" | sort -u | wc -l)
 awk -v skips="$skips" '
-    # Number before a word in a summary, such as "12 passed".
+    # Returns the number before a word in a summary, as in "12 passed".
     function count(kind) { return match($0, "[0-9]+ " kind) ? substr($0, RSTART, RLENGTH) + 0 : 0 }
     /test result:/ || /^[0-9]+ .*(passed|failed|skipped|error).* in [0-9.]+s/ || /^=+ .* in [0-9.]+s.* =+$/ {
         passed += count("passed"); failed += count("failed") + count("error"); skipped += count("ignored") + count("skipped")

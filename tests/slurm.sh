@@ -1,9 +1,9 @@
 #!/bin/sh
-# Starts or stops a Slurm cluster of one node on this machine, to test `make cluster PROFILE=slurm`.
+# Starts or stops a single-node Slurm cluster on this machine, to test `make cluster PROFILE=slurm`.
 # The script runs Debian's slurmctld and slurmd directly and keeps all their files in one folder.
-# The only exception is a link to slurm.conf in /run/slurm/conf, where Slurm looks for it, because
-# jobs of the executor have no SLURM_CONF. The script starts no system service and does not access
-# /etc.
+# The only exception is a link to slurm.conf in /run/slurm/conf. Slurm looks for it there in jobs
+# that the executor submits, because they do not inherit SLURM_CONF. The script starts no system
+# service and does not change /etc.
 #
 #   apt-get install --no-install-recommends slurm-wlm munge
 #   tests/slurm.sh start FOLDER      as root
@@ -31,7 +31,7 @@ start)
         [ ! -e "$conf" ] || stop_with "$conf: is there" "this machine has a Slurm, and two would be mixed up" "use that one, or stop it first"
     done
     mkdir -p "$folder/state" "$folder/spool"
-    # munged requires folders that only the owner can write.
+    # munged requires a folder that only its owner can write to.
     mkdir -p "$folder/munge" && chmod 755 "$folder/munge"
     [ -f "$folder/munge.key" ] || (umask 077 && head -c 128 /dev/urandom >"$folder/munge.key")
     node=$(hostname -s)
@@ -58,7 +58,7 @@ JobAcctGatherType=jobacct_gather/none
 AccountingStorageType=accounting_storage/none
 MpiDefault=none
 ReturnToService=2
-# Slurm remembers finished jobs as long as the executor may query them.
+# Slurm must remember finished jobs for as long as the executor may query them.
 MinJobAge=600
 NodeName=$node NodeAddr=127.0.0.1 CPUs=$cores RealMemory=$memory State=UNKNOWN
 PartitionName=test Nodes=$node Default=YES MaxTime=INFINITE State=UP
@@ -67,7 +67,7 @@ END
         --log-file "$folder/munge/log" --seed-file "$folder/munge/seed"
     mkdir -p /run/slurm/conf
     ln -s "$folder/slurm.conf" "$link"
-    # This is the only configuration that the daemons read.
+    # The daemons read only this configuration file.
     export SLURM_CONF="$folder/slurm.conf"
     slurmctld
     slurmd -N "$node"

@@ -151,7 +151,7 @@ def by_freefem(case: Path, name: str, order: int, work: Path) -> float | str:
         return "reads no quadratic elements"
     shutil.copy(case / f"{name}.volume.msh2", work / "ball.msh")
     (work / "ball.edp").write_text(FREEFEM)
-    # Debian installs the plugins outside the search path of FreeFEM.
+    # Debian installs the plugins outside FreeFEM's search path.
     plugins = {"FF_LOADPATH": "/usr/lib/freefem++", "PATH": "/usr/bin:/bin"}
     return total_in(called(["FreeFem++-nw", "-v", "0", "ball.edp"], work, plugins))
 

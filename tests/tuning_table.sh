@@ -1,5 +1,5 @@
 #!/bin/sh
-# Prints the table of docs/user/size.md: `make surface CASE=demo` with one variable changed at a
+# Prints the table in docs/user/size.md: `make surface CASE=demo` with one variable changed at a
 # time. Needs `make build` first.
 set -eu
 work=${1:-out/tuning}

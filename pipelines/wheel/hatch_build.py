@@ -1,4 +1,4 @@
-"""Adds the programs, tetmesh-check and the case file of the demo to the wheel."""
+"""Build hooks that add the programs, tetmesh-check and the case file of the demo to the wheel."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PROGRAMS = (
 
 
 class Metadata(MetadataHookInterface):
-    """Gives the wheel the version and the dependencies of tetmesh-check."""
+    """Copies the version and the dependencies of tetmesh-check to the wheel."""
 
     def update(self, metadata: dict[str, Any]) -> None:
         """Fill in the dynamic fields."""
@@ -40,13 +40,13 @@ class Metadata(MetadataHookInterface):
 
 
 class Programs(BuildHookInterface[Any]):
-    """Puts the programs and tetmesh-check into the wheel and sets its platform tag."""
+    """Adds the programs and tetmesh-check to the wheel, and sets its platform tag."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """List the files of the wheel.
 
-        ISOPARTICLES_BIN is the folder of the programs; ISOPARTICLES_SHARE holds completions and man
-        pages.
+        ISOPARTICLES_BIN is the folder of the programs; ISOPARTICLES_SHARE is the folder of the
+        completions and man pages.
         """
         del version  # "standard" or "editable": the files are the same
         folder = Path(os.environ.get("ISOPARTICLES_BIN", ROOT / "target" / "release"))
@@ -65,7 +65,7 @@ class Programs(BuildHookInterface[Any]):
         for licence in ("LICENSE-MIT", "LICENSE-APACHE"):
             included[str(ROOT / licence)] = f"isoparticles/{licence}"
         share = Path(os.environ.get("ISOPARTICLES_SHARE", ROOT / "target" / "share"))
-        # The wheel puts no stage on PATH, so the man page of a stage becomes `isoparticles-STAGE`.
+        # The wheel puts no stage on PATH, so the man page of a stage is named `isoparticles-STAGE`.
         own = [file for file in sorted(share.rglob("*")) if file.is_file()]
         if not own:
             raise FileNotFoundError(f"{share}: no completions and man pages there (make completions)")

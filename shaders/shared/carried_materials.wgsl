@@ -1,11 +1,11 @@
-// Data stored in normal.w for a particle of a multi-material run: 16 s + c, where s is the index of
-// its stratum. The code c is log10(damping / 0.001), or HELD_CODE for a held particle. The value is
-// an integer below 2^24, so f32 represents it exactly. Material interfaces have the first indices.
-// Each held particle has a separate index after the indices of the interfaces.
+// In a multi-material run, normal.w stores 16 s + c, where s is the index of the particle's
+// stratum. The code c is log10(damping / 0.001), or HELD_CODE for a held particle. The value is an
+// integer below 2^24, so f32 represents it exactly. The indices start with the material interfaces,
+// followed by one index for each held particle.
 //
 // Twin: `rebuild_lists` in stages/particles/src/state.rs
 
-// Index built by stages/particles/src/gpu/differences.rs, which documents the layout.
+// Built by stages/particles/src/gpu/differences.rs, which documents the layout.
 @group(0) @binding(28) var<storage, read> materials_index: array<vec4<u32>>;
 
 fn damping_of(carried: f32) -> f32 {

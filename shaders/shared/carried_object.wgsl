@@ -1,5 +1,5 @@
-// Data stored in normal.w for a particle of a single-object run: the damping. Two particles
-// interact if their normals agree.
+// In a single-object run, normal.w stores the damping of the particle. Two particles interact if
+// their normals agree.
 
 fn damping_of(carried: f32) -> f32 {
     return carried;

@@ -1,10 +1,10 @@
 // Energy of a pair of particles (Eq. 1 and 2). The sums over neighbours (Eq. 4) are in
 // team_energy.wgsl.
 //
-// With x = d pi/2 and c = cot x, the energy is c + x - pi/2, the first derivative is -(pi/2) c^2
-// and the second derivative is (pi^2/2) c (1 + c^2). Sine and cosine are evaluated as polynomials
-// because WGSL guarantees only 11 bits for the built-in functions, and their results differ between
-// adapters.
+// With x = d pi/2 and c = cot x, the energy is c + x - pi/2. Its first derivative with respect to d
+// is -(pi/2) c^2, and the second is (pi^2/2) c (1 + c^2). Sine and cosine are evaluated as
+// polynomials because WGSL guarantees only 11 bits of accuracy for the built-in functions, and
+// their results differ between adapters.
 //
 // Twin: `pair_energy`, `scaled_distance` in common/field/src/energy.rs
 
@@ -28,8 +28,8 @@ fn pair_energy(d: f32) -> f32 {
     return max(cotangent(safe) - FRAC_PI_2 * (1.0 - safe), 0.0);
 }
 
-// Returns the energy of two particles separated by `offset`, with target edge lengths `h` and
-// `other`.
+// Returns the energy of two particles that are separated by `offset` and have target edge lengths
+// `h` and `other`.
 fn energy_between(offset: vec3<f32>, h: f32, other: f32) -> f32 {
     return pair_energy(length(offset) / (SUPPORT * min(h, other)));
 }

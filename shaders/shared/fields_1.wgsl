@@ -1,4 +1,4 @@
-// Access to the coefficients of F and the samples of h if each field fits into one binding.
+// Access to the coefficients of F and the samples of h when each field fits into one binding.
 
 @group(0) @binding(20) var<storage, read> surface_0: array<f32>;
 @group(0) @binding(24) var<storage, read> sizing_0: array<f32>;

@@ -1,5 +1,5 @@
-// Access to the coefficients of F and the samples of h if a field exceeds the maximum binding size
-// of the adapter. Each field is split by linear index into up to four slabs of
+// Access to the coefficients of F and the samples of h when a field exceeds the maximum binding
+// size of the adapter. Each field is split by linear index into up to four slabs of
 // parameters.slab_length values.
 
 @group(0) @binding(20) var<storage, read> surface_0: array<f32>;

@@ -1,6 +1,6 @@
 // Finds the voxel-grid cell that contains a position and interpolates h trilinearly. Device
-// positions are in mm, relative to the centre of voxel parameters.centre. Because the origin is the
-// centre of a voxel, the fraction within a cell keeps full precision.
+// positions are in mm, relative to the centre of voxel parameters.centre. Because the origin is a
+// voxel centre, the fraction within a cell keeps its full precision.
 //
 // Twin: `SizingField`, `value_gradient` in common/field/src/sizing.rs
 
@@ -9,7 +9,8 @@ struct Cell {
     fraction: vec3<f32>,
 }
 
-// Returns the cell of a position and the fraction within the cell, both clamped to the grid.
+// Returns the cell that contains a position and the fractional position within it, both clamped to
+// the grid.
 fn cell_at(position: vec3<f32>) -> Cell {
     let index = position * parameters.inverse_spacing;
     let whole = floor(index);
@@ -19,7 +20,7 @@ fn cell_at(position: vec3<f32>) -> Cell {
     let outside = (base < vec3(0)) | (base >= last);
     base = clamp(base, vec3(0), last);
     fraction = select(fraction, vec3(0.0), outside);
-    // beyond the last sample, use the far end of the last cell
+    // a position beyond the last sample maps to the far end of the last cell
     let top = max(last - 1, vec3(0));
     fraction = select(fraction, vec3(1.0), base > top);
     return Cell(min(base, top), fraction);

@@ -1,10 +1,10 @@
 // Levels of bins, one for each octave of h. A query visits at most 27 bins on each level, however
-// strongly h is graded. A single bin edge of max(h), as in the paper, would overfill the bins in
-// fine regions.
+// strongly h is graded. With a single bin edge of max(h), as in the paper, bins in fine regions
+// would contain too many particles.
 //
 // Twin: `LevelBins` in common/field/src/neighbours/bins.rs
 
-// Returns the finest level that holds particles of size h.
+// Returns the finest level that can hold a particle of size h.
 fn level_of(h: f32) -> u32 {
     var level = 0u;
     for (var k = 1u; k < parameters.level_count; k++) {

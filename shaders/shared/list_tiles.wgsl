@@ -1,7 +1,7 @@
 // Memory layout of the neighbour lists. The lists of LIST_TILE particles form a tile. A tile stores
 // the first four members of every list, then the next four members of every list, and so on.
-// Adjacent invocations access adjacent memory, and a team that shares one list reads few cache
-// lines.
+// Adjacent invocations therefore access adjacent memory, and a team that shares one list touches
+// few cache lines.
 
 // Returns the index of the group of four that contains member n of the list of particle i.
 fn list_slot(i: u32, n: u32) -> u32 {

@@ -1,5 +1,5 @@
-// Visits the neighbours of a particle in a fixed order: by level, bin and index. The kernel defines
-// `found`, which is called for each neighbour.
+// Visits the neighbours of a particle in a fixed order: by level, then bin, then index. Each kernel
+// that includes this file defines `found`, which is called for each neighbour.
 //
 // Twin: `visit` in common/field/src/neighbours/bins.rs
 

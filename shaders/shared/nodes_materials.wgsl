@@ -1,26 +1,26 @@
-// Coefficients of G = (F_i - F_j) / 2 at grid nodes, for the interface of materials i and j. The
-// differences are stored in blocks of 4 x 4 x 4 coefficients. The index locates the blocks by brick
-// of 4 x 4 x 4 cells (layout: stages/particles/src/gpu/differences.rs). A look-up takes two
-// dependent reads, so the record is kept until the brick changes. A projection rarely leaves the
-// brick where it starts.
+// Coefficients of G = (F_i - F_j) / 2 at the grid nodes, for the interface of materials i > j. The
+// differences are stored in blocks of 4 x 4 x 4 coefficients. For each brick of 4 x 4 x 4 cells, an
+// index contains records that locate the blocks (stages/particles/src/gpu/differences.rs documents
+// the layout). A look-up takes two dependent reads, so the record stays loaded until the brick
+// changes. A projection rarely leaves the brick in which it starts.
 //
 // Twin: `gather` in common/field/src/materials/indicator.rs
 // Twin: `is_real_interface` in common/field/src/materials/index.rs
 
 // Index of the interface to evaluate.
 var<private> chosen: u32;
-// The brick whose record is loaded, and the first node of the brick.
+// The brick whose record is loaded, and its first cell.
 var<private> open_brick: u32;
 var<private> open_start: vec3<u32>;
-// The interface of the record, and the index of the next entry of the brick (0 if there is none).
+// The interface of the loaded record, and the index of the brick's next entry (0 if there is none).
 var<private> open_interface: u32;
 var<private> open_next: u32;
-// The index of the record, and three of its four groups.
+// The index of the loaded record, and the first three of its four groups.
 var<private> open_at: u32;
 var<private> open_low: vec4<u32>;
 var<private> open_high: vec4<u32>;
 var<private> open_cells: vec4<u32>;
-// True if the indicators of both materials are stored in the current cell.
+// True if the indicators of both materials are stored for the current cell.
 var<private> is_known: bool;
 
 // Selects the interface of a particle for subsequent calls.
@@ -36,8 +36,9 @@ fn open_record(at: u32) {
     open_cells = materials_index[at + 2u];
 }
 
-// Selects the chosen interface from an entry that refers to two interfaces. If the entry does not
-// contain it, selects the first interface of the entry. Returns the index of the record.
+// Selects the chosen interface from an entry, which refers to up to two interfaces. If the entry
+// does not contain it, selects the first interface of the entry. Returns the index of the selected
+// record.
 fn take_entry(entry: vec4<u32>) -> u32 {
     let is_second = entry.z == chosen;
     open_interface = select(entry.x, entry.z, is_second);
@@ -45,7 +46,7 @@ fn take_entry(entry: vec4<u32>) -> u32 {
     return select(entry.y, entry.w, is_second);
 }
 
-// Loads the record of the chosen interface if it is in the first entry of the brick. Otherwise
+// Loads the record of the chosen interface if the first entry of the brick refers to it. Otherwise
 // loads the record of the first interface in that entry.
 fn ask_for_cell(cell: Cell) {
     let bricks = max((parameters.grid_size + 2u) / 4u, vec3(1u));
@@ -55,8 +56,8 @@ fn ask_for_cell(cell: Cell) {
     open_record(take_entry(materials_index[INDEX_BRICKS + open_brick]));
 }
 
-// Loads the record of the chosen interface for the brick of the cell. If the brick has no such
-// record, the coefficients are zero.
+// Loads the record of the chosen interface for the brick that contains the cell. If the brick has
+// no such record, the coefficients are zero.
 fn open_cell(cell: Cell) {
     if any(vec3<u32>(cell.base) / 4u != open_start / 4u) || open_brick == NO_BRICK {
         ask_for_cell(cell);
@@ -76,15 +77,15 @@ fn open_cell(cell: Cell) {
     is_known = is_of(open_cells.xy, vec3<u32>(cell.base));
 }
 
-// Returns whether the bit of a cell of the open brick is set.
+// Returns whether the bit mask `cells` contains a cell of the open brick.
 fn is_of(cells: vec2<u32>, base: vec3<u32>) -> bool {
     let within = base - open_start;
     let bit = 16u * (within.z & 1u) + 4u * within.y + within.x;
     return ((select(cells.x, cells.y, within.z >= 2u) >> bit) & 1u) != 0u;
 }
 
-// Returns the coefficient at a node. If either indicator is not stored there, the result is zero.
-// The gradient is then zero, which ends the projection.
+// Returns the coefficient at a node. If either indicator is not stored for the current cell, all
+// coefficients are zero. The gradient is then zero too, which ends the projection.
 fn node_coefficient(at: vec3<i32>) -> f32 {
     if !is_known {
         return 0.0;
@@ -96,14 +97,14 @@ fn node_coefficient(at: vec3<i32>) -> f32 {
     return coefficient_at(64u * block + 16u * (node.z & 3u) + 4u * (node.y & 3u) + (node.x & 3u));
 }
 
-// Checks of third materials at a point on the interface: the index of the next check, and the end
-// of the checks.
+// Remaining checks of third materials at a point on the interface: the index of the next check, and
+// the end of the range.
 var<private> next_check: u32;
 var<private> end_of_checks: u32;
-// True if the stored difference of the open check has the opposite sign.
+// True if the difference for the open check is stored with the opposite sign.
 var<private> is_negative: bool;
 
-// Prepares the checks of a cell. The result is CHECKS_FAIL if another material fills the brick.
+// Prepares the checks of a cell. Returns CHECKS_FAIL if another material fills the brick.
 fn begin_checks(cell: Cell) -> u32 {
     next_check = 0u;
     end_of_checks = 0u;
@@ -119,8 +120,8 @@ fn begin_checks(cell: Cell) -> u32 {
     return CHECKS_PASS;
 }
 
-// Replaces the open record by the next difference from a third material that may be equally close
-// in the cell.
+// Replaces the open record with that of the next third material that may be equally close in the
+// cell.
 fn open_check(cell: Cell) -> u32 {
     let base = vec3<u32>(cell.base);
     while next_check < end_of_checks {
@@ -129,7 +130,8 @@ fn open_check(cell: Cell) -> u32 {
         if is_of(check.zw, base) {
             open_record(check.x);
             if !is_of(open_cells.xy, base) {
-                // a listed third material without a stored difference fills the whole cell
+                // a third material that is listed but has no difference stored here fills the whole
+                // cell
                 return CHECKS_FAIL;
             }
             is_negative = check.y != 0u;
@@ -143,7 +145,7 @@ fn passes_check(difference: f32) -> bool {
     return select(difference, -difference, is_negative) > 0.0;
 }
 
-// Ends the checks. The record of the interface must be loaded again.
+// Ends the checks. Marks the record of the interface as no longer loaded.
 fn end_checks() {
     open_brick = NO_BRICK;
 }

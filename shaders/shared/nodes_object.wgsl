@@ -1,5 +1,5 @@
-// Coefficients of F at grid nodes for a single object. There are no third materials, so all checks
-// pass.
+// Coefficients of F at the grid nodes for a single object. There is no third material, so all
+// checks pass.
 
 fn choose_surface(carried: f32) {}
 

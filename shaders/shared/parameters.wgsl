@@ -1,5 +1,5 @@
-// Parameters of the run for every kernel: grid, levels of bins, limits.
-// stages/particles/src/gpu/parameters.rs fills them, and its tests compare this layout with the
+// Parameters of the run that every kernel can read: grid, levels of bins, limits.
+// stages/particles/src/gpu/parameters.rs sets them, and its tests compare this layout with the
 // layout that naga computes.
 
 // One level of bins, for the particles of one octave of h. Edges are in mm.
@@ -19,12 +19,12 @@ struct Parameters {
     level_count: u32,
     // Voxel spacing in mm.
     spacing: vec3<f32>,
-    // Tolerance of |F| in mm.
+    // Tolerance on |F| in mm.
     tolerance: f32,
     inverse_spacing: vec3<f32>,
     // Maximum length in mm of a single projection step.
     projection_step: f32,
-    // Voxel at the origin of device positions.
+    // Voxel whose centre is the origin of device positions.
     centre: vec3<i32>,
     // Number of values in each slab of a field.
     slab_length: u32,
@@ -37,12 +37,12 @@ struct Parameters {
     // Upper bound of h on the surface in mm; interpolated values of h are clamped to it.
     largest_size: f32,
     bin_total: u32,
-    // Number of members that each neighbour list has room for.
+    // Capacity of each neighbour list.
     list_room: u32,
     seed: u32,
     initial_lambda: f32,
     // Lengths in units of h: spacing of the target lattice, radius of the first ring, and minimum
-    // distance of a newcomer from other particles and from its parent.
+    // distances of a newcomer from other particles and from its parent.
     spacing_in_h: f32,
     first_ring: f32,
     newcomer_distance: f32,

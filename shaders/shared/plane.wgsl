@@ -7,7 +7,8 @@ struct Plane {
     v: vec3<f32>,
 }
 
-// Returns the tangent plane by the method of Duff et al. 2017, like any_orthonormal_vector of glam.
+// Returns the tangent plane, computed by the method of Duff et al. (2017) as in glam's
+// any_orthonormal_vector.
 fn tangent_plane(normal: vec3<f32>) -> Plane {
     let sign = select(-1.0, 1.0, normal.z >= 0.0);
     let a = -1.0 / (sign + normal.z);

@@ -10,8 +10,8 @@ struct Projected {
     size: f32,
 }
 
-// Returns the state of a projection: 0 to continue, 1 if it has converged, 2 if it fails because
-// the gradient is too small. `field` contains the gradient per mm (xyz) and the value (w).
+// Returns the state of a projection: 0 if it must continue, 1 if it has converged, 2 if it fails
+// because the gradient is too small. `field` contains the gradient per mm (xyz) and the value (w).
 fn projection_state(field: vec4<f32>) -> u32 {
     let squared = dot(field.xyz, field.xyz);
     if !(squared > LEAST_SQUARED_GRADIENT) {
@@ -27,10 +27,10 @@ fn projection_motion(field: vec4<f32>) -> vec3<f32> {
     return motion * select(1.0, parameters.projection_step / distance, distance > parameters.projection_step);
 }
 
-// Projects `start`. The total displacement is at most `limit` mm. With many materials, the end
-// point is rejected if a third material is as close as the two materials of the interface. The same
-// loop evaluates the differences from third materials, because a separate copy of the code would
-// cost registers in every step.
+// Projects `start` by at most `limit` mm. With many materials, the end point is rejected if a third
+// material is as close as the two materials of the interface. The differences from third materials
+// are evaluated in the same loop, because a second copy of the code would cost registers in every
+// step.
 fn project(start: vec3<f32>, limit: f32, lane: u32) -> Projected {
     var there = Projected(start, false, vec3(0.0), 0.0);
     var is_there = false;

@@ -1,4 +1,5 @@
-// Index of a round, class or colour. It distinguishes the dispatches of one kernel within a pass.
+// Index of a round, class or colour, which distinguishes the dispatches of the same kernel in a
+// pass.
 
 struct Round {
     number: u32,

@@ -1,9 +1,9 @@
-// The implicit function F: a cubic B-spline and its gradient, evaluated in f32 without hardware
-// filtering. The coefficients are mirrored at the border of the grid.
+// The cubic B-spline F and its gradient, evaluated in f32 without hardware filtering. The
+// coefficients are mirrored at the border of the grid.
 //
 // Twin: `Stencil`, `mirror` in common/field/src/spline/stencil.rs
 
-// Returns the weight (x) and its derivative (y) of tap 0 to 3 at fraction t of a cell.
+// Returns the weight of tap 0, 1, 2 or 3 at fraction t of a cell, and the derivative of the weight.
 fn tap_weight(tap: u32, t: f32) -> vec2<f32> {
     let left = tap < 2u;
     let s = select(1.0 - t, t, left);
@@ -15,7 +15,7 @@ fn tap_weight(tap: u32, t: f32) -> vec2<f32> {
     return vec2((4.0 + s * s * (3.0 * s - 6.0)) / 6.0, sign * s * (1.5 * s - 2.0));
 }
 
-// Returns index i of n samples, mirrored at both ends.
+// Mirrors index i at both ends of a row of n samples.
 fn mirrored(i: i32, n: i32) -> i32 {
     let low = abs(i);
     return select(select(low, 2 * (n - 1) - low, low > n - 1), 0, n == 1);
@@ -23,7 +23,7 @@ fn mirrored(i: i32, n: i32) -> i32 {
 
 // Returns the contribution of taps (x, y, z) and (x, y, z + 1) to the gradient per voxel (xyz) and
 // to the value (w); `plane` is x + 4 y. The sum over taps is unrolled by hand because naga adds a
-// counter to loops. The counter keeps drivers from unrolling the loop and from issuing the loads
+// counter to every loop. The counter prevents drivers from unrolling the loop and issuing the loads
 // together.
 fn two_taps(cell: Cell, plane: u32, z: u32) -> vec4<f32> {
     let step = vec3(plane & 3u, plane >> 2u, z);

@@ -1,5 +1,5 @@
-// Energy of a particle and its derivatives. The neighbours are distributed over the lanes of a
-// team.
+// The energy of a particle and its derivatives. The lanes of a team share the sum over the
+// neighbours.
 //
 // Twin: `jet` in stages/particles/src/neighbourhood.rs
 // Twin: `energy` in stages/particles/src/neighbourhood.rs
@@ -7,15 +7,15 @@
 
 struct Jet {
     energy: f32,
-    // Gradient per mm in the tangent plane, including the derivative through the particle's own h.
+    // Gradient per mm in the tangent plane, including the variation of the particle's own h.
     gradient: vec2<f32>,
-    // Hessian per mm squared with h held fixed: entries uu, uv, vv.
+    // Hessian per mm squared for fixed h: entries uu, uv, vv.
     hessian: vec3<f32>,
 }
 
-// The first three neighbours of a lane as (position, h). A missing neighbour has a distant
-// position. Most lists have at most 24 members, three for each lane of a team of eight. Every
-// attempt reads these neighbours, so all three are loaded once.
+// The first three neighbours of a lane as (position, h). A missing neighbour is placed far away.
+// Most lists have at most 24 members, three for each lane of a team of eight. The three are loaded
+// only once, because every attempted step reads them.
 struct Nearest {
     a: vec4<f32>,
     b: vec4<f32>,
@@ -37,7 +37,7 @@ fn nearest_neighbours(list: List, lane: u32) -> Nearest {
     );
 }
 
-// first: energy, gradient (2 components) and derivative with respect to the particle's size;
+// first: energy, gradient (2 components), and derivative with respect to the particle's own h;
 // second: Hessian (3 components).
 struct Terms {
     first: vec4<f32>,
@@ -71,7 +71,7 @@ fn add_pair(sum: Terms, own: vec4<f32>, plane: Plane, other: vec4<f32>) -> Terms
 }
 
 fn team_jet(own: vec4<f32>, plane: Plane, list: List, nearest: Nearest, lane: u32) -> Jet {
-    // loaded early to hide the latency
+    // the gradient of h is read early to hide the latency
     let slope = sizing_at(own.xyz).xyz;
     var sum = Terms(vec4(0.0), vec4(0.0));
     sum = add_pair(sum, own, plane, nearest.a);

@@ -1,7 +1,7 @@
 // Moves one particle with a team of lanes (sections 3.2.1 and 3.2.2, Algorithm 1 of the paper): a
 // damped Newton step in the tangent plane, projection onto F = 0 (Eq. 5) and the energy test. The
-// damping lambda grows tenfold until a step lowers the energy. The team reads the particle and its
-// listed neighbours and writes only the particle.
+// damping lambda is multiplied by ten until a step lowers the energy. The team reads the particle
+// and the neighbours in its list, and writes only the particle.
 //
 // Twin: `step` in stages/particles/src/movement.rs
 

@@ -1,8 +1,8 @@
-// A team is a part of a subgroup whose lanes work on one particle. A workgroup contains TEAMS
-// teams. Butterfly sums add the same two numbers in both lanes of a pair, so every lane gets the
-// same bits. TEAM is a power of two.
+// A team consists of TEAM consecutive lanes of a subgroup that work on one particle. TEAM is a
+// power of two, and a workgroup contains TEAMS teams. A butterfly sum adds the same two numbers in
+// both lanes of a pair, so the result is bitwise identical in all lanes.
 
-// Returns the sum over the lanes of the team. Every lane gets the same bits.
+// Returns the sum over the lanes of the team. The result is bitwise identical in all lanes.
 fn team_sum(value: vec4<f32>, lane: u32) -> vec4<f32> {
     var sum = value;
     for (var step = TEAM / 2u; step > 0u; step >>= 1u) {
@@ -11,8 +11,8 @@ fn team_sum(value: vec4<f32>, lane: u32) -> vec4<f32> {
     return sum;
 }
 
-// Returns the value with the largest x among the lanes of the team. If several have the same x, the
-// value with the smallest y is returned. Every lane gets the same result.
+// Returns the value with the largest x among the lanes of the team. Ties are resolved in favour of
+// the smallest y. Every lane gets the same result.
 fn team_best(value: vec4<f32>, lane: u32) -> vec4<f32> {
     var best = value;
     for (var step = TEAM / 2u; step > 0u; step >>= 1u) {

@@ -1,4 +1,4 @@
-// Evaluates F with a team of lanes. The 64 taps are distributed over the lanes without loops (see
+// Evaluates F with a team of lanes. The 64 taps are distributed over the lanes, without a loop (see
 // two_taps).
 
 // Returns the gradient of F per mm (xyz) and F in mm (w).

@@ -1,4 +1,4 @@
-// Totals of a pass, added up in a fixed order.
+// Totals of a pass, summed in a fixed order.
 
 struct Totals {
     energy: f32,
@@ -26,7 +26,7 @@ fn add_totals(a: Totals, b: Totals) -> Totals {
     );
 }
 
-// Returns the total over a workgroup of SUM_GROUP invocations. The result is valid in lane 0.
+// Returns the total over a workgroup of SUM_GROUP invocations. The result is valid only in lane 0.
 fn total_of_group(own: Totals, lane: u32) -> Totals {
     lane_totals[lane] = own;
     workgroupBarrier();

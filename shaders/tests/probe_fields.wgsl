@@ -1,5 +1,5 @@
-// Test kernel: evaluates F (or G of the interface) and h with their gradients at the particles, and
-// tests whether the projection of each particle succeeds. A team evaluates each particle.
+// Test kernel: evaluates F (or G of the interface) and h with their gradients at each particle, and
+// tests whether the projection of the particle succeeds. One team processes each particle.
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;

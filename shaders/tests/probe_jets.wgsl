@@ -1,5 +1,5 @@
-// Test kernel: computes the energy, its gradient and its Hessian for each particle, and F with its
-// gradient. A team evaluates each particle.
+// Test kernel: for each particle, computes the energy with its gradient and Hessian, and F with its
+// gradient. One team processes each particle.
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;

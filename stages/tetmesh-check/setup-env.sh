@@ -1,23 +1,30 @@
 #!/bin/sh
-# Makes the Python environment of tetmesh-check: `.venv` at the root of the repository, from requirements.lock.
+# Creates the Python environment of tetmesh-check from requirements.lock.
 #
-# Usage:   stages/tetmesh-check/setup-env.sh [--venv DIR] [--check] [--without-hxt] [--no-system-packages]
-#   --venv DIR             where the environment goes (default: .venv at the root of the repository)
-#   --check                change nothing; say what is missing; exit 0 when the environment is ready, else 2
-#   --without-hxt          leave out Gmsh (GPL-2.0-or-later, requirements-hxt.lock), which fills large surfaces fast
-#   --no-system-packages   never call apt-get, only say what it would have installed
-# Environment: PYTHON      the interpreter to use (default: the first of python3.11, python3, python3.12, ... >= 3.11)
+# Usage: stages/tetmesh-check/setup-env.sh [--venv DIR] [--check] [--without-hxt]
+#                                          [--no-system-packages]
+#   --venv DIR             folder of the environment (default: .venv at the root of the repository)
+#   --check                change nothing; report what is missing; exit 0 if the environment is
+#                          ready, else 2
+#   --without-hxt          omit Gmsh (GPL-2.0-or-later, requirements-hxt.lock), which fills large
+#                          surfaces quickly
+#   --no-system-packages   never call apt-get; messages name the missing packages
+# Environment: PYTHON      the interpreter to use (default: the first of python3.11, python3,
+#                          python3.12, ... >= 3.11)
 #
-# Exit codes: 0 ready; 2 something is missing, and the message says which command gets it.
+# Exit codes: 0: ready; 2: something is missing, and the message says how to install it.
 #
-# Runs in well under a second when nothing has changed: the stamp DIR/.tetmesh-check-stamp holds a checksum of the
-# lock files, of pyproject.toml, of this script, of the interpreter, and whether HXT is wanted. Packages come from pip's own configured index and are
-# checked against the hashes in the lock; nothing is compiled.
+# Takes well under a second if nothing has changed. DIR/.tetmesh-check-stamp contains a checksum of
+# the lock files, pyproject.toml, this script, the interpreter and the choice of HXT. Packages come
+# from the index configured in pip and are checked against the hashes in the lock files. Nothing is
+# compiled.
 #
-# Debian and Ubuntu split `ensurepip` off their python3 (package python3-venv), and VTK finds its off-screen renderer at
-# run time: libOSMesa (libosmesa6), or EGL with Mesa's drivers (libegl1 libgl1-mesa-dri) where a release has dropped it.
-# Importing VTK needs neither, so a missing renderer is a warning: only the pictures are skipped. Gmsh's library links to
-# OpenGL, X11 and fontconfig; where it cannot be installed or loaded that is a warning, too: fTetWild does the work.
+# Debian and Ubuntu provide `ensurepip` in a separate package (python3-venv). VTK loads its
+# off-screen renderer at run time: libOSMesa (libosmesa6), or EGL with Mesa's drivers (libegl1
+# libgl1-mesa-dri) on releases without libOSMesa. VTK can be imported without a renderer. If none is
+# found, the script prints a warning, and tetmesh-check skips only the pictures. Gmsh's library
+# links to OpenGL, X11 and fontconfig. If Gmsh cannot be installed or loaded, the script prints a
+# warning, and fTetWild replaces it.
 set -eu
 
 here=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd)
@@ -56,11 +63,11 @@ done
 
 lock=$here/requirements.lock
 hxt_lock=$here/requirements-hxt.lock
-# What Gmsh's library links to and a bare Debian or Ubuntu lacks.
+# Libraries that Gmsh links to and that a minimal Debian or Ubuntu lacks.
 hxt_packages="libgl1 libglu1-mesa libxrender1 libxcursor1 libxft2 libxinerama1 libxfixes3 libfontconfig1 libgomp1"
 stamp=$venv/.tetmesh-check-stamp
 
-# How this user may install Debian packages: "" as root, "sudo -n" without a password, or "no".
+# Prints how this user can install Debian packages: "" (as root), "sudo -n" or "no".
 privilege() {
     if ! command -v apt-get >/dev/null 2>&1 || [ "$system_packages" = no ] || [ "$check_only" = yes ]; then
         echo no
@@ -73,13 +80,14 @@ privilege() {
     fi
 }
 
-# install_packages PACKAGE... : installs Debian packages; returns 1 if this is not allowed or fails
+# install_packages PACKAGE... : installs Debian packages; returns 1 if this is not permitted or
+# fails
 install_packages() {
     how=$(privilege)
     [ "$how" != no ] || return 1
     say "installing Debian packages: $*"
     packages_log=$(mktemp)
-    # The package lists of a fresh container are empty, hence the second try after an update.
+    # The package lists of a fresh container are empty, so the second try follows an update.
     if $how env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends "$@" >"$packages_log" 2>&1 ||
         { $how apt-get update -q >>"$packages_log" 2>&1 &&
             $how env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends "$@" >>"$packages_log" 2>&1; }; then
@@ -106,7 +114,7 @@ find_python() {
     return 1
 }
 
-# has_modules PYTHON MODULE... ; ensurepip is looked for without being run
+# has_modules PYTHON MODULE... : tests whether Python finds the modules, without importing them
 has_modules() {
     interpreter=$1
     shift
@@ -127,7 +135,7 @@ last_line() {
     printf '%s\n' "$1" | tail -n 1
 }
 
-# Says in its output why Gmsh cannot be used.
+# Fails if Gmsh cannot be used, and prints the reason.
 can_hxt() {
     "$venv/bin/python" -c 'import gmsh' 2>&1
 }
@@ -160,8 +168,8 @@ is_ready() {
     [ -x "$venv/bin/tetmesh-check" ] && [ "$(cat "$stamp" 2>/dev/null || true)" = "$fingerprint" ]
 }
 
-# lock HOW : takes the lock on file descriptor 9, which this shell holds until it ends. Returns 1 if
-# another process has the lock and HOW is "try". Some file systems have no locks; then this succeeds.
+# lock HOW : locks file descriptor 9 until this shell exits. Returns 1 if another process holds the
+# lock and HOW is "try". Succeeds on file systems without locks.
 lock() {
     "$python" -c 'import fcntl, sys
 try:
@@ -186,7 +194,7 @@ if [ "$check_only" = yes ]; then
     fail "$venv: not there, or not up to date" "tetmesh-check runs in it" "run $0"
 fi
 
-# Only one process may make the environment at a time.
+# Only one process at a time may create the environment.
 lock_file=${venv%/}.lock
 if (: >>"$lock_file") 2>/dev/null; then
     exec 9>>"$lock_file"
@@ -231,7 +239,7 @@ say "installing the packages of requirements.lock (about 260 MB to download the 
     fail "pip could not install $here" "it is the stage itself" "see the message above"
 
 if ! can_render; then
-    # libosmesa6 is the smallest that does it; later releases have only EGL.
+    # libosmesa6 is the smallest renderer, but newer releases provide only EGL.
     if install_packages libosmesa6 || install_packages libegl1 libgl1-mesa-dri; then :; fi
     can_render || warn_no_renderer
 fi
@@ -240,7 +248,7 @@ if [ "$with_hxt" = yes ]; then
     say "installing HXT: Gmsh, GPL-2.0-or-later (40 MB; --without-hxt leaves it out)"
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input --no-deps --only-binary :all: --require-hashes \
         -r "$hxt_lock" || say "pip could not install Gmsh; see the message above"
-    # without the package its system libraries are of no use
+    # without the Python package, the system libraries are useless
     if ! reason=$(can_hxt) && has_modules "$venv/bin/python" gmsh; then
         # shellcheck disable=SC2086 # a list of names
         install_packages $hxt_packages || true

@@ -1,5 +1,5 @@
-//! Runs all stages as library calls, from labels to triangles, without files: `cargo run --release
-//! -p isoparticles-tests --example chain`.
+//! Runs all stages as library calls, from labels to triangles, without intermediate files:
+//! `cargo run --release -p isoparticles-tests --example chain`.
 
 use glam::DVec3;
 use isoparticles_distfield::{Border, Keep, LabelOptions, from_labels};

@@ -1,13 +1,13 @@
 #!/bin/sh
-# Fuzzes all file readers, or the readers given by name, each for a number of seconds (default 60)
-# with a number of parallel jobs (default 1). The initial corpus consists of the test fixtures and
-# the files in seeds/. The corpus is kept in target/fuzz/corpus, and failing inputs are kept in
+# Fuzzes all file readers, or only the named ones, for the given time each (default 60 s), with the
+# given number of readers in parallel (default 1). The initial corpus consists of the test fixtures
+# and the files in seeds/. The corpus is stored in target/fuzz/corpus, and failing inputs in
 # target/fuzz/finds. Needs nightly Rust and cargo-fuzz (cargo install cargo-fuzz).
 #
 #   tests/fuzz/run.sh [--seconds N] [--jobs N] [--pack FOLDER] [READER...]
 #
-# --pack only builds, and copies everything that another machine needs into FOLDER. On that machine,
-# FOLDER/run.sh --seconds 300 --jobs 16 runs without Rust.
+# With --pack, the script fuzzes nothing. It builds the program and copies everything that another
+# machine needs to FOLDER. That machine can run FOLDER/run.sh --seconds 300 --jobs 16 without Rust.
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
 
@@ -24,7 +24,7 @@ while [ $# -gt 0 ]; do
     shift 2
 done
 
-# Lists the initial files for the corpus of a reader.
+# Lists the files of a reader's initial corpus.
 fixtures() {
     volume=common/volume/tests/data
     stage=common/stage/tests/data
@@ -44,7 +44,7 @@ fixtures() {
     ls tests/fuzz/seeds/"$1"/* 2>/dev/null || true
 }
 
-# Puts the fuzz program and the initial files of each reader into a folder.
+# Builds the fuzz program and copies it, with the initial corpus of each reader, to a folder.
 pack() {
     cargo +nightly fuzz --version >/dev/null 2>&1 || {
         echo "error: cargo-fuzz or nightly Rust is not there" >&2
@@ -72,17 +72,17 @@ pack() {
 fuzz() {
     mkdir -p "$work/corpus/$1" "$work/finds" "$work/logs" "$scratch/$1"
     most=8192
-    # The smallest file with several materials has 41 kB.
+    # The smallest valid file with several materials is 41 kB long.
     if [ "$1" = materials ]; then most=65536; fi
     end=$(($(date +%s) + seconds))
     : >"$work/logs/$1"
     while left=$((end - $(date +%s))) && [ "$left" -gt 0 ]; do
-        # Input files are in memory, and each reader has one thread.
+        # Temporary files are in /dev/shm, if it exists. Each process runs one thread.
         status=0
         READER=$1 TMPDIR=$scratch/$1 RAYON_NUM_THREADS=1 "$program/readers" "$work/corpus/$1" "$program/seeds/$1" -dict="$program/words.dict" \
             -max_total_time="$left" -max_len=$most -timeout=10 -rss_limit_mb=2048 -print_final_stats=1 \
             -artifact_prefix="$work/finds/$1-" >>"$work/logs/$1" 2>&1 || status=$?
-        # Exit codes of libFuzzer: 70 too slow, 71 too much memory, 77 a crash.
+        # libFuzzer exits with 70 after a timeout, 71 if memory runs out, and 77 after a crash.
         case $status in 70 | 71 | 77) ;; *) break ;; esac
     done
     runs=$(awk '/stat::number_of_executed_units/ { sum += $2 } END { print sum + 0 }' "$work/logs/$1")
@@ -90,7 +90,7 @@ fuzz() {
     printf '%-20s %10d executions %7d a second %6d files kept %4d finds\n' "$1" "$runs" $((runs / seconds)) "$(find "$work/corpus/$1" -type f | wc -l)" "$finds"
 }
 
-# A packed folder contains the program beside this script; in the project, it is built first.
+# In a packed folder, the program is next to this script. In the repository, it is built first.
 if [ -x "$here/readers" ]; then
     program=$here
     work=${OUT:-$here/work}

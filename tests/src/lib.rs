@@ -1,8 +1,8 @@
-//! Analytic phantoms: volumes with known area, volume, genus and local feature size, so that tests
-//! can compare the output of each stage with exact values. A [`scene::Scene`] is an implicit
-//! function in the grid frame (mm), negative inside. [`volume`] samples a scene as a scalar volume
-//! whose edges are blurred as in a scan, or as a label map. [`nrrd`] writes volumes with any
-//! geometry; it is independent of the reader under test.
+//! Analytic phantoms: volumes of objects whose surface area, volume, genus and local feature size
+//! are known. Tests compare the output of each stage with these exact values. A [`scene::Scene`] is
+//! an implicit function in the grid frame (mm), negative inside. [`volume`] samples a scene as a
+//! label map, or as a scalar volume with blurred edges like those of a scan. [`nrrd`] writes
+//! volumes with any geometry; it is independent of the reader under test.
 
 pub mod nrrd;
 pub mod readers;

@@ -158,12 +158,12 @@ fn voxels(arguments: &Arguments, scene: &dyn Scene, geometry: &Geometry) -> Voxe
     let image = volume::scalar(scene, geometry, arguments.noise, arguments.seed);
     match arguments.voxel_type {
         Type::Float => Voxels::F32(image.data),
-        // The values are well within 16 bits; `as` saturates extreme noise.
+        // The intensities fit easily into 16 bits; `as` clamps extreme noise.
         Type::Int16 => Voxels::I16(image.data.iter().map(|v| v.round() as i16).collect()),
     }
 }
 
-/// Returns the exact figures of the scene, including the figures that depend on the kind of volume.
+/// Returns the exact figures of the scene, including those that depend on the kind of volume.
 fn truth(arguments: &Arguments, scene: &dyn Scene, geometry: &Geometry) -> Truth {
     let mut truth = scene.truth();
     truth.centre_world = geometry.grid_to_world(DVec3::from_array(truth.centre_grid)).to_array();

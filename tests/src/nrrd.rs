@@ -1,5 +1,5 @@
 //! A minimal NRRD writer (format: teem.sourceforge.net/nrrd/format.html). It is independent of the
-//! reader under test, and also writes spaces that the pipeline's own writer does not need.
+//! reader under test, and supports spaces that the pipeline's own writer does not.
 
 use flate2::{Compression, write::GzEncoder};
 use glam::DVec3;
@@ -33,11 +33,11 @@ pub enum FileSpace {
     Unnamed,
 }
 
-/// Writes an NRRD file with an attached header, with gzip or raw encoding. The file gets its final
-/// name after it is complete.
+/// Writes an NRRD file with an attached header and gzip or raw encoding. The file is written under
+/// a temporary name and renamed when it is complete.
 ///
 /// # Errors
-/// If the folder is not writable.
+/// If the file cannot be written.
 pub fn write(path: &Path, geometry: &Geometry, space: FileSpace, voxels: &Voxels, gzip: bool) -> Result<()> {
     let (type_name, bytes): (&str, Vec<u8>) = match voxels {
         Voxels::U8(data) => ("uint8", data.clone()),
@@ -59,7 +59,8 @@ pub fn write(path: &Path, geometry: &Geometry, space: FileSpace, voxels: &Voxels
         std::fs::rename(&partial, path)
     };
     attempt().map_err(|source| {
-        // The partial file may not exist; the first error is the one to report.
+        // Errors are ignored here: the partial file may not exist, and the first error is the one
+        // to report.
         std::fs::remove_file(&partial).ok();
         Error::file(path, "write the phantom", &source, "choose a folder that exists and can be written")
     })

@@ -1,6 +1,6 @@
 //! Lists every file reader by name, for tests with arbitrary bytes. A reader must return a value or
-//! a three-part error. It must never panic, and must not allocate memory for data that the file
-//! lacks.
+//! a three-part error. It must never panic, and must not allocate memory for data that is not in
+//! the file.
 
 use isoparticles_mesh::point_cloud::read_point_cloud;
 use isoparticles_mesh::surface::read_surface;
@@ -12,12 +12,12 @@ use isoparticles_volume::{data_files, read_volume};
 use std::path::Path;
 use tempfile::TempDir;
 
-/// A reader and the file name ending that it supports.
+/// A reader and the file name extension that it supports.
 #[derive(Clone, Copy, Debug)]
 pub struct Reader {
-    /// Name of the reader, which is also the name of its fuzz target.
+    /// Name of the reader; the fuzz program reads it from the environment variable `READER`.
     pub name: &'static str,
-    /// Ending of the file name.
+    /// File name extension, without the dot.
     pub ending: &'static str,
     read: fn(&Path) -> Option<Error>,
 }
@@ -28,7 +28,7 @@ fn volume(path: &Path) -> Option<Error> {
     read_volume(path).err().map(Error::from)
 }
 
-/// Reads the folder of the file as a series of slices.
+/// Reads the folder that contains the file as a series of slices.
 fn series(path: &Path) -> Option<Error> {
     read_volume(path.parent()?).err().map(Error::from)
 }
@@ -85,7 +85,7 @@ impl Reader {
         *READERS.iter().find(|reader| reader.name == name).unwrap_or_else(|| panic!("no reader is called {name}"))
     }
 
-    /// Reads a file with these bytes.
+    /// Runs the reader on a file that contains `bytes`.
     ///
     /// # Panics
     /// Panics if the reader panics, or if its error lacks one of the three parts.
@@ -110,8 +110,8 @@ impl Feeder {
         Self { reader, folder: tempfile::tempdir().expect("a folder for files") }
     }
 
-    /// Reads a file with these bytes. The reader of series gets a folder of slices. A particle file
-    /// is read a second time with a corrected length and checksum.
+    /// Runs the reader on a file that contains `bytes`. The DICOM reader gets a folder of slices. A
+    /// particle file is read a second time with a corrected length and checksum.
     ///
     /// # Panics
     /// Panics if the reader panics, or if its error lacks one of the three parts.
@@ -138,7 +138,7 @@ impl Feeder {
         }
     }
 
-    /// Reads a file with this name and these bytes.
+    /// Runs the reader on a file called `name` that contains `bytes`.
     ///
     /// # Panics
     /// Panics in the same cases as [`Feeder::feed`].
@@ -159,19 +159,19 @@ impl Feeder {
     }
 }
 
-/// Returns a particle file with the correct length and checksum of its payload
-/// (`particle_file.rs`), because random bytes never have them. Returns `None` for other files.
+/// Returns the particle file with its payload length and checksum corrected (`particle_file.rs`).
+/// They are never correct in random bytes. Returns `None` for other files.
 fn sealed(bytes: &[u8]) -> Option<Vec<u8>> {
     let (head, _) = bytes.split_at_checked(16).filter(|(head, _)| head.starts_with(b"ISOPART\n"))?;
     let payload = bytes.get(56..)?;
     Some([head, &(payload.len() as u64).to_le_bytes(), blake3::hash(payload).as_bytes(), payload].concat())
 }
 
-/// Offset in bytes of the letters DICM in a slice.
+/// Length in bytes of the DICOM preamble, which precedes the letters DICM.
 const SLICE_MAGIC: usize = 128;
 
-/// Splits concatenated slices. Each slice starts 128 bytes before the letters DICM. The reader
-/// refuses a single slice before it reads the pixels, because a volume needs at least two slices.
+/// Splits concatenated slices. Each slice starts 128 bytes before the letters DICM. With a single
+/// slice, the reader would stop before it reads pixels, because a volume needs at least two slices.
 fn slices(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     let mut rest = Some(bytes);
     std::iter::from_fn(move || {

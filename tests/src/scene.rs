@@ -7,26 +7,26 @@ use isoparticles_volume::Geometry;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// An implicit function, which is negative inside. It is a signed distance if
+/// An implicit function that is negative inside. It is a signed distance if
 /// [`Truth::exact_distance`] is set.
 pub trait Scene: Sync {
     /// Returns the value at a position (mm) in the grid frame.
     fn value(&self, position: DVec3) -> f64;
 
-    /// Returns the label of a voxel with its centre at `position`: 0 outside and 1 inside, unless
-    /// the scene has several parts.
+    /// Returns the label of a voxel centred at `position`: 0 outside and 1 inside, unless the scene
+    /// has several parts.
     fn label(&self, position: DVec3) -> u8 {
         u8::from(self.value(position) < 0.0)
     }
 
-    /// Returns the profile at a position for an edge of the given width (mm): 0 outside, 1 inside,
-    /// 0.5 on the surface.
+    /// Returns the edge profile at a position, for an edge of the given width (mm): 0 outside, 1
+    /// inside, 0.5 on the surface.
     fn profile(&self, position: DVec3, edge_width: f64) -> f64 {
         edge_profile(self.value(position), edge_width)
     }
 
-    /// Returns the scalar values of "outside" (profile 0) and "inside" (profile 1), which are
-    /// similar to Hounsfield units.
+    /// Returns the scalar values outside (profile 0) and inside (profile 1), roughly in Hounsfield
+    /// units.
     fn intensities(&self) -> (f64, f64) {
         (-100.0, 300.0)
     }
@@ -41,18 +41,19 @@ pub fn edge_profile(signed_distance: f64, edge_width: f64) -> f64 {
     0.5 * (1.0 - (signed_distance / edge_width).tanh())
 }
 
-/// Exact figures of a scene's surface. A figure is absent if it has no closed form or quadrature.
+/// Exact figures of a scene's surface. A figure is `None` if it is not available in closed form or
+/// by quadrature.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Truth {
     /// Name of the shape.
     pub shape: String,
     /// How the figures are obtained, in one sentence.
     pub method: String,
-    /// Iso value of the scalar volume that gives the surface.
+    /// Iso value of the surface in the scalar volume.
     pub iso: Option<f64>,
     /// Side of the iso value on which the object lies: `above` or `below`.
     pub inside: Option<String>,
-    /// Labels in a label map that together form the object.
+    /// Labels that form the object in a label map.
     pub labels: Vec<u8>,
     /// Whether the implicit function is the exact signed distance.
     pub exact_distance: bool,
@@ -117,13 +118,13 @@ pub struct Options {
 }
 
 impl Options {
-    /// Returns options with a wall of 2.5 and a gap of 3 mean voxel spacings, and the whole torso.
+    /// Returns the defaults: a wall of 2.5 and a gap of 3 mean voxel spacings, and the whole torso.
     pub fn for_grid(grid: &Geometry) -> Self {
         Self { thickness: 2.5 * grid.mean_spacing(), gap: 3.0 * grid.mean_spacing(), part: torso::Part::All }
     }
 }
 
-/// Returns the scene of a shape, sized to fill the grid with a margin.
+/// Returns the scene of a shape, sized to fill the grid except for a margin.
 pub fn build(shape: Shape, grid: &Geometry, options: &Options) -> Box<dyn Scene> {
     match shape {
         Shape::Ball => Box::new(shapes::round::Ball::filling(grid)),
@@ -141,14 +142,14 @@ pub fn build(shape: Shape, grid: &Geometry, options: &Options) -> Box<dyn Scene>
     }
 }
 
-/// Returns the shortest side in mm of the box spanned by the voxel centres. The size of the shapes
-/// is proportional to this side.
+/// Returns the shortest side, in mm, of the bounding box of the voxel centres. The size of most
+/// shapes is proportional to it.
 pub fn shortest_extent(grid: &Geometry) -> f64 {
     grid.upper_corner().min_element()
 }
 
-/// Returns a point in mm in the grid frame near the centre of the grid. It is a fraction of a voxel
-/// away from every symmetry point of the lattice.
+/// Returns a point (mm, grid frame) near the centre of the grid, a fraction of a voxel away from
+/// every symmetry point of the lattice.
 pub fn off_lattice_centre(grid: &Geometry) -> DVec3 {
     0.5 * grid.upper_corner() + grid.index_to_grid(DVec3::new(0.137, 0.291, -0.173))
 }

@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Environment variable that contains the path of the file for skips. Each line of the file
+/// Environment variable with the path of the file that records skips. Each line of the file
 /// consists of the test, a tab and the reason.
 pub const NOTED_IN: &str = "ISOPARTICLES_SKIPS";
 
@@ -29,8 +29,8 @@ pub fn real_volumes_folder() -> PathBuf {
     std::env::var_os("ISOPARTICLES_DATA").map_or(beside, PathBuf::from)
 }
 
-/// Returns the path of a real volume by its file name. If the file is missing, records a skip and
-/// returns `None`.
+/// Returns the path of the real volume with this file name. If the file is missing, records a skip
+/// and returns `None`.
 #[must_use]
 pub fn real_volume(name: &str) -> Option<PathBuf> {
     let path = real_volumes_folder().join(name);

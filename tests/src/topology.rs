@@ -1,5 +1,5 @@
 //! Computes the digital topology of a set of voxels: the components, cavities and Euler
-//! characteristic of the cubical complex. It shares no code with any mesh, so tests can compare
+//! characteristic of the cubical complex. It shares no code with the meshing, so tests can compare
 //! meshes with it.
 //!
 //! For a solid with `b0` components, `b2` cavities and `b1` handles, `euler = b0 - b1 + b2`. The
@@ -7,7 +7,7 @@
 
 use isoparticles_volume::Image;
 
-/// Topology of the union of the closed voxels (connected across faces, edges and corners).
+/// Topology of a union of closed voxels, which is connected across faces, edges and corners.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Topology {
     /// Connected components of the object.
@@ -31,7 +31,7 @@ impl Topology {
     }
 }
 
-/// Returns the topology of the voxels that are `true`. Everything beyond the border is background.
+/// Returns the topology of the voxels that are `true`. Everything outside the image is background.
 pub fn of_voxels(mask: &Image<bool>) -> Topology {
     let [nx, ny, nz] = mask.geometry.size;
     let padded = mask.geometry.padded(1);
@@ -52,7 +52,7 @@ pub fn of_voxels(mask: &Image<bool>) -> Topology {
 }
 
 /// Returns the Euler characteristic of the cubical complex: vertices - edges + faces - voxels. A
-/// cell belongs to the complex if any voxel that contains the cell is inside.
+/// cell belongs to the complex if at least one voxel that contains it is inside.
 fn euler(inside: &[bool], size: [usize; 3]) -> i64 {
     let stride = [1, size[0], size[0] * size[1]];
     let mut sum = 0;
@@ -60,8 +60,8 @@ fn euler(inside: &[bool], size: [usize; 3]) -> i64 {
         for j in 1..size[1] {
             for i in 1..size[0] {
                 let here = i + j * stride[1] + k * stride[2];
-                // Bit a of `cell` is set if the cell extends along axis a. Then only voxels at this
-                // index along axis a contain the cell.
+                // Bit a of `cell` is set if the cell extends along axis a. Voxels that contain such
+                // a cell have this index along axis a.
                 for cell in 0..8_u32 {
                     let present = (0..8_u32).filter(|corner| corner & cell == 0).any(|corner| {
                         inside[here - (0..3).map(|a| ((corner >> a & 1) as usize) * stride[a]).sum::<usize>()]

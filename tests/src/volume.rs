@@ -1,5 +1,5 @@
-//! Samples a scene as voxels. Makes scalar volumes with a scanner's smooth edge and noise, label
-//! maps and masks.
+//! Samples a scene as voxels: as a label map, a mask, or a scalar volume with the blurred edges and
+//! noise of a scanner.
 
 use crate::scene::Scene;
 use glam::DVec3;
@@ -8,10 +8,10 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
 /// Width of the edge profile in units of the mean voxel spacing. The profile rises from 10 to 90 %
-/// over 2.2 widths (ln 9), which are 2.75 voxels.
+/// over ln 9 = 2.2 widths, or 2.75 voxels.
 pub const EDGE_WIDTH_VOXELS: f64 = 1.25;
 
-/// Stream of the counter-based random numbers for the noise. Its bytes spell "noise!".
+/// Stream number of the counter-based random numbers for the noise. Its bytes spell "noise!".
 const NOISE_STREAM: u64 = 0x6e6f_6973_6521;
 
 fn sampled<T: Copy + Send>(grid: &Geometry, f: impl Fn(DVec3, u64) -> T + Sync) -> Image<T> {
@@ -26,8 +26,8 @@ fn sampled<T: Copy + Send>(grid: &Geometry, f: impl Fn(DVec3, u64) -> T + Sync) 
     Image { geometry: grid.clone(), data }
 }
 
-/// Returns a scalar volume: the edge profile between the outside and inside intensity, plus
-/// Gaussian noise with the standard deviation `noise` (in units of the intensities).
+/// Returns a scalar volume: the edge profile from the outside to the inside intensity, plus
+/// Gaussian noise of standard deviation `noise` (in intensity units).
 pub fn scalar(scene: &dyn Scene, grid: &Geometry, noise: f64, seed: u64) -> Image<f32> {
     let width = EDGE_WIDTH_VOXELS * grid.mean_spacing();
     let (outside, inside) = scene.intensities();
@@ -42,18 +42,18 @@ pub fn labels(scene: &dyn Scene, grid: &Geometry) -> Image<u8> {
     sampled(grid, |position, _| scene.label(position))
 }
 
-/// Returns a mask that is true for voxels with their centre inside.
+/// Returns a mask that is true for voxels whose centre is inside.
 pub fn mask(scene: &dyn Scene, grid: &Geometry) -> Image<bool> {
     sampled(grid, |position, _| scene.value(position) < 0.0)
 }
 
-/// Returns the scene's value at every voxel centre, which is the exact signed distance if the scene
-/// has one.
+/// Returns the scene's value at every voxel centre: the exact signed distance, if the scene
+/// provides it.
 pub fn values(scene: &dyn Scene, grid: &Geometry) -> Image<f32> {
     sampled(grid, |position, _| scene.value(position) as f32)
 }
 
-/// Returns a standard normal random number (Box and Muller 1958) for a counter.
+/// Returns the standard normal random number for a counter (Box and Muller 1958).
 fn gaussian(seed: u64, counter: u64) -> f64 {
     let radius = (-2.0 * (1.0 - random::uniform(seed, NOISE_STREAM, 2 * counter)).ln()).sqrt();
     radius * (std::f64::consts::TAU * random::uniform(seed, NOISE_STREAM, 2 * counter + 1)).cos()

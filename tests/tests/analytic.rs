@@ -1,4 +1,4 @@
-//! Compares the results of all stages with exact figures of phantoms: area, volume, genus,
+//! Compares the results of all stages with the exact figures of phantoms: area, volume, genus,
 //! components, distance to the true surface, and local feature size.
 
 mod support;
@@ -40,8 +40,8 @@ fn mesh_with(shape: Shape, geometry: &Geometry, kind: Kind, wishes: &Wishes) -> 
     Meshed { truth, examined, vertices: surface.vertices }
 }
 
-/// Asserts a closed outward mesh, the right topology, good triangles, and area and volume within 1
-/// % of the exact figures.
+/// Asserts that the mesh is closed and has the right topology and good triangles, and that area and
+/// volume are within 1 % of the exact figures.
 #[track_caller]
 fn assert_as_stated(shape: Shape, meshed: &Meshed) {
     let (examined, truth) = (&meshed.examined, &meshed.truth);
@@ -54,7 +54,7 @@ fn assert_as_stated(shape: Shape, meshed: &Meshed) {
         let relative = found / stated - 1.0;
         assert!(relative.abs() < 0.01, "{shape:?}: {name} {found} is off {stated} by {:.2} %", 100.0 * relative);
     }
-    // These limits are required for organs, and the phantoms are no more difficult.
+    // Meshes of organs must meet these limits, and phantoms are no more difficult.
     assert!(examined.mean_radius_ratio >= 0.95, "{shape:?}: {examined:?}");
     assert!(examined.smallest_radius_ratio >= 0.30, "{shape:?}: {examined:?}");
 }
@@ -121,8 +121,8 @@ fn two_balls_scalar() {
 
 #[test]
 fn thin_shell_scalar() {
-    // Two surfaces are 2.5 voxels apart, and the edge length is 1.6 voxels. The particles of the
-    // two surfaces must not interact.
+    // The two surfaces are 2.5 voxels apart, and the edge length is 1.6 voxels. Particles on
+    // different surfaces must not interact.
     let geometry = cube(40);
     let folder = tempfile::tempdir().expect("folder");
     let volume = folder.path().join("phantom.nrrd");
@@ -141,8 +141,8 @@ fn thin_shell_scalar() {
 
 #[test]
 fn cylinder_is_closed_where_the_volume_cuts_it() {
-    // F rounds the rims, which reduces the area by 0.73 % (from a mesh at h = 0.3). Triangles at h
-    // = 1.3 reduce the area by another 0.21 to 0.26 % (eight particle seeds).
+    // F rounds the rims, which reduces the area by 0.73 % (measured with h = 0.3). Triangles with h
+    // = 1.3 reduce the area by another 0.21 to 0.26 % (eight random seeds).
     let meshed = mesh(Shape::Cylinder, &cube(48), Kind::Scalar, Some(1.3));
     assert_as_stated(Shape::Cylinder, &meshed);
 }
@@ -157,7 +157,7 @@ fn cylinder_ends_at_an_open_border() {
         let [low, high] = [heights.clone().fold(f64::MAX, f64::min), heights.fold(f64::MIN, f64::max)];
         let radius =
             meshed.vertices.iter().map(|v| (v.truncate() - 15.5).length()).sum::<f64>() / meshed.vertices.len() as f64;
-        // F continues five voxels beyond the volume. The unevenness of the rims is below an edge
+        // F extends five voxels beyond the volume. The rims are uneven by less than one edge
         // length.
         assert!(low < -5.0 + 2.0 && high > 36.0 - 2.0, "{kind:?}: from {low} to {high}");
         let wall = 2.0 * std::f64::consts::PI * radius * (high - low);
@@ -171,8 +171,8 @@ fn gyroid_is_closed_on_all_six_faces() {
     let meshed = mesh(Shape::Gyroid, &cube(48), Kind::Scalar, Some(1.3));
     assert_eq!(meshed.examined.bad_edges, 0, "{:?}", meshed.examined);
     assert!(meshed.examined.genus > 3, "a gyroid has many handles: {:?}", meshed.examined);
-    // The expected volume is half of the box between the capped faces, which are half a voxel
-    // outside the voxel centres.
+    // The expected volume is half that of the box bounded by the caps, which are half a voxel
+    // beyond the outermost voxel centres.
     let half_box = 0.5 * 48.0_f64.powi(3);
     assert!((meshed.examined.volume / half_box - 1.0).abs() < 0.03, "{:?}", meshed.examined);
 }
@@ -188,8 +188,8 @@ fn one_voxel_thin_labels_keep_their_topology() {
     }
 }
 
-/// Tests local feature size in an image with a scanner's edge. The spline of such an edge has
-/// ripples of a few thousandths of a voxel. Measured ratios to the exact value (minimum and
+/// Tests the local feature size in an image blurred like a scan. The spline through a blurred edge
+/// has ripples of a few thousandths of a voxel. Measured ratios to the exact value (minimum and
 /// median): ball 0.988 and 0.995, torus 0.966 and 0.987, two balls 1.005 and 0.999; ellipsoid, at
 /// its tips, 1.016.
 #[test]
@@ -206,8 +206,8 @@ fn local_feature_size_stands_the_ripple_of_an_edge() {
             (truth.local_feature_size_min.expect("stated"), truth.local_feature_size_max.expect("stated"));
         let mut pairs = vec![("min", low), ("max", high)];
         if shape != Shape::Ellipsoid {
-            // This is the value everywhere on the ball and the torus, and on most of the surface of
-            // the two balls.
+            // The local feature size has this value everywhere on the ball and the torus, and on
+            // most of the surface of the two balls.
             pairs.push(("median", high));
         }
         for (figure, stated) in pairs {
@@ -229,7 +229,7 @@ fn size_is_epsilon_times_local_feature_size() {
         let folder = tempfile::tempdir().expect("folder");
         let volume = folder.path().join("phantom.nrrd");
         let mut options = Options::for_grid(&geometry);
-        // The gap is wide enough that its medial plane is several voxels away from both balls.
+        // With such a wide gap, the medial plane is several voxels away from both balls.
         options.gap = 10.0;
         let scene = scene::build(shape, &geometry, &options);
         let truth = scene.truth();
@@ -252,13 +252,14 @@ fn size_is_epsilon_times_local_feature_size() {
         errors.sort_by(f64::total_cmp);
         let mean = errors.iter().sum::<f64>() / errors.len() as f64;
         let at = |percent: usize| errors[(errors.len() - 1) * percent / 100];
-        // h at the surface is smoothed and graded. Measured mean errors (ball, torus, two balls):
-        // 0.7, 0.4 and 2.9 %.
+        // The errors come from the smoothing and the gradation of h. Measured mean errors (ball,
+        // torus, two balls): 0.7, 0.4 and 2.9 %.
         assert!(mean < 0.05, "{shape:?}: h is off by {mean:.4} on average, {:.4} at worst", at(100));
     }
 }
 
-/// Returns points of the true surface on rays towards the centre, with evenly spread directions.
+/// Returns the points where rays towards the centre, from evenly distributed directions, meet the
+/// true surface.
 fn surface_points(scene: &dyn scene::Scene, truth: &Truth) -> Vec<DVec3> {
     let centre = DVec3::from_array(truth.centre_grid);
     let mut points = Vec::new();
@@ -288,8 +289,9 @@ fn true_feature_size(shape: Shape, truth: &Truth, point: DVec3) -> f64 {
     }
 }
 
-/// Returns the minimum and median of the local feature size, then the minimum and median of h, at
-/// the surface of a phantom with noise of this standard deviation (the edge has a height of 400).
+/// Returns the minimum and median of the local feature size, then the minimum and median of h, on
+/// the surface of a noisy phantom. `noise` is the standard deviation of the noise; the edge has a
+/// height of 400.
 fn noisy_sizes(shape: Shape, n: usize, noise: f64) -> [f64; 4] {
     let folder = tempfile::tempdir().expect("folder");
     let volume = folder.path().join("phantom.nrrd");
@@ -305,10 +307,10 @@ fn noisy_sizes(shape: Shape, n: usize, noise: f64) -> [f64; 4] {
     [figure(feature, "min"), figure(feature, "median"), figure(size, "min"), figure(size, "median")]
 }
 
-/// Noise of 5 % of the edge height makes bumps of 0.1 voxel (root mean square) on the surface and
-/// changes the medians by at most 10 %. Measured (ball, torus, two balls): local feature size -5,
-/// -4 and -7 %, h -4, 0 and -3 %. If the noise counted as shape, the minimum local feature size of
-/// each shape would be 1.3 voxels.
+/// Noise of 5 % of the edge height produces bumps of 0.1 voxel (root mean square) on the surface
+/// and changes the medians by at most 10 %. Measured (ball, torus, two balls): local feature size
+/// -5, -4 and -7 %, h -4, 0 and -3 %. If the noise were treated as part of the shape, the minimum
+/// local feature size of each shape would be 1.3 voxels.
 #[test]
 fn local_feature_size_and_h_stand_noise() {
     for (shape, n) in [(Shape::Ball, 56), (Shape::Torus, 64), (Shape::TwoBalls, 56)] {
@@ -321,14 +323,14 @@ fn local_feature_size_and_h_stand_noise() {
             assert!(change.abs() <= 0.1, "{shape:?}: median {what} changes by {:.1} %", 100.0 * change);
         }
         if shape == Shape::TwoBalls {
-            // The gap belongs to the shape, not to the noise, and must still be found.
+            // The gap is part of the shape and must still be detected.
             assert!((noisy[0] / clean[0] - 1.0).abs() <= 0.1, "the gap: {clean:?}, with noise {noisy:?}");
         }
     }
 }
 
-/// On a ball with a scanner's edge, h is the same everywhere. Measured: 2.7 % from minimum to
-/// maximum.
+/// On a ball blurred like a scan, h is nearly constant. Measured: the maximum is 2.7 % above the
+/// minimum.
 #[test]
 fn h_is_even_on_a_ball_with_a_scanners_edge() {
     let folder = tempfile::tempdir().expect("folder");

@@ -1,5 +1,6 @@
-//! Tests bad input between the stages: the stages refuse wrong kinds, damaged files, fields of
-//! another volume and impossible parameters. Also tests the behaviour of an interrupted stage.
+//! Tests the stages that read files of other stages. They must refuse files of the wrong kind,
+//! damaged files, fields of another volume and impossible parameters. Also tests interrupted
+//! stages.
 
 mod support;
 
@@ -14,7 +15,7 @@ use std::sync::OnceLock;
 use support::chain::{self, Files, Wishes};
 use support::{Kind, binaries, listing, stage, write_phantom};
 
-/// Returns a small valid case, which is made once per test program.
+/// Returns the files of a small valid case, which is made once per test program.
 fn good() -> &'static Files {
     static GOOD: OnceLock<(tempfile::TempDir, Files)> = OnceLock::new();
     &GOOD
@@ -28,7 +29,8 @@ fn good() -> &'static Files {
         .1
 }
 
-/// Returns, for four stages, the name, the arguments with valid inputs, and the name of the output.
+/// Returns the name, the arguments (with valid inputs) and the name of the output for each of four
+/// stages.
 fn commands(files: &Files) -> [(&'static str, Vec<OsString>, &'static str); 4] {
     let fields = arguments!["--distfield", &files.distfield, "--sizefield", &files.sizefield];
     let with_fields = |first: &Path| {
@@ -44,7 +46,7 @@ fn commands(files: &Files) -> [(&'static str, Vec<OsString>, &'static str); 4] {
     ]
 }
 
-/// Runs a stage and asserts that it refuses the input and leaves no file.
+/// Runs a stage and asserts that it refuses its input and leaves no file behind.
 #[track_caller]
 fn refused(name: &str, mut arguments: Vec<OsString>, output: &str, words: &[&str]) {
     let folder = tempfile::tempdir().expect("folder");
@@ -56,7 +58,7 @@ fn refused(name: &str, mut arguments: Vec<OsString>, output: &str, words: &[&str
     assert_eq!(listing(folder.path()), [] as [&str; 0], "{name} left something behind");
 }
 
-/// Replaces each input of each stage by a missing, empty, damaged or foreign file.
+/// Replaces each input of each stage with a missing, empty, damaged or unrelated file.
 #[test]
 fn every_input_of_every_stage_is_checked() {
     let folder = tempfile::tempdir().expect("folder");
@@ -78,8 +80,8 @@ fn every_input_of_every_stage_is_checked() {
                 ("truncated", Some(bytes[..bytes.len() / 2].to_vec())),
             ];
             if ending == "bin" {
-                // Only the container stores a length and a checksum. A VTK file without its last
-                // line break is valid.
+                // Only particle files store a length and a checksum. A VTK file is still valid
+                // without its final line break.
                 let shorter = bytes[..bytes.len() - 1].to_vec();
                 replacements.extend([("flipped", Some(flipped)), ("longer", Some(longer)), ("shorter", Some(shorter))]);
             }
@@ -224,7 +226,7 @@ fn output_bytes_do_not_depend_on_the_thread_count() {
     }
 }
 
-/// An interrupted stage ends with exit code 130 and leaves nothing but its checkpoint.
+/// An interrupted stage exits with code 130 and leaves nothing but its checkpoint.
 #[test]
 #[cfg(unix)]
 fn an_interrupted_run_leaves_nothing_but_its_checkpoint() {
@@ -270,8 +272,8 @@ fn an_interrupted_run_leaves_nothing_but_its_checkpoint() {
     assert_eq!(listing(folder.path()), ["checkpoint.bin"]);
 }
 
-/// A run of 20 passes, and a run resumed from the checkpoint of pass 10, give the same particles
-/// bit for bit. (The files themselves differ, because their histories contain the command lines.)
+/// A run of 20 passes and a run resumed from the checkpoint of pass 10 give bit-identical
+/// particles. (The files themselves differ, because their histories contain the command lines.)
 #[test]
 fn a_resumed_run_gives_the_particles_of_an_unbroken_one() {
     let folder = tempfile::tempdir().expect("folder");
@@ -300,7 +302,7 @@ fn a_resumed_run_gives_the_particles_of_an_unbroken_one() {
     let (ended, unbroken) = run("unbroken.bin", "20", &[]);
     ended.expect_success("the unbroken run");
     let checkpoint = folder.path().join("checkpoint.bin").to_string_lossy().into_owned();
-    // A checkpoint can only be resumed with the parameters of its own run. So a run of 20 passes is
+    // A run can be resumed only with its original parameters. Therefore, a run of 20 passes is
     // killed after it has written the checkpoint of pass 10.
     let mut child = Command::new(binaries().join("particles"))
         .args(arguments![
@@ -326,7 +328,7 @@ fn a_resumed_run_gives_the_particles_of_an_unbroken_one() {
     while !Path::new(&checkpoint).exists() && child.try_wait().unwrap().is_none() {
         std::thread::sleep(std::time::Duration::from_millis(1));
     }
-    // The process may have ended already; only the checkpoint is needed.
+    // The process may already have ended; only its checkpoint is needed.
     child.kill().ok();
     child.wait().unwrap();
     assert!(Path::new(&checkpoint).exists(), "a checkpoint is written at pass 10");
@@ -335,7 +337,7 @@ fn a_resumed_run_gives_the_particles_of_an_unbroken_one() {
     let particles = |path: &Path| read_particles(path, &[ParticleKind::Particles]).expect("particles").particles;
     assert!(particles(&unbroken) == particles(&resumed), "the resumed run differs");
     // A run resumed from the checkpoint of the last pass also gives the same particles. Only the
-    // final steps remain after that pass.
+    // final steps are left after that pass.
     let last = folder.path().join("last.bin").to_string_lossy().into_owned();
     let (ended, _) = run("whole.bin", "20", &["--checkpoint", &last]);
     ended.expect_success("the run with checkpoints");

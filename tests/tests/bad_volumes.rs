@@ -1,5 +1,5 @@
-//! Tests bad input of `distfield`, which reads the user's files. The exit code is 2, a three-part
-//! message describes the problem, and no file is left behind.
+//! Tests invalid input of `distfield`, which reads the user's files. It must exit with code 2,
+//! print a three-part error and leave no file behind.
 
 mod support;
 
@@ -30,7 +30,7 @@ impl Case {
         case
     }
 
-    /// Creates a file from a small header with the given lines replaced or added, followed by
+    /// Creates an NRRD file: a small header in which `lines` are replaced or added, followed by
     /// `data`.
     fn nrrd(lines: &[&str], data: &[u8]) -> Self {
         let mut header =
@@ -250,7 +250,7 @@ fn a_folder_that_is_not_there_is_refused() {
 #[cfg(target_os = "linux")]
 fn an_unwritable_folder_and_a_full_disk_are_told() {
     let case = Case::phantom(Kind::Scalar);
-    // Nobody can create files in /proc, not even root; /dev/full acts as a full disk.
+    // Not even root can create files in /proc; /dev/full behaves like a full disk.
     for output in ["/proc/out.vti", "/dev/full"] {
         stage("distfield", command(&case.input, Path::new(output), &["--iso", "100"])).expect_error(2, &[output]);
         assert_eq!(listing(case.folder.path()), ["volume.nrrd"]);

@@ -1,6 +1,6 @@
 //! Tests the GPU backend of `particles` on the first adapter, which may be Mesa's lavapipe. The
-//! mesh is as good as with the CPU, repeated and resumed runs give the same particles, and failures
-//! have exit code 3.
+//! mesh must be as good as with the CPU backend, repeated and resumed runs must give the same
+//! particles, and a missing adapter must give exit code 3.
 
 mod support;
 
@@ -26,7 +26,7 @@ fn adapter(test: &str) -> Option<String> {
     name
 }
 
-/// Makes a small case with the target edge length h (mm), settled on the CPU.
+/// Makes a small case with target edge length `h` (mm), with the particles settled on the CPU.
 fn torus(folder: &Path, h: f64) -> Files {
     let volume = folder.join("torus.nrrd");
     write_phantom(&volume, Shape::BumpyTorus, &Geometry::axis_aligned([36; 3], DVec3::ONE), Kind::Scalar);
@@ -48,11 +48,12 @@ fn settle(files: &Files, adapter: &str, output: &Path, more: &[&str]) -> Particl
 fn the_mesh_is_as_good_as_that_of_the_cpu() {
     let Some(adapter) = adapter("the mesh from the GPU's particles") else { return };
     let folder = tempfile::tempdir().expect("folder");
-    // 2,400 particles. With 600, a difference of one per cent is within random variation.
+    // This gives 2,400 particles. With 600, a difference of one per cent is within random
+    // variation.
     let files = torus(folder.path(), 0.9);
     let report = folder.path().join("particles.json");
     let output = folder.path().join("gpu.bin");
-    // Uses the CPU's default number of levels, because one level gives 2 % more particles on such a
+    // This is the CPU's default number of levels. One level gives 2 % more particles on such a
     // small surface.
     let found = settle(&files, &adapter, &output, &["--levels", "3", "--report", &report.to_string_lossy()]);
     let on_cpu = read_particles(&files.particles, &[ParticleKind::Particles]).expect("particles").particles;
@@ -80,7 +81,7 @@ fn runs_repeat_and_resume_to_the_same_particles() {
     let passes = ["--energy-tolerance", "0", "--levels", "2", "--coarse-passes", "15", "--max-passes", "17"];
     let whole = settle(&files, &adapter, &folder.path().join("whole.bin"), &passes);
     assert!(whole == settle(&files, &adapter, &folder.path().join("again.bin"), &passes), "two runs differ");
-    // A finished run leaves the checkpoint of pass 30 (second level). The next run resumes from
+    // The first run leaves the checkpoint of pass 30 (second level). The second run resumes from
     // this checkpoint.
     let checkpoint = folder.path().join("checkpoint.bin");
     let mut more = passes.to_vec();

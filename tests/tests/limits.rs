@@ -1,5 +1,5 @@
-//! Tests limits that stages check before any work: a size larger than the object, and memory above
-//! the maximum. The message contains the figure, and no file is left behind.
+//! Tests limits that stages check before they start: an edge length larger than the object, and
+//! memory above the maximum. The error must contain the figure, and no file may be left behind.
 
 mod support;
 
@@ -13,7 +13,7 @@ use std::path::Path;
 use support::chain::{Files, Wishes, surface};
 use support::{Kind, listing, stage, write_phantom};
 
-/// Makes a ball in a temporary folder, up to its triangles.
+/// Makes the surface of a ball in a temporary folder.
 fn ball() -> (tempfile::TempDir, Files) {
     let folder = tempfile::tempdir().expect("folder");
     let volume = folder.path().join("ball.nrrd");
@@ -22,7 +22,8 @@ fn ball() -> (tempfile::TempDir, Files) {
     (folder, files)
 }
 
-/// Runs a stage and asserts that it refuses with these words and leaves no file.
+/// Runs a stage and asserts that it fails with an error that contains `words` and leaves no file
+/// behind.
 #[track_caller]
 fn refused(folder: &Path, name: &str, arguments: Vec<OsString>, output: &str, words: &[&str]) {
     let before = listing(folder);

@@ -1,5 +1,5 @@
-//! Runs every reader briefly on changed and random files. `make fuzz` runs longer and is guided by
-//! coverage.
+//! Runs every reader briefly on mutated and random files. `make fuzz` runs longer and is
+//! coverage-guided.
 
 use isoparticles_stage::error::Error;
 use isoparticles_tests::readers::{Feeder, READERS, Reader};
@@ -26,12 +26,12 @@ thread_local! {
     static FEEDERS: [Feeder; READERS.len()] = READERS.map(Feeder::new);
 }
 
-/// Feeds bytes under a file name to every reader.
+/// Runs every reader on a file with this name and these bytes.
 fn read_all(name: &str, bytes: &[u8]) {
     FEEDERS.with(|feeders| feeders.iter().for_each(|feeder| feeder.feed_file(name, bytes)));
 }
 
-/// Returns the bytes with truncations, insertions and replacements.
+/// Applies truncations, insertions and replacements to bytes.
 fn changed(bytes: &[u8], changes: Vec<(prop::sample::Index, u8, u8)>) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     for (at, byte, how) in changes {
@@ -49,7 +49,7 @@ fn changed(bytes: &[u8], changes: Vec<(prop::sample::Index, u8, u8)>) -> Vec<u8>
     bytes
 }
 
-/// Returns a strategy for valid or invalid lines of an NRRD header.
+/// Returns a strategy for valid and invalid lines of an NRRD header.
 fn header_line() -> impl Strategy<Value = String> {
     let fields = [
         "type",
@@ -160,7 +160,7 @@ proptest! {
     }
 }
 
-/// Runs the readers on files for which a fuzz target found a fault. There is one file per fault:
+/// Runs the readers on the files with which fuzzing exposed a fault. There is one file per fault:
 /// `tests/data/found/NUMBER.READER`.
 #[test]
 fn what_was_found_stays_found() {

@@ -1,6 +1,6 @@
-//! Meshes real volumes, if they exist (in `../shared/data` relative to the repository's root, or in
-//! `ISOPARTICLES_DATA`). Tests that the surface is closed, outward, complete and made of good
-//! triangles.
+//! Meshes real volumes, if they are available (in `../shared/data` relative to the repository's
+//! root, or in `ISOPARTICLES_DATA`). Tests that the surface is closed and oriented outward, and has
+//! the right components and good triangles.
 
 mod support;
 
@@ -9,7 +9,7 @@ use std::path::Path;
 use support::examine::examine;
 use support::{binaries, real_volumes, root, run};
 
-/// Meshes a case of `pipelines/` through the Makefile and examines it.
+/// Meshes a case of `pipelines/` with make and examines the surface.
 fn mesh(test: &str, case: &str, components: Option<usize>) {
     let Some(data) = real_volumes(test) else { return };
     let folder = tempfile::tempdir().expect("folder");
@@ -43,7 +43,7 @@ fn mickey() {
 #[test]
 fn heart() {
     // The components are the surfaces of the object and of two cavities of eight voxels each. The
-    // cavities touch the background only along edges, where the object is connected.
+    // cavities touch the background only along voxel edges, where the object counts as connected.
     mesh("heart", "heart", Some(3));
 }
 

@@ -1,5 +1,5 @@
 //! Tests meshes with a given number of vertices: `distfield --scale-for-vertices` and `sizefield
-//! --vertices`, with all stages.
+//! --vertices`, through all stages.
 
 mod support;
 
@@ -11,8 +11,8 @@ use support::chain::{self, Wishes};
 use support::examine::{Examination, examine};
 use support::{Kind, write_phantom};
 
-/// Meshes a phantom with a given number of vertices and further options of `sizefield`. Returns the
-/// examination of the mesh and the ratio of the mesh volume to the exact volume.
+/// Meshes a phantom with a target number of vertices and additional options of `sizefield`. Returns
+/// the properties of the mesh, and the ratio of its volume to the exact volume.
 fn mesh(shape: Shape, spacing: DVec3, kind: Kind, vertices: u32, graded: &[&str]) -> (Examination, f64) {
     let folder = tempfile::tempdir().expect("folder");
     let volume = folder.path().join("phantom.nrrd");

@@ -1,5 +1,5 @@
-//! Tests the positions of meshes in the world for oblique, anisotropic and left-handed volumes, and
-//! for the spaces that a file may specify.
+//! Tests that meshes have the correct world coordinates for oblique, anisotropic and left-handed
+//! volumes, and for each space that a file may specify.
 
 mod support;
 
@@ -12,8 +12,8 @@ use support::chain::{self, Wishes};
 use support::examine::examine;
 use support::{Kind, write_phantom_with};
 
-/// Meshes an ellipsoid. Its three axes differ, so that swapped axes are detected. Compares every
-/// vertex with the true surface, which is placed directly from the numbers in the header.
+/// Meshes an ellipsoid and compares every vertex with the true surface, positioned according to the
+/// file header. Its three axes have different lengths, so swapped axes are detected.
 fn lands_where_the_header_says(left_handed: bool, space: FileSpace) {
     let mut directions = DMat3::from_rotation_z(0.5) * DMat3::from_rotation_y(-0.3) * DMat3::from_rotation_x(0.8);
     if left_handed {
@@ -37,7 +37,8 @@ fn lands_where_the_header_says(left_handed: bool, space: FileSpace) {
     let to_grid = directions.transpose();
     let farthest = surface.vertices.iter().map(|world| scene.value(to_grid * (*world - geometry.origin)).abs());
     let farthest = farthest.fold(0.0, f64::max);
-    // Measured: at most 0.02 mm at a spacing of 1.5 mm, from the spline of the sampled edge.
+    // Measured: at most 0.02 mm at a spacing of 1.5 mm, caused by the spline through the sampled
+    // edge.
     assert!(farthest < 0.06, "a vertex is {farthest} mm from where it should be");
 
     let examined = examine(&surface.vertices, &surface.triangles);

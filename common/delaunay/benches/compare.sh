@@ -1,5 +1,5 @@
 #!/bin/sh
-# Compares this Delaunay triangulation with CGAL's on the same points in one run, and prints a table
+# Times this Delaunay triangulation and CGAL's on the same points in one run, and prints a table
 # (`make bench-delaunay`). Only this script needs g++, CGAL and TBB (Debian: apt-get install g++
 # libcgal-dev libtbb-dev).
 #
@@ -18,8 +18,8 @@
 # --no-degenerate  skip the cospherical points, the grid and the random cube
 # --no-parallel    skip the runs on several threads
 #
-# Times exclude reading the file. CPU time is summed over all threads. Bytes are the growth of the
-# peak memory. Ratios are those of this triangulation to CGAL with the same number of threads.
+# Times exclude file reading. CPU time is summed over all threads. Bytes are the increase in peak
+# memory. Ratios are this triangulation's figures divided by CGAL's for the same number of threads.
 set -eu
 
 bin=${BIN:-target/release}
@@ -70,7 +70,7 @@ settled() {
 
 # number LINE KEY: prints the value of KEY
 number() { printf '%s\n' "$1" | tr ' ' '\n' | sed -n "s/^$2=//p"; }
-# faster A B: prints the line with fewer seconds; A may be empty
+# faster A B: prints the line with the shorter time; A may be empty
 faster() {
     if [ -z "$1" ] || awk -v a="$(number "$1" seconds)" -v b="$(number "$2" seconds)" 'BEGIN { exit !(b < a) }'; then
         printf '%s\n' "$2"

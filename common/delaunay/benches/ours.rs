@@ -10,9 +10,9 @@
 //! bench_delaunay FILE [THREADS]                triangulates; THREADS 0 or omitted: all cores
 //! ```
 //! FILE contains little-endian doubles, three per point. The last form prints one line of
-//! `key=value` pairs: points, vertices, finite cells, wall-clock seconds of the triangulation (file
-//! reading excluded), processor seconds summed over all threads, and the growth of the peak memory
-//! in bytes.
+//! `key=value` pairs: points, vertices, finite cells, wall-clock seconds of the triangulation
+//! (without file reading), CPU seconds summed over all threads, and the increase in peak memory in
+//! bytes.
 
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
@@ -21,8 +21,8 @@ use isoparticles_stage::particle_file::{ParticleKind, read_particles};
 use std::path::Path;
 use std::process::ExitCode;
 
-/// Squared radius of the sphere of [`cospherical`]: the product of the odd primes up to 23. The
-/// sphere contains 64,512 integer points.
+/// Squared radius of the sphere of [`cospherical`]: the product of the odd primes up to 23. 64,512
+/// points with integer coordinates lie on the sphere.
 const SQUARED_RADIUS: i64 = 111_546_435;
 
 type Failure = Box<dyn std::error::Error>;
@@ -74,20 +74,19 @@ fn triangulate(file: &str, threads: usize) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Returns the value of a line of `/proc/self/status`, converted from KiB to bytes, or 0 if the
-/// line is missing.
+/// Returns the value of a field of `/proc/self/status` in bytes, or 0 if the field is missing.
 fn memory(key: &str) -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix(key)).unwrap_or_default();
     line.split_whitespace().next().and_then(|number| number.parse::<u64>().ok()).unwrap_or(0) * 1024
 }
 
-/// Returns the processor time of all threads of this process in seconds, with a resolution of 0.01
-/// s. Returns 0 if the time is unknown.
+/// Returns the CPU time of all threads of this process in seconds, with a resolution of 0.01 s.
+/// Returns 0 if the time is unknown.
 fn processor_seconds() -> f64 {
     let status = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     // The program name is in parentheses and may contain spaces. User and system time are the 12th
-    // and 13th words after it, in ticks of 0.01 s.
+    // and 13th fields after it, in ticks of 0.01 s.
     let after = status.rsplit(')').next().unwrap_or_default();
     after.split_whitespace().skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / 100.0
 }

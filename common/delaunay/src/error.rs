@@ -18,11 +18,11 @@ pub enum Error {
     /// All points lie in one plane. The value is the number of points.
     #[error("all {0} points lie in one plane")]
     Coplanar(usize),
-    /// There are more points than 32-bit indices can number.
+    /// There are too many points for 32-bit indices.
     #[error("{0} points to triangulate, more than 32 bits number")]
     TooManyPoints(usize),
-    /// There are more than 2^29 tetrahedra before an insertion, so 30-bit indices might not
-    /// suffice.
+    /// There are more than 2^29 tetrahedra, so the next insertion could overflow the 30-bit
+    /// indices.
     #[error("more than {0} tetrahedra between the points")]
     TooManyTetrahedra(usize),
 }

@@ -1,10 +1,10 @@
-//! Computes the exact signs of the orientation and in-sphere determinants in integer arithmetic.
-//! This decides inputs that the floating-point filters cannot decide, such as cospherical and
-//! coplanar points.
+//! Computes the exact signs of the orientation and in-sphere determinants in integer arithmetic. It
+//! handles inputs that the floating-point filters cannot decide, such as cospherical and coplanar
+//! points.
 //!
 //! Every double is an integer times a power of two. In units of the lowest set bit of all
 //! coordinates, the coordinate differences of nearby points therefore have few bits. They fit in 62
-//! bits unless some coordinate is much closer to zero than the points are to each other. The two
+//! bits unless some coordinate is tiny compared with the distances between the points. The two
 //! determinants then fit in 189 and 317 bits, and a few dozen multiplications evaluate them
 //! exactly. An adaptive expansion is about a hundred times slower. The cofactors are the same as in
 //! the filters of [`super::predicates`].
@@ -26,7 +26,8 @@ type Difference = [i64; 3];
 /// bits.
 pub(super) fn orientation_sign(points: &[DVec3; 4]) -> Option<f64> {
     let [p, q, r] = differences::<4, 3>(points)?;
-    // The differences are relative to d instead of a, which flips the sign of the determinant.
+    // The differences are taken relative to d instead of a, which flips the sign of the
+    // determinant.
     Some(sign(-i32::from(volume(p, q, r).signum())))
 }
 
@@ -50,8 +51,8 @@ fn sign(signum: i32) -> f64 {
     f64::from(signum)
 }
 
-/// Returns all points except the last, relative to the last, as integers in units of the lowest set
-/// bit. Returns `None` if a difference has more than [`DIFFERENCE_BITS`] bits.
+/// Returns the coordinates of the other points relative to the last point, as integers in units of
+/// the lowest set bit. Returns `None` if a difference has more than [`DIFFERENCE_BITS`] bits.
 fn differences<const POINTS: usize, const OTHERS: usize>(points: &[DVec3; POINTS]) -> Option<[Difference; OTHERS]> {
     let last = points[POINTS - 1].to_array();
     let mut rounded = [[0.0; 3]; OTHERS];
@@ -79,8 +80,8 @@ fn differences<const POINTS: usize, const OTHERS: usize>(points: &[DVec3; POINTS
     Some(all)
 }
 
-/// Computes the same as [`differences`] for points whose differences are not exact in double
-/// precision. Converts the coordinates to integers before it subtracts them.
+/// Computes the same result as [`differences`] for points whose differences are inexact in double
+/// precision. The coordinates are converted to integers before the subtraction.
 fn differences_of_integers<const POINTS: usize, const OTHERS: usize>(
     points: &[DVec3; POINTS],
 ) -> Option<[Difference; OTHERS]> {
@@ -106,7 +107,7 @@ fn differences_of_integers<const POINTS: usize, const OTHERS: usize>(
     Some(all)
 }
 
-/// Returns the smallest power of two that turns all numbers into integers, or `None` if this power
+/// Returns the smallest power of two that scales all numbers to integers, or `None` if this power
 /// is out of range.
 fn scale<'a>(numbers: impl Iterator<Item = &'a f64>) -> Option<f64> {
     let least = numbers.filter(|&&x| x != 0.0).map(|&x| least_exponent(x)).min().unwrap_or(0);
@@ -250,8 +251,8 @@ mod tests {
 
     #[test]
     fn the_largest_differences_do_not_overflow() {
-        // corners of a box with an edge of 2^62 - 1024 units, or points one unit (at the lower
-        // corners) or 512 units away from a corner
+        // corners of a box with an edge of 2^62 - 1024 units; each coordinate may be shifted by one
+        // unit (at the lower end) or by 512 units (at the upper end)
         let edge = 2f64.powi(62);
         for n in 0..4000u64 {
             let points: [DVec3; 5] = std::array::from_fn(|k| {

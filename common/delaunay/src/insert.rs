@@ -14,23 +14,23 @@ const UNKNOWN: u8 = 0;
 const IN_CONFLICT: u8 = 1;
 const KEPT: u8 = 2;
 
-/// Neighbour entries of at least this value mark a neighbour beyond a cut, which this region does
-/// not contain. The outermost cut has the largest value. 256 markers suffice: cuts are nested at
-/// most `Cutting::depth` deep (3).
+/// Neighbour entries at or above this value mark a cut: the neighbour belongs to another region.
+/// The outermost cut has the largest value. 256 markers are more than enough, because at most
+/// `Cutting::depth` (3) cuts are nested.
 const ELSEWHERE: u32 = u32::MAX - 255;
 
-/// A cut, given by its depth (0 for the outermost cut). As an error, it means that the operation
-/// needs tetrahedra beyond this cut.
+/// A cut, identified by its depth (0 for the outermost cut). As an error, it means that the
+/// operation needs tetrahedra beyond this cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Beyond(pub(super) u32);
 
 impl Beyond {
-    /// Returns the marker that is stored instead of a neighbour across this cut.
+    /// Returns the marker stored in place of a neighbour across this cut.
     pub(super) fn neighbour(self) -> u32 {
         u32::MAX - self.0
     }
 
-    /// Returns an error if a neighbour entry marks a cut.
+    /// Returns an error if a neighbour entry is the marker of a cut.
     #[inline]
     pub(super) fn check(neighbour: u32) -> std::result::Result<(), Self> {
         if neighbour < ELSEWHERE { Ok(()) } else { Err(Self(u32::MAX - neighbour)) }
@@ -39,17 +39,17 @@ impl Beyond {
 
 type Reached<T> = std::result::Result<T, Beyond>;
 
-/// Entry facet of the first tetrahedron of a walk, which was not entered through a facet.
+/// Entry facet of the first tetrahedron of a walk, which is not entered through a facet.
 const NOWHERE: usize = 4;
 
 /// Maximum number of tetrahedra before an insertion. Indices have 30 bits, because neighbour
-/// entries contain two more bits for the facet. 2^29 indices therefore remain for the new
-/// tetrahedra of one cavity.
+/// entries use two bits for the facet. This leaves 2^29 indices for the new tetrahedra of one
+/// cavity.
 const MOST_TETRAHEDRA: usize = 1 << 29;
 
-/// Maximum number of walls for which a table of all vertex pairs finds the shared edges. 252 walls
-/// have 252 / 2 + 2 = 128 vertices, and a table of 128^2 entries of 4 bytes (64 KiB) stays in the
-/// second-level cache. For larger cavities, the edges are sorted.
+/// Maximum number of walls for which a table of all vertex pairs is used to find the shared edges.
+/// 252 walls have 252 / 2 + 2 = 128 vertices, and a table of 128^2 entries of 4 bytes (64 KiB) fits
+/// in the second-level cache. For larger cavities, the edges are sorted.
 const WALLS_FOR_A_TABLE: usize = 252;
 
 /// A facet between a tetrahedron in conflict and a tetrahedron that is kept.
@@ -70,14 +70,14 @@ pub(super) struct Workspace {
     kept: Vec<u32>,
     walls: Vec<Wall>,
     created: Vec<u32>,
-    /// Local number of each cavity vertex plus `numbered`, at index v + 1 for vertex v and at index
-    /// 0 for the vertex at infinity. Smaller values are left over from earlier insertions.
+    /// `numbered` plus the local number of each cavity vertex, stored at index v + 1 for vertex v
+    /// and at index 0 for the vertex at infinity. Smaller values are left over from earlier
+    /// insertions.
     numbers: Vec<u32>,
     numbered: u32,
-    /// The facet at the edge from the first to the second vertex, for each ordered pair of local
-    /// numbers.
+    /// For each directed edge (an ordered pair of local numbers), the facet that contains it.
     table: Vec<u32>,
-    /// The facets at the edges as a sortable list. It replaces the table for large cavities.
+    /// The edges and their facets as a sortable list, which replaces the table for large cavities.
     edges: Vec<(u32, u32, u32)>,
 }
 
@@ -169,7 +169,7 @@ fn place_of_infinity(vertices: &[u32; 4]) -> Option<usize> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sites<'a> {
     pub(super) points: &'a [DVec3],
-    /// The caller's index of each point. Empty if the caller's indices are the same.
+    /// The caller's index of each point. Empty if the points are in the caller's order.
     pub(super) named: &'a [u32],
 }
 
@@ -195,8 +195,8 @@ impl Sites<'_> {
     }
 }
 
-/// Tetrahedra connected across their facets, which form a whole triangulation or one region of it.
-/// In a region, some facets lie on a cut, and operations that would cross them fail.
+/// The linked tetrahedra of a whole triangulation or of one region of it. In a region, some facets
+/// lie on a cut, and operations that would cross a cut fail.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Cells {
     pub(super) tetrahedra: Vec<Tetrahedron>,
@@ -208,7 +208,7 @@ pub(super) struct Cells {
 }
 
 impl Cells {
-    /// Creates a set of tetrahedra. None of them may be removed (`DEAD`).
+    /// Creates a `Cells` from tetrahedra, none of which may be marked as removed (`DEAD`).
     pub(super) fn of(tetrahedra: Vec<Tetrahedron>) -> Self {
         let states = vec![UNKNOWN; tetrahedra.len()];
         Self { tetrahedra, work: Workspace { states, ..Workspace::default() }, ..Self::default() }
@@ -221,7 +221,7 @@ impl Cells {
     }
 
     /// Appends the tetrahedra of `others`, with their numbers offset by the length of `self`.
-    /// Reserves memory for `spare` further tetrahedra. Facets on a cut stay marked.
+    /// Reserves memory for `spare` further tetrahedra. Facets on a cut remain marked.
     pub(super) fn joined_by(mut self, mut others: Self, spare: usize) -> Self {
         let offset = self.tetrahedra.len() as u32;
         others.work = Workspace::default();
@@ -235,14 +235,14 @@ impl Cells {
         self
     }
 
-    /// Returns whether a number denotes a tetrahedron that has not been removed.
+    /// Returns whether a tetrahedron has not been removed.
     pub(super) fn is_alive(&self, t: u32) -> bool {
         self.tetrahedra[t as usize].vertices[0] != DEAD
     }
 
     /// Creates the first tetrahedron and its four ghosts.
     pub(super) fn start(&mut self, simplex: [u32; 4]) {
-        // the ghost at facet i has number i + 1, and this facet has index 0 in the ghost
+        // the ghost at facet i has number i + 1, and the facet has index 0 in the ghost
         self.tetrahedra.push(Tetrahedron { vertices: simplex, neighbours: [1, 2, 3, 4].map(|ghost| ghost << 2) });
         for (i, facet) in FACETS.iter().enumerate() {
             // Seen from outside, the facet is counter-clockwise. Swapping two vertices and putting
@@ -252,8 +252,8 @@ impl Cells {
                 let [p, q, r] = FACETS[of];
                 [p, r, q].iter().position(|&k| k == vertex).map_or(0, |k| k + 1)
             };
-            // this ghost and the ghost at facet k share the facet opposite vertex k; in the other
-            // ghost, it is the facet opposite vertex i
+            // this ghost shares the facet opposite vertex k with the ghost at facet k, where it is
+            // the facet opposite vertex i
             let ghost = |k: usize| (k as u32 + 1) << 2 | place(k, i) as u32;
             self.tetrahedra.push(Tetrahedron {
                 vertices: [INFINITE, simplex[p], simplex[r], simplex[q]],
@@ -300,9 +300,10 @@ impl Cells {
     }
 
     /// Returns whether a tetrahedron is in conflict with a vertex, which means that its
-    /// circumsphere contains the vertex. For a ghost, the open half-space beyond its hull triangle
-    /// replaces the sphere. If the vertex lies in the plane of that triangle, the sphere of the
-    /// finite neighbour decides. Returns an error if that neighbour lies beyond a cut.
+    /// circumsphere contains the vertex. A ghost is in conflict if the vertex lies in the open
+    /// half-space beyond its hull triangle. If the vertex lies in the plane of that triangle, the
+    /// circumsphere of the finite neighbour decides. Returns an error if that neighbour lies beyond
+    /// a cut.
     #[inline]
     fn conflicts(&self, sites: Sites<'_>, t: u32, v: u32, point: DVec3) -> Reached<bool> {
         let vertices = &self.tetrahedra[t as usize].vertices;
@@ -326,7 +327,7 @@ impl Cells {
         Ok(sites.sphere_holds(&self.tetrahedra[(finite >> 2) as usize].vertices, v, point))
     }
 
-    /// Returns an error if too few tetrahedron numbers remain for another insertion.
+    /// Returns an error if too few tetrahedron indices remain for another insertion.
     pub(super) fn check_room(&self) -> Result<()> {
         if self.tetrahedra.len() <= MOST_TETRAHEDRA {
             return Ok(());
@@ -334,8 +335,8 @@ impl Cells {
         Err(Error::TooManyTetrahedra(MOST_TETRAHEDRA))
     }
 
-    /// Inserts a vertex, given the tetrahedron that contains its point. No other vertex may have
-    /// the same point. If the cavity extends beyond a cut, returns an error and changes nothing.
+    /// Inserts a vertex, given the tetrahedron that contains its point. No other vertex may be at
+    /// the same position. If the cavity extends beyond a cut, returns an error and changes nothing.
     pub(super) fn insert_at(&mut self, sites: Sites<'_>, v: u32, located: u32) -> Reached<()> {
         let mut work = std::mem::take(&mut self.work);
         let dug = self.dig(sites, v, located, &mut work);

@@ -5,9 +5,9 @@
 //! *Ghost* tetrahedra connect each hull triangle to a vertex at infinity ([`INFINITE`]), so every
 //! tetrahedron has four neighbours and the boundary needs no special cases. The input may contain
 //! cospherical, coplanar and collinear points, grids and duplicates. A symbolic perturbation (see
-//! [`predicates`]) breaks ties of the in-sphere test. It depends only on the point indices, so a
-//! list of points has the same triangulation for any insertion order. Points that all lie in one
-//! plane are refused, because they have no tetrahedra.
+//! [`predicates`]) breaks ties of the in-sphere test. It depends only on the point indices, so the
+//! triangulation does not depend on the insertion order. Coplanar point sets are rejected, because
+//! they have no tetrahedra.
 //!
 //! The same points give the same tetrahedra with the same numbers on any number of threads. For
 //! half a million surface points, this crate is about as fast as CGAL (`make bench-delaunay`).
@@ -52,10 +52,10 @@ use predicates::{collinear, orientation, volume};
 use rayon::prelude::*;
 use regions::Cutting;
 
-/// The vertex at infinity, in the vertex list of ghost tetrahedra.
+/// Index of the vertex at infinity, which belongs to every ghost tetrahedron.
 pub const INFINITE: u32 = u32::MAX;
 
-/// Value of the first vertex of a removed tetrahedron.
+/// Marks a removed tetrahedron: its first vertex has this value.
 const DEAD: u32 = u32::MAX - 1;
 
 /// Maximum absolute value of a coordinate. The in-sphere determinant is a polynomial of degree 5,
@@ -63,8 +63,8 @@ const DEAD: u32 = u32::MAX - 1;
 const LARGEST_COORDINATE: f64 = 1e50;
 
 /// Coordinates closer to zero than this are set to zero, so that the exact predicates never
-/// underflow. Nonzero differences of coordinates are at least 2^-53 times this value. Their
-/// products of degree 5 are at least 1.7e-280, above the smallest normal double, 2.2e-308.
+/// underflow. Nonzero differences of coordinates are at least 2^-53 times this value. Products of
+/// five differences are at least 1.7e-280, above the smallest normal double, 2.2e-308.
 const SMALLEST_COORDINATE: f64 = 1e-40;
 
 #[derive(Clone, Copy, Debug)]
@@ -84,7 +84,7 @@ pub enum Insertion {
     Duplicate(u32),
 }
 
-/// Memory use and number of tetrahedra, for reports.
+/// Memory use and number of tetrahedra of a triangulation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MemoryUse {
     /// Bytes allocated by the triangulation, including spare capacity.
@@ -95,7 +95,7 @@ pub struct MemoryUse {
     pub slots: usize,
 }
 
-/// Delaunay triangulation of a set of points. More points can be inserted.
+/// Delaunay triangulation of a set of points. Further points can be inserted later.
 #[derive(Clone, Debug)]
 pub struct Delaunay {
     points: Vec<DVec3>,
@@ -114,7 +114,7 @@ impl Delaunay {
     /// # Errors
     /// If there are fewer than four distinct points, if all points lie in one plane, if a
     /// coordinate is not finite or exceeds 1e50 in absolute value, or if there are too many points
-    /// for 32-bit indices or more than 2^29 tetrahedra before an insertion.
+    /// or tetrahedra ([`Error::TooManyPoints`], [`Error::TooManyTetrahedra`]).
     pub fn new(points: &[DVec3]) -> Result<Self> {
         Self::with_cutting(points, Cutting::USUAL)
     }
@@ -144,8 +144,8 @@ impl Delaunay {
         Ok(built)
     }
 
-    /// Returns all points, including duplicates. The points of the input precede the inserted
-    /// points.
+    /// Returns all points, including duplicates. The points passed to [`Delaunay::new`] precede
+    /// those inserted later.
     pub fn points(&self) -> &[DVec3] {
         &self.points
     }
@@ -155,8 +155,8 @@ impl Delaunay {
         self.vertex_count
     }
 
-    /// Returns the first point with the same coordinates, or `None` if `point` is the first.
-    /// Duplicates do not belong to any tetrahedron.
+    /// Returns the first point with the same coordinates as `point`, or `None` if `point` is the
+    /// first. Duplicates do not belong to any tetrahedron.
     pub fn duplicate_of(&self, point: u32) -> Option<u32> {
         let first = self.first[point as usize];
         (first != point).then_some(first)
@@ -220,9 +220,9 @@ impl Delaunay {
         self.incident.get(vertex as usize).copied().filter(|&t| t != u32::MAX)
     }
 
-    /// Computes the circumcentre of a tetrahedron from coordinates relative to one vertex and from
-    /// [`predicates::volume`], so the result is accurate even for a thin tetrahedron. Returns
-    /// `None` for a ghost or a removed tetrahedron, or if the centre is not finite.
+    /// Returns the circumcentre of a tetrahedron, or `None` for a ghost or a removed tetrahedron,
+    /// or if the centre is not finite. The result is accurate even for a thin tetrahedron, because
+    /// it is computed from coordinates relative to one vertex and from [`predicates::volume`].
     pub fn circumcentre(&self, tetrahedron: u32) -> Option<DVec3> {
         let v = self.vertices(tetrahedron);
         if v.contains(&INFINITE) || v[0] == DEAD {
@@ -272,7 +272,7 @@ impl Delaunay {
         Ok(Insertion::New(v))
     }
 
-    /// Records a tetrahedron as the incident tetrahedron of each of its finite vertices.
+    /// Stores a tetrahedron as the incident tetrahedron of each of its finite vertices.
     fn note_incident(&mut self, t: u32) {
         let vertices = self.cells.tetrahedra[t as usize].vertices;
         if vertices[0] != DEAD {
@@ -289,8 +289,8 @@ impl Delaunay {
     }
 }
 
-/// Panic message for operations that a cut would interrupt. A whole triangulation has no cuts, so
-/// the panic cannot occur.
+/// Panic message for operations that fail at a cut. A whole triangulation has no cuts, so the panic
+/// cannot occur.
 const WHOLE: &str = "a whole triangulation has all tetrahedra";
 
 /// Facet opposite each vertex of a positively oriented tetrahedron. The vertices are
@@ -314,7 +314,7 @@ fn admissible(p: DVec3) -> Result<DVec3> {
     Ok(DVec3::from_array(p.to_array().map(|x| if x.abs() < SMALLEST_COORDINATE { 0.0 } else { x })))
 }
 
-/// Finds four points that do not lie in one plane. Returns their positions in the insertion order,
+/// Finds four points that are not coplanar. Returns their positions in the insertion order,
 /// arranged so that the tetrahedron is positively oriented.
 fn first_simplex(points: &[DVec3], order: &[u32]) -> Result<[u32; 4]> {
     let at = |place: usize| points[order[place] as usize];

@@ -1,18 +1,18 @@
 //! The insertion order: a biased randomised insertion order (Amenta, Choi and Rote 2003). Each
 //! round has about eight times as many points as the previous round and follows a Hilbert curve.
-//! The walk from the last insertion is then short for any arrangement of the input.
+//! The walk from the last insertion is then short, whatever the order of the input.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Number of bits of the Hilbert index per axis. The index of all three axes has 60 bits and fits
-/// in 64. Points in the same Hilbert cell are ordered by their coordinates.
+/// Number of bits of the Hilbert index per axis. The full index has 60 bits and fits in 64. Points
+/// in the same Hilbert cell are ordered by their coordinates.
 const BITS_PER_AXIS: u32 = 20;
 
 /// Sets with fewer distinct points are inserted in a single round. For larger sets, the first round
-/// has about 125 to 1000 points. With 250, 1000 and 4000, the triangulation of `thorax_labels` 2
-/// (84,000 particles) takes 0.28 s; in a single round, it takes 0.34 s (step `triangulate` of
-/// `reconstruct`).
+/// has about 125 to 1000 points. With limits of 250, 1000 and 4000, the triangulation of
+/// `thorax_labels` 2 (84,000 particles) takes 0.28 s; in a single round, it takes 0.34 s (step
+/// `triangulate` of `reconstruct`).
 const FEWEST_FOR_ROUNDS: usize = 1000;
 
 /// The insertion order of a set of points.
@@ -70,7 +70,7 @@ pub(super) fn insertion_order(points: &[DVec3]) -> Order {
     // a point is in the last round with probability 7/8, in the previous round with 7/64, and so on
     let round_of = |i: u32| rounds.saturating_sub(well_mixed(i).trailing_ones() / 3);
     for round in 0..=rounds {
-        // every other round is reversed, so that it starts where the previous round ended
+        // every other round is reversed, so that it starts near the end of the previous round
         let members = distinct.iter().copied().filter(|&i| round_of(i) == round);
         let start = order.len();
         order.extend(members);

@@ -7,9 +7,9 @@
 //! of roundings. Let (mx, my, mz) bound the coordinate differences, and let m be the largest of the
 //! three. The orientation has 6 monomials with at most 8 roundings each, so its error is at most
 //! 48 * 2^-53 mx my mz. The in-sphere determinant has 72 monomials with at most 16 roundings each,
-//! so its error is at most 1152 * 2^-53 mx my mz m^2. The in-sphere test first
-//! tries a coarser bound, with the length of the longest difference instead of mx, my, mz and m.
-//! The constants below are rounded up by more than the rounding errors of the bounds themselves.
+//! so its error is at most 1152 * 2^-53 mx my mz m^2. The in-sphere test first tries a coarser
+//! bound, which replaces mx, my, mz and m with the length of the longest difference. The constants
+//! below are rounded up by more than the rounding errors of the bounds themselves.
 
 use super::exact;
 use glam::DVec3;
@@ -69,7 +69,7 @@ pub fn in_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
     let spq = s.z * pq + p.z * qs + q.z * sp;
     let (p2, q2, r2, s2) = (p.length_squared(), q.length_squared(), r.length_squared(), s.length_squared());
     let determinant = (r2 * spq - s2 * pqr) + (p2 * qrs - q2 * rsp);
-    // the length of the longest difference bounds each of its coordinates
+    // the length of the longest difference bounds the coordinates of all differences
     let longest = p2.max(q2).max(r2.max(s2));
     if determinant.abs() > IN_SPHERE_BOUND * (longest * longest) * longest.sqrt() {
         return determinant;
@@ -77,7 +77,7 @@ pub fn in_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
     in_sphere_near_zero(determinant, [a, b, c, d, e])
 }
 
-/// Computes the same as [`in_sphere`] for determinants that the coarse bound cannot decide.
+/// Computes [`in_sphere`] for determinants that the coarse bound cannot decide.
 #[cold]
 #[inline(never)]
 fn in_sphere_near_zero(determinant: f64, [a, b, c, d, e]: [DVec3; 5]) -> f64 {
@@ -95,10 +95,10 @@ fn in_sphere_near_zero(determinant: f64, [a, b, c, d, e]: [DVec3; 5]) -> f64 {
 }
 
 /// Returns whether `points[4]` lies inside the sphere through the positively oriented
-/// `points[0..4]`, without ties. Each point on the paraboloid is lifted by an infinitesimal amount;
-/// a point with a larger rank has an infinitely larger lift. Each point always has the same lift,
-/// so all results describe one regular triangulation. Its cells are never flat, and its cavities
-/// are star-shaped. Points and ranks must be distinct.
+/// `points[0..4]`, and breaks ties by rank. Each point on the paraboloid is lifted by an
+/// infinitesimal amount; a point with a larger rank has an infinitely larger lift. The lift of a
+/// point is always the same, so all results are consistent with one regular triangulation. Its
+/// cells are never flat, and its cavities are star-shaped. Points and ranks must be distinct.
 #[inline]
 pub fn in_sphere_perturbed(points: &[DVec3; 5], ranks: impl FnOnce() -> [u32; 5]) -> bool {
     let [a, b, c, d, e] = *points;
@@ -160,7 +160,7 @@ mod tests {
 
     #[test]
     fn the_filter_never_contradicts_the_exact_predicates() {
-        // tiny offsets from degenerate positions would reveal a wrong bound
+        // points slightly off degenerate positions would reveal a wrong bound
         for n in 0..20_000u64 {
             let q = |k: u64| {
                 let coarse = (point(1, 5 * n + k) * 4.0).floor();
@@ -174,8 +174,8 @@ mod tests {
         }
     }
 
-    /// The test must be symmetric in two neighbours: e is in conflict with the tetrahedron abcd if
-    /// and only if d is in conflict with the tetrahedron of abc and e.
+    /// The test must be symmetric for two neighbours: e is in conflict with the tetrahedron abcd if
+    /// and only if d is in conflict with the tetrahedron with vertices a, b, c and e.
     #[test]
     fn perturbed_test_is_symmetric() {
         let mut ties = 0;

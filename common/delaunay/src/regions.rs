@@ -1,9 +1,8 @@
-//! Inserts rounds of points on all cores. Planes recursively cut the triangulation into pairs of
-//! regions, each with its own tetrahedra, and one thread per region inserts the points of the
-//! region. A point whose cavity would extend into another region is postponed until the two regions
-//! are merged. Tetrahedra next to another region are therefore never removed, and merging only
-//! renumbers the tetrahedra of one region. Coarse rounds are inserted first, so most cavities are
-//! small in the rounds that are cut.
+//! Inserts rounds of points on all cores. Planes recursively cut the triangulation into regions.
+//! Each region has its own tetrahedra, and one thread inserts its points. A point whose cavity
+//! would extend into another region is postponed until the two regions are merged. Tetrahedra next
+//! to another region are therefore never removed, and merging only renumbers the tetrahedra of one
+//! region. The coarse rounds come first, so most cavities are small by the time a round is cut.
 //!
 //! The cuts do not depend on the number of threads, and neither do the tetrahedron numbers.
 
@@ -22,9 +21,9 @@ pub(super) struct Cutting {
 }
 
 impl Cutting {
-    /// Measured on 377,000 particles of a ribcage, while the topology of F was computed at the same
-    /// time. On 16 cores, 2, 4, 8 and 16 regions take 1.32, 1.04, 0.77 and 0.74 s (`points` is
-    /// 200,000 for two regions and 20,000 for sixteen). On one core, 2 regions take 3.3 s and 8
+    /// Measured on 377,000 particles of a ribcage, while the topology of F was computed
+    /// concurrently. On 16 cores, 2, 4, 8 and 16 regions take 1.32, 1.04, 0.77 and 0.74 s (`points`
+    /// is 200,000 for two regions and 20,000 for sixteen). On one core, 2 regions take 3.3 s and 8
     /// take 3.5 s.
     pub(super) const USUAL: Self = Self { points: 20_000, depth: 3 };
 }
@@ -35,12 +34,12 @@ impl Cutting {
 const LEAST_SHARE_OF_SIDE: f64 = 0.1;
 
 /// Maximum number of sampled points whose median determines the plane of a cut. The rank of the
-/// median of 10,000 points has a standard error of 0.5 / sqrt(10,000), half a per cent of all
+/// median of 10,000 points has a standard error of 0.5 / sqrt(10,000), or half a per cent of all
 /// points.
 const MEDIAN_SAMPLE: usize = 10_000;
 
-/// Triangulates points that are given in insertion order. `rounds` contains the end of each round,
-/// and `seeds` the vertices of the first tetrahedron.
+/// Triangulates points that are given in insertion order. `rounds` contains the end index of each
+/// round, and `seeds` the vertices of the first tetrahedron.
 pub(super) fn triangulate(
     sites: Sites<'_>,
     rounds: &[usize],
@@ -64,12 +63,13 @@ pub(super) fn triangulate(
 struct Inserted {
     /// Postponed points, each with the cut that must be removed before the point can be inserted.
     put_off: Vec<(u32, Beyond)>,
-    /// New numbers of the tetrahedron slots that existed before the insertion. `None` if the
-    /// numbers are unchanged.
+    /// New number of each tetrahedron slot that existed before the insertion. `None` if the numbers
+    /// are unchanged.
     renumbered: Option<Vec<u32>>,
 }
 
-/// The triangulation from which a region was cut. It locates a point if the walk leaves the region.
+/// The triangulation from which a region was cut, used to locate a point when the walk leaves the
+/// region.
 struct Outer<'a> {
     whole: &'a Cells,
     /// Slot of each tetrahedron of `whole` after the cut.
@@ -83,15 +83,14 @@ struct Outer<'a> {
 }
 
 impl Outer<'_> {
-    /// Returns the tetrahedron where the next walk starts in each enclosing triangulation,
-    /// innermost first.
+    /// Returns the start of the next walk in each enclosing triangulation, innermost first.
     fn starts(&self) -> Vec<u32> {
         std::iter::successors(Some(self), |outer| outer.up).map(|outer| outer.whole.last).collect()
     }
 
-    /// Finds the tetrahedron of the region that contained a point before any insertion. Returns its
-    /// number at the time of the cut. Returns an error if the tetrahedron is in another region; the
-    /// point must then be postponed.
+    /// Finds the tetrahedron that contained a point at the time of the cut, and returns its number
+    /// in the region. Returns an error if the tetrahedron is in another region; the point must then
+    /// be postponed.
     fn find(&self, sites: Sites<'_>, point: DVec3, starts: &mut [u32]) -> Result<u32, Beyond> {
         let (start, further) = starts.split_first_mut().ok_or(self.cut)?;
         let walked = self.whole.locate(sites, point, *start);
@@ -115,8 +114,8 @@ fn insert_all(
         Cut::new(cells, sites, &members, depth)
     };
     let Some(Cut { mut regions, places, seams }) = cut else {
-        // Reserve once. If a vector grows in a thread, the allocator of that thread keeps the
-        // freed memory.
+        // Reserve once. When a vector grows in a thread, that thread's allocator retains the freed
+        // memory.
         cells.reserve(members.len() * 8);
         let put_off = insert_in_order(cells, sites, members, outer, None)?;
         return Ok(Inserted { put_off, renumbered: None });
@@ -133,8 +132,8 @@ fn insert_all(
     let [(low, _), (high, _)] = regions;
     let all: Vec<(u32, Beyond)> = done.iter().flat_map(|inserted| &inserted.put_off).copied().collect();
     let offset = low.tetrahedra.len() as u32;
-    // maps the number of a tetrahedron of a region at the time of the cut to its number after
-    // merging
+    // maps the number that a tetrahedron had in its region at the time of the cut to its number
+    // after merging
     let number = |side: usize, number: u32| {
         let number = done[side].renumbered.as_ref().map_or(number, |new| new[number as usize]);
         if side == 0 { number } else { number + offset }
@@ -181,7 +180,7 @@ fn insert_in_order(
     Ok(put_off)
 }
 
-/// Slot of a tetrahedron after a cut: its number in the region times 2, plus the side.
+/// Position of a tetrahedron after a cut: its number in the region times 2, plus the side.
 #[derive(Clone, Copy)]
 struct Slot(u32);
 

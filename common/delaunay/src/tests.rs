@@ -22,7 +22,7 @@ fn grid(n: usize) -> Vec<DVec3> {
     points
 }
 
-/// Returns all integer points on a sphere of radius 21.
+/// Returns all points with integer coordinates on a sphere of radius 21.
 fn cospherical() -> Vec<DVec3> {
     let mut set = BTreeSet::new();
     for x in -21i32..=21 {
@@ -122,7 +122,7 @@ fn random_points_in_a_cube() {
     check_spheres(&d);
     let large = Delaunay::new(&cube(20_000)).unwrap();
     check_structure(&large);
-    // Poisson points have 6.77 cells per vertex on average; cells are missing at the hull
+    // Poisson points have 6.77 cells per vertex on average; the hull reduces this number
     let ratio = large.finite_tetrahedra().count() as f64 / 20_000.0;
     assert!((6.3..6.8).contains(&ratio), "{ratio} cells a vertex");
 }
@@ -303,8 +303,7 @@ fn scales_from_tiny_to_huge() {
 
 #[test]
 fn circumcentre_of_a_thin_cell_is_at_its_distance() {
-    // four points near a circle of radius 1 in the plane z = 0; the last point is displaced by
-    // `far`
+    // four points near the unit circle in the plane z = 0; the last point is displaced by `far`
     let p = |angle: f64, z: f64| DVec3::new(angle.cos(), angle.sin(), z);
     for far in [1e-3, 1e-6, 1e-9] {
         let corners = [p(0.0, 0.0), p(1.0, 0.0), p(2.5, 0.0), p(4.0, 0.0) * (1.0 + far) + DVec3::Z * far];
@@ -318,8 +317,8 @@ fn circumcentre_of_a_thin_cell_is_at_its_distance() {
 
 #[test]
 fn circumcentre_of_a_flat_cell_is_far_away_in_any_unit() {
-    // The corners form quadrilaterals in a tilted plane. Their volume is due only to the rounding
-    // of the coordinates and is below the bound of the filter.
+    // The corners form quadrilaterals in a tilted plane. Their volume comes only from rounding of
+    // the coordinates and is below the bound of the filter.
     let (u, v) = (DVec3::new(0.9, 0.2, -0.3).normalize(), DVec3::new(0.1, 0.7, 0.6));
     let mut undecided = 0;
     for k in 0..200u64 {

@@ -1,6 +1,6 @@
-//! Prints the topology of F = 0 for distance fields and the time for computing it. Also prints
-//! digests of the complete result, for comparing two builds of the code:
-//! `cargo run --release -p isoparticles-field --example topology -- F.vti [more.vti]`.
+//! Prints the topology of F = 0 for each distance field and the time taken to compute it. Also
+//! prints digests of the complete result, to compare two builds of the code. Usage: `cargo run
+//! --release -p isoparticles-field --example topology -- F.vti [more.vti]`.
 
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldTopology;
@@ -22,7 +22,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let (_, normal) = field.value_gradient(*p);
             topology.component_at(&field, *p, normal)
         };
-        // looks up the component of one sample in a hundred, after projecting it onto F = 0
+        // projects every hundredth sample onto F = 0 and looks up its component
         let every = samples.iter().flatten().step_by(100);
         let found: Vec<_> = every.filter_map(|p| field.project(*p, 1.0, 1e-9)).map(|p| place(&p)).collect();
         let summary = topology.summary();

@@ -18,8 +18,8 @@ pub fn curvature_tensor(jet: &Jet) -> DMat3 {
     across * jet.hessian * across * (1.0 / slope)
 }
 
-/// Returns the larger absolute value of the two principal curvatures, per mm. `tensor` is the
-/// curvature tensor of a surface with unit normal n.
+/// Returns the larger magnitude of the two principal curvatures, per mm. `tensor` is the curvature
+/// tensor of a surface with unit normal n.
 pub fn largest_curvature(tensor: &DMat3, n: DVec3) -> f64 {
     let u = n.any_orthonormal_vector();
     let v = n.cross(u);

@@ -1,46 +1,49 @@
 //! Computes the volumes enclosed by an implicit surface, one for each connected component of a mesh
-//! of this surface.
+//! of the surface.
 //!
 //! The mesh vertices are moved onto the surface. The normals at both ends of an edge give the
-//! height of the surface over the midpoint of the edge. These heights give the volume between a
-//! triangle and the surface, which is assumed to be quadratic over the triangle. Edges over which
-//! the surface bends too much are divided. The decision depends only on the edge, so the triangles
-//! remain a closed surface. Parts of the surface that the mesh lacks are ignored.
+//! height of the surface above the midpoint of the edge. These heights give the volume between a
+//! triangle and the surface, which is assumed to be quadratic over the triangle. An edge is divided
+//! if the surface curves too much over it. The decision depends only on the edge, so adjacent
+//! triangles agree and the mesh remains closed. Parts of the surface that are missing from the mesh
+//! are ignored.
 
 use fearless_simd::{Level, dispatch};
 use glam::DVec3;
 use isoparticles_mesh::{TriangleMesh, components};
 use rayon::prelude::*;
 
-/// An edge is divided if the height of the surface over its midpoint exceeds this fraction of its
-/// length. With 0.1, the volume of a ball of 0.9 voxel is off by 0.07 %; with 0.13, it is off by
-/// 0.11 % (test `balls_and_rods_have_their_volumes`).
+/// An edge is divided if the height of the surface above its midpoint exceeds this fraction of its
+/// length. With 0.1, the volume of a ball with a radius of 0.9 voxels is off by 0.07 %; with 0.13,
+/// it is off by 0.11 % (test `balls_and_rods_have_their_volumes`).
 const LARGEST_BEND: f64 = 0.1;
 
-/// Coefficient of the next-order term for a triangle with corners on a sphere. The volume over the
-/// triangle is the area times the height over the edges times 1 + 10.7 (height / edge)^2, derived
-/// from the solid angle of the spherical triangle.
+/// Coefficient of the next-order term for a triangle with corners on a sphere, derived from the
+/// solid angle of the spherical triangle. The volume between triangle and sphere is
+/// `area * height * (1 + 10.7 (height / edge)^2)`, where the height of the sphere is measured at
+/// the midpoints of the edges.
 const SPHERE_TERM: f64 = 10.7;
 
-/// Maximum number of times an edge is divided. The height is proportional to the squared length, so
-/// each division halves the ratio of height to length. Three divisions reduce a ratio of 0.8 to
-/// [`LARGEST_BEND`]; a half circle has a ratio of 0.5.
+/// Maximum number of times an edge is divided. The height is proportional to the square of the
+/// length, so each division halves the ratio of height to length. Three divisions reduce a ratio of
+/// 0.8 to [`LARGEST_BEND`]; a half circle has a ratio of 0.5.
 const DIVISIONS: u32 = 3;
 
-/// Maximum number of Newton steps of a projection. Three steps of [`LONGEST_STEP`] and a last,
-/// short step reach the surface from up to 0.9 `near`. A point that does not converge is not moved.
+/// Maximum number of Newton steps in a projection. Three steps of length [`LONGEST_STEP`] and a
+/// short final step reach the surface from a distance of up to 0.9 `near`. A point that does not
+/// converge is not moved.
 const NEWTON_STEPS: usize = 4;
-/// Maximum length of a Newton step, as a fraction of the expected maximum distance `near` of a
-/// vertex from the surface. Short steps keep a vertex from reaching another part of the surface.
+/// Maximum length of a Newton step, as a fraction of `near`, the maximum expected distance of a
+/// vertex from the surface. Short steps keep a vertex from jumping to another part of the surface.
 const LONGEST_STEP: f64 = 0.3;
 
-/// A projection has converged once a step is shorter than this fraction of the longest step.
-/// Newton's method squares the error, so the remaining distance is 1e-4 of a voxel (with `near` one
-/// voxel).
+/// A projection has converged once a step is shorter than this fraction of the maximum step length.
+/// Newton's method squares the error, so the remaining distance is about 1e-4 voxels if `near` is
+/// one voxel.
 const TOLERANCE: f64 = 0.03;
 
-/// Number of vertices, or of triangles, per parallel task: hundreds of tasks for a mesh of a
-/// million triangles, and far more work per task than scheduling takes.
+/// Number of vertices or triangles per parallel task. A mesh of a million triangles gives hundreds
+/// of tasks, and each task takes far longer than scheduling it.
 const CHUNK: usize = 1024;
 
 /// Returns the volumes (mm^3) enclosed by the zero set of an implicit function (negative inside).
@@ -94,7 +97,7 @@ struct Vertex {
 
 struct Surface<F> {
     value_gradient: F,
-    /// Maximum step length of a projection in mm.
+    /// Maximum length of a Newton step in mm.
     longest: f64,
 }
 
@@ -119,8 +122,8 @@ impl<F: Fn(DVec3) -> (f64, DVec3)> Surface<F> {
         Vertex { place: start, normal: DVec3::ZERO }
     }
 
-    /// Returns the signed volume (mm^3) between the origin and the part of the surface over a
-    /// triangle. `open` is scratch space.
+    /// Returns the signed volume (mm^3) of the cone from the origin to the part of the surface over
+    /// a triangle. `open` is scratch space.
     #[inline(always)]
     fn integral(&self, corners: [Vertex; 3], open: &mut Vec<([Vertex; 3], u32)>) -> f64 {
         let mut sum = 0.0;
@@ -184,7 +187,7 @@ mod tests {
             assert_eq!(found.len(), 1);
             assert!((found[0] / volume - 1.0).abs() < 1e-3, "{radius}: {}", found[0] / volume);
         }
-        // a rod with round ends, whose cross section has the area of a voxel face
+        // a rod with hemispherical ends; its cross section has the area of a voxel face
         let radius = PI.sqrt().recip();
         let rod = |p: DVec3| {
             let nearest = DVec3::new(p.x.clamp(5.0, 15.0), 10.0, 10.0);

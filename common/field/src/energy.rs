@@ -3,9 +3,9 @@
 //!
 //! With x = d pi/2 and c = cot x, the pair energy is `c + x - pi/2`. Its first derivative with
 //! respect to d is `-(pi/2) c^2` (Eq. 4, with 1 - 1/sin^2 = -cot^2). Its second derivative is
-//! `(pi^2/2) c (1 + c^2)`. All three need only one tangent. Eq. 2 prints 2 cos(pi/2), which is
-//! zero; the correct factor is 2 cos(pi/6) = sqrt(3). With this factor, the second ring of the
-//! hexagonal lattice of spacing h lies exactly at the cut-off d = 1.
+//! `(pi^2/2) c (1 + c^2)`. All three are computed from a single tangent. The paper prints the
+//! factor 2 cos(pi/2) = 0 in Eq. 2; the correct factor is 2 cos(pi/6) = sqrt(3). With this factor,
+//! the second ring of the hexagonal lattice of spacing h lies exactly at the cut-off d = 1.
 
 use fearless_simd::{Simd, f64x8, prelude::*};
 use glam::{DMat3, DVec3};
@@ -19,8 +19,8 @@ pub const SUPPORT: f64 = 1.732_050_807_568_877_2;
 /// 4 / (pi d^3) = 1.3e18.
 pub const LEAST_SCALED_DISTANCE: f64 = 1e-6;
 
-/// Ideal energy as printed in section 3.3. It is six times the ideal *distance* 0.577 instead of
-/// the energy of Eq. 1.
+/// Ideal energy as printed in section 3.3 of the paper. It is six times the ideal *distance* 0.577,
+/// not six times the energy (Eq. 1) at that distance.
 pub const PRINTED_IDEAL_ENERGY: f64 = 3.462;
 
 /// Returns the energy of a particle whose six neighbours lie on the hexagonal lattice of spacing h:
@@ -40,15 +40,15 @@ pub fn lattice_energy(spacing: f64) -> f64 {
     6.0 * (1..=last).flat_map(|a| (0..=last).map(move |b| (a, b))).map(|(a, b)| place(a, b)).sum::<f64>()
 }
 
-/// Minimum result of [`lattice_spacing`], in units of h. It is a tenth of the minimum spacing with
-/// which `particles` runs (0.5).
+/// Minimum result of [`lattice_spacing`], in units of h. It is a tenth of 0.5, the minimum spacing
+/// that `particles` accepts.
 const SMALLEST_LATTICE_SPACING: f64 = 0.05;
 
 /// Returns the spacing, in units of h, of the hexagonal lattice whose particles have the given
 /// energy: 1 for [`ideal_energy`], 0.657 for [`PRINTED_IDEAL_ENERGY`]. The result is limited to the
 /// range from 0.05 to [`SUPPORT`].
 pub fn lattice_spacing(energy: f64) -> f64 {
-    // exactly 1 for the ideal energy; bisection would reach 1 only up to rounding
+    // exactly 1 for the ideal energy; bisection would return 1 only to within rounding
     if energy == ideal_energy() {
         return 1.0;
     }
@@ -68,8 +68,8 @@ pub fn scaled_distance(distance: f64, size_i: f64, size_j: f64) -> f64 {
     distance / (SUPPORT * size_i.min(size_j))
 }
 
-/// Returns the pair energy at scaled distance d (Eq. 1). It is infinite at d = 0 and zero from
-/// d = 1 on.
+/// Returns the pair energy at scaled distance d (Eq. 1). It is infinite at d = 0 and zero for
+/// d >= 1.
 pub fn pair_energy(d: f64) -> f64 {
     if d >= 1.0 {
         return 0.0;
@@ -92,8 +92,8 @@ pub fn pair_energy_derivatives(d: f64) -> (f64, f64, f64) {
 /// Returns the energy, gradient (per mm) and Hessian (per mm squared) of one pair with respect to
 /// the position of the first particle. Both sizes are held fixed. `offset` is p_i - p_j in mm.
 ///
-/// The Hessian is the sum of two terms: the second derivative along the pair, and the first
-/// derivative divided by the distance across the pair.
+/// The eigenvalues of the Hessian are the second derivative (along the pair) and the first
+/// derivative divided by the distance (perpendicular to it).
 pub fn pair_jet(offset: DVec3, size_i: f64, size_j: f64) -> (f64, DVec3, DMat3) {
     let reach = SUPPORT * size_i.min(size_j);
     // the lower limit keeps energy and derivatives finite; the gradient is zero at offset zero
@@ -119,16 +119,16 @@ pub fn pair_size_derivative(distance: f64, size_i: f64, size_j: f64) -> f64 {
     if size_i > size_j || d >= 1.0 { 0.0 } else { -pair_energy_derivatives(d).1 * d / size_i }
 }
 
-/// Evaluates eight pairs at once: Eq. 1 and 4 with a polynomial instead of the tangent.
+/// Evaluates Eq. 1 and 4 for eight pairs at once, with a polynomial instead of the tangent.
 ///
 /// With s = d^2, x cot x is an even function of x that vanishes at s = 1, so
 /// `cot x = (1 - s) Q(s) / x`. The nearest pole of Q is at s = 4, so each additional degree of a
-/// polynomial on the interval from 0 to 1 gains more than one digit. A polynomial of degree 10 is
+/// polynomial fit on [0, 1] gains more than one digit of accuracy. A polynomial of degree 10 is
 /// within 4e-13 of Q (fitted to `x cot x / (1 - s)` at Chebyshev points with 40 digits).
 ///
-/// The tests measure these errors: 4e-13 of 1 + E for the energy, 8e-13 of its value for the first
-/// derivative, and 1.2e-12 of its value for the second, which is cubic in the cotangent. No
-/// operations are fused, so every instruction set gives the same bits.
+/// The tests bound the errors: 4e-13 (1 + E) for the energy, a relative error of 8e-13 for the
+/// first derivative, and 1.2e-12 for the second, which is cubic in the cotangent. Multiplications
+/// and additions are not fused, so every instruction set gives the same bits.
 #[derive(Clone, Copy, Debug)]
 pub struct Pairs<S: Simd> {
     /// Scaled distance d (Eq. 2), at least [`LEAST_SCALED_DISTANCE`] and at most one. At d = 1 the
@@ -139,7 +139,7 @@ pub struct Pairs<S: Simd> {
     cotangent: f64x8<S>,
 }
 
-/// Coefficients of Q(s) in [`Pairs`], lowest power first.
+/// Coefficients of Q(s) in [`Pairs`], lowest degree first.
 const COTANGENT: [f64; 11] = [
     1.000_000_000_000_348_4,
     0.177_532_966_491_658_26,
@@ -219,7 +219,7 @@ mod tests {
     fn ideal_energy_is_that_of_the_hexagonal_lattice() {
         assert!((ideal_energy() - 0.7108).abs() < 1e-4, "{}", ideal_energy());
         for (spacing, energy) in [(0.6, 4.60), (0.657, 3.462), (0.8, 1.76), (0.9, 1.12), (1.0, 0.711), (1.1, 0.434)] {
-            // the table is rounded to three digits, including the spacing
+            // the values in the table are rounded to three digits, including the spacing
             assert!((lattice_energy(spacing) / energy - 1.0).abs() < 0.005, "{spacing}: {}", lattice_energy(spacing));
             assert!((lattice_energy(spacing) / energy_by_rows(spacing) - 1.0).abs() < 1e-12, "{spacing}");
             assert!((lattice_spacing(lattice_energy(spacing)) - spacing).abs() < 1e-14, "{spacing}");
@@ -302,7 +302,7 @@ mod tests {
                 worst[0] = worst[0].max((found[0][lane] - energy).abs() / (1.0 + energy));
                 for (a, want) in [(1, first), (2, second)] {
                     // d is the root of a rounded square: 1 - d has an error of 1e-16, and the
-                    // cotangent has an error of 1e-16 / (1 - d)
+                    // cotangent has a relative error of 1e-16 / (1 - d)
                     let rounding = 1e-15 / (1.0 - d).max(1e-15);
                     worst[a] = worst[a]
                         .max((found[a][lane] / want.abs().max(f64::MIN_POSITIVE) - want.signum()).abs() - rounding);

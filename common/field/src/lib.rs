@@ -7,7 +7,7 @@
 //!   on the order of evaluation.
 //! - [`topology`]: components, Euler characteristics and critical points of F.
 //! - [`marching_cubes`]: a triangle mesh of F = 0.
-//! - [`materials`]: one implicit function for each of many materials.
+//! - [`materials`]: implicit functions for many materials, one per material.
 //!
 //! ```
 //! use glam::DVec3;

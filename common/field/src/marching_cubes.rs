@@ -1,12 +1,13 @@
 //! Marching cubes (Lorensen and Cline 1987): computes a closed, manifold triangulation of F = iso.
 //! The stages use it for seeds, components and dense samples of the surface.
 //!
-//! The case table is computed by the program. If exactly two corners of a cell face are inside and
+//! The case table is computed at run time. If exactly two corners of a cell face are inside and
 //! they are diagonally opposite, the sign at the saddle of the face decides whether they are joined
 //! (Nielson and Hamann 1991). The saddle value is that of a quadratic interpolant, because the
-//! bilinear interpolant breaks diagonal layers that are one voxel thick. Two cells that share a
-//! face always create the same segments on it. The segments form loops, and each loop is cut into
-//! triangles without a diagonal on a cell face. Every edge therefore lies in exactly two triangles.
+//! bilinear interpolant breaks up diagonal layers that are one voxel thick. Two cells that share a
+//! face always create the same segments on it. The segments form loops, and each loop is
+//! triangulated without diagonals on cell faces. Every edge therefore lies in exactly two
+//! triangles.
 
 use crate::node_bits::{NodeBits, Side, WORD, each_bit, first_bits, shifted};
 use glam::DVec3;
@@ -17,16 +18,16 @@ use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::sync::OnceLock;
 
-/// Minimum distance of vertices from the grid nodes, in edge lengths. It prevents degenerate
-/// triangles where a sample equals the iso value. The offset survives rounding to single precision:
-/// at index 512, an ulp of f32 is 6e-5.
+/// Minimum distance of a vertex from the nodes of its grid edge, as a fraction of the edge length.
+/// It prevents degenerate triangles where a sample equals the iso value. The offset survives
+/// rounding to single precision: at index 512, an ulp of f32 is 6e-5.
 pub(crate) const NODE_CLEARANCE: f64 = 1e-3;
 
 /// Number of slices of cells per parallel task. Each task also numbers the vertices of the slice
-/// after its last slice, which adds an eighth to the numbering.
+/// after its last one, which adds an eighth to the cost of numbering.
 const SLICES_PER_TASK: usize = 8;
 
-/// Returns the surface between the samples below `iso` (inside) and all other samples, in the grid
+/// Returns the surface that separates the samples below `iso` (inside) from all others, in the grid
 /// frame (mm).
 ///
 /// Triangles are counter-clockwise when seen from the side of the larger values. Values equal to
@@ -66,16 +67,16 @@ struct Grid<'a> {
     inside: NodeBits,
 }
 
-/// Triangles in some slices of cells. A vertex index that is not smaller than the number of edge
-/// vertices refers to `centres`.
+/// The triangles that one task creates. Vertex indices at or above the total number of edge
+/// vertices refer to `centres`.
 #[derive(Default)]
 struct Part {
     triangles: Vec<[u32; 3]>,
     centres: Vec<DVec3>,
 }
 
-/// Vertex numbers on the three grid edges that start at each node of a slice, x fastest. Entries of
-/// edges without a crossing are arbitrary.
+/// Numbers of the vertices on the three grid edges that start at each node of a slice, x fastest.
+/// Entries for edges without a crossing are arbitrary.
 struct SliceNumbers {
     on_edge: Vec<[u32; 3]>,
 }
@@ -115,8 +116,8 @@ impl Grid<'_> {
         vertices
     }
 
-    /// Writes the vertex numbers of slice `k`, starting at `offset`. Entries of edges without a
-    /// crossing stay unchanged.
+    /// Numbers the vertices of slice `k`, starting at `offset`. Entries for edges without a
+    /// crossing are left unchanged.
     fn number(&self, k: usize, offset: u32, numbers: &mut SliceNumbers) {
         let nx = self.image.geometry.size[0];
         let mut next = offset;
@@ -135,7 +136,7 @@ impl Grid<'_> {
         for &k in slices {
             self.number(k + 1, offsets[k + 1], &mut upper);
             for (j, word) in (0..ny - 1).flat_map(|j| (0..self.inside.width()).map(move |word| (j, word))) {
-                // y fastest, in the order of the corners of a cell
+                // the four rows of nodes, y fastest, in the order of the corners of a cell
                 let rows = [0, 1, ny, ny + 1].map(|n| {
                     let row = self.inside.row(k * ny + j + n);
                     (row[word], shifted(row, word, 1))
@@ -193,12 +194,12 @@ impl Grid<'_> {
     }
 }
 
-/// Returns the value at the saddle of a cell face, given its two pairs of opposite nodes. The value
-/// is that of the bilinear interpolant, corrected by the mean second differences along the two
-/// axes. Second differences across the image border count as zero. If the value is below the iso
-/// value, the inside corners are joined across the face.
+/// Returns the value at the saddle of a cell face, given its two pairs of diagonally opposite
+/// nodes. The value is that of the bilinear interpolant, corrected by the mean second differences
+/// along the two axes. Second differences across the image border count as zero. If the value is
+/// below the iso value, the inside corners are joined across the face.
 pub fn saddle_value(image: &Image<f32>, diagonal: [usize; 2], other: [usize; 2]) -> f64 {
-    // sorted, so that both cells at the face compute the same bits
+    // sorted, so that both cells that share the face compute the same bits
     let mut nodes = [diagonal[0], diagonal[1], other[0], other[1]];
     nodes.sort_unstable();
     let [a, b, c, d] = nodes.map(|n| f64::from(image.data[n]));
@@ -214,11 +215,11 @@ pub fn saddle_value(image: &Image<f32>, diagonal: [usize; 2], other: [usize; 2])
 
 /// The value at the midpoint of two nodes is their mean minus this factor times the mean of their
 /// second differences. With 0.2, each of the two nodes has the weight 0.6, as in the cubic spline.
-/// The next nodes have the weight -0.1; in the spline it is -0.13.
+/// The next node on either side has the weight -0.1, compared with -0.13 in the spline.
 pub const MIDPOINT_BEND: f64 = 0.2;
 
-/// Returns the second difference at a node along the axis on which neighbours are `stride` nodes
-/// apart. It is zero on the image border.
+/// Returns the second difference at a node along the axis with the given stride. It is zero on the
+/// image border.
 fn second_difference(image: &Image<f32>, node: usize, stride: usize) -> f64 {
     let [nx, ny, nz] = image.geometry.size;
     let (step, count) =
@@ -233,8 +234,8 @@ fn second_difference(image: &Image<f32>, node: usize, stride: usize) -> f64 {
 
 // ---- the case table ----------------------------------------------------------------------------
 
-/// For x, y and z: the bit of a corner number that contains the offset of the corner along the
-/// axis. The four corners with the same x have four consecutive numbers.
+/// For each axis, the bit of a corner number that holds the offset of the corner along that axis.
+/// The four corners with the same x have consecutive numbers.
 const AXIS_BIT: [u8; 3] = [4, 1, 2];
 
 /// Returns the offset of a corner along each axis, 0 or 1.
@@ -268,21 +269,21 @@ const fn edges() -> [Edge; 12] {
     list
 }
 
-/// Triangulation of one closed loop of the contour in a cell. Vertices are given by their cell
-/// edges.
+/// Triangulation of one closed loop of the contour in a cell. A vertex is identified by its cell
+/// edge.
 enum Piece {
     Triangles(Vec<[u8; 3]>),
-    /// The loop, for triangles around an extra vertex at the mean of its vertices. Used if every
-    /// triangulation without an extra vertex has a diagonal on a cell face.
+    /// A loop to be triangulated as a fan around an extra vertex at the mean of its vertices. Used
+    /// if every triangulation without an extra vertex has a diagonal on a cell face.
     Fan(Vec<u8>),
 }
 
 /// The contour for one pattern of inside corners.
 struct Case {
-    /// Faces with two opposite inside corners (the first and third corners), in the order of the
-    /// bits of a variant.
+    /// Faces whose only inside corners are the first and the third. Face n corresponds to bit n of
+    /// a variant.
     ambiguous: Vec<[u8; 4]>,
-    /// The contour for each choice of joined ambiguous faces.
+    /// The contour for each combination of joined ambiguous faces.
     variants: Vec<Vec<Piece>>,
 }
 
@@ -298,8 +299,8 @@ fn table() -> &'static [Case] {
     })
 }
 
-/// Returns the faces with two opposite inside corners, rotated so that these corners are the first
-/// and the third.
+/// Returns the faces whose only inside corners are two diagonally opposite ones, rotated so that
+/// these are the first and the third.
 fn ambiguous_faces(case: u8) -> Vec<[u8; 4]> {
     let pattern = |face: [u8; 4]| face.map(|corner| case >> corner & 1 == 1);
     faces()
@@ -328,8 +329,9 @@ fn faces() -> impl Iterator<Item = [u8; 4]> {
     })
 }
 
-/// Returns the closed loops of the contour on the surface of the cell, with the inside always on
-/// the same side. The bits of `variant` tell which ambiguous faces join their inside corners.
+/// Returns the closed loops of the contour on the surface of the cell, oriented with the inside
+/// always on the same side. The bits of `variant` specify the ambiguous faces whose inside corners
+/// are joined.
 fn loops(case: u8, variant: usize) -> Vec<Vec<u8>> {
     let inside = |corner: u8| case >> corner & 1 == 1;
     let mut next = [None; 12];
@@ -383,9 +385,9 @@ fn cut(cycle: Vec<u8>) -> Piece {
     }
 }
 
-/// Cuts off ears until one triangle is left, without diagonals on a cell face. Backtracks if only
-/// such diagonals remain. `given_up` contains remainders of the cycle that are known to fail.
-/// Returns whether the cut succeeded.
+/// Triangulates a cycle by ear clipping, without diagonals on a cell face. Backtracks if only such
+/// diagonals remain. `given_up` contains the remainders of the cycle that are known to fail.
+/// Returns whether a triangulation was found.
 fn cut_without_face_diagonals(cycle: &[u8], triangles: &mut Vec<[u8; 3]>, given_up: &mut BTreeSet<Vec<u8>>) -> bool {
     if let &[a, b, c] = cycle {
         triangles.push([a, b, c]);
@@ -411,7 +413,7 @@ fn cut_without_face_diagonals(cycle: &[u8], triangles: &mut Vec<[u8; 3]>, given_
     false
 }
 
-/// Returns one bit for each of the two faces of the cell that contain an edge.
+/// Returns a bit mask of the two cell faces that contain an edge.
 fn faces_of(edge: u8) -> u8 {
     let Edge { corner, axis } = EDGES[usize::from(edge)];
     let face = |across: usize| 1 << (2 * across + usize::from(corner & AXIS_BIT[across] != 0));

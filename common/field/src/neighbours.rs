@@ -3,9 +3,9 @@
 //! [`NeighbourLists`] lists the neighbours of every point. It uses a tree of boxes over the points
 //! in spatial order, with eight points per box, so that queries use SIMD on contiguous memory.
 //! [`LevelBins`] answers queries at arbitrary positions, with one grid of bins for each octave of
-//! h. The cost of a query hardly depends on the ratio of the largest h to the smallest h. The paper
-//! uses a single bin edge max(h), so that bins in fine regions contain many points that are out of
-//! reach; it states this limitation.
+//! h. The cost of a query is almost independent of the ratio of the largest h to the smallest h.
+//! The paper uses a single bin width max(h) and notes the drawback: bins in fine regions contain
+//! many points that are out of reach.
 
 mod bins;
 mod elimination;
@@ -19,17 +19,18 @@ use rayon::prelude::*;
 use std::ops::Range;
 use tree::{Candidates, LANES, Tree};
 
-/// Relative widening of bins and boxes, so that rounding moves no interaction beyond the adjacent
-/// bin. Rounding errors of positions are below 1024 bins times 2^-52, 2e-13 of a bin.
+/// Relative widening of bins and boxes, so that rounding cannot move an interaction beyond the
+/// adjacent bin. Rounding errors of positions are below 1024 bins times 2^-52, which is 2e-13 of a
+/// bin.
 const WIDENING: f64 = 1e-9;
 
-/// Number of points per block of [`NeighbourLists::independent_blocks`]. The data of a block and
-/// its surroundings, some tens of KiB, fits into the L1 or L2 cache of a core. A few thousand
+/// Number of points per block of [`NeighbourLists::independent_blocks`]. A block and its
+/// surroundings take some tens of KiB, which fit into the L1 or L2 cache of a core. A few thousand
 /// points give enough blocks for all cores.
 pub const BLOCK: usize = 128;
 
 /// Number of points whose lists are created and stored together. A few thousand points give enough
-/// chunks for all cores. It is a multiple of [`BLOCK`] and of [`LANES`].
+/// chunks for all cores. Must be a multiple of [`BLOCK`] and of [`LANES`].
 const CHUNK: usize = 4 * BLOCK;
 
 /// Neighbours of every point.
@@ -42,7 +43,7 @@ pub struct NeighbourLists {
     tree: Tree,
 }
 
-/// Lists of consecutive points.
+/// Neighbour lists of consecutive points.
 #[derive(Clone, Debug, Default)]
 struct Lists {
     /// Start of each list, followed by the end of the last list.
@@ -58,7 +59,7 @@ impl NeighbourLists {
         Self::default().anew(points, sizes, reach, accept)
     }
 
-    /// Creates lists like [`Self::new`]. Drops these lists and reuses their memory.
+    /// Creates new lists like [`Self::new`]. Consumes `self` and reuses its memory.
     #[must_use]
     pub fn anew(
         mut self,
@@ -141,11 +142,11 @@ impl NeighbourLists {
 
     /// Divides the points into blocks of [`BLOCK`] consecutive points, and the blocks into classes,
     /// so that no point has a neighbour in another block of its class. The classes are computed by
-    /// greedy colouring with the smallest free colour. All blocks of a class can be processed at
-    /// the same time, each point by point. Regardless of the contrast of h, no block reads a point
-    /// that another block of its class moves. This is the paper's rule (section 4) that overlapping
-    /// neighbourhoods must not be processed together. The points should be in spatial order
-    /// ([`space_order`]).
+    /// greedy colouring with the smallest free colour. The blocks of a class can be processed
+    /// concurrently, and the points of a block one after the other. However much h varies, no block
+    /// then reads a point that another block of its class moves. This satisfies the paper's rule
+    /// (section 4) that overlapping neighbourhoods must not be processed together. The points
+    /// should be in spatial order ([`space_order`]).
     pub fn independent_blocks(&self) -> Vec<Vec<u32>> {
         let blocks = self.len().div_ceil(BLOCK);
         let seen: Vec<Vec<u32>> = (0..blocks)
@@ -184,7 +185,7 @@ impl NeighbourLists {
     }
 }
 
-/// Appends the lists of the points in `range`. The range starts at the first point of a run.
+/// Appends the lists of the points in `range`. The range must start at the first point of a run.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "a closure's body, so that it is compiled for each instruction set")]
 fn append_lists<S: Simd>(

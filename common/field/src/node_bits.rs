@@ -1,5 +1,5 @@
-//! Stores one bit for each node of a grid, in rows of whole words, so that 64 nodes are compared
-//! with their neighbours at once.
+//! Stores one bit for each node of a grid, in rows of whole words, so that 64 nodes at a time are
+//! compared with their neighbours.
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
@@ -27,7 +27,7 @@ pub(crate) struct NodeBits {
 
 impl NodeBits {
     /// Marks the values that lie strictly on one side of a level. The values are stored x fastest,
-    /// in rows of `nx`. NaN is never marked.
+    /// in rows of `nx`. NaNs are never marked.
     pub(crate) fn of(values: &[f32], nx: usize, side: Side, level: f32) -> Self {
         let width = nx.div_ceil(WORD);
         if values.is_empty() {
@@ -51,13 +51,13 @@ impl NodeBits {
         self.rows(row, 1)
     }
 
-    /// Returns the words of some consecutive rows.
+    /// Returns the words of `count` consecutive rows.
     pub(crate) fn rows(&self, first: usize, count: usize) -> &[u64] {
         &self.words[first * self.width..][..count * self.width]
     }
 }
 
-/// Sets the bits of a row. All `words` must be zero.
+/// Sets the bits of a row in `words`, which must be zero on entry.
 #[inline(always)]
 fn mark<S: Simd>(simd: S, row: &[f32], side: Side, level: f32, words: &mut [u64]) {
     let (whole, rest) = row.as_chunks::<LANES>();
@@ -91,7 +91,7 @@ pub(crate) fn shifted(row: &[u64], word: usize, by: isize) -> u64 {
     }
 }
 
-/// Calls `visit` with the index of every bit that is set, ascending.
+/// Calls `visit` with the index of every bit that is set, in ascending order.
 pub(crate) fn each_bit(mut bits: u64, mut visit: impl FnMut(usize)) {
     while bits != 0 {
         visit(bits.trailing_zeros() as usize);

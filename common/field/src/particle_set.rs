@@ -20,7 +20,7 @@ pub struct ParticleSet {
     pub sizes: Vec<f64>,
     /// Energy of each particle (Eq. 1). Zero if not computed yet.
     pub energies: Vec<f64>,
-    /// Levenberg-Marquardt damping of each particle.
+    /// Levenberg-Marquardt damping parameter of each particle.
     pub lambdas: Vec<f64>,
 }
 

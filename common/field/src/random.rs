@@ -1,4 +1,4 @@
-//! Generates counter-based random numbers. Each number is a pure function of seed, stream and
+//! Generates counter-based random numbers. Each number is a pure function of the seed, stream and
 //! counter, so results do not depend on the order of evaluation or on the number of threads.
 
 /// Returns 64 well-mixed bits for a (seed, stream, counter) triple: the finaliser of SplitMix64,

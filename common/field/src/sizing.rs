@@ -1,5 +1,5 @@
-//! The sizing field h, which is the target edge length, interpolated trilinearly. Also predicts the
-//! number of particles from h.
+//! The sizing field h: the target edge length, interpolated trilinearly. Also predicts the number
+//! of particles from h.
 
 use crate::spline::CubicSpline;
 use crate::surface_integral::integrate;
@@ -15,7 +15,7 @@ pub struct SizingField {
 }
 
 impl SizingField {
-    /// Wraps an image of edge lengths (mm) whose geometry is that of the distance field.
+    /// Wraps an image of edge lengths (mm) that has the geometry of the distance field.
     pub fn new(image: Image<f32>) -> Self {
         Self { image }
     }
@@ -58,26 +58,27 @@ impl SizingField {
     }
 
     /// Returns the number of particles per mm^2 of a surface with the given unit normal at a grid
-    /// position. This number is 2 / (sqrt(3) e^2), the density of the hexagonal lattice of edge e.
+    /// position. This number is 2 / (sqrt(3) e^2), the density of the hexagonal lattice of edge
+    /// length e.
     ///
     /// The distance between two particles is the smaller of their sizes h (Eq. 2), so a step
     /// towards larger h has the length h. Where h has the directional derivative d, each step
-    /// multiplies h by 1 + d, and the mean step is h ln(1 + d) / d. At the angle t to the
-    /// tangential gradient of magnitude s, d = s |cos t|. The mean over t is e = h (asin s / s) (1
-    /// - asin s / pi).
+    /// multiplies h by 1 + d, and the mean step is h ln(1 + d) / d. At an angle t to the tangential
+    /// gradient, whose magnitude is s, d = s |cos t|. The mean over t is
+    /// e = h (asin s / s) (1 - asin s / pi).
     pub fn lattice_density(&self, grid: DVec3, normal: DVec3) -> f64 {
         let (h, gradient) = self.value_gradient(grid);
         2.0 / (3f64.sqrt() * (h * edge_over_size(gradient.reject_from_normalized(normal).length())).powi(2))
     }
 
-    /// Returns the number of particles that settle on F = 0, which is the integral of
+    /// Predicts the number of particles that settle on F = 0: the integral of
     /// [`Self::lattice_density`].
     pub fn predicted_count(&self, surface: &CubicSpline) -> f64 {
         integrate(surface, |point, normal| self.lattice_density(point, normal))
     }
 
-    /// Estimates the count of [`Self::predicted_count`] from triangles that approximate F = 0, such
-    /// as those of marching cubes. It is faster, but misses features between the samples.
+    /// Estimates [`Self::predicted_count`] from triangles that approximate F = 0, such as those of
+    /// marching cubes. This is faster but misses features between the samples.
     pub fn count_on(&self, points: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
         let on = |corners: &[u32; 3]| {
             let [a, b, c] = corners.map(|v| points[v as usize]);
@@ -99,8 +100,8 @@ pub fn trilinear(image: &Image<f32>, grid: DVec3) -> f64 {
     mix(mix(along_x(0, 0), along_x(1, 0), ty), mix(along_x(0, 1), along_x(1, 1), ty), tz)
 }
 
-/// Returns the mean edge of the lattice divided by h, for a given slope of h along the surface.
-/// Slopes above 1 count as 1.
+/// Returns the mean edge length of the lattice divided by h, for a given slope of h along the
+/// surface. Slopes above 1 count as 1.
 fn edge_over_size(slope: f64) -> f64 {
     if slope < 1e-6 {
         return 1.0;
@@ -136,7 +137,7 @@ impl Cell {
             // x is not negative, so the cast rounds down
             base[axis] = (x as usize).min(g.size[axis].saturating_sub(2));
             fraction[axis] = x - base[axis] as f64;
-            // an axis of one voxel has no neighbour for interpolation
+            // an axis with a single voxel has no neighbour to interpolate with
             step[axis] = if g.size[axis] > 1 { stride[axis] } else { 0 };
         }
         let start = g.linear(base[0], base[1], base[2]);

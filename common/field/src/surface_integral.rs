@@ -1,12 +1,13 @@
-//! Computes integrals over F = 0 from the crossings of F = 0 with straight lines (Cauchy-Crofton
+//! Computes integrals over F = 0 from its intersections with straight lines (Cauchy-Crofton
 //! formula).
 //!
-//! Consider lines along an axis a, with one line per area s of the perpendicular plane. On average
-//! they cross a piece of surface, with area A and unit normal n, A |n_a| / s times. The sum of s
+//! Consider lines along an axis a, with one line per area s of the perpendicular plane. A piece of
+//! surface with area A and unit normal n is crossed A |n_a| / s times on average. The sum of s
 //! |n_a| over the crossings with lines along all three axes therefore has the mean
-//! `A (n_x^2 + n_y^2 + n_z^2) = A`. Along a line within a cell, the spline is a cubic, and all its
-//! roots are found. The integral therefore includes folds and specks between the nodes. The
-//! triangles of marching cubes miss these: a tenth of the area of F = 0 on a noisy volume.
+//! `A (n_x^2 + n_y^2 + n_z^2) = A`. Along a line within a cell, the spline is a cubic polynomial,
+//! and all its roots are found. The integral therefore includes folds and specks between the nodes.
+//! Marching cubes misses these features, which make up a tenth of the area of F = 0 in a noisy
+//! volume.
 
 use crate::spline::CubicSpline;
 use crate::spline::bezier::{BezierPoints, ORDER};
@@ -14,21 +15,20 @@ use crate::topology::Signs;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Number of lines along each axis through a cell, in each of the two transverse directions. With
-/// 2, 3, 5 and 9 lines, the area of F = 0 is 63,412, 63,250, 63,242 and 63,224 mm^2 for
-/// `heart_label` (`distfield --labels all`). It is 8.836, 8.775, 8.799 and 8.807 mm^2 for
-/// `trabecular_bone` (as for `FLATNESS_MARGIN` in `topology/critical.rs`). Three lines are within
-/// 0.4 % of nine.
+/// `LINES` x `LINES` lines parallel to each axis pass through a cell. With 2, 3, 5 and 9 lines, the
+/// area of F = 0 is 63,412, 63,250, 63,242 and 63,224 mm^2 for `heart_label` (`distfield --labels
+/// all`). It is 8.836, 8.775, 8.799 and 8.807 mm^2 for `trabecular_bone` (measured as for
+/// `FLATNESS_MARGIN` in `topology/critical.rs`). Three lines agree with nine to within 0.4 %.
 const LINES: usize = 3;
 
-/// Maximum number of bisections of a line within a cell, to intervals of 2^-12 = 2.4e-4 of the
-/// cell. If the Bézier points of such an interval still change sign several times, an odd number of
-/// changes counts as one root and an even number as none.
+/// Maximum number of bisections of a line within a cell. The shortest intervals are 2^-12 = 2.4e-4
+/// of the cell. If the Bézier points of such an interval still change sign several times, an odd
+/// number of changes counts as one root and an even number as none.
 const HALVINGS: u32 = 12;
 
 /// Maximum number of steps to find a root. A step is a Newton step if its result stays within the
-/// interval, and otherwise a bisection. Bisection alone needs log2(1 / [`ACCURACY`]) = 24 steps. On
-/// the two volumes of the measurement of [`LINES`], the slowest root takes 25 steps.
+/// bracketing interval, and otherwise a bisection. Bisection alone needs log2(1 / [`ACCURACY`]) =
+/// 24 steps. On the two volumes measured for [`LINES`], the slowest root takes 25 steps.
 const ROOT_STEPS: usize = 30;
 
 /// Accuracy of a root as a fraction of a cell: about the relative precision of the coefficients,
@@ -97,8 +97,8 @@ fn have_one_sign(points: &[f64]) -> bool {
     negative == 0 || negative == points.len()
 }
 
-/// Returns the Bézier points of a cell with permuted axes: indexed first by the axis after `axis`,
-/// then by the axis after that, and last by `axis`.
+/// Returns the Bézier points of a cell with permuted axes. The three indices run along `axis + 1`,
+/// `axis + 2` and `axis` (modulo 3).
 fn turn(points: &BezierPoints, axis: usize) -> [[[f64; ORDER]; ORDER]; ORDER] {
     let stride = |axis: usize| ORDER.pow(axis as u32 % 3);
     let [t, u, v] = [axis, axis + 1, axis + 2].map(stride);
@@ -151,8 +151,8 @@ fn halves([a, b, c, d]: [f64; 4]) -> [[f64; 4]; 2] {
     [[a, ab, abc, middle], [middle, bcd, cd, d]]
 }
 
-/// Returns the root in [0, 1] of a cubic whose Bézier points change sign once. Uses Newton's
-/// method, with bisection if a Newton step would leave the interval that contains the root.
+/// Returns the root in [0, 1] of a cubic whose Bézier points change sign once. Uses Newton's method
+/// and falls back to bisection if a step would leave the interval that contains the root.
 fn single_root([a, b, c, d]: [f64; 4]) -> f64 {
     let (c1, c2, c3) = (3.0 * (b - a), 3.0 * (a - 2.0 * b + c), d - a + 3.0 * (b - c));
     let (mut low, mut high) = (0.0, 1.0);

@@ -1,10 +1,10 @@
-//! Errors of file access, with a reason and a remedy for the user.
+//! File access errors, with a reason and a remedy for the user.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// An error of file access. The error message contains the file and the problem. [`Error::reason`]
-/// explains why the problem matters, and [`Error::remedy`] how to solve it.
+/// A file access error. The message names the file and the problem. [`Error::reason`] explains why
+/// the problem matters, and [`Error::remedy`] explains how to solve it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -74,8 +74,8 @@ pub enum Error {
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// Creates an error from one that the operating system reported. `doing` is the failed
-    /// operation, such as "read".
+    /// Creates an error from an operating-system error. `doing` is the failed operation, such as
+    /// "read".
     pub fn system(path: &Path, doing: &str, source: io::Error, remedy: impl Into<String>) -> Self {
         Self::System { path: path.to_path_buf(), doing: doing.to_owned(), source, remedy: remedy.into() }
     }

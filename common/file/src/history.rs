@@ -37,15 +37,14 @@ pub struct Input {
 }
 
 impl Input {
-    /// Creates the entry of a file or folder, including its hash.
+    /// Creates the entry for a file or folder, including its hash.
     pub fn of_file(path: &Path, history: Option<History>) -> Result<Self> {
         Ok(Self { path: file_name(path), blake3: hash_file(path)?, history: history.map(Box::new) })
     }
 }
 
 /// Computes the BLAKE3 hash of a file as a hexadecimal string. For a folder (a DICOM series),
-/// hashes the list of its files: the name and hash of each file directly in the folder, sorted by
-/// name.
+/// hashes a list of the names and hashes of its files, sorted by name. Subfolders are ignored.
 pub fn hash_file(path: &Path) -> Result<String> {
     if path.is_dir() {
         return hash_folder(path);

@@ -1,11 +1,11 @@
-//! A flag that requests the end of the run. Stage programs set the flag on SIGINT, SIGTERM and
-//! SIGHUP, and code that writes files checks the flag.
+//! A flag that is set when the run should stop. Stage programs set it on SIGINT, SIGTERM and
+//! SIGHUP. Long computations and code that writes files check it.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
-/// Requests the end of the run. Returns whether a stop had already been requested.
+/// Sets the flag. Returns whether it was already set.
 pub fn request() -> bool {
     INTERRUPTED.swap(true, Ordering::SeqCst)
 }

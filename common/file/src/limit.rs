@@ -4,8 +4,8 @@ use crate::error::{Error, Result};
 use crate::memory::available_memory;
 use std::path::Path;
 
-/// Checks that an additional `bytes` bytes of memory can be allocated for the file `path`. Always
-/// succeeds if the amount of free memory is unknown.
+/// Checks that `bytes` more bytes of memory can be allocated for the file `path`. Always succeeds
+/// if the amount of free memory is unknown.
 ///
 /// # Errors
 /// If less than `bytes` bytes of memory are free.

@@ -1,4 +1,4 @@
-//! Free memory of the machine and peak memory of this process. Both are reported on Linux only.
+//! Free memory of the machine and peak memory of this process. Both are known only on Linux.
 
 use std::fs::read_to_string;
 

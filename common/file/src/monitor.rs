@@ -22,7 +22,7 @@ pub trait Monitor: Sync {
     /// guard is dropped.
     fn phase<'a>(&'a self, name: &str) -> Box<dyn Phase + 'a>;
 
-    /// Reports a detail in verbose output. `_detail` is called only if the detail is shown.
+    /// Reports a detail for verbose output. `_detail` is called only if the detail is shown.
     fn note(&self, _detail: &dyn Fn() -> String) {}
 
     /// Starts a progress counter, which shows a percentage if `total` is known. The counter ends

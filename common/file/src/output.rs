@@ -1,5 +1,6 @@
-//! Writes output files. A path is checked before the computation starts. The file is written under
-//! a temporary name in the same folder and renamed when it is complete.
+//! Writes output files. [`check_output`] checks a path before the computation starts.
+//! [`write_atomically`] writes under a temporary name in the same folder, and renames the file when
+//! it is complete.
 
 use crate::error::{Error, Result};
 use crate::interrupt;
@@ -47,7 +48,7 @@ pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::R
 /// interrupt.
 pub fn remove_temporaries() {
     for path in temporaries().drain(..) {
-        // a file that no longer exists does not need to be deleted
+        // ignore the error if the file no longer exists
         let _ = std::fs::remove_file(path);
     }
 }
@@ -87,8 +88,8 @@ fn temporary_beside(path: &Path) -> io::Result<tempfile::NamedTempFile> {
     builder.prefix(".isoparticles-").suffix(".partial");
     #[cfg(unix)]
     {
-        // Apply the user's umask, as for any new file. By default, tempfile gives access only to
-        // the owner.
+        // Let the user's umask determine the permissions, as for any new file. By default, tempfile
+        // gives access only to the owner.
         use std::os::unix::fs::PermissionsExt;
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
@@ -103,8 +104,8 @@ fn temporaries() -> std::sync::MutexGuard<'static, Vec<PathBuf>> {
     TEMPORARIES.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A file that rejects data after an interrupt. Files opened after the interrupt (reports and final
-/// checkpoints) still accept data.
+/// A file that rejects writes after an interrupt. Files opened after the interrupt (reports and
+/// final checkpoints) still accept writes.
 struct Stoppable<'a> {
     file: &'a File,
     stopped_before: bool,

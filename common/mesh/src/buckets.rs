@@ -1,6 +1,6 @@
-//! Parallel functions for lists: concatenation, splitting into parts, and sorting items into
-//! buckets. The bucket sort is a counting sort in which each thread reads all items but writes only
-//! its own buckets, which avoids scattered writes.
+//! Parallel list operations: concatenation, splitting into parts, and sorting into buckets. The
+//! bucket sort is a counting sort in which each thread reads all items but writes only its own
+//! buckets, which avoids scattered writes.
 
 use rayon::prelude::*;
 use std::ops::Range;
@@ -19,8 +19,8 @@ pub struct Buckets {
 }
 
 impl Buckets {
-    /// Sorts the items 0, 1, ... by their buckets. All entries of `bucket_of` must be below
-    /// `count`.
+    /// Sorts the items 0, 1, ... into `count` buckets. `bucket_of` contains the bucket of each
+    /// item, which must be below `count`.
     pub fn new(bucket_of: &[u32], count: usize) -> Self {
         debug_assert!(bucket_of.iter().all(|&bucket| (bucket as usize) < count), "a bucket is not below {count}");
         // each thread reads all items and handles its own range of buckets
@@ -64,9 +64,10 @@ pub fn starts_of(lengths: impl IntoIterator<Item = usize>) -> Vec<u32> {
     starts.collect()
 }
 
-/// Concatenates all lists in order. The lists and the result are in memory at the same time.
+/// Concatenates all lists in order. Needs memory for the lists and the result at the same time.
 pub fn joined<T: Copy + Default + Send + Sync>(lists: Vec<Vec<T>>) -> Vec<T> {
-    // The first access to new memory is slower than the copy itself, so all threads initialise it.
+    // The first access to new memory is slower than the copy itself, so the memory is initialised
+    // in parallel.
     let lengths: Vec<usize> = lists.iter().map(Vec::len).collect();
     let mut all: Vec<T> = (0..lengths.iter().sum()).into_par_iter().map(|_| T::default()).collect();
     parts_mut(&mut all, lengths).into_par_iter().zip(lists).for_each(|(own, list)| own.copy_from_slice(&list));
@@ -85,7 +86,7 @@ pub fn parts_mut<T>(list: &mut [T], lengths: impl IntoIterator<Item = usize>) ->
     parts
 }
 
-/// Returns mutable parts of a list. The ranges must be ascending and disjoint.
+/// Returns mutable slices of a list for the given ranges, which must be ascending and disjoint.
 pub fn ranges_mut<'l, T>(list: &'l mut [T], ranges: &[Range<usize>]) -> Vec<&'l mut [T]> {
     let mut end = 0;
     let lengths = ranges.iter().flat_map(|range| {

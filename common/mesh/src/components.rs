@@ -4,12 +4,12 @@ use crate::buckets::TASK_ITEMS;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-/// Component number of a vertex without triangles. It is never a valid number, because a mesh has
+/// Component number of a vertex without triangles. No component has this number, because a mesh has
 /// fewer components than vertices, and at most `u32::MAX` vertices.
 pub const NO_COMPONENT: u32 = u32::MAX;
 
-/// Union-find with path halving. The smallest member of a set represents the set, so the result
-/// does not depend on the order of the joins.
+/// Union-find with path halving. Each set is represented by its smallest member, so the result does
+/// not depend on the order of the joins.
 #[derive(Clone, Debug)]
 pub struct DisjointSets {
     parent: Vec<u32>,
@@ -39,8 +39,8 @@ impl DisjointSets {
     }
 }
 
-/// Disjoint sets like [`DisjointSets`], but with concurrent joins. A compare-and-exchange attaches
-/// a root to a smaller root, as in Jayanti and Tarjan 2016.
+/// Disjoint sets like [`DisjointSets`], but with concurrent joins. A root is attached to a smaller
+/// root by compare-and-exchange (Jayanti and Tarjan 2016).
 struct SharedSets(Vec<AtomicU32>);
 
 impl SharedSets {
@@ -70,9 +70,9 @@ impl SharedSets {
     }
 }
 
-/// Returns the component of each vertex, and the number of components. Triangles connect the
-/// vertices of a component. Components are numbered in the order of their first vertices. Vertices
-/// without triangles get [`NO_COMPONENT`].
+/// Returns the component of each vertex, and the number of components. The vertices of a triangle
+/// are in the same component. Components are numbered in the order of their first vertices.
+/// Vertices without triangles get [`NO_COMPONENT`].
 pub fn of_vertices(count: usize, triangles: &[[u32; 3]]) -> (Vec<u32>, usize) {
     let sets = SharedSets((0..count as u32).map(AtomicU32::new).collect());
     let used: Vec<AtomicU32> = (0..count).map(|_| AtomicU32::new(NO_COMPONENT)).collect();

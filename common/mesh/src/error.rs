@@ -4,14 +4,15 @@ use std::fmt::Display;
 use std::path::Path;
 
 /// An error in a surface or point file. The message names the file and the problem,
-/// [`Error::reason`] states why the error matters, and [`Error::remedy`] states what to do.
+/// [`Error::reason`] explains why the problem matters, and [`Error::remedy`] tells the user how to
+/// solve it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// The file cannot be read or written, is damaged, or is not of the required kind.
     #[error(transparent)]
     File(#[from] isoparticles_file::error::Error),
-    /// An error in VTK XML. Surfaces and volumes share this format.
+    /// An error in a VTK XML file. Surfaces and volumes share this format.
     #[error(transparent)]
     Vtk(#[from] isoparticles_volume::Error),
 }

@@ -1,6 +1,6 @@
 //! The triangles at each vertex, and the edges, fans and Euler characteristics derived from them.
-//! The lists are computed by counting instead of sorting, because the refinement needs them in
-//! every round.
+//! The lists are built by counting, which is faster than sorting, because the refinement rebuilds
+//! them in every round.
 
 use crate::buckets::{Buckets, TASK_ITEMS};
 use rayon::prelude::*;
@@ -11,7 +11,8 @@ const TASK_VERTICES: usize = TASK_ITEMS / 2;
 /// Buffers of [`Incidence::fans_at`], which are reused between vertices.
 #[derive(Default)]
 pub struct FanWork {
-    /// Other end of each edge at the vertex, with the local index of a triangle at the edge.
+    /// For each edge at the vertex and each of its triangles: the other end of the edge, and the
+    /// local index of the triangle.
     ends: Vec<(u32, u32)>,
     /// Fan number of each triangle at the vertex.
     fan: Vec<u32>,
@@ -29,7 +30,7 @@ impl<'a> Incidence<'a> {
     /// Indexes the triangles. All vertex indices must be below `vertex_count`.
     pub fn new(triangles: &'a [[u32; 3]], vertex_count: usize) -> Self {
         let Buckets { starts, items } = Buckets::new(triangles.as_flattened(), vertex_count);
-        // an item is a corner: 3 * triangle + corner index
+        // each item is a corner, numbered 3 * triangle + corner index
         let at_vertex = items.into_par_iter().map(|corner| corner / 3).collect();
         Self { triangles, starts, at_vertex }
     }
@@ -51,8 +52,8 @@ impl<'a> Incidence<'a> {
     }
 
     /// Calls `found` for each edge from `vertex` to a vertex with a larger index. The arguments are
-    /// the other end, and the pair (other end, triangle) for each triangle at the edge. Edges and
-    /// triangles are in ascending order.
+    /// the other end, and a pair (other end, triangle) for each triangle at the edge. Edges and
+    /// triangles are visited in ascending order.
     fn edges_from(&self, vertex: u32, ends: &mut Vec<(u32, u32)>, mut found: impl FnMut(u32, &[(u32, u32)])) {
         ends.clear();
         for &t in self.of(vertex) {
@@ -99,8 +100,8 @@ impl<'a> Incidence<'a> {
     }
 
     /// Returns the Euler characteristic V - E + F of each class of triangles. `class` contains the
-    /// class number of each triangle, and all numbers must be below `classes`. A vertex or edge
-    /// counts once in each class that uses it.
+    /// class number of each triangle, and all numbers must be below `classes`. A vertex or edge is
+    /// counted once in each class that uses it.
     pub fn euler_characteristics(&self, class: &[u32], classes: usize) -> Vec<i64> {
         let chunks = (0..self.vertex_count()).into_par_iter().step_by(TASK_VERTICES);
         let sums = chunks.map(|first| {

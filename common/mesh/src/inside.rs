@@ -1,9 +1,9 @@
 //! Finds the grid nodes inside a closed mesh, and the nodes where the mesh and F disagree.
 //!
-//! The method counts crossings along the grid lines in x. Where a line crosses a triangle, all
-//! nodes beyond the crossing change sides. Grid lines are shifted symbolically to (y + e, z + e^2),
-//! so a crossing at a shared vertex or edge counts only once. All signs come from exact predicates.
-//! The cost depends only on the grid lines that meet the yz projection of a triangle.
+//! The method counts crossings along the grid lines parallel to x. Where a line crosses a triangle,
+//! all nodes beyond the crossing change sides. Grid lines are shifted symbolically to (y + e, z +
+//! e^2), so a crossing at a shared vertex or edge counts only once. All signs come from exact
+//! predicates. For each triangle, only the grid lines near its yz projection are tested.
 
 use super::TriangleMesh;
 use super::intersect::{orientation, turn};
@@ -12,8 +12,8 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use robust::Coord;
 
-/// Returns the linear indices of the grid nodes where the closed mesh, in the grid frame, disagrees
-/// with the sign of F (negative inside), in ascending order. Nodes with F = 0 are never included.
+/// Returns the linear indices of the grid nodes at which a closed mesh (in the grid frame) and the
+/// sign of F (negative inside) disagree, in ascending order. Nodes with F = 0 are never included.
 pub fn nodes_on_wrong_side(mesh: &TriangleMesh, image: &Image<f32>) -> Vec<usize> {
     let geometry = &image.geometry;
     let nx = geometry.size[0];
@@ -42,7 +42,7 @@ pub fn nodes_on_wrong_side(mesh: &TriangleMesh, image: &Image<f32>) -> Vec<usize
         .collect()
 }
 
-/// Returns the number of grid nodes inside a closed mesh, which is given in the grid frame.
+/// Returns the number of grid nodes inside a closed mesh (in the grid frame).
 pub fn count_nodes_inside(mesh: &TriangleMesh, geometry: &Geometry) -> usize {
     let nx = geometry.size[0];
     let crossings = sorted_crossings(mesh, geometry);
@@ -68,7 +68,8 @@ pub struct Crossing {
     pub first: usize,
 }
 
-/// Calls `found` with every crossing of a triangle (in the grid frame) with the grid lines in x.
+/// Calls `found` with every crossing of a triangle (in the grid frame) and a grid line parallel to
+/// x.
 pub fn crossings(corners: [DVec3; 3], geometry: &Geometry, mut found: impl FnMut(Crossing)) {
     let spacing = geometry.spacing;
     let low = corners[0].min(corners[1]).min(corners[2]);
@@ -114,7 +115,7 @@ fn first_beyond(corners: [DVec3; 3], side: i8, at: Coord<f64>, geometry: &Geomet
     let count = geometry.size[0];
     let [a, b, c] = corners;
     let beyond = |i: usize| orientation(a, b, c, DVec3::new(i as f64 * spacing, at.x, at.y)) * side > 0;
-    // a floating-point estimate, which the exact sign corrects
+    // a floating-point estimate, corrected below with the exact sign
     let normal = (b - a).cross(c - a);
     let x = a.x - (normal.y * (at.x - a.y) + normal.z * (at.y - a.z)) / normal.x;
     let low = a.x.min(b.x).min(c.x);

@@ -3,7 +3,7 @@
 //!
 //! Triangles are closed sets, so touching triangles intersect. Two triangles without a common
 //! vertex must be disjoint. Two triangles with one common vertex may meet only there. Two triangles
-//! with a common edge must not be folded onto each other in one plane. No triangle may occur twice.
+//! with a common edge must not overlap in a plane. No triangle may occur twice.
 
 use super::TriangleMesh;
 use crate::spatial::{Bounds, BoxTree};
@@ -24,7 +24,7 @@ pub fn triangles_cross(mesh: &TriangleMesh, first: usize, second: usize) -> bool
     corners_cross(mesh.triangles[first], mesh.corners(first), mesh.triangles[second], mesh.corners(second))
 }
 
-/// Does the same as [`triangles_cross`] for triangles given by vertex indices and positions.
+/// Works like [`triangles_cross`], for triangles given by vertex indices and positions.
 pub fn corners_cross(first: [u32; 3], p: [DVec3; 3], second: [u32; 3], q: [DVec3; 3]) -> bool {
     let mut shared = [(0, 0); 3];
     let mut count = 0;
@@ -54,16 +54,16 @@ pub fn corners_cross(first: [u32; 3], p: [DVec3; 3], second: [u32; 3], q: [DVec3
     }
 }
 
-/// Returns the triangle with its corners rotated so that corner `first` comes first.
+/// Returns the triangle with its corners cyclically permuted so that corner `first` comes first.
 fn turned(t: [DVec3; 3], first: usize) -> [DVec3; 3] {
     [t[first], t[(first + 1) % 3], t[(first + 2) % 3]]
 }
 
 /// Returns whether a fast floating-point test proves that two triangles do not intersect. The test
 /// uses the plane of `t`, and the planes perpendicular to `t` through the two edges at its first
-/// corner. The test succeeds if all `points` (corners of `other`) are on one side of the plane of
-/// `t`, or separated from `t` by one of the other two planes, by more than the rounding error. If
-/// `points` omits a corner of `other`, that corner must be the first corner of `t`.
+/// corner. The test succeeds if all `points` (corners of `other`) lie on one side of the plane of
+/// `t`, or are separated from `t` by one of the other two planes, by more than the rounding error.
+/// If `points` omits a corner of `other`, that corner must be the first corner of `t`.
 fn clearly_apart(t: [DVec3; 3], other: [DVec3; 3], points: &[DVec3]) -> bool {
     let (u, v) = (t[1] - t[0], t[2] - t[0]);
     let normal = u.cross(v);
@@ -115,7 +115,7 @@ pub fn segment_meets_triangle(a: DVec3, b: DVec3, t: [DVec3; 3]) -> bool {
     !(turns.contains(&1) && turns.contains(&-1))
 }
 
-/// Returns whether the triangles (u, v, p) and (u, v, q) lie in one plane and on the same side of
+/// Returns whether the triangles (u, v, p) and (u, v, q) are coplanar and lie on the same side of
 /// their common edge.
 fn folded(u: DVec3, v: DVec3, p: DVec3, q: DVec3) -> bool {
     if orientation(u, v, p, q) != 0 {
@@ -128,8 +128,8 @@ fn folded(u: DVec3, v: DVec3, p: DVec3, q: DVec3) -> bool {
 }
 
 // Coplanar sets intersect if and only if their projections along all three axes intersect. A common
-// point projects to a common point, and at least one projection is not degenerate unless all points
-// are collinear.
+// point remains common in every projection. Conversely, at least one projection is injective on the
+// plane.
 
 fn flat_triangles_meet(p: [DVec3; 3], q: [DVec3; 3]) -> bool {
     (0..3).all(|axis| {
@@ -150,8 +150,8 @@ fn flat(p: DVec3, axis: usize) -> Coord<f64> {
     Coord { x: p[(axis + 1) % 3], y: p[(axis + 2) % 3] }
 }
 
-/// Returns whether a point lies in a triangle of positive area. Returns false for a triangle
-/// without area, whose sides are tested separately.
+/// Returns whether a point lies in a triangle. Returns false for a degenerate triangle; callers
+/// test its sides separately.
 fn holds(t: [Coord<f64>; 3], p: Coord<f64>) -> bool {
     let turns: [i8; 3] = std::array::from_fn(|e| turn(t[e], t[(e + 1) % 3], p));
     turn(t[0], t[1], t[2]) != 0 && !(turns.contains(&1) && turns.contains(&-1))
@@ -164,15 +164,15 @@ fn segments_meet_2d(a: Coord<f64>, b: Coord<f64>, c: Coord<f64>, d: Coord<f64>) 
         return false;
     }
     if of_c == 0 && of_d == 0 && of_a == 0 && of_b == 0 {
-        // all points are collinear or coincide, so compare the extents
+        // all points are collinear or coincident, so compare the extents
         let apart = |a: f64, b: f64, c: f64, d: f64| a.max(b) < c.min(d) || c.max(d) < a.min(b);
         return !apart(a.x, b.x, c.x, d.x) && !apart(a.y, b.y, c.y, d.y);
     }
     true
 }
 
-/// Returns the exact sign of the turn a, b, c in the plane: 1 to the left, -1 to the right, 0 if
-/// the points are collinear.
+/// Returns the exact orientation of the points a, b, c in the plane: 1 for a left turn, -1 for a
+/// right turn, 0 if the points are collinear.
 pub fn turn(a: Coord<f64>, b: Coord<f64>, c: Coord<f64>) -> i8 {
     sign(robust::orient2d(a, b, c))
 }
@@ -252,8 +252,8 @@ mod tests {
             triangles: vec![[0, 1, 2], [4, 0, 3]],
         };
         assert!(self_intersections(&mesh(v(-1.0, 0.0, 0.0), v(0.0, -1.0, 0.5))).is_empty());
-        // the far edge of the second triangle passes through the first triangle, or beyond its far
-        // edge
+        // the opposite edge of the second triangle passes through the first triangle, or beyond the
+        // first triangle's opposite edge
         assert_eq!(self_intersections(&mesh(v(0.2, 0.2, -1.0), v(0.2, 0.2, 1.0))), [[0, 1]]);
         assert_eq!(self_intersections(&mesh(v(2.0, 2.0, -1.0), v(2.0, 2.0, 1.0))), [[0, 1]]);
         // coplanar triangles: side by side, and overlapping
@@ -292,8 +292,8 @@ mod tests {
         assert!(found.windows(2).all(|w| w[0] < w[1]));
     }
 
-    /// Returns whether two triangles intersect, using the separating-axis test in integers, where
-    /// it is exact. Two triangles are disjoint if and only if their projections onto some axis are
+    /// Returns whether two triangles intersect, using the separating-axis test, which is exact in
+    /// integers. Two triangles are disjoint if and only if their projections onto some axis are
     /// disjoint. The axis is a face normal, a cross product of two edges, or an in-plane edge
     /// normal.
     fn reference_meet(p: [[i64; 3]; 3], q: [[i64; 3]; 3]) -> bool {
@@ -322,8 +322,8 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(4000))]
-        /// Compares with the separating-axis test on small integers, where touching and coplanar
-        /// triangles are frequent.
+        /// Compares the predicates with the separating-axis test on small integer coordinates, for
+        /// which touching and coplanar triangles are frequent.
         #[test]
         fn agrees_with_the_separating_axis_test(
             p in prop::array::uniform3(prop::array::uniform3(-3i64..4)),

@@ -1,10 +1,10 @@
 //! A balanced k-d tree of points for nearest-neighbour queries (Bentley 1975). Every node stores
 //! the bounding box of its points.
 //!
-//! The points are reordered into an implicit median tree, so the tree needs one index and about ten
-//! bytes of boxes per point. It supports any number of equal coordinates, which are common because
-//! points often lie on grid planes. The boxes exclude the empty space around surface points, so a
-//! ball that touches a surface meets few boxes.
+//! The points are reordered into an implicit median tree, so the tree stores only an index and
+//! about ten bytes of boxes for each point. It supports any number of equal coordinates, which are
+//! common because points often lie on grid planes. The boxes exclude the empty space around surface
+//! points, so a ball that touches a surface intersects few boxes.
 
 use crate::spatial::Bounds;
 use glam::DVec3;
@@ -47,7 +47,7 @@ impl KdTree {
     }
 
     /// Returns the index and distance of the nearest point, or `None` for an empty tree. If several
-    /// points are nearest, returns the lowest index.
+    /// points are equally close, returns the lowest index.
     pub fn nearest(&self, query: DVec3) -> Option<(usize, f64)> {
         self.nearest_within(query, f64::INFINITY)
     }
@@ -57,10 +57,9 @@ impl KdTree {
         self.nearest_of_leaves(query, radius, usize::MAX)
     }
 
-    /// Does the same as [`KdTree::nearest_within`], but visits at most `leaves` leaves, starting
-    /// with the closest. The result is therefore not always the nearest point. If all points are at
-    /// about the same distance, for example around the centre of a ball, an exact search would
-    /// visit every leaf.
+    /// Works like [`KdTree::nearest_within`], but visits at most `leaves` leaves, closest first.
+    /// The result is therefore not always the nearest point. If all points are at about the same
+    /// distance, for example around the centre of a ball, an exact search would visit every leaf.
     pub fn nearest_of_leaves(&self, query: DVec3, radius: f64, leaves: usize) -> Option<(usize, f64)> {
         let mut search = Search { query, best: (u32::MAX, radius * radius), leaves };
         self.search(&mut search, 0..self.points.len(), 0);
@@ -68,10 +67,10 @@ impl KdTree {
         (index != u32::MAX).then(|| (index as usize, squared.sqrt()))
     }
 
-    /// Calls `found` with the index and position of every point in a ball (centre, radius),
-    /// starting with the closest nodes. `found` may return a smaller ball inside the current ball,
-    /// and the search then continues with the smaller ball. Returns false, and omits some points,
-    /// if the search would visit more than `leaves` leaves.
+    /// Calls `found` with the index and position of every point in a ball (centre, radius). Visits
+    /// the closer child of each node first. `found` may return a smaller ball inside the current
+    /// ball; the search then continues with that ball. Returns false if it stops because `leaves`
+    /// leaves have been visited.
     pub fn each_within(
         &self,
         ball: (DVec3, f64),
@@ -141,7 +140,7 @@ impl KdTree {
         }
     }
 
-    /// Sets the boxes of a node and its descendants, and returns the box of the node.
+    /// Computes the boxes of a node and its descendants, and returns the box of the node.
     fn bound(&mut self, part: Range<usize>, number: usize) -> Bounds {
         let bounds = if part.len() <= LEAF_POINTS {
             Bounds::of(&self.points[part])

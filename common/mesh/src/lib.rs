@@ -38,7 +38,7 @@ mod vtk_legacy;
 
 pub use error::{Error, Result};
 
-/// A mesh of indexed triangles, which are counter-clockwise as seen from outside.
+/// An indexed triangle mesh. Triangles are counter-clockwise as seen from outside.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TriangleMesh {
     /// Vertex positions.
@@ -54,8 +54,8 @@ impl TriangleMesh {
         self.triangles[triangle].map(|v| self.vertices[v as usize])
     }
 
-    /// Returns whether all coordinates are finite and all indices refer to a vertex. The other
-    /// checks assume both conditions.
+    /// Returns whether all coordinates are finite and all indices refer to existing vertices. The
+    /// other checks assume both conditions.
     pub fn is_well_formed(&self) -> bool {
         let count = self.vertices.len();
         self.vertices.iter().all(|p| p.is_finite()) && self.triangles.iter().flatten().all(|&v| (v as usize) < count)

@@ -23,8 +23,8 @@ pub fn measure(mesh: &TriangleMesh) -> Measure {
 /// (`Topology::component_of_triangle` of [`super::topology`]).
 pub fn measure_components(mesh: &TriangleMesh, component_of_triangle: &[u32], count: usize) -> Vec<Measure> {
     let mut measures = vec![Measure::default(); count];
-    // With a reference point on the component, the volume of a small component far from the origin
-    // is accurate.
+    // A reference point on the component keeps the volume accurate for a small component far from
+    // the origin.
     let mut references: Vec<Option<DVec3>> = vec![None; count];
     for (t, &component) in component_of_triangle.iter().enumerate() {
         let [a, b, c] = mesh.corners(t);
@@ -56,8 +56,8 @@ mod tests {
 
     #[test]
     fn a_fine_sphere_approaches_the_analytic_measure() {
-        // An inscribed icosphere of level n lacks a fraction of about 0.83 / 4^n of the volume, and
-        // half that fraction of the area.
+        // An inscribed icosphere of level n has too small a volume, by a fraction of about 0.83 /
+        // 4^n, and too small an area, by half that fraction.
         let got = measure(&shapes::icosphere(2.0, 5));
         let (area, volume) = (16.0 * PI, 32.0 / 3.0 * PI);
         assert!((got.area / area - 1.0).abs() < 1e-3, "{got:?}");

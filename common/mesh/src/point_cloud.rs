@@ -1,5 +1,5 @@
 //! Reads point clouds: PLY (ASCII or binary), text files with lines `x y z [nx ny nz]` (`.xyz`),
-//! and the points of VTK files (`.vtp` and legacy `.vtk`). Also reads normals if the file contains
+//! and the points of VTK files (`.vtp` and legacy `.vtk`). Normals are read if the file contains
 //! them.
 
 use crate::error::bad;
@@ -12,13 +12,13 @@ use isoparticles_volume::Space;
 use isoparticles_volume::vtk_xml::VtkFile;
 use std::path::Path;
 
-/// Points in the coordinates and the order of the file.
+/// Points in the order of the file, with their coordinates in the file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PointCloud {
     /// Positions, all of which are finite.
     pub positions: Vec<DVec3>,
-    /// One normal per point, not normalised. A normal that is not finite in the file is replaced
-    /// with zero. `None` if the file has no normals.
+    /// One normal per point, not normalised. A normal that is not finite is replaced with zero.
+    /// `None` if the file has no normals.
     pub normals: Option<Vec<DVec3>>,
     /// World frame of the points, if the file specifies it.
     pub space: Space,
@@ -33,7 +33,7 @@ impl PointCloud {
     }
 }
 
-/// Returns whether the file name has the extension of a point cloud.
+/// Returns whether the file name has the extension of a point cloud format.
 pub fn is_point_cloud(path: &Path) -> bool {
     format(path).is_some()
 }
@@ -186,7 +186,7 @@ impl PlyScalar {
         }
     }
 
-    /// Returns the value of a number given by its little-endian bytes, which are padded with zeros.
+    /// Converts a number from its little-endian bytes, which are padded with zeros.
     fn value(self, little: [u8; 8]) -> f64 {
         let whole = u64::from_le_bytes(little);
         match self {
@@ -201,7 +201,7 @@ impl PlyScalar {
     }
 }
 
-/// An element of a PLY file, which is a group of records with the same properties.
+/// An element of a PLY file: a group of records with the same properties.
 struct PlyElement {
     name: String,
     count: usize,
@@ -302,8 +302,8 @@ enum Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
-    /// Skips to the records of element number `at`. Returns an error if the data is too short for
-    /// the number of records.
+    /// Skips to the records of element number `at`. Returns an error if the data is shorter than
+    /// the header declares.
     fn new(header: &PlyHeader, at: usize, data: &'a [u8]) -> std::result::Result<Self, String> {
         let is_text = header.encoding == Encoding::Ascii;
         // in text, every number except the last takes at least two bytes

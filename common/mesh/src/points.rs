@@ -1,4 +1,4 @@
-//! Reads points with one number per point from VTK polygon (`.vtp`) and unstructured (`.vtu`)
+//! Reads points, with one value per point, from VTK polygon (`.vtp`) and unstructured (`.vtu`)
 //! files. Cells are ignored.
 
 use crate::error::bad;
@@ -38,7 +38,8 @@ pub fn read_sized_points(path: &Path, name: &str) -> Result<Vec<(DVec3, f64)>> {
     }
 }
 
-/// Returns the point positions of a piece, which must not be empty. `unusable` creates the error.
+/// Returns the point positions of a piece, which must not be empty. `unusable` creates an error
+/// from a description of the problem.
 pub(crate) fn positions(file: &VtkFile, piece: &Element, unusable: impl Fn(&str) -> Error) -> Result<Vec<DVec3>> {
     let count = piece.attribute("NumberOfPoints").and_then(|text| text.parse::<usize>().ok());
     let count = count.filter(|&count| count > 0).ok_or_else(|| unusable("has no points"))?;

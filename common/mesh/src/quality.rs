@@ -1,6 +1,6 @@
-//! Quality of triangles: the radius ratio 2r/R of the paper's Table 1, angles, areas and edge
-//! lengths, and the distribution of these values over a mesh. The radius ratio is 1 for an
-//! equilateral triangle and 0 for a degenerate triangle.
+//! Triangle quality: the radius ratio 2r/R of the paper's Table 1, angles, areas and edge lengths,
+//! and the distribution of these values over a mesh. The radius ratio is 1 for an equilateral
+//! triangle and 0 for a degenerate triangle.
 
 use super::TriangleMesh;
 use crate::buckets::TASK_ITEMS;
@@ -8,11 +8,11 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Number of equal bins of the radius-ratio histogram. Each bin covers 0.02 of the range from 0 to
-/// 1.
+/// Number of bins of the radius-ratio histogram. The bins divide the range from 0 to 1 into
+/// intervals of 0.02.
 pub const HISTOGRAM_BINS: usize = 50;
 
-/// A triangle is degenerate if its area is at most this share of the mean area. The rounding of
+/// A triangle is degenerate if its area is at most this fraction of the mean area. The rounding of
 /// `f64` coordinates gives three collinear points a positive area: up to 1.5e-13 of the area of an
 /// equilateral triangle at a distance of 1,000 edge lengths from the origin, and 2.3e-12 at 10,000
 /// (200,000 random triples in NumPy).
@@ -85,7 +85,7 @@ pub struct QualitySummary {
     pub radius_ratio_p5: f64,
     /// Median radius ratio.
     pub radius_ratio_median: f64,
-    /// Share of the triangles with a radius ratio below one half.
+    /// Fraction of the triangles with a radius ratio below one half.
     pub share_below_half: f64,
     /// Number of triangles in each of [`HISTOGRAM_BINS`] equal bins of the radius ratio.
     pub radius_ratio_histogram: Vec<usize>,
@@ -95,13 +95,13 @@ pub struct QualitySummary {
     pub angle_max: f64,
     /// Minimum edge length in mm.
     pub edge_length_min: f64,
-    /// Mean edge length in mm over all triangles. An inner edge counts twice.
+    /// Mean edge length in mm over the edges of all triangles. An inner edge is counted twice.
     pub edge_length_mean: f64,
     /// Maximum edge length in mm.
     pub edge_length_max: f64,
 }
 
-/// Minimum and maximum of the angles and edge lengths of some triangles, and the total edge length.
+/// Minimum and maximum angle and edge length of some triangles, and their total edge length.
 struct Sides {
     angles: [f64; 2],
     lengths: [f64; 2],

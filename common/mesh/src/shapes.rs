@@ -6,7 +6,7 @@ use glam::DVec3;
 use std::collections::HashMap;
 use std::f64::consts::TAU;
 
-/// Creates a sphere around the origin from an icosahedron whose triangles are split into four
+/// Creates a sphere around the origin from an icosahedron by splitting each triangle into four,
 /// `levels` times. The sphere has 20 * 4^levels triangles, which face outward. All vertices are at
 /// distance `radius` from the origin.
 pub fn icosphere(radius: f64, levels: usize) -> TriangleMesh {
@@ -19,7 +19,7 @@ pub fn icosphere(radius: f64, levels: usize) -> TriangleMesh {
     }
     let side = 2.0;
     let mut triangles = Vec::new();
-    // the faces are all triples of vertices at mutual distance `side`
+    // the faces are the triples of vertices that are a distance `side` apart
     for a in 0..12u32 {
         for b in a + 1..12 {
             for c in b + 1..12 {
@@ -51,7 +51,7 @@ pub fn icosphere(radius: f64, levels: usize) -> TriangleMesh {
     TriangleMesh { vertices, triangles }
 }
 
-/// Creates a torus around the z axis with `around` x `across` vertices (at least 3 each). The
+/// Creates a torus around the z axis with `around` x `across` vertices (both at least 3). The
 /// triangles face outward.
 pub fn torus(ring_radius: f64, tube_radius: f64, around: usize, across: usize) -> TriangleMesh {
     let (around, across) = (around.max(3), across.max(3));

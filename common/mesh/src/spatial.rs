@@ -1,5 +1,5 @@
-//! Spatial search: a tree of axis-aligned boxes that finds the pairs of boxes that intersect, and
-//! cubic bins for points that are added and removed.
+//! Spatial search: a tree that finds the intersecting pairs of axis-aligned boxes, and cubic bins
+//! for points that are added and removed.
 //!
 //! The boxes are sorted along a Morton curve and grouped in eights, level by level, because SIMD
 //! instructions test eight boxes at once. The tree and the order of the results depend only on the
@@ -23,7 +23,7 @@ impl Bounds {
     /// The empty box.
     pub const EMPTY: Self = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
 
-    /// Returns the smallest box that contains some points.
+    /// Returns the smallest box that contains the given points.
     #[inline]
     pub fn of(points: &[DVec3]) -> Self {
         points.iter().fold(Self::EMPTY, |b, &p| Self { low: b.low.min(p), high: b.high.max(p) })
@@ -63,15 +63,15 @@ impl Bounds {
 /// Number of boxes that one SIMD operation tests: eight `f64` fill a register of AVX-512.
 const LANES: usize = 8;
 
-/// Minimum number of boxes per task. Fewer boxes are processed on one thread: sorting that many
-/// keys takes 0.3 ms, and starting a second thread takes up to a tenth of this time (see
+/// Minimum number of boxes per task. Fewer boxes are processed on one thread: sorting this many
+/// keys takes 0.3 ms, and starting a second thread takes up to a tenth of that time (see
 /// `buckets::TASK_ITEMS`).
 const BOXES_PER_TASK: usize = 1 << 14;
 
-/// Largest cell number of the Morton curve along an axis. Three numbers of 21 bits fit in 64 bits.
+/// Largest cell coordinate of the Morton curve. Three coordinates of 21 bits fit in 64 bits.
 const LARGEST_CELL: f64 = ((1 << 21) - 1) as f64;
 
-/// Eight consecutive boxes. Unused lanes contain NaN, so they intersect nothing.
+/// Eight consecutive boxes. Unused lanes contain NaN and therefore intersect nothing.
 #[derive(Clone, Copy, Debug)]
 struct Eight {
     /// Minimum coordinates of the boxes along each axis.
@@ -170,8 +170,8 @@ impl BoxTree {
         Self { order, levels, outlines }
     }
 
-    /// Returns all pairs of boxes that intersect (or touch) and pass `test`. The pairs are in
-    /// ascending order, with the lower index first.
+    /// Returns all pairs of boxes that intersect or touch and for which `test` returns true. The
+    /// pairs are in ascending order, with the lower index first.
     pub fn pairs(&self, test: impl Fn(u32, u32) -> bool + Sync) -> Vec<[u32; 2]> {
         let of_eight = |found: &mut Found, eight: usize| {
             self.find_pairs(eight, found);
@@ -183,7 +183,7 @@ impl BoxTree {
         pairs
     }
 
-    /// Returns whether any pair of boxes that intersect (or touch) passes `test`. The first
+    /// Returns whether `test` returns true for any pair of boxes that intersect or touch. The first
     /// argument of `test` is the lower index.
     pub fn any_pair(&self, mut test: impl FnMut(u32, u32) -> bool) -> bool {
         let mut found = Found::default();
@@ -263,8 +263,8 @@ impl<T: PartialEq> Bins<T> {
         self.bins.entry(bin).or_default().retain(|other| other != value);
     }
 
-    /// Returns the values in the bin of a point and in its 26 neighbours, in a fixed order. These
-    /// are all values at points closer than the side length, and some others.
+    /// Returns the values in the bin of a point and in the 26 adjacent bins, in a fixed order. They
+    /// include all values at points closer than the side length.
     pub fn near(&self, p: DVec3) -> impl Iterator<Item = &T> {
         let at = self.bin(p);
         let around = (0..27).map(move |n| [at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1]);
@@ -272,7 +272,7 @@ impl<T: PartialEq> Bins<T> {
     }
 }
 
-/// Spreads the low 21 bits of x to every third bit.
+/// Moves the low 21 bits of x to every third bit position.
 fn spread(x: u64) -> u64 {
     let mut x = x & 0x1f_ffff;
     x = (x | x << 32) & 0x001f_0000_0000_ffff;

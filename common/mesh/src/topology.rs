@@ -8,7 +8,7 @@ use crate::components::{self, DisjointSets, NO_COMPONENT};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Topology of one component, whose vertices are connected through triangles.
+/// Topology of one connected component.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct ComponentTopology {
     /// Number of vertices.
@@ -23,8 +23,8 @@ pub struct ComponentTopology {
     pub genus: Option<i64>,
 }
 
-/// Topology of a mesh. Edges are given by their vertices, with the lower index first. All lists are
-/// in ascending order.
+/// Topology of a mesh. An edge is a pair of vertices, with the lower index first. All lists are in
+/// ascending order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Topology {
     /// Number of different edges.
@@ -33,7 +33,7 @@ pub struct Topology {
     pub open_edges: Vec<[u32; 2]>,
     /// Edges that lie in more than two triangles.
     pub non_manifold_edges: Vec<[u32; 2]>,
-    /// Edges with two triangles that traverse the edge in the same direction.
+    /// Edges whose two triangles traverse them in the same direction.
     pub badly_oriented_edges: Vec<[u32; 2]>,
     /// Vertices whose triangles form more than one fan.
     pub non_manifold_vertices: Vec<u32>,
@@ -92,8 +92,8 @@ pub fn analyse(mesh: &TriangleMesh) -> Topology {
 }
 
 /// Counts the edges, and lists the edges that violate a condition. Marks the components of these
-/// edges in `faulty`. Returns the disjoint sets of triangle corners: two corners at a vertex are in
-/// the same set if edges at the vertex connect their triangles.
+/// edges in `faulty`. Returns disjoint sets of triangle corners: two corners at a vertex are in the
+/// same set if their triangles are connected through edges at the vertex.
 fn examine_edges(mesh: &TriangleMesh, topology: &mut Topology, faulty: &mut [bool]) -> DisjointSets {
     let mut fans = DisjointSets::new(3 * mesh.triangles.len());
     for group in sorted_sides(mesh).chunk_by(|a, b| a.key == b.key) {
@@ -129,7 +129,7 @@ fn examine_vertices(mesh: &TriangleMesh, mut fans: DisjointSets, topology: &mut 
     let mut fan_count = vec![0u32; mesh.vertices.len()];
     for corner in 0..3 * mesh.triangles.len() as u32 {
         let vertex = mesh.triangles[corner as usize / 3][corner as usize % 3];
-        // a corner that repeats a vertex of its triangle does not count as a fan
+        // a corner that repeats a vertex of its triangle is not counted as a fan
         if fans.find(corner) == corner && corner_of(mesh, corner / 3, vertex) == corner {
             fan_count[vertex as usize] += 1;
         }
@@ -146,7 +146,7 @@ fn examine_vertices(mesh: &TriangleMesh, mut fans: DisjointSets, topology: &mut 
     }
 }
 
-/// A side of a triangle, with the sort key of the edge.
+/// A side of a triangle, with a sort key that identifies the edge.
 struct Side {
     key: u64,
     triangle: u32,

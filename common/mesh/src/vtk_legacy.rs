@@ -8,8 +8,8 @@ use vtkio::model::{Attribute, DataSet, IOBuffer, Piece, UnstructuredGridPiece, V
 /// checked.
 pub(crate) type Points = (Vec<DVec3>, Option<Vec<DVec3>>);
 
-/// Reads the points of `POLYDATA` or `UNSTRUCTURED_GRID`, and the point data `Normals` or `normal`.
-/// The file may be text or binary.
+/// Reads the points of a `POLYDATA` or `UNSTRUCTURED_GRID` file (text or binary), and its point
+/// array `Normals` or `normal`.
 ///
 /// # Errors
 /// If the file is not a legacy VTK file or has no usable points. The error describes the problem.
@@ -50,7 +50,7 @@ fn normals(attribute: &Attribute, count: usize) -> Option<Vec<DVec3>> {
     vectors(buffer).filter(|normals| normals.len() == count)
 }
 
-/// Returns whether a point array has the name of normals.
+/// Returns whether a point array contains normals, according to its name.
 pub(crate) fn is_normals(name: &str) -> bool {
     name.eq_ignore_ascii_case("normals") || name.eq_ignore_ascii_case("normal")
 }

@@ -1,19 +1,19 @@
 //! User-facing errors of the stages in three parts: what happened (with file and value), why it
 //! matters, and what to do next.
 //!
-//! Libraries define their own errors, which do not depend on programs and options. This module
-//! converts those errors.
+//! Libraries define their own errors, which do not depend on programs or options. This module
+//! converts them.
 
 use isoparticles_volume::Content;
 use std::fmt::Display;
 use std::path::Path;
 
-/// Kinds of failure of a stage. docs/developer/architecture.md lists the exit codes.
+/// Kinds of stage failure. docs/developer/architecture.md lists the exit codes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Invalid usage or input: exit code 2.
     Input,
-    /// No usable GPU although one was required: exit code 3.
+    /// A GPU is required, but none is usable: exit code 3.
     Gpu,
     /// Interrupted: exit code 130.
     Interrupted,
@@ -47,7 +47,7 @@ impl Error {
         Self { kind: Kind::Gpu, what: what.into(), why: why.into(), next: next.into() }
     }
 
-    /// Creates the error for a run that the user interrupted (exit code 130).
+    /// Creates an error for a run that the user interrupted (exit code 130).
     pub fn interrupted(what: impl Into<String>) -> Self {
         Self {
             kind: Kind::Interrupted,
@@ -114,7 +114,7 @@ impl From<isoparticles_mesh::Error> for Error {
     }
 }
 
-/// Returns advice for a file that is not a volume: the stage that accepts it, and the file to use
+/// Returns advice for a file that is not a volume: the stage that accepts it, and what to use
 /// instead.
 fn taken_by(content: Content) -> Option<&'static str> {
     const SURFACE: &str = "distfield needs the volume that the surface was made from; tetmesh-check fills a closed \

@@ -1,9 +1,9 @@
 //! Reads and writes the fields that stages exchange as VTK image files: signed distance and target
 //! edge length.
 //!
-//! Origin, Spacing and Direction define the position of the grid in the world for ParaView and
-//! pyvista. The field data contains the exact geometry, metadata of the stage, and the history.
-//! Files that were edited and saved in pyvista can be read even if this field data is incomplete.
+//! Origin, Spacing and Direction give ParaView and pyvista the position of the grid in the world.
+//! The field data contains the exact geometry, the metadata of the stage, and the history. Files
+//! that were edited and saved in pyvista can be read even if this field data is incomplete.
 
 use crate::error::{Error, Result};
 use crate::materials_file;
@@ -16,7 +16,7 @@ use serde::Serialize;
 use serde_json::Value;
 use std::path::Path;
 
-/// Version of the field files that are written. Version 1 stored strings as VTK strings instead of
+/// Format version of the files that are written. Version 1 stored strings as VTK strings instead of
 /// bytes.
 const VERSION: u32 = 2;
 /// Versions that can be read.
@@ -72,7 +72,7 @@ pub fn write_field(
 ) -> Result<()> {
     let mut document = Document::new("ImageData");
     vti::open_image(&mut document, &image.geometry);
-    // a JSON value has sorted keys, which do not depend on the order of the struct fields
+    // the keys of a JSON value are sorted, so the order of the struct fields does not matter
     let meta = serde_json::to_value(meta).unwrap_or(Value::Null);
     let texts = [("geometry", ascii_json(&image.geometry)), ("meta", ascii_json(&meta))];
     document.identity(kind.name(), VERSION, &texts, history);
@@ -122,8 +122,8 @@ pub fn read_field(path: &Path, expected: FieldKind) -> Result<Field> {
     Ok(Field { image: Image { geometry, data }, meta, history, kind: expected })
 }
 
-/// Returns an error unless two fields have the same grid. Tolerates the rounding in files that
-/// another program has saved.
+/// Returns an error unless two fields have the same grid. Tolerates rounding in files saved by
+/// other programs.
 pub fn check_same_grid(first: (&Path, &Geometry), second: (&Path, &Geometry)) -> Result<()> {
     if vti::same_grid(first.1, second.1) {
         return Ok(());
@@ -145,7 +145,7 @@ pub fn check_same_grid(first: (&Path, &Geometry), second: (&Path, &Geometry)) ->
     ))
 }
 
-/// Returns the error for a file with several materials if the stage needs a single object.
+/// Creates the error for a file with several materials in a stage that needs a single object.
 fn not_one_object(path: &Path, expected: FieldKind) -> Error {
     Error::of_file(
         path,

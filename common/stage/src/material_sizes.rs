@@ -42,7 +42,7 @@ impl Serialize for GivenSize {
     }
 }
 
-/// Edge lengths that the user sets for materials and interfaces.
+/// The user's edge lengths for materials and interfaces.
 #[derive(Clone, Debug, Default)]
 pub struct Given {
     materials: Vec<(MaterialId, f64)>,
@@ -50,7 +50,8 @@ pub struct Given {
 }
 
 impl Given {
-    /// Looks up the names in `sizes`. `names` contains the names of the materials by number.
+    /// Looks up the names in `sizes`. `names` contains the names of all materials, indexed by
+    /// number.
     ///
     /// # Errors
     /// If a name is unknown.
@@ -77,19 +78,19 @@ impl Given {
         Ok(given)
     }
 
-    /// Returns the largest edge length of a material, mm.
+    /// Returns the largest edge length in mm that is set for any material.
     pub fn largest(&self) -> Option<f64> {
         self.materials.iter().map(|(_, size)| *size).max_by(f64::total_cmp)
     }
 
-    /// Returns the edge length in mm that is set for a material, the smallest if there are several.
-    /// Lengths of single interfaces do not count.
+    /// Returns the edge length in mm that is set for a material, or the smallest one if there are
+    /// several. Ignores lengths that are set for interfaces.
     pub fn of_material(&self, id: MaterialId) -> Option<f64> {
         self.materials.iter().filter(|(own, _)| *own == id).map(|(_, size)| *size).min_by(f64::total_cmp)
     }
 
-    /// Returns the edge length in mm of an interface: the length that is set for the interface, or
-    /// else the smaller length of its two materials.
+    /// Returns the edge length in mm of an interface. If no length is set for the interface,
+    /// returns the smaller length of its two materials.
     pub fn of(&self, interface: &Stratum) -> Option<f64> {
         let smallest = |sizes: &mut dyn Iterator<Item = f64>| sizes.min_by(f64::total_cmp);
         let own = smallest(&mut self.interfaces.iter().filter(|(other, _)| other == interface).map(|(_, size)| *size));

@@ -1,9 +1,10 @@
-//! Reads and writes the indicators of several materials, which stages exchange as a VTK image file.
+//! Reads and writes the VTK image files in which stages exchange the indicators of several
+//! materials.
 //!
-//! The point data, for ParaView and pyvista, contains the material of each node and the distance of
-//! the node from the nearest interface. The field data contains a table of the materials and their
+//! The point data, for ParaView and pyvista, contains the material of each node and the node's
+//! distance from the nearest interface. The field data contains a table of the materials and their
 //! indicators: the bricks and coefficients of all materials, concatenated in the order of the
-//! table, and the material that fills each brick. Indicators are read back bit for bit.
+//! table, and the material that fills each brick. The format preserves indicators bit for bit.
 
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
@@ -21,12 +22,12 @@ pub const KIND: &str = "materials";
 /// Version of the file layout.
 const VERSION: u32 = 1;
 
-/// The point data of the nodes, for display. The x index varies fastest.
+/// The point data, for display. The x index varies fastest.
 #[derive(Clone, Copy, Debug)]
 pub struct Shown<'a> {
     /// Material number of each node.
     pub material: &'a [u16],
-    /// Half the difference in mm between the two smallest indicators at each node.
+    /// Half the difference between the two smallest indicators at each node, in mm.
     pub interface_distance: &'a [f32],
 }
 
@@ -119,7 +120,7 @@ pub fn is_materials(path: &Path) -> bool {
 /// Reads materials. The point data for display is ignored.
 ///
 /// # Errors
-/// If the file has another kind or version, is damaged, or does not fit in memory.
+/// If the file has the wrong kind or version, is damaged, or does not fit in memory.
 pub fn read_materials(path: &Path) -> Result<MaterialsFile> {
     let file = VtkFile::open(path)?;
     let image = file.data_set("ImageData")?;

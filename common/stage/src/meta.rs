@@ -1,6 +1,6 @@
-//! Typed and versioned metadata that stages store in their files, in addition to the values.
+//! Typed and versioned metadata that stages store in their files, in addition to the data.
 //!
-//! Each struct is the `meta` of one file type. Later stages use the named fields. `notes` is
+//! Each struct is the `meta` of one file type. Later stages use the named fields. `notes` contains
 //! information for users and is not used by the stages. Files written by other programs have no
 //! metadata, and files without a version lack some fields, so every field is optional.
 
@@ -11,14 +11,14 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::path::Path;
 
-/// Version of the metadata that is written. Version 0 denotes files without a version.
+/// Version of the metadata that is written. Files without a version have version 0.
 pub const VERSION: u32 = 1;
 
 /// The source of a surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Source {
-    /// Labels, which determine the side of each voxel centre.
+    /// Labels, which determine whether each voxel centre is inside or outside.
     Labels,
     /// The values of a scan and an iso value.
     Scalar,
@@ -49,7 +49,7 @@ pub enum Side {
 /// A plane that closes the object at the border of the volume.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CapPlane {
-    /// Axis of the grid frame that is normal to the plane, 0 to 2.
+    /// Axis of the grid frame perpendicular to the plane, 0 to 2.
     pub axis: usize,
     /// The face of the volume that the plane closes.
     pub side: Side,
@@ -71,7 +71,7 @@ pub struct DistanceMeta {
     pub border: Option<Border>,
     /// The planes that close the object.
     pub cap_planes: Vec<CapPlane>,
-    /// Length scale of the smoothing in mm. `None` or 0 if every voxel centre was kept on its side.
+    /// Length scale of the smoothing in mm. `None` or 0 if the object was not smoothed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<f64>,
     /// Volume of the input object in mm^3, if known.
@@ -83,13 +83,13 @@ pub struct DistanceMeta {
 }
 
 impl DistanceMeta {
-    /// Returns whether the object was smoothed. A voxel centre of a smoothed object may lie on the
-    /// side opposite to its label.
+    /// Returns whether the object was smoothed. After smoothing, a voxel centre may lie on the
+    /// wrong side of the surface.
     pub fn is_scaled(&self) -> bool {
         self.scale.is_some_and(|scale| scale > 0.0)
     }
 
-    /// Returns whether every voxel centre lies on the side of its label.
+    /// Returns whether every voxel centre lies on the side that its label specifies.
     pub fn keeps_voxels(&self) -> bool {
         self.source == Some(Source::Labels) && !self.is_scaled()
     }
@@ -110,10 +110,11 @@ pub struct MaterialsMeta {
     /// Upper bound of `interface_distance` in mm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distance_limit: Option<f64>,
-    /// Length scale of the smoothing in mm. `None` if every voxel centre was kept in its material.
+    /// Largest length scale of the smoothing in mm. `None` if every voxel centre stays in its
+    /// material.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<f64>,
-    /// Information for users: the table of materials, the pairs of materials that touch, and the
+    /// Information for users: the table of materials, the pairs of adjacent materials, and the
     /// junctions.
     #[serde(flatten)]
     pub notes: Map<String, Value>,
@@ -162,7 +163,7 @@ pub struct SurfaceMeta {
 /// Converts the `meta` of a file to its type. Returns the default if `meta` is null.
 ///
 /// # Errors
-/// If the metadata has the wrong type or a later version.
+/// If the metadata has the wrong type or a newer version.
 pub fn typed<T: DeserializeOwned + Default>(path: &Path, meta: &Value, stage: &str) -> Result<T> {
     if meta.is_null() {
         return Ok(T::default());

@@ -7,7 +7,7 @@ use std::path::Path;
 /// Checks that an output can be written.
 ///
 /// # Errors
-/// If the output exists and `force` is not set, or if its folder is not writable.
+/// If the output exists and `force` is false, if it is a folder, or if its folder is not writable.
 pub fn check_output(path: &Path, force: bool) -> Result<()> {
     Ok(isoparticles_file::output::check_output(path, force)?)
 }

@@ -1,10 +1,10 @@
-//! Reads and writes the particles that stages exchange: a bincode payload in a container with kind,
-//! version, length and checksum.
+//! Reads and writes the files in which stages exchange particles: a bincode payload in a container
+//! with kind, version, length and checksum.
 //!
 //! The container is little-endian: magic (8 bytes), kind (u32), format version (u32), length of the
 //! payload (u64), BLAKE3 hash of the payload (32 bytes), payload. The payload contains the particle
-//! set, the JSON strings of meta and history, and extra bytes of checkpoints, in bincode with
-//! fixed-width little-endian integers. In version 2 (several materials), the strata follow.
+//! set, the metadata and history as JSON strings, and the extra bytes of checkpoints, in bincode
+//! with fixed-width little-endian integers. In version 2 (several materials), the strata follow.
 
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
@@ -33,7 +33,8 @@ pub enum ParticleKind {
     Seeds,
     /// Settled particles, written by `particles`.
     Particles,
-    /// Particles that are not yet settled, with the state needed to resume; written by `particles`.
+    /// Particles that are not yet settled, with the state needed to resume the run; written by
+    /// `particles`.
     Checkpoint,
 }
 
@@ -79,7 +80,7 @@ pub struct ParticleFile {
     pub meta: Value,
     /// The history of the file.
     pub history: History,
-    /// Bytes that only the writing stage interprets. Empty except in checkpoints.
+    /// Bytes that only the stage that wrote them interprets. Empty except in checkpoints.
     pub extra: Vec<u8>,
 }
 
@@ -91,8 +92,8 @@ struct PayloadOut<'a> {
     extra: &'a [u8],
 }
 
-/// The payload with its strings as bytes, which have the same encoding. For a string, bincode would
-/// allocate the declared length before checking the amount of data.
+/// The payload, with its strings decoded as bytes, because the encoding is the same. For a string,
+/// bincode would allocate the declared length before checking the amount of data.
 #[derive(Deserialize)]
 struct PayloadIn {
     particles: ParticleSet,
@@ -185,7 +186,7 @@ fn write(
     })
 }
 
-/// Reads particles. Returns an error if their kind is not accepted, or if the file is damaged.
+/// Reads particles. Returns an error if their kind is not in `accepted`, or if the file is damaged.
 pub fn read_particles(path: &Path, accepted: &[ParticleKind]) -> Result<ParticleFile> {
     let container = Container { path, accepted };
     let (kind, version, payload) = container.read()?;
@@ -212,7 +213,7 @@ pub fn read_particles(path: &Path, accepted: &[ParticleKind]) -> Result<Particle
     Ok(ParticleFile { kind, particles: decoded.particles, strata, meta, history, extra: decoded.extra })
 }
 
-/// The container of a file, and the kinds that the reading stage accepts.
+/// The path of a particle file, and the kinds that the reading stage accepts.
 struct Container<'a> {
     path: &'a Path,
     accepted: &'a [ParticleKind],

@@ -1,5 +1,5 @@
-//! The quality of a mesh, as specified with `--quality`. It determines the length scale of
-//! `distfield` and the defaults of `sizefield`.
+//! The mesh quality set with `--quality`. It determines the length scale of `distfield` and the
+//! defaults of `sizefield`.
 
 /// Fineness of a mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -23,9 +23,9 @@ impl Quality {
         }
     }
 
-    /// Returns the minimum h in units of the mean voxel spacing. Triangles with edges below 0.75
-    /// voxels add no information about the data. Twice this length gives a quarter as many
-    /// triangles; two thirds give 2.25 times as many.
+    /// Returns the minimum h in units of the mean voxel spacing. Triangles with edges shorter than
+    /// 0.75 voxels capture no further detail of the data. Twice this length gives a quarter as many
+    /// triangles; two thirds of it give 2.25 times as many.
     #[must_use]
     pub fn smallest_size_voxels(self) -> f64 {
         match self {

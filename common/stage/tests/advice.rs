@@ -1,5 +1,5 @@
-//! Tests the user-facing errors for files that are not volumes. The errors name the stage that
-//! accepts the file, or a suitable option.
+//! Tests the user-facing errors for files that are not volumes. Each error names a stage or an
+//! option that accepts the file, or the file to use instead.
 
 use isoparticles_stage::error::Error;
 use isoparticles_volume::read_volume;

@@ -1,5 +1,5 @@
-//! Tests one file of each released format version. Files of our own formats must remain readable,
-//! and writing the same data must give the same bytes as in the file of the current version.
+//! Tests one file of each released format version. Files in our own formats must remain readable,
+//! and writing the same data must reproduce the file of the current version byte for byte.
 //!
 //! `UPDATE_GOLDEN=1 cargo test -p isoparticles-stage --test golden` rewrites the files of the
 //! current versions.
@@ -111,8 +111,8 @@ fn field_versions_1_and_2() {
     }
 }
 
-/// Returns a block of two materials surrounded by the outside. One of the boxes does not cover the
-/// whole grid.
+/// Returns a block of two materials surrounded by the outside. The boxes of the two materials do
+/// not cover the whole grid.
 fn materials() -> Materials {
     let size = [17, 8, 9];
     let geometry = Geometry { size, ..geometry() };
@@ -181,8 +181,8 @@ fn surface_versions_1_and_2() {
     }
 }
 
-/// Reads a size field that was doubled in pyvista and saved in several ways (see `make_edited` in
-/// `common/volume/tests/data/make_fixtures.py`).
+/// Reads a size field whose values were doubled in pyvista and that was saved in several ways (see
+/// `make_edited` in `common/volume/tests/data/make_fixtures.py`).
 #[test]
 fn a_size_field_edited_in_pyvista_is_read() {
     for name in

@@ -1,7 +1,7 @@
-//! Tests the shared parts of all stage programs with a small program: exit codes, complete or
-//! unchanged outputs, the report, reproducible bytes, and the behaviour after a signal.
+//! Tests the shared parts of all stage programs with a small program: exit codes, atomic outputs,
+//! the report, reproducible bytes, and the response to signals.
 //!
-//! This test has no harness, because it starts itself as that program.
+//! This test does not use the default harness, because it runs its own executable as that program.
 
 use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::cli::shell::CommandLine;
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Output, Stdio};
 use std::time::Duration;
 
-/// Environment variable that is set for the program under test.
+/// Environment variable that makes this executable run as the small program.
 const CHILD: &str = "ISOPARTICLES_STAGE_FRAME_CHILD";
 
 /// Tries the frame of a stage.
@@ -227,8 +227,8 @@ fn what_shells_and_man_read() {
     assert_eq!(names(folder.path()), ["in.txt"]);
 }
 
-/// Checks that the output does not depend on the folder, the name of the output, the number of
-/// threads, or the time.
+/// Checks that the bytes of the output do not depend on the folder, the output name, the number of
+/// threads or the time.
 fn same_bytes() {
     let (first, second) = (workplace(), workplace());
     let input = second.path().join("in.txt");
@@ -276,7 +276,7 @@ fn a_signal_leaves_nothing_half_written() {
         let mut lines = BufReader::new(child.stderr.take().expect("stderr")).lines();
         assert_eq!(lines.next().expect("a line").expect("text"), "ready");
         for signal in signals {
-            // use the built-in kill of the shell, because some systems have no program of that name
+            // use the shell's built-in kill, because some systems have no kill program
             let status = Command::new("sh").args(["-c", &format!("kill -{signal} {}", child.id())]).status();
             assert!(status.expect("sh").success());
             std::thread::sleep(Duration::from_millis(100));

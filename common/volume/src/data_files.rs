@@ -1,5 +1,5 @@
-//! Finds the files that belong to a volume in addition to the given file. Callers use them to
-//! detect changes.
+//! Lists the additional files of a volume, such as separate voxel files, so that callers can check
+//! them for changes.
 
 use crate::error::{Error, Result};
 use crate::voxel_data::DataFiles;
@@ -8,9 +8,9 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
-/// Returns the additional files of a volume. For a detached NRRD or MetaImage header, the list
-/// contains the files with the voxels, in order. For a file of a NIfTI pair, the list contains the
-/// other file of the pair. For any other file, the list is empty.
+/// Returns the additional files of a volume. For a detached NRRD or MetaImage header, these are the
+/// voxel files, in order. For one file of a NIfTI pair, this is the other file. For any other file,
+/// the list is empty.
 ///
 /// # Errors
 /// If the header cannot be read.

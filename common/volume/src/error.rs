@@ -11,7 +11,7 @@ pub enum Error {
     /// The file cannot be read or written, is damaged, or violates its format.
     #[error(transparent)]
     File(#[from] isoparticles_file::error::Error),
-    /// The file has a known format, but is not a volume.
+    /// The file has a known format but does not contain a volume.
     #[error("{}: is {content}", path.display())]
     NotAVolume {
         /// The file.
@@ -19,7 +19,7 @@ pub enum Error {
         /// The contents of the file.
         content: Content,
     },
-    /// The folder contains no matching series, or several.
+    /// The folder contains no matching series, or more than one.
     #[error("{}: {}", path.display(), match wanted {
         None => format!("contains {matching} series"),
         Some(wanted) if *matching == 0 => format!("contains no series '{wanted}'"),
@@ -35,7 +35,7 @@ pub enum Error {
         /// Descriptions of all series in the folder.
         present: Vec<String>,
     },
-    /// A value is not an integer, so it is not a label.
+    /// A value is not an integer and therefore not a label.
     #[error("the volume contains the value {value}, which is not a label")]
     NotALabel {
         /// The value.
@@ -46,7 +46,7 @@ pub enum Error {
     SegmentMissing {
         /// The requested name.
         name: String,
-        /// The existing segments as a string, or an empty string if the file contains no names.
+        /// A list of the segments in the file, or an empty string if the file contains no names.
         present: String,
     },
     /// Several segments have the requested name.
@@ -161,8 +161,8 @@ impl Error {
         }
     }
 
-    /// Creates an error from one that the operating system reported. `doing` is the failed
-    /// operation, such as "read".
+    /// Converts an error reported by the operating system. `doing` is the operation that failed,
+    /// such as "read".
     pub(crate) fn file(path: &Path, doing: &str, source: std::io::Error, remedy: impl Into<String>) -> Self {
         isoparticles_file::error::Error::system(path, doing, source, remedy).into()
     }

@@ -1,11 +1,11 @@
 //! World geometry of a volume. This is the only module that converts grid positions to world
 //! positions.
 //!
-//! There are three frames. In the *index* frame, voxel centres have integer coordinates. The *grid*
-//! frame is index times spacing. It is axis-aligned and right-handed, and its origin is the centre
-//! of voxel (0, 0, 0). All stages compute in the grid frame. The *world* frame is LPS in
-//! millimetres, as in ITK and 3D Slicer, if the file specifies an anatomical space. Otherwise, it
-//! is the file's own frame.
+//! There are three frames. In the *index* frame, voxel centres have integer coordinates.
+//! Coordinates in the *grid* frame are index coordinates times the spacing. This frame is
+//! axis-aligned and right-handed, and its origin is the centre of voxel (0, 0, 0). All stages
+//! compute in the grid frame. The *world* frame is LPS in millimetres, as in ITK, if the file
+//! specifies an anatomical space. Otherwise, it is the file's own frame.
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// The world frame of a volume's directions and origin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Space {
-    /// Left, posterior, superior: the world frame of DICOM and ITK. Coordinates in RAS and LAS
+    /// Left, posterior, superior: the world frame of DICOM and ITK. RAS and LAS coordinates in
     /// files are converted to LPS when read.
     Lps,
     /// The file does not specify an anatomical space. Its coordinates are used unchanged.
@@ -37,7 +37,7 @@ pub struct Geometry {
 }
 
 impl Geometry {
-    /// Creates an axis-aligned geometry whose origin is zero.
+    /// Creates an axis-aligned geometry with its origin at zero.
     pub fn axis_aligned(size: [usize; 3], spacing: DVec3) -> Self {
         Self { size, spacing, directions: DMat3::IDENTITY, origin: DVec3::ZERO, space: Space::Unnamed }
     }
@@ -53,7 +53,7 @@ impl Geometry {
         (k * self.size[1] + j) * self.size[0] + i
     }
 
-    /// Returns the grid position of the voxel centre with a linear index.
+    /// Returns the grid position of the centre of the voxel with this linear index.
     #[inline]
     pub fn node_to_grid(&self, node: usize) -> DVec3 {
         let [nx, ny, _] = self.size;
@@ -107,8 +107,8 @@ impl Geometry {
         self.spacing.min_element()
     }
 
-    /// Returns the geometric mean of the spacings in mm. This project defines the length of a voxel
-    /// as this mean.
+    /// Returns the geometric mean of the spacings in mm. In this project, lengths in voxels are
+    /// multiples of this mean.
     pub fn mean_spacing(&self) -> f64 {
         (self.spacing.x * self.spacing.y * self.spacing.z).cbrt()
     }
@@ -119,16 +119,16 @@ impl Geometry {
         self.index_to_grid(DVec3::new(self.size[0] as f64 - 1.0, self.size[1] as f64 - 1.0, self.size[2] as f64 - 1.0))
     }
 
-    /// Returns the minimum and maximum world coordinates of a box that is given by two opposite
-    /// corners in the grid frame.
+    /// Returns the world-frame bounding box of a box given by two opposite corners in the grid
+    /// frame.
     pub fn world_box(&self, [low, high]: [DVec3; 2]) -> [DVec3; 2] {
         let corner = |n: usize| DVec3::from_array([0, 1, 2].map(|a| if n >> a & 1 == 0 { low[a] } else { high[a] }));
         let corners = (0..8).map(|n| self.grid_to_world(corner(n)));
         corners.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], p| [low.min(p), high.max(p)])
     }
 
-    /// Returns the grid extended by `margin` voxels on every face. Grid positions increase by
-    /// `margin * spacing`.
+    /// Returns the grid extended by `margin` voxels on every side. The grid coordinates of a voxel
+    /// increase by `margin * spacing`.
     pub fn padded(&self, margin: usize) -> Self {
         let shift = self.index_to_grid(DVec3::splat(-(margin as f64)));
         Self { size: self.size.map(|n| n + 2 * margin), origin: self.grid_to_world(shift), ..self.clone() }

@@ -1,4 +1,5 @@
-//! Medical volumes: voxels in their original number type, on a grid with a position in the world.
+//! Medical volumes: voxels in their original number type, on a grid with a position and orientation
+//! in world coordinates.
 //!
 //! [`read_volume`] reads NRRD, 3D Slicer segmentations, NIfTI, MetaImage, VTK images and folders of
 //! DICOM slices. Lengths are in mm. Unless stated otherwise, positions are in the *grid frame*

@@ -1,4 +1,4 @@
-//! Checks the sizes and the geometry in a file header.
+//! Checks the sizes and the geometry given in a file header.
 
 use crate::error::Result;
 use crate::error::bad;
@@ -6,8 +6,8 @@ use crate::geometry::{Geometry, Space};
 use glam::{DMat3, DVec3};
 use std::path::Path;
 
-/// Returns the number of voxels for the sizes in a header. Fails if a size is zero or if the
-/// product overflows.
+/// Returns the number of voxels of a grid, given the sizes in a file header. Fails if a size is
+/// zero or if the product overflows.
 pub(crate) fn voxel_count(path: &Path, size: [usize; 3]) -> Result<usize> {
     if size.contains(&0) {
         return Err(bad(path, format!("a size is zero: {size:?}"), "there are no voxels", "write the file again"));
@@ -57,8 +57,8 @@ pub(crate) fn geometry_from_steps(
         ));
     }
     let directions = DMat3::from_cols(steps[0] / spacing.x, steps[1] / spacing.y, steps[2] / spacing.z);
-    // If two of the axes are perpendicular and the third is 0.06 degrees out of their plane, the
-    // determinant is 1e-3.
+    // The determinant is 1e-3 if two axes are perpendicular and the third is 0.06 degrees out of
+    // their plane.
     if directions.determinant().abs() < 1e-3 {
         return Err(bad(
             path,

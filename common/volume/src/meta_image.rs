@@ -22,8 +22,8 @@ use std::path::Path;
 /// Maximum number of dimensions. The arrays of MetaIO's class `MetaObject` have ten entries.
 const MOST_DIMENSIONS: usize = 10;
 
-/// Possible first fields of a header. ITK always writes `ObjectType` first; other programs may omit
-/// it.
+/// The fields that a header can start with. ITK always writes `ObjectType` first; other programs
+/// may omit it.
 const FIRST_FIELDS: [&str; 3] = ["ObjectType", "NDims", "Comment"];
 
 /// Returns whether a file that starts with these bytes is a MetaImage.
@@ -47,7 +47,7 @@ pub(crate) fn read_meta_image(path: &Path) -> Result<Volume> {
     Ok(Volume { remarks, ..Volume::new(geometry, voxels) })
 }
 
-/// Returns the data files that the header lists.
+/// Returns the data files that the header specifies.
 pub(crate) fn data_files(path: &Path, reader: &mut impl BufRead) -> Result<DataFiles> {
     Header::read(path, reader)?.files()
 }
@@ -62,8 +62,8 @@ struct Header<'a> {
 }
 
 impl<'a> Header<'a> {
-    /// Reads the header. Afterwards, the reader is positioned at the end of the header, whose last
-    /// field is `ElementDataFile`.
+    /// Reads the header, whose last field is `ElementDataFile`. Leaves the reader positioned at the
+    /// end of the header.
     fn read(path: &'a Path, reader: &mut impl BufRead) -> Result<Self> {
         let mut header = Self { path, fields: BTreeMap::new(), list: Vec::new() };
         let mut reader = Read::take(reader, MOST_HEADER_BYTES);
@@ -104,7 +104,7 @@ impl<'a> Header<'a> {
         self.fields.get(name).map(String::as_str)
     }
 
-    /// Returns the name and value of the first of several fields that is present.
+    /// Returns the name and value of the first field in `names` that is present.
     fn first_of(&self, names: &[&'static str]) -> Option<(&'static str, &str)> {
         names.iter().find_map(|&name| self.field(name).map(|text| (name, text)))
     }
@@ -217,7 +217,7 @@ impl<'a> Header<'a> {
         };
         let order = self.first_of(&["BinaryDataByteOrderMSB", "ElementByteOrderMSB"]);
         let is_big = order.map_or(Ok(false), |(name, _)| self.is(name))?;
-        // as in NRRD, -1 means that the voxels extend to the end of the file
+        // as in NRRD, -1 means that the voxels are the last bytes of the file
         let byte_skip =
             self.field("HeaderSize").map_or(Ok(0), |text| text.parse().map_err(|_| self.error("HeaderSize")))?;
         if byte_skip < -1 {
@@ -227,7 +227,7 @@ impl<'a> Header<'a> {
         Ok(Layout { scalar, coding, endian, line_skip: 0, byte_skip, files: self.files()? })
     }
 
-    /// Returns the number of slices, which is the third number of `DimSize`.
+    /// Returns the number of slices, the third number in `DimSize`.
     fn slices(&self) -> Result<usize> {
         let words = self.field("DimSize").unwrap_or("").split_whitespace();
         { words }.nth(2).and_then(|word| word.parse().ok()).ok_or_else(|| self.error("DimSize"))

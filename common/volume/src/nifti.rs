@@ -1,5 +1,5 @@
-//! Reads NIfTI-1 volumes, the format of neuroimaging: `.nii`, `.nii.gz`, and pairs of `.hdr` and
-//! `.img` files. The RAS world frame of NIfTI is converted to LPS.
+//! Reads volumes in NIfTI-1, a standard format in neuroimaging: `.nii`, `.nii.gz`, and pairs of
+//! `.hdr` and `.img` files. The RAS world frame of NIfTI is converted to LPS.
 //!
 //! The `nifti` crate parses the header. This module reads the voxels itself, and allocates memory
 //! only for data that is present in the file.
@@ -23,8 +23,8 @@ use std::path::{Path, PathBuf};
 /// Size of a NIfTI-1 header in bytes (`sizeof_hdr` of the format).
 const HEADER_BYTES: u64 = 348;
 
-/// Default byte offset of the voxels in a single file: the header and four bytes that indicate
-/// whether extensions follow.
+/// Default byte offset of the voxels in a single file. The header is followed by four bytes that
+/// indicate whether there are extensions.
 const FIRST_VOXEL: u64 = 352;
 
 /// Returns whether an uncompressed file that starts with these bytes has a NIfTI header.
@@ -33,7 +33,7 @@ pub(crate) fn is_nifti(start: &[u8]) -> bool {
     matches!(start.get(..4), Some([0x5c, 1, 0, 0] | [0, 0, 1, 0x5c] | [0x1c, 2, 0, 0] | [0, 0, 2, 0x1c]))
 }
 
-/// Returns whether a file that starts with the bytes `start` is a NIfTI file compressed with gzip.
+/// Returns whether a file that starts with the bytes `start` is a gzip-compressed NIfTI file.
 pub(crate) fn is_compressed_nifti(path: &Path, start: &[u8]) -> bool {
     let first = || -> io::Result<[u8; 4]> {
         let mut first = [0; 4];
@@ -56,7 +56,7 @@ pub(crate) fn partner(path: &Path) -> Option<PathBuf> {
     beside.into_iter().find(|path| path.is_file())
 }
 
-/// Opens a file for reading and decompresses it if it is compressed with gzip.
+/// Opens a file for reading. A gzip-compressed file is decompressed as it is read.
 fn open(path: &Path) -> io::Result<Stream<BufReader<File>>> {
     let mut file = BufReader::with_capacity(1 << 17, File::open(path)?);
     let is_compressed = file.fill_buf()?.starts_with(&[0x1f, 0x8b]);
@@ -109,7 +109,7 @@ pub(crate) fn read_nifti(path: &Path) -> Result<Volume> {
     Ok(Volume { segments, remarks, ..Volume::new(geometry, voxels) })
 }
 
-/// The magic number at the end of the header if the voxels are in a separate file.
+/// The magic number at the end of a header whose voxels are in a separate file.
 const PAIR: &[u8; 4] = b"ni1\0";
 
 fn header(path: &Path, start: &[u8]) -> Result<NiftiHeader> {
@@ -169,8 +169,8 @@ fn scalar_type(path: &Path, header: &NiftiHeader) -> Result<ScalarType> {
     })
 }
 
-/// Returns the geometry in LPS and mm. It is computed from the sform if the header contains a valid
-/// one, otherwise from the qform, otherwise from the voxel spacings.
+/// Returns the geometry in mm, and in LPS if the header defines an orientation. Uses the sform if
+/// it is valid, otherwise the qform, otherwise only the voxel spacings.
 fn geometry(path: &Path, header: &NiftiHeader) -> Result<(Geometry, Vec<String>)> {
     let dimension = usize::from(header.dim[0]);
     if !(1..=7).contains(&dimension) {
@@ -226,7 +226,7 @@ fn pixel_spacing(header: &NiftiHeader) -> DVec3 {
     DVec3::new(header.pixdim[1].into(), header.pixdim[2].into(), header.pixdim[3].into())
 }
 
-/// Returns the vectors between neighbouring voxels, the origin and the space from the sform.
+/// Returns the vectors between neighbouring voxels, the origin and the space defined by the sform.
 fn sform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     let row = |row: [f32; 4]| row.map(f64::from);
     let (x, y, z) = (row(header.srow_x), row(header.srow_y), row(header.srow_z));
@@ -234,7 +234,7 @@ fn sform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     (DMat3::from_cols(column(0), column(1), column(2)), column(3), Space::Lps)
 }
 
-/// Returns the vectors between neighbouring voxels, the origin and the space from the qform.
+/// Returns the vectors between neighbouring voxels, the origin and the space defined by the qform.
 fn qform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     let vector = DVec3::new(header.quatern_b.into(), header.quatern_c.into(), header.quatern_d.into());
     // The first component of the quaternion is not stored. The norm of the other three may exceed
@@ -249,8 +249,8 @@ fn qform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     (rotation * DMat3::from_diagonal(spacing), origin, Space::Lps)
 }
 
-/// Maximum number of bytes of extensions that are read. This is sufficient for the names of 65,535
-/// labels with 256 bytes per name.
+/// Maximum number of extension bytes that are read. This is enough for 65,535 label names of 256
+/// bytes.
 const MOST_EXTENSIONS: u64 = 1 << 24;
 
 /// Skips the `skip` bytes between the header and the voxels. Returns the first [`MOST_EXTENSIONS`]
@@ -276,7 +276,7 @@ fn scaled(voxels: Voxels, slope: f32, intercept: f32, remarks: &mut Vec<String>)
     remarks.push(format!("values are computed as stored value * {slope} + {intercept}, as given in the header"));
     let (slope, intercept) = (f64::from(slope), f64::from(intercept));
     match voxels.scalar_type() {
-        // single precision halves the memory and preserves the full precision of these types
+        // single precision is sufficient for these types and halves the memory
         ScalarType::I8 | ScalarType::U8 | ScalarType::I16 | ScalarType::U16 | ScalarType::F32 => {
             Voxels::F32(voxels.to_f32().into_iter().map(|x| (f64::from(x) * slope + intercept) as f32).collect())
         }

@@ -1,5 +1,5 @@
 //! Reads volumes in all supported formats. The format is detected from the first bytes of a file.
-//! The file name is used only if these bytes are not sufficient.
+//! The file name matters only if these bytes are inconclusive.
 
 use crate::error::bad;
 use crate::error::{Content, Error, Result};
@@ -9,7 +9,7 @@ use std::io::Read;
 use std::path::Path;
 
 /// Number of bytes used to detect the format. DICOM needs the first 132 bytes. The XML declaration
-/// and the `VTKFile` tag of VTK have up to 151 bytes, and a comment may precede the tag.
+/// and the `VTKFile` tag written by VTK have up to 151 bytes, and a comment may precede the tag.
 const START_BYTES: u64 = 512;
 
 /// Options for reading a volume.
@@ -48,7 +48,7 @@ pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume
     if path.is_dir() {
         return dicom::read_folder(path, options.series);
     }
-    // if the file belongs to a pair, read the header first
+    // if this is the voxel file of a NIfTI pair, start from its header
     let header = nifti::partner(path).filter(|other| other.to_string_lossy().trim_end_matches(".gz").ends_with(".hdr"));
     let path = header.as_deref().unwrap_or(path);
     let start = start(path)?;
@@ -120,7 +120,7 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     ))
 }
 
-/// Detects the contents of a file that has a known format but is not a volume.
+/// Detects the contents of a file that has a known format but does not contain a volume.
 fn no_volume(start: &[u8], ends: &impl Fn(&[&str]) -> bool) -> Option<Content> {
     let has = |word: &[u8]| start.windows(word.len()).any(|window| window == word);
     if dicom::is_dicom(start) {

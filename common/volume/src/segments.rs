@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 pub struct LayerLabel {
     /// Index of the layer, starting at 0.
     pub layer: usize,
-    /// The label, which is a voxel value in that layer.
+    /// The label, which is the value of its voxels in that layer.
     pub label: i64,
 }
 

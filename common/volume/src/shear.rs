@@ -1,9 +1,9 @@
 //! Resamples a volume from a sheared grid (gantry tilt, sform with shear) to an orthonormal grid.
 //!
 //! The new axes result from Gram-Schmidt orthogonalization: x is unchanged, y lies in the slice
-//! plane, and z is the slice normal. Slices remain slices, so at most two one-dimensional passes
-//! are needed. The first pass shifts each slice along y, and the second shifts each row along x.
-//! The volume of a voxel does not change.
+//! plane, and z is the slice normal. Every old slice becomes one new slice, so at most two
+//! one-dimensional passes are needed. The first pass shifts each slice along y, and the second
+//! shifts each row along x. The volume of a voxel does not change.
 //!
 //! [`Shear::interpolate`] resamples measured values with the cubic kernel of Keys (1981), and
 //! [`Shear::move_labels`] resamples labels.
@@ -15,16 +15,17 @@ use crate::voxels::Voxels;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-/// Minimum shift in voxels at the far end of the volume; a smaller shear is ignored. The directions
-/// in headers are rounded: an error of 1e-4 over 500 voxels causes half of this shift.
+/// A shear is ignored if it shifts the far end of the volume by less than this number of voxels.
+/// Such a shear can result from rounded directions in the header: an error of 1e-4 shifts the 500th
+/// voxel by half of this limit.
 const IGNORED_SHIFT: f64 = 0.1;
 
-/// A transformation from a sheared grid to an orthonormal grid that covers the sheared grid.
+/// A transformation from a sheared grid to an orthonormal grid that covers it.
 #[derive(Clone, Debug)]
 pub struct Shear {
     /// The orthonormal grid.
     pub geometry: Geometry,
-    /// Maximum deviation in degrees of the angles between the old axes from a right angle.
+    /// Maximum deviation from a right angle between any two of the old axes, in degrees.
     pub degrees: f64,
     passes: Vec<Pass>,
 }
@@ -32,7 +33,7 @@ pub struct Shear {
 /// A pass that shifts rows along one axis.
 #[derive(Clone, Copy, Debug)]
 struct Pass {
-    /// The axis of the rows: 0 or 1.
+    /// The axis along which the rows are shifted: 0 or 1.
     axis: usize,
     /// Grid size before the pass.
     from: [usize; 3],
@@ -45,8 +46,8 @@ struct Pass {
 }
 
 impl Shear {
-    /// Computes the transformation of a grid. Returns `None` if the grid is orthonormal within
-    /// `IGNORED_SHIFT`.
+    /// Computes the transformation of a grid to an orthonormal one. Returns `None` if all shifts
+    /// are smaller than `IGNORED_SHIFT`.
     pub fn of(geometry: &Geometry) -> Option<Self> {
         let [d0, d1, d2] = [0, 1, 2].map(|axis| geometry.directions.col(axis));
         let x = d0.normalize();
@@ -109,8 +110,8 @@ impl Shear {
 }
 
 impl Pass {
-    /// Returns the source position of the voxels in a row as `(first, part)`. Voxel n lies between
-    /// the old voxels `n - first` and `n - first + 1`, at the fraction `part` of the distance.
+    /// Returns the source position of the voxels in a row as `(first, part)`: new voxel n lies at
+    /// the old position `n - first + part`, where `0 <= part < 1`.
     fn shift(&self, row: isize, slice: isize) -> (isize, f64) {
         let shift = snapped(self.start + self.per_row * row as f64 + self.per_slice * slice as f64);
         let first = shift.ceil();
@@ -122,7 +123,7 @@ impl Pass {
         self.from[1 - self.axis]
     }
 
-    /// Returns the index of voxel `n` of a row in slice `k` of a grid of `size` voxels.
+    /// Returns the linear index of voxel `n` of row `row` in slice `k`, in a grid of `size` voxels.
     #[inline]
     fn linear(&self, size: [usize; 3], n: usize, row: usize, k: usize) -> usize {
         let (i, j) = if self.axis == 0 { (n, row) } else { (row, n) };
@@ -154,17 +155,17 @@ impl Pass {
     }
 }
 
-/// Rounds a shift in voxels to an integer if the difference is less than 1e-6. An integer shift
-/// then moves the values unchanged, despite rounding errors.
+/// Rounds a shift in voxels to the nearest integer if the difference is less than 1e-6. An integer
+/// shift then moves values without interpolation, despite rounding errors.
 fn snapped(shift: f64) -> f64 {
     if (shift - shift.round()).abs() < 1e-6 { shift.round() } else { shift }
 }
 
-/// Returns the weights of the voxels -1, 0, 1 and 2 for interpolation at a position t from 0 to 1.
-/// The kernel is the cubic convolution of Keys (1981) with a = -1/2, which is exact for polynomials
-/// of second degree. Measured on a scan of a 14 mm ball (point spread 0.8 mm, 1 mm voxels sheared
-/// by 30 degrees), F = 0 encloses 11,454 mm^3. Linear interpolation gives 11,446 mm^3, and the
-/// unsheared grid 11,456 mm^3.
+/// Returns the weights of voxels -1, 0, 1 and 2 for interpolation at a position t between voxels 0
+/// and 1. The kernel is the cubic convolution of Keys (1981) with a = -1/2, which is exact for
+/// polynomials of second degree. Measured on a scan of a 14 mm ball (point spread 0.8 mm, 1 mm
+/// voxels sheared by 30 degrees), F = 0 encloses 11,454 mm^3. Linear interpolation gives 11,446
+/// mm^3, and the unsheared grid 11,456 mm^3.
 fn keys(t: f64) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [-0.5 * t + t2 - 0.5 * t3, 1.0 - 2.5 * t2 + 1.5 * t3, 0.5 * t + 2.0 * t2 - 1.5 * t3, 0.5 * (t3 - t2)]

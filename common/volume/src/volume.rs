@@ -1,12 +1,12 @@
-//! Volumes as read from files: voxels in their original number type, on a grid, and the lookup of
-//! labels by name or number.
+//! Volumes as read from files, with voxels in their original number type, and the lookup of labels
+//! by name or number.
 
 use crate::error::{Error, Result};
 use crate::geometry::Geometry;
 use crate::segments::{LayerLabel, Segment};
 use crate::voxels::Voxels;
 
-/// Maximum number of segments that an error message lists. With a mean of 20 characters per name
+/// Maximum number of segments that an error message lists. At an average of 20 characters per name
 /// and label, the list fills eight lines of 100 columns.
 const MOST_LISTED: usize = 40;
 
@@ -22,7 +22,7 @@ pub struct Volume {
     pub more_layers: Vec<Voxels>,
     /// The named labels, in the same order as in the file.
     pub segments: Vec<Segment>,
-    /// Messages to the user about assumptions of the reader.
+    /// Messages to the user about assumptions made by the reader.
     pub remarks: Vec<String>,
 }
 
@@ -58,12 +58,13 @@ impl Volume {
         (count > 0).then(|| format!("{count} voxels are NaN and are treated as background (label 0)"))
     }
 
-    /// Returns the name of a label, if the file contains one.
+    /// Returns the name of a label, if it has one.
     pub fn name_of(&self, at: LayerLabel) -> Option<&str> {
         self.segments.iter().find(|segment| segment.at == at).map(|segment| segment.name.as_str())
     }
 
-    /// Returns all labels and their layers in ascending order. NaN counts as label 0.
+    /// Returns all labels and their layers, sorted by layer and then by label. NaN counts as label
+    /// 0.
     ///
     /// # Errors
     /// If a value is neither an integer nor NaN.
@@ -75,7 +76,7 @@ impl Volume {
         Ok(all)
     }
 
-    /// Finds the segment called `name`. If there is no exact match, the search ignores case.
+    /// Finds the segment called `name`. If no name matches exactly, the search ignores case.
     ///
     /// # Errors
     /// If no segment or several segments match. The error lists the candidates.
@@ -124,7 +125,7 @@ impl Volume {
         }
     }
 
-    /// Returns a mask of the voxels that have one of the labels in the layer of that label.
+    /// Returns a mask of the voxels that have one of the given labels in the corresponding layer.
     pub fn label_mask(&self, labels: &[LayerLabel]) -> Vec<bool> {
         let of_layer =
             |layer: usize| -> Vec<i64> { labels.iter().filter(|at| at.layer == layer).map(|at| at.label).collect() };

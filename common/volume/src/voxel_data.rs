@@ -11,8 +11,9 @@ use std::io::{self, BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 pub(crate) use stream::Stream;
 
-/// Maximum size in bytes of a text header. It is sufficient for a list of 100,000 data files with
-/// 167 bytes per name. A longer header is an error, so a damaged file cannot fill the memory.
+/// Maximum size in bytes of a text header. This is enough for a list of 100,000 data files with
+/// names of 167 bytes. Longer headers are rejected, so that a damaged file cannot exhaust the
+/// memory.
 pub(crate) const MOST_HEADER_BYTES: u64 = 16 << 20;
 
 /// Encoding of the voxels.
@@ -57,14 +58,14 @@ pub(crate) struct Layout {
     pub(crate) coding: Coding,
     pub(crate) endian: Option<Endian>,
     pub(crate) line_skip: u64,
-    /// Number of decoded bytes before the first voxel. A negative number -n is relative to the end
-    /// of the data: n - 1 bytes follow the last voxel.
+    /// Number of decoded bytes before the first voxel. A negative value -n means that n - 1 bytes
+    /// follow the last voxel.
     pub(crate) byte_skip: i64,
     pub(crate) files: DataFiles,
 }
 
-/// Reads `count` voxels. The reader `attached` must be positioned right after the header. If bytes
-/// follow the end of compressed data, adds a remark.
+/// Reads `count` voxels. The reader `attached` must be positioned right after the header. Adds a
+/// remark if any bytes follow the compressed data.
 pub(crate) fn read_voxels(
     path: &Path,
     layout: &Layout,
@@ -143,8 +144,8 @@ pub(crate) fn goes_on_remark(path: &Path) -> String {
     format!("{} has data after the last voxel, which is ignored", path.display())
 }
 
-/// Reads the voxels. Also returns whether bytes follow the end of compressed data. Fails if decoded
-/// data follows the last voxel, unless the byte skip is negative.
+/// Reads the voxels. Also returns whether any bytes follow the compressed data. Fails if decoded
+/// data remains after the last voxel, unless the byte skip is negative.
 fn read_values(reader: &mut BufReader<File>, layout: &Layout, count: usize) -> io::Result<(Voxels, bool)> {
     skip_lines(reader, layout.line_skip)?;
     if layout.coding == Coding::Text {
@@ -173,7 +174,7 @@ fn read_values(reader: &mut BufReader<File>, layout: &Layout, count: usize) -> i
     Ok((voxels, stream.leaves_bytes()?))
 }
 
-/// Converts an error in reading the data to a message for the user.
+/// Converts an I/O error in the voxel data to an error message for the user.
 fn data_error(path: &Path, layout: &Layout, count: usize, error: io::Error) -> Error {
     let promised = format!("the header declares {count} voxels of type {} in this file", layout.scalar.name());
     match error.kind() {
@@ -210,7 +211,7 @@ fn skip_bytes(reader: &mut impl Read, bytes: u64) -> io::Result<()> {
     Err(io::Error::new(ErrorKind::UnexpectedEof, "it ends within the bytes to skip"))
 }
 
-/// Reads numbers from text, separated by white space or commas.
+/// Parses numbers that are separated by white space or commas.
 fn read_text(reader: &mut impl BufRead, scalar: ScalarType, count: usize) -> io::Result<Voxels> {
     let mut voxels = Voxels::empty(scalar);
     let mut line = Vec::new();
@@ -254,8 +255,8 @@ fn is_separator(byte: u8) -> bool {
     byte.is_ascii_whitespace() || byte == b','
 }
 
-/// Returns the file names that a `printf` pattern with one integer gives for every `step`-th number
-/// from `low` to `high`. Returns `None` if the pattern or the range is invalid.
+/// Expands a `printf` pattern with one integer into file names, for the numbers from `low` to
+/// `high` in steps of `step`. Returns `None` if the pattern or the range is invalid.
 pub(crate) fn numbered_names(format: &str, low: i64, high: i64, step: i64) -> Option<Vec<String>> {
     let (prefix, rest) = format.split_once('%')?;
     let end = rest.find(|c: char| !c.is_ascii_digit())?;

@@ -71,12 +71,12 @@ pub enum Voxels {
     F64(Vec<f64>),
 }
 
-/// Number of bytes that each thread reads at a time. Reopening the file takes 6 us per chunk, 4 %
-/// of the 150 us that reading the chunk from the page cache takes (a loop of open, seek and close,
-/// and of read; 2 busy cores, 2026-11-27).
+/// Number of bytes that each thread reads at a time. Reopening the file for each chunk takes 6 us,
+/// which is 4 % of the 150 us for reading the chunk from the page cache (loops of open, seek and
+/// close, and of read; 2 busy cores, 2026-11-27).
 const CHUNK_BYTES: usize = 1 << 20;
 
-/// Evaluates an expression with the inner vector of any variant.
+/// Evaluates an expression with the vector inside any variant of [`Voxels`].
 macro_rules! each_type {
     ($voxels:expr, $values:ident => $body:expr) => {
         match $voxels {
@@ -146,8 +146,8 @@ fn ends_early(found: usize, count: usize) -> std::io::Error {
 
 /// A Rust number type that [`Voxels`] can contain.
 trait Number: Copy {
-    /// Converts the value to a label. Integers are unchanged, and NaN becomes 0. Returns `None` for
-    /// any other value.
+    /// Converts the value to a label. Integers that fit into `i64` are unchanged, and NaN becomes
+    /// 0. Returns `None` for any other value.
     fn to_label(self) -> Option<i64>;
     fn single(self) -> f32;
     fn double(self) -> f64;
@@ -173,7 +173,7 @@ macro_rules! integer_number {
 integer_number!(i8, u8, i16, u16, i32, u32, i64, u64);
 
 /// Converts a value to an integer. Returns `None` unless the value is an integer with a magnitude
-/// of at most 2^53, because larger floating-point numbers cannot represent all integers.
+/// of at most 2^53, because `f64` cannot represent all larger integers.
 fn whole_number(value: f64) -> Option<i64> {
     (value.fract() == 0.0 && value.abs() <= 9_007_199_254_740_992.0).then_some(value as i64)
 }
@@ -414,12 +414,12 @@ impl Voxels {
         arms!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64);
     }
 
-    /// Appends numbers after conversion to this type.
+    /// Converts the numbers to the scalar type and appends them.
     pub fn extend_from_f64(&mut self, numbers: Vec<f64>) {
         each_type!(self, values => numbers.into_iter().for_each(|number| values.push(Number::rounded(number))));
     }
 
-    /// Separates values into `layers` layers, which are interleaved in runs of `run` values.
+    /// Splits the values into `layers` layers, which are interleaved in runs of `run` values.
     pub fn part(self, run: usize, layers: usize) -> Vec<Self> {
         macro_rules! arms {
             ($($variant:ident),*) => {
@@ -436,8 +436,8 @@ impl Voxels {
         arms!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64)
     }
 
-    /// Parses a value and appends it. Returns false if the string is not a number of this type.
-    /// Integers may be written as `3.0`.
+    /// Parses a value and appends it. Returns false if the string is not a number of the scalar
+    /// type.  Integers may be written as `3.0`.
     pub fn push_text(&mut self, text: &str) -> bool {
         each_type!(self, values => {
             let parsed = text.parse().ok().or_else(|| whole_number(text.parse().ok()?)?.to_string().parse().ok());
@@ -478,7 +478,7 @@ fn fill(reader: &mut dyn Read, bytes: &mut [u8]) -> std::io::Result<usize> {
     Ok(got)
 }
 
-/// Returns the distinct labels, or the first value that is not a label as an error.
+/// Returns the distinct labels. The error contains the first value that is not a label.
 fn distinct<T: Number + PartialEq + std::fmt::Display + Sync>(values: &[T]) -> std::result::Result<Vec<i64>, String> {
     let of_part = |values: &[T]| {
         // equal labels usually form long runs

@@ -1,5 +1,5 @@
-//! Reads and writes VTK image files (`.vti`): a regular grid with an origin, a spacing and a
-//! direction in world coordinates.
+//! Reads and writes VTK image files (`.vti`): regular grids with a spacing, an origin and axis
+//! directions in world coordinates.
 
 use crate::error::Result;
 use crate::error::bad;
@@ -14,7 +14,7 @@ use isoparticles_file::history::History;
 use isoparticles_file::output::write_atomically;
 use std::path::Path;
 
-/// Opens the `ImageData` element with the attributes of a geometry.
+/// Opens an `ImageData` element whose attributes describe a geometry.
 pub fn open_image(document: &mut Document<'_>, geometry: &Geometry) {
     let [nx, ny, nz] = geometry.size.map(|n| n.saturating_sub(1));
     let extent = format!("0 {nx} 0 {ny} 0 {nz}");
@@ -30,14 +30,14 @@ pub fn open_image(document: &mut Document<'_>, geometry: &Geometry) {
     document.open("ImageData", &attributes);
 }
 
-/// Returns the extent of the single piece of an image as an attribute value.
+/// Returns the value of the `Extent` attribute for the only piece of an image.
 pub fn piece_extent(geometry: &Geometry) -> String {
     let [nx, ny, nz] = geometry.size.map(|n| n.saturating_sub(1));
     format!("0 {nx} 0 {ny} 0 {nz}")
 }
 
-/// Reads the geometry of an image. If the exact geometry in the field data agrees with VTK's
-/// attributes, it is returned. Otherwise, only the space is taken from the field data.
+/// Reads the geometry of an image. Returns the exact geometry in the field data if it agrees with
+/// VTK's attributes. Otherwise, takes only the space from the field data.
 pub fn geometry(path: &Path, file: &VtkFile) -> Result<Geometry> {
     let image = file.data_set("ImageData")?;
     let numbers = |name: &str, default: &[f64]| -> Result<Vec<f64>> {
@@ -99,9 +99,9 @@ pub fn same_grid(a: &Geometry, b: &Geometry) -> bool {
         && (0..3).all(|axis| axis_end(a, axis).abs_diff_eq(axis_end(b, axis), tolerance))
 }
 
-/// Kind of the files that [`write_volume`] writes.
+/// File kind that [`write_volume`] writes to the field data.
 const KIND: &str = "volume";
-/// Version of the file layout. No other version exists.
+/// Version of the file layout, the only one so far.
 const VERSION: u32 = 1;
 
 /// Returns the name of the point array that contains a layer.
@@ -126,8 +126,8 @@ pub fn write_volume(path: &Path, volume: &Volume, history: &History) -> Result<(
     Ok(write_atomically(path, |file| document.write(file))?)
 }
 
-/// Returns the scalar array of point or cell data: the active array, or the only array with one
-/// component if no such array is active.
+/// Returns the scalar array of point or cell data: the active array or, if no array is active, the
+/// only array with one component. Returns `None` if the active array has several components.
 fn scalars(arrays: Option<&Element>) -> Option<&Element> {
     let arrays = arrays?;
     let active = arrays.attribute("Scalars").and_then(|name| arrays.array(name));
@@ -157,8 +157,8 @@ fn check_not_flat(path: &Path, size: [usize; 3]) -> Result<()> {
     ))
 }
 
-/// Reads an image with one number per voxel as a volume. Point data takes precedence over cell
-/// data. Also reads the layers and names of files written by [`write_volume`].
+/// Reads an image with one number per voxel. Point data takes precedence over cell data. Also reads
+/// the additional layers and the segments in files written by [`write_volume`].
 pub(crate) fn read_vti(path: &Path) -> Result<Volume> {
     let file = VtkFile::open(path)?;
     let mut geometry = geometry(path, &file)?;

@@ -53,7 +53,7 @@ fn other_programs_see_the_same_voxels_in_the_same_places() {
         let texts: Vec<String> = serde_json::from_value(told["values"].clone()).expect("texts");
         assert!(same_values(&volume.voxels, &texts), "{file}: {:?}", volume.voxels);
         let places: [[f64; 3]; 4] = serde_json::from_value(told["positions"].clone()).expect("positions");
-        // NIfTI stores its geometry in 32-bit numbers, and VTK stores its origin with similar
+        // NIfTI stores the geometry in 32-bit numbers, and VTK stores the origin with similar
         // precision.
         let tolerance = if file.starts_with("nrrd") { 1e-10 } else { 1e-5 };
         for (ours, theirs) in positions(&volume).iter().zip(places) {

@@ -1,6 +1,6 @@
 //! Advice for failed checks, from the table
 //! `stages/tetmesh-check/src/tetmesh_check/page/advice.json`. The page of a case uses the same
-//! table; `page/advice.py` describes its format.
+//! table, whose format is described in `page/advice.py`.
 
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -13,11 +13,12 @@ struct Table {
     terms: Vec<Entry>,
 }
 
-/// Advice for messages that contain `words`, or the replacement of a placeholder in braces.
+/// The advice for messages that contain `words`, or the replacement text for a placeholder in
+/// braces.
 #[derive(Deserialize)]
 struct Entry {
     words: String,
-    /// Variable that must be set, or `VARIABLE=VALUE`, for the entry to apply.
+    /// Condition for the entry to apply: a variable that must be set, or `VARIABLE=VALUE`.
     set: Option<String>,
     #[serde(rename = "do")]
     text: String,
@@ -34,12 +35,13 @@ impl Entry {
 }
 
 /// Returns the advice for a failed check of a case with these parameters, or `None` if the message
-/// itself contains the advice. For an unknown message, refers to the troubleshooting page.
+/// itself contains the advice. For an unknown message, the advice refers to the troubleshooting
+/// page.
 pub(crate) fn advice_for(check: &str, parameters: &BTreeMap<String, String>) -> Option<String> {
     find(check, parameters, |_| true)
 }
 
-/// Returns the advice for a warning that the table contains.
+/// Returns the advice for a warning, or `None` if the table has no entry for it.
 pub(crate) fn known_advice(warning: &str, parameters: &BTreeMap<String, String>) -> Option<String> {
     find(warning, parameters, |entry| !entry.words.is_empty())
 }

@@ -1,9 +1,9 @@
 //! Runs many cases from a list: a CSV file with one column per key and one row per case.
 //!
 //! Each row runs in a separate process of this program with its own log, so a crash does not affect
-//! other rows. A row that fails is reported, and the next row starts. Valid results of earlier runs
-//! are kept, so a stopped batch resumes where it left off. The outputs are `OUT/batch.csv`,
-//! which has one line per row, and an index of all cases.
+//! other rows. If a row fails, the error is reported and the next row starts. Valid results of
+//! earlier runs are kept, so a stopped batch resumes where it left off. The outputs are
+//! `OUT/batch.csv`, which has one line per row, and an index of all cases.
 
 use crate::check::Answers;
 use crate::folder::CaseFolder;
@@ -28,7 +28,7 @@ pub(crate) const LOGS: &str = ".batch";
 /// First character of comment lines.
 const COMMENT: char = '#';
 
-/// Keys that apply to the whole batch and cannot be columns.
+/// Keys that apply to the whole batch and therefore cannot be columns.
 const BATCH_KEYS: [&str; 3] = ["CASE", "OUT", "VERBOSITY"];
 
 /// A list of cases, and how to run it.
@@ -38,9 +38,9 @@ pub struct Batch<'a> {
     pub list: &'a Path,
     /// `KEY=VALUE` settings for all rows. The cells of a row take precedence.
     pub common: &'a [String],
-    /// Other variable names of the caller, which are also suggested for a misspelled key.
+    /// Names of the caller's other variables, which are also suggested for a misspelled key.
     pub known: &'a [String],
-    /// Goal up to which each case is made.
+    /// Goal of each case, such as `mesh` or `surface`.
     pub goal: &'a str,
     /// Time limit of each case. A case that exceeds it is interrupted, and the next batch resumes
     /// the case.
@@ -70,12 +70,12 @@ pub(crate) struct Row {
     pub cells: Vec<String>,
     /// Name of the results, or `line N` if the name is unknown.
     pub name: String,
-    /// The case, or an error found before any work starts.
+    /// The case, or the error that prevents it from starting.
     pub case: Result<Case>,
 }
 
 impl Row {
-    /// Returns the path of the volume if the row is valid and not a phantom.
+    /// Returns the path of the volume, or `None` if the row is invalid or its volume is a phantom.
     pub(crate) fn input(&self) -> Option<&Path> {
         match &self.case {
             Ok(Case { volume: Volume::At(path), .. }) => Some(path),
@@ -103,7 +103,7 @@ pub struct Ending {
     pub next: String,
     /// Path of the volume.
     pub input: String,
-    /// File that contains the output of the row's programs; empty if nothing ran.
+    /// Log file with the output of the row's programs; empty if nothing ran.
     pub log: String,
 }
 
@@ -123,7 +123,7 @@ impl Ending {
         }
     }
 
-    /// Returns whether the case was made and every check passed.
+    /// Returns whether the run completed and every check passed.
     #[must_use]
     pub fn is_fit(&self) -> bool {
         ["passed", "warning"].contains(&self.verdict.as_str())
@@ -131,8 +131,8 @@ impl Ending {
 }
 
 impl Batch<'_> {
-    /// Runs every row of the list and updates `OUT/batch.csv` after each row. A row that fails does
-    /// not stop the other rows.
+    /// Runs every row of the list and updates `OUT/batch.csv` after each row. A failed row does not
+    /// stop the others.
     ///
     /// # Errors
     /// Before any row runs: if the list is unreadable, a column is not a key, or two rows have the
@@ -161,7 +161,7 @@ impl Batch<'_> {
         Ok(endings)
     }
 
-    /// Writes the index of all cases in OUT and of the rows that could not start.
+    /// Writes an index of all cases in OUT and of the rows that could not start.
     ///
     /// # Errors
     /// If there are no cases, or the index program fails.
@@ -174,7 +174,7 @@ impl Batch<'_> {
         index::write(&out, refused, programs)
     }
 
-    /// Returns the rows of the list after the stages have checked the options of each row.
+    /// Reads the list and has each stage check the options of each row. Returns the rows.
     pub(crate) fn checked(&self, programs: &Programs) -> Result<Vec<Row>> {
         let mut rows = self.read()?;
         let goal = stage_of_goal(self.goal).unwrap_or_default();
@@ -199,7 +199,7 @@ impl Batch<'_> {
         let text = with_plain_lines(&text);
         let header =
             text.lines().find(|line| !line.trim().is_empty() && !line.starts_with(COMMENT)).unwrap_or_default();
-        // In many countries, spreadsheets separate columns with semicolons.
+        // In many locales, spreadsheet programs separate columns with semicolons.
         let delimiter = [',', ';', '\t'].into_iter().find(|mark| header.contains(*mark)).unwrap_or(',');
         let mut reader = csv::ReaderBuilder::new()
             .delimiter(delimiter as u8)
@@ -249,13 +249,14 @@ impl Batch<'_> {
 
     fn row<'a>(&self, line: u64, cells: impl Iterator<Item = (&'a str, &'a str)>) -> Row {
         let cell = |(column, value): (&str, &str)| match column {
-            // A list and its volumes can be moved together.
+            // INPUT is relative to the folder of the list, so a list and its volumes can be moved
+            // together.
             "INPUT" => format!("INPUT={}", self.list.parent().unwrap_or(Path::new("")).join(value).display()),
             _ => format!("{column}={value}"),
         };
         let cells: Vec<String> = cells.filter(|(_, value)| !value.is_empty()).map(cell).collect();
         let settings = Settings::read_row(&cells, line, self.common, self.known);
-        // A valid name is used even if another cell is invalid.
+        // The NAME of the row is used even if another cell is invalid.
         let named = cells.iter().find_map(|cell| cell.strip_prefix("NAME=")).map(str::to_owned);
         let unnamed = || named.unwrap_or_else(|| format!("line {line}"));
         match settings.and_then(Case::new) {
@@ -316,7 +317,7 @@ impl Batch<'_> {
         Ok(ending)
     }
 
-    /// Returns the arguments with which this program makes a row up to `goal`.
+    /// Returns the arguments with which this program runs a row up to `goal`.
     pub(crate) fn arguments(&self, goal: &str, row: &Row, programs: &Programs) -> Vec<OsString> {
         let mut arguments: Vec<OsString> = vec![goal.into()];
         arguments.extend(row.cells.iter().map(OsString::from));
@@ -364,7 +365,7 @@ pub fn exit_code(endings: &[Ending]) -> u8 {
     u8::from(!endings.iter().all(Ending::is_fit))
 }
 
-/// Returns the summary for the end of the terminal output.
+/// Returns the summary that closes the terminal output.
 #[must_use]
 pub fn closing(endings: &[Ending]) -> String {
     let fit = endings.iter().filter(|ending| ending.is_fit()).count();
@@ -381,7 +382,7 @@ pub fn closing(endings: &[Ending]) -> String {
     text
 }
 
-/// Reports the rows that cannot be made, before any row runs.
+/// Reports the rows that cannot start, before any row runs.
 pub(crate) fn tell_refused(rows: &[Row]) {
     for row in rows {
         if let Err(error) = &row.case {
@@ -394,13 +395,13 @@ fn tell(ending: &Ending, position: usize, total: usize) {
     println!("[{position}/{total}] {:<24} {:<12} {:>7.1} s", ending.name, ending.verdict, ending.seconds);
 }
 
-/// Returns a verdict as spelled in the status file.
+/// Returns a verdict as it is spelled in the status file.
 pub(crate) fn word(verdict: Verdict) -> String {
     let value = serde_json::to_value(verdict).unwrap_or_default();
     value.as_str().unwrap_or_default().to_owned()
 }
 
-/// Returns a status for the index that describes a row that could not start.
+/// Returns a status that describes a row that could not start, for use in the index.
 pub(crate) fn refused_status(row: &Row, error: &Problem) -> Status {
     let stage = Stage { error: Some(error.clone()), ..Stage::nothing("distfield", State::Error) };
     Status {

@@ -12,14 +12,15 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Checks the stages that are about to run. If no earlier result could be lost, an error about the
-/// volume's content is ignored here: the run then reports it on the page of the case.
+/// Checks the command lines of the stages that are about to run. If no earlier result could be
+/// lost, an error in the content of the volume is ignored here; the run then reports it on the page
+/// of the case.
 ///
 /// # Errors
 /// If a stage rejects its command line.
 pub fn planned(stages: &[Planned], case: &Case, before: Option<&Status>) -> Result<()> {
     let made = |stage: &str| !stages.iter().any(|planned| planned.name() == stage);
-    // If this run makes the phantom again, an existing phantom may be out of date.
+    // If this run regenerates the phantom, the existing file may be out of date.
     let volume = matches!(case.volume, Volume::At(_)) || made("phantom");
     let materials = if made("distfield") { materials_made(&case.folder) } else { None };
     let mut known = Known { materials, volume };
@@ -42,7 +43,8 @@ fn materials_made(folder: &CaseFolder) -> Option<Vec<String>> {
     table.iter().map(|material| material["name"].as_str().map(str::to_owned)).collect()
 }
 
-/// Answers of the stages, cached by command line because the cases of a list differ in few options.
+/// Answers of the stages, cached by command line because the cases of a list share most of their
+/// options.
 #[derive(Default)]
 pub struct Answers(BTreeMap<(PathBuf, Vec<OsString>, String), Result<Known>>);
 
@@ -51,7 +53,7 @@ impl Answers {
     /// volume or the folder of the case.
     ///
     /// # Errors
-    /// If a stage rejects its options, or the goal does not fit the settings.
+    /// If a stage rejects its options, or the settings do not allow the goal.
     pub fn check(&mut self, case: &Case, goal: &str, programs: &Programs) -> Result<()> {
         case.check_goal(goal)?;
         // With a fixed folder, equal options give equal command lines.
@@ -62,7 +64,7 @@ impl Answers {
                 continue;
             }
             let (program, arguments) = command_of(stage, &folder, &case.settings, programs);
-            // The run reports a missing program.
+            // A missing program is reported by the run itself.
             if program.exists() {
                 let told = serde_json::json!(known).to_string();
                 let answer = self.0.entry((program.clone(), arguments.clone(), told));
@@ -76,8 +78,8 @@ impl Answers {
     }
 }
 
-/// Runs one stage with `--check-options`. Returns the facts about the case that are known to the
-/// next stage.
+/// Runs one stage with `--check-options`. Returns the facts about the case that the next stage can
+/// rely on.
 fn ask(stage: &str, program: &Path, arguments: &[OsString], known: &Known) -> Result<Known> {
     let mut words = vec![CHECK_OPTIONS.into(), serde_json::json!(known).to_string().into()];
     words.extend_from_slice(arguments);

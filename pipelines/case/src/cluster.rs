@@ -1,9 +1,9 @@
-//! Prepares a list of cases for a job scheduler: describes the command of every row and stage, and
-//! collects how each row ended.
+//! Runs a list of cases under a job scheduler: describes the command of each stage of each row, and
+//! collects the outcomes.
 //!
-//! [`crate::batch`] parses the list, so lists have the same meaning for a scheduler and for a
-//! batch. A scheduler (`pipelines/Snakefile`) decides when and where each stage of a row runs. The
-//! status of the case records the outcome.
+//! [`crate::batch`] parses the list, so a list has the same meaning for a scheduler and for a
+//! batch. The scheduler (`pipelines/Snakefile`) decides when and where each stage of a row runs.
+//! The status file of each case records the outcome.
 
 use crate::batch::{self, Batch, Ending, LOGS, Row};
 use crate::folder::{CaseFolder, PAGE, STAGES};
@@ -32,10 +32,10 @@ struct ListedRow {
     settings: BTreeMap<String, String>,
     /// Command that predicts the cost of the mesh; `None` for a phantom or a missing volume.
     info: Option<Vec<String>>,
-    /// Error of a row that cannot be made.
+    /// Error of a row that cannot start.
     error: Option<Problem>,
     stages: Vec<ListedStage>,
-    /// Command that makes the page about the case.
+    /// Command that generates the page about the case.
     page: Option<Vec<String>>,
     /// Working directory of all commands.
     folder: PathBuf,
@@ -47,16 +47,16 @@ struct ListedStage {
     stage: &'static str,
     /// Files that the stage reads, apart from the results of earlier stages.
     inputs: Vec<PathBuf>,
-    /// Options of the stage and the hash of its program, on which the result also depends.
+    /// Options of the stage and the hash of its program; if they change, the stage runs again.
     depends: Vec<String>,
     command: Vec<String>,
 }
 
 /// Describes each row of a list in one line of JSON.
 ///
-/// Removes the scheduler's marks (`OUT/.cluster/made/NAME/STAGE`) of results that are missing
-/// or were made with other settings. The scheduler tracks marks instead of results, because it
-/// changes the modification time of the files that it tracks.
+/// Removes the scheduler's marker files (`OUT/.cluster/made/NAME/STAGE`) of results that are
+/// missing or were made with other settings. The scheduler tracks markers instead of results,
+/// because it changes the modification times of the files that it tracks.
 ///
 /// # Errors
 /// If the list is invalid; see [`Batch::make`].
@@ -119,7 +119,7 @@ pub fn rows(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<String>> {
     rows.iter().map(told).collect()
 }
 
-/// Removes the marks of stages without a valid result, and the mark of a missing page.
+/// Removes the markers of stages without a valid result, and the marker of a missing page.
 fn forget_marks(case: &Case, out: &Path, stages: &[&str]) -> Result<()> {
     let status = case.folder.settle()?;
     for mark in stages.iter().chain(&["page"]) {
@@ -146,8 +146,8 @@ fn holds(status: &Status, case: &Case, stage: &str) -> bool {
     made && Settings::read(&then, &[], None, &[]).is_ok_and(|then| same(&then))
 }
 
-/// Returns the stages that the goal of a list requires, except `phantom`. A phantom is made
-/// together with `distfield`.
+/// Returns the stages that the goal of a list requires, except `phantom`, which runs in the same
+/// job as `distfield`.
 fn wanted(batch: &Batch<'_>) -> Vec<&'static str> {
     let last = stage_of_goal(batch.goal).unwrap_or("tetmesh-check");
     let stages: Vec<&str> = STAGES.iter().map(|it| it.stage).filter(|stage| *stage != "phantom").collect();
@@ -155,7 +155,7 @@ fn wanted(batch: &Batch<'_>) -> Vec<&'static str> {
     stages[..end].to_vec()
 }
 
-/// Returns the command that predicts the cost of a mesh of a volume.
+/// Returns the command that predicts the cost of meshing a volume.
 fn info(row: &Row, volume: &Path, out: &Path, programs: &Programs) -> Vec<String> {
     let output = out.join(FOLDER).join("info").join(format!("{}.json", row.name));
     let program = programs.bin.join("isoparticles-volume").into_os_string();
@@ -246,7 +246,7 @@ fn ending(batch: &Batch<'_>, row: &Row, out: &Path) -> Result<Ending> {
     Ok(ending)
 }
 
-/// Returns whether a status belongs to the current version of the row, not to an earlier version.
+/// Returns whether a status was written for the current settings and volume of the case.
 fn is_of(status: &Status, case: &Case) -> bool {
     let same_volume = match &case.volume {
         Volume::Phantom => true,
@@ -268,7 +268,7 @@ fn tell(ending: &mut Ending, status: &Status, stopped: Option<&str>) {
     ending.next = errors.map(|error| error.next.clone()).next().unwrap_or_default();
     match stopped {
         None => ending.exit_code = Some(verdict::exit_code(status).into()),
-        // The last run succeeded, but its goal comes before the goal of the list.
+        // The last run succeeded, but a result that the goal of the list requires is missing.
         Some(stage) if ending.is_fit() => {
             ending.verdict = batch::word(Verdict::Interrupted);
             ending.headline = format!("{stage} has no result yet, or its result was removed.");
@@ -283,8 +283,8 @@ fn tell(ending: &mut Ending, status: &Status, stopped: Option<&str>) {
     }
 }
 
-/// Returns the status of a case if `stage` ended with failed checks, or else `None`. Such a stage
-/// would fail again with the same settings.
+/// Returns the status of a case if the checks of `stage` failed with the current settings, and
+/// `None` otherwise. The same stage would fail again.
 ///
 /// # Errors
 /// If the corrected status of a killed run cannot be written.
@@ -305,7 +305,8 @@ pub fn failed_before(case: &Case, stage: &str) -> Result<Option<Status>> {
 mod tests {
     use super::*;
 
-    /// Runs `test` on a batch with its list in a temporary folder.
+    /// Calls `test` with a batch whose list is in a temporary folder, and with the path of this
+    /// folder.
     fn with_list<T>(list: &str, test: impl FnOnce(&Batch<'_>, &Path) -> T) -> T {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("cases.csv");

@@ -15,19 +15,19 @@ pub struct CaseFolder {
     pub name: String,
 }
 
-/// Files of a stage in the folder of a case, and the endings of the files that stay if the stage
-/// fails.
+/// The files of a stage in the folder of a case, and the endings of those that are kept if the
+/// stage fails.
 #[derive(Clone, Copy, Debug)]
 pub struct Belongings {
     /// Name of the stage.
     pub stage: &'static str,
     /// Ending of the output file, NAME.ENDING.
     pub output: &'static str,
-    /// Stems of the stage's files, which are called NAME.STEM or NAME.STEM.*.
+    /// Stems of the stage's files, which are named NAME.STEM or NAME.STEM.*.
     pub stems: &'static [&'static str],
     /// Subfolders of the case's folder that belong to the stage.
     pub folders: &'static [&'static str],
-    /// Endings of results that are renamed with `.failed` when a check fails.
+    /// Endings of results whose names get an additional `.failed` when a check fails.
     pub set_aside: &'static [&'static str],
     /// Endings of files that explain a failure and keep their names.
     pub explains: &'static [&'static str],
@@ -93,11 +93,11 @@ pub const STAGES: [Belongings; 7] = [
     },
 ];
 
-/// End of the name of the checkpoint from which a stopped run of `particles` resumes.
+/// Ending of the checkpoint file, from which a stopped run of `particles` resumes.
 pub const CHECKPOINT: &str = "checkpoint.bin";
-/// End of the name of the report of `tetmesh-check`. This report is also a result.
+/// Ending of the report of `tetmesh-check`, which is also a result.
 pub const REPORT: &str = "report.json";
-/// End of the name of the page about the case.
+/// Ending of the page about the case.
 pub const PAGE: &str = "report.html";
 /// Folder of the stages' reports.
 pub const REPORTS: &str = "reports";
@@ -119,11 +119,11 @@ pub fn belongings(stage: &str) -> &'static Belongings {
 }
 
 /// Lock that a run holds while it works in a folder. The operating system releases the lock when
-/// the process ends for any reason.
+/// the process ends, for whatever reason.
 #[derive(Debug)]
 pub struct Lock {
     _file: File,
-    /// True if the file system supports locks. No other run can then hold this lock.
+    /// True if the file system supports locks, so that no other run can hold this lock.
     certain: bool,
 }
 
@@ -152,8 +152,8 @@ impl CaseFolder {
         self.file("status.json")
     }
 
-    /// Creates the folder, takes the lock and removes unfinished files of killed programs. This is
-    /// safe because the lock's holder is the only writer.
+    /// Creates the folder, acquires the lock and removes unfinished files of killed programs. The
+    /// removal is safe because only the holder of the lock writes to the folder.
     ///
     /// # Errors
     /// If the folder cannot be created, or another run is using it.
@@ -186,7 +186,7 @@ impl CaseFolder {
         }
     }
 
-    /// Takes the lock of an existing folder. Returns `None` if another run holds it.
+    /// Acquires the lock of an existing folder. Returns `None` if another run holds it.
     fn try_lock(&self) -> Result<Option<Lock>> {
         let path = self.path.join(LOCK);
         let file = File::options().create(true).truncate(false).write(true).open(&path);
@@ -200,7 +200,7 @@ impl CaseFolder {
     }
 
     /// Reads the status and marks it as interrupted if its run was killed. Returns `None` if there
-    /// is no readable status. The status of a run in progress stays unchanged.
+    /// is no readable status. The status of a run in progress is left unchanged.
     ///
     /// # Errors
     /// If the corrected status cannot be written.
@@ -253,7 +253,7 @@ impl CaseFolder {
     /// Removes the report and the files that a stage made, except files with the endings in `keep`.
     /// The files of a stage are those with fixed names, those listed in the status and, if the
     /// stage was interrupted or killed, all files with its stems. Other files belong to the user
-    /// and stay.
+    /// and are left in place.
     ///
     /// # Errors
     /// If a file cannot be removed.
@@ -264,7 +264,7 @@ impl CaseFolder {
             }
         }
         for folder in stage.folders {
-            // If the folder contains other files, this fails and the files stay.
+            // This fails if the folder contains other files, which are left in place.
             let _ = std::fs::remove_dir(self.path.join(folder));
         }
         self.remove(&report_name(stage.stage))
@@ -299,7 +299,7 @@ impl CaseFolder {
 
     /// Inserts `.failed` into the names of a failed stage's results, keeps its pictures and the
     /// files that explain the failure, and removes its other files. Files in `others` existed
-    /// before the run and stay. Returns the names of the kept files.
+    /// before the run and are left in place. Returns the names of the kept files.
     ///
     /// # Errors
     /// If a file cannot be renamed or removed.
@@ -339,7 +339,8 @@ impl CaseFolder {
     /// Removes the whole folder. Returns `false` if it does not exist.
     ///
     /// # Errors
-    /// If the folder is not that of a case, another run works in it, or it cannot be removed.
+    /// If the folder does not belong to a case, another run is working in it, or it cannot be
+    /// removed.
     pub fn clean(&self) -> Result<bool> {
         if !self.path.exists() {
             return Ok(false);
@@ -388,7 +389,7 @@ fn interrupted(mut status: Status) -> Status {
 mod tests {
     use super::CaseFolder;
 
-    /// SIGKILL during a write leaves the unfinished file behind (found by `tests/kills.py`).
+    /// SIGKILL during a write leaves an unfinished file behind (found by `tests/kills.py`).
     #[test]
     fn what_a_killed_program_had_begun_to_write_is_taken_away() {
         let out = tempfile::tempdir().expect("folder");

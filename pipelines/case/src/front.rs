@@ -1,5 +1,5 @@
-//! Describes the command `isoparticles` of the wheel as a clap command, for shell completions and
-//! man pages. The command itself is in pipelines/wheel, where a test compares the two.
+//! Describes the wheel's `isoparticles` command to clap, for shell completions and man pages. The
+//! command itself is in pipelines/wheel, where a test compares it with this description.
 
 use crate::keys::{Form, KEYS, Key};
 use clap::builder::PossibleValuesParser;
@@ -8,7 +8,7 @@ use isoparticles_stage::cli::shell::CommandLine;
 use isoparticles_stage::error::{Error, Result};
 use std::path::Path;
 
-/// Names of the stages, with a description of their inputs and results.
+/// Names of the stages, each with a short description.
 const STAGES: [(&str, &str); 6] = [
     ("distfield", "Compute the signed distance field F of a volume"),
     ("sizefield", "Compute the target edge length h from F"),
@@ -18,7 +18,7 @@ const STAGES: [(&str, &str); 6] = [
     ("tetmesh-check", "Fill the triangles with tetrahedra, check them and solve test problems"),
 ];
 
-/// Reads the description of a stage's command line that the stage writes with `--command-line`.
+/// Reads a description of the command line of a stage, as written by `STAGE --command-line`.
 ///
 /// # Errors
 /// If the file cannot be read or does not contain a command line.
@@ -36,7 +36,7 @@ pub fn stage(path: &Path) -> Result<CommandLine> {
 }
 
 /// Returns the command line of `isoparticles` for completions and man pages. The stages in `known`
-/// have all their options; other stages accept any arguments.
+/// get all their options; other stages accept any arguments.
 #[must_use]
 pub fn command(known: &[CommandLine]) -> Command {
     let options = || KEYS.iter().filter(|key| !["CASE", "INPUT"].contains(&key.name)).map(option);

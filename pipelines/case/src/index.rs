@@ -1,4 +1,4 @@
-//! Makes the index of all cases in a folder from their status files.
+//! Generates the index of all cases in a folder from their status files.
 
 use crate::folder::CaseFolder;
 use crate::program::{self, Ended};

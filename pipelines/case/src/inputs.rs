@@ -1,5 +1,5 @@
 //! Finds the files that a case depends on: its volume, the data files of the volume, and every file
-//! in the value of an option.
+//! named in an option.
 
 use crate::settings::Settings;
 use crate::status::{Identity, Input, Status, VOLUME};
@@ -15,15 +15,15 @@ const VOLUME_DATA: &str = "data of the volume";
 const OUTPUT_OPTIONS: [&str; 8] =
     ["-o", "--output", "--report", "--log", "--checkpoint", "--pictures", "--json", "--truth"];
 
-/// Returns the volume and its data files in their current state. The hash of a file that is
-/// unchanged since `before` is reused.
+/// Returns the current state of the volume and its data files. If a file has not changed since
+/// `before`, its hash is reused.
 ///
 /// # Errors
 /// If a file cannot be read.
 pub fn of_volume(volume: &Path, before: Option<&Status>) -> Result<Vec<Input>> {
     let mut inputs = vec![input(VOLUME, volume, before)?];
     if volume.is_file() {
-        // The stage reports an unreadable header.
+        // An unreadable header is reported by the stage.
         for path in data_files(volume).unwrap_or_default().iter().filter(|path| path.is_file()) {
             inputs.push(input(VOLUME_DATA, path, before)?);
         }
@@ -31,8 +31,8 @@ pub fn of_volume(volume: &Path, before: Option<&Status>) -> Result<Vec<Input>> {
     Ok(inputs)
 }
 
-/// Returns the files that occur in the options of a key such as `DISTFIELD_OPTIONS`, with their
-/// data files.
+/// Returns the files that are named in the options under `key`, such as `DISTFIELD_OPTIONS`, and
+/// their data files.
 ///
 /// # Errors
 /// If a file cannot be read.
@@ -66,7 +66,8 @@ pub fn paths_named_in(settings: &Settings, key: &str) -> Vec<PathBuf> {
 }
 
 /// Returns every existing file whose path is a word, or a part of a word between separators (`=`,
-/// `:` and `,`). Includes folders for options that take a volume, and skips output options.
+/// `:` and `,`). Includes folders for options that take a volume. Skips the values of output
+/// options.
 fn files_in_words(words: &[String]) -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> = Vec::new();
     let mut option = "";
@@ -91,8 +92,8 @@ fn files_in_words(words: &[String]) -> Vec<PathBuf> {
     found
 }
 
-/// Returns the word and each of its parts that starts and ends at a separator or at an end of the
-/// word.
+/// Returns every part of a word that starts and ends at a separator or at an end of the word,
+/// including the word itself.
 fn parts(word: &str) -> impl Iterator<Item = &str> {
     let cut = |c: char| matches!(c, '=' | ':' | ',');
     let starts = std::iter::once(0).chain(word.match_indices(cut).map(|(at, separator)| at + separator.len()));
@@ -148,7 +149,7 @@ fn hash_folder(folder: &Path) -> std::io::Result<(u64, String)> {
     while let Some(next) = folders.pop() {
         for entry in std::fs::read_dir(next)? {
             let path = entry?.path();
-            // A link to a folder may form a cycle.
+            // A symbolic link to a folder may create a cycle.
             if path.is_dir() && !path.is_symlink() {
                 folders.push(path);
             } else if path.is_file() {
@@ -166,12 +167,12 @@ fn hash_folder(folder: &Path) -> std::io::Result<(u64, String)> {
     Ok((bytes, hasher.finalize().to_hex().to_string()))
 }
 
-/// Returns the hash of the files of a program, in hexadecimal. A missing file counts as empty.
+/// Returns the hash of the files of a program, in hexadecimal. An unreadable file counts as empty.
 pub(crate) fn hash_program(files: &[PathBuf]) -> String {
     let mut hasher = blake3::Hasher::new();
     for file in files {
         let mut content = Vec::new();
-        // An unreadable program cannot be run either; starting it reports the error.
+        // An unreadable program cannot be started either; the error is reported then.
         let _ = std::fs::File::open(file).and_then(|mut file| file.read_to_end(&mut content));
         hasher.update(&content.len().to_le_bytes()).update(&content);
     }

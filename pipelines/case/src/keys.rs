@@ -6,7 +6,7 @@ use isoparticles_stage::error::{Error, Result};
 /// Form of a value, which is checked before any work starts.
 #[derive(Clone, Copy, Debug)]
 pub enum Form {
-    /// Any string. The stage that uses the string checks it.
+    /// Any string. The stage that uses it checks it.
     Text,
     /// Options of a program, split into words as in a shell.
     Words,
@@ -16,7 +16,7 @@ pub enum Form {
     Positive,
     /// A finite number that is 0 or more.
     NotNegative,
-    /// A whole number that is not below this minimum.
+    /// A whole number of at least this value.
     Whole(u64),
     /// One of these words.
     OneOf(&'static [&'static str]),
@@ -86,8 +86,8 @@ pub const KEYS: [Key; 33] = [
 /// parameters in the status.
 pub const WITHOUT_EFFECT: [&str; 5] = ["CASE", "OUT", "THREADS", "VERBOSITY", "MAX_MEMORY"];
 
-/// Returns the key called `name`. For an unknown name, the error suggests the most similar key or
-/// name of the caller in `other`.
+/// Returns the key called `name`. For an unknown name, the error suggests the most similar name
+/// among the keys and the caller's names in `other`.
 ///
 /// # Errors
 /// If there is no such key.
@@ -109,7 +109,7 @@ pub fn find(name: &str, other: &[String], set_by: &str) -> Result<&'static Key> 
 pub fn nearest<'a>(name: &str, candidates: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     let name = name.to_uppercase();
     let distance = |candidate: &str| strsim::damerau_levenshtein(&name, candidate);
-    // As in rustc, up to a third of the letters may be wrong, and always at least one letter.
+    // As in rustc, a third of the letters may be wrong, or one letter in a short name.
     let most = (name.chars().count() / 3).max(1);
     candidates.map(|candidate| (distance(candidate), candidate)).min().filter(|(d, _)| *d <= most).map(|(_, c)| c)
 }
@@ -145,7 +145,7 @@ pub fn check(key: &Key, value: &str, set_by: &str) -> Result<()> {
     }
 }
 
-/// Returns the first word within an edit distance of two from a value.
+/// Returns the first word whose edit distance from a value is at most two.
 fn nearest_word<'a>(value: &str, words: &[&'a str]) -> Option<&'a str> {
     let value = value.to_lowercase();
     words.iter().copied().find(|word| strsim::damerau_levenshtein(&value, word) <= 2)

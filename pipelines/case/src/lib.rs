@@ -1,11 +1,12 @@
 //! Keeps track of a case: its volume, its settings, the stage that made each file, and the results
-//! that must be made again.
+//! that are out of date.
 //!
 //! A case is a sequence of stages that process one volume. The results are in the folder OUT/NAME.
-//! [`run::make`] compares the options, program, files and earlier stages that each result depends
-//! on with the status of the last run. It removes results that are out of date, runs the stages
-//! that make them, and updates [`status::Status`] at each step. So every result in the folder was
-//! made or confirmed by the last run. The Makefile calls the program of this crate.
+//! A result depends on the options, the program, the input files and the earlier stages;
+//! [`run::make`] compares these with the status of the last run. It removes results that are out of
+//! date, runs their stages again, and updates [`status::Status`] at each step. Every result in the
+//! folder has therefore been made or confirmed by the last run. The Makefile calls the program of
+//! this crate.
 
 mod advice;
 pub mod batch;

@@ -94,8 +94,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// Prints completions or a man page if requested. The arguments after `--command-lines` are paths
-/// of files with the output of `STAGE --command-line`.
+/// Prints completions or a man page if requested. The arguments after `--command-lines` are the
+/// paths of files that contain the output of `STAGE --command-line`.
 fn told() -> Option<ExitCode> {
     let words: Vec<String> = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
     let mut parts = words.splitn(2, |word| word == "--command-lines");
@@ -126,7 +126,7 @@ impl Arguments {
     }
 }
 
-/// Performs a goal that concerns a list of cases.
+/// Performs a goal that applies to a list of cases.
 fn go_through_list(arguments: &Arguments, programs: &Programs) -> Result<u8> {
     let Some(list) = &arguments.list else {
         return Err(Error::input(
@@ -155,7 +155,7 @@ fn go_through_list(arguments: &Arguments, programs: &Programs) -> Result<u8> {
     }
 }
 
-/// Performs the goal of the command line. Returns the exit code.
+/// Performs the goal given on the command line. Returns the exit code.
 fn go(arguments: &Arguments) -> Result<u8> {
     let programs = arguments.programs();
     if ["batch", "rows", "summary"].contains(&arguments.goal.as_str()) {
@@ -201,7 +201,7 @@ fn go(arguments: &Arguments) -> Result<u8> {
     }
 }
 
-/// Returns the last stage of a goal.
+/// Returns the last stage that a goal requires.
 fn stage_named(goal: &str) -> Result<&'static str> {
     stage_of_goal(goal).ok_or_else(|| {
         Error::input(
@@ -212,7 +212,7 @@ fn stage_named(goal: &str) -> Result<&'static str> {
     })
 }
 
-/// Prints how the cases of a list ended and writes their index. Returns the exit code.
+/// Prints the outcomes of a list of cases and writes their index. Returns the exit code.
 fn close_batch(batch: &Batch<'_>, endings: &[Ending], programs: &Programs) -> Result<u8> {
     let code = batch::exit_code(endings);
     program::note_stop();
@@ -225,8 +225,8 @@ fn close_batch(batch: &Batch<'_>, endings: &[Ending], programs: &Programs) -> Re
     Ok(code)
 }
 
-/// Returns the folder of the case with the name NAME or the name of the case file. Without either,
-/// returns the folder in which the case would be made.
+/// Returns the folder of the case named by NAME or by the case file. If there is neither, returns
+/// the folder that a run would use.
 fn named(settings: &Settings) -> Result<CaseFolder> {
     match settings.get("NAME").or(settings.case_file()) {
         Some(name) => {
@@ -263,7 +263,7 @@ fn clean(settings: &Settings) -> Result<u8> {
     Ok(0)
 }
 
-/// Prints the description of the volume and the cost of the case's object.
+/// Prints the description of the volume and the predicted cost of meshing the object of the case.
 fn info(settings: Settings, programs: &Programs) -> Result<u8> {
     let case = Case::new(settings)?;
     let volume = match &case.volume {

@@ -1,4 +1,4 @@
-//! Runs programs to their end and forwards the signals that stop a run.
+//! Runs programs to completion and forwards the signals that stop a run.
 
 use isoparticles_stage::error::{Error, Result};
 use std::ffi::OsString;
@@ -16,11 +16,12 @@ pub fn front() -> String {
     std::env::var("ISOPARTICLES_FRONT").unwrap_or_else(|_| "make".to_owned())
 }
 
-/// Time that a program gets to write its last checkpoint after an interrupt. The checkpoint of a
-/// million particles has at least 72 MB (nine numbers of 8 bytes each), which take 7 s at 10 MB/s.
+/// Time that a program has to write its last checkpoint after an interrupt. For a million
+/// particles, the checkpoint takes at least 72 MB (nine numbers of 8 bytes each), or 7 s at 10
+/// MB/s.
 const GRACE_PERIOD: Duration = Duration::from_secs(60);
-/// Interval between checks on a program with a time limit. It adds at most 0.05 s to a row, half a
-/// unit of the last printed digit.
+/// Interval at which a program with a time limit is polled. It adds at most 0.05 s to the time of a
+/// row, half a unit of the last printed digit.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Process ID of the running program; 0 if no program is running.
@@ -32,8 +33,8 @@ static INSTALL: Once = Once::new();
 /// and this program exits afterwards.
 pub fn listen() {
     INSTALL.call_once(|| {
-        // Without a handler, a signal ends this program immediately, and the next run reports that
-        // it was killed.
+        // If no handler can be installed, a signal ends this program immediately; the next run then
+        // reports that it was killed.
         let _ = ctrlc::set_handler(|| {
             REQUESTED.store(true, Ordering::SeqCst);
             interrupt(RUNNING.load(Ordering::SeqCst));
@@ -61,7 +62,7 @@ pub enum Ended {
     Signal(i32),
 }
 
-/// Runs a program to its end. Its output goes to this terminal.
+/// Runs a program to completion. The program inherits stdout and stderr.
 ///
 /// # Errors
 /// If the program cannot be started.
@@ -71,9 +72,9 @@ pub fn run(program: &Path, arguments: &[OsString]) -> Result<Ended> {
     Ok(run_command(command, None)?.0)
 }
 
-/// Runs a program to its end and writes its output to a file. Also returns whether the time limit
-/// was exceeded. At the limit, the program is interrupted; it is interrupted again after a minute,
-/// and killed after another minute.
+/// Runs a program to completion with its output written to a file. Returns how the program ended,
+/// and whether the time limit was exceeded. At the limit, the program is interrupted; it is
+/// interrupted again after a minute, and killed after another minute.
 ///
 /// # Errors
 /// If the program cannot be started.
@@ -90,7 +91,7 @@ pub fn run_logged(program: &Path, arguments: &[OsString], log: File, limit: Opti
     run_command(command, limit)
 }
 
-/// Runs a program to its end and returns its output.
+/// Runs a program to completion and returns its output.
 ///
 /// # Errors
 /// If the program cannot be started.

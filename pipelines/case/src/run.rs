@@ -1,5 +1,5 @@
-//! Makes a case. It finds the stages that have to run, removes results that are out of date, runs
-//! the stages and updates the status.
+//! Runs a case: finds the stages that have to run, removes results that are out of date, runs the
+//! stages and updates the status.
 
 use crate::folder::{Belongings, CHECKPOINT, CaseFolder, PAGE, STAGES, belongings, report_name};
 use crate::inputs::{self, hash_program};
@@ -88,12 +88,12 @@ impl Case {
         Ok(())
     }
 
-    /// Checks whether the settings allow the last stage of a goal.
+    /// Checks that the settings allow a goal whose last stage is `stage`.
     ///
     /// # Errors
     /// If an open surface would have to be filled with tetrahedra.
     pub(crate) fn check_goal(&self, stage: &str) -> Result<()> {
-        // With materials, distfield refuses an open border.
+        // With many materials, distfield itself rejects an open border.
         let of_one_object = self.settings.get("MATERIALS").is_none();
         let Some(set_by) = stages::open_border(&self.settings).filter(|_| stage == "tetmesh-check" && of_one_object)
         else {
@@ -113,11 +113,11 @@ pub fn out(settings: &Settings) -> PathBuf {
     PathBuf::from(settings.get("OUT").unwrap_or("out"))
 }
 
-/// Makes a case up to the stage `goal`. The returned status records the outcome, even if a stage
+/// Runs a case up to the stage `goal`. The returned status records the outcome, even if a stage
 /// failed.
 ///
 /// # Errors
-/// If the run cannot start; the results of an earlier run are then unchanged. If a file of the case
+/// If the run cannot start, in which case earlier results are unchanged, or if a file of the case
 /// cannot be written or removed.
 pub fn make(case: &Case, goal: &str, programs: &Programs) -> Result<Status> {
     case.check()?;
@@ -154,7 +154,7 @@ fn to_run(folder: &CaseFolder, goal: &str, plan: &Plan, before: Option<&Status>)
     first..goal.map_or(plan.stages.len(), |position| position + 1)
 }
 
-/// Refuses to replace the results of one volume with the results of another volume.
+/// Returns an error if the run would replace the results of a different volume.
 fn refuse_another_volume(case: &Case, before: &Status, plan: &Plan) -> Result<()> {
     let described = |input: Option<&Input>| input.map_or("a phantom".to_owned(), |it| it.path.display().to_string());
     let then = before.volume().filter(|_| before.stage("phantom").is_none());
@@ -232,8 +232,8 @@ impl<'a> Run<'a> {
         Ok(run)
     }
 
-    /// Removes the files of all stages without a valid result. If `checkpoint` is true, the
-    /// checkpoint of `particles` and its log stay.
+    /// Removes the files of all stages without a valid result. If `checkpoint` is true, keeps the
+    /// checkpoint and the log of `particles`.
     fn remove_stale(&mut self, before: Option<&Status>, checkpoint: bool) -> Result<()> {
         let folder = &self.case.folder;
         let earlier = |stage: &Belongings| before.and_then(|status| status.stage(stage.stage));
@@ -260,7 +260,7 @@ impl<'a> Run<'a> {
         self.status.write(&self.case.folder.status_path())
     }
 
-    /// Runs the stages that have to run, and stops after a stage that does not succeed.
+    /// Runs the stages that have to run, and stops after the first stage that does not succeed.
     fn go(&mut self) -> Result<()> {
         let confirmed: Vec<&str> = self.plan.stages[..self.to_run.start].iter().map(Planned::name).collect();
         if !confirmed.is_empty() {
@@ -290,9 +290,9 @@ impl<'a> Run<'a> {
         self.status.stages[position] = stage.clone();
         self.write()?;
         say(&command);
-        // Files that exist now belong to the user and stay, except those with the stage's fixed
-        // names. Such a file is a checkpoint or its log, from which a stopped run resumes, or was
-        // written late by a stage of a killed run.
+        // Files that exist at this point belong to the user and are left in place, except those
+        // with the stage's fixed names. These are the checkpoint and the log from which a stopped
+        // run resumes, or files that a stage of a killed run wrote late.
         let mut others = folder.files_of(planned.belongings);
         others.retain(|name| !folder.is_usual(planned.belongings, name));
         let started = Instant::now();
@@ -333,7 +333,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// Sets the verdict and makes the page.
+    /// Sets the verdict and generates the page.
     fn finish(&mut self, programs: &Programs) -> Result<()> {
         program::note_stop();
         (self.status.verdict, self.status.headline) = verdict::of(&self.status);
@@ -352,8 +352,8 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Makes the page of a status if the page program is installed, and writes the status, which
-/// contains the name of the page.
+/// Generates the page of a case if the page program is installed, and writes the status, which
+/// contains the file name of the page.
 ///
 /// # Errors
 /// If the status cannot be written, or an old page cannot be removed.
@@ -379,7 +379,7 @@ pub fn make_page(folder: &CaseFolder, status: &mut Status, programs: &Programs) 
 }
 
 /// Returns the path of the report that a stage left. The report of `tetmesh-check` is a result, so
-/// only a copy of it is written to the folder of reports.
+/// the folder of reports contains only a copy of it.
 fn report_left(folder: &CaseFolder, planned: &Planned, stage: &Stage) -> Option<String> {
     let name = planned.report.clone()?;
     let common = report_name(planned.name());
@@ -466,7 +466,7 @@ fn complain(text: &str) {
     let _ = writeln!(std::io::stderr(), "{text}");
 }
 
-/// Returns the last stage of a goal.
+/// Returns the last stage that a goal requires.
 #[must_use]
 pub fn stage_of_goal(goal: &str) -> Option<&'static str> {
     match goal {
@@ -476,7 +476,7 @@ pub fn stage_of_goal(goal: &str) -> Option<&'static str> {
     }
 }
 
-/// Returns the goal, as the user writes it, that ends with a stage.
+/// Returns the goal whose last stage is `stage`, as the user writes it.
 pub(crate) fn goal_of_stage(stage: &str) -> &str {
     match stage {
         "tetmesh-check" => "mesh",
@@ -485,7 +485,7 @@ pub(crate) fn goal_of_stage(stage: &str) -> &str {
     }
 }
 
-/// Makes the page of a case from its current status.
+/// Generates the page of a case from its current status.
 ///
 /// # Errors
 /// If there is no status, or a run is in progress.

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 pub enum Source {
     /// The user, on the command line.
     User,
-    /// The case file, or the Makefile's own default.
+    /// The case file, or a default of the Makefile.
     Case,
 }
 
@@ -23,7 +23,7 @@ pub struct Settings {
     by_user: String,
 }
 
-/// Pairs of keys that exclude each other, with the reason.
+/// Pairs of mutually exclusive keys, with the reason.
 const EXCLUSIVE: [(&str, &str, &str); 11] = [
     ("INPUT", "PHANTOM", "a case has one volume: a file or a phantom"),
     ("ISO", "LABELS", "a volume is meshed either as a scan or as a label map"),
@@ -40,7 +40,7 @@ const EXCLUSIVE: [(&str, &str, &str); 11] = [
 /// Reason why SIZE excludes the keys that grade or bound the edge length.
 const SIZE_IS_UNIFORM: &str = "SIZE sets one edge length everywhere, without grading or bounds";
 
-/// Pairs (user's key, case file's key): if the user sets the first, the second is dropped.
+/// Pairs of keys: if the user sets the first, a value of the second from the case file is dropped.
 const DROPPED_WITH: [(&str, &str); 6] = [
     ("LABELS", "INSIDE"),
     ("MATERIALS", "INSIDE"),
@@ -64,7 +64,7 @@ impl Settings {
     }
 
     /// Reads settings like [`Settings::read`], but takes the user's assignments from a row of a
-    /// list. `common` applies to all rows; the row takes precedence.
+    /// list. The assignments in `common` apply to all rows, but the row takes precedence.
     ///
     /// # Errors
     /// If [`Settings::read`] would return an error for these settings.

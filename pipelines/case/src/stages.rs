@@ -1,5 +1,5 @@
-//! Plans the stages of a case: their command lines, and the hashes that decide which stages have to
-//! run again.
+//! Plans the stages of a case: their command lines, and the hashes that determine which stages have
+//! to run again.
 
 use crate::folder::{Belongings, CHECKPOINT, CaseFolder, PICTURES, REPORT, STAGES, report_name};
 use crate::inputs::{self, hash_program};
@@ -24,13 +24,13 @@ pub struct Programs {
 }
 
 impl Programs {
-    /// Returns the program that makes a page.
+    /// Returns the program that generates a page.
     #[must_use]
     pub fn page(&self) -> PathBuf {
         self.beside("-page")
     }
 
-    /// Returns the program that makes the index.
+    /// Returns the program that generates the index.
     #[must_use]
     pub fn index(&self) -> PathBuf {
         self.beside("-index")
@@ -48,7 +48,7 @@ impl Programs {
 pub enum Volume {
     /// A file or folder at this path.
     At(PathBuf),
-    /// A volume that the program `phantom` makes.
+    /// A volume that the program `phantom` generates.
     Phantom,
 }
 
@@ -86,10 +86,10 @@ impl Planned {
     }
 }
 
-/// All stages of a case in order, and the files that the stages depend on.
+/// All stages of a case in order, and the files that they depend on.
 #[derive(Debug)]
 pub struct Plan {
-    /// The stages; `phantom` comes first if the case makes its volume.
+    /// The stages; `phantom` comes first if the volume is a phantom.
     pub stages: Vec<Planned>,
     /// The volume and every file that an option names.
     pub inputs: Vec<Input>,
@@ -144,13 +144,13 @@ pub fn depends_on(stage: &str, settings: &Settings) -> Vec<String> {
     words
 }
 
-/// Returns the HXT setting if `stage` is `tetmesh-check`. Without Gmsh, the same options give
-/// different tetrahedra.
+/// Returns the HXT setting if `stage` is `tetmesh-check`. The same options give different
+/// tetrahedra with and without Gmsh.
 fn hxt<'a>(stage: &str, settings: &'a Settings) -> Option<&'a str> {
     settings.get("HXT").filter(|_| stage == "tetmesh-check")
 }
 
-/// Returns the program of a stage, and the files that the program consists of.
+/// Returns the program of a stage, and the files that make up the program.
 #[must_use]
 pub fn program_of(stage: &str, programs: &Programs) -> (PathBuf, Vec<PathBuf>) {
     match stage {
@@ -171,7 +171,8 @@ pub fn command_of(
     (program_of(stage, programs).0, words)
 }
 
-/// Returns the key that contains further options of a stage, or an empty string if there is none.
+/// Returns the name of the key with further options for a stage, or an empty string if there is
+/// none.
 pub(crate) fn options_key(stage: &str) -> &'static str {
     match stage {
         "phantom" => "PHANTOM",
@@ -184,8 +185,8 @@ pub(crate) fn options_key(stage: &str) -> &'static str {
     }
 }
 
-/// Returns the options of a stage, each with the key that sets the option. If the key is not set,
-/// the stage uses its default.
+/// Returns the options of a stage, each with the key that sets it. If a key is not set, the stage
+/// uses its own default.
 fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
     match stage {
         "distfield" => &[
@@ -211,8 +212,8 @@ fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
     }
 }
 
-/// Options of `distfield` that set the amount of detail, with their keys. Only the first key that
-/// is set is used.
+/// Options of `distfield` that set the level of detail, with their keys. Only the first key that is
+/// set is used.
 const SCALE_BY_KEY: [(&str, &str); 4] = [
     ("--scale", "SCALE"),
     ("--scale-for-size", "SIZE"),
@@ -221,7 +222,7 @@ const SCALE_BY_KEY: [(&str, &str); 4] = [
 ];
 
 /// Converts a value such as `lungs:2,heart:1+4` into options of `distfield`. A name without labels
-/// is either defined in the file or `all`.
+/// is either `all` or a name defined in the file.
 fn materials(choice: &str) -> impl Iterator<Item = String> {
     let named = choice.split(',').map(str::trim).filter(|one| !one.is_empty());
     named.flat_map(|one| ["--material".to_owned(), one.replacen(':', "=", 1)])
@@ -305,13 +306,13 @@ fn arguments(
         "seed" => vec![distfield, sizefield],
         "particles" => [file("seeds.bin")].into_iter().chain(fields).collect(),
         "reconstruct" => [file("particles.bin")].into_iter().chain(fields).collect(),
-        // Mid-edge nodes on the surface are projected onto F = 0.
+        // Mid-edge nodes on the surface are projected onto F = 0, which requires F.
         _ if settings.get("TET_ORDER") == Some("2") => [file("surface.vtp")].into_iter().chain(fields).collect(),
         _ => vec![file("surface.vtp"), word("--sizefield"), sizefield],
     };
     words.extend([word("-o"), file(crate::folder::belongings(stage).output)]);
     if stage == "particles" {
-        // A run that was stopped resumes from its checkpoint.
+        // A stopped run resumes from its checkpoint.
         let checkpoint = file(CHECKPOINT);
         words.extend([word("--log"), file("passes.csv"), word("--checkpoint"), checkpoint, word("--resume")]);
     }
@@ -337,8 +338,8 @@ fn arguments(
     (words, Some(report))
 }
 
-/// Refuses inputs that are results of the same case, because they would be removed before they are
-/// read.
+/// Returns an error if an input is a result of the same case, because it would be removed before it
+/// is read.
 fn refuse_own_results(folder: &CaseFolder, inputs: &[Input]) -> Result<()> {
     let Ok(path) = folder.path.canonicalize() else { return Ok(()) };
     let own = |input: &&Input| {

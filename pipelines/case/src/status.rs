@@ -1,5 +1,5 @@
 //! Reads and writes `NAME.status.json`, the state of a case. The page of the case and the index are
-//! made from it (docs/developer/formats.md).
+//! generated from this file (docs/developer/formats.md).
 
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::output::write_atomically;
@@ -24,9 +24,9 @@ pub enum Verdict {
     Warning,
     /// A check failed.
     Failed,
-    /// A stage could not do its work.
+    /// A stage stopped with an error.
     Error,
-    /// The run was stopped before its end.
+    /// The run was stopped before it finished.
     Interrupted,
     /// A run is in progress (or was killed: see [`crate::folder::CaseFolder::settle`]).
     Running,
@@ -40,7 +40,7 @@ pub enum State {
     Done,
     /// The output was made, but a check failed.
     Failed,
-    /// The stage could not do its work.
+    /// The stage stopped with an error.
     Error,
     /// The stage was stopped.
     Interrupted,
@@ -91,7 +91,7 @@ pub struct Input {
 pub struct Problem {
     /// The problem.
     pub what: String,
-    /// The reason why the problem matters.
+    /// Why the problem matters.
     pub why: String,
     /// Instructions for the user.
     pub next: String,
@@ -184,9 +184,9 @@ pub struct Status {
     pub inputs: Vec<Input>,
     /// Settings from the user and the case file.
     pub parameters: BTreeMap<String, String>,
-    /// The stages in order; `phantom` comes first if the case makes its volume.
+    /// The stages in order; `phantom` comes first if the volume is a phantom.
     pub stages: Vec<Stage>,
-    /// File name of the page about the case, if it was made.
+    /// File name of the page about the case, if there is one.
     pub page: Option<String>,
     /// Hash of everything that the page depends on.
     pub page_key: String,
@@ -220,8 +220,8 @@ impl Status {
         self.stages.iter().find(|stage| stage.stage == name)
     }
 
-    /// Returns the input entry of the volume itself, or `None` for a phantom that has not been made
-    /// yet.
+    /// Returns the input entry of the volume itself, or `None` for a phantom that has not been
+    /// generated yet.
     pub fn volume(&self) -> Option<&Input> {
         self.inputs.iter().find(|input| input.role == VOLUME)
     }

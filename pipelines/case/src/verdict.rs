@@ -1,4 +1,5 @@
-//! Derives the verdict, a sentence that explains it, and the closing terminal lines from a status.
+//! Computes the verdict of a case, a sentence that explains the verdict, and the closing lines for
+//! the terminal.
 
 use crate::advice::{advice_for, known_advice};
 use crate::folder::CaseFolder;
@@ -92,7 +93,7 @@ pub fn closing(folder: &CaseFolder, status: &Status) -> String {
     for stage in &status.stages {
         for warning in &stage.warnings {
             line("warning", &format!("{}: {warning}", stage.stage));
-            // The warnings of the other stages contain their advice.
+            // The warnings of the other stages already contain advice.
             let advice = known_advice(warning, &status.parameters).filter(|_| stage.stage == "tetmesh-check");
             if let Some(advice) = advice {
                 line("what to do", &advice);
@@ -127,7 +128,7 @@ mod tests {
     use std::collections::BTreeMap;
     use std::path::Path;
 
-    /// A case with these stages.
+    /// Returns the status of a case with these stages.
     fn status(stages: Vec<Stage>) -> Status {
         Status {
             format: String::new(),

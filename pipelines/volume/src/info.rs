@@ -1,5 +1,5 @@
 //! Describes a volume: size, orientation, kind (scan or labels), values, labels with their volumes,
-//! proposed iso values, and the predicted cost of a mesh of each object.
+//! proposed iso values, and the predicted cost of meshing each object.
 
 use crate::Input;
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD};
@@ -43,7 +43,7 @@ pub(crate) struct Args {
 }
 
 impl Args {
-    /// Returns the JSON file, unless the JSON goes to stdout.
+    /// Returns the path of the JSON file, or `None` if there is none or the JSON goes to stdout.
     pub(crate) fn json_file(&self) -> Option<&Path> {
         self.json.as_deref().filter(|path| *path != Path::new("-"))
     }

@@ -24,7 +24,7 @@ impl Case {
     }
 
     /// Creates a case whose voxels are `value(distance, index)`, where `distance` is the distance
-    /// of the voxel from the centre, mm.
+    /// of the voxel from the centre in mm.
     fn of(value: impl Fn(f64, usize) -> f32) -> Self {
         let mut geometry = Geometry::axis_aligned([36, 34, 18], DVec3::new(1.0, 1.0, 2.0));
         geometry.space = Space::Lps;
@@ -144,7 +144,7 @@ fn nan_among_labels_is_remarked() {
 
 #[test]
 fn info_measures_sheared_volumes_in_the_world() {
-    // slices 1 mm apart, shifted along y as by a gantry tilt of 30 degrees
+    // slices 1 mm apart, shifted along y as in a scan with a gantry tilt of 30 degrees
     let step = DVec3::new(0.0, 30f64.to_radians().tan(), 1.0);
     let geometry = Geometry {
         spacing: DVec3::new(1.0, 1.0, step.length()),

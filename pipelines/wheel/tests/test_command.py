@@ -1,4 +1,4 @@
-"""The command ``isoparticles`` of the wheel.
+"""Tests of the ``isoparticles`` command in the wheel.
 
 The wheel is installed without its dependencies; the test environment provides them.
 """
@@ -69,7 +69,7 @@ def test_the_wheel_names_its_platform_and_holds_everything(wheel: Path) -> None:
 
 
 def test_shells_and_man_know_every_goal(site: Path, run: Run) -> None:
-    # Python defines the goals, and Rust the completions: the two lists must agree.
+    # Python defines the goals, and Rust defines the completions; the two lists must agree.
     told = run("no-such-goal").stderr
     goals = told.partition("choose one of ")[2].strip().split(", ")
     assert len(goals) > 12

@@ -8,13 +8,13 @@ Prints a markdown table.
         [--threads 2]
 
 The objects are a ball and a torus with known distances, each as a scalar volume (with a blurred
-edge, as in a scan) and as binary labels. Every method runs in a separate process. Time excludes
+edge, as in a scan) and as binary labels. Each method runs in its own process. Times exclude
 reading and writing; memory is the peak memory of the process.
 
 Errors are in voxels, relative to the exact distance: the error of the zero set (linear on grid
 edges, root mean square), the error of F within 2.5 voxels of the surface (root mean square and
 maximum), and the error of F anywhere (maximum). AntiAliasBinary computes distances in only three
-layers, so the last error does not apply to it. SignedMaurer treats the centres of the object's
+layers, so the last error is not meaningful for it. SignedMaurer treats the centres of the object's
 boundary voxels as the surface.
 """
 
@@ -44,7 +44,7 @@ def truth(shape, size):
 
 
 def values(kind, distance):
-    """Returns the input volume of the methods. The object is where the volume exceeds 0.5."""
+    """Returns the input volume for all methods. The object is where the volume exceeds 0.5."""
     if kind == "labels":
         return (distance < 0).astype(np.uint8)
     return (0.5 * (1 - np.tanh(distance / EDGE))).astype(np.float32)
@@ -79,7 +79,7 @@ def compute(method, volume, threads):
         import skfmm
 
         start = time.perf_counter()
-        # the surface: the middle of a blurred edge, or the face between voxels of value 0 and 1
+        # level 0.5 is the middle of a blurred edge, or the face between voxels of values 0 and 1
         return skfmm.distance(0.5 - volume.astype(np.float64), dx=1.0), time.perf_counter() - start
     import SimpleITK as sitk
 

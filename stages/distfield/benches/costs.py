@@ -7,9 +7,8 @@ and, in brackets, the measured values.
 
 Without --volumes, it prints one line per phantom and group of stages: nodes of the padded grid,
 voxel faces at the surface, vertices, processor seconds (user and system) and peak memory. Then it
-prints the rates, fitted by least squares of the relative errors over the phantoms: seconds per
-million nodes, faces and vertices, and a constant number of bytes plus bytes per node, face and
-vertex.
+prints the rates that minimise the squared relative errors over the phantoms: seconds per million
+nodes, faces and vertices, and bytes per node, face and vertex plus a constant.
 
 Needs numpy. Run it on an otherwise idle machine.
 """
@@ -23,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-# Phantom options, object, and options of sizefield.
+# For each phantom: its options, the option that selects the object, and the options of sizefield.
 PHANTOMS = [
     ("torso --part heart", "--iso=100", ""),
     ("torso --part ribs", "--iso=370", ""),
@@ -33,8 +32,8 @@ PHANTOMS = [
     ("gyroid --size 112 --kind label", "--labels=1", ""),
     ("torus --size 96 --noise 40", "--iso=100", ""),
 ]
-# For each group of stages: whether its cost depends on the numbers of nodes, faces and vertices (1
-# for yes, 0 for no).
+# For each group of stages: whether its cost depends on the number of nodes, faces and vertices (1:
+# yes, 0: no).
 GROUPS = {"fields": (1, 1, 0), "particles": (1, 0, 1), "triangles": (1, 0, 1)}
 
 

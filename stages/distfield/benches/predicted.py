@@ -14,7 +14,7 @@ import subprocess
 import time
 from pathlib import Path
 
-# Volume, object, and number of vertices of the mesh.
+# For each case: the volume, the option that selects the object, and the vertex count of the mesh.
 CASES = [
     ("mickey_labels", "--labels=2", 1206),
     ("heart_label", "--labels=1", 55317),

@@ -10,8 +10,8 @@ returns the surface unchanged. Programs use their defaults except as noted in th
 
 JOB contains the arrays ``points, triangles, vertices``. RESULT contains ``points, triangles``, the
 ``seconds`` of the last try, and ``bytes``, the peak memory of this process. The edge length is
-uniform. It is adjusted in at most six tries, until the number of vertices is within 3 % of the
-goal.
+uniform. It is adjusted in at most six tries until the number of vertices is within 3 % of the
+target.
 """
 
 from __future__ import annotations
@@ -23,12 +23,11 @@ from pathlib import Path
 
 import numpy as np
 
-# Number of iterations, for every program that has this option.
+# Number of iterations, for the programs that have this option.
 ITERATIONS = 10
-# Maximum number of edge lengths that are tried; the last result counts.
+# Maximum number of edge lengths to try. The last result is kept.
 TRIES = 6
-# The search ends at this relative difference from the wanted number of vertices. It corresponds to
-# 1.5 % of the edge length.
+# Relative tolerance of the number of vertices. It corresponds to 1.5 % of the edge length.
 CLOSE = 0.03
 
 
@@ -118,7 +117,7 @@ def main() -> None:
         started = time.monotonic()
         made, cells = (points, triangles) if program == "none" else PROGRAMS[program](points, triangles, length)
         seconds = time.monotonic() - started
-        # not ru_maxrss of getrusage, which includes memory that the parent process used
+        # ru_maxrss of getrusage would include the memory of the parent process
         told = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
         peak = 1024 * int(told.group(1)) if told else 0
         result = Path(sys.argv[3]).with_name(f"part.{program}.npz")

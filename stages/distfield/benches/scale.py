@@ -8,15 +8,15 @@ example solid.txt and thin.txt in this folder), except lines that start with #. 
 environment variable (DATA is the folder of the real volumes). Run the script with the Python of
 `make env`; with --no-distances any Python 3.11 suffices.
 
-Rows of isoparticles: one run from the volume to the checked surface. "components" is the number of
-components of the mesh and, in brackets, of the voxels before and after smoothing, with the numbers
-of changes. "s" is the time from the volume and, in brackets, from the smoothed field. With
+Rows of isoparticles show one run from the volume to the checked surface. "components" is the number
+of components of the mesh and, in brackets, of the voxels before and after smoothing, with the
+numbers of changes. "s" is the time from the volume and, in brackets, from the smoothed field. With
 --tetrahedra, tetmesh-check fills the surface with tetrahedra and runs all its default checks; the
 column contains the number of tetrahedra and the exit code.
 
 Rows of other remeshers (--programs), with --peers PYTHON (an interpreter with the packages of
 peers.lock, which `make bench-scale` creates): each program remeshes the marching-cubes surface of
-the same smoothed field to the same number of vertices within 3 %. The seconds cover marching cubes
+the same smoothed field to the same number of vertices, within 3 %. The seconds cover marching cubes
 and the last try. The angles, ratios and volumes of these meshes are computed here; those of
 isoparticles come from the report. "crossing" is the number of pairs of intersecting triangles. For
 marching cubes and surface nets, the grid determines the number of vertices.

@@ -2,14 +2,15 @@
 //! corners are not. At such a face, two parts of the object touch only along a voxel edge.
 //!
 //! The signs at the nodes do not determine whether these parts are connected. Marching cubes uses
-//! the sign of F at the saddle of the face. [`make_agree`] changes F until it has the same sign at
-//! the saddle as its source. For labels, the source follows the rule in [`crate::labels`].
+//! the sign of F at the saddle of the face. [`make_agree`] changes F until it has the same sign as
+//! its source at the saddle. For labels, the source follows the rule in [`crate::labels`].
 
 use isoparticles_field::marching_cubes::saddle_value;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
-/// An ambiguous face: four nodes of a grid face, with opposite nodes on the same side.
+/// An ambiguous face: four nodes of a grid face, with opposite nodes on the same side and adjacent
+/// nodes on different sides.
 #[derive(Clone, Copy, Debug)]
 pub struct AmbiguousFace {
     /// The two nodes inside the object.
@@ -21,17 +22,17 @@ pub struct AmbiguousFace {
 }
 
 /// In each pass, the values at the two nodes to be connected are multiplied by this factor, and the
-/// values at the other two nodes are divided by it. The 99th percentile of the shift of the zero
-/// set on `heart_ct` at 250 is 0.0526 voxel with 1.02 and 0.0493 voxel with 1.005.
+/// values at the other two nodes are divided by it. For `heart_ct` at 250, the 99th percentile of
+/// the shift of the zero set is 0.0526 voxel with 1.02 and 0.0493 voxel with 1.005.
 const TIP_FACTOR: f32 = 1.005;
 
 /// Maximum number of passes over the faces. The sign at the saddle depends on the ratio of the
-/// products of opposite values. A pass changes this ratio by [`TIP_FACTOR`]^4 = 1.02, and 100
-/// passes change it by a factor of seven. Faces that share nodes can undo each other's changes.
+/// products of opposite values. One pass changes this ratio by a factor of [`TIP_FACTOR`]^4 = 1.02,
+/// and 100 passes by a factor of seven. Faces that share nodes can undo each other's changes.
 const MOST_PASSES: usize = 100;
 
-/// Returns the ambiguous faces of an implicit function given at the nodes (negative inside). The
-/// saddle of each face decides whether its inside nodes are connected.
+/// Returns the ambiguous faces of an implicit function, given by its values at the nodes (negative
+/// inside). The saddle of each face decides whether its inside nodes are connected.
 pub fn ambiguous_faces(nodes: &Image<f32>) -> Vec<AmbiguousFace> {
     let [nx, ny, nz] = nodes.geometry.size;
     let (data, stride) = (&nodes.data, [1, nx, nx * ny]);
@@ -67,8 +68,8 @@ fn is_joined(nodes: &Image<f32>, inside: [usize; 2], outside: [usize; 2]) -> boo
     saddle_value(nodes, inside, outside) < 0.0
 }
 
-/// Changes `field` at ambiguous faces whose saddle disagrees with `joined`. No |F| falls below
-/// `least`. Returns the number of faces that still disagree.
+/// Changes `field` at ambiguous faces whose saddle disagrees with `joined`, without lowering |F|
+/// below `least` at any node. Returns the number of faces that still disagree.
 pub fn make_agree(
     field: &mut Image<f32>,
     ambiguous_faces: &[AmbiguousFace],

@@ -112,8 +112,8 @@ fn clearance_in_range(text: &str) -> Result<f64, String> {
 }
 
 /// Maximum clearance, in units of the minimum voxel spacing. The level set keeps twice this
-/// distance, 0.3. A layer one voxel thick allows less than 0.5, the distance of its surfaces from
-/// its voxel centres.
+/// distance, 0.3. In a layer one voxel thick, the distance must stay below 0.5, which is the
+/// distance of the layer's surfaces from its voxel centres.
 const MOST_CLEARANCE: f64 = 0.15;
 
 impl Args {
@@ -147,7 +147,7 @@ impl Args {
     }
 }
 
-/// Returns the option value of a grid.
+/// Returns the value of `--grid` for a grid.
 fn grid_name(grid: Grid) -> &'static str {
     match grid {
         Grid::Object => "object",
@@ -155,7 +155,7 @@ fn grid_name(grid: Grid) -> &'static str {
     }
 }
 
-/// Returns the option value of a border treatment.
+/// Returns the value of `--border` for a border treatment.
 fn border_name(border: Border) -> &'static str {
     match border {
         Border::Cap => "cap",

@@ -18,7 +18,7 @@ pub struct Bits {
 }
 
 impl Bits {
-    /// Returns the set of the nodes n < `count` for which `holds(n)` is true.
+    /// Returns the set of nodes n < `count` for which `holds(n)` is true.
     pub fn of(count: usize, holds: impl Fn(usize) -> bool + Sync) -> Self {
         let mut words = vec![0u64; count.div_ceil(64)];
         words.par_chunks_mut(CHUNK / 64).enumerate().for_each(|(chunk, words)| {
@@ -58,10 +58,10 @@ impl Bits {
         self.words.iter_mut().zip(&other.words).for_each(|(word, other)| *word |= other);
     }
 
-    /// Returns the union of four copies of the set, each shifted up by one of `numbers`. No shifted
-    /// node may lie beyond the grid.
+    /// Returns the union of four copies of the set, each shifted up by one entry of `numbers`.
+    /// Shifted nodes must not lie beyond the grid.
     pub fn moved(&self, numbers: [usize; 4]) -> Self {
-        // words before the first word are empty
+        // words before the start of the set are empty
         let before = |word: usize, back: usize| word.checked_sub(back).map_or(0, |word| self.words[word]);
         let mut words = vec![0; self.words.len()];
         words.par_chunks_mut(CHUNK / 64).enumerate().for_each(|(chunk, words)| {
@@ -76,7 +76,8 @@ impl Bits {
         Self { words }
     }
 
-    /// Returns the 64 bits from node `first` on. Words outside the set have the value `beyond`.
+    /// Returns the 64 bits that start at node `first`. Words outside the set have the value
+    /// `beyond`.
     fn word(&self, first: isize, beyond: u64) -> u64 {
         let (at, up) = (first.div_euclid(64), first.rem_euclid(64) as u32);
         let word = |at: isize| usize::try_from(at).ok().and_then(|at| self.words.get(at)).copied().unwrap_or(beyond);
@@ -87,8 +88,8 @@ impl Bits {
     /// least one node is in the set and at least one is not. The arguments are the strides along x,
     /// y and z.
     ///
-    /// Rows are treated as contiguous: the node after the end of a row is the start of the next
-    /// row. Bits after the last node may also be set.
+    /// Rows are treated as contiguous: the end of a row is adjacent to the start of the next row.
+    /// Bits after the last node may also be set.
     pub fn near_the_rest(&self, [along, row, slice]: [usize; 3]) -> Self {
         let signed = |step: usize, n: isize| step as isize * n;
         let steps: Vec<isize> =
@@ -101,10 +102,10 @@ impl Bits {
         Self { words: (0..self.words.len()).into_par_iter().map(near).collect() }
     }
 
-    /// Visits the nodes of a range that are the first corner of an ambiguous face: the nodes one
-    /// step away are on the other side, and the node both steps away is on the same side. The steps
-    /// are strides along two axes. The caller excludes faces that continue in the next row or
-    /// slice.
+    /// Visits the nodes of a range that are the first corner of an ambiguous face: the two nodes
+    /// one step away are on the other side, and the diagonally opposite node is on the same side.
+    /// The steps are the strides along two axes. The caller must exclude faces that wrap into the
+    /// next row or slice.
     pub fn each_alternating(&self, range: Range<usize>, [one, other]: [usize; 2], mut visit: impl FnMut(usize)) {
         for first in range.clone().step_by(64) {
             let [own, a, b, both] = [0, one, other, one + other].map(|step| self.word((first + step) as isize, 0));
@@ -131,8 +132,8 @@ fn ones(words: &[u64]) -> usize {
     words.iter().map(|word| word.count_ones() as usize).sum()
 }
 
-/// Words per stored count of a [`Numbering`]: one cache line of 64 bytes. The counts take an eighth
-/// of the memory of the words.
+/// Number of words per stored count of a [`Numbering`]. These words fill one cache line of 64
+/// bytes. The counts add an eighth to the memory of the words.
 const BLOCK: usize = 8;
 
 /// Maps the nodes of a set to consecutive numbers, in ascending order.
@@ -156,7 +157,7 @@ impl Numbering {
         Self { bits, before, count }
     }
 
-    /// Returns the number of nodes of the set below `node`. For a node of the set, this is its
+    /// Returns the number of nodes of the set before `node`. For a node of the set, this is its
     /// number.
     pub fn number(&self, node: usize) -> usize {
         let word = node / 64;
@@ -173,7 +174,7 @@ impl Numbering {
         self.bits.holds(node).then(|| self.number(node))
     }
 
-    /// Visits the nodes of the set in a range, in ascending order: `visit(node, number)`.
+    /// Calls `visit(node, number)` for the nodes of the set in a range, in ascending order.
     pub fn each(&self, range: Range<usize>, mut visit: impl FnMut(usize, usize)) {
         if range.is_empty() {
             return;
@@ -218,7 +219,7 @@ mod tests {
         let size = [13usize, 12, 11];
         let steps = [1, size[0], size[0] * size[1]];
         let count = steps[2] * size[2];
-        // the outer two layers are empty, so that no row continues in the next row
+        // the outer two layers are empty, so no neighbourhood wraps into the next row
         let is_inner = |n: usize| (0..3).all(|a| (2..size[a] - 2).contains(&(n / steps[a] % size[a])));
         let bits = Bits::of(count, |n| is_inner(n) && isoparticles_field::random::uniform(5, 0, n as u64) < 0.5);
         let near = bits.near_the_rest(steps);

@@ -7,7 +7,7 @@
 use glam::DVec3;
 use isoparticles_volume::Geometry;
 
-/// The box of the input's voxels, in the grid frame of the padded grid (mm).
+/// The box of the input voxels, in the grid frame of the padded grid (mm).
 #[derive(Clone, Debug)]
 pub struct BorderBox {
     low: DVec3,
@@ -17,9 +17,9 @@ pub struct BorderBox {
 }
 
 impl BorderBox {
-    /// Returns the box of an input. `padded` is the grid of the input with `margin` more voxels on
-    /// each face. The box is unbounded across the faces that are not `closed` (two per axis, low
-    /// face first).
+    /// Returns the box of an input. `padded` is the grid of the input, extended by `margin` voxels
+    /// on each face. The box is unbounded at faces that are not `closed` (two per axis, low face
+    /// first).
     pub fn new(padded: &Geometry, margin: usize, closed: [[bool; 2]; 3]) -> Self {
         let first = padded.index_to_grid(DVec3::splat(margin as f64 - 0.5));
         let mut low = first;
@@ -33,7 +33,7 @@ impl BorderBox {
     }
 
     /// Returns the signed distance (mm) and the gradient of the intersection of the object with the
-    /// box. `value` and `gradient` are those of the object at the point `grid`.
+    /// box. `value` and `gradient` are those of the object at position `grid`.
     pub fn intersect(&self, grid: DVec3, value: f64, gradient: DVec3) -> (f64, DVec3) {
         let (below, above) = (self.low - grid, grid - self.high);
         let mut result = (value, gradient);
@@ -55,8 +55,8 @@ impl BorderBox {
         (self.low - grid).max(grid - self.high).max_element() <= -self.radius
     }
 
-    /// Returns the maximum of two signed distances, with a circular fillet where both exceed minus
-    /// the radius.
+    /// Returns the maximum of two signed distances, with a circular fillet where both distances
+    /// exceed minus the radius.
     fn rounded_maximum(&self, a: (f64, DVec3), b: (f64, DVec3)) -> (f64, DVec3) {
         let (u, v) = (a.0 + self.radius, b.0 + self.radius);
         if u > 0.0 && v > 0.0 {
@@ -86,7 +86,7 @@ mod tests {
         // deep inside the object, the face of the box is the surface
         let (value, direction) = border.intersect(first - DVec3::X * 0.35, -5.0, gradient);
         assert!(value.abs() < 1e-12 && direction == -DVec3::X);
-        // beyond a right-angled edge, the distance is measured to the fillet
+        // beyond a right-angled edge, the fillet is the nearest surface
         let corner = DVec3::new(border.low.x - 1.0, border.low.y - 1.0, 20.0);
         let (value, _) = border.intersect(corner, -9.0, gradient);
         let r = 0.35;

@@ -1,6 +1,6 @@
-//! Measures the changes due to `--scale`: volume, voxel centres that change sides and their depth,
-//! and parts that vanish, break, merge, lose thin ends or have gaps filled. The input is the
-//! occupancy before smoothing and the level set after smoothing, on one grid. The output is
+//! Measures the changes due to `--scale`: the volume, the voxel centres that change sides and their
+//! depths, and the parts that vanish, split, merge, lose thin ends or have gaps filled. The input
+//! is the occupancy before smoothing and the level set after smoothing, on one grid. The output is
 //! [`Changes`], with the position of each event. Parts are sets of voxels connected through faces.
 
 use crate::bits::Bits;
@@ -17,29 +17,28 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Maximum number of events of each kind listed in the report. All events are counted.
 const MOST_LISTED: usize = 20;
 
-/// The level of the voxels of removed parts becomes at most minus this value. Near a plane surface,
-/// where the level changes by 1 / (sqrt(2 pi) sigma) per voxel, this is a distance of 0.13 standard
-/// deviations. With 0.0125, 0.05 and 0.2, the parts and their volume are the same on
-/// `frog_tissue_labels` 13 and `brain_parcellation` 2 at SCALE=3 and `thorax_labels` 1 at SCALE=6
-/// (`make distfield`).
+/// The level at the voxels of removed parts is set to at most minus this value. Near a plane
+/// surface, where the level changes by 1 / (sqrt(2 pi) sigma) per voxel, this corresponds to a
+/// distance of 0.13 standard deviations. With 0.0125, 0.05 and 0.2, the parts and their volume are
+/// the same on `frog_tissue_labels` 13 and `brain_parcellation` 2 at SCALE=3 and `thorax_labels` 1
+/// at SCALE=6 (`make distfield`).
 const CLEARLY_OUTSIDE: f32 = 0.05;
 
-/// Losses below this fraction of the original volume are reported as specks. It is a twentieth of
-/// the change of volume above which a warning is printed (`SCALED_VOLUME_LIMITS`).
+/// Losses below this fraction of the original volume are treated as specks. It is a twentieth of
+/// the volume change above which a warning is printed (`SCALED_VOLUME_LIMITS`).
 pub const SPECK_SHARE: f64 = 1e-3;
 
 /// The kind of change to a part of the object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
-    /// A part is split into several pieces.
+    /// A part has been split into several pieces.
     Broken,
     /// A part has vanished.
     Gone,
     /// Several parts have merged.
     Joined,
-    /// A piece of a part that extended farther than the scale from the rest of the part has
-    /// vanished.
+    /// A piece that extended farther than the scale from the rest of its part has vanished.
     Shortened,
     /// A gap deeper than the scale has been filled.
     Filled,
@@ -50,9 +49,9 @@ pub enum Kind {
 pub struct Event {
     /// The kind.
     pub kind: Kind,
-    /// Volume in mm^3, by voxel count. Gone, shortened, filled: the voxels lost or filled. Broken:
-    /// the part that broke. Joined: the merged part. For shortened ends and filled gaps, only
-    /// voxels deeper than half the scale count.
+    /// Volume in mm^3, by voxel count. Gone, shortened, filled: the lost or filled voxels. Broken:
+    /// the part that was split. Joined: the merged part. For shortened ends and filled gaps, only
+    /// voxels deeper than half the scale are included.
     pub volume: f64,
     /// Mean of the voxel centres in world coordinates, mm.
     pub place: [f64; 3],
@@ -102,9 +101,9 @@ pub fn remove_crumbs(level: &mut [f32], geometry: &Geometry, smallest: f64) -> R
     remove_parts(level, geometry, |_| true, |volume, _| volume < smallest)
 }
 
-/// Removes the parts of `level > 0` that `is_crumb` selects by their volume (voxel count, mm^3) and
-/// by the share of their nodes for which `is_own` holds. If it selects all parts, no part is
-/// removed.
+/// Removes the parts of `level > 0` for which `is_crumb` is true, unless it is true for all parts.
+/// Its arguments are the volume of the part (voxel count, mm^3) and the fraction of the part's
+/// nodes for which `is_own` is true.
 ///
 /// # Errors
 /// If there are too many runs of voxels to label the parts.
@@ -117,7 +116,7 @@ pub fn remove_parts(
     let inside = Runs::of(geometry.size, |n| level[n] > 0.0);
     let part = parts_of_runs(&inside, geometry.size, &[])?;
     let voxel = geometry.spacing.element_product();
-    // all nodes of each part, and those that are its own
+    // for each part, the number of its nodes, and of those for which `is_own` is true
     let mut counts = vec![[0usize; 2]; part.len()];
     inside.each_in_nodes(|run, nodes| {
         let [all, own] = &mut counts[part[run] as usize];
@@ -199,7 +198,7 @@ fn index(size: [usize; 3], n: usize) -> [usize; 3] {
 }
 
 /// Returns the distance (mm) from the centre of voxel `n` to the nearest voxel on the other side,
-/// measured to the box of that voxel. Searches cubic shells of growing radius.
+/// measured to the box of that voxel. Searches cubic shells of increasing radius.
 fn depth(old: &Bits, geometry: &Geometry, n: usize) -> f64 {
     let (size, spacing) = (geometry.size, geometry.spacing);
     let (at, side) = (index(size, n), old.holds(n));
@@ -211,7 +210,7 @@ fn depth(old: &Bits, geometry: &Geometry, n: usize) -> f64 {
             for j in span(1) {
                 let is_shell = k.abs_diff(at[2]) == reach || j.abs_diff(at[1]) == reach;
                 let step = if is_shell { 1 } else { 2 * reach };
-                // only the two end voxels of rows through the interior belong to the shell
+                // in rows through the interior, only the two end voxels belong to the shell
                 let first = if is_shell { *span(0).start() as isize } else { at[0] as isize - reach as isize };
                 for i in (first..=*span(0).end() as isize).step_by(step).filter(|&i| i >= 0) {
                     let near = [i as usize, j, k];
@@ -273,7 +272,7 @@ impl Parts {
     }
 }
 
-/// Returns events for parts that vanished, broke or merged, the number of parts before and after,
+/// Returns events for parts that vanished, split or merged, the number of parts before and after,
 /// and the volume of the largest part before (mm^3).
 fn compare_parts(old: &Bits, new: &Bits, geometry: &Geometry) -> Result<(Vec<Event>, [usize; 2], f64)> {
     let [_, ny, nz] = geometry.size;
@@ -362,7 +361,7 @@ fn reaching_out(from: &Bits, kept: &Bits, geometry: &Geometry, scale: f64, kind:
     Ok(far.values().filter(|(_, reaches)| *reaches).map(|(sum, _)| sum.event(kind, 1, geometry)).collect())
 }
 
-/// Computes the Euler characteristic of the cubical complex on the inside voxel centres: vertices -
+/// Computes the Euler characteristic of the cubical complex of the inside voxel centres: vertices -
 /// edges + squares - cubes.
 fn euler(inside: &Bits, size: [usize; 3]) -> i64 {
     let [nx, ny, nz] = size;

@@ -1,5 +1,5 @@
-//! Checks before the computation: conflicting options and, if the volume exists, labels, names and
-//! iso values that the volume does not contain.
+//! Rejects invalid options before the computation: options that conflict and, if the volume exists,
+//! labels, names and iso values that it does not contain.
 
 use crate::args::Args;
 use crate::choose::Object;

@@ -1,5 +1,5 @@
-//! Chooses the scale of the smoothing (`--scale`, or from an edge length, a vertex count or a
-//! quality), smooths the object, and reports the changes.
+//! Chooses the scale of the smoothing (given by `--scale`, or derived from an edge length, a vertex
+//! count or a quality), smooths the object, and reports the changes.
 //!
 //! The scale is twice the standard deviation of the Gaussian, in mm. Scale 0 means no smoothing.
 
@@ -55,17 +55,17 @@ pub struct ScaleArgs {
     pub keep_thin: bool,
 }
 
-/// Maximum edge length, in units of the mean voxel spacing, that resolves the steps between voxels.
-/// Longer edges need a scale. Mean / minimum radius ratio on `heart_label`: at 0.65 voxel, 0.984 /
+/// Maximum edge length, in units of the mean voxel spacing, of a mesh that needs no scale. Longer
+/// edges show voxel steps. Mean / minimum radius ratio on `heart_label`: at 0.65 voxel, 0.984 /
 /// 0.69 without a scale and 0.984 / 0.63 with a scale; at 1.25 voxels, 0.955 / 0.55 without and
 /// 0.984 / 0.71 with a scale. On `tooth_ct` with a scale, at 0.8 voxel: 0.988 / 0.83.
 pub(crate) const FINE_ENOUGH: f64 = 0.75;
 
-/// Minimum scale of labels for a mesh, in units of the mean voxel spacing: smaller scales show
-/// voxel steps. On a ball of radius 22 voxels (`phantom ball --kind label`) with edges of 0.8
-/// voxel, the normals of the triangles deviate from those of the ball by 12.6 degrees at a scale of
-/// 1.28, by 2.5 at 2.7, and by 3.0 without a scale (root mean square). With edges of 1.2 voxels,
-/// they deviate by 5.6 at 1.92, by 2.5 at 2.7, and by 2.8 without a scale.
+/// Minimum scale for meshes of labels, in units of the mean voxel spacing. Smaller scales leave
+/// visible voxel steps. On a ball of radius 22 voxels (`phantom ball --kind label`) with edges of
+/// 0.8 voxel, the root-mean-square deviation of the triangle normals from those of the ball is 12.6
+/// degrees at a scale of 1.28, 2.5 at 2.7, and 3.0 without a scale. With edges of 1.2 voxels, it is
+/// 5.6 at 1.92, 2.5 at 2.7, and 2.8 without a scale.
 pub(crate) const LEAST_SCALE: f64 = 2.7;
 
 /// A scale and the reason for it.
@@ -78,8 +78,8 @@ pub struct ScaleChoice {
 
 impl ScaleChoice {
     /// Chooses the scale for an edge length (mm). `whose` describes the edge length in the reason;
-    /// `voxel` is the mean spacing (mm). Scans show no voxel steps, so that [`LEAST_SCALE`] applies
-    /// only to labels.
+    /// `voxel` is the mean spacing (mm). Scans show no voxel steps, so [`LEAST_SCALE`] applies only
+    /// to labels.
     fn for_length(length: f64, whose: &str, voxel: f64, is_labels: bool) -> Self {
         let limit = format!("{FINE_ENOUGH} times the voxel size of {} mm", significant(voxel));
         let least = if is_labels { LEAST_SCALE * voxel } else { 0.0 };
@@ -95,7 +95,7 @@ impl ScaleChoice {
     }
 }
 
-/// Returns the option value of a side.
+/// Returns the value of `--inside` for a side.
 pub(crate) fn inside_name(inside: Inside) -> &'static str {
     match inside {
         Inside::Above => "above",
@@ -129,7 +129,7 @@ impl Object {
 }
 
 impl ScaleArgs {
-    /// Adds the options that were given to the parameters of a run.
+    /// Adds the options given by the user to the parameters of a run.
     pub fn add_to(&self, parameters: &mut Value) {
         let given = [
             ("scale", self.scale.map(Value::from)),
@@ -148,13 +148,13 @@ impl ScaleArgs {
         }
     }
 
-    /// Returns whether the options can give a scale above 0.
+    /// Returns whether the options can result in a scale above 0.
     pub(crate) fn is_given(&self) -> bool {
         let chosen = self.scale_for_size.is_some() || self.scale_for_vertices.is_some() || self.quality.is_some();
         self.scale.is_some_and(|scale| scale > 0.0) || chosen
     }
 
-    /// Returns the scale from an edge length, a quality or `--scale`. Returns `None` for
+    /// Chooses the scale from an edge length, a quality or `--scale`. Returns `None` for
     /// `--scale-for-vertices`, which needs the area of the object.
     pub(crate) fn choose_by_length(&self, geometry: &Geometry, is_labels: bool) -> Option<ScaleChoice> {
         let voxel = geometry.mean_spacing();
@@ -176,8 +176,8 @@ impl ScaleArgs {
     }
 
     /// Chooses the scale for `--scale-for-vertices`. `edge_length` returns the edge length (mm) for
-    /// a number of vertices; its second argument states whether thin parts are kept. `volume` is
-    /// the volume of the object, mm^3.
+    /// a number of vertices; its second argument is true if thin parts are kept. `volume` is the
+    /// volume of the object, mm^3.
     ///
     /// # Errors
     /// If `edge_length` fails, or if nothing is left of the object.
@@ -199,12 +199,13 @@ impl ScaleArgs {
 }
 
 /// Returns the error for a scale that leaves nothing of an object of `volume` mm^3. `voxel` is the
-/// mean spacing of labels, mm.
+/// mean spacing (mm) for labels, and `None` for scans.
 fn nothing_left(by: &str, volume: f64, voxel: Option<f64>) -> Error {
     // surface area of a ball of that volume
     let area = (36.0 * PI * volume * volume).cbrt();
     let size = (2.0 * area / (3f64.sqrt() * 100.0)).sqrt();
-    // a smaller scale than the minimum of labels is none
+    // if this edge length gives less than the minimum scale of labels, suggest one that needs no
+    // scale
     let has_scale = |voxel: &f64| SCALE_OVER_SIZE * size >= LEAST_SCALE * voxel;
     let size = voxel.filter(|voxel| !has_scale(voxel)).map_or(size, |voxel| size.min(FINE_ENOUGH * voxel));
     Error::input(
@@ -221,7 +222,7 @@ fn nothing_left(by: &str, volume: f64, voxel: Option<f64>) -> Error {
 /// smoothing.
 ///
 /// # Errors
-/// If `--scale-for-vertices` is given and the area cannot be computed, or nothing is left of the
+/// If `--scale-for-vertices` is given and the area cannot be computed or nothing is left of the
 /// object.
 pub fn choose_scale(
     args: &ScaleArgs,
@@ -306,8 +307,8 @@ fn occupancy(volume: &Volume, object: &Object) -> Occupancy {
 /// Maximum number of events of each kind listed on the terminal.
 const MOST_NAMED: usize = 3;
 
-/// Reports the changes: a summary, and a message for each kind of event. Except for lost parts, the
-/// events include those of parts that `keep` drops later.
+/// Reports the changes in a summary and a message for each kind of event. Except for lost parts,
+/// the events include those of parts that `keep` drops later.
 fn report_changes(changes: &Changes, length: f64, keep: Keep, context: &Context) {
     let depth = changes.depth;
     context.summary(

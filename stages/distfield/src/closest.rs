@@ -1,9 +1,10 @@
 //! Computes signed distances from closest points.
 //!
-//! Every node has a nearest surface sample ([`crate::nearest`]). Within a band around the surface,
-//! Newton's method finds the closest point on the zero set. Farther out, the surface near the
-//! sample is approximated to second order. If the foot of the node is too far from the sample for
-//! this approximation, steps along the surface first find a nearer point.
+//! The computation starts from the nearest surface sample of every node ([`crate::nearest`]).
+//! Within a band around the surface, Newton's method finds the closest point on the zero set.
+//! Farther out, a second-order approximation of the surface at the sample gives the distance. If
+//! the foot of the node is too far from the sample for this approximation, steps along the surface
+//! first find a nearer point.
 
 use crate::bits::Bits;
 use crate::nearest::{NO_SAMPLE, Slab, nearest_samples};
@@ -13,38 +14,37 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
 /// Minimum determinant of the Hessian of half the squared distance at a closest point, relative to
-/// that of a plane. It is (1 + D k1)(1 + D k2) for a node at the height D and the principal
-/// curvatures k1 and k2, and 0 at a focal point of the surface. There, the second-order
-/// approximation fails. At this limit, the distance from the sample to the foot can be 100 times
-/// that from the node to the normal at the sample. Rounding to single precision then changes it by
-/// about 1e-5 of its length. With 0.001 and 0.1, the values within 1.5 voxels of the surface change
-/// by at most 0.003 mm (`make distfield`, `heart_label`, `tooth_ct` at 600, `frog_tissue_labels`
-/// 13).
+/// that of a plane. For a node at height D and principal curvatures k1 and k2, it is (1 + D k1)(1 +
+/// D k2). It is 0 at a focal point of the surface, where the second-order approximation fails. At
+/// this limit, the distance from the sample to the foot can be 100 times the distance from the node
+/// to the normal line at the sample. Rounding to single precision then changes it by about 1e-5 of
+/// its length. With 0.001 and 0.1, the values within 1.5 voxels of the surface change by at most
+/// 0.003 mm (`make distfield`, `heart_label`, `tooth_ct` at 600, `frog_tissue_labels` 13).
 const LEAST_DETERMINANT: f32 = 0.01;
 
-/// Maximum number of patches that are tried on the way to the closest point. If one of them
-/// contains the foot, it is the second one on average (`tests/labels.rs`, `tests/scalar.rs`).
-/// Otherwise, the distance to the nearest point so far is used.
+/// Maximum number of patches visited on the way to the closest point. If one of them contains the
+/// foot, it is on average the second (`tests/labels.rs`, `tests/scalar.rs`). Otherwise, the
+/// distance to the nearest point so far is used.
 const MAX_PATCHES: usize = 8;
 
 /// Maximum length of a step from patch to patch, in units of the minimum voxel spacing. A step of
 /// this length in the tangent plane of a sphere of radius R voxels ends about 2^2 / (2 R) voxels
-/// from the sphere. [`project`] moves a point by at most 0.75 voxel, so it can return the point to
-/// the sphere if R is above 2.7.
+/// from the sphere. [`project`] moves a point by at most 0.75 voxel, so it can move this point back
+/// to the sphere if R is above 2.7.
 const LONGEST_SURFACE_STEP: f32 = 2.0;
 
 /// Maximum distance between a sample and the foot of a node for the second-order approximation, in
-/// units of the minimum voxel spacing. Every cell that the surface crosses contains samples, so a
-/// point of the surface is at most the diagonal of a cell (1.7) from a sample. A foot farther away
+/// units of the minimum voxel spacing. Every cell that the surface crosses contains samples, so
+/// every point of the surface is within a cell diagonal (1.7) of a sample. A foot beyond the limit
 /// usually has a nearer sample.
 const PATCH_REACH: f64 = 1.5;
 
 const _: () =
     assert!(LONGEST_SURFACE_STEP as f64 > PATCH_REACH, "a step to a foot beyond the patch would be cut within it");
 
-/// Maximum number of Newton steps per node. In the tests named at [`MAX_PATCHES`], nodes that
-/// converge take 2.7 steps on average. Fewer than 2 % do not converge and use the distance to their
-/// sample.
+/// Maximum number of Newton steps per node. In the tests listed at [`MAX_PATCHES`], the method
+/// takes 2.7 steps on average where it converges. It fails to converge at less than 2 % of the
+/// nodes, which then use the distance to their sample.
 const MAX_NEWTON_STEPS: usize = 8;
 
 /// Newton's method stops after a step of at most this length, in units of the minimum voxel
@@ -52,16 +52,16 @@ const MAX_NEWTON_STEPS: usize = 8;
 const LAST_STEP: f64 = 1e-3;
 
 /// Maximum number of moves along the cap. One move reaches the foot on a flat cap; further moves
-/// correct for the fillets at its edges.
+/// are needed at the fillets along its edges.
 const CAP_MOVES: usize = 3;
 
-/// Computes the signed distance (mm) of every node to the surface of `source`, negative at the
+/// Computes the signed distance (mm) from every node to the surface of `source`, negative at the
 /// `inside` nodes. `samples` are dense samples of the surface.
 ///
-/// Within `band` mm, Newton's method finds the closest point. Beyond the band, the distance is
-/// measured to the second-order surface at the nearest sample. If the nearest sample lies on the
-/// cap, steps along tangent planes replace both methods. Distances are clamped to `limit` mm, which
-/// may be infinite and is at least `band`.
+/// Within `band` mm, Newton's method finds the closest point. Beyond the band, the distance is that
+/// to the second-order approximation of the surface at the nearest sample. If the nearest sample
+/// lies on the cap, steps along tangent planes replace both methods. Distances are clamped to
+/// `limit` mm, which must be at least `band` and may be infinite.
 pub fn distance_to_zero_set(
     geometry: Geometry,
     inside: &Bits,
@@ -70,8 +70,8 @@ pub fn distance_to_zero_set(
     band: f64,
     limit: f64,
 ) -> Image<f32> {
-    // The zeroed allocation takes no memory until it is written. It is written slab by slab, while
-    // the coarse grid of nearest samples shrinks.
+    // A zeroed allocation takes no memory until it is written. The slabs are written one by one,
+    // while the coarse grid of nearest samples shrinks.
     let mut data = vec![0.0; geometry.voxel_count()];
     let patches: Vec<Patch> = samples.par_iter().map(|&p| Patch::new(source, p)).collect();
     let surface = Surface { source, samples, patches, band, reach: PATCH_REACH * geometry.min_spacing() };
@@ -101,8 +101,8 @@ struct Surface<'a> {
 }
 
 impl Surface<'_> {
-    /// Returns the distance (mm) of the node `at`, whose nearest sample is at the squared distance
-    /// `squared` (mm^2). Returns infinity if the node has no sample.
+    /// Returns the distance (mm) from the node `at` to the surface, or infinity if the node has no
+    /// sample. `squared` is the squared distance (mm^2) to its sample.
     fn distance(&self, geometry: &Geometry, slab: &Slab, at: [usize; 3], squared: f32) -> f32 {
         let mut sample = slab.sample[geometry.linear(at[0], at[1], at[2] - slab.first)];
         if sample == NO_SAMPLE {
@@ -133,8 +133,8 @@ impl Surface<'_> {
         distance as f32
     }
 
-    /// Returns the sample nearest to a node, among its own sample and those of the 26 surrounding
-    /// nodes.
+    /// Returns the sample nearest to a node. The candidates are the samples of the node and of its
+    /// 26 neighbours.
     fn nearest_around(&self, geometry: &Geometry, slab: &Slab, at: [usize; 3], node: DVec3) -> u32 {
         let range = |axis: usize| at[axis].saturating_sub(1)..(at[axis] + 2).min(geometry.size[axis]);
         let own = slab.sample[geometry.linear(at[0], at[1], at[2] - slab.first)];
@@ -187,11 +187,11 @@ impl Patch {
     }
 
     /// Returns the vector in the tangent plane from the patch's point to the foot of a node, given
-    /// the vector to the node. Returns `None` where the surface bends so strongly that the foot is
-    /// not a minimum of the distance.
+    /// the vector to the node. Returns `None` if the surface curves so strongly that the foot does
+    /// not minimise the distance.
     ///
-    /// With the node at height D above the tangent plane and offset t within it, the foot on the
-    /// surface z = -u.Su/2 is at u = (I + D S)^-1 t. S maps the tangent plane to itself, so the
+    /// For a node at height D above the tangent plane and at offset t in this plane, the foot on
+    /// the surface z = -u.Su/2 is at u = (I + D S)^-1 t. S maps the tangent plane to itself, so the
     /// inverse is that of a 2 x 2 matrix (Cayley-Hamilton).
     fn foot(&self, to_node: Vec3) -> Option<Vec3> {
         let shape = self.curvature()?;
@@ -205,10 +205,10 @@ impl Patch {
         is_minimum.then(|| (aside * (1.0 + trace) - shape * aside * height) / determinant)
     }
 
-    /// Returns the distance (mm) of a node to the patch, given the vector from the patch's point to
-    /// the node. Returns `None` where the foot u is undefined or farther than `reach` (mm) from the
+    /// Returns the distance (mm) from a node to the patch, given the vector from the patch's point
+    /// to the node. Returns `None` if the foot u is undefined or farther than `reach` (mm) from the
     /// patch's point. The squared distance to the foot is the squared distance to the patch's point
-    /// minus t.u.
+    /// minus t.u, with t as in [`Self::foot`].
     fn distance(&self, to_node: Vec3, reach: f32) -> Option<f32> {
         let foot = self.foot(to_node)?;
         let squared = (to_node.length_squared() - to_node.dot(foot)).max(0.0);
@@ -216,9 +216,9 @@ impl Patch {
     }
 }
 
-/// Returns the distance (mm) of `node` to the surface, from an approximate closest point `start`
-/// whose patch does not contain the foot. Steps over the surface from patch to patch while the
-/// distance decreases.
+/// Returns the distance (mm) from `node` to the surface. Starts at an approximate closest point
+/// `start`, whose patch does not contain the foot, and steps over the surface from patch to patch
+/// while the distance decreases.
 fn walk(source: &Source, node: DVec3, start: DVec3, reach: f32) -> f64 {
     let voxel = source.spline.geometry().min_spacing();
     let (mut p, mut nearest) = (start, node.distance(start));
@@ -228,7 +228,8 @@ fn walk(source: &Source, node: DVec3, start: DVec3, reach: f32) -> f64 {
         if let Some(distance) = patch.distance(to_node, reach) {
             return nearest.min(distance.into());
         }
-        // without a foot, move along the projection of the vector to the node, a descent direction
+        // without a foot, move along the tangential part of the vector to the node, which is a
+        // descent direction
         let step = patch.foot(to_node).unwrap_or_else(|| to_node - patch.normal * to_node.dot(patch.normal));
         let Some(next) =
             project(source, p + step.clamp_length_max(LONGEST_SURFACE_STEP * voxel as f32).as_dvec3(), voxel)
@@ -244,9 +245,9 @@ fn walk(source: &Source, node: DVec3, start: DVec3, reach: f32) -> f64 {
     nearest
 }
 
-/// Returns the distance (mm) of `node` to the surface, from a point `start` on the cap. Moves along
-/// the tangent plane towards the foot of the node and back onto the surface, while the distance
-/// decreases.
+/// Returns the distance (mm) from `node` to the surface. Starts at a point `start` on the cap, and
+/// moves along the tangent plane towards the foot of the node and back onto the surface while the
+/// distance decreases.
 fn slide(source: &Source, node: DVec3, start: DVec3) -> f64 {
     let voxel = source.spline.geometry().min_spacing();
     let (mut p, mut best) = (start, node.distance(start));
@@ -265,7 +266,8 @@ fn slide(source: &Source, node: DVec3, start: DVec3) -> f64 {
     best
 }
 
-/// Returns the distance (mm) of `node` to the zero set, from an approximate closest point `start`.
+/// Returns the distance (mm) from `node` to the zero set, given an approximate closest point
+/// `start`.
 ///
 /// Applies Newton's method to the Lagrange conditions p - node + lambda grad f = 0, f(p) = 0.
 /// Returns `None` if it does not converge to a point nearer than `start`.
@@ -305,8 +307,9 @@ fn refine(source: &Source, node: DVec3, start: DVec3) -> Option<f64> {
     None
 }
 
-/// Applies Sylvester's criterion with thresholds above zero, which excludes nearly singular
-/// matrices. The thresholds are about the leading minors of 0.05 I: 0.05, 0.05^2 and 0.05^3.
+/// Tests whether a matrix is positive definite, by Sylvester's criterion. The thresholds are above
+/// zero to exclude nearly singular matrices. They are close to the leading minors of 0.05 I: 0.05,
+/// 0.05^2 and 0.05^3.
 fn is_positive_definite(m: &DMat3) -> bool {
     let two = m.x_axis.x * m.y_axis.y - m.x_axis.y * m.y_axis.x;
     m.x_axis.x > 0.05 && two > 0.0025 && m.determinant() > 1e-4

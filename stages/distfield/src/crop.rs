@@ -1,9 +1,9 @@
 //! Determines the box of voxels on which F is computed: the bounding box of the object, enlarged on
-//! each face and clipped at the border of the volume. Later steps treat this box as the volume.
-//! Beyond a face of the box that is not a border of the volume, there is only background.
+//! each face and clipped to the volume. Later steps treat this box as the volume. Only background
+//! lies beyond a face of the box that is not a border of the volume.
 //!
-//! The box contains the voxels that F near the surface depends on. Near the surface, F equals F on
-//! the whole volume to the accuracy given at [`ROOM`](isoparticles_field::spline::ROOM).
+//! The box contains the voxels that F near the surface depends on. There, F equals the F of the
+//! whole volume to the accuracy given at [`ROOM`](isoparticles_field::spline::ROOM).
 
 use crate::nearest::STRIDE;
 use isoparticles_volume::{LayerLabel, Volume};
@@ -33,8 +33,8 @@ pub struct VoxelBox {
 }
 
 impl VoxelBox {
-    /// Returns the bounding box of the voxels that `row` reports. `row` returns the first and the
-    /// last x index in row j + size y * k, if any.
+    /// Returns the bounding box of the voxels that `row` reports. `row` maps a row number,
+    /// `j + size[1] * k`, to its first and last x index, if any.
     pub fn of_rows(size: [usize; 3], row: impl Fn(usize) -> Option<(usize, usize)> + Sync) -> Option<Self> {
         let [_, ny, nz] = size;
         let rows = (0..ny * nz).into_par_iter().with_min_len(ny).filter_map(|at| {
@@ -74,9 +74,9 @@ impl VoxelBox {
     }
 
     /// Returns the box with its low corner moved down to a node of the coarse grid of
-    /// [`crate::nearest`]. The coarse grids of the box and of the whole volume then coincide. F of
-    /// `heart_label` within a voxel of the surface then differs from F on the whole volume by 2e-5
-    /// voxel (root mean square) instead of 8e-4 voxel.
+    /// [`crate::nearest`], so that the coarse grids of the box and of the whole volume coincide.
+    /// Within a voxel of the surface of `heart_label`, F then differs from the F of the whole
+    /// volume by 2e-5 voxel (root mean square) instead of 8e-4 voxel.
     pub fn on_coarse_nodes(self) -> Self {
         Self { low: self.low.map(|n| n - n % STRIDE), ..self }
     }

@@ -1,9 +1,9 @@
-//! Finds the nearest samples of all nodes of a grid, from samples known at some of the nodes.
+//! Finds the nearest sample of every node of a grid, given samples stored at some of the nodes.
 //!
-//! The axes are processed one after the other: every node takes the nearest of the samples on its
-//! line. Along a line, the squared distance to a sample is a parabola, and the nearest samples form
-//! the lower envelope of the parabolas (Felzenszwalb and Huttenlocher 2012). The cost per node does
-//! not depend on the distance to the surface.
+//! The axes are processed one after the other. Along each axis, every node takes the nearest of the
+//! samples on its line. The squared distance to a sample is a parabola along the line, and the
+//! lower envelope of the parabolas gives the nearest samples (Felzenszwalb and Huttenlocher 2012).
+//! The cost per node does not depend on the distance to the surface.
 
 use glam::Vec3;
 use isoparticles_volume::Geometry;
@@ -16,7 +16,7 @@ pub const NO_SAMPLE: u32 = u32::MAX;
 /// stored at any node. If no node has a sample, all numbers stay [`NO_SAMPLE`]. Samples are in the
 /// grid frame (mm).
 ///
-/// The result is exact if every sample lies on the node that stores its number. Otherwise a nearer
+/// The result is exact if every sample lies on the node that stores its number. Otherwise, a nearer
 /// sample can be missed; the error is of the order of the distance from a sample to its node.
 pub(crate) fn spread(geometry: &Geometry, samples: &[Vec3], sample: &mut [u32]) {
     let [nx, ny, _] = geometry.size;
@@ -53,20 +53,20 @@ struct Parabola {
 }
 
 impl Parabola {
-    /// Returns the parabola along the first of the three axes. `at` contains the positions (mm) of
-    /// the line along the other two axes.
+    /// Returns the parabola along the first of the three axes. `at` is the position (mm) of the
+    /// line on the other two axes.
     fn new(samples: &[Vec3], number: u32, [along, u, v]: [usize; 3], at: [f64; 2]) -> Self {
         let position = samples[number as usize].as_dvec3();
         Self { number, centre: position[along], least: (position[u] - at[0]).powi(2) + (position[v] - at[1]).powi(2) }
     }
 }
 
-/// Work space for one line.
+/// Workspace for one line.
 #[derive(Default)]
 struct Envelope {
     column: Vec<u32>,
     all: Vec<Parabola>,
-    /// The parabolas of the lower envelope, each with the position (mm) where it starts.
+    /// The parabolas of the lower envelope, each with the position (mm) where its part begins.
     lowest: Vec<(Parabola, f64)>,
 }
 
@@ -124,9 +124,9 @@ impl Envelope {
     }
 }
 
-/// Returns the position on the line where the second parabola becomes the lower one. The centre of
-/// the second parabola is not smaller than that of the first. With equal centres, returns minus
-/// infinity (lower everywhere) or infinity (lower nowhere).
+/// Returns the position on the line beyond which the second parabola is lower than the first. The
+/// centre of the second must not be smaller than that of the first. For equal centres, returns
+/// minus infinity (lower everywhere) or infinity (lower nowhere).
 fn crossing(first: Parabola, second: Parabola) -> f64 {
     if first.centre == second.centre {
         return if second.least < first.least { f64::NEG_INFINITY } else { f64::INFINITY };
@@ -143,7 +143,7 @@ mod tests {
 
     #[test]
     fn every_node_has_the_nearest_sample() {
-        // exact where samples lie on their nodes; otherwise within twice the offset
+        // exact if the samples lie on their nodes; otherwise within twice the offset
         for (n, count, off) in [(0u64, 1, 0.0), (1, 7, 0.0), (2, 60, 0.0), (3, 60, 0.1)] {
             let geometry = Geometry::axis_aligned([13, 9, 11], DVec3::new(1.0, 0.7, 1.6));
             // at most one sample per node, so that no sample is lost

@@ -1,8 +1,8 @@
 //! Computes F, a signed distance with a pinned zero set, from an implicit function (the source).
 //!
-//! [`redistance`] samples the zero set of the source ([`crate::samples`]), measures the distance of
-//! every node to it ([`crate::closest`]), and changes the result so that its cubic spline vanishes
-//! at the samples ([`crate::fit`]). It then compares the zero sets of F and of the source.
+//! [`redistance`] samples the zero set of the source ([`crate::samples`]), measures the distance
+//! from every node to it ([`crate::closest`]), and changes the result so that its cubic spline
+//! vanishes at the samples ([`crate::fit`]). It then compares the zero sets of F and of the source.
 
 use crate::ambiguous_faces::{ambiguous_faces, make_agree};
 use crate::bits::Bits;
@@ -24,29 +24,29 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 /// Tolerance of the pinned zero set: root mean square of F at the samples, in units of the mean
-/// voxel spacing. It is a tenth of the deviation of a remesher from its input triangles. Halving it
-/// halves the mean distance between the zero sets and doubles the number of steps: for the ribcage
-/// of `thorax_labels` with `--scale 3`, 0.0004 voxel in 138 steps (1.24 s) instead of 0.0007 in 60
-/// (0.64 s); for `tooth_ct` at 600, 0.0005 in 117 instead of 0.0009 in 54.
+/// voxel spacing. Remeshers deviate from their input triangles by about ten times as much. Half the
+/// tolerance halves the mean distance between the zero sets and doubles the number of steps: for
+/// the ribcage of `thorax_labels` with `--scale 3`, 0.0004 voxel in 138 steps (1.24 s) instead of
+/// 0.0007 in 60 (0.64 s); for `tooth_ct` at 600, 0.0005 in 117 instead of 0.0009 in 54.
 const PINNED: f64 = 0.001;
 
-/// Maximum number of conjugate-gradient steps that pin the zero set. Smooth surfaces need about 10.
-/// Noisy surfaces that fold within a voxel use all of them.
+/// Maximum number of conjugate-gradient steps for pinning the zero set. Smooth surfaces need about
+/// 10 steps. Noisy surfaces that fold within a voxel reach the maximum.
 const MOST_PIN_STEPS: usize = 160;
 
-/// Half-width of the band where Newton's method finds the closest points, in units of the mean
-/// voxel spacing. The cubic spline that is one at a node and zero at all other nodes is below 0.003
-/// beyond 4 nodes. Its absolute values midway between nodes there add up to 0.007 (both sides). The
-/// errors of the approximate distances beyond the band therefore move the zero set by less than 1 %
-/// of these errors.
+/// Half-width of the band in which Newton's method finds the closest points, in units of the mean
+/// voxel spacing. The cardinal cubic spline (one at a node, zero at all others) is below 0.003 in
+/// absolute value beyond 4 nodes. There, its absolute values midway between nodes sum to 0.007
+/// (both sides). Errors of the approximate distances beyond the band therefore move the zero set by
+/// less than 1 % of their size.
 ///
 /// The half-width is at least 1.5 times the maximum spacing, so that the band contains both ends of
 /// every grid edge that crosses the surface.
 const EXACT_BAND: f64 = 4.0;
 
-/// Maximum number of points at which the zero sets of F and of its source are compared. At this
-/// number, 2000 points lie beyond the 99th percentile; their count has a sampling error of about 2
-/// %.
+/// Maximum number of points at which the zero sets of F and of its source are compared. With this
+/// number, 2000 points lie beyond the 99th percentile, and their count has a sampling error of
+/// about 2 %.
 const CHECKED_POINTS: usize = 200_000;
 
 /// First-order distance (value over slope) between the zero sets of F and of its source, in units
@@ -69,7 +69,8 @@ pub struct Redistanced {
     pub field: Image<f32>,
     /// Parts that were dropped. The counts below exclude these parts.
     pub dropped: Dropped,
-    /// Parts of the source after dropping, counted on the marching-cubes mesh of its nodes.
+    /// Parts of the source without the dropped parts, counted on the marching-cubes mesh of its
+    /// nodes.
     pub parts_before: Parts,
     /// Parts of F, counted on its marching-cubes mesh, with the volume enclosed by the spline.
     pub parts_after: Parts,
@@ -85,26 +86,26 @@ pub struct Redistanced {
     pub undecided: usize,
     /// Report of the fit that pins the zero set.
     pub fit: FitReport,
-    /// For labels: number of voxel centres that F puts on the other side, excluding those of
-    /// dropped parts.
+    /// For labels: number of voxel centres on the wrong side of F = 0, excluding those of dropped
+    /// parts.
     pub changed: Option<usize>,
 }
 
 /// Accuracy required of F.
 #[derive(Clone, Copy)]
 pub struct Demands {
-    /// Distance where F is clamped, in units of the mean voxel spacing. The clamping distance is at
-    /// least the half-width of the band.
+    /// Distance at which F is clamped, in units of the mean voxel spacing. It is raised to the
+    /// half-width of the band if it is smaller.
     pub limit: f64,
     /// Tolerance of the pinned zero set: root mean square of F at the samples, in units of the mean
     /// voxel spacing.
     pub pinned: f64,
-    /// Maximum number of conjugate-gradient steps that pin the zero set.
+    /// Maximum number of conjugate-gradient steps for pinning the zero set.
     pub pin_steps: usize,
 }
 
 impl Default for Demands {
-    /// Returns unclamped distances, `PINNED` and `MOST_PIN_STEPS`.
+    /// Returns demands without clamping, with `PINNED` and `MOST_PIN_STEPS`.
     fn default() -> Self {
         Self { limit: f64::INFINITY, pinned: PINNED, pin_steps: MOST_PIN_STEPS }
     }
@@ -121,8 +122,8 @@ pub struct LeastDistances<At> {
 /// Computes F from a source.
 ///
 /// `nodes` contains the values of the source at the nodes: negative inside, zero or positive
-/// outside. Marching cubes runs on these values, and their memory is freed afterwards. The
-/// outermost `margin` nodes on each face lie beyond the input.
+/// outside. They are the input of marching cubes, and their memory is freed afterwards. The
+/// outermost `margin` layers of nodes on each face lie beyond the input.
 ///
 /// # Errors
 /// If the source has no zero set, no part is kept, or the run is interrupted.
@@ -144,7 +145,8 @@ pub fn redistance(
     let mut dropped = dropped_from(&mut nodes)?;
     let mut fitted = fit_field(nodes, source, &least, demands, monitor)?;
     loop {
-        // F may cut necks of the source that are thinner than a voxel; each round drops parts
+        // F may cut necks of the source that are thinner than a voxel; repeat until it cuts off no
+        // part
         let cut_off = dropped_from(&mut fitted.field)?;
         if cut_off.components == 0 {
             break;
@@ -170,7 +172,7 @@ pub fn redistance(
     })
 }
 
-/// F whose zero set is pinned; see [`Redistanced`] for the fields.
+/// F after its zero set is pinned; see [`Redistanced`] for the fields.
 struct Fitted {
     field: Image<f32>,
     parts_before: Parts,
@@ -179,7 +181,7 @@ struct Fitted {
     fit: FitReport,
 }
 
-/// Computes F from the parts of a source whose nodes are negative in `nodes`. `nodes` contains
+/// Computes F of the parts of a source whose nodes are negative in `nodes`. `nodes` contains the
 /// values of the source or of an earlier F.
 fn fit_field(
     nodes: Image<f32>,
@@ -200,7 +202,7 @@ fn fit_field(
     let samples = surface_samples(source, &nodes, &mesh);
     let parts_before = Parts::of(&mesh);
     drop(mesh);
-    // only the signs are needed from here on (a value of -0 is outside)
+    // from here on, only the signs are needed (a value of -0 is outside)
     let inside = Bits::of(nodes.data.len(), |n| nodes.data[n] < 0.0);
     let geometry = nodes.geometry;
     drop(nodes.data);
@@ -254,7 +256,7 @@ fn measure(field: &Image<f32>, source: &Source) -> Measured {
     Measured { parts, volumes, shift }
 }
 
-/// Returns whether the object reaches the faces of the grid, which is possible with an open border.
+/// Returns whether the object reaches a face of the grid, which is possible with an open border.
 fn leaves_grid(field: &Image<f32>) -> bool {
     let [nx, ny, nz] = field.geometry.size;
     let on_face = |i: usize, n: usize| i == 0 || i + 1 == n;
@@ -264,8 +266,8 @@ fn leaves_grid(field: &Image<f32>) -> bool {
     })
 }
 
-/// Raises |F| to its minimum at nodes where it is smaller or has the wrong sign, and corrects the
-/// sign. Returns the number of changed nodes.
+/// Sets |F| to its minimum, with the correct sign, at nodes where |F| is smaller or the sign is
+/// wrong. Returns the number of changed nodes.
 fn hold_nodes(field: &mut Image<f32>, inside: &Bits, least: &LeastDistances<impl Fn(usize) -> f32 + Sync>) -> usize {
     let moved = field.data.par_iter_mut().enumerate().map(|(n, f)| {
         let sign = if inside.holds(n) { -1.0 } else { 1.0 };
@@ -282,7 +284,7 @@ fn hold_nodes(field: &mut Image<f32>, inside: &Bits, least: &LeastDistances<impl
     moved.sum()
 }
 
-/// Returns an edge midpoint of every triangle, or of every n-th triangle to stay within
+/// Returns an edge midpoint of every triangle, or of every n-th triangle if there are more than
 /// [`CHECKED_POINTS`]. The fit does not use these points.
 fn checked_points(mesh: &TriangleMesh) -> Vec<DVec3> {
     let middle = |t: &[u32; 3]| 0.5 * (mesh.vertices[t[0] as usize] + mesh.vertices[t[1] as usize]);
@@ -290,8 +292,8 @@ fn checked_points(mesh: &TriangleMesh) -> Vec<DVec3> {
     mesh.triangles.iter().step_by(every).map(middle).collect()
 }
 
-/// Measures the distance between the zero set of a spline on a grid and that of the source, at the
-/// projections of `points` onto the zero set of the spline.
+/// Measures the distance between the zero sets of a spline and of the source, at the projections of
+/// `points` onto the zero set of the spline. `geometry` is the grid of the spline.
 fn measure_shift(source: &impl ValueGradient, spline: &BrickSpline, geometry: &Geometry, points: &[DVec3]) -> Shift {
     let voxel = geometry.mean_spacing();
     let own = |p: DVec3| spline.value_gradient(p);

@@ -1,8 +1,8 @@
-//! Pins the zero set of the spline through F to samples of the surface.
+//! Pins the zero set of F to samples of the surface.
 //!
-//! The spline through exact distances rings where the distance has a kink within a voxel or two of
-//! the surface (thin parts, noise), which moves its zero set. This module changes the spline
-//! coefficients as little as possible, in the least-squares sense, such that F vanishes at the
+//! Where the distance has a kink within a voxel or two of the surface (thin parts, noise), the
+//! spline through exact distances oscillates, which moves its zero set. This module changes the
+//! spline coefficients as little as possible, in the least-squares sense, so that F vanishes at the
 //! samples. It applies conjugate gradients to the normal equations (CGLS, Hestenes and Stiefel
 //! 1952), starting from zero change, with damping and a diagonal preconditioner.
 //!
@@ -21,7 +21,7 @@ use std::ops::Range;
 
 /// Number of slices of cells per parallel task. The samples of a task depend on three more slices
 /// of coefficients, 2 `SLAB` in total, so every second task can run at the same time. With fewer
-/// slices, these tasks would overlap; with more slices, a small volume gives too few tasks for all
+/// slices, these tasks would overlap; with more, a small volume would give too few tasks for all
 /// threads.
 const SLAB: usize = 3;
 
@@ -30,23 +30,24 @@ const SLAB: usize = 3;
 const SLICES_AT_A_TIME: usize = 32;
 
 /// Number of samples per partial sum. It is fixed so that sums do not depend on the number of
-/// threads. A chunk of one vector takes 16 KiB, so those of two vectors fit in a first-level cache.
+/// threads. A chunk takes 16 KiB, so the chunks of two vectors fit in a first-level cache.
 const CHUNK: usize = 4096;
 
 /// Weight of the squared change of the coefficients, relative to the mean diagonal entry of the
 /// normal matrix of the samples.
 ///
-/// Without damping, F shrinks towards zero where no spline vanishes at all samples, and changes
+/// Without damping, F shrinks towards zero where no spline vanishes at all samples, and it changes
 /// sign in the corners of the volume. With 0, 0.001 and 0.002, the maximum distance between the
-/// zero sets is 0.49, 0.041 and 0.026 voxel for a scan that fills the corners of 36^3 voxels; the
-/// 99th percentile is 0.049, 0.049 and 0.053 voxel for `heart_ct` at 250.
+/// zero sets is 0.49, 0.041 and 0.026 voxel for an object in the corners of a scan of 36^3 voxels;
+/// the 99th percentile is 0.049, 0.049 and 0.053 voxel for `heart_ct` at 250.
 const DAMPING: f64 = 0.001;
 
 /// The fit stops when the norm of the gradient falls below this fraction of its initial value,
-/// because the misfit then hardly decreases. Fits of `tests/labels.rs` that stop at this limit have
-/// a root mean square of F of at most 2.3 times the tolerance. With 0.0001 and 0.001, the fields of
-/// `heart_label`, `heart_ct` at 250 and `frog_tissue_labels` 13 are the same. With 0.01, the mean
-/// shift of the zero set of `heart_ct` grows from 0.0044 to 0.0063 voxel (`make distfield`).
+/// because further steps then hardly reduce the misfit. In the fits of `tests/labels.rs` that stop
+/// at this limit, the root mean square of F at the samples is at most 2.3 times the tolerance. With
+/// 0.0001 and 0.001, the fields of `heart_label`, `heart_ct` at 250 and `frog_tissue_labels` 13 are
+/// the same. With 0.01, the mean shift of the zero set of `heart_ct` grows from 0.0044 to 0.0063
+/// voxel (`make distfield`).
 const GRADIENT_TOLERANCE: f64 = 0.001;
 
 /// A voxel cell that contains samples.
@@ -61,7 +62,8 @@ struct Cell {
 
 /// The linear map from the coefficients near the surface to F at the samples.
 struct Sampling {
-    /// For each sample, the weights of the four coefficients along each axis. Sorted by cell.
+    /// The weights of the four coefficients along each axis, for each sample. The samples are
+    /// sorted by cell.
     weights: Vec<[[f32; 4]; 3]>,
     slabs: Vec<Slab>,
     unknowns: usize,
@@ -94,7 +96,7 @@ pub struct FitReport {
     pub steps: usize,
 }
 
-/// Changes the samples of `field` (signed distance, mm) near the surface so that the cubic spline
+/// Changes the values of `field` (signed distance, mm) near the surface so that the cubic spline
 /// through them vanishes at `samples`. Stops when the root mean square of F at `samples` is at most
 /// `tolerance` mm, or after `most_steps` steps.
 pub fn pin_zero_set(field: &mut Image<f32>, samples: Vec<DVec3>, tolerance: f64, most_steps: usize) -> FitReport {
@@ -102,7 +104,8 @@ pub fn pin_zero_set(field: &mut Image<f32>, samples: Vec<DVec3>, tolerance: f64,
     if number.count == 0 {
         return FitReport::default();
     }
-    // before the samples are sorted: the filter needs memory that the sorted samples would occupy
+    // run the filter before the samples are sorted, because it needs memory that the sorted samples
+    // would occupy
     let start = gather(field, &number);
     let sampling = Sampling::new(&field.geometry, &samples, &number);
     drop(samples);
@@ -113,8 +116,8 @@ pub fn pin_zero_set(field: &mut Image<f32>, samples: Vec<DVec3>, tolerance: f64,
     let root_mean_square = |r: &[f32]| (dot(r, r) / r.len() as f64).sqrt();
     let before = root_mean_square(&residual);
 
-    // Preconditioner: the diagonal plus its mean. The diagonal alone would let coefficients with
-    // little weight change freely.
+    // Preconditioner: the diagonal plus its mean. With the diagonal alone, coefficients with little
+    // weight could change freely.
     let mut scale = vec![0.0; sampling.unknowns];
     sampling.apply_transposed(&vec![1.0; residual.len()], &mut scale, true);
     let mean = (scale.iter().map(|&s| f64::from(s)).sum::<f64>() / scale.len() as f64) as f32;
@@ -171,20 +174,20 @@ fn touched_coefficients(geometry: &Geometry, samples: &[DVec3]) -> Numbering {
     for corner in corners.collect::<Vec<_>>().into_iter().flatten() {
         touched.insert(corner..corner + 1);
     }
-    // four coefficients along each axis; the corner is far enough from the faces of the grid that
-    // no step continues in the next row or slice
+    // four coefficients along each axis; the corner is so far from the faces of the grid that no
+    // step wraps into the next row or slice
     let four = |step: usize| [0, step, 2 * step, 3 * step];
     Numbering::new(touched.moved(four(1)).moved(four(nx)).moved(four(nx * ny)))
 }
 
 /// Returns the first node of the block of 4^3 coefficients that determine the spline in the cell
-/// with lowest node `at`.
+/// whose lowest node is `at`.
 fn corner(at: usize, nx: usize, ny: usize) -> usize {
     at - 1 - nx - nx * ny
 }
 
 /// Returns the first nodes of the 16 rows of four coefficients that determine the spline in the
-/// cell with lowest node `at`.
+/// cell whose lowest node is `at`.
 fn row_starts(at: usize, nx: usize, ny: usize) -> [usize; 16] {
     let corner = corner(at, nx, ny);
     std::array::from_fn(|n| corner + (n % 4) * nx + (n / 4) * nx * ny)
@@ -247,7 +250,7 @@ impl Sampling {
         });
     }
 
-    /// Processes two samples at a time, each in half a register.
+    /// Applies the map to one slab: two samples at a time, each in half a register.
     #[inline(always)]
     fn apply_to_slab<S: Simd>(&self, simd: S, slab: &Slab, coefficients: &[f32], values: &mut [f32]) {
         for (cell, samples) in slab.cells() {
@@ -273,8 +276,8 @@ impl Sampling {
         }
     }
 
-    /// Applies the transpose of [`Sampling::apply`], or of the map with all entries squared.
-    /// Processes the even slabs before the odd slabs, so parallel tasks never write the same
+    /// Applies the transpose of [`Sampling::apply`], or of its matrix with all entries squared.
+    /// Processes the even slabs before the odd slabs, so that parallel tasks never write the same
     /// coefficient.
     fn apply_transposed(&self, values: &[f32], coefficients: &mut [f32], squared: bool) {
         coefficients.par_chunks_mut(CHUNK).for_each(|part| part.fill(0.0));
@@ -370,7 +373,7 @@ fn gather(field: &Image<f32>, number: &Numbering) -> Vec<f32> {
     compact
 }
 
-/// Adds the effect of a change of spline coefficients to the samples of the field.
+/// Adds the effect of changed spline coefficients to the values of the field.
 fn add_change(field: &mut Image<f32>, number: &Numbering, change: &[f32]) {
     let [nx, ny, nz] = field.geometry.size;
     let node_weight = |offset: isize| if offset == 0 { 4.0 / 6.0 } else { 1.0 / 6.0 };
@@ -418,8 +421,8 @@ mod tests {
     use super::*;
     use isoparticles_field::random::uniform;
 
-    /// Returns the map of 500 samples in a grid of three slabs, with random coefficients and sample
-    /// values.
+    /// Returns the map for 500 samples in a grid of three slabs, with random coefficients and
+    /// sample values.
     fn scene() -> (Sampling, Vec<f32>, Vec<f32>) {
         let geometry = Geometry::axis_aligned([9, 8, 9], DVec3::new(1.0, 0.5, 2.0));
         let random = |n: usize, k: u64| uniform(3, k, n as u64);

@@ -1,16 +1,16 @@
-//! Smooths an image by a Gaussian, mirrored at the faces of the voxel box. The computing time does
-//! not depend on the width of the Gaussian.
+//! Smooths an image by a Gaussian, with mirrored values beyond the faces of the grid. The computing
+//! time does not depend on the width of the Gaussian.
 //!
 //! Along each axis, a box filter of fractional width is applied `BOXES` times (Gwosdek, Grewenig,
 //! Bruhn and Weickert, "Theoretical foundations of Gaussian convolution by extended box filtering",
 //! 2011). The result has exactly the variance of the Gaussian. The mirror planes lie half a voxel
-//! beyond the outermost voxel centres. Mirroring preserves constants and right angles between a
-//! surface and a face.
+//! beyond the outermost voxel centres. Mirroring preserves constants, and a surface perpendicular
+//! to a face stays perpendicular.
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-/// Number of box filters per Gaussian. With four, the smoothed edge of a half space deviates by at
+/// Number of box filters per Gaussian. With four, the smoothed step of a half space deviates by at
 /// most 0.007 from that of a Gaussian (`four_boxes_are_nearly_a_gaussian`).
 const BOXES: usize = 4;
 const _: () = assert!(BOXES.is_multiple_of(2), "each box swaps a line and its room: the result would be in the room");
@@ -20,11 +20,11 @@ const _: () = assert!(BOXES.is_multiple_of(2), "each box swaps a line and its ro
 const LANES: usize = 16;
 
 /// Number of rows along the second axis per parallel task when smoothing along the third axis.
-/// Fewer rows give more tasks on small grids. The result does not depend on it.
+/// Fewer rows give more tasks on small grids. The result does not depend on this number.
 const ROWS: usize = 4;
 
-/// A box filter with weight `middle` for the sample and for `reach` samples on each side, and
-/// weight `end` for the next sample on each side.
+/// A box filter with weight `middle` for the sample itself and for `reach` samples on each side,
+/// and weight `end` for the next sample on each side.
 #[derive(Clone, Copy, Debug)]
 struct ExtendedBox {
     reach: usize,
@@ -33,7 +33,7 @@ struct ExtendedBox {
 }
 
 impl ExtendedBox {
-    /// Returns the box filter for which [`BOXES`] applications have the variance of a Gaussian with
+    /// Returns the box filter whose [`BOXES`]-fold application has the variance of a Gaussian with
     /// standard deviation `sigma`, in voxels.
     fn new(sigma: f64) -> Self {
         let variance = sigma * sigma / BOXES as f64;
@@ -48,11 +48,11 @@ impl ExtendedBox {
 /// [`LANES`] columns side by side.
 type Line = Vec<[f64; LANES]>;
 
-/// Smooths the columns in `line` with the widest SIMD instructions available; `room` is work space.
+/// Smooths the columns in `line` with the widest SIMD instructions available; `room` is workspace.
 /// No operation is fused, so the result is the same on every instruction set.
 ///
 /// The result is zero wherever all values within reach of the filters are zero. Only the remaining
-/// stretches are processed, which are short when the values form a band around a surface.
+/// stretches are processed. They are short if the values form a band around a surface.
 fn smooth_lines(line: &mut Line, room: &mut Line, kernel: ExtendedBox) {
     let reach = BOXES * (kernel.reach + 1);
     let is_zero = |at: &[f64; LANES]| at.iter().all(|&value| value == 0.0);
@@ -60,7 +60,8 @@ fn smooth_lines(line: &mut Line, room: &mut Line, kernel: ExtendedBox) {
     while let Some(first) = line[from..].iter().position(|at| !is_zero(at)) {
         let first = from + first;
         let mut end = first + 1;
-        // extend up to the first gap so wide that the smoothed values of both sides do not overlap
+        // extend up to the first gap that is so wide that the smoothed values on its two sides do
+        // not overlap
         while let Some(next) = line[end..].iter().take(2 * reach).position(|at| !is_zero(at)) {
             end += next + 1;
         }
@@ -202,8 +203,8 @@ mod tests {
         for (sigma, gaps) in [(0.4, 3), (2.0, 7), (2.0, 40), (6.0, 90)] {
             let kernel = ExtendedBox::new(sigma);
             let mut line: Line = vec![[0.0; LANES]; 211];
-            // nonzero values at the border, adjacent values, and values within and beyond each
-            // other's reach, in single lanes
+            // nonzero values, each in a single lane: at the border, adjacent, and within and beyond
+            // each other's reach
             for (n, at) in [0, 1, gaps, 2 * gaps + 1, 209 - gaps, 205].into_iter().enumerate() {
                 line[at][n % LANES] = 1.0 + n as f64;
             }
@@ -224,7 +225,7 @@ mod tests {
             smooth(&mut data, size, [3.0, 9.0, 0.4]);
             assert!(data.iter().all(|value| (value - 2.5).abs() < 1e-5));
         }
-        // a step along x that is the same at every y and z is still the same at every y and z after
+        // a step along x that does not depend on y and z still does not depend on them after
         // smoothing
         let size = [24, 6, 5];
         let mut data: Vec<f32> = (0..720).map(|n| if n % 24 < 11 { 1.0 } else { 0.0 }).collect();

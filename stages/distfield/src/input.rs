@@ -1,5 +1,5 @@
-//! Checks the input and crops it: rejects labels for a scan, an iso value for a label map, and a
-//! field that exceeds the available memory.
+//! Checks and crops the input. Rejects labels for a scan, an iso value for a label map, and a field
+//! that exceeds the available memory.
 
 use crate::args::Args;
 use crate::crop::{CutFaces, Grid, VoxelBox, crop};
@@ -11,8 +11,8 @@ use isoparticles_survey::survey::Survey;
 use isoparticles_volume::Volume;
 
 /// Rejects labels for a scan and an iso value for a label map, unless `--kind` is given. Warns if
-/// the kind is uncertain. Also warns if an iso value is given for a mask, because voxel centres
-/// next to the surface can change sides, and about NaN voxels among labels.
+/// the kind is uncertain or the labels contain NaN voxels. Also warns if an iso value is given for
+/// a mask, because voxel centres next to the surface can change sides.
 ///
 /// # Errors
 /// If the kind of the volume is certain and does not match the option.
@@ -69,7 +69,7 @@ pub fn check_kind(args: &Args, volume: &Volume, context: &Context) -> Result<()>
     }
 }
 
-/// Rejects a field on `voxels` plus the margin if it needs more memory than is available.
+/// Rejects a grid of `voxels` plus the margin if the field needs more memory than is available.
 ///
 /// # Errors
 /// If there is not enough memory. The message contains the required amount.

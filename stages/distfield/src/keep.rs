@@ -1,9 +1,8 @@
 //! Selects the parts of the object to keep (`--keep`): all parts, the largest part, or parts of at
 //! least a given volume.
 //!
-//! Parts are connected as in marching cubes: through nodes that share a grid edge, and through
-//! opposite corners of a grid face that are connected by the saddle of the face
-//! ([`crate::ambiguous_faces`]).
+//! Nodes are connected as in marching cubes: along grid edges, and between opposite corners of a
+//! grid face if the saddle of the face connects them ([`crate::ambiguous_faces`]).
 
 use crate::ambiguous_faces::AmbiguousFace;
 use crate::bits::Bits;
@@ -27,7 +26,8 @@ pub enum Keep {
 }
 
 impl Keep {
-    /// Returns whether a part of `volume` mm^3 is kept. `largest` is that of the largest part.
+    /// Returns whether a part of `volume` mm^3 is kept. `largest` is the volume of the largest
+    /// part.
     pub(crate) fn keeps(self, volume: f64, largest: f64) -> bool {
         match self {
             Self::All => true,
@@ -69,7 +69,7 @@ pub struct Dropped {
     pub volume: f64,
     /// Volume of the largest dropped part, mm^3.
     pub largest: f64,
-    /// Number of these parts that the source connects to a kept part, at necks that F cuts.
+    /// Number of dropped parts that the source connects to a kept part by necks that F cuts.
     pub cut_off: usize,
     /// The nodes of the dropped parts; `None` if no part was dropped.
     #[serde(skip)]
@@ -92,8 +92,8 @@ impl Dropped {
 }
 
 /// Moves the nodes of dropped parts to the outside (`nodes` is negative inside). With an open
-/// border, parts extend into the outermost `margin` nodes on each face. These nodes are not
-/// included in the volumes of the parts.
+/// border, parts extend into the outermost `margin` layers of nodes on each face. The volumes of
+/// the parts exclude these nodes.
 ///
 /// # Errors
 /// If no part is large enough, or if there are too many runs of nodes to label the parts.

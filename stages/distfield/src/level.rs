@@ -2,15 +2,15 @@
 //!
 //! The occupancy of a voxel is the fraction of its volume that is inside, 0 to 1. It is smoothed by
 //! a Gaussian. At a constant level of 1/2, planes stay in place, convex surfaces shrink, and thin
-//! parts vanish. The level therefore varies in space so that the volume equals that of the
-//! occupancy, up to transfers within a window. It starts as the mean of the smoothed occupancy on
-//! the voxel faces between inside and outside. In each round of corrections, every block of voxels
-//! transfers its excess or deficit of volume to the surface within the window. Transfers preserve
-//! the total volume.
+//! parts vanish. The level therefore varies in space, so that the volume is preserved within a
+//! window wider than the Gaussian. It starts as the mean of the smoothed occupancy on the voxel
+//! faces between inside and outside. In each round of corrections, every block of voxels transfers
+//! its excess or deficit of volume to the surface within the window. The transfers preserve the
+//! total volume.
 //!
-//! With a clearance, every voxel centre stays on its side of the surface: sources are added at
-//! violating centres and spread over their neighbours, so the surface stays smooth there. Contacts
-//! are preserved in the same way.
+//! With a clearance, every voxel centre stays on its side of the surface, at a minimum distance. At
+//! voxel centres that violate this condition, sources are added. They are spread over the
+//! neighbouring voxels, so that the surface stays smooth. Contacts are preserved in the same way.
 //!
 //! All lengths are in voxels along each axis. The voxel staircase has the spacing of the grid, so
 //! thick slices need a wider Gaussian in mm.
@@ -49,8 +49,8 @@ pub(crate) struct Clearance {
 pub(crate) struct Contact {
     /// The surrounding voxel with the lowest index.
     first: usize,
-    /// For each axis, whether the surrounding voxels have two positions along it. True for two or
-    /// three axes.
+    /// For each axis, whether the surrounding voxels have two different positions along it. True
+    /// for two or three axes.
     across: [bool; 3],
     /// Whether the point is inside.
     is_inside: bool,
@@ -92,8 +92,9 @@ const WINDOW: f64 = 1.6;
 const ROUNDS: usize = 6;
 
 /// Maximum change of the level per round. With the smoothing of labels (a standard deviation of 1.5
-/// voxels) the slope at a plane is 0.266 per voxel, so a plane moves by at most 0.38 voxel. The
-/// [`ROUNDS`] together can change the level by 0.6, more than the distance from 1/2 to its bounds.
+/// voxels), the slope at a plane is 0.266 per voxel, so a plane moves by at most 0.38 voxel per
+/// round. All [`ROUNDS`] together can change the level by 0.6, which exceeds the distance from 1/2
+/// to its bounds.
 const LONGEST_STEP: f64 = 0.1;
 
 /// Added to the surface density to keep the step finite where there is no surface. For a plane
@@ -178,7 +179,8 @@ impl Shape {
         let [xy, yz, zx] = mixed();
         let across = [[0.0, xy, zx], [xy, 0.0, yz], [zx, yz, 0.0]];
         let (mut part, mut density) = (0.0, 0.0);
-        // the mean over a part (half a voxel wide) differs from the value at the centre of the part
+        // corrects for the difference between the mean over a part, half a voxel wide, and the
+        // value at its centre
         let mean = self.own + self.bend.iter().sum::<f32>() / 96.0;
         for corner in 0..8 {
             let (mut value, mut width) = (mean, 1e-4);
@@ -218,8 +220,8 @@ struct Work<'a> {
     size: [usize; 3],
     above: Vec<f32>,
     level: Vec<f32>,
-    /// Volume, in voxels, that each block keeps in excess of its occupancy: volume transferred from
-    /// other blocks minus volume transferred to them.
+    /// Volume, in voxels, that each block keeps in excess of its occupancy: the volume received
+    /// from other blocks minus the volume transferred to them.
     transferred: Vec<f32>,
 }
 
@@ -236,8 +238,8 @@ impl<'a> Work<'a> {
         work
     }
 
-    /// Returns the mean of the smoothed occupancy, within a window, on the faces between voxels of
-    /// different sides. Returns 0.5 where there are no such faces.
+    /// Returns the mean of the smoothed occupancy, within a window, on the faces between inside and
+    /// outside voxels. Returns 0.5 where the window contains no such faces.
     fn first_level(&self) -> Blocks<f32> {
         let Self { occupancy, above, size, .. } = self;
         let [nx, ny, nz] = *size;
@@ -275,8 +277,8 @@ impl<'a> Work<'a> {
         WINDOW * self.smoothing.sigma
     }
 
-    /// Transfers the excess of volume of each block to the surface within the window, in proportion
-    /// to the window and the surface density, and corrects the level accordingly.
+    /// Transfers the excess volume of each block to the surface within the window, in proportion to
+    /// the weight of the window and the surface density, and corrects the level accordingly.
     ///
     /// `transferred` records the transfers, so later rounds correct only the difference between the
     /// volume and its linear prediction. If they corrected the same excess again, the level would
@@ -291,7 +293,7 @@ impl<'a> Work<'a> {
             }
         });
         let (least, longest) = (LEAST_DENSITY as f32, LONGEST_STEP as f32);
-        // surface density within the window, and then the excess per density
+        // first the surface density within the window, then the excess divided by this density
         let mut rates = sums.map(|[_, density]| density).smoothed(self.window());
         let blocks = self.transferred.par_iter_mut().zip(&mut rates.values).zip(&sums.values);
         blocks.for_each(|((transferred, rate), [excess, _])| {
@@ -310,7 +312,7 @@ impl<'a> Work<'a> {
         1.0 / (TAU.sqrt() * self.smoothing.sigma.max_element())
     }
 
-    /// Adds interpolated block values to the level and clamps the level to its bounds.
+    /// Adds interpolated block values to the level and clamps the level to its bounds, if any.
     fn raise_level(&mut self, steps: &Blocks<f32>) {
         let nx = self.size[0];
         let [least, most] = [self.smoothing.least_level as f32, 1.0 - self.smoothing.least_level as f32];
@@ -332,7 +334,8 @@ impl<'a> Work<'a> {
     }
 }
 
-/// Values on blocks of 2 x 2 x 2 voxels. Windows are several voxels wide, so blocks suffice.
+/// Values on blocks of 2 x 2 x 2 voxels. Windows are several voxels wide, so this resolution
+/// suffices.
 struct Blocks<T> {
     /// Number of voxels along each axis.
     voxels: [usize; 3],
@@ -373,8 +376,8 @@ impl Blocks<[f32; 2]> {
 }
 
 impl Blocks<f32> {
-    /// Smooths the values by a Gaussian with standard deviations `sigma` in voxels. The summation
-    /// over blocks already adds a variance of 0.25.
+    /// Smooths the values by a Gaussian with standard deviations `sigma`, in voxels. The sums over
+    /// blocks already contribute a variance of 0.25.
     fn smoothed(mut self, sigma: DVec3) -> Self {
         let sigma = sigma.to_array().map(|sigma| 0.5 * (sigma * sigma - 0.25).max(0.25).sqrt());
         smooth(&mut self.values, blocks_along(self.voxels), sigma);
@@ -410,10 +413,10 @@ fn share(occupancy: &Occupancy, voxel: usize) -> f32 {
 /// Corrections to the level set near voxel centres that are on the wrong side of the surface or too
 /// close to it.
 struct Sources<'a> {
-    /// Voxels with at least one voxel of the other side among their 26 neighbours.
+    /// Voxels that have at least one of their 26 neighbours on the other side.
     near: Runs,
-    /// Strength of the source at each of these voxels: non-negative, directed towards the voxel's
-    /// side.
+    /// Strength of the source at each of these voxels, non-negative. The source acts towards the
+    /// side of the voxel.
     added: Vec<f32>,
     /// Minimum distance of a voxel centre from the surface, mm.
     least: f32,
@@ -434,14 +437,14 @@ impl<'a> Sources<'a> {
         Self { added: all(0.0), short: all(f32::NEG_INFINITY), near, least, contacts: &clearance.contacts }
     }
 
-    /// Returns the slope (per mm) that is assumed where the actual slope is smaller, as in the
-    /// middle of thin parts and at contacts.
+    /// Returns the minimum slope (per mm) used to compute distances. The actual slope can be
+    /// smaller in the middle of thin parts and at contacts.
     fn least_slope(work: &Work) -> f64 {
         LEAST_SLOPE * work.plane_slope() / work.occupancy.geometry.spacing.max_element()
     }
 
-    /// Computes how far the values on a contact's side must rise for the value at the contact to
-    /// reach its minimum. Stores the maximum over all contacts of a voxel.
+    /// Computes how much the values on the side of a contact must rise so that the value at the
+    /// contact reaches its minimum. Stores, for each voxel, the maximum over its contacts.
     fn look_at_contacts(&mut self, work: &Work) {
         self.short.fill(f32::NEG_INFINITY);
         let wanted = self.least * Self::least_slope(work) as f32;
@@ -466,8 +469,9 @@ impl<'a> Sources<'a> {
     }
 
     /// Calls `each(number, voxel, lack)` for the near voxels of slice `k`. `number` counts these
-    /// voxels within the slice. `lack` is the difference between the value at the minimum distance
-    /// and the actual value; it is positive if the actual value is too small.
+    /// voxels within the slice. `lack` is the value at the minimum distance minus the actual value,
+    /// or the rise that a contact requires if this is larger. It is positive if the actual value is
+    /// too small.
     fn each_lack(&self, work: &Work, k: usize, mut each: impl FnMut(usize, usize, f32)) {
         let [nx, ny, _] = work.size;
         let spacing = work.occupancy.geometry.spacing;
@@ -505,7 +509,7 @@ impl<'a> Sources<'a> {
             .map(|(k, added)| {
                 let mut changes = Vec::new();
                 own.each_lack(work, k, |number, n, lack| {
-                    // how far unit sources at all violating voxels would raise this voxel
+                    // rise of this voxel due to unit sources at all violating voxels
                     let gain: f32 = near_pairs(n, work.size)
                         .filter(|&(near, _)| lacking.holds(near))
                         .map(|(_, weight)| weight)
@@ -582,20 +586,20 @@ impl<'a> Sources<'a> {
 /// of the other two voxels.
 const GAIN_AT_CONTACT: f32 = 0.7;
 
-/// Maximum number of passes that hold voxel centres and contacts. Several passes are needed because
-/// neighbours change each other's slopes and second differences. The objects of `tests/labels.rs`
-/// need at most five. Checkerboards and random labels (`tests/materials.rs`) use all six; their
-/// values are then at most 0.0017 too small, and F is raised there (`field::hold_nodes`).
+/// Maximum number of passes of [`Sources::hold`]. Several passes are needed because neighbours
+/// change each other's slopes and second differences. The objects of `tests/labels.rs` need at most
+/// five. Checkerboards and random labels (`tests/materials.rs`) use all six; the values are then at
+/// most 0.0017 too small, and |F| is raised there (`field::hold_nodes`).
 const HOLDS: usize = 6;
 
-/// Absolute value assigned to a voxel on the wrong side without a neighbouring voxel of the other
-/// side. Between specks a few voxels apart, the smoothed occupancy can exceed the level. At the
-/// slope of a plane (0.266 per voxel), this value is 0.38 voxel from the surface, which exceeds the
-/// maximum clearance (0.3).
+/// Absolute value assigned to a voxel that is on the wrong side of the surface and beyond the reach
+/// of the sources. For example, the smoothed occupancy can exceed the level between specks a few
+/// voxels apart. At the slope of a plane (0.266 per voxel), this value corresponds to a distance of
+/// 0.38 voxel from the surface, which exceeds the maximum clearance (0.3).
 const CLEAR_VALUE: f32 = 0.1;
 
 /// Kernel of a unit source along one axis, by distance in voxels: a Gaussian with a standard
-/// deviation of 0.75. The weights of the three axes are multiplied.
+/// deviation of 0.75. The kernel in space is the product over the three axes.
 const SPREAD: [f32; 3] = [0.532, 0.219, 0.015];
 
 /// Rise of a voxel due to a unit source at the voxel itself.
@@ -636,8 +640,8 @@ fn spread(sources: &[(usize, f32)], k: usize, [nx, ny, nz]: [usize; 3], slice: &
 }
 
 /// Finds the contacts of a mask. Inside parts are connected at a contact unless `gives_way` is true
-/// for the two outside voxels at the edge. A voxel corner shared by several contacts becomes a
-/// contact, too, if they are all on one side. Without these corners, only a row of separate bridges
+/// for the two outside voxels at the edge. A voxel corner shared by several contacts also becomes a
+/// contact if they are all on the same side. Without these corners, only a row of separate bridges
 /// would connect the parts.
 pub(crate) fn contacts(mask: &Mask, gives_way: impl Fn([usize; 2]) -> bool + Sync) -> Vec<Contact> {
     let size = mask.geometry.size;

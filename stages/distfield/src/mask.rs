@@ -1,4 +1,4 @@
-//! Mask of a label map: one bit per node, set for nodes inside the object.
+//! The mask of a label map: one bit per node, set if the node is inside the object.
 
 use crate::bits::Bits;
 use crate::crop::CutFaces;
@@ -20,8 +20,8 @@ impl From<&Image<bool>> for Mask {
 }
 
 impl Mask {
-    /// Returns the mask with `margin` more nodes on each face. The new nodes are outside beyond a
-    /// face where the volume was cut; beyond the other faces they copy the nearest node.
+    /// Returns the mask extended by `margin` nodes on each face. Beyond a face where the volume was
+    /// cut, the new nodes are outside; beyond the other faces, they copy the nearest node.
     pub fn padded(&self, margin: usize, cut: CutFaces) -> Self {
         let [nx, ny, nz] = self.geometry.size;
         let geometry = self.geometry.padded(margin);

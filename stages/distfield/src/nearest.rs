@@ -3,10 +3,11 @@
 //!
 //! Far from the surface, many samples are about equally near. The region where one of them is the
 //! nearest can be thinner than a voxel, and propagation misses such regions. The far field is
-//! therefore computed on a grid of every second node, whose nearest samples are found line by line
-//! (`envelope.rs`). Every node tests the samples of the surrounding coarse nodes. Nodes far away
-//! then take samples only from the adjacent slices. The fine grid is processed in slabs, so only
-//! the coarse grid is in memory as a whole.
+//! therefore first computed on a coarse grid of every second node, where the nearest samples are
+//! found line by line (`envelope.rs`). Every node of the fine grid then tests the samples of the
+//! surrounding coarse nodes. During propagation, nodes far from the surface take samples only from
+//! the adjacent slices. The fine grid is processed in slabs, so only the coarse grid is in memory
+//! as a whole.
 
 pub use crate::envelope::NO_SAMPLE;
 use crate::envelope::spread;
@@ -23,7 +24,7 @@ pub(crate) const STRIDE: usize = 2;
 /// no samples from other nodes of their own slice. If `near` is the half-width of the exact band of
 /// `crate::field` (4 voxels), the total is twice the half-width. On three volumes, F within this
 /// distance changed by 0.004 voxel (root mean square) when nodes beyond it took no samples from
-/// neighbours.
+/// their neighbours.
 const FAR_BEYOND: f64 = 4.0;
 
 /// Approximate number of nodes of a slab. It bounds the memory: the sample numbers of a slab take
@@ -32,7 +33,7 @@ const SLAB_NODES: usize = 10 << 20;
 
 /// Minimum number of slices in a slab. With isotropic voxels and a band of 4 voxels, a slab
 /// computes six more slices than it returns: one before and five after its own slices. With eight
-/// slices of its own, the work is less than doubled.
+/// slices of its own, the total work is less than doubled.
 const LEAST_SLICES: usize = 8;
 
 /// The nearest samples of the nodes in a range of slices.
@@ -47,9 +48,9 @@ pub struct Slab {
 }
 
 /// Computes the nearest sample of every node within `limit` mm of the surface, slab by slab from
-/// the first slice to the last. Nodes farther away have an arbitrary sample or none. If the limit
-/// is infinite, samples up to `near` mm away are the nearest, and samples farther away are nearly
-/// the nearest.
+/// the first slice to the last. Nodes farther away have an arbitrary sample or none. If `limit` is
+/// infinite, the sample of a node is the nearest one if it is within `near` mm of the node, and
+/// nearly the nearest one otherwise.
 ///
 /// `values` has one entry per node. For each slab, `visit` receives the entries of the slab's own
 /// nodes. These entries contain the squared distances (mm^2) from the nodes to their samples, or
@@ -123,8 +124,8 @@ impl Nearest<'_> {
     }
 }
 
-/// The nearest samples of the nodes of the coarse grid. Slices are stored from last to first.
-/// Slices that are no longer needed are then at the end, and their memory can be freed.
+/// The nearest samples of the nodes of the coarse grid. Slices are stored from last to first, so
+/// that slices no longer needed are at the end and their memory can be freed.
 struct Coarse {
     geometry: Geometry,
     sample: Vec<u32>,
@@ -137,7 +138,7 @@ impl Coarse {
         &self.sample[((nz - 1 - k) * ny + j) * nx..][..nx]
     }
 
-    /// Frees the slices that nodes of the fine grid from slice `k` on do not need.
+    /// Frees the slices that are not needed by the slices of the fine grid from `k` on.
     fn free_below(&mut self, k: usize) {
         let [nx, ny, nz] = self.geometry.size;
         self.sample.truncate(nz.saturating_sub(k / STRIDE) * nx * ny);
@@ -213,9 +214,9 @@ impl Transform<'_> {
         BySlice { start, numbers }
     }
 
-    /// Replaces a node's sample with that of another node if the latter is nearer. Both nodes
-    /// usually have the same sample, so `position()` computes the node's position only if the
-    /// samples differ.
+    /// Replaces a node's sample with that of another node if the latter is nearer. `position`
+    /// returns the position of the node. It is called only if the samples differ, because most
+    /// neighbours have the same sample.
     #[inline(always)]
     fn take(&self, position: impl Fn() -> Vec3, own: &mut (u32, f32), other: (u32, f32)) {
         if other.0 == own.0 || other.0 == NO_SAMPLE || other.1 > self.limit {
@@ -227,7 +228,7 @@ impl Transform<'_> {
         }
     }
 
-    /// Computes the squared distances (mm^2) of the nodes to their samples.
+    /// Computes the squared distances (mm^2) from the nodes to their samples.
     fn measure(&self, sample: &[u32], squared: &mut [f32]) {
         let [nx, ny, _] = self.geometry.size;
         squared.par_chunks_mut(nx).zip(sample.par_chunks(nx)).enumerate().for_each(|(row, (squared, sample))| {
@@ -260,7 +261,7 @@ impl Transform<'_> {
         });
     }
 
-    /// Tests the samples of the surrounding coarse nodes at every node.
+    /// Tests, at every node, the samples of the surrounding coarse nodes.
     fn take_from_coarse(&self, nearest: &mut Nearest, coarse: &Coarse) {
         let [nx, ny, _] = self.geometry.size;
         let around = |n: usize| [n / STRIDE, n.div_ceil(STRIDE)];
@@ -320,7 +321,7 @@ impl Transform<'_> {
     }
 
     /// Propagates samples from slice to slice: each node tests the samples of the nine nearest
-    /// nodes of the previous slice.
+    /// nodes in the previous slice.
     fn between_planes(&self, nearest: &mut Nearest, upward: bool) {
         let [nx, ny, nz] = self.geometry.size;
         let plane = nx * ny;

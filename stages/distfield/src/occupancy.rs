@@ -1,5 +1,5 @@
-//! Occupancy: the fraction of each voxel that is inside the object. It is 0 or 1 for labels, and a
-//! first-order estimate for a scalar volume.
+//! The occupancy is the fraction of each voxel that is inside the object. It is 0 or 1 for labels,
+//! and a first-order estimate for a scalar volume.
 //!
 //! `--scale` smooths the occupancy rather than the intensity. Values far above or below the iso
 //! value (metal, air) therefore have little effect. Labels and scalar volumes are handled alike.
@@ -115,9 +115,9 @@ impl Occupancy {
 /// to the iso value; `neighbours` contains two values per axis.
 ///
 /// Along an axis with a neighbour beyond the surface, the change is the difference from that
-/// neighbour. Along the other axes, the change is the smaller difference, limited to the maximum
-/// change along the former axes, so that metal or air farther away has no effect. The result is 0
-/// if no neighbour is beyond the surface.
+/// neighbour. Along the other axes, the change is the smaller of the two differences, limited to
+/// the maximum change along the former axes, so that metal or air farther away has no effect. The
+/// result is 0 if no neighbour is beyond the surface.
 fn change_across(own: f64, neighbours: &[[f64; 2]; 3]) -> f64 {
     let beyond = |pair: &[f64; 2]| {
         pair.iter().filter(|&&near| near * own <= 0.0).map(|near| (near - own).abs()).fold(0.0, f64::max)

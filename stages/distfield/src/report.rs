@@ -9,26 +9,26 @@ use isoparticles_stage::meta::DistanceMeta;
 use isoparticles_volume::Geometry;
 use serde_json::json;
 
-/// Maximum number of surfaces of F whose volumes are listed in the file and in the report. It
-/// bounds the length of the list only.
+/// Maximum number of surfaces of F whose volumes are listed in the file and in the report. It only
+/// bounds the length of the list.
 pub(crate) const LISTED_SURFACES: usize = 100;
 
 /// Limits of the distance between the zero sets of F and of its source, in voxels: mean and 99th
-/// percentile. The program prints a warning above either limit. The limits are three times those
-/// that the tests require of real scans and of a noisy ball (0.01 and 0.05 voxel,
+/// percentile. Above either limit, a warning is printed. The limits are three times the bounds that
+/// the tests impose on real scans and on a noisy ball (0.01 and 0.05 voxel,
 /// `real_volumes_keep_their_zero_set_and_parts`).
 const SHIFT_LIMITS: (f64, f64) = (0.03, 0.15);
 
 /// Limits of the relative change of the volume: a warning is printed above the first, and a check
-/// fails above the second. Layers one voxel thick change by up to 8 %, layers two voxels thick by
-/// up to 3 % (test `thin_layers_and_rods_keep_their_volume`), and specks of single voxels by up to
-/// 20 %.
+/// fails above the second. The volume of layers one voxel thick changes by up to 8 %, that of
+/// layers two voxels thick by up to 3 % (test `thin_layers_and_rods_keep_their_volume`), and that
+/// of specks of single voxels by up to 20 %.
 pub(crate) const VOLUME_LIMITS: (f64, f64) = (0.05, 0.25);
 
 /// Limits of the relative change of the volume with a scale above 0, where smoothing preserves the
-/// volume. Meshes of solid organs with 1,000 vertices change by up to 2 %. A mesh whose volume
-/// changes by 10 % does not represent the object: ribs and trabecular bone at a few thousand
-/// vertices change by 20 to 42 %.
+/// volume. For meshes of solid organs with 1,000 vertices, the volume changes by up to 2 %. A mesh
+/// whose volume changes by 10 % does not represent the object: for ribs and trabecular bone at a
+/// few thousand vertices, the volume changes by 20 to 42 %.
 pub(crate) const SCALED_VOLUME_LIMITS: (f64, f64) = (0.02, 0.1);
 
 const _: () = assert!(10.0 * SPECK_SHARE < SCALED_VOLUME_LIMITS.0, "lost specks alone must not cause a warning");

@@ -44,8 +44,8 @@ impl StageArgs for Args {
 /// Runs the stage.
 ///
 /// # Errors
-/// If the input does not contain the selected surface, there is not enough memory, a file cannot be
-/// read or written, or the run is interrupted.
+/// If the input does not contain the selected surface, if there is not enough memory, if a file
+/// cannot be read or written, or if the run is interrupted.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("read");
     let volume = read_volume_with(&args.input, &ReadOptions { series: args.series.as_deref() })?;
@@ -73,7 +73,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     Ok(Outcome::from_failed_checks(failed))
 }
 
-/// Returns the object that the options select. `labels` are the resolved labels of `--labels`.
+/// Returns the object that the options select. `labels` contains the resolved labels of `--labels`.
 fn object(args: &Args, labels: Option<Vec<LayerLabel>>) -> Result<Object> {
     match (labels, args.iso) {
         (Some(labels), _) => Ok(Object::Labels(labels)),
@@ -128,7 +128,7 @@ fn make(args: &Args, volume: Volume, object: &Object, context: &Context) -> Resu
     Ok(Made { result, meta })
 }
 
-/// Builds the metadata of the file: fields that later stages read, and the other `notes`.
+/// Builds the metadata of the file: the fields that later stages read, and the remaining `notes`.
 fn distance_meta(object: &Object, border: Border, cap_planes: Vec<CapPlane>, notes: Value) -> DistanceMeta {
     let mut notes = match notes {
         Value::Object(notes) => notes,
@@ -156,8 +156,7 @@ fn distance_meta(object: &Object, border: Border, cap_planes: Vec<CapPlane>, not
 /// F and the notes for its metadata.
 type Extracted = (Redistanced, Value);
 
-/// Returns the number of voxels to keep around the object because F near the surface depends on
-/// them.
+/// Returns the number of voxels around the object that F near the surface depends on.
 fn room(margin: usize, geometry: &Geometry, object: &Object, scale: Option<&ScaleChoice>) -> [usize; 3] {
     match (scale, object) {
         (Some(scale), Object::Labels(_)) => room_round(0.5 * scale.length / geometry.spacing),

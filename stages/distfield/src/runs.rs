@@ -1,5 +1,5 @@
 //! Sets of nodes stored as runs along x. A band around a surface has few runs per row, and values
-//! at the nodes of the band need memory only for the band, not for the whole grid.
+//! at its nodes need memory only for the band, not for the whole grid.
 
 use isoparticles_mesh::buckets::parts_mut;
 use rayon::prelude::*;
@@ -11,7 +11,7 @@ pub struct Run {
     pub first: u32,
     /// x index after the last node.
     pub end: u32,
-    /// Number of the first node, counting the nodes of all runs in ascending order.
+    /// Index of the first node among the nodes of all runs, in ascending order.
     pub number: usize,
 }
 
@@ -94,7 +94,7 @@ impl Runs {
         &self.runs[self.of_row(row)]
     }
 
-    /// Visits the runs in ascending order: `visit(index, nodes)`, with the index in [`Self::all`]
+    /// Calls `visit(index, nodes)` for all runs in ascending order, with the index in [`Self::all`]
     /// and the range of node indices.
     pub fn each_in_nodes(&self, mut visit: impl FnMut(usize, std::ops::Range<usize>)) {
         let [nx, ny, nz] = self.size;
@@ -130,14 +130,14 @@ impl Runs {
         (at < self.start[row + 1] && self.runs[at].first <= i).then_some(at)
     }
 
-    /// Returns the number of a node, counting the nodes of all runs in ascending order. Returns
-    /// `None` if no run contains the node.
+    /// Returns the index of a node among the nodes of all runs, in ascending order, or `None` if no
+    /// run contains the node.
     pub fn number(&self, node: usize) -> Option<usize> {
         let run = self.runs[self.find(node)?];
         Some(run.number + node % self.size[0] - run.first as usize)
     }
 
-    /// Splits values at the nodes of the runs into one part per slice.
+    /// Splits `values`, one per node of the runs, into one part per slice of the grid.
     pub fn slices<'a, T>(&self, values: &'a mut [T]) -> Vec<&'a mut [T]> {
         let [_, ny, nz] = self.size;
         let before = |row: usize| self.runs.get(self.start[row]).map_or(self.count, |run| run.number);
@@ -151,7 +151,7 @@ mod tests {
 
     const SIZE: [usize; 3] = [23, 9, 7];
 
-    /// Selects random nodes, none of them on the faces of the grid.
+    /// Selects random nodes that are not on the faces of the grid.
     fn is_in(n: usize) -> bool {
         let [nx, ny, nz] = SIZE;
         let at = [n % nx, n / nx % ny, n / (nx * ny)];

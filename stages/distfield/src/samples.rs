@@ -26,15 +26,15 @@ impl<T: Fn(DVec3) -> (f64, DVec3) + Sync> ValueGradient for T {
 
 /// The implicit function whose zero set is the surface. It is evaluated only near the surface.
 pub struct Source {
-    /// The spline whose zero set is the surface, without the cut at the border.
+    /// The spline whose zero set is the surface before it is cut at the border.
     pub spline: BrickSpline,
     /// The box that closes the object at the border, if any.
     pub cap: Option<BorderBox>,
 }
 
 impl ValueGradient for Source {
-    /// With a box, returns the first-order distance (mm) to the surface that the box closes, and
-    /// the gradient of this distance. Otherwise, returns the value and gradient of the spline.
+    /// With a box, returns the first-order distance (mm) to the surface closed by the box, and the
+    /// gradient of this distance. Otherwise, returns the value and gradient of the spline.
     #[inline(always)]
     fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         let (f, g) = self.spline.value_gradient(grid);
@@ -44,12 +44,12 @@ impl ValueGradient for Source {
     }
 }
 
-/// Slopes up to this value, per mm, count as zero. Rounding to double precision alone gives slopes
-/// of 1e-13 where the values of a scan are about 1000.
+/// Slopes up to this value, per mm, are treated as zero. Rounding to double precision alone gives
+/// slopes of 1e-13 where the values of a scan are about 1000.
 pub(crate) const VANISHING_SLOPE: f64 = 1e-12;
 
 /// Returns the value over the slope. If the slope vanishes, returns 1e6 mm, which exceeds the size
-/// of any volume, with the sign of the value; zero counts as outside.
+/// of any volume, with the sign of the value; zero is treated as outside.
 #[inline(always)]
 pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
     if slope > VANISHING_SLOPE {
@@ -61,23 +61,24 @@ pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
     }
 }
 
-/// Number of samples per parallel task: enough that the cost of a task is negligible, and few
-/// enough that small meshes still give a task to every thread. The samples do not depend on it.
+/// Number of samples per parallel task: large enough to make the overhead of a task negligible, and
+/// small enough to give every thread a task for small meshes. The samples do not depend on this
+/// number.
 const CHUNK: usize = 256;
 
 /// Maximum number of Newton steps per sample. Two steps of [`LONGEST_STEP`] exceed
 /// [`MAX_PROJECTION`]. The other ten steps reach [`SURFACE_TOLERANCE`] even if each of them only
-/// divides the distance by four: 0.4 / 4^10 = 4e-7.
+/// reduces the distance to a quarter: 0.4 / 4^10 = 4e-7.
 const MAX_NEWTON_STEPS: usize = 12;
 
 /// Maximum length of a Newton step, in units of the minimum voxel spacing. A step from the surface
-/// of a layer one voxel thick stays below the middle of the layer (0.5), where the gradient changes
-/// its sign.
+/// of a layer one voxel thick does not reach the middle of the layer (0.5), where the gradient
+/// changes sign.
 const LONGEST_STEP: f64 = 0.4;
 
 /// A sample is on the surface if its first-order distance |f| / slope is at most this value, in
 /// units of the minimum voxel spacing. It is a thousandth of the tolerance of the pinned zero set
-/// (0.001, `field::PINNED`). Newton's method converges quadratically, so one step covers this
+/// (0.001, `field::PINNED`). Newton's method converges quadratically, so one step gains this
 /// factor.
 const SURFACE_TOLERANCE: f64 = 1e-6;
 
@@ -96,13 +97,15 @@ const BISECTIONS: usize = 40;
 /// Computes samples of the zero set of `implicit` from its marching-cubes mesh at the nodes of
 /// `image`.
 ///
-/// The first samples are the mesh vertices, one sample each and in the same order. If Newton's
+/// The first samples are the projections of the mesh vertices, in the same order. If Newton's
 /// method fails for a vertex, bisection finds a zero on the grid edge of the vertex, where the sign
-/// changes. The triangle centres follow; centres for which Newton's method fails are left out.
+/// changes. The projections of the triangle centres follow, without those for which Newton's method
+/// fails.
 pub fn surface_samples<I: ValueGradient>(implicit: &I, image: &Image<f32>, mesh: &TriangleMesh) -> Vec<DVec3> {
     let voxel = image.geometry.min_spacing();
     let instructions = Level::new();
-    // loops, because a closure per item would not be compiled for the dispatched instruction set
+    // plain loops, because a closure per item would not be compiled for the dispatched instruction
+    // set
     let vertices = mesh.vertices.par_chunks(CHUNK).map(|chunk| {
         let mut found = Vec::with_capacity(chunk.len());
         dispatch!(instructions, _simd => {
@@ -162,7 +165,7 @@ fn bisect_edge<I: ValueGradient>(implicit: &I, image: &Image<f32>, v: DVec3) -> 
     let (mut low, mut high) = (geometry.index_to_grid(low), geometry.index_to_grid(high));
     let inside = implicit.value_gradient(low).0 < 0.0;
     if inside == (implicit.value_gradient(high).0 < 0.0) {
-        // an extra vertex within a cell, or an end of the edge lies on the surface within rounding
+        // the vertex lies within a cell, or an end of the edge lies on the surface up to rounding
         return v;
     }
     for _ in 0..BISECTIONS {

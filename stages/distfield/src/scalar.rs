@@ -1,5 +1,5 @@
-//! Computes F of scalar volumes. The surface is the zero set of the interpolating cubic B-spline
-//! through the input, minus the iso value.
+//! Computes F of scalar volumes. The surface is the set of points where the cubic B-spline that
+//! interpolates the input equals the iso value.
 //!
 //! [`from_voxels`] checks the voxels and the iso value, evaluates the spline on the padded grid,
 //! closes the object at the border ([`crate::cap`]) and computes F ([`redistance`]). The level sets
@@ -19,9 +19,9 @@ use isoparticles_volume::{Geometry, Image, Volume, Voxels};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Minimum |F| at a node, in units of the minimum voxel spacing. Nodes equal to the iso value get
-/// this value and are outside. It equals the tolerance of the pinned zero set (`field::PINNED`): at
-/// a smaller distance, the side of a node would be arbitrary.
+/// Minimum |F| at a node, in units of the minimum voxel spacing. Nodes at which the input equals
+/// the iso value get this value and are outside. It equals the tolerance of the pinned zero set
+/// (`field::PINNED`): at a smaller distance, the side of a node would be arbitrary.
 const LEAST_NODE_DISTANCE: f64 = 1e-3;
 
 /// Options for computing F from an isosurface.
@@ -88,7 +88,7 @@ pub(crate) fn from_level(
     input.redistance(clearance.max(LEAST_NODE_DISTANCE), options, demands, monitor)
 }
 
-/// Checks the voxels and the iso value like [`from_voxels`]. Returns the volume and the bounding
+/// Checks the voxels and the iso value as [`from_voxels`] does. Returns the volume and the bounding
 /// box of the inside voxels.
 ///
 /// # Errors
@@ -101,8 +101,7 @@ pub fn check_scalar(volume: Volume, iso: f64, inside: Inside) -> Result<(Volume,
 }
 
 /// A volume and the surface to extract from it. After the check, slices are stored from last to
-/// first. Slices that are already converted to nodes are then at the end, and their memory can be
-/// freed.
+/// first, so that slices already converted to nodes are at the end and their memory can be freed.
 struct Input {
     voxels: Voxels,
     geometry: Geometry,
@@ -123,8 +122,8 @@ fn power_of_two_below_inverse(range: f64) -> f64 {
 }
 
 impl Input {
-    /// Computes F. Its absolute value is at least `clearance` voxels at voxel centres and at nodes
-    /// beyond a closed border, and at least [`LEAST_NODE_DISTANCE`] at nodes beyond an open border.
+    /// Computes F, with |F| at least `clearance` voxels at voxel centres and at nodes beyond a
+    /// closed border, and at least [`LEAST_NODE_DISTANCE`] at nodes beyond an open border.
     fn redistance(
         mut self,
         clearance: f64,
@@ -223,7 +222,7 @@ impl Input {
     }
 
     /// Copies voxels of slice `k`, starting at voxel `first` of the slice. Subtracts the iso value
-    /// and scales the difference, with the sign chosen so that it is negative inside.
+    /// and scales the difference. The result is negative inside.
     fn copy_signed(&self, k: usize, first: usize, to: &mut [f32]) {
         let first = (self.geometry.size[2] - 1 - k) * self.slice_size() + first;
         let sign = match self.inside {
@@ -239,9 +238,9 @@ impl Input {
     fn source(mut self, &ScalarOptions { border, margin, cut, .. }: &ScalarOptions) -> (Image<f32>, Source) {
         let to_add = margin - self.padding;
         let padded = self.geometry.padded(to_add);
-        // Beyond a face where the volume was cut there is only background. The box there removes
-        // spurious parts that the spline creates from noise in the margin. Samples that already
-        // contain the margin need no box there.
+        // Beyond a face where the volume was cut, there is only background. The box removes
+        // spurious parts that the spline creates from noise in the margin there. Samples that
+        // already contain the margin need no box at these faces.
         let closed =
             cut.map(|faces| faces.map(|is_cut| if is_cut { self.padding == 0 } else { border == Border::Cap }));
         let is_any = closed.as_flattened().contains(&true);
@@ -358,7 +357,7 @@ impl Summary {
 /// coefficient minus the margin, and `n` is the size of the input.
 ///
 /// The mirror boundary condition of the spline gives the first coefficient beyond the border. All
-/// further coefficients repeat it, which continues the surface straight. Between voxel centres, the
+/// further coefficients repeat it, which extends the surface straight. Between voxel centres, the
 /// padded spline equals that of the input.
 fn straight(i: isize, n: usize) -> usize {
     let last = n as isize - 1;

@@ -2,9 +2,9 @@
 //!
 //! The occupancy of each voxel is smoothed by a Gaussian with a standard deviation of half the
 //! scale. Where the surface is curved or the object is thin, the level set of 1/2 is displaced:
-//! balls shrink, and small parts and thin walls vanish. The threshold therefore varies in space so
-//! that the volume within a window is preserved (`level.rs`). Parts that remain detectable after
-//! smoothing keep their volume, and tubes and walls keep their thickness. All other parts vanish;
+//! balls shrink, and small parts and thin walls vanish. The level therefore varies in space so that
+//! the volume within a window is preserved (`level.rs`). Parts that survive the smoothing keep
+//! their volume, and tubes and walls keep their thickness. All other parts vanish;
 //! [`crate::changes`] reports their number, volume and position.
 
 use crate::changes::{Changes, remove_crumbs};
@@ -25,7 +25,7 @@ use std::f64::consts::{LN_2, PI};
 pub struct Scale {
     /// The scale: twice the standard deviation of the Gaussian, mm.
     pub length: f64,
-    /// True to keep parts that are too thin for a mesh of the matching edge length.
+    /// Whether to keep parts that are too thin for a mesh of the matching edge length.
     pub keep_thin: bool,
 }
 
@@ -53,13 +53,13 @@ const LEAST_LEVEL_THIN: f64 = 0.03;
 const CRUMB_RADIUS: f64 = 0.5;
 
 /// Ratio of the scale to the edge length of the mesh. On `heart_label` (1.5 mm voxels) with h = 3.5
-/// and 1.75 mm, the mean / minimum radius ratio is 0.985 / 0.69 and 0.970 / 0.59 at 1, 0.989 / 0.67
-/// and 0.981 / 0.72 at 1.4, and 0.985 / 0.72 and 0.985 / 0.81 at 1.8. Even at 1.8, 99 % of the
-/// voxels that changed sides were at the surface.
+/// and 1.75 mm, the mean / minimum radius ratio of the triangles is 0.985 / 0.69 and 0.970 / 0.59
+/// at a ratio of 1, 0.989 / 0.67 and 0.981 / 0.72 at 1.4, and 0.985 / 0.72 and 0.985 / 0.81 at 1.8.
+/// Even at 1.8, 99 % of the voxels that changed sides were at the surface.
 pub const SCALE_OVER_SIZE: f64 = 1.6;
 
 /// Distance around the object within which the occupancy is smoothed, in standard deviations. At
-/// this distance the smoothed occupancy of a half space is 0.001.
+/// this distance, the smoothed occupancy of a half space is 0.001.
 const SMOOTHING_REACH: f64 = 3.0;
 
 /// The smoothed object.
@@ -74,7 +74,7 @@ pub struct Scaled {
 
 /// The smoothed object in its bounding box.
 struct Boxed {
-    /// Index in the volume of the first voxel of the box.
+    /// Index of the first voxel of the box in the volume.
     first: [usize; 3],
     before: Occupancy,
     /// Zero on the surface, positive inside.
@@ -124,9 +124,8 @@ pub(crate) fn smallest_part(scale: f64) -> f64 {
     4.0 / 3.0 * PI * (CRUMB_RADIUS * scale).powi(3)
 }
 
-/// Smooths an object. `grid` selects the grid of the result. Parts that `keep` will drop are
-/// smoothed, too, but their loss is not reported. Returns `None` if nothing is left of
-/// the object.
+/// Smooths an object. `grid` selects the grid of the result. Parts that `keep` drops later are also
+/// smoothed, but their loss is not reported. Returns `None` if nothing is left of the object.
 ///
 /// # Errors
 /// If there are too many runs of voxels to label the parts.
@@ -167,9 +166,9 @@ fn add(a: [usize; 3], b: [usize; 3]) -> [usize; 3] {
     std::array::from_fn(|axis| a[axis] + b[axis])
 }
 
-/// Areas are measured on the coarsest grid on which the standard deviation of the smoothing is at
-/// least this many voxels. This standard deviation removes the voxel steps of labels
-/// (`labels::SIGMA`).
+/// Minimum standard deviation of the smoothing, in voxels, on a grid that is used to measure an
+/// area. Areas are measured on the coarsest such grid. This standard deviation removes the voxel
+/// steps of labels (`labels::SIGMA`).
 const COARSE_SIGMA: f64 = 1.5;
 
 /// Minimum number of voxels of a halved grid: grids of more than eight times this number are halved
@@ -180,14 +179,15 @@ const FEWEST_VOXELS: usize = 10_000;
 /// Maximum number of iterations of the search for an edge length, and tolerance of the relative
 /// difference between the assumed edge length and the edge length computed from the area.
 ///
-/// The tolerance of 1 % is 2 % of the number of vertices. An iteration changes the length by at
-/// most a factor of two, so ten cover a factor of 1000. The objects of `tests/scale.rs` take at
-/// most four. After the last iteration, the search returns its current length.
+/// The tolerance of 1 % corresponds to 2 % of the number of vertices. An iteration changes the
+/// length by at most a factor of two, so ten iterations cover a factor of 1000. The objects of
+/// `tests/scale.rs` take at most four iterations. After the last iteration, the search returns its
+/// current length.
 const AREA_ROUNDS: (usize, f64) = (10, 0.01);
 
-/// The search ends at edge lengths below this many voxels, six halvings from one voxel. The
-/// standard deviation of the smoothing is then below 0.016 voxel and has no effect. An object
-/// without area at this scale is empty.
+/// The search ends at edge lengths below this many voxels, which it reaches after six halvings from
+/// one voxel. The standard deviation of the smoothing is then below 0.016 voxel and has no effect.
+/// An object without area at this scale is empty.
 const SHORTEST_EDGE: f64 = 0.02;
 
 /// A grid that can be halved in resolution, so that areas at large scales are measured on few
@@ -255,8 +255,8 @@ pub(crate) fn edge_length_by<G: Coarser>(
             let slope = last.map_or(-1.0, |(last, last_off)| ((off - last_off) / (length / last).ln()).min(-1.0));
             -off / slope
         } else {
-            // the area vanishes once the scale exceeds the thickness of all parts, so steps are
-            // limited
+            // limit the step, because the area vanishes once the scale exceeds the thickness of all
+            // parts
             0.5 * off.clamp(-2.0 * LN_2, 2.0 * LN_2)
         };
         last = off.is_finite().then_some((length, off));
@@ -295,8 +295,8 @@ fn crop(from: &[u8], whole: [usize; 3], first: [usize; 3], size: [usize; 3]) -> 
     values
 }
 
-/// Copies the intersection of two boxes of one grid. `from_first` and `to_first` are the indices in
-/// that grid of the first voxel of each box.
+/// Copies the values of one box of a grid to another box where the boxes intersect. `from_first`
+/// and `to_first` are the grid indices of the first voxels of the boxes.
 fn paste(from: &Image<f32>, from_first: [usize; 3], to: &mut Image<f32>, to_first: [usize; 3]) {
     let (source, target) = (from.geometry.size, to.geometry.size);
     let low: [usize; 3] = std::array::from_fn(|a| from_first[a].max(to_first[a]));

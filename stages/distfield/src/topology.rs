@@ -10,7 +10,7 @@ pub struct Parts {
     pub components: usize,
     /// Number of connected surfaces that bound a cavity.
     pub cavities: usize,
-    /// Enclosed volume without cavities, mm^3.
+    /// Enclosed volume, without the cavities, mm^3.
     pub volume: f64,
 }
 

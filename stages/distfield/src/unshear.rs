@@ -10,7 +10,7 @@ use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::Result;
 use isoparticles_volume::{LayerLabel, Shear, Volume, Voxels};
 
-/// The object to extract, which determines how to resample.
+/// The object to extract, which determines how the volume is resampled.
 #[derive(Clone, Copy)]
 pub enum Wanted<'a> {
     /// The union of labels.
@@ -32,7 +32,7 @@ pub fn unshear(volume: Volume, wanted: Wanted<'_>, border: Border, context: &Con
         Wanted::Iso(..) => vec![4],
         _ => volume.layers().map(|voxels| voxels.scalar_type().bytes()).collect(),
     };
-    // between the passes, there are two additional copies of one layer
+    // between the passes, memory holds two additional copies of one layer
     let bytes = layers.iter().sum::<usize>() + 2 * layers.iter().max().unwrap_or(&0);
     context.check_memory(
         shear.geometry.voxel_count() as f64 * bytes as f64,
@@ -59,7 +59,7 @@ pub fn unshear(volume: Volume, wanted: Wanted<'_>, border: Border, context: &Con
 }
 
 /// Resamples all layers of a label map. With a closed border, space outside the volume gets the
-/// lowest label for which `asked` is false.
+/// lowest non-negative label for which `asked` is false.
 fn moved(volume: &Volume, shear: &Shear, border: Border, asked: impl Fn(LayerLabel) -> bool) -> Vec<Voxels> {
     let layer = |(layer, voxels)| {
         let outside = (0..).find(|&label| !asked(LayerLabel { layer, label }));
@@ -68,9 +68,10 @@ fn moved(volume: &Volume, shear: &Shear, border: Border, asked: impl Fn(LayerLab
     volume.layers().enumerate().map(layer).collect()
 }
 
-/// Resamples a scan. With a closed border, values of the object are mirrored at the iso value
-/// outside the volume, so that the object ends half a voxel beyond the last voxel centres. Returns
-/// `None` if there is no surface, which a later check reports.
+/// Resamples a scan. Space outside the volume gets the values of the nearest voxels. With a closed
+/// border, values of the object are reflected about the iso value there, so that the object ends
+/// half a voxel beyond the outermost voxel centres. Returns `None` if there is no surface, which a
+/// later check reports.
 fn interpolated(voxels: &Voxels, shear: &Shear, iso: f64, inside: Inside, border: Border) -> Option<Voxels> {
     let (low, high) = voxels.range()?;
     let is_finite = low.is_finite() && high.is_finite() && voxels.nan_count() == 0;

@@ -1,4 +1,4 @@
-//! Compares `--grid object` with `--grid volume`: the field near the surface is the same at the
+//! Compares `--grid object` with `--grid volume`: near the surface, the field is the same at the
 //! same position in the world, and only borders of the volume are treated as borders.
 
 use glam::{DMat3, DVec3};
@@ -11,9 +11,9 @@ use std::path::Path;
 use std::process::{Command, Output};
 use tempfile::TempDir;
 
-/// Tolerances of F, in units of the mean voxel spacing: for the 99th percentile of the differences
-/// within three voxels of the surface, and for the maximum difference within one voxel. Nodes in
-/// the groove between the two balls are equally far from both balls; one of these nodes differs by
+/// Tolerances for the differences of F, in units of the mean voxel spacing: the 99th percentile
+/// within three voxels of the surface, and the maximum within one voxel. Nodes in the groove
+/// between the two balls are equally far from both balls; at one of these nodes, F differs by
 /// 0.022.
 const SAME: (f64, f64) = (0.006, 0.03);
 
@@ -58,8 +58,8 @@ fn both(folder: &Path, options: &[&str]) -> [Field; 2] {
     })
 }
 
-/// Returns the node of the larger grid with the world coordinates of the first node of the smaller
-/// grid.
+/// Returns the node of the larger grid that has the world coordinates of the first node of the
+/// smaller grid.
 fn place_of(small: &Geometry, large: &Geometry) -> [usize; 3] {
     assert_eq!((small.spacing, small.directions, small.space), (large.spacing, large.directions, large.space));
     let at = large.grid_to_index(large.world_to_grid(small.origin));
@@ -97,15 +97,15 @@ fn assert_same([whole, part]: &[Field; 2], what: &str) {
     );
 }
 
-/// Fails if the notes of the fields differ.
+/// Fails if components, cavities or the volume of the voxels differ between the fields.
 fn assert_same_notes([whole, part]: &[Field; 2], what: &str) {
     for key in ["components", "cavities", "volume_before"] {
         assert_eq!(whole.meta[key], part.meta[key], "{what}: {key}");
     }
 }
 
-/// Returns the value of an implicit function of two intersecting balls of 9 and 6 mm radius in a
-/// corner of a volume, negative inside.
+/// Returns the value of the implicit function of two intersecting balls with radii of 9 and 6 mm in
+/// a corner of a volume, negative inside.
 fn two_balls(p: DVec3) -> f64 {
     let (a, b) = (DVec3::new(30.0, 31.0, 29.0), DVec3::new(39.0, 36.0, 33.0));
     (p.distance(a) - 9.0).min(p.distance(b) - 6.0)
@@ -139,7 +139,7 @@ fn field_of_the_object_box_equals_field_of_the_whole_volume() {
 #[test]
 fn only_true_borders_of_the_volume_are_capped_or_open() {
     let geometry = oblique([60, 70, 66], DVec3::ONE);
-    // a ball cut by the low x and the high z border
+    // a ball that is cut by the borders at low x and high z
     let centre = DVec3::new(0.0, 30.0, 60.0);
     let labels = folder(&geometry, |p| if p.distance(centre) < 12.3 { 1.0 } else { 0.0 });
     for border in ["cap", "open"] {
@@ -159,7 +159,7 @@ fn only_true_borders_of_the_volume_are_capped_or_open() {
         assert_eq!(planes[0], planes[1], "{border}");
         assert_eq!(planes[0].len(), if border == "cap" { 2 } else { 0 }, "{border}");
     }
-    // an object that fills the rest of the volume touches all borders
+    // the complement of a ball touches all borders
     let [whole, part] = both(
         folder(&geometry, |p| p.distance(DVec3::splat(30.0)) as f32).path(),
         &["--iso", "12.3", "--inside", "above"],

@@ -1,5 +1,5 @@
-//! Tests input that `distfield` rejects or warns about: labels for a scan, iso values for labels,
-//! missing labels, NaN voxels, and too little memory.
+//! Tests input that `distfield` rejects or warns about: labels for a scan, iso values for label
+//! maps, missing labels, NaN voxels, and too little memory.
 
 use isoparticles_stage::field_file::{Field, FieldKind, read_field};
 use std::path::{Path, PathBuf};
@@ -26,15 +26,15 @@ fn write_nrrd(path: &Path, size: [usize; 3], value: impl Fn(f64, usize) -> i16) 
     std::fs::write(path, bytes).expect("written");
 }
 
-/// Returns the voxel values of a scan: a noisy ball with a blurred edge. The mean value is 100 at a
-/// radius of 12 mm.
+/// Returns the voxel value of a scan of a noisy ball with a blurred edge. The mean value is 100 at
+/// a radius of 12 mm.
 fn scan(radius: f64, n: usize) -> i16 {
     let noise = ((n * 7919) % 31) as f64 - 15.0;
     (200.0 / (1.0 + ((radius - 12.0) / 0.9).exp()) + noise) as i16
 }
 
-/// Returns the voxel values of a label map: a ball of label 3 in a shell of label 2, and one voxel
-/// of label 9.
+/// Returns the voxel value of a label map with a ball of label 3 in a shell of label 2, and one
+/// voxel of label 9.
 fn labels(radius: f64, n: usize) -> i16 {
     match radius {
         _ if n == 0 => 9,
@@ -70,8 +70,8 @@ impl Case {
         assert_eq!(run.status.code(), Some(0), "{options:?}: {}", String::from_utf8_lossy(&run.stderr));
     }
 
-    /// Runs the program and checks that it fails with a message that contains `words`, and that it
-    /// writes no output.
+    /// Runs the program and checks that it exits with code 2 and a message that contains `words`,
+    /// and that it writes no output.
     #[track_caller]
     fn refused(&self, options: &[&str], words: &[&str]) {
         let run = self.run(options);

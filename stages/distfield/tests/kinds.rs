@@ -1,4 +1,4 @@
-//! Checks that the same oblique volume gives the same surface in the world in every supported
+//! Checks that an oblique volume gives the same surface in world coordinates in every supported
 //! format.
 
 use dicom_core::{DataElement, PrimitiveValue, VR};
@@ -42,8 +42,8 @@ fn signed() -> Vec<u8> {
     values().iter().flat_map(|&value| (value as i16).to_le_bytes()).collect()
 }
 
-/// Returns the step vector of each grid axis, and the origin. All are multiplied by `signs`; (-1,
-/// -1, 1) converts LPS to RAS.
+/// Returns the step vector of each grid axis, and the origin. All vectors are multiplied by
+/// `signs`; (-1, -1, 1) converts LPS to RAS.
 fn affine(signs: DVec3) -> ([DVec3; 3], DVec3) {
     let geometry = geometry();
     ([0, 1, 2].map(|axis| signs * geometry.directions.col(axis) * geometry.spacing[axis]), signs * geometry.origin)
@@ -104,8 +104,8 @@ fn meta_image(path: &Path) {
     std::fs::write(path, [header.into_bytes(), signed()].concat()).expect("written");
 }
 
-/// Writes DICOM slices whose file names are not in spatial order. The stored values are increased
-/// by 1024, as in a CT.
+/// Writes DICOM slices whose file names are not in spatial order. The stored values are offset by
+/// 1024, as in a CT.
 fn dicom(folder: &Path) {
     std::fs::create_dir(folder).expect("made");
     let geometry = geometry();

@@ -72,8 +72,8 @@ fn thick_slices_are_smoothed_as_well() {
     assert!(volume.abs() < 0.005, "volume off by {volume}");
 }
 
-/// Returns the thickness in voxels of the region F < 0, along a direction through a point (index
-/// position in the mask).
+/// Returns the thickness, in voxels, of the region F < 0 along a direction through a point. The
+/// point is given in index coordinates of the mask.
 fn thickness(result: &Redistanced, index: DVec3, direction: DVec3) -> f64 {
     let spline = CubicSpline::new(&result.field);
     let geometry = &result.field.geometry;
@@ -105,7 +105,7 @@ fn parts_one_voxel_thin_keep_topology_and_half_a_voxel() {
         let thick = thickness(&rod, DVec3::new(9.0, 10.0, 9.0), DVec3::Y);
         assert!(thick > 0.5, "rod {thick} voxel");
 
-        // the surface of a box, one voxel thick: a shell with a cavity
+        // the surface of a box, one voxel thick, which is a shell with a cavity
         let shell = extract(&sampled(size, spacing, |p| (index(p) - DVec3::splat(9.0)).abs().max_element() == 5.0));
         assert_eq!((shell.parts_after.components, shell.parts_after.cavities), (1, 1));
 
@@ -164,7 +164,7 @@ fn parts_that_touch_along_an_edge_are_joined() {
 
 #[test]
 fn contacts_near_the_border_decide_as_in_the_middle() {
-    // wavy layers, one to two voxels thick, with holes: a quarter of the voxels are missing
+    // wavy layers, one to two voxels thick, of which a random quarter of the voxels is missing
     let wave = |p: DVec3| p.z + 4.0 * (0.5 * p.x).sin() + 4.0 * (0.37 * p.y).sin();
     let is_missing = |p: DVec3| (p.dot(DVec3::new(127.1, 311.7, 74.7)).sin() * 43758.5453).rem_euclid(1.0) < 0.25;
     let mask = sampled([30; 3], DVec3::ONE, |p| wave(p).rem_euclid(7.0) < 1.6 && !is_missing(p));
@@ -214,8 +214,8 @@ fn thin_layers_and_rods_keep_their_volume() {
     }
 }
 
-/// Returns the position of the zero of F on a line through a point (index position in the mask), in
-/// voxels from the point.
+/// Returns the position of the zero of F on a line through a point, in voxels from the point. The
+/// point is given in index coordinates of the mask.
 fn crossing(result: &Redistanced, index: DVec3, direction: DVec3) -> f64 {
     let spline = CubicSpline::new(&result.field);
     let at =
@@ -237,7 +237,7 @@ fn flat_faces_and_caps_stay_flat() {
     };
     let cylinder =
         extract(&sampled([32, 32, 40], DVec3::ONE, |p| (p.truncate() - glam::DVec2::splat(15.5)).length() < 12.0));
-    // maximum over a square of the face at the low end of z
+    // maximum over a square region of the face at low z
     let largest = |result: &Redistanced, [first, last]: [i32; 2], z: f64| {
         let places =
             (first..=last).flat_map(|x| (first..=last).map(move |y| DVec3::new(f64::from(x), f64::from(y), z)));
@@ -259,7 +259,7 @@ fn small_parts_are_dropped_and_reported() {
     });
     let volume =
         |x: f64| mask.data.iter().enumerate().filter(|&(n, &m)| m && ((n % 30) as f64 - x).abs() < 6.5).count();
-    // each volume without one of the single voxels
+    // each count includes one of the single voxels, which is subtracted
     let (large, small) = (volume(8.0) as f64 - 1.0, volume(22.0) as f64 - 1.0);
     assert!(large > 800.0 && (100.0..200.0).contains(&small));
     for (keep, components, gone) in [
@@ -287,8 +287,7 @@ fn parts_at_an_open_border_count_only_their_voxels() {
     let block = |p: DVec3, low: [f64; 3], high: [f64; 3]| {
         p.cmpge(DVec3::from_array(low) - 0.5).all() && p.cmplt(DVec3::from_array(high) - 0.5).all()
     };
-    // a part of 64 voxels, and a part of 32 voxels at the face z = 0, which continues into the
-    // margin
+    // a part of 64 voxels, and a part of 32 voxels at the face z = 0 that extends into the margin
     let mask = sampled([16, 10, 14], DVec3::ONE, |p| {
         block(p, [2.0, 3.0, 7.0], [6.0, 7.0, 11.0]) || block(p, [9.0, 3.0, 0.0], [13.0, 7.0, 2.0])
     });

@@ -55,8 +55,8 @@ fn volume(size: [usize; 3], label: impl Fn([usize; 3]) -> u8) -> Volume {
 }
 
 impl Made {
-    /// Checks the indicators known at each node: only that of the node's material is negative, and
-    /// all absolute values are at least the clearance. The survey must agree.
+    /// Checks the indicators known at each node: only the indicator of the node's material is
+    /// negative, and all absolute values are at least the clearance. The survey must agree.
     fn keeps_every_voxel(&self, what: &str) {
         let materials = &self.extracted.materials;
         let geometry = materials.geometry();
@@ -65,7 +65,7 @@ impl Made {
         for n in 0..geometry.voxel_count() {
             let node = [n % nx, n / nx % ny, n / (nx * ny)];
             let own = self.grid.at(node);
-            // beyond an open border, interfaces continue straight, and nodes there have no labels
+            // beyond an open border, interfaces continue straight, but the nodes have no labels
             let is_voxel = (0..3).all(|a| (MARGIN..geometry.size[a] - MARGIN).contains(&node[a]));
             if self.grid.border == Border::Open && !is_voxel {
                 continue;
@@ -94,11 +94,11 @@ impl Made {
         }
     }
 
-    /// Checks the midpoints of grid edges, faces and cells: the first material must be that of a
-    /// corner, and on edges the first two materials must be those of the two ends. Returns the
-    /// numbers of edges between two materials, of such edges with a third material known nearby, of
-    /// faces whose corners differ along all four edges, and of such faces where the maximum
-    /// indicators of the two diagonals differ by less than 0.1 voxel.
+    /// Checks the midpoints of grid edges, faces and cells: the material with the smallest
+    /// indicator must be that of a corner, and on edges, the two smallest indicators must be those
+    /// of the two ends. Returns the number of edges between two materials, of such edges with a
+    /// third material known nearby, of faces whose corners differ along all four edges, and of such
+    /// faces where the maximum indicators of the two diagonals differ by less than 0.1 voxel.
     fn keeps_contacts(&self, what: &str) -> [usize; 4] {
         let materials = &self.extracted.materials;
         let geometry = materials.geometry();
@@ -203,7 +203,7 @@ fn every_voxel_centre_keeps_its_material() {
             let made = make(volume([12; 3], &label), border);
             made.keeps_every_voxel(&format!("{what}, {border:?}"));
             let [_, _, open, narrow] = made.keeps_contacts(what);
-            // in a checkerboard, every raise makes other raises necessary
+            // in a checkerboard, every raise makes further raises necessary
             let most = if what == "a checkerboard" { open / 3 } else { open / 20 };
             assert!(narrow <= most, "{what}: {narrow} of {open}");
             if what == "two that alternate" {
@@ -212,7 +212,7 @@ fn every_voxel_centre_keeps_its_material() {
             if what == "eight in a block" {
                 assert!(made.survey.junctions.edges_of_four >= 24 && made.survey.junctions.corners >= 7);
             }
-            // the volumes add up: one material loses what another gains
+            // the total volume is preserved: one material loses what another gains
             let voxel = made.grid.geometry.spacing.element_product();
             let sum: f64 = made.survey.volumes.iter().sum();
             assert!((sum / (1728.0 * voxel) - 1.0).abs() < 1e-9, "{what}: {sum}");
@@ -228,7 +228,7 @@ fn a_thin_layer_stays() {
         _ => 3,
     };
     let made = make(volume([14; 3], layer), Border::Open);
-    // at least 0.6 voxel thick over the whole layer
+    // the layer must be at least 0.6 voxel thick on average
     let thin = 14.0 * 14.0 * 1.0 * 0.8 * 0.6 * 1.3;
     assert!(made.survey.volumes[2] > thin, "{} of {thin}", made.survey.volumes[2]);
     let pairs: Vec<_> = made.survey.interfaces.iter().map(|pair| pair.materials.map(|id| id.0)).collect();
@@ -238,7 +238,8 @@ fn a_thin_layer_stays() {
     }
 }
 
-/// Returns the relative errors of the areas and volumes of two nested balls at a spacing (mm).
+/// Returns the maximum relative error of the interface areas of two nested balls, and that of the
+/// volume of the inner ball. `spacing` is the voxel spacing, mm.
 fn nested_errors(spacing: f64) -> (f64, f64) {
     let nodes = (24.0 / spacing) as usize + 1;
     let geometry = Geometry::axis_aligned([nodes; 3], DVec3::splat(spacing));
@@ -263,8 +264,8 @@ fn areas_and_volumes_converge() {
     assert!(coarse.1 < 0.02 && fine.1 < 0.001, "volumes {coarse:?} {fine:?}");
 }
 
-/// Returns a ball divided into three sectors, 1 to 3, around the z axis and surrounded by the
-/// outside, and a separate block of eight voxels of label 4.
+/// Returns a volume with a ball that is divided into three sectors around the z axis (labels 1 to
+/// 3), and a separate block of eight voxels of label 4.
 fn sectors(size: usize, radius: f64) -> Volume {
     let centre = 0.5 * (size as f64 - 1.0) + 0.13;
     volume([size; 3], |at| {
@@ -286,9 +287,9 @@ fn scaled(volume: Volume, length: f64) -> Made {
     )
 }
 
-/// Returns the deviation of the normals of the outer border of [`sectors`] of size 40 and radius
-/// 10.5 from those of a ball (root mean square, degrees), on the sectors that `is_meant` selects
-/// and away from their edges. The border must be within 0.3 of the radius.
+/// Returns the root-mean-square deviation (degrees) of the normals of the outer border of
+/// [`sectors`] of size 40 and radius 10.5 from those of a ball. Includes only sectors that
+/// `is_meant` selects, away from their edges. The border must be within 0.4 mm of the ball.
 fn roughness(made: &Made, is_meant: impl Fn(u16) -> bool) -> f64 {
     let materials = &made.extracted.materials;
     let centre = materials.geometry().index_to_grid(DVec3::splat(0.5 * 39.0 + 0.13 + MARGIN as f64));
@@ -318,12 +319,12 @@ fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
         assert!(change.abs() < 0.025, "{id}: {change}");
         assert!(made.extracted.tallies[id].changes.as_ref().is_some_and(|changes| changes.voxels_changed > 0));
     }
-    // the small block has vanished, and the outside has taken its voxels
+    // the small block has vanished, and its voxels belong to the outside
     assert_eq!((made.survey.volumes[4], kept.extracted.tallies[4].voxels), (0.0, 8));
     assert!(made.extracted.tallies[4].changes.is_none());
-    // With the scale, the border of the ball has the normals of a ball; without the scale, voxel
-    // steps show. The edges of the sectors are rounded, and the border next to the edges
-    // compensates for this.
+    // With the scale, the normals of the border are close to those of a ball; without the scale,
+    // voxel steps are visible. The edges of the sectors are rounded, and the border next to the
+    // edges compensates for this.
     let rough = |made: &Made| roughness(made, |_| true);
     let labels = sectors(40, 10.5).voxels.to_f32();
     let ball = volume([40; 3], |[i, j, k]| u8::from(labels[(k * 40 + j) * 40 + i] > 0.0));
@@ -341,7 +342,8 @@ fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
 
 #[test]
 fn parts_larger_than_their_own_scale_are_kept_beside_coarser_ones() {
-    // label 2 in label 1: balls of radius 7 and 4 (268 mm^3); a scale of 16 mm would drop both
+    // two balls of label 2 in label 1, with radii of 7 and 4 mm (268 mm^3 for the smaller); a scale
+    // of 16 mm would drop both
     let balls = volume([44, 40, 30], |at| {
         let p = DVec3::from_array(at.map(|n| n as f64)) * DVec3::new(1.0, 0.8, 1.3);
         let is_in = |x: f64, radius: f64| p.distance(DVec3::new(x, 16.0, 19.5)) < radius;
@@ -372,7 +374,7 @@ fn a_volume_of_islands_only_is_outside_at_a_scale() {
 
 #[test]
 fn specks_do_not_fill_gaps_between_materials_at_a_scale() {
-    // single voxels of label 5 on the axis at which the three sectors meet
+    // single voxels of label 5 on the axis where the three sectors meet
     let with_specks = || {
         let labels = sectors(40, 10.5).voxels.to_f32();
         volume([40; 3], |[i, j, k]| {
@@ -406,18 +408,19 @@ fn sizes_of_materials_set_the_scales_of_their_interfaces() {
     let all = scaled(sectors(40, 10.5), 5.0);
     let [first, others] = [roughness(&made, |id| id == 1), roughness(&made, |id| id > 1)];
     let [expected, stepped] = [&all, &make(sectors(40, 10.5), Border::Cap)].map(|made| roughness(made, |id| id == 1));
-    // measured: 1.2 and 4.2 degrees; with a scale of 5 for all, and without a scale, 0.9 and 3.3
+    // measured: 1.2 degrees for sector 1 and 4.2 for the others; for sector 1, 0.9 with a scale of
+    // 5 mm for all and 3.3 without a scale
     let found = [first, others, expected, stepped];
     assert!(first < 1.5 * expected && others < 1.5 * stepped, "{found:?}");
-    // parts keep together: the three sectors, and the outside around them
+    // the three sectors and the outside around them each remain a single part
     let components = made.extracted.tallies.iter().map(|tally| tally.parts[1].components);
     assert_eq!(components.take(4).collect::<Vec<_>>(), [1; 4]);
 }
 
 #[test]
 fn a_scale_preserves_volumes_of_materials_far_from_outside() {
-    // the outside in one corner, and slabs across the rest: two materials far from the outside
-    // touch the border of the volume
+    // the outside in one corner, and slabs in the rest of the volume, of which two are far from the
+    // outside and touch the border of the volume
     let slabs = volume([48, 16, 16], |[i, j, k]| if i < 8 && j < 8 && k < 8 { 0 } else { 1 + (i / 16) as u8 });
     let made = scaled(slabs, 3.0);
     for id in 0..4 {
@@ -431,7 +434,7 @@ fn lost_parts_of_each_material_are_reported_with_their_volume() {
     let folder = tempfile::tempdir().expect("folder");
     let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
     let (input, output, report) = (at("in.nrrd"), at("out.vti"), at("report.json"));
-    // two blocks, with 4 and 24 separate voxels of the same labels
+    // two blocks, and 4 and 24 separate voxels with the labels of the blocks
     let size = [60, 30, 30];
     let is_in = |at: usize, low: usize, high: usize| (low..high).contains(&at);
     let labels = (0..60 * 30 * 30).map(|n: usize| {
@@ -516,7 +519,7 @@ fn one_material_at_a_scale_equals_one_object() {
 
 #[test]
 fn pieces_of_real_volumes_keep_every_voxel() {
-    // parts of real volumes where many labels meet; the whole volumes take minutes
+    // pieces of real volumes where many labels meet, because the whole volumes would take minutes
     let mut decided_by_little = 0;
     for (name, first, least) in
         [("thorax_labels.nrrd", [110, 90, 80], 3), ("brain_parcellation.nrrd", [70, 110, 110], 12)]
@@ -543,7 +546,7 @@ fn distfield(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_distfield")).args(arguments).output().expect("the program runs")
 }
 
-/// Writes a ball of two halves, 1 and 2, in a block of label 3.
+/// Writes a ball in a block of label 3. The halves of the ball have the labels 1 and 2.
 fn write_halves(path: &Path) {
     let size = 16;
     let at = |n: usize| [n % size, n / size % size, n / (size * size)];

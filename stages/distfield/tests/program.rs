@@ -49,8 +49,8 @@ fn a_volume_gives_a_field_with_history() {
     assert!(field.meta["cap_planes"].as_array().is_some_and(Vec::is_empty), "the ball meets no face");
     assert_eq!(field.history.expect("history").inputs.len(), 1);
 
-    // The output has the same bytes with another number of threads. An existing output is kept
-    // without --force.
+    // The output has the same bytes for another number of threads. Without --force, an existing
+    // output is kept.
     let first = std::fs::read(output).expect("bytes");
     assert_eq!(distfield(&[input, "-o", output, "--iso", "6"]).status.code(), Some(2));
     assert_eq!(distfield(&[input, "-o", output, "--iso", "6", "--threads", "2", "--force"]).status.code(), Some(0));
@@ -61,7 +61,7 @@ fn a_volume_gives_a_field_with_history() {
 fn labels_give_the_same_bytes_on_any_number_of_threads() {
     let folder = tempfile::tempdir().expect("folder");
     let input = folder.path().join("in.nrrd");
-    // a ball and a separate voxel, on more nodes than one task processes
+    // a ball and a separate voxel, on a grid with more nodes than one task processes
     let ball = |n: [usize; 3]| n.map(|n| (n as f32 - 19.3).powi(2)).iter().sum::<f32>() < 196.0;
     write_nrrd(&input, [40, 40, 40], |i, j, k| f32::from(u8::from(ball([i, j, k]) || [i, j, k] == [36, 36, 36])));
     let fields = ["1", "2", "3"].map(|threads| {
@@ -96,7 +96,7 @@ fn scale_zero_changes_nothing_and_a_chosen_scale_has_a_reason() {
     for (options, low, high) in [
         (&["--scale", "5"][..], 5.0, 5.0),
         (&["--scale-for-size", "4"], 6.4, 6.4),
-        // 1.6 and 2.4 would show voxel steps
+        // scales of 1.6 and 2.4 would show voxel steps
         (&["--scale-for-size", "1"], 2.7, 2.7),
         (&["--quality", "coarse"], 2.7, 2.7),
         // six faces of 21 x 21 mm, with rounded edges

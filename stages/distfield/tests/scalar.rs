@@ -42,7 +42,7 @@ fn capped(inside: Inside, keep: Keep) -> ScalarOptions {
 fn a_ball_has_exact_distances_and_slope_one() {
     let spacing = DVec3::new(0.8, 1.0, 0.9);
     let centre = DVec3::new(12.3, 12.1, 12.6);
-    // a quadratic function: the spline reproduces it, and it is not a distance
+    // a quadratic function, which the spline reproduces, but which is not a distance
     let image = sampled([31, 25, 29], spacing, |p| (100.0 - (p - centre).length_squared()) as f32);
     let result = extract(&image, 36.0, Border::Cap);
     let (band, all) = distance_errors(&result, |p| p.distance(centre) - 8.0);
@@ -81,7 +81,7 @@ fn an_ellipsoid_and_a_torus_have_exact_distances() {
     let image = sampled([33, 33, 19], DVec3::ONE, |p| (20.0 - to_tube(p).powi(2)) as f32);
     let result = extract(&image, 4.0, Border::Cap);
     let (band, _) = distance_errors(&result, |p| {
-        // nodes near the centre line of the tube are on the medial axis
+        // nodes near the centre line of the tube are close to the medial axis
         let d = to_tube(p) - 4.0;
         if d < -2.0 { f64::INFINITY } else { d }
     });
@@ -90,7 +90,7 @@ fn an_ellipsoid_and_a_torus_have_exact_distances() {
     assert_eq!(topology(&result.field).components[0].genus, Some(1));
 }
 
-/// Returns the signed distance to an ellipsoid, by bisection for the Lagrange multiplier of the
+/// Returns the signed distance to an ellipsoid. Bisection finds the Lagrange multiplier of the
 /// closest point.
 fn ellipsoid_distance(p: DVec3, axes: DVec3) -> f64 {
     let q = p.abs().max(DVec3::splat(1e-9));
@@ -121,7 +121,7 @@ fn a_gyroid_through_the_border_keeps_its_zero_set() {
         // Measured mean and 99th percentile: 0.0029 and 0.030 with the cap, 0.0019 and 0.034
         // without. The edges of the cap are rounded by half a voxel, which no spline on this grid
         // can represent. With the cap, the mean is 0.017 before the fit and 0.0026 at best, after
-        // 110 steps. After 640 steps the mean is 0.018: F at the samples is then 0.0003, but new
+        // 110 steps. After 640 steps, the mean is 0.018: F at the samples is then 0.0003, but new
         // surfaces appear between the samples. All of these errors lie within a voxel of the cap.
         assert!(result.shift.mean < 0.005 && result.shift.p99 < 0.05, "{border:?}: {:?}", result.shift);
         let inner = shift_within(&result, &image, 1.0);
@@ -134,7 +134,7 @@ fn a_gyroid_through_the_border_keeps_its_zero_set() {
 
 /// Returns the mean and the 99th percentile of the distance, in voxels, from the zero set of F to
 /// that of the image's spline. Only points at least `inset` voxels inside the outermost voxel
-/// centres count.
+/// centres are included.
 fn shift_within(result: &Redistanced, image: &Image<f32>, inset: f64) -> (f64, f64) {
     let (own, source) = (CubicSpline::new(&result.field), CubicSpline::new(image));
     let margin = image.geometry.spacing * MARGIN as f64;
@@ -183,7 +183,7 @@ fn a_cylinder_is_closed_at_the_border() {
     let truth = std::f64::consts::PI * 36.0 * 20.0 - 2.0 * fillet;
     let found = volume(&result.field);
     assert!((found / truth - 1.0).abs() < 0.015, "volume {found}, should be {truth}");
-    // between voxel centres the side surface is unchanged
+    // between voxel centres, the lateral surface is unchanged
     let spline = CubicSpline::new(&result.field);
     for n in 0..200 {
         let angle = f64::from(n) * 0.1;
@@ -219,7 +219,7 @@ fn the_low_side_is_the_complement() {
     let result = from_scalar(image.clone(), 6.0, &options, &Context::silent("distfield"));
     let result = result.expect("a ball");
     assert!((volume(&result.field) / (4.0 / 3.0 * std::f64::consts::PI * 216.0) - 1.0).abs() < 0.02);
-    // the other side of the surface is the box with a cavity
+    // the other side of the surface is a box with a cavity
     let result = extract(&image, 6.0, Border::Cap);
     assert_eq!((result.parts_after.components, result.parts_after.cavities), (1, 1));
 }
@@ -236,7 +236,8 @@ fn a_part_that_is_dropped_leaves_the_distance_of_the_other() {
     assert!((result.dropped.volume / volume - 1.0).abs() < 0.1, "{:?}", result.dropped.volume);
     let (band, all) = distance_errors(&result, |p| p.distance(left) - 6.0);
     println!("the ball that stays: band error {band:.4}, largest {all:.3} voxel");
-    // the spline rings slightly where the distances to the two balls meet and at the tip of a cone
+    // the spline oscillates slightly where the distances to the two balls are equal, and at the
+    // centre of a ball, where the distance has a tip
     assert!(band < 0.02 && all < 0.1, "band error {band}, largest {all}");
 }
 
@@ -257,7 +258,7 @@ fn keep_largest_leaves_one_part_of_noise() {
     assert!(cut_off > 0, "the noise has no neck that F cuts");
 }
 
-/// Units that are powers of two lose no precision, so the results agree to the last bit.
+/// Multiplication by a power of two loses no precision, so the results agree to the last bit.
 #[test]
 fn the_unit_of_the_voxels_does_not_matter() {
     let image = sampled([24, 24, 24], DVec3::ONE, |p| (8.0 - p.distance(DVec3::new(11.3, 11.9, 11.6))) as f32);
@@ -280,7 +281,7 @@ struct Shape<'a> {
     axis: &'a dyn Fn(DVec3) -> f64,
 }
 
-/// Returns the value of a blurred edge at a signed distance (voxels) from its middle.
+/// Returns the value of a blurred edge at a signed distance (in voxels) from its middle.
 fn edge(distance: f64) -> f32 {
     (0.5 - 0.5 * (distance / 2.0).tanh()) as f32
 }
@@ -294,7 +295,7 @@ fn check_far_field(shape: &Shape, image: &Image<f32>, iso: f64, border: Border) 
     let margin = DVec3::splat(MARGIN as f64);
     let (mut band, mut all, mut slope, mut checked) = (0.0f64, 0.0f64, 0.0f64, 0);
     for node in positions(&image.geometry) {
-        // the spline is mirrored at the border of F, and rings within three voxels of the border
+        // the spline is mirrored at the border of F and oscillates within three voxels of it
         let is_inner = node.min_element() >= 0.0 && node.max_element() <= size as f64 - 2.0;
         for p in [node, node + DVec3::new(0.5, 0.31, 0.44)] {
             let truth = distance(p);
@@ -345,8 +346,8 @@ fn an_ellipsoid_has_slope_one_off_the_medial_axis() {
     let centre = DVec3::new(31.7, 31.4, 31.6);
     let axes = DVec3::new(27.0, 21.0, 16.0);
     let distance = |p: DVec3| ellipsoid_distance(p - centre, axes);
-    // The inner medial axis is an elliptical disc in the plane of the two longer axes. Its
-    // semi-axes end at centres of curvature of the ellipsoid.
+    // The inner medial axis is an elliptical disc in the plane of the two longer axes. The ends of
+    // its axes are centres of curvature of the ellipsoid.
     let disc = DVec3::new(axes.x - axes.z.powi(2) / axes.x, axes.y - axes.z.powi(2) / axes.y, 1e-4);
     let axis = |p: DVec3| ellipsoid_distance(p - centre, disc).abs();
     let image = sampled([64; 3], DVec3::ONE, |p| edge(distance(p)));
@@ -373,12 +374,12 @@ fn onto_gyroid(mut p: DVec3) -> DVec3 {
 }
 
 /// Returns the signed distance to the gyroid in voxels. Returns NaN beyond `farthest` voxels, and
-/// where the foot is not well within the volume: the spline of the input is mirrored at the border
-/// of the volume, and its zero set differs there.
+/// where the foot is close to the border of the volume or outside it: the spline of the input is
+/// mirrored at the border, so its zero set differs there.
 fn gyroid_distance(node: DVec3, farthest: f64) -> f64 {
     let mut foot = onto_gyroid(node);
-    // Moves along tangent planes. Each step multiplies the error by at most distance / radius of
-    // curvature.
+    // Moves along tangent planes. Each step multiplies the error by at most the ratio of the
+    // distance to the radius of curvature.
     for _ in 0..60 {
         let normal = gyroid(foot).1.normalize();
         let way = node - foot;
@@ -391,8 +392,8 @@ fn gyroid_distance(node: DVec3, farthest: f64) -> f64 {
 
 #[test]
 fn a_gyroid_has_slope_one_off_the_medial_axis() {
-    // within this distance of the surface, a node is at least five voxels from a focal point, and
-    // the opposite side of the channel is farther away
+    // within this distance of the surface, a node is at least five voxels from a focal point and
+    // nearer to the surface than to the opposite side of the channel
     let distance = |node: DVec3| gyroid_distance(node, 1.0 / WAVE - 5.0);
     let image = sampled([64; 3], DVec3::ONE, |p| gyroid(p).0 as f32);
     let shape = Shape { name: "gyroid", size: 64, distance: &distance, axis: &|_| f64::INFINITY };

@@ -1,5 +1,5 @@
-//! Tests `--scale` against analytic solutions: large parts keep their position and volume, small
-//! parts vanish and are reported.
+//! Tests `--scale` against analytic solutions: large parts keep their position and volume, and
+//! small parts vanish and are reported.
 
 mod support;
 
@@ -53,7 +53,7 @@ fn a_ball_keeps_its_radius_on_any_spacing() {
         // a Gaussian at level 1/2 shrinks the radius by (sigma / radius)^2 to first order: 1, 7 and
         // 22 %
         assert!((ratio - 1.0).abs() < 0.004, "scale {length}: {ratio} of the radius");
-        // the radius is right in all directions
+        // the radius is correct in all directions
         let level = |share: f64, way: DVec3| trilinear(&found.level, centre + share * radius * way);
         assert!(directions(500).all(|way| level(0.96, way) > 0.0 && level(1.04, way) < 0.0), "scale {length}");
         assert_eq!(found.changes.components, [1, 1]);
@@ -69,8 +69,8 @@ fn a_plane_stays_where_the_volume_cuts_it() {
     let inside = sampled([30, 26, 28], DVec3::new(1.0, 1.2, 0.9), |p| p.z < 12.0);
     let found = smoothed(&inside, 7.0, false);
     assert_eq!(found.changes.voxels_changed, 0);
-    // the level is constant on each plane, also at the faces of the volume, and zero halfway
-    // between two voxel centres
+    // the level is constant on each plane, even at the faces of the volume, and zero midway between
+    // two voxel centres
     for (k, slice) in found.level.data.chunks(30 * 26).enumerate() {
         assert!(slice.iter().all(|value| (value - slice[0]).abs() < 2e-5), "slice {k}");
     }
@@ -125,8 +125,8 @@ fn keep_thin_preserves_a_thin_rod() {
     let kept = smoothed(&inside, 9.0, true);
     assert_eq!(kept.changes.components, [2, 2]);
     assert_eq!(topology(&field(&kept)).components.len(), 2);
-    // By voxel count, the rod keeps at least four fifths of its volume (measured: 473 of 567). Its
-    // ends are rounded.
+    // The rod keeps at least four fifths of its voxels (measured: 473 of 567). Its ends are
+    // rounded.
     let rod = |holds: &dyn Fn(usize) -> bool| (0..inside.data.len()).filter(|&n| n % 64 > 26 && holds(n)).count();
     let (before, after) = (rod(&|n| inside.data[n]), rod(&|n| kept.level.data[n] > 0.0));
     assert!(after.abs_diff(before) * 5 < before, "{before} voxels before, {after} after");
@@ -169,8 +169,8 @@ fn edge_length_matches_the_area_of_a_ball() {
 
 #[test]
 fn edge_length_includes_the_cap_area_at_closed_borders() {
-    // half a ball whose other half lies beyond the first slice; the border closes it half a voxel
-    // beyond the centres of that slice
+    // half a ball, whose other half lies below the first slice; the border closes the ball half a
+    // voxel below the centres of that slice
     let half = Occupancy::of_mask(&Mask::from(&sampled([60, 60, 40], DVec3::ONE, |p| {
         (p - DVec3::new(30.0, 30.0, -0.5)).length() < 20.0
     })));

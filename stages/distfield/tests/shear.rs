@@ -1,4 +1,4 @@
-//! Checks that sheared volumes are measured in world coordinates: as labels, materials and a scan.
+//! Checks that sheared label maps, materials and scans are measured in world coordinates.
 
 use glam::{DMat3, DVec3};
 use isoparticles_stage::field_file::{FieldKind, read_field};
@@ -11,7 +11,7 @@ use std::process::Command;
 /// Number of voxels of the sheared ball of radius 14. Each voxel has a volume of 1 mm^3.
 const VOXELS: f64 = 11_536.0;
 
-/// Returns a grid of 40^3 voxels of 1 mm^3 whose slices are shifted along y, as by a gantry tilt of
+/// Returns a grid of 40^3 voxels of 1 mm^3. The slices are shifted along y, as by a gantry tilt of
 /// 30 degrees.
 fn sheared() -> Geometry {
     let step = DVec3::new(0.0, 30f64.to_radians().tan(), 1.0);
@@ -100,7 +100,7 @@ fn an_object_is_closed_where_the_sheared_volume_ends() {
     let count = by_distance(cut, |r| f64::from(u8::from(r <= 14.0))).iter().sum::<f64>();
     let report = distfield(folder.path(), &mask(cut), &[&["--labels", "1"], &FIELD[..]].concat());
     assert_near(volume_of_f(&report), count, 0.01);
-    // the object is the background of the mask, which is label 0
+    // the object is now the background of the mask, label 0
     let report = distfield(folder.path(), &mask(cut), &[&["--labels", "0"], &FIELD[..]].concat());
     assert_near(&report["results"]["meta"]["volume_before"], 64_000.0 - count, 0.005);
     let scan = Voxels::F32(by_distance(cut, |r| 14.0 - r).into_iter().map(|value| value as f32).collect());

@@ -1,18 +1,18 @@
 #!/bin/sh
-# Measures the particles stage on the CPU (`make bench-particles`) in microseconds per particle and
-# pass, with constant h and with graded h. Uses the fields and seeds of bench_gpu.sh.
+# Measures the time of the particles stage on the CPU (`make bench-particles`) in microseconds per
+# particle and pass, for constant and for graded h. Uses the fields and seeds of bench_gpu.sh.
 #
 #   bench_cpu.sh [--bin FOLDER] [--beside PROGRAM] [--work FOLDER] [--contrasts "C ..."]
 #                [--count N] [--passes N] [--threads "N ..."] [--rounds N]
 #
 # --bin        folder of the programs                                       [target/release]
 # --beside     another `particles` program, run alternately with the program in --bin
-# --work       folder of fields, seeds and results; existing files are used [out/bench-gpu]
-# --contrasts  ratio of maximum to minimum h on a ball refined on one side           [1 27]
-# --count      number of particles of each run, for every contrast                  [60000]
-# --passes     number of passes of each run                                            [50]
-# --threads    numbers of threads                                                     [1 2]
-# --rounds     repetitions; the minimum is printed because other load only adds time   [3]
+# --work       folder for fields, seeds and results; reuses existing files  [out/bench-gpu]
+# --contrasts  ratios of maximum to minimum h on a ball refined on one side          [1 27]
+# --count      number of particles in each run                                      [60000]
+# --passes     number of passes in each run                                            [50]
+# --threads    thread counts                                                          [1 2]
+# --rounds     repetitions; prints the minimum, because other load only adds time       [3]
 set -eu
 
 bin=${BIN:-target/release}
@@ -37,15 +37,15 @@ while [ $# -gt 0 ]; do
 done
 "$(dirname "$0")/bench_gpu.sh" --bin "$bin" --work "$work" --prepare --sizes "" --contrasts "$contrasts" --count "$count"
 
-# number FILE KEY: prints the first number with that key in a report.
+# number FILE KEY: prints the first number stored under KEY in a report.
 number() { sed -n "s/^ *\"$2\": *\"\{0,1\}\([-+.0-9eE]*\).*/\1/p" "$1" | head -n 1; }
-# settle FILE: prints the seconds of the step `settle`.
+# settle FILE: prints the duration of the step `settle` in seconds.
 settle() { awk '/"name": "settle"/ { found = 1 } found && /"seconds"/ { gsub(/[^0-9.eE+-]/, "", $2); print $2; exit }' "$1"; }
-# processor FILE: prints the user seconds of a run, computed from the output of `times` before and
-# after the run (the second line of each output refers to child processes).
+# processor FILE: prints the user CPU time of a run in seconds, from the output of `times` before
+# and after the run (the second line of each output is the total for child processes).
 processor() { awk 'NR % 2 == 0 { split($1, t, /[ms]/); s[++n] = 60 * t[1] + t[2] } END { print s[2] - s[1] }' "$1"; }
 
-# row CONTRAST PROGRAM THREADS: prints the minimum over all rounds.
+# row CONTRAST PROGRAM THREADS: prints a row of the table, with the minimum times of all rounds.
 row() {
     report=$work/cpu.json times=$work/cpu.times
     for round in $(seq "$rounds"); do

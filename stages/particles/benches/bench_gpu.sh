@@ -1,22 +1,22 @@
 #!/bin/sh
 # Measures the particles stage on the GPU and on one CPU thread with the same particles (`make
-# bench-gpu`). Needs the stage programs and `phantom`. On a machine without `phantom`, use a folder
-# made on another machine with --prepare.
+# bench-gpu`). Requires the stage programs and `phantom`. On a machine without `phantom`, set --work
+# to a copy of a folder that another machine created with --prepare.
 #
 #   bench_gpu.sh [--bin FOLDER] [--work FOLDER] [--prepare] [--adapter NAME] [--no-cpu]
 #                [--sizes "H ..."] [--contrasts "C ..."] [--count N] [--passes N] [--options "..."]
 #
 # --bin        folder of the programs                                       [target/release]
-# --work       folder of fields, seeds and results; existing files are used [out/bench-gpu]
-# --prepare    make fields and seeds only
+# --work       folder for fields, seeds and results; reuses existing files  [out/bench-gpu]
+# --prepare    only make fields and seeds
 # --adapter    part of the GPU's name (a software renderer must be specified by name)
 # --no-cpu     skip the CPU runs
 # --sizes      uniform target edge lengths in mm on the ribcage of the torso phantom
 #              [1.9 1.205 0.852 0.682: about 60, 150, 300 and 468 thousand particles]
-# --contrasts  ratio of maximum to minimum h on a ball refined on one side       [1 3 9 27]
-# --count      number of particles of each graded run, for every contrast          [150000]
-# --passes     number of passes of each run                                            [50]
-# --options    additional options of the GPU runs
+# --contrasts  ratios of maximum to minimum h on a ball refined on one side      [1 3 9 27]
+# --count      number of particles in each run on the ball                         [150000]
+# --passes     number of passes in each run                                            [50]
+# --options    additional options for the GPU runs
 set -eu
 
 bin=${BIN:-target/release}
@@ -47,8 +47,7 @@ done
 mkdir -p "$work"
 ribs=$work/ribs.distfield.vti ball=$work/ball.distfield.vti
 
-# fields NAME DISTANCE OPTIONS...: makes the sizing field and the seeds of a run if they are
-# missing.
+# fields NAME DISTANCE OPTIONS...: makes the sizing field and the seeds of a run unless they exist.
 fields() {
     name=$1 distance=$2
     shift 2
@@ -56,15 +55,15 @@ fields() {
     [ -e "$work/$name.seeds.bin" ] || "$bin/seed" "$distance" "$work/$name.sizefield.vti" -o "$work/$name.seeds.bin" -q
 }
 
-# number FILE KEY: prints the first number with that key in a report.
+# number FILE KEY: prints the first number stored under KEY in a report.
 number() { sed -n "s/^ *\"$2\": *\"\{0,1\}\([-+.0-9eE]*\).*/\1/p" "$1" | head -n 1; }
-# total FILE: prints the seconds of the whole process (the outermost key).
+# total FILE: prints the duration of the whole process in seconds (the outermost key `seconds`).
 total() { sed -n 's/^  "seconds": *\([-+.0-9eE]*\).*/\1/p' "$1" | head -n 1; }
-# settle FILE: prints the seconds of the step `settle`.
+# settle FILE: prints the duration of the step `settle` in seconds.
 settle() { awk '/"name": "settle"/ { found = 1 } found && /"seconds"/ { gsub(/[^0-9.eE+-]/, "", $2); print $2; exit }' "$1"; }
 
-# graded CONTRAST: makes the fields of a run on the ball with this ratio of maximum to minimum h.
-# Five iterations find the minimum h that gives the required number of particles.
+# graded CONTRAST: makes the sizing field and seeds of a run on the ball with this ratio of maximum
+# to minimum h. Five iterations adjust the minimum h until the predicted count is close to --count.
 graded() {
     least=0.3
     [ ! -e "$work/contrast-$1-$count.seeds.bin" ] || return 0

@@ -1,12 +1,12 @@
 #!/bin/sh
-# Measures the particles stage on many materials and, for comparison, with about the same number of
-# particles on one object (the union of the same labels).
+# Measures the particles stage on many materials and, for comparison, on one object (the union of
+# the same labels) with about the same number of particles.
 #
 #   bench_materials.sh VOLUME H [OPTIONS OF particles...]
 #
 # H is the edge length on the interfaces in mm. Environment: BIN=target/release,
-# WORK=out/bench-materials. Prints the time and memory that `particles` reports, and the
-# microseconds per particle and pass.
+# WORK=out/bench-materials. Prints the time and memory reported by `particles`, and the GPU time per
+# particle and pass in microseconds.
 set -eu
 volume=$1 size=$2
 shift 2
@@ -14,7 +14,7 @@ bin=${BIN:-target/release} work=${WORK:-out/bench-materials}
 mkdir -p "$work"
 case=$work/$(basename "$volume" .nrrd)
 
-# settle NAME [OPTIONS...]: makes the seeds and particles of a field, and writes the report.
+# settle NAME [OPTIONS...]: makes the seeds and particles for a field, and prints the measurements.
 settle() {
     name=$1
     shift
@@ -22,7 +22,8 @@ settle() {
     "$bin/particles" "$case.$name.seeds.bin" --distfield "$case.$name.distfield.vti" --sizefield "$case.$name.sizefield.vti" \
         -o "$case.$name.particles.bin" --levels 1 --log "$case.$name.csv" --report "$case.$name.json" --force "$@" 2>&1 |
         grep -E '^  (particles|  of junctions|passes|settle|device time|device memory|peak memory|energy over ideal|adapter|backend)'
-    # device time, if any, per moving particle and pass (the log counts only moving particles)
+    # device time per particle and pass, if a GPU was used; held particles are not in the log's
+    # count
     seconds=$(sed -n 's/.*"device_seconds": *\([0-9.eE+-]*\).*/\1/p' "$case.$name.json" | head -n 1)
     [ -z "$seconds" ] || awk -F, -v s="$seconds" 'NR > 1 { n = $3; passes++ }
         END { printf "  us a particle and pass   %.5f\n", 1e6 * s / n / passes }' "$case.$name.csv"

@@ -7,16 +7,16 @@
     quality.py surfaces CASE ... [--jobs N]      table: surfaces of both methods of reconstruct
     quality.py plot CSV PICTURE                  plot of the CSV (needs matplotlib)
 
-CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]. VOLUME is a file, or the arguments of
-`phantom` that make one:
+CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]. VOLUME is a file, or the arguments with
+which `phantom` makes one:
     torus="torus --size 128;--iso 100;--uniform 1.2"    heart="heart.nrrd;--labels 1"
 @FILE inserts the lines of a file that do not start with # (for example phantoms.txt, volumes.txt
 and volumes-large.txt in the folder of this program). $NAME inserts an environment variable.
 
-Numbers of passes include the passes of all levels. On a level with at most ten passes there is no
-density control. "raw" refers to the Delaunay triangles of the particles without improvement, "full"
-to the triangles after reconstruct has improved them. Times are device times if a device was used,
-otherwise the times of the settling step.
+The passes in the output are the total over all levels. Density control is off in the last ten
+passes on the level of h, and in the last three on each coarser level. "raw" refers to the Delaunay
+triangles of the particles before improvement, "full" to the triangles improved by reconstruct.
+Times are device times on a GPU, and otherwise the times of the settling step.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ class Case:
     work: Path
 
     def file(self, ending: str) -> str:
-        """Returns the path of the case's file with this ending."""
+        """Returns the path of the case's file with this suffix."""
         return str(self.work / f"{self.name}.{ending}")
 
     def run(self, program: str, *arguments: str, allowed: tuple[int, ...] = (0,)) -> dict[str, Any]:
-        """Runs a stage and returns its report. Exits this program on a disallowed exit code."""
+        """Runs a stage and returns its report. Exits if the exit code is not in `allowed`."""
         report = self.file(f"{program}.json")
         command = [str(self.programs / program), *arguments, "--force", "-q", "--report", report]
         done = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
@@ -75,7 +75,7 @@ class Case:
         self.run("seed", self.file("distfield.vti"), self.file("sizefield.vti"), "-o", self.file("seeds.bin"))
 
     def settle(self, *options: str) -> dict[str, Any]:
-        """Settles the seeds and returns counts, seconds, share of lattice defects and a hash."""
+        """Settles the seeds and returns counts, time, defect share and the file hash."""
         report = self.run(
             "particles", self.file("seeds.bin"), "--distfield", self.file("distfield.vti"), "--sizefield",
             self.file("sizefield.vti"), "-o", self.file("bin"), "--log", self.file("csv"), *options,
@@ -102,13 +102,13 @@ class Case:
         )  # fmt: skip
 
     def quality(self, *options: str) -> tuple[float, float]:
-        """Returns the mean and minimum radius ratio of the triangles of the settled particles."""
+        """Returns the mean and minimum radius ratio of the surface of the settled particles."""
         quality = self.surface(*options)["results"]["check"]["quality"]
         return quality["radius_ratio_mean"], quality["radius_ratio_min"]
 
 
 def over_passes(cases: list[Case], arguments: argparse.Namespace) -> None:
-    """Prints a CSV line for each case, number of levels and number of passes."""
+    """Prints a CSV line for each combination of case, number of levels and number of passes."""
     writer = csv.writer(sys.stdout, lineterminator="\n")
     writer.writerow(["case", "levels", "passes", "particles", "seconds", "lattice defects", "mean", "smallest"])
     for case in cases:
@@ -144,7 +144,7 @@ def compare(case: Case, backends: list[str], adapter: str | None, raw_only: bool
 
 
 def over_backends(cases: list[Case], arguments: argparse.Namespace) -> None:
-    """Prints a table row for each case that compares CPU and GPU."""
+    """Prints a table that compares CPU and GPU, with one row per case."""
     backends = ["cpu"] if arguments.backend == "cpu" else ["cpu", "gpu"]
     again = " two GPU runs |" if "gpu" in backends else ""
     print(f"| surface | particles, {', '.join(backends)} | passes | lattice defects, % | raw, mean / smallest | full |{again}")
@@ -167,7 +167,7 @@ def counted(case: Case, backend: str) -> str:
 
 
 def over_counts(cases: list[Case], arguments: argparse.Namespace) -> None:
-    """Prints a table row for each case with the predicted and the settled count."""
+    """Prints a table of predicted and settled counts, with one row per case."""
     print("| surface | predicted | settled | off by, % | passes | lattice defects, % |\n" + "|---" * 6 + "|")
     with concurrent.futures.ThreadPoolExecutor(arguments.jobs) as pool:
         rows = [pool.submit(counted, case, arguments.backend) for case in cases]
@@ -202,7 +202,7 @@ def surfaces(case: Case, backend: str) -> str:
 
 
 def over_surfaces(cases: list[Case], arguments: argparse.Namespace) -> None:
-    """Prints two table rows for each case, one for each method of `reconstruct`."""
+    """Prints a table with two rows per case, one for each method of `reconstruct`."""
     print(
         "| surface | method | exit code | vertices | components | Euler characteristic | radius ratio, mean / smallest | angles, degrees"
         " | points added, rounds | grid nodes on the wrong side | s |\n" + "|---" * 11 + "|"
@@ -214,7 +214,7 @@ def over_surfaces(cases: list[Case], arguments: argparse.Namespace) -> None:
 
 
 def plot(table: Path, picture: Path) -> None:
-    """Plots mean and minimum radius ratio over time, with one column of plots for each case."""
+    """Plots mean and minimum radius ratio against time, with one column of plots per case."""
     import matplotlib.pyplot as plt
     from matplotlib import ticker
 
@@ -269,7 +269,7 @@ def main() -> None:
         return
     arguments.work.mkdir(parents=True, exist_ok=True)
     cases = []
-    # case files contain comment lines
+    # skip the comment lines of case files
     for text in (text for text in arguments.cases if not text.startswith("#")):
         name, _, rest = text.partition("=")
         volume, distfield, sizefield = [*os.path.expandvars(rest).split(";"), ""][:3]

@@ -1,5 +1,5 @@
-//! Command-line options of the program and the [`Parameters`] that they specify. A missing option
-//! takes its value from [`Parameters::default`] or, with `--as-printed`, from
+//! Command-line options of the program and the [`Parameters`] that they specify. Options that are
+//! not given take their values from [`Parameters::default`] or, with `--as-printed`, from
 //! [`Parameters::as_printed`].
 
 use crate::constants::{COARSE_CLOSING_PASSES, LARGEST_SPACING, LEAST_SPACING, REORDER_INTERVAL};
@@ -143,17 +143,17 @@ pub struct Args {
     common: CommonArgs,
 }
 
-/// Returns the help text of an option with its default and its printed value.
+/// Returns the help text of an option, with its default and its value in the paper.
 fn told<T: Display>(text: &str, value: impl Fn(&Parameters) -> T) -> String {
     format!("{text} [default: {}; printed: {}]", value(&Parameters::default()), value(&Parameters::as_printed()))
 }
 
-/// Returns the name of a value on the command line.
+/// Returns the command-line name of a value.
 fn name(value: impl ValueEnum) -> String {
     value.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
 }
 
-/// Parses the number of passes between checkpoints: a positive multiple of [`REORDER_INTERVAL`].
+/// Parses the number of passes between checkpoints, a positive multiple of [`REORDER_INTERVAL`].
 fn interval(text: &str) -> std::result::Result<u64, String> {
     match text.parse::<u64>() {
         Ok(n) if n > 0 && n.is_multiple_of(REORDER_INTERVAL) => Ok(n),
@@ -169,12 +169,12 @@ impl Args {
     /// over many, and each change of level costs up to a second on the host. On the heart one level
     /// reaches a raw mean radius ratio of 0.970 in 0.123 s (three levels: 0.962 in 0.127 s), on the
     /// ribcage 0.972 in 0.193 s (0.967 in 0.309 s; docs/developer/performance.md, "Quality for the
-    /// time"). With many materials the default is also one level, because held particles have the
-    /// spacing of h and do not fit coarse levels.
+    /// time"). With many materials the default is also one level, because the held particles are
+    /// spaced for h and do not fit coarser levels.
     pub(crate) fn settling(&self, on_gpu: bool, many: bool) -> Parameters {
         let base = if self.as_printed { Parameters::as_printed() } else { Parameters::default() };
         let levels = if on_gpu || many { 1 } else { base.levels };
-        // the CPU moves blocks of particles, so the printed order of bins does not apply
+        // the CPU moves blocks of particles and does not support the printed order by bins
         let order = self.order.unwrap_or(if on_gpu { base.order } else { Order::Classes });
         let binning = if order == Order::Bins { Binning::Uniform } else { base.binning };
         // an explicit defect tolerance replaces the printed energy test
@@ -202,8 +202,8 @@ impl Args {
     /// Rejects unsupported combinations of options.
     ///
     /// # Errors
-    /// If the lattice spacing of the ideal energy is outside the range that lists and steps
-    /// support, or if the order of bins is requested without a GPU or with graded bins.
+    /// If the ideal energy gives a lattice spacing that lists and steps do not support, or if the
+    /// order by bins is requested without a GPU or with graded bins.
     pub(crate) fn check(&self, parameters: &Parameters, on_gpu: bool) -> Result<()> {
         let energy = parameters.ideal_energy;
         let [least, largest] = [LARGEST_SPACING, LEAST_SPACING].map(lattice_energy);
@@ -252,7 +252,7 @@ impl StageArgs for Args {
     }
 
     fn parameters(&self) -> Value {
-        // if levels and order are not given, they depend on the backend, which is not known yet
+        // the default levels and order depend on the backend, which is not known yet
         json!(self.settling(self.backend == Backend::Gpu, false))
     }
 
@@ -274,7 +274,7 @@ mod tests {
     use isoparticles_field::energy::{PRINTED_IDEAL_ENERGY, ideal_energy, lattice_spacing};
     use isoparticles_stage::error::Kind;
 
-    /// Parses the given options after the file arguments.
+    /// Parses a command line with these options after the file arguments.
     fn given(options: &str) -> Args {
         let files = "particles s.bin --distfield f.vti --sizefield h.vti -o p.bin";
         Args::try_parse_from(format!("{files} {options}").split_whitespace()).expect(options)

@@ -1,5 +1,5 @@
-//! Checkpoints: the particles during a run, with the log of all passes so far. [`resume`] checks
-//! that a checkpoint belongs to the run, that is, has the same inputs and parameters.
+//! Checkpoints: the current particles of a run, with the log of all passes so far. [`resume`]
+//! checks that a checkpoint was made with the inputs and parameters of the run.
 
 use crate::settle::{Engine, Parameters, PassRecord};
 use isoparticles_field::particle_set::{ParticleSet, Strata};
@@ -26,7 +26,7 @@ pub(crate) struct Progress {
     pub engine: String,
 }
 
-/// Returns the name of the CPU engine, which is also the default for checkpoints without an engine.
+/// Returns the name of the CPU engine, the default for checkpoints that do not name an engine.
 pub(crate) fn cpu_engine() -> String {
     "cpu".to_owned()
 }
@@ -57,8 +57,8 @@ pub(crate) fn keep(
 }
 
 /// Reads a checkpoint and checks that it belongs to this run. Returns the particles, their strata
-/// (only for many materials) and the records of the log. If the checkpoint was made on another
-/// device, the function only warns.
+/// (only for many materials) and the records of the log. Warns if the checkpoint was made on
+/// another device.
 pub(crate) fn resume(
     path: &Path,
     parameters: &Parameters,

@@ -1,9 +1,9 @@
 //! Coarse-to-fine placement: settles a small number of particles at a multiple of h, splits the
 //! edges between them, and repeats down to h.
 //!
-//! Where lattice patches of different orientation meet, lines of vertices of degree five and seven
-//! remain, and passes remove these lines slowly. A coarse lattice has few such lines, and a pass
-//! over few particles is cheap. Splitting the edges of a lattice preserves the orientation of its
+//! Lattice patches of different orientation meet along lines of vertices of degree five and seven,
+//! and passes remove these lines only slowly. A coarse lattice has few such lines, and a pass over
+//! few particles is cheap. Splitting the edges of a lattice preserves the orientation of its
 //! patches. The fine lattice therefore starts with few defects and needs few passes.
 
 use crate::constants::{
@@ -29,9 +29,9 @@ pub(crate) trait MakeEngine {
         Self: 'f;
 }
 
-/// Settles particles level by level, from `2^(levels - 1) h` down to h. `seeds` must have the
-/// density for h. `resumed` contains the particles after the passes already run and the records of
-/// those passes.
+/// Settles particles level by level, from `2^(levels - 1) h` down to h. `seeds` must be dense
+/// enough for the lattice of edge h. `resumed` contains the records of the passes already run and
+/// the particles after them.
 pub(crate) fn settle_levels(
     seeds: &ParticleSet,
     resumed: Option<(ParticleSet, &[PassRecord])>,
@@ -86,7 +86,7 @@ pub(crate) fn settle_levels(
 }
 
 /// Selects an evenly distributed subset of the seeds with the density of a lattice of edge `scale`
-/// h, and multiplies their sizes by `scale`.
+/// h, and sets their sizes to `scale` times h.
 fn thinned(seeds: &ParticleSet, fields: &Fields, scale: f64, parameters: &Parameters) -> ParticleSet {
     let mut order: Vec<u32> = (0..seeds.positions.len() as u32).collect();
     order.par_sort_unstable_by_key(|&i| (bits(parameters.seed, u64::MAX, u64::from(i)), i));
@@ -97,9 +97,9 @@ fn thinned(seeds: &ParticleSet, fields: &Fields, scale: f64, parameters: &Parame
     pick(seeds, &sizes, &taken)
 }
 
-/// Creates the particles of the next level: the coarse particles, one particle at the middle of
-/// each edge, and seeds at least [`FILLER_SEPARATION`] from all of them. A midpoint closer than
-/// [`PARENT_DISTANCE`] to another particle is left out.
+/// Creates the particles of the next level: the coarse particles, one particle at the midpoint of
+/// each edge, and the seeds that are at least [`FILLER_SEPARATION`] from all of these. Omits
+/// midpoints that are closer than [`PARENT_DISTANCE`] to another particle.
 fn split(
     coarse: &ParticleSet,
     seeds: &ParticleSet,
@@ -145,8 +145,8 @@ fn split(
     pick(&all, &sizes, &taken)
 }
 
-/// Selects particles greedily in the given order. A particle is skipped if a selected particle
-/// whose normal agrees is closer than `room` edge lengths (at most `most`).
+/// Selects particles greedily in the given order. Skips a particle if a selected particle with an
+/// agreeing normal is closer than `room` edge lengths. `most` is the maximum of `room`.
 fn take_with_room(
     points: &[DVec3],
     normals: &[DVec3],
@@ -161,7 +161,7 @@ fn take_with_room(
     })
 }
 
-/// Returns a set without particles.
+/// Returns an empty set of particles.
 pub(crate) fn empty(geometry: &Geometry) -> ParticleSet {
     ParticleSet {
         geometry: geometry.clone(),
@@ -202,8 +202,8 @@ mod tests {
 
     const CENTRE: DVec3 = DVec3::splat(19.5);
 
-    /// Returns a ball of radius 12 with h = 1 and about twice as many seeds as the lattice has
-    /// particles.
+    /// Returns a ball of radius 12 with h = 1 and about twice as many seeds as a lattice of edge h
+    /// has particles.
     fn ball() -> (CubicSpline, SizingField, ParticleSet) {
         let geometry = Geometry::axis_aligned([40; 3], DVec3::ONE);
         let mut image = Image::filled(geometry.clone(), 0.0f32);

@@ -25,23 +25,25 @@
 //!
 //! The bound must exceed the radius of the first ring, 1 h. Then an unlisted pair cannot collide,
 //! cannot have more energy than two lattice neighbours, and is in the lists of the next pass. The
-//! bound is pessimistic: it assumes that both particles move head-on and that the projection moves
-//! each particle as far as its step does. On a surface that is flat within h the projection adds
-//! almost nothing. There the bound is 2.252 - 2 (0.1 + 0.25) = 1.55 h, and the missed energy (Eq. 1
-//! at d = 0.896) is at most 0.2 % of a particle's energy.
+//! bound is pessimistic: it assumes that the two particles move straight towards each other and
+//! that the projection moves each particle as far as its step does. On a surface that is nearly
+//! flat at the scale of h, the projection adds almost nothing. There the bound is 2.252 - 2 (0.1 +
+//! 0.25) = 1.55 h, and the missed energy (Eq. 1 at d = 0.896) is at most 0.2 % of a particle's
+//! energy.
 //!
 //! If h has the gradient g (mm per mm), the particle with the larger h moves by up to the same
-//! fractions of that h. The bound is then `SUPPORT (1 + SKIN) (1 - 0.6 g) - 1.2` times the smaller
-//! h, which is 0.65 at g = 0.3. On the CPU the bound is 2.052 (1 - 0.5 g) - 1, which is 0.74 at g =
-//! 0.3.
+//! fractions of its own h. The bound is then `SUPPORT (1 + SKIN) (1 - 0.6 g) - 1.2` times the
+//! smaller h, which is 0.65 at g = 0.3. On the CPU the bound is 2.052 (1 - 0.5 g) - 1, which is
+//! 0.74 at g = 0.3.
 //!
 //! # Lattices with another spacing
 //!
-//! If the ideal energy differs from that of Eq. 1, the lattice spacing differs from h
-//! ([`Parameters::spacing`](crate::Parameters::spacing): 0.657 h for the printed 3.462). Lengths of
-//! the lattice scale with the *spacing*: [`FIRST_RING`], [`NEWCOMER_DISTANCE`], [`PARENT_DISTANCE`]
-//! and the position of a newcomer. Lengths of steps and lists scale with h. The bounds above hold
-//! for spacings from [`LEAST_SPACING`] to [`LARGEST_SPACING`].
+//! If the ideal energy differs from its default, the energy (Eq. 1) of the lattice of edge h, then
+//! the lattice spacing differs from h ([`Parameters::spacing`](crate::Parameters::spacing): 0.657 h
+//! for the printed 3.462). Lattice lengths scale with the *spacing*: [`FIRST_RING`],
+//! [`NEWCOMER_DISTANCE`], [`PARENT_DISTANCE`] and the distance at which a newcomer is placed. Step
+//! lengths and the reach of the lists scale with h. The bounds above hold for spacings from
+//! [`LEAST_SPACING`] to [`LARGEST_SPACING`].
 
 use isoparticles_field::energy::SUPPORT;
 
@@ -55,11 +57,11 @@ pub(crate) const SKIN: f64 = 0.3;
 pub(crate) const REBUILD_MOVE: f64 = 0.1;
 
 /// Maximum step length in the tangent plane per pass, as a fraction of h (the paper's bound is h).
-/// With a quarter, [`UNSEEN_DISTANCE`] stays above 1.
+/// With this value, [`UNSEEN_DISTANCE`] stays above 1.
 pub(crate) const LONGEST_STEP: f64 = 0.25;
 
 /// Maximum distance that a particle moves per pass, as a fraction of h: the projection may add as
-/// much as the step.
+/// much as the maximum step.
 pub(crate) const FARTHEST_MOVE: f64 = 2.0 * LONGEST_STEP;
 
 /// Minimum distance, in units of h, between two particles that are not in each other's lists, after
@@ -96,8 +98,8 @@ pub(crate) const FIRST_RING: f64 = 1.316_074_012_952_492_5;
 /// number is a lattice defect.
 pub(crate) const LATTICE_NEIGHBOURS: u32 = 6;
 
-/// Levenberg-Marquardt damping of a particle that has not moved yet (also 0.1 in BioMesh3D, with
-/// which the paper compares).
+/// Levenberg-Marquardt damping of a particle that has not moved yet. BioMesh3D, with which the
+/// paper compares its method, also uses 0.1.
 pub const INITIAL_LAMBDA: f64 = 0.1;
 
 /// Minimum damping. It multiplies diag(H) by 1.001, so the step is nearly an undamped Newton step.
@@ -115,28 +117,28 @@ pub(crate) const LAMBDA_FALL: f64 = 0.1;
 
 /// Minimum eigenvalue of the Hessian in the tangent plane, as a fraction of the larger eigenvalue.
 /// It limits the step along the softer direction to 20 times the step that the stiffer direction
-/// would allow. Measured with the torus described at [`REST_SHARE`], `--levels 1`, and 0.0125,
-/// 0.025, 0.05, 0.1 and 0.2: the runs take 77, 91, 89, 83 and 74 passes and keep 15.3, 13.2, 12.9,
+/// would allow. Measured on the torus described at [`REST_SHARE`] with `--levels 1`: at 0.0125,
+/// 0.025, 0.05, 0.1 and 0.2, the runs take 77, 91, 89, 83 and 74 passes and keep 15.3, 13.2, 12.9,
 /// 13.7 and 15.1 % lattice defects.
 pub(crate) const EIGENVALUE_FLOOR: f64 = 0.05;
 
-/// Maximum gap between the two eigenvalues of a Hessian that the CPU treats as equal, as a fraction
-/// of their mean. At this gap the rounding error of the eigenvectors is about 2e-16 / 1e-12 = 2e-4
-/// radians.
+/// The CPU treats the two eigenvalues of a Hessian as equal if each differs from their mean by at
+/// most this fraction of it. At this limit the rounding error of the eigenvectors is about 2e-16 /
+/// 1e-12 = 2e-4 radians.
 pub(crate) const EQUAL_EIGENVALUES_F64: f64 = 1e-12;
 
-/// Minimum force times h, as a fraction of the energy. With a smaller force a particle on the CPU
-/// does not move: a step would reduce the energy by about the square of this fraction, 1e-24, which
-/// f64 does not resolve.
+/// Minimum force times h, as a fraction of the energy. Below it, a particle on the CPU does not
+/// move: a step would reduce the energy by about the square of this fraction, 1e-24, which f64
+/// cannot resolve.
 pub(crate) const LEAST_FORCE: f64 = 1e-12;
 
-/// Maximum distance that the projection may add to a step, as a fraction of h. A step that ends
-/// farther than [`FARTHEST_MOVE`] from the particle is rejected. By the triangle inequality, the
-/// projection of an accepted step therefore adds at most this distance to the length of the step.
+/// The projection may displace a point by at most the step length plus this fraction of h. A step
+/// is accepted only if it ends within [`FARTHEST_MOVE`] h of the particle. By the triangle
+/// inequality, this limit rejects no step that would otherwise be accepted.
 pub(crate) const PROJECTION_REACH: f64 = FARTHEST_MOVE;
 
 /// Tolerance of |F| after a step, as a fraction of the voxel spacing. It is near the resolution of
-/// f32 positions on a GPU: from 64 to 128 voxels away from their origin, the last bit is 2^-17 =
+/// f32 positions on a GPU: between 64 and 128 voxels from their origin, the last bit is 2^-17 =
 /// 0.8e-5 voxels. After the last pass, the tolerance is [`FINAL_TOLERANCE`].
 pub(crate) const PASS_TOLERANCE: f64 = 1e-5;
 
@@ -152,84 +154,87 @@ pub(crate) const FINAL_TOLERANCE: f64 = 1e-8;
 /// spacings from both neighbours. With a larger minimum, a particle with six neighbours never gets
 /// a newcomer, and undersampled regions remain. Measured (docs/developer/method.md): at 0.45 the
 /// count is closest to the predicted count. At 0.513, where the energy of one pair equals the
-/// deletion limit (Eq. 1), the count falls by 1.3 %, and at 0.7 by 10 %, without better triangles.
+/// deletion limit (Eq. 1), the count falls by 1.3 %, and at 0.7 by 10 %. The triangles are no
+/// better.
 pub(crate) const NEWCOMER_DISTANCE: f64 = 0.45;
 
 /// Minimum distance of a newcomer from its parent after the projection, as a fraction of the
-/// lattice spacing. A closer newcomer is rejected. The projection moves a point at one spacing s in
-/// the tangent plane of a sphere of radius R to the distance 2 R sin(atan(s / R) / 2) from the
-/// parent. This distance is 0.6 s for R = 0.61 s. A smaller sphere has room for at most five
-/// particles of the lattice (4 pi R^2 / (0.866 s^2) = 5.4), so no particle can have six neighbours.
+/// lattice spacing. A closer newcomer is rejected. On a sphere of radius R, a point in the tangent
+/// plane, one spacing s from the parent, is projected to a distance of 2 R sin(atan(s / R) / 2)
+/// from the parent. This distance is 0.6 s for R = 0.61 s. A smaller sphere has room for at most
+/// five lattice particles (4 pi R^2 / (0.866 s^2) = 5.4), too few for six neighbours.
 ///
-/// This is also the minimum distance of an edge midpoint from other particles when a level is
-/// split. Measured with the surfaces described at [`REST_SHARE`] and 0.3, 0.6 and 0.8 for
-/// midpoints: the heart takes 74, 85 and 100 passes and keeps 18.8, 18.3 and 19.5 % lattice
-/// defects. All midpoints of the torus are kept.
+/// This is also the minimum distance of an edge midpoint from other particles when the edges of a
+/// level are split. Measured for midpoints on the surfaces described at [`REST_SHARE`]: at 0.3, 0.6
+/// and 0.8, the heart takes 74, 85 and 100 passes and keeps 18.8, 18.3 and 19.5 % lattice defects.
+/// All midpoints of the torus are kept.
 pub(crate) const PARENT_DISTANCE: f64 = 0.6;
 
-/// Number of passes over which the stop test by lattice defects averages. The number of defects
-/// varies randomly from pass to pass, and a short window mistakes this for the end of the decrease.
-/// Measured with the surfaces described at `REST_SHARE`, one level, and windows of 1, 2, 5, 10
-/// and 20 passes: the heart stops at pass 24, 33, 35, 50 and 50 with 28.6, 25.7, 25.5, 23.0 and
-/// 23.0 % defects, the torus at pass 25, 57, 77, 79 and 96 with 26.1, 17.2, 14.1, 14.1 and 12.3 %.
+/// Number of passes over which the stop test averages the change in lattice defects. The number of
+/// defects fluctuates from pass to pass, and a short window mistakes a fluctuation for the end of
+/// the decrease. Measured on the surfaces described at `REST_SHARE` with one level: with windows of
+/// 1, 2, 5, 10 and 20 passes, the heart stops at pass 24, 33, 35, 50 and 50 with 28.6, 25.7, 25.5,
+/// 23.0 and 23.0 % defects, the torus at pass 25, 57, 77, 79 and 96 with 26.1, 17.2, 14.1, 14.1 and
+/// 12.3 %.
 pub const DEFECT_WINDOW: usize = 10;
 
-/// Default of [`Parameters::defect_tolerance`](crate::Parameters::defect_tolerance). Measured with
-/// the surfaces and options described at [`REST_SHARE`], and with 0.00375, 0.0075, 0.015 and 0.03:
-/// the heart takes 87, 85, 69 and 69 passes and keeps 18.5, 18.3, 18.6 and 20.9 % lattice defects.
-/// The torus takes 89, 88, 86 and 57 passes and keeps 4.7, 4.9, 5.3 and 7.9 %.
+/// Default of [`Parameters::defect_tolerance`](crate::Parameters::defect_tolerance). Measured on
+/// the surfaces described at [`REST_SHARE`]: at 0.00375, 0.0075, 0.015 and 0.03, the heart takes
+/// 87, 85, 69 and 69 passes and keeps 18.5, 18.3, 18.6 and 20.9 % lattice defects. The torus takes
+/// 89, 88, 86 and 57 passes and keeps 4.7, 4.9, 5.3 and 7.9 %.
 pub(crate) const DEFECT_TOLERANCE: f64 = 7.5e-3;
 
 /// Default of [`Parameters::rest_share`](crate::Parameters::rest_share). Measured with the options
-/// `--backend cpu --rest-share X` for the heart of docs/developer/method.md ("Departures from the
-/// printed method") and for a torus (`phantom torus --size 128`, `distfield --iso 100`, `sizefield
-/// --uniform 1.2`). With 0.0005, 0.001, 0.002, 0.02 and 1, the heart takes 102, 88, 85, 85 and 61
-/// passes and keeps 16.7, 18.0, 18.3, 18.3 and 21.4 % lattice defects. The torus takes 88 passes
-/// from 0.002 to 1, and 99 with 0.0005.
+/// `--backend cpu --rest-share X` on the heart of docs/developer/method.md ("Departures from the
+/// printed method") and on a torus (`phantom torus --size 128`, `distfield --iso 100`, `sizefield
+/// --uniform 1.2`). At 0.0005, 0.001, 0.002, 0.02 and 1, the heart takes 102, 88, 85, 85 and 61
+/// passes and keeps 16.7, 18.0, 18.3, 18.3 and 21.4 % lattice defects. The torus takes 88 passes at
+/// values from 0.002 to 1, and 99 at 0.0005.
 pub(crate) const REST_SHARE: f64 = 2e-3;
 
-/// Number of passes over which the test for balanced density control averages its counts. If h does
-/// not suit the surface (because h is large relative to the radius of curvature, or because the
-/// surface has voxel steps), density control adds and deletes particles at the same positions
-/// indefinitely. Measured with 20, 14 and 10 passes: `heart_ct` at 75,000 vertices takes 3.8, 3.2
-/// and 2.9 s with a mean radius ratio of 0.9859, 0.9856 and 0.9855. `heart_label` at h = 1.4 voxels
-/// takes 0.50, 0.38 and 0.32 s with 0.9899, 0.9892 and 0.9889.
+/// Number of passes over which the test for balanced density control averages. Where h does not
+/// suit the surface (h is large relative to the radius of curvature, or the surface has voxel
+/// steps), density control adds and deletes particles at the same positions indefinitely. Measured
+/// with 20, 14 and 10 passes: `heart_ct` at 75,000 vertices takes 3.8, 3.2 and 2.9 s and reaches a
+/// mean radius ratio of 0.9859, 0.9856 and 0.9855. `heart_label` at h = 1.4 voxels takes 0.50, 0.38
+/// and 0.32 s and reaches 0.9899, 0.9892 and 0.9889.
 pub(crate) const BALANCE_WINDOW: usize = 14;
 
-/// Lower bound of the rest share on levels before the last: the next level has its own density
-/// control, so these levels need not come to rest. Measured with the surfaces described at
-/// [`REST_SHARE`] and 0.002, 0.01, 0.05 and 0.2: the heart takes 96, 85, 85 and 66 passes on all
+/// Lower bound on the rest share of levels before the last: the next level has its own density
+/// control, so these levels need not come to rest. Measured on the surfaces described at
+/// [`REST_SHARE`]: at 0.002, 0.01, 0.05 and 0.2, the heart takes 96, 85, 85 and 66 passes over all
 /// levels and keeps 19.7, 18.3, 18.3 and 20.7 % lattice defects. The torus takes 88 or 89 passes.
 pub(crate) const COARSE_REST_SHARE: f64 = 5e-2;
 
 /// Maximum number of passes without density control at the end of a level before the last. The next
-/// level moves these particles anyway. Measured with 10 and 3: the lungs of `thorax_labels` (79,000
-/// particles, h = 1.64 mm) take 1.67 and 1.44 s with a mean radius ratio of 0.9907 and 0.9901.
-/// `heart_label` at h = 2.1 mm takes 0.43 and 0.38 s with 0.9888 and 0.9887.
+/// level moves these particles anyway. Measured with 10 and 3 passes: the lungs of `thorax_labels`
+/// (79,000 particles, h = 1.64 mm) take 1.67 and 1.44 s and reach a mean radius ratio of 0.9907 and
+/// 0.9901. `heart_label` at h = 2.1 mm takes 0.43 and 0.38 s and reaches 0.9888 and 0.9887.
 pub(crate) const COARSE_CLOSING_PASSES: u64 = 3;
 
 /// Number of passes between two spatial sorts of the particles. Checkpoints are written only just
-/// before a sort, so this is also the minimum interval between checkpoints. With 5, 10, 20 and 40,
-/// label 1 of `thorax_labels` takes 5.0, 4.7, 4.7 and 4.7 s on two processor cores and 0.21, 0.20,
-/// 0.20 and 0.21 s on an H200 (step `settle` of the report).
+/// before a sort, so this is also the minimum interval between checkpoints. Measured with 5, 10, 20
+/// and 40 passes: label 1 of `thorax_labels` takes 5.0, 4.7, 4.7 and 4.7 s on two processor cores
+/// and 0.21, 0.20, 0.20 and 0.21 s on an H200 (step `settle` of the report).
 pub const REORDER_INTERVAL: u64 = 10;
 
-/// Minimum distance between the seeds of the coarsest level, in edge lengths. With this value, as
-/// many seeds remain as the hexagonal lattice has particles. Random sequential selection at
-/// distance r keeps 0.70 / r^2 points per unit area. The lattice of edge h has 1.155 / h^2 points
-/// per unit area, and 0.70 / 0.776^2 = 1.16.
+/// Minimum distance between the seeds of the coarsest level, in edge lengths. With this value,
+/// about as many seeds remain as there are particles in the hexagonal lattice. Random sequential
+/// selection with minimum distance r keeps 0.70 / r^2 points per unit area. The lattice of edge h
+/// has 1.155 / h^2 points per unit area, and 0.70 / 0.776^2 = 1.16.
 pub(crate) const SEED_SEPARATION: f64 = 0.776;
 
-/// Minimum distance, in edge lengths, of a seed from all particles when a level is split. Such
-/// seeds fill the parts of the surface that are too small for the coarser lattice, so there are
-/// few: 31 on the heart and 3 on the torus described at [`REST_SHARE`]. Measured with 0.7, 0.8, 0.9
-/// and 1: the heart ends with 4791, 4751, 4757 and 4731 particles (predicted 4847) and 18.1, 16.6,
-/// 18.3 and 20.2 % lattice defects, the torus with 17,455, 17,445, 17,411 and 17,415 particles.
+/// Minimum distance, in edge lengths, of an added seed from all particles when the edges of a level
+/// are split. These seeds fill the parts of the surface that are too small for the coarser lattice,
+/// so there are few: 31 on the heart and 3 on the torus described at [`REST_SHARE`]. Measured with
+/// 0.7, 0.8, 0.9 and 1: the heart ends with 4791, 4751, 4757 and 4731 particles (predicted 4847)
+/// and 18.1, 16.6, 18.3 and 20.2 % lattice defects, the torus with 17,455, 17,445, 17,411 and
+/// 17,415 particles.
 pub(crate) const FILLER_SEPARATION: f64 = 0.9;
 
 /// Maximum length, in lattice spacings, of an edge that is split. It exceeds sqrt(2), the diagonal
-/// of a square of lattice edges. Crossing edges are rejected separately. Measured with the surfaces
-/// described at [`REST_SHARE`] and 1.316 ([`FIRST_RING`]), 1.45, 1.7 and 2: the torus ends with
-/// 17,383 particles at 1.316 and with the same 17,411 particles above. The heart keeps 19.2, 18.3,
-/// 20.4 and 21.3 % lattice defects.
+/// of a square of lattice edges. Crossing edges are rejected separately. Measured on the surfaces
+/// described at [`REST_SHARE`] with 1.316 ([`FIRST_RING`]), 1.45, 1.7 and 2: the torus ends with
+/// 17,383 particles at 1.316 and with 17,411 particles at the other values. The heart keeps 19.2,
+/// 18.3, 20.4 and 21.3 % lattice defects.
 pub(crate) const LONGEST_EDGE: f64 = 1.45;

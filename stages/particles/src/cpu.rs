@@ -19,8 +19,8 @@ pub(crate) mod scenes;
 mod tests;
 
 /// Settles particles on the CPU with the threads of the current rayon pool. `resumed` contains the
-/// particles after the passes already run and the records of those passes. `observe` receives each
-/// new record, can read the particles, and can end the run by returning an error.
+/// records of the passes already run and the particles after them. `observe` receives each new
+/// record, can read the particles, and can end the run by returning an error.
 pub fn settle(
     seeds: &ParticleSet,
     resumed: Option<(ParticleSet, &[PassRecord])>,
@@ -36,8 +36,8 @@ pub fn settle(
 pub type OnStrata = (ParticleSet, Strata);
 
 /// Settles multi-material particles on their interfaces. Works like [`settle`], but on a single
-/// level. Particles of junction points and curves come first; they are held, so they do not change.
-/// A particle that is not on its interface is removed, at the start or at the end.
+/// level. The particles of junction points and curves come first; they are held and do not move.
+/// Particles that are not on their interface are removed at the start and at the end.
 pub fn settle_interfaces<I: Indicators>(
     seeds: &OnStrata,
     resumed: Option<(OnStrata, &[PassRecord])>,
@@ -50,8 +50,8 @@ pub fn settle_interfaces<I: Indicators>(
     Ok((settled, summary))
 }
 
-/// Works like [`settle_interfaces`] with the engine that `make` creates for the particles and their
-/// strata.
+/// Works like [`settle_interfaces`], but uses the engine that `make` creates from the particles and
+/// their strata.
 pub(crate) fn settle_interfaces_with<'e, S: Implicit>(
     make: impl FnOnce(ParticleSet, Vec<Stratum>) -> Result<Box<dyn Engine + 'e>>,
     seeds: &OnStrata,
@@ -116,8 +116,8 @@ impl<S: Implicit> Engine for CpuEngine<'_, S> {
     fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome> {
         let (state, parameters) = (&mut self.state, &self.parameters);
         if pass % REORDER_INTERVAL == 1 {
-            // a resumed run also starts in this order, because checkpoints are written only just
-            // before a sort
+            // checkpoints are written only just before a sort, so a resumed run starts in this
+            // order too
             state.sort_spatially();
         }
         state.rebuild();

@@ -1,10 +1,10 @@
 //! Density control (section 3.3 of the paper).
 //!
 //! A particle whose energy is too high (oversampling) is deleted. A particle whose energy is too
-//! low (undersampling) gets a newcomer in the widest gap between its neighbours. With the random
-//! bias of Witkin and Heckbert, neighbours are rarely deleted, or given newcomers, in the same
-//! pass. In addition, each deletion immediately updates the energies of the neighbours. Without
-//! this update, dense seeds would lose far too many particles in one pass.
+//! low (undersampling) gets a newcomer in the widest gap between its neighbours. Because of the
+//! random bias of Witkin and Heckbert, two neighbours are rarely deleted, or given newcomers, in
+//! the same pass. In addition, each deletion immediately updates the energies of the neighbours.
+//! Without this update, dense seeds would lose far too many particles in one pass.
 
 use crate::constants::{INITIAL_LAMBDA, NEWCOMER_DISTANCE, PARENT_DISTANCE, PASS_TOLERANCE};
 use crate::implicit::Implicit;
@@ -31,8 +31,8 @@ pub(crate) struct Changes {
     pub deleted: usize,
 }
 
-/// Deletes particles, then inserts newcomers. The energies must be up to date on entry. The
-/// neighbour lists are not updated. `allow_insert` is off in the paper's synthetic test.
+/// Deletes particles, then inserts newcomers if `allow_insert` is true. The energies must be up to
+/// date. The neighbour lists are not updated.
 pub(crate) fn control<S: Implicit>(
     state: &mut State,
     fields: &Fields<S>,
@@ -99,8 +99,8 @@ pub(crate) struct Newcomer {
     pub size: f64,
 }
 
-/// Adds a newcomer next to each particle (its parent) that has low energy and a wide enough gap
-/// between its neighbours. Returns the new particles in the order of their parents.
+/// Adds a newcomer next to each particle (its parent) that has low energy and a sufficiently wide
+/// gap between its neighbours. Returns the newcomers in the order of their parents.
 ///
 /// Two newcomers conflict if their parents are neighbours, or if they are on the same interface and
 /// closer together than [`NEWCOMER_DISTANCE`] spacings. Of conflicting newcomers, at most one is
@@ -155,9 +155,9 @@ fn insert<S: Implicit>(
     newcomers.into_iter().filter(|_| chosen.next() == Some(true)).collect()
 }
 
-/// Returns the newcomer in the widest gap of particle i. Returns `None` if `place_in_widest_gap`
-/// finds no position or if a listed particle is closer than [`NEWCOMER_DISTANCE`] spacings to the
-/// newcomer.
+/// Proposes a newcomer in the widest gap between the neighbours of particle i. Returns `None` if
+/// `place_in_widest_gap` finds no position or if a listed particle is closer than
+/// [`NEWCOMER_DISTANCE`] spacings to the newcomer.
 pub(crate) fn propose<S: Implicit>(state: &State, fields: &Fields<S>, deleted: &[bool], i: usize) -> Option<Newcomer> {
     let (position, normal, size) = place_in_widest_gap(state, fields, deleted, i)?;
     let set = &state.set;
@@ -172,9 +172,9 @@ pub(crate) fn propose<S: Implicit>(state: &State, fields: &Fields<S>, deleted: &
     has_room.then_some(Newcomer { parent: i, position, normal, size })
 }
 
-/// Finds the widest gap between the neighbours of particle i within the second ring. Projects the
-/// point one spacing from the particle, in the middle of this gap, onto the surface. Returns
-/// position, normal and h of the projected point, or `None` if it is rejected.
+/// Finds the widest angular gap between the neighbours of particle i that are closer than the
+/// second ring. Projects the point one spacing from the particle, in the middle of this gap, onto
+/// the surface. Returns position, normal and h of the projected point, or `None` if it is rejected.
 fn place_in_widest_gap<S: Implicit>(
     state: &State,
     fields: &Fields<S>,
@@ -222,13 +222,13 @@ mod tests {
     use crate::settle::Parameters;
     use std::collections::HashSet;
 
-    /// Runs density control on scattered particles. Returns the indices of the newcomers and all
-    /// particles afterwards.
+    /// Runs density control on scattered particles. Returns the indices of the newcomers and the
+    /// resulting state.
     fn controlled(scene: &Scene, pass: u64) -> (Vec<usize>, State) {
         let parameters = Parameters::default();
         let mut state = State::new(scene.seeds.clone(), parameters.normal_agreement);
         state.measure();
-        // deletion is off, so that the test can check the distance of newcomers from all particles
+        // without deletion, the distance of newcomers from all particles can be checked
         let limits =
             Limits { ideal_energy: parameters.ideal_energy, add_below: parameters.add_below, delete_above: 1e9 };
         let before: HashSet<_> = state.set.positions.iter().map(|p| p.to_array().map(f64::to_bits)).collect();

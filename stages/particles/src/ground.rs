@@ -1,4 +1,5 @@
-//! Reads the surface of a run (one object or many materials) and rejects inputs that do not match.
+//! Reads the surface of a run (one object or many materials) and rejects seeds and options that do
+//! not match it.
 
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::error::{Error, Result};

@@ -14,7 +14,7 @@ pub trait Implicit: Sync {
     fn project(&self, stratum: Option<Stratum>, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)>;
 
     /// Returns whether a point on the zero set of a stratum lies on the interface, that is, whether
-    /// no third material is closer there.
+    /// no third material has a smaller indicator there.
     fn is_real(&self, stratum: Option<Stratum>, point: DVec3) -> bool;
 
     /// Returns the minimum voxel edge in mm. Tolerances are fractions of it.
@@ -52,8 +52,8 @@ impl<'a, I: Indicators> Interfaces<'a, I> {
     }
 }
 
-/// Returns the two materials of an interface. The first has the higher number, and G is negative
-/// inside it, so the gradient points to the material with the lower number.
+/// Returns the two materials of an interface, the higher number first. The difference of their
+/// indicators is negative inside the first, so its gradient points to the second.
 #[inline(always)]
 fn sides(stratum: Option<Stratum>) -> Option<[MaterialId; 2]> {
     match stratum?.materials() {

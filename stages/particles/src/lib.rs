@@ -3,7 +3,7 @@
 //!
 //! Implements section 3 of Kim, Chen and Hansen 2012: neighbours, energy, damped Newton steps,
 //! projection, density control and the stop test. The same seeds, fields and parameters give the
-//! same bytes for any number of threads on the CPU, and in every run on one GPU adapter.
+//! same bytes with any number of threads on the CPU, and in every run on the same GPU adapter.
 
 pub mod args;
 mod checkpoint;

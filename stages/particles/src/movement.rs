@@ -1,11 +1,11 @@
 //! One pass of movement: sections 3.2.1 and 3.2.2 and Algorithm 1 of the paper.
 //!
-//! A particle takes a damped Newton step of its energy in the tangent plane of F and is projected
-//! back onto F = 0 (Eq. 5). The step is accepted if it lowers the energy. Otherwise lambda grows
-//! tenfold and the particle tries again. The particles of a block move one after the other. The
-//! blocks of an independent class move at the same time, because these blocks do not interact. The
-//! pass is therefore the paper's Gauss-Seidel sweep in another order, and the result of a pass does
-//! not depend on the number of threads.
+//! A particle takes a damped Newton step on its energy in the tangent plane of F and is then
+//! projected back onto F = 0 (Eq. 5). The step is accepted if it lowers the energy. Otherwise
+//! lambda is multiplied by ten and the particle tries again. The particles of a block move one
+//! after the other. The blocks of an independent class do not interact and move concurrently. The
+//! pass is therefore the paper's Gauss-Seidel sweep in another order, and its result does not
+//! depend on the number of threads.
 
 use crate::constants::{
     EIGENVALUE_FLOOR, EQUAL_EIGENVALUES_F64, FARTHEST_MOVE, LAMBDA_FALL, LAMBDA_GROWTH, LARGEST_LAMBDA, LEAST_FORCE,
@@ -82,7 +82,8 @@ pub(crate) fn pass<S: Implicit>(state: &mut State, fields: &Fields<S>) -> Moves 
     moves
 }
 
-/// Moves particles one after the other, using the best SIMD instructions of the processor.
+/// Moves the particles of a block one after the other, using the best SIMD instructions that the
+/// processor supports.
 fn block_steps<S: Implicit>(
     state: &State,
     fields: &Fields<S>,
@@ -152,8 +153,8 @@ fn step<L: Simd, S: Implicit>(simd: L, state: &State, fields: &Fields<S>, near: 
     result
 }
 
-/// Replaces the eigenvalues of a symmetric 2 x 2 matrix (entries uu, uv, vv) by their magnitudes
-/// and bounds them away from zero. The Newton step is then a descent step.
+/// Replaces the eigenvalues of a symmetric 2 x 2 matrix (entries uu, uv, vv) with their magnitudes,
+/// bounded away from zero. The Newton step is then a descent step.
 #[inline(always)]
 fn positive_definite(m: [f64; 3]) -> [f64; 3] {
     let [a, b, c] = m;
@@ -164,7 +165,7 @@ fn positive_definite(m: [f64; 3]) -> [f64; 3] {
     if half <= EQUAL_EIGENVALUES_F64 * mean.abs() {
         return [l, 0.0, l];
     }
-    // the eigenvector of the higher eigenvalue is (cos t, sin t)
+    // the eigenvector of the larger eigenvalue is (cos t, sin t)
     let (cos2, sin2) = (0.5 * (a - c) / half, b / half);
     let (middle, spread) = (0.5 * (l + h), 0.5 * (h - l));
     [middle + spread * cos2, spread * sin2, middle - spread * cos2]
@@ -186,7 +187,7 @@ mod tests {
 
     #[test]
     fn unlisted_particles_stay_beyond_the_first_ring() {
-        // twice as many particles as the lattice has, at random positions, which gives the longest
+        // twice as many particles as in the lattice, at random positions: this gives the longest
         // steps
         let scene = Scene::ball(1600, 1.6);
         let fields = scene.fields();

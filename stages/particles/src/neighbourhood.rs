@@ -7,8 +7,8 @@ use fearless_simd::{Simd, f64x8, prelude::*};
 use glam::DVec3;
 use isoparticles_field::energy::{Pairs, SUPPORT, sum};
 
-/// Number of pairs per SIMD operation: the lanes of `f64x8`, for every instruction set. The order
-/// of summation is therefore always the same.
+/// Number of pairs per SIMD operation: the lanes of `f64x8`. It does not depend on the instruction
+/// set, so the order of summation is always the same.
 const LANES: usize = 8;
 
 /// Two orthonormal directions that span the tangent plane of F.
@@ -115,8 +115,9 @@ impl Neighbourhood {
         }
     }
 
-    /// Returns the squared scaled distances (Eq. 2) between a block and a particle with this 1/h,
-    /// and intermediate values. `moved` is the particle's displacement since `gather`.
+    /// Returns the squared scaled distances (Eq. 2) from the particle to the neighbours in a block,
+    /// and intermediate values. `moved` is the particle's displacement since `gather`, and
+    /// `inverse_size` is its 1/h.
     #[inline(always)]
     fn distances<S: Simd>(simd: S, block: &Block, moved: DVec3, inverse_size: f64) -> Distances<S> {
         let along = |axis: usize| f64x8::simd_from(simd, block.offset[axis]) - moved[axis];
@@ -128,7 +129,7 @@ impl Neighbourhood {
         Distances { offset, theirs, inverse_reach, squared }
     }
 
-    /// Returns the energy (Eq. 1) of the particle after a displacement by `moved`, with size h at
+    /// Returns the energy (Eq. 1) of the particle after a displacement by `moved`. `size` is h at
     /// the new position.
     #[inline(always)]
     pub(crate) fn energy<S: Simd>(&self, simd: S, moved: DVec3, size: f64) -> f64 {
@@ -139,8 +140,8 @@ impl Neighbourhood {
         sum(energy)
     }
 
-    /// Returns the energy of the particle, which has size h, and the number of its neighbours in
-    /// the first ring of a lattice with this spacing (in units of h).
+    /// Returns the energy of the particle and the number of its neighbours in the first ring.
+    /// `size` is h at the particle, and `spacing` is the lattice spacing in units of h.
     #[inline(always)]
     pub(crate) fn energy_and_ring<S: Simd>(&self, simd: S, size: f64, spacing: f64) -> (f64, u32) {
         let radius = FIRST_RING * spacing / SUPPORT;
@@ -153,8 +154,8 @@ impl Neighbourhood {
         (sum(energy), ring)
     }
 
-    /// Returns the energy of the particle, which has size h, with its derivatives in the tangent
-    /// plane.
+    /// Returns the energy of the particle and its derivatives in the tangent plane. `size` is h at
+    /// the particle.
     ///
     /// `along` is the second derivative along a pair (Eq. 4), and `across` is the first derivative
     /// divided by the distance. With the offset o and the distance r, the Hessian is `across I +
@@ -233,7 +234,8 @@ mod tests {
                 near.gather(|j| state.records[j], state.neighbours.of(i), p);
                 let jet = dispatch!(Level::new(), simd => near.jet(simd, &plane, h));
                 assert!((jet.energy - energy).abs() < 1e-11 * (1.0 + energy), "{i}: {energy} {jet:?}");
-                // the terms of a force cancel, so the error is relative to the Hessian times h
+                // the terms of a force largely cancel, so the error is relative to the Hessian
+                // times h
                 let scale = 1.0 + jet.hessian[0].abs().max(jet.hessian[2].abs()) * h;
                 let along_size = plane.coordinates(fields.sizing.value_gradient(p).1);
                 for (a, want) in plane.coordinates(gradient).into_iter().enumerate() {

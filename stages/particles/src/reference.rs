@@ -1,5 +1,5 @@
-//! Reference for the tests: energies and forces, computed pair by pair, with the tangent instead of
-//! a polynomial. The SIMD sums and the GPU kernels are compared with this reference.
+//! Reference for the tests: energies and forces computed pair by pair, with the tangent instead of
+//! a polynomial. The tests compare the SIMD sums and the GPU kernels with it.
 
 use crate::state::{Fields, State};
 use glam::{DMat3, DVec3};
@@ -22,8 +22,8 @@ pub(crate) fn energy_jet<S>(state: &State, fields: &Fields<S>, i: usize) -> (f64
     (sum.0, sum.1 + fields.sizing.value_gradient(position).1 * by_size, sum.2)
 }
 
-/// Returns the energy (Eq. 1) of a particle of size h at `position`, with the neighbours listed for
-/// particle i.
+/// Returns the energy (Eq. 1) that particle i would have at `position` with size h. The sum is over
+/// the particles in its neighbour list.
 pub(crate) fn energy_at(state: &State, i: usize, position: DVec3, h: f64) -> f64 {
     let set = &state.set;
     let pair = |j: usize| pair_energy(scaled_distance(position.distance(set.positions[j]), h, set.sizes[j]));

@@ -41,7 +41,7 @@ fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
         Backend::Gpu => Gpu::open(&choice)?,
         Backend::Auto => match Gpu::open(&choice) {
             Ok(gpu) => gpu,
-            // an adapter given by name must be used, so there is no fallback
+            // no fallback to the CPU if the user names an adapter
             Err(error) if args.adapter.is_some() => return Err(error),
             Err(error) => {
                 context.verbose(format!("the CPU is used: {}", error.what));
@@ -61,14 +61,14 @@ fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
 struct Engines<'a> {
     gpu: Option<&'a Gpu>,
     parameters: &'a Parameters,
-    /// True if the CPU may replace the GPU when the data exceeds the limits of the GPU.
+    /// True if the CPU may be used when the engine cannot be created on the GPU.
     may_fall_back: bool,
     fell_back: Cell<bool>,
     context: &'a Context,
 }
 
 impl<'a> Engines<'a> {
-    /// Creates the engine on the GPU. Returns `None` if the CPU must move the particles.
+    /// Creates the engine on the GPU. Returns `None` if the CPU is to be used.
     fn on_gpu<'f>(&self, make: impl FnOnce(&'a Gpu) -> Result<GpuEngine<'f>>) -> Result<Option<GpuEngine<'f>>> {
         let Some(gpu) = self.gpu.filter(|_| !self.fell_back.get()) else { return Ok(None) };
         match make(gpu) {
@@ -240,7 +240,7 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
-    /// Returns the name of the engine for checkpoints.
+    /// Returns the name of the engine that is stored in checkpoints.
     fn engine(&self) -> String {
         self.gpu.map_or_else(cpu_engine, |gpu| format!("gpu: {}", gpu.summary().name))
     }
@@ -271,7 +271,7 @@ impl Run<'_> {
         let engines = Engines {
             gpu,
             parameters,
-            // the CPU does not support the order of bins
+            // the CPU does not support the order by bins
             may_fall_back: args.backend == Backend::Auto
                 && args.adapter.is_none()
                 && parameters.order == Order::Classes,

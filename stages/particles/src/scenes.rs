@@ -20,9 +20,9 @@ impl Scene {
         Fields { surface: &self.surface, sizing: &self.sizing }
     }
 
-    /// Creates a scene by sampling F and h, which are functions of the position relative to the
-    /// centre. Up to `count` points are projected onto F = 0; `start` maps a random direction to
-    /// the point before projection.
+    /// Creates a scene. `f` and `h` are functions of the position relative to the centre of the
+    /// grid, on which they are sampled. The seeds are up to `count` points projected onto F = 0;
+    /// `start` maps a random direction to the point that is projected.
     pub(crate) fn new(
         size: [usize; 3],
         spacing: DVec3,
@@ -70,8 +70,8 @@ impl Scene {
     }
 
     /// Returns four particles on each of eight meridians of a ball, with gaps of h, 2.35 h and h.
-    /// The inner two particles are not in each other's lists. Each places its newcomer at distance
-    /// h towards the other.
+    /// The inner two particles are not in each other's lists. Each proposes a newcomer at distance
+    /// h in the direction of the other, so the two newcomers are only 0.35 h apart.
     pub(crate) fn meeting_newcomers() -> Self {
         let mut scene = Self::ball(0, 1.6);
         let centre = 0.5 * scene.surface.geometry().upper_corner();
@@ -91,8 +91,8 @@ impl Scene {
         scene
     }
 
-    /// Returns a torus with a wavy tube, anisotropic voxels, and h from 0.8 to 3.2 across the
-    /// torus.
+    /// Returns a torus with a wavy tube, on a grid with anisotropic voxels. h increases from 0.8 to
+    /// 3.2 across the torus.
     pub(crate) fn bumpy_torus(count: u64) -> Self {
         let f = |p: DVec3| {
             let around = p.y.atan2(p.x);

@@ -25,8 +25,8 @@ pub struct Parameters {
     /// Maximum number of passes on the last level, whose edge length is h. If `levels` is 1, this
     /// is the only level.
     pub max_passes: u64,
-    /// Stop when the share of [`PassRecord::lattice_defects`] falls by less than this fraction of
-    /// itself per pass, averaged over [`DEFECT_WINDOW`] passes, and density control is nearly at
+    /// Stop when the relative decrease per pass of the share of [`PassRecord::lattice_defects`],
+    /// averaged over [`DEFECT_WINDOW`] passes, is below this value and density control is nearly at
     /// rest.
     pub defect_tolerance: f64,
     /// If given, replaces the stop test with the paper's test (E_min): stop when the relative
@@ -97,18 +97,19 @@ impl Default for Parameters {
             max_passes: 150,
             defect_tolerance: DEFECT_TOLERANCE,
             energy_tolerance: None,
-            // docs/developer/method.md measures the energy window, the closing passes and the
-            // levels (runs A to H)
+            // measured in docs/developer/method.md (runs A to H), as are the closing passes and the
+            // levels
             energy_window: 5,
             rest_share: REST_SHARE,
             ideal_energy: energy::ideal_energy(),
-            // the printed 0.75 and 1.35 leave larger gaps: on a heart the energy reaches 0.92 of
+            // the printed 0.75 and 1.35 leave larger gaps: on the heart the energy reaches 0.92 of
             // the ideal energy instead of 0.94 (runs B and C)
             add_below: 0.8,
             delete_above: 1.25,
             allow_insert: true,
             closing_passes: 10,
-            // normals less than 90 degrees apart: the faces of a thin wall have opposite normals
+            // requires normals less than 90 degrees apart, so that the two faces of a thin wall do
+            // not interact
             normal_agreement: 0.0,
             seed: 0,
             levels: 3,
@@ -121,9 +122,10 @@ impl Default for Parameters {
 }
 
 impl Parameters {
-    /// Returns the parameters of the method as printed: at most 50 passes on one level, the printed
-    /// stop test, limits and ideal energy, density control up to the last pass, one bin size, and
-    /// the order of coloured bins (GPU only). All other parameters have their defaults.
+    /// Returns the parameters of the method as printed in the paper: at most 50 passes on one
+    /// level, the printed stop test, limits and ideal energy, density control up to the last pass,
+    /// one bin size, and the order by coloured bins (GPU only). All other parameters have their
+    /// default values.
     pub fn as_printed() -> Self {
         Self {
             max_passes: 50,
@@ -141,27 +143,27 @@ impl Parameters {
         }
     }
 
-    /// Returns the edge, in units of h, of the hexagonal lattice whose particles have the ideal
-    /// energy by Eq. 1: 1 by default, 0.657 for the printed 3.462. The spacing scales the positions
-    /// of newcomers and the first ring that defines lattice defects.
+    /// Returns the edge, in units of h, of the hexagonal lattice in which the energy of a particle
+    /// (Eq. 1) is the ideal energy: 1 by default, 0.657 for the printed 3.462. The distances of
+    /// newcomers and the radius of the first ring, which defines lattice defects, scale with it.
     pub fn spacing(&self) -> f64 {
         energy::lattice_spacing(self.ideal_energy)
     }
 
     /// Returns the number of levels on which the particles settle.
     pub(crate) fn level_count(&self) -> u32 {
-        // splitting between levels adds particles
+        // splitting edges between levels adds particles
         if self.allow_insert { self.levels.max(1) } else { 1 }
     }
 }
 
-/// One line of the log. With many materials, all numbers refer to the particles on interfaces and
-/// exclude the held particles of junction points and curves.
+/// One line of the log. With many materials, all numbers except `neighbours` exclude the held
+/// particles of junction points and curves.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PassRecord {
     /// Number of the pass, starting from 1.
     pub pass: u64,
-    /// Sum of the energies of the particles after the movement (Eq. 1).
+    /// Sum of the energies (Eq. 1) of the particles after the movement.
     pub energy: f64,
     /// Number of particles after density control.
     pub count: usize,
@@ -169,18 +171,18 @@ pub struct PassRecord {
     pub inserted: usize,
     /// Number of particles deleted.
     pub deleted: usize,
-    /// Number of particles removed because they left the surface. This is always zero in a pass,
-    /// because a step that cannot be projected is rejected.
+    /// Number of particles removed because they left the surface. Always zero, because a pass
+    /// rejects a step that cannot be projected.
     pub escaped: usize,
     /// Number of particles that took a step.
     pub moved: usize,
     /// Mean number of attempted steps per particle, including rejected steps.
     pub tries_per_particle: f64,
-    /// Mean number of listed neighbours.
+    /// Mean length of the neighbour lists.
     pub neighbours: f64,
     /// Number of lattice defects after the movement.
     pub lattice_defects: usize,
-    /// Seconds since the first pass of this run on this level.
+    /// Seconds since this run started the level.
     pub seconds: f64,
     /// Edge length of the level in units of h.
     pub scale: f64,
@@ -194,7 +196,7 @@ pub struct Summary {
     /// True if the stop test ended the run, false if the pass limit ended it.
     pub settled: bool,
     /// Number of particles of the last level that the final projection could not place on the
-    /// surface. With many materials, includes the seeds that are not on their interface.
+    /// surface. With many materials, this includes the seeds that are not on their interface.
     pub escaped: usize,
     /// Final energy per particle, divided by E_ideal.
     pub energy_ratio: f64,
@@ -203,7 +205,7 @@ pub struct Summary {
 /// Result of one pass by an engine.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PassOutcome {
-    /// Sum of the energies of the particles after the movement (Eq. 1).
+    /// Sum of the energies (Eq. 1) of the particles after the movement.
     pub energy: f64,
     /// Number of particles after density control.
     pub count: usize,
@@ -215,15 +217,15 @@ pub struct PassOutcome {
     pub moved: usize,
     /// Mean number of attempted steps per particle, including rejected steps.
     pub tries_per_particle: f64,
-    /// Mean number of listed neighbours.
+    /// Mean length of the neighbour lists.
     pub neighbours: f64,
     /// Number of lattice defects after the movement.
     pub lattice_defects: usize,
 }
 
 /// Moves the particles, on the CPU or on a GPU. Every `REORDER_INTERVAL` passes an engine sorts
-/// the particles and rebuilds all derived data, so a run that is resumed at that point equals an
-/// uninterrupted run.
+/// the particles and rebuilds all derived data. A run resumed at that point therefore gives the
+/// same result as an uninterrupted run.
 pub trait Engine {
     /// Moves every particle once, measures the energy and, if `density` is set, controls the
     /// density.
@@ -257,8 +259,8 @@ pub(crate) struct Level {
     pub max_passes: u64,
 }
 
-/// Settles the particles at a single level, whose edge length is h, using any engine. At the end,
-/// the CPU projects them onto F = 0 with a tolerance of 1e-8 voxels.
+/// Settles the particles on a single level, whose edge length is h, with the given engine. At the
+/// end, the CPU projects them onto F = 0 with a tolerance of 1e-8 voxels.
 pub fn settle_with<S: Implicit>(
     engine: &mut dyn Engine,
     fields: &Fields<S>,
@@ -271,8 +273,8 @@ pub fn settle_with<S: Implicit>(
     Ok((state.set, summary))
 }
 
-/// Works like [`settle_with`], but on one of several levels. `resumed` contains the records of this
-/// level.
+/// Works like [`settle_with`], but on one of several levels. `resumed` contains the records of the
+/// passes already run on this level.
 pub(crate) fn settle_level<S: Implicit>(
     engine: &mut dyn Engine,
     fields: &Fields<S>,
@@ -323,7 +325,8 @@ pub(crate) fn settle_level<S: Implicit>(
     Ok((state, summary))
 }
 
-/// Returns the pass that meets the stop test, if any. Density control is off in all later passes.
+/// Returns the first pass that meets the stop test, if any. Density control is off in all later
+/// passes.
 fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64> {
     let window = if parameters.energy_tolerance.is_some() { parameters.energy_window.max(1) } else { DEFECT_WINDOW };
     (window..records.len()).find_map(|last| {
@@ -346,10 +349,10 @@ fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64>
     })
 }
 
-/// Returns whether density control adds as many particles as it deletes while the number of lattice
-/// defects does not decrease. Compares the mean share of defects over the last [`BALANCE_WINDOW`]
-/// passes with that over the same number of passes before them. `rest_share` limits the mean net
-/// growth over the last window.
+/// Returns whether density control adds about as many particles as it deletes while the share of
+/// lattice defects hardly decreases. Compares the mean share over the last [`BALANCE_WINDOW`]
+/// passes with the mean over the same number of preceding passes. `rest_share` limits the mean net
+/// growth per pass over the last window.
 fn is_balanced(records: &[PassRecord], parameters: &Parameters) -> bool {
     let window = BALANCE_WINDOW;
     let Some(before) = records.len().checked_sub(2 * window) else { return false };
@@ -366,8 +369,8 @@ fn is_balanced(records: &[PassRecord], parameters: &Parameters) -> bool {
 
 /// Projects every particle, except held particles, onto F = 0 or its interface with a tolerance of
 /// 1e-8 voxels, and removes particles whose projection fails. Returns the number of removed
-/// particles. Sorts the particles spatially first; a run that is resumed after the last pass then
-/// gives the same result.
+/// particles. Sorts the particles spatially first, so that a run resumed after the last pass gives
+/// the same result.
 fn finish<S: Implicit>(state: &mut State, fields: &Fields<S>) -> usize {
     state.sort_spatially();
     let spacing = fields.surface.min_spacing();
@@ -400,8 +403,8 @@ fn finish<S: Implicit>(state: &mut State, fields: &Fields<S>) -> usize {
 mod tests {
     use super::*;
 
-    /// Returns records of 1000 particles with the given number of lattice defects, and `churn`
-    /// particles added per pass.
+    /// Returns the records of 40 passes over 1000 particles, with the given number of lattice
+    /// defects in each pass and `churn` particles added per pass.
     fn records(defects: impl Fn(u64) -> usize, churn: usize, scale: f64) -> Vec<PassRecord> {
         let record = |pass| PassRecord {
             pass,
@@ -423,7 +426,7 @@ mod tests {
     #[test]
     fn additions_and_deletions_in_balance_end_the_run() {
         let parameters = Parameters::default();
-        // 1 % are added and 1 % deleted in each pass, which is ten times `rest_share`
+        // each pass adds 1 % of the particles and deletes 1 %, in total ten times `rest_share`
         let in_balance = |defects: &dyn Fn(u64) -> usize, growth: usize| -> Vec<PassRecord> {
             let balanced = |r: PassRecord| PassRecord {
                 deleted: r.inserted - growth,

@@ -1,5 +1,5 @@
-//! State of the particles while they move: positions and dependent values, neighbour lists, and
-//! classes of blocks that can move concurrently.
+//! State of the particles while they move: positions and the values that depend on them, neighbour
+//! lists, and classes of blocks that can move concurrently.
 
 use crate::constants::{CPU_LIST_REACH, FIRST_RING, LATTICE_NEIGHBOURS};
 use crate::implicit::Implicit;
@@ -44,8 +44,8 @@ pub(crate) struct State {
     /// The stratum of each particle; empty for one object.
     pub strata: Vec<Stratum>,
     /// Number of held particles, which come first: the particles of junction points and curves;
-    /// zero for one object. Held particles are never moved or deleted, get no newcomers, and do not
-    /// enter the statistics. Particles on the adjoining interfaces interact with them.
+    /// zero for one object. Held particles are never moved or deleted, get no newcomers, and are
+    /// excluded from the statistics. Particles on the adjoining interfaces interact with them.
     pub held: usize,
     /// Minimum dot product of the normals of two interacting particles. If the dot product is
     /// smaller, the particles belong to different parts of the surface.
@@ -79,7 +79,8 @@ impl State {
         Self { spacing, ..self }
     }
 
-    /// Sets the strata, which must start with those of junctions; empty for one object.
+    /// Sets the strata of the particles (empty for one object). Those of junction points and curves
+    /// must come first.
     pub(crate) fn on(mut self, strata: Vec<Stratum>) -> Self {
         self.held = strata.partition_point(|stratum| stratum.dimension() < 2);
         self.strata = strata;
@@ -143,8 +144,7 @@ impl State {
 
     /// Rebuilds only the lists, which is enough to compute energies. Particles interact if their
     /// normals agree. With many materials, two particles must also be on the same interface. A held
-    /// particle interacts with all particles of the interfaces that it borders, whatever their
-    /// normals.
+    /// particle interacts with all particles on the adjoining interfaces, whatever their normals.
     pub(crate) fn rebuild_lists(&mut self) {
         let normals = &self.set.normals;
         let agreement = self.normal_agreement;
@@ -213,7 +213,7 @@ impl State {
 pub(crate) struct Measures {
     /// Sum of the energies of the particles, added in a fixed order.
     pub energy: f64,
-    /// Number of lattice defects: particles without exactly six neighbours in the first ring. Held
-    /// particles and their neighbours do not count.
+    /// Number of lattice defects: particles that do not have exactly six neighbours in the first
+    /// ring. Held particles and their neighbours are not counted.
     pub lattice_defects: usize,
 }

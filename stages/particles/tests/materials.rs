@@ -21,8 +21,8 @@ use std::process::{Command, Output};
 
 const CENTRE: DVec3 = DVec3::splat(12.0);
 
-/// Input files: a ball of radius 5 mm inside a ball of radius 8 mm, with seeds of h = 1.2 mm on
-/// both interfaces; and the outer ball alone.
+/// Input files: a ball of radius 5 mm inside a ball of radius 8 mm, with seeds for h = 1.2 mm on
+/// both interfaces; the distance field of the outer ball alone.
 struct Files {
     folder: tempfile::TempDir,
 }
@@ -110,7 +110,7 @@ fn interfaces_are_settled_and_a_broken_run_goes_on() {
         let count = of().count() as f64;
         assert!((count / lattice - 0.97).abs() < 0.08, "{own:?}: {count}, the lattice has {lattice:.0}");
     }
-    // the checkpoint of pass 20 remains after the run, so --resume repeats the passes after it
+    // the checkpoint of pass 20 remains after the run, so --resume repeats the later passes
     let kept = "--checkpoint c.bin --max-passes 30 --checkpoint-interval 20 --backend cpu";
     assert!(files.run(&format!("{INPUT_FILES} -o first.bin {kept}")).status.success());
     let resumed = files.run(&format!("{INPUT_FILES} -o resumed.bin {kept} --resume --levels 1"));

@@ -1,4 +1,4 @@
-//! Settles particles on analytic surfaces: density, evenness, thin walls, repeatability and
+//! Tests of settling on analytic surfaces: density, evenness, thin walls, repeatability and
 //! resuming.
 
 use glam::DVec3;
@@ -27,8 +27,8 @@ fn sampled(f: impl Fn(DVec3) -> f64) -> Image<f32> {
     Image { geometry, data }
 }
 
-/// Projects up to `count` points near the surface onto it. `start` maps random directions to
-/// points.
+/// Returns up to `count` random points projected onto the surface. `start` maps random directions
+/// to points near the surface.
 fn seeds(surface: &CubicSpline, sizing: &SizingField, count: u64, start: impl Fn(DVec3) -> DVec3) -> ParticleSet {
     let centre = 0.5 * surface.geometry().upper_corner();
     let mut set = ParticleSet {
@@ -201,8 +201,8 @@ fn the_result_depends_neither_on_threads_nor_on_a_break() {
     assert!((records[19].energy / records[19].count as f64 / ideal_energy() - 1.0).abs() < 0.3);
 }
 
-/// Cases: smooth balls, steep h, balls only slightly larger than h, and a noisy surface with folds
-/// and specks smaller than a voxel.
+/// Cases: a ball with constant h and with steep h, balls with a radius of only a few h, and a noisy
+/// surface with folds and specks smaller than a voxel.
 #[test]
 fn as_many_settle_as_are_predicted() {
     let ball = |radius: f64| sampled(move |p| p.length() - radius);
@@ -238,7 +238,7 @@ fn as_many_settle_as_are_predicted() {
 }
 
 /// Returns a ball of radius 12 with constant h, its marching-cubes vertices as seeds, and the
-/// number of particles of the lattice of edge h.
+/// number of particles in the lattice of edge h.
 fn ball_at_vertices(h: f64) -> (CubicSpline, SizingField, ParticleSet, f64) {
     let image = sampled(|p| p.length() - 12.0);
     let (surface, sizing) = (CubicSpline::new(&image), uniform_size(&image, h));
@@ -307,8 +307,8 @@ fn printed_method_deletes_vertices_and_reaches_its_energy() {
         assert!(parameters.allow_insert || inserted == 0);
         assert!(summary.settled && summary.passes <= 50, "{summary:?}");
         assert!((summary.energy_ratio - 1.0).abs() < 0.2, "{summary:?}");
-        // without closing passes, the last pass may still add and delete particles, and it is the
-        // pass that met the stop test
+        // without closing passes, the run ends with the pass that meets the stop test, even if that
+        // pass adds or deletes particles
         assert_eq!(records.len() as u64, summary.passes);
     }
 }

@@ -29,9 +29,9 @@ def main() -> None:
     cleaver.Update()
     seconds = time.monotonic() - started
     mesh = cleaver.GetOutput(0)
-    # in Cleaver's coordinates, voxel boundaries are at integers
+    # in Cleaver's coordinates, voxel boundaries have integer coordinates
     points = itk.array_from_vector_container(mesh.GetPoints()) - 0.5
-    # each cell is stored as its kind, its number of points, and its points
+    # each cell is stored as its type, its number of points, and its point indices
     tetrahedra = itk.array_from_vector_container(mesh.GetCellsArray()).reshape(-1, 6)[:, 2:]
     regions = itk.array_from_vector_container(mesh.GetCellData()).astype(np.int64)
     told = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())

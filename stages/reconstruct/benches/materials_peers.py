@@ -88,7 +88,7 @@ def interfaces(points: np.ndarray, tetrahedra: np.ndarray, regions: np.ndarray) 
     with_next = np.append((key[1:] == key[:-1]).all(axis=1), False)
     with_last = np.append(False, with_next[:-1])
     other = np.where(with_next, np.append(inside[1:], 0), np.where(with_last, np.append(0, inside[:-1]), 0))
-    # keep each triangle once, from the side of the higher number
+    # keep each triangle once, with the higher material number inside
     kept = inside > other
     return faces[kept], inside[kept], other[kept]
 
@@ -199,7 +199,7 @@ def junctions_of(materials: np.ndarray) -> list[np.ndarray]:
             near.setdefault(end, []).append(number)
     left = set(range(len(edges)))
     lines = []
-    # lines from ends and crossings first, then closed lines
+    # trace the lines from end points and crossings first, then the closed lines
     starts = [point for point, of in near.items() if len(of) != 2] + list(near)
     for start in starts:
         for first_edge in near[start]:

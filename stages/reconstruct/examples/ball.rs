@@ -1,5 +1,5 @@
-//! Reconstructs a ball from points on it:
-//! `cargo run --release -p isoparticles-reconstruct --example ball`.
+//! Reconstructs a ball from points on its surface: `cargo run --release -p isoparticles-reconstruct
+//! --example ball`.
 
 use glam::DVec3;
 use isoparticles_field::particle_set::ParticleSet;

@@ -1,5 +1,5 @@
-//! Tests the program on points alone (`--method tight-cocone` without fields): its files, reports
-//! and exit codes.
+//! Tests reconstruction from points alone (`--method tight-cocone` without fields): the files,
+//! reports and exit codes of the program.
 
 use glam::DVec3;
 use isoparticles_field::particle_set::ParticleSet;
@@ -119,7 +119,7 @@ fn particles_need_no_field_and_come_out_in_the_world() {
     assert_eq!(surface.surface.space, Space::Lps);
     assert!(surface.surface.mesh.vertices.iter().all(|p| (p.x - 85.0).abs() < 10.01));
     assert_eq!(surface.history.unwrap().inputs[0].history.as_ref().unwrap().tool, "particles");
-    // The surface is read as a point cloud in the same space.
+    // The surface can be read back as a point cloud and keeps its space.
     assert_eq!(folder.run(&["s.vtp", "--method", "tight-cocone", "-o", "again.vtp"]).0, 0);
     let again = read_surface(&folder.path("again.vtp")).unwrap();
     assert_eq!(again.surface.space, Space::Lps);

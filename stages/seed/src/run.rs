@@ -1,4 +1,4 @@
-//! Runs [`crate::sampling`] and [`crate::vertices`] as a program: parses the options, reads and
+//! The program around [`crate::sampling`] and [`crate::vertices`]: parses the options, reads and
 //! writes the files, and fills in the report.
 
 use crate::sampling::{BYTES_PER_PARTICLE, COMPONENT_MINIMUM, Summary, seed_surface, seed_vertices};
@@ -140,7 +140,7 @@ fn by_poisson_disks(
     Ok(seed_surface(&mesh, surface, (scaled.as_ref().unwrap_or(sizing), sizing), context.seed(), context)?)
 }
 
-/// Seeds the surface at vertices of marching cubes.
+/// Seeds the surface at marching-cubes vertices.
 fn at_vertices(
     args: &Args,
     distance: &Image<f32>,
@@ -177,14 +177,14 @@ fn at_vertices(
     Ok(seed_vertices(&found, surface, sizing, context.seed(), context)?)
 }
 
-/// Computes the exact predicted count, as a timed step of the report.
+/// Predicts the number of particles by integration over F = 0, as a timed step of the report.
 fn predicted(sizing: &SizingField, surface: &CubicSpline, context: &Context) -> f64 {
     let _step = context.step("predict the count");
     sizing.predicted_count(surface)
 }
 
-/// Rejects an h that is too large for the object, and counts that exceed the memory. Without
-/// --count, the count comes from `predicted`.
+/// Returns an error if h is too large for the object, or if the particles do not fit into memory.
+/// Calls `predicted` only if --count is not given.
 pub(crate) fn check_prediction(args: &Args, predicted: impl FnOnce() -> f64, context: &Context) -> Result<()> {
     let sizes = args.sizefield.display();
     let count = args.count.map_or_else(predicted, |count| count as f64);

@@ -1,6 +1,6 @@
-//! Samples the isosurface by Poisson-disk sampling with the spacing of the sizing field. All seeds,
-//! including seeds at vertices, are then projected, and every component gets a minimum number of
-//! particles.
+//! Poisson-disk sampling of the isosurface, with the spacing given by the sizing field. All seeds,
+//! including those at marching-cubes vertices, are then projected onto F = 0, and every component
+//! gets a minimum number of particles.
 
 use crate::vertices::Vertices;
 use glam::DVec3;
@@ -18,26 +18,26 @@ use rayon::prelude::*;
 /// Number of candidates per predicted particle. More candidates fill more of the gaps between
 /// disks: 16 instead of 8 raises the count by 7 % at the same radius.
 pub(crate) const OVERSAMPLING: f64 = 8.0;
-/// Memory in bytes per seeded particle: the candidates with their order and bins. Measured: the
-/// peak memory grows by 660 bytes per particle from 8,514 to 99,084 particles on one grid (`make
-/// bench-stages`, table in `docs/developer/performance.md`). The constant is twice as large,
+/// Memory in bytes per seeded particle, for the candidates, their order and their bins. Measured:
+/// the peak memory grows by 660 bytes per particle from 8,514 to 99,084 particles on one grid
+/// (`make bench-stages`, table in `docs/developer/performance.md`). The constant is twice as large,
 /// because vectors grow by doubling.
 pub const BYTES_PER_PARTICLE: f64 = 1300.0;
-/// Minimum distance between two seeds in units of h. In a plane, this sampling then has 0.94 times
-/// the density of the hexagonal lattice of spacing h (`cargo test -p isoparticles-seed density`).
-/// Density control adds the missing particles. The upper bound is 0.777: at this radius, random
-/// disks jam (at a covered fraction of 0.547) at the density of the lattice, regardless of the
-/// number of candidates.
+/// Minimum distance between two seeds in units of h. On a plane, the sampling then reaches 0.94
+/// times the density of the hexagonal lattice of spacing h (`cargo test -p isoparticles-seed
+/// density`). Density control adds the missing particles. The upper bound is 0.777: with this
+/// radius, random disks jam (at a covered fraction of 0.547) exactly when they reach the density of
+/// the lattice, however many candidates there are.
 pub(crate) const DISK_RADIUS: f64 = 0.71;
-/// Maximum distance from a point on a triangle of marching cubes to F = 0, in voxels. F changes
-/// sign on the cell edge of each vertex, so a vertex is less than one voxel from the surface. The
-/// remainder covers points inside a triangle.
+/// Maximum distance from a point on a marching-cubes triangle to F = 0, in voxels. Each vertex lies
+/// on a cell edge along which F changes sign, so it is less than one voxel from the surface. The
+/// other half voxel is a margin for points inside a triangle.
 pub(crate) const MAX_PROJECTION: f64 = 1.5;
-/// Tolerance of the projection, in voxels: a tenth of the tolerance of |F| after a pass of
+/// Tolerance of the projection, in voxels: a tenth of the tolerance on |F| after a pass of
 /// `particles` (1e-5).
 pub(crate) const PROJECTION_TOLERANCE: f64 = 1e-6;
-/// Minimum number of particles per component. Fewer do not make a closed surface of
-/// near-equilateral triangles; an icosahedron has 12 vertices.
+/// Minimum number of particles per component. The icosahedron, with 12 vertices, is the smallest
+/// triangulation of a sphere without vertices of degree three or four.
 pub const COMPONENT_MINIMUM: usize = 12;
 
 /// Statistics of the seeding.
@@ -49,11 +49,10 @@ pub struct Summary {
     pub underpopulated_components: usize,
     /// Number of seeds dropped because the projection onto F = 0 failed.
     pub not_projected: usize,
-    /// Number of vertices of marching cubes; only for seeds at vertices.
+    /// Number of marching-cubes vertices; only for seeds at vertices.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub vertices: Option<usize>,
-    /// Number of cells of the marching-cubes grid along each edge of a voxel; only for seeds at
-    /// vertices.
+    /// Number of marching-cubes cells along each edge of a voxel; only for seeds at vertices.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refinement: Option<usize>,
 }
@@ -68,9 +67,9 @@ pub(crate) struct Candidates {
     pub(crate) component: Vec<u32>,
 }
 
-/// Seeds the surface F = 0 at the density of `spread`, with samples on the triangles of marching
-/// cubes. The sizes of the particles come from `sizing`, which differs from `spread` by a factor if
-/// the count is given (the paper's Table 3). The result depends only on the arguments.
+/// Seeds the surface F = 0 by sampling the marching-cubes triangles with the density of `spread`.
+/// The particle sizes come from `sizing`, which differs from `spread` by a constant factor if the
+/// particle count is given (the paper's Table 3). The result depends only on the arguments.
 ///
 /// # Errors
 /// If the monitor interrupts the run.
@@ -94,7 +93,7 @@ pub fn seed_surface(
     Ok(on_every_component(&components, surface, sizing, &picked, seed))
 }
 
-/// Seeds the surface F = 0 at [`vertices`](crate::vertices::vertices) of marching cubes, without
+/// Seeds the surface F = 0 at marching-cubes [`vertices`](crate::vertices::vertices), without
 /// thinning them. These are the paper's seeds; density control deletes the surplus.
 ///
 /// # Errors
@@ -118,8 +117,8 @@ fn components_of(surface: &CubicSpline, monitor: &dyn Monitor) -> Result<FieldCo
     FieldComponents::new(surface, monitor)
 }
 
-/// Projects the selected points onto F = 0. Components with fewer than [`COMPONENT_MINIMUM`] points
-/// are sampled again separately, at a spacing that fits their area.
+/// Projects the selected points onto F = 0. Each component with fewer than [`COMPONENT_MINIMUM`]
+/// points is resampled on its own, with a spacing derived from its area.
 fn on_every_component(
     components: &FieldComponents,
     surface: &CubicSpline,
@@ -158,9 +157,9 @@ fn on_every_component(
     (set, Summary { components, underpopulated_components, not_projected, ..Summary::default() })
 }
 
-/// Projects points with normals onto F = 0. Returns pairs of projected point and grad F, and the
+/// Projects points with normals onto F = 0. Returns the projected points, each with grad F, and the
 /// number of discarded points. A point is discarded if the projection fails or if grad F and the
-/// normal point to opposite sides.
+/// normal differ by 90 degrees or more.
 fn onto_surface(surface: &CubicSpline, picked: &[(DVec3, DVec3)]) -> (Vec<(DVec3, DVec3)>, usize) {
     let spacing = surface.geometry().mean_spacing();
     let project = |&(p, n): &(DVec3, DVec3)| {
@@ -173,13 +172,13 @@ fn onto_surface(surface: &CubicSpline, picked: &[(DVec3, DVec3)]) -> (Vec<(DVec3
     (found, lost)
 }
 
-/// Returns the centroid of a triangle, and the normal with twice the area as its length.
+/// Returns the centroid of a triangle, and a normal whose length is twice the area.
 pub(crate) fn centre_and_normal(mesh: &TriangleMesh, triangle: usize) -> (DVec3, DVec3) {
     let [a, b, c] = mesh.triangles[triangle].map(|v| mesh.vertices[v as usize]);
     ((a + b + c) / 3.0, (b - a).cross(c - a))
 }
 
-/// Returns random points on the triangles in `members`. A triangle gets on average
+/// Returns random points on the triangles in `members`. On average, a triangle gets
 /// `density(centre, unit normal)` points per mm^2.
 pub(crate) fn sample(
     mesh: &TriangleMesh,
@@ -189,7 +188,7 @@ pub(crate) fn sample(
     size: impl Fn(DVec3) -> f64 + Sync,
     seed: u64,
 ) -> Candidates {
-    // number of triangles in one parallel task; it does not affect the result
+    // number of triangles per parallel task; it does not affect the result
     const CHUNK: usize = 4096;
     let mut parts: Vec<Candidates> = members
         .par_chunks(CHUNK)
@@ -225,8 +224,8 @@ pub(crate) fn sample(
     }
 }
 
-/// Moves one list out of every part and concatenates the lists. Only one of the lists is in memory
-/// twice at a time.
+/// Moves one list out of every part and concatenates the results. Only one list is in memory twice
+/// at any time.
 fn taken<T: Copy + Default + Send + Sync>(
     parts: &mut [Candidates],
     list: impl Fn(&mut Candidates) -> &mut Vec<T>,
@@ -235,7 +234,8 @@ fn taken<T: Copy + Default + Send + Sync>(
 }
 
 /// Selects candidates in random order. Each selected candidate removes all other candidates within
-/// the disk radius whose normals differ by less than 90 degrees and for which `crowd` is true.
+/// the disk radius whose normals differ from its own by less than 90 degrees and for which `crowd`
+/// returns true.
 pub(crate) fn eliminate(candidates: &Candidates, seed: u64, crowd: impl Fn(usize, usize) -> bool + Sync) -> Vec<u32> {
     let numbers = (0..candidates.points.len()).into_par_iter();
     let mut order: Vec<(u64, u32)> = numbers.map(|i| (random::bits(seed ^ 0x5eed, 0, i as u64), i as u32)).collect();
@@ -246,7 +246,7 @@ pub(crate) fn eliminate(candidates: &Candidates, seed: u64, crowd: impl Fn(usize
     })
 }
 
-/// Returns about twice [`COMPONENT_MINIMUM`] seeds on the triangles in `members`, which belong to
+/// Returns about 2 * [`COMPONENT_MINIMUM`] seeds on the triangles in `members`, which form
 /// component `c`.
 pub(crate) fn sample_alone(mesh: &TriangleMesh, members: &[u32], seed: u64, c: u64) -> Vec<(DVec3, DVec3)> {
     let area: f64 = members.iter().map(|&t| 0.5 * centre_and_normal(mesh, t as usize).1.length()).sum();
@@ -264,7 +264,7 @@ mod tests {
 
     #[test]
     fn disks_have_094_of_the_density_of_the_lattice() {
-        // a square with 60 steps of length h = 1 along each edge
+        // a square with an edge length of 60 h, where h = 1
         let side = 60.0;
         let vertices = vec![DVec3::ZERO, DVec3::X * side, DVec3::new(side, side, 0.0), DVec3::Y * side];
         let mesh = TriangleMesh { vertices, triangles: vec![[0, 1, 2], [0, 2, 3]] };

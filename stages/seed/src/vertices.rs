@@ -1,5 +1,5 @@
-//! Finds seeds at the vertices of marching cubes over F (section 3.1 of the paper). Returns all
-//! vertices, or a given number of vertices (the synthetic test of Table 3, "a user defined number
+//! Seeds at the vertices of marching cubes on F (section 3.1 of the paper). They are either all
+//! vertices or a given number of them, as in the synthetic test of Table 3 ("a user defined number
 //! of particles").
 
 use glam::DVec3;
@@ -11,32 +11,32 @@ use isoparticles_stage::monitor::{Interrupted, Monitor};
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
-/// Maximum refinement of the grid to reach a number of vertices, in cells along each edge of a
-/// voxel. The ribcage of the torso phantom has 170,480 vertices on its own grid and 684,588 on a
-/// grid twice as fine, more than twice the maximum of Table 3.
+/// Maximum refinement of the marching-cubes grid, in cells along each edge of a voxel. The grid is
+/// refined until it gives the requested number of vertices. The ribcage of the torso phantom has
+/// 170,480 vertices on its own grid and 684,588 on a grid twice as fine, more than twice the
+/// maximum of Table 3.
 pub const FINEST: usize = 4;
 
-/// Memory in bytes per node of a finer grid: the value of the node, and the vertices and triangles
-/// near it. Measured with `seed --count 300000` on that ribcage: 362 MiB for 47.5 million nodes, 7
-/// bytes per node.
+/// Memory in bytes per node of a refined grid, for the value of the node and its share of vertices
+/// and triangles. Measured with `seed --count 300000` on the same ribcage: 362 MiB for 47.5 million
+/// nodes, 7 bytes per node.
 pub(crate) const BYTES_PER_NODE: f64 = 8.0;
 
-/// Vertices of marching cubes, as seeds.
+/// Marching-cubes vertices that serve as seeds.
 #[derive(Clone, Debug, Default)]
 pub struct Vertices {
     /// Positions in mm in the grid frame, each with an outward normal of any length.
     pub points: Vec<(DVec3, DVec3)>,
     /// Number of cells of the grid along each edge of a voxel.
     pub refinement: usize,
-    /// Total number of vertices of marching cubes on that grid.
+    /// Total number of marching-cubes vertices on that grid.
     pub available: usize,
 }
 
-/// Returns the vertices of marching cubes over the samples of F, in the order of the mesh. If
-/// `count` is given, returns only that many evenly spread vertices. If the mesh has too few
-/// vertices, F is sampled from the spline on a grid two, three or [`FINEST`] times as fine, after
-/// `has_room` has approved the number of nodes. The result has fewer than `count` points if even
-/// the finest grid has too few vertices.
+/// Returns the vertices of marching cubes on the samples of F, in mesh order. If `count` is given,
+/// returns only that many vertices, evenly spread. If there are too few, the spline is resampled on
+/// a grid two, three or [`FINEST`] times as fine, provided that `has_room` accepts the number of
+/// nodes. The result has fewer than `count` points if even the finest grid has too few vertices.
 ///
 /// # Errors
 /// If the monitor interrupts the run, or if `has_room` rejects the nodes of a finer grid.
@@ -115,7 +115,7 @@ mod tests {
     use super::*;
     use isoparticles_stage::monitor::Silent;
 
-    /// Returns the vertices, with a memory check that always passes.
+    /// Calls [`vertices`] with a memory check that always passes.
     fn taken(image: &Image<f32>, surface: &CubicSpline, count: Option<usize>) -> Vertices {
         vertices(image, surface, count, |_| Ok::<_, Interrupted>(()), &Silent).unwrap()
     }
@@ -142,8 +142,8 @@ mod tests {
             distinct.sort_unstable();
             distinct.dedup();
             assert_eq!(distinct.len(), count, "a vertex was taken twice");
-            // the fraction of points in each octant is closer to the fraction among all vertices
-            // than for a random choice
+            // the fractions of points per octant match those of all vertices more closely than a
+            // random selection would
             let share = |points: &[(DVec3, DVec3)], octant: usize| {
                 let inside = |p: DVec3| (0..3).all(|a| (p[a] > centre[a]) == ((octant >> a) & 1 == 1));
                 points.iter().filter(|(p, _)| inside(*p)).count() as f64 / points.len() as f64

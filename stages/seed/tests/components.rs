@@ -1,5 +1,5 @@
-//! Tests that every component of F = 0 gets particles, whether marching cubes resolves it or not,
-//! for both sources of seeds.
+//! Tests that every component of F = 0 gets particles from both sources of seeds, even if marching
+//! cubes does not resolve the component.
 
 use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
@@ -71,7 +71,7 @@ fn marching_cubes_seeds_are_all_vertices_on_the_surface() {
 
 #[test]
 fn two_balls_that_marching_cubes_joins_are_two() {
-    // adjacent samples lie in different balls, and F > 0 between them
+    // two adjacent samples lie in different balls, with F > 0 between them
     let distance = |p: DVec3| {
         let ball = |x: f64| p.distance(DVec3::new(x, 12.0, 12.0)) - 7.05;
         ball(11.0).min(ball(26.0))
@@ -98,7 +98,7 @@ fn the_number_goes_by_one_field_and_the_sizes_by_the_other() {
     };
     let ratio = seeded(&sizing.scaled(0.5)) / seeded(&sizing);
     assert!((ratio / 4.0 - 1.0).abs() < 0.1, "{ratio} times as many, not 4");
-    // 4 pi R^2 2 / (sqrt(3) h^2)
+    // area of the sphere, 4 pi R^2, times the lattice density 2 / (sqrt(3) h^2)
     let want = 4.0 * std::f64::consts::PI * 81.0 * 2.0 / (3f64.sqrt() * f64::from(H * H));
     for (count, off) in
         [(sizing.count_on(&mesh.vertices, &mesh.triangles), 0.02), (sizing.predicted_count(&surface), 0.01)]

@@ -1,6 +1,6 @@
-//! Runs the program with several materials. Tests that particles are on their strata, curves are
-//! evenly divided and interfaces are covered, and that the output bytes do not depend on the number
-//! of threads.
+//! Runs the program on several materials. Tests that particles lie on their strata, that curves are
+//! evenly divided, that interfaces are covered, and that the output is byte-identical for any
+//! number of threads.
 
 use glam::DVec3;
 use isoparticles_field::materials::{
@@ -20,8 +20,8 @@ use std::process::Command;
 const CENTRE: DVec3 = DVec3::new(12.1, 11.8, 12.3);
 const H: f64 = 1.2;
 
-/// Returns three sectors of a ball of radius 8 mm, which have four curves between two points and
-/// six interfaces.
+/// Returns a ball of radius 8 mm divided into three sectors. It has two junction points, four
+/// junction curves between them, and six interfaces.
 fn sectors() -> Analytic {
     let normal = |turns: f64| {
         let angle = turns * std::f64::consts::TAU;
@@ -34,8 +34,8 @@ fn sectors() -> Analytic {
     Analytic::new(vec![negative(ball(CENTRE, 8.0)), sector(0.1), sector(1.1), sector(2.1)], 1.0)
 }
 
-/// Returns two balls of radius 5 mm that touch on a disc of radius 3 mm (a closed curve and three
-/// interfaces), and a separate ball of radius 2 mm.
+/// Returns two balls of radius 5 mm that meet in a disc of radius 3 mm, which gives a closed
+/// junction curve and three interfaces, and a separate ball of radius 2 mm.
 fn balls() -> Analytic {
     let way = DVec3::new(2.0, -1.0, 1.5).normalize();
     let half = |way: DVec3| maximum(ball(CENTRE + 4.0 * way, 5.0), half_space(CENTRE, -way));
@@ -54,8 +54,8 @@ fn sampled(analytic: &Analytic) -> Materials {
     Materials::new(geometry.clone(), analytic.ids().map(of).collect()).expect("parts of one grid")
 }
 
-/// Runs the program on materials with constant h. Returns the seeds, their strata and the bytes of
-/// the output file.
+/// Runs the program on materials with a constant h. Returns the seeds, their strata and the bytes
+/// of the output file.
 fn seeds(folder: &Path, materials: &Materials, more: &[&str]) -> (ParticleSet, Strata, Vec<u8>) {
     let at = |name: &str| folder.join(name).to_str().expect("text").to_owned();
     let [input, sizes, output] = ["case.materials.vti", "case.sizefield.vti", "case.seeds.bin"].map(at);
@@ -73,8 +73,8 @@ fn seeds(folder: &Path, materials: &Materials, more: &[&str]) -> (ParticleSet, S
     (file.particles, file.strata.expect("of many materials"), std::fs::read(&output).expect("read"))
 }
 
-/// Asserts that every particle is on its stratum, that no other material is nearer, that the order
-/// is points, curves, interfaces, and that the normals are correct.
+/// Asserts that every particle lies on its stratum, that no other material is nearer, that the
+/// particles are ordered by dimension, and that the normals are correct.
 fn are_on_their_strata(materials: &Materials, particles: &ParticleSet, strata: &Strata) {
     assert_eq!(particles.positions.len(), strata.of.len());
     assert!(strata.of.is_sorted_by_key(|stratum| stratum.dimension()));
@@ -101,7 +101,7 @@ fn are_on_their_strata(materials: &Materials, particles: &ParticleSet, strata: &
     assert!(particles.energies.iter().all(|&energy| energy == 0.0));
 }
 
-/// Asserts that curves have even steps of about h, and that every particle of a curve has two
+/// Asserts that the steps along curves are about h long, and that every particle on a curve has two
 /// neighbours.
 fn curves_are_even(particles: &ParticleSet, strata: &Strata) {
     let mut degrees = vec![0; strata.of.len()];
@@ -125,14 +125,13 @@ fn sectors_of_a_ball_are_seeded_from_points_to_interfaces() {
     curves_are_even(&particles, &strata);
     let of = |dimension: usize| strata.of.iter().filter(|stratum| stratum.dimension() == dimension).count();
     assert_eq!(of(0), 2);
-    // one curve has a length of 16 mm, and three have a length of 8 pi mm
+    // one curve is 16 mm long, and the other three are 8 pi mm long
     let steps = (16.0 / H).round() + 3.0 * (8.0 * std::f64::consts::PI / H).round();
     assert!((of(1) as f64 - (steps - 4.0)).abs() <= 4.0, "{} of {steps}", of(1));
     let area = 64.0 * 4.0 * std::f64::consts::PI + 3.0 * 32.0 * std::f64::consts::PI;
     let expected = 2.0 / 3f64.sqrt() * area / (H * H) - 1.5 * steps;
     assert!((of(2) as f64 / expected - 1.0).abs() < 0.1, "{} of {expected}", of(2));
-    // particles on interfaces keep their distance from the particles on the borders of the
-    // interfaces
+    // particles on an interface keep their distance from the particles on its border
     for (n, stratum) in strata.of.iter().enumerate().filter(|(_, stratum)| stratum.dimension() == 2) {
         for (m, border) in strata.of.iter().enumerate().filter(|(_, border)| border.dimension() < 2) {
             let distance = particles.positions[n].distance(particles.positions[m]);

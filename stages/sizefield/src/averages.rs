@@ -1,14 +1,14 @@
 //! Averages vertex values over adjacent triangles, along the surface.
 //!
-//! In a hexagonal lattice with edge length L, one round gives the vertex a weight of 1/3 and each
-//! of its six neighbours 1/9. The variance per tangent direction is (6 / 9) L^2 / 2 = L^2 / 3, so n
-//! rounds act like a Gaussian with a standard deviation of L sqrt(n / 3).
+//! In a hexagonal lattice with edge length L, one round gives the vertex itself a weight of 1/3 and
+//! each of its six neighbours 1/9. The variance per tangent direction is (6 / 9) L^2 / 2 = L^2 / 3,
+//! so n rounds act like a Gaussian with a standard deviation of L sqrt(n / 3).
 
 use isoparticles_mesh::incidence::Incidence;
 use rayon::prelude::*;
 use std::ops::{Add, Mul};
 
-/// Replaces the value of each vertex by the mean over the triangles at the vertex, `rounds` times.
+/// Replaces the value of each vertex by the mean value of its adjacent triangles, `rounds` times.
 /// The value of a triangle is the mean of its corner values. The result does not depend on the
 /// number of threads. Vertices without triangles keep their values.
 pub(crate) fn average<T>(surface: &Incidence<'_>, values: &mut [T], zero: T, rounds: usize)

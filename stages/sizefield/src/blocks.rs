@@ -1,44 +1,44 @@
-//! Gradation by marching in blocks of the grid. A block fits into the cache of a core, and blocks
-//! run in parallel.
+//! Grades h by marching over the grid in blocks. A block fits into the cache of a core, and blocks
+//! are processed in parallel.
 //!
 //! With a single queue for the whole grid, the front is evicted from the cache before the next
 //! bucket needs it. Each block therefore has its own queue and processes several buckets at a time.
 //! Changes at the faces of a block are sent to the adjacent blocks (two-scale methods: Chacon and
-//! Vladimirsky 2012). Blocks are coloured in a checkerboard pattern. Blocks of one colour run in
-//! parallel and do not use each other's values, so the result does not depend on the number of
+//! Vladimirsky 2012). Blocks are coloured in a checkerboard pattern. Blocks of the same colour run
+//! in parallel and do not use each other's values, so the result does not depend on the number of
 //! threads.
 
 use crate::scheme::{NodeSet, Scheme, Values};
 use rayon::prelude::*;
 use std::collections::VecDeque;
 
-/// Number of nodes of a block along each axis. With the border, a block has 34^3 values (157 kB),
-/// which fit into a second-level cache of 256 kB. It is also the largest power of two for which 16
-/// bits can index a block.
+/// Number of nodes along each axis of a block. With the border, a block has 34^3 values (157 kB),
+/// which fit into a second-level cache of 256 kB. This is also the largest power of two for which
+/// 16-bit indices suffice.
 const BLOCK_SIDE: usize = 32;
 
-/// Width of a bucket as a fraction of the minimum, over the axes, of the allowed change of h
-/// between adjacent nodes. A node exceeds the smallest neighbour that it depends on by at least 1 /
-/// sqrt(3) of this minimum, so this neighbour is always in an earlier bucket. Around a sphere in
-/// 128^3 nodes, the march lowers or tests a node 2.95, 3.03, 3.22 and 3.48 times at widths of 0.25,
-/// 0.5, 1 and 2.
+/// Width of a bucket, as a fraction of the allowed change of h between adjacent nodes (minimum over
+/// the axes). A node exceeds the smallest neighbour that it depends on by at least 1 / sqrt(3) of
+/// this change, so this neighbour is always in an earlier bucket. For a sphere in a grid of 128^3
+/// nodes, the march lowers or tests each node 2.95, 3.03, 3.22 and 3.48 times on average at widths
+/// of 0.25, 0.5, 1 and 2.
 const BUCKET_WIDTH: f64 = 0.5;
 const _: () = assert!(3.0 * BUCKET_WIDTH * BUCKET_WIDTH < 1.0, "a bucket is wider than a step along a diagonal");
 
 /// Number of buckets that a block processes before it receives messages from other blocks. In the
-/// same example, 1, 8, 16 and 64 buckets need 3.00, 3.03, 3.14 and 3.81 tests per node. The number
-/// of parallel turns is inversely proportional to this number.
+/// same example, 1, 8, 16 and 64 buckets result in 3.00, 3.03, 3.14 and 3.81 tests per node. The
+/// number of parallel turns is inversely proportional to this number.
 const BUCKETS_PER_TURN: u64 = 8;
 
-/// Number of nodes of a block along each axis, including one border node at each end.
+/// Number of nodes along each axis of a block, including one border node at each end.
 const BORDERED_SIDE: usize = BLOCK_SIDE + 2;
 const _: () =
     assert!(BORDERED_SIDE * BORDERED_SIDE * BORDERED_SIDE <= 1 << 16, "places that are asked for have 16 bits");
 
-/// Index of a node in the block with border, and the value of the node when it was queued.
+/// Index of a node in the block with border, and its value when it was queued.
 type Queued = (u32, f32);
 
-/// Number of the receiving block, and a node for the queue of that block.
+/// Number of the receiving block, and a node to add to its queue.
 type Message = (usize, Queued);
 
 /// The blocks of a grid.
@@ -46,15 +46,15 @@ pub(crate) struct Blocks<'a> {
     scheme: &'a Scheme,
     values: &'a Values,
     blocks: Vec<Block>,
-    /// If true, the march ends when all requested nodes have their final values.
+    /// Whether the march ends as soon as all requested nodes have their final values.
     ends: bool,
 }
 
 /// A part of the grid: its own nodes, and a border of nodes that belong to adjacent blocks.
 struct Block {
-    /// Index, in the grid with border, of the block's border node at index (0, 0, 0).
+    /// Index, in the grid with border, of the block's first border node.
     origin: usize,
-    /// Number of the block's own nodes along each axis. The indices of these nodes begin at 1.
+    /// Number of the block's own nodes along each axis. The indices of these nodes start at 1.
     size: [usize; 3],
     /// Numbers of the blocks before and after this block along each axis.
     beside: [[Option<usize>; 2]; 3],
@@ -66,8 +66,8 @@ struct Block {
 }
 
 impl<'a> Blocks<'a> {
-    /// Divides a grid of `size` into blocks and queues all nodes with finite values. If `asked` is
-    /// given, only the nodes in it need final values.
+    /// Divides a grid of `size` nodes into blocks and queues all nodes with finite values. If
+    /// `asked` is given, only the nodes in it need final values.
     pub(crate) fn new(size: [usize; 3], scheme: &'a Scheme, values: &'a Values, asked: Option<&NodeSet>) -> Self {
         let count = size.map(|n| n.div_ceil(BLOCK_SIDE));
         let step = [1, count[0], count[0] * count[1]];
@@ -99,8 +99,8 @@ impl<'a> Blocks<'a> {
         Self { scheme, values, blocks, ends: asked.is_some() }
     }
 
-    /// Marches until the requested nodes have their final values. Without a set of requested nodes,
-    /// marches until all nodes have them.
+    /// Marches until all requested nodes have their final values. Without a request, marches until
+    /// all nodes have them.
     pub(crate) fn march(mut self) {
         // enter the thread pool once instead of once per turn
         rayon::scope(|_| {
@@ -115,8 +115,8 @@ impl<'a> Blocks<'a> {
         });
     }
 
-    /// Returns whether any requested node has a value above the lower end of a bucket. Removes the
-    /// other requested nodes from `asked`, because their values are final.
+    /// Returns whether the value of any requested node exceeds the lower bound of a bucket. Removes
+    /// the other requested nodes from `asked`, because their values are final.
     fn is_any_above(&mut self, bucket: u64) -> bool {
         let (scheme, values, reached) = (self.scheme, self.values, self.blocks[0].queue.least(bucket));
         self.blocks.par_iter_mut().for_each(|block| {
@@ -127,7 +127,7 @@ impl<'a> Blocks<'a> {
         self.blocks.iter().any(|block| !block.asked.is_empty())
     }
 
-    /// Marches the blocks of a colour over the buckets before `end`.
+    /// Processes the buckets before `end` in all blocks of one colour.
     fn turn(&mut self, colour: usize, end: u64) {
         let (scheme, values) = (self.scheme, self.values);
         let of_colour = self.blocks.par_iter_mut().filter(|block| block.colour == colour);
@@ -164,14 +164,15 @@ impl Block {
         sources
     }
 
-    /// Marches over the buckets before `end`. Returns the messages to adjacent blocks.
+    /// Processes the buckets before `end`. Returns the messages to adjacent blocks.
     fn march(&mut self, scheme: &Scheme, values: &Values, end: u64) -> Vec<Message> {
         let mut messages = Vec::new();
         while let Some(first) = self.queue.first().filter(|&first| first < end) {
             for (at, value) in self.queue.take(first) {
                 let place = place(at);
                 let node = self.node(scheme, place);
-                // skip outdated entries: a node that has been lowered since has a newer entry
+                // skip outdated entries: a node that was lowered after it was queued has a newer
+                // entry
                 if values.get(node) >= value {
                     self.lower_neighbours(scheme, values, (place, node, value), &mut messages);
                 }
@@ -216,7 +217,7 @@ impl Block {
         }
     }
 
-    /// Queues a node in this block, and in adjacent blocks whose border contains the node.
+    /// Queues a lowered node in this block, and in the adjacent blocks whose border contains it.
     #[inline]
     fn lowered(&mut self, place: [usize; 3], value: f32, messages: &mut Vec<Message>) {
         self.queue.push(index(place), value);
@@ -254,7 +255,8 @@ struct Queue {
     /// The initial nodes, in descending order of value.
     sources: Vec<Queued>,
     /// Buckets of the other nodes, starting with bucket number `start`. The first bucket is never
-    /// empty. A node is at most one step above the node that lowered it, so few buckets are in use.
+    /// empty. A node exceeds the node that lowered it by at most one step, so few buckets are in
+    /// use.
     buckets: VecDeque<Vec<Queued>>,
     start: u64,
 }
@@ -268,12 +270,12 @@ impl Queue {
         (f64::from(value) * self.rate) as u64
     }
 
-    /// Returns the lower end of a bucket.
+    /// Returns the lower bound of a bucket.
     fn least(&self, bucket: u64) -> f64 {
         bucket as f64 * self.width
     }
 
-    /// Returns the number of the first bucket that is not empty.
+    /// Returns the number of the first non-empty bucket.
     fn first(&self) -> Option<u64> {
         let source = self.sources.last().map(|&(_, value)| self.bucket(value));
         let start = (!self.buckets.is_empty()).then_some(self.start);

@@ -25,31 +25,31 @@ use rayon::prelude::*;
 /// 2.1 / R without averaging and 1.25 / R with it.
 pub(crate) const CURVATURE_ROUNDS: usize = 8;
 
-/// A radius of curvature below this many voxels bounds the feature size. At such radii, the error
-/// from ripple is small compared with the error from the pruned end of the medial axis behind a
-/// tip. With 2.5, the test `ellipsoid_tip_is_bounded_by_its_curvature` fails. With 10, the minimum
+/// Radii of curvature below this many voxels limit the feature size. At such radii, the error from
+/// ripple is small compared with the error from the pruned end of the medial axis behind a tip.
+/// With 2.5, the test `ellipsoid_tip_is_bounded_by_its_curvature` fails. With 10, the minimum
 /// feature size of a noisy torus with a tube of 8 voxels falls from 7.1 to 6.6 voxels.
 pub(crate) const SHARP: f64 = 5.0;
 
-/// Maximum depth in voxels of samples inside a medial ball. With a depth of 0, ripple next to the
-/// touching point would shrink balls to nothing. A larger value reduces the feature size (by 2.5 %
-/// on the ball at 0.03).
+/// Maximum depth, in voxels, to which samples may lie inside a medial ball. At 0, ripple next to
+/// the touching point would shrink balls to nothing. Larger values reduce the feature size (on a
+/// ball, by 2.5 % at 0.03).
 const BLUR: f64 = 0.01;
 
-/// Maximum depth of samples inside a medial ball on a noisy surface, as a fraction of the noise. It
-/// covers the noise that remains in the patches. At 0.3, the 5th percentile of the feature size of
-/// a noisy ball of 19 voxels falls from 18 to 7.5 (without pruning of bumps); 1 gives the same as
+/// The same depth for a noisy surface, as a fraction of the height of the noise. It allows for the
+/// noise that remains in the patches. At 0.3, the 5th percentile of the feature size of a noisy
+/// ball of 19 voxels falls from 18 to 7.5 (without pruning of bumps); 1 gives the same result as
 /// 0.6.
 const LEFT_OVER: f64 = 0.6;
 
-/// Maximum number of leaves of the axis tree that one nearest-point query visits. The axis points
-/// of a ball form a cluster near its centre, so their distances from a sample are nearly equal. The
-/// limit saves time: with 100 and with no limit, the feature sizes of balls, tori, an ellipsoid and
-/// a slab are the same.
+/// Maximum number of leaves that one nearest-point query visits in the k-d tree of medial points.
+/// The medial points of a ball form a cluster near its centre, so their distances from a sample are
+/// nearly equal. The limit saves time: with 100 and with no limit, the feature sizes of balls,
+/// tori, an ellipsoid and a slab are the same.
 const MOST_LEAVES: usize = 400;
 
-/// Maximum distance in voxels from a vertex of marching cubes to F = 0. F changes sign on the cell
-/// edge of the vertex, so the distance along the edge is less than one voxel.
+/// Maximum distance, in voxels, from a marching-cubes vertex to F = 0. F changes sign on the cell
+/// edge that contains the vertex, so the distance along this edge is less than one voxel.
 const MAX_PROJECTION: f64 = 1.5;
 
 /// Tolerance of the projection, in voxels. It is small compared with [`BLUR`].
@@ -58,10 +58,9 @@ const PROJECTION_TOLERANCE: f64 = 1e-6;
 /// Interpretation of small bumps on the surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bumps {
-    /// Bumps may be noise of a scalar volume. Detected noise does not count as shape.
+    /// Bumps may be noise in a scalar volume. Detected noise is not treated as shape.
     MayBeNoise,
-    /// Bumps are shape and are measured unchanged. In a label map, every bump contains a voxel
-    /// centre.
+    /// Bumps are part of the shape. In a label map, every bump contains a voxel centre.
     AreShape,
 }
 
@@ -81,11 +80,11 @@ pub struct Features {
     pub points: Vec<DVec3>,
     /// Unit normals, outward.
     pub normals: Vec<DVec3>,
-    /// Maximum magnitude of the principal curvatures in 1/mm; on noisy parts, of the denoised
-    /// surface. Empty for [`Purpose::OneSize`].
+    /// Maximum magnitude of the principal curvatures in 1/mm. On noisy parts, it is measured on the
+    /// denoised surface. Empty for [`Purpose::OneSize`].
     pub curvature: Vec<f64>,
-    /// Distance in mm to the medial axis, inside or outside; on noisy parts, of the denoised
-    /// surface. Where curvature is high, at most the radius of curvature.
+    /// Distance in mm to the medial axis, inside or outside. On noisy parts, it is measured from
+    /// the denoised surface. Where the curvature is high, it is at most the radius of curvature.
     pub feature_size: Vec<f64>,
     /// Root mean square height in mm of the noise that is not treated as shape.
     pub noise: Vec<f64>,
@@ -94,8 +93,8 @@ pub struct Features {
     /// Component of F = 0 that contains each sample; [`NO_COMPONENT`] if it cannot be determined.
     /// Empty for [`Purpose::OneSize`].
     pub component: Vec<u32>,
-    /// Area of each component in mm^2. For [`Purpose::OneSize`], the area comes from the cells of
-    /// the topology and is accurate to first order in their edge length.
+    /// Area of each component in mm^2. For [`Purpose::OneSize`], it is the estimate
+    /// [`Component::area`], which is accurate to first order in the cell size.
     pub component_area: Vec<f64>,
 }
 
@@ -146,7 +145,7 @@ impl Features {
 }
 
 /// Projects points onto F = 0. Returns the projected points, the unit normals and the curvature
-/// tensors of F. A point whose projection fails stays in place.
+/// tensors of F. Points that cannot be projected stay in place.
 fn projected(vertices: &[DVec3], surface: &CubicSpline, spacing: f64) -> (Vec<DVec3>, Vec<DVec3>, Vec<DMat3>) {
     let measure = |&v: &DVec3| {
         let p = surface.project(v, MAX_PROJECTION * spacing, PROJECTION_TOLERANCE * spacing).unwrap_or(v);
@@ -159,7 +158,7 @@ fn projected(vertices: &[DVec3], surface: &CubicSpline, spacing: f64) -> (Vec<DV
 
 /// Returns the maximum principal curvature (1/mm) at each sample: from the patch on noisy parts, 0
 /// next to them, and from F elsewhere. The curvature is not averaged, because averaging would
-/// reduce it at a tip.
+/// reduce it at tips.
 fn sharp_curvature(smoothed: &Smoothed, tensors: &[DMat3], normals: &[DVec3]) -> Vec<f64> {
     (0..normals.len())
         .into_par_iter()
@@ -172,8 +171,8 @@ fn sharp_curvature(smoothed: &Smoothed, tensors: &[DMat3], normals: &[DVec3]) ->
         .collect()
 }
 
-/// Returns the area of each component in mm^2. A component that lies between the samples has no
-/// triangles; its area is the estimate of [`Component::area`].
+/// Returns the area of each component in mm^2. A component that marching cubes misses has no
+/// triangles; its area is the estimate [`Component::area`].
 fn component_areas(points: &[DVec3], triangles: &[[u32; 3]], component: &[u32], all: &[Component]) -> Vec<f64> {
     let mut areas = vec![0.0; all.len()];
     for t in triangles {

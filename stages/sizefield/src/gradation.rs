@@ -1,13 +1,13 @@
 //! Gradation: lowers h until |grad h| <= delta everywhere.
 //!
 //! Meyer et al. (2007) lower h in time steps with an upwind scheme. The steady state of this
-//! scheme, h(x) = min over y of h0(y) + delta |x - y|, is an Eikonal problem with boundary values.
-//! This module solves the problem by marching from small h to large h (Sethian 1996) with a bucket
+//! scheme, h(x) = min over y of h0(y) + delta |x - y|, solves an Eikonal problem with boundary
+//! values. This module computes it by marching from small h to large h (Sethian 1996) with a bucket
 //! queue (Yatziv, Bartesaghi and Sapiro 2006). A node is queued again whenever its value drops, so
 //! the order within a bucket does not matter.
 //!
-//! The grid is marched block by block (`blocks.rs`), several buckets at a time. The equation at a
-//! single node is in `scheme.rs`.
+//! `blocks.rs` marches over the grid block by block, several buckets at a time. `scheme.rs` solves
+//! the equation at a single node.
 
 use crate::blocks::Blocks;
 pub use crate::scheme::NodeSet;
@@ -15,7 +15,7 @@ use crate::scheme::{Scheme, Values};
 use isoparticles_volume::Image;
 
 /// Lowers h to the steady state and replaces infinite values. If `asked` is given, only the nodes
-/// in it are guaranteed to reach the steady state; other nodes may stay above it or infinite. The
+/// in it are guaranteed to reach the steady state; other nodes may remain above it or infinite. The
 /// result does not depend on the number of threads.
 pub fn limit_gradient(h: &mut Image<f32>, delta: f64, asked: Option<&NodeSet>) {
     let size = h.geometry.size;
@@ -83,7 +83,7 @@ mod tests {
         let alone = on(1);
         assert!(alone == on(4), "the values depend on the number of threads");
         for (n, (&got, &want)) in alone.iter().zip(&want).enumerate() {
-            // both stop when no node decreases by a millionth
+            // both stop when no node would decrease by a millionth of its value
             assert!((got / want - 1.0).abs() < 2e-5, "node {n}: {got}, not {want}");
         }
     }
@@ -93,8 +93,8 @@ mod tests {
         let geometry = Geometry::axis_aligned([70, 51, 44], DVec3::new(1.0, 0.8, 1.3));
         let mut h = Image::filled(geometry.clone(), f32::INFINITY);
         let mut asked = NodeSet::new(h.data.len());
-        // sizes in a plane that vary by more than delta allows across it, so that most final values
-        // come from distant nodes
+        // sizes in a plane that vary more than delta allows, so that most final values come from
+        // distant nodes
         for (i, j) in (0..70).flat_map(|i| (0..51).map(move |j| (i, j))) {
             let node = geometry.linear(i, j, 20);
             h.data[node] = (1.0 + 30.0 * uniform(1, 0, (i / 9 + 100 * (j / 7)) as u64)) as f32;
@@ -112,7 +112,8 @@ mod tests {
 
     #[test]
     fn values_on_the_edge_of_a_bucket_are_handed_on() {
-        // regression: a value that f32 rounds into the previous bucket must not count as outdated
+        // regression: a value that f32 rounds into the previous bucket must not be treated as
+        // outdated
         for (delta, first) in [(0.4, 4.0f32), (0.4, 9.2), (0.3, 1.2), (0.7, 1.0), (0.25, 0.75)] {
             let geometry = Geometry::axis_aligned([60, 3, 3], DVec3::ONE);
             let mut h = Image::filled(geometry.clone(), f32::INFINITY);

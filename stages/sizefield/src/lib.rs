@@ -2,8 +2,8 @@
 //! and limits its gradient.
 //!
 //! The method follows section 3.1 of Kim, Chen and Hansen 2012, and Meyer, Kirby and Whitaker 2007.
-//! At the surface, h0 is epsilon times the local feature size, bounded by curvature. Then h is
-//! lowered until |grad h| <= delta.
+//! At the surface, the initial size h0 is epsilon times the local feature size, with an upper bound
+//! from the curvature. h is then lowered until |grad h| <= delta.
 
 mod averages;
 mod blocks;
@@ -31,29 +31,30 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use region::SizedNode;
 
-/// Number of averaging rounds that smooth the graded h along the surface. Six rounds have a
-/// standard deviation of sqrt(6 / 3) = 1.4 edges of marching cubes ([`averages`]), about one voxel.
-/// Particles settle poorly where h is rough. Measured with 0, 3, 6 and 12 rounds (`make surface`):
-/// the mean radius ratio of `mickey_labels` 2 is 0.979, 0.981, 0.982 and 0.979, that of `tooth_ct`
-/// at 600 is 0.986, 0.987, 0.987 and 0.988 with 57,900, 55,700, 54,300 and 52,300 vertices.
+/// Number of averaging rounds that smooth the graded h along the surface. Six rounds act like a
+/// Gaussian with a standard deviation of sqrt(6 / 3) = 1.4 marching-cubes edges ([`averages`]),
+/// about one voxel. Particles settle poorly where h is rough. Measured with 0, 3, 6 and 12 rounds
+/// (`make surface`): for `mickey_labels` 2, the mean radius ratio is 0.979, 0.981, 0.982 and 0.979;
+/// for `tooth_ct` at 600, it is 0.986, 0.987, 0.987 and 0.988, with 57,900, 55,700, 54,300 and
+/// 52,300 vertices.
 const SMOOTHING_ROUNDS: usize = 6;
 
-/// Lower bound of h on small components, as a fraction of the minimum h. It takes effect if
-/// [`MIN_PARTICLES`] need a smaller h. With the default minimum h of 0.75 voxel, this is the case
-/// for areas below 32 sqrt(3)/2 (0.25 0.75)^2 = 0.97 of a voxel face, which the data does not
-/// resolve.
+/// Lower bound on h for small components, as a fraction of the minimum h. It takes effect if
+/// [`MIN_PARTICLES`] would require a smaller h. With the default minimum h of 0.75 voxel, such
+/// components have areas below 32 sqrt(3)/2 (0.25 0.75)^2 = 0.97 of a voxel face, which the data
+/// cannot resolve.
 const SMALLEST_SHARE: f64 = 0.25;
 
-/// Number of particles for which h leaves room on every component, unless [`SMALLEST_SHARE`] bounds
-/// h. It is the smallest number of vertices with which a sphere has a triangulation of degrees 5
-/// and 6 and no two adjacent vertices of degree 5 (the dual of C60, the smallest fullerene with
-/// isolated pentagons).
+/// Minimum number of particles that h must allow on every component, unless h reaches the bound
+/// [`SMALLEST_SHARE`]. It is the smallest number of vertices of a triangulated sphere that has only
+/// degrees 5 and 6 and no two adjacent vertices of degree 5 (the dual of C60, the smallest
+/// fullerene with isolated pentagons).
 const MIN_PARTICLES: f64 = 32.0;
 
 /// Parameters of the sizing field. All lengths are in mm.
 #[derive(Clone, Debug)]
 pub struct Parameters {
-    /// h0 = epsilon times local feature size.
+    /// Ratio of h0 to the local feature size.
     pub epsilon: f64,
     /// Bound on |grad h|.
     pub delta: f64,
@@ -72,13 +73,13 @@ pub struct Parameters {
     pub refined: Vec<SizedNode>,
 }
 
-/// Returns the edge length in mm of each sample before gradation.
+/// Returns the edge length in mm at each sample, before gradation.
 pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
     (0..features.points.len())
         .map(|i| {
             let by_feature = parameters.epsilon * features.feature_size[i];
-            // the centre of an equilateral triangle of edge h inscribed in a ball of radius R lies
-            // h^2 / (6 R) below the surface
+            // the centre of an equilateral triangle of edge length h inscribed in a ball of radius
+            // R lies h^2 / (6 R) below the surface
             let by_deviation = (6.0 * parameters.max_deviation / features.curvature[i].max(1e-12)).sqrt();
             let area = features.component_area.get(features.component[i] as usize).copied().unwrap_or(f64::INFINITY);
             let by_component = size_for_area(area, parameters);
@@ -89,15 +90,15 @@ pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
 }
 
 /// Returns the edge length in mm at which a component of `area` mm^2 has the minimum number of
-/// particles, but at least [`SMALLEST_SHARE`] of the minimum h.
+/// particles, but at least [`SMALLEST_SHARE`] times the minimum h.
 fn size_for_area(area: f64, parameters: &Parameters) -> f64 {
     let size = (2.0 * area / (3f64.sqrt() * parameters.min_particles)).sqrt();
     size.max(SMALLEST_SHARE * parameters.min_size)
 }
 
-/// Returns the number of sampled components that are so small that their h is below `min_size`
-/// before `scale` is applied, and the smallest such h in mm after it. Returns `None` if there are
-/// none.
+/// Returns the number of sampled components whose small area lowers h below `min_size`, not
+/// including `scale`, and the smallest such h in mm, including `scale`. Returns `None` if there are
+/// no such components.
 pub fn lowered(features: &Features, parameters: &Parameters) -> Option<(usize, f64)> {
     let mut is_sampled = vec![false; features.component_area.len()];
     for &component in &features.component {
@@ -131,8 +132,8 @@ pub(crate) struct Samples<'a> {
 }
 
 /// Returns the sizing field for the sizes `wanted` at the samples. Grades the sizes, smooths them
-/// along the surface, and grades them into the volume. Smoothing does not raise a size above the
-/// value of the sample in `most`; an empty `most` sets no limits.
+/// along the surface, and grades them into the volume. `most` contains an upper bound for the
+/// smoothed size at each sample, or is empty if there are no bounds.
 pub(crate) fn graded_field(
     samples: &Samples<'_>,
     wanted: &[f64],
@@ -149,9 +150,9 @@ pub(crate) fn graded_field(
     spread(samples, &smooth, parameters, None)
 }
 
-/// Limits h at the nodes of the cell at each triangle's centre to the minimum size of the
-/// triangle's corners. The trilinear h in this cell is then at most this size. Grades h from these
-/// nodes to all nodes, or at least to the nodes in `asked`.
+/// For each triangle, limits h at the nodes of the cell that contains its centre to the minimum
+/// size at its corners. The trilinear h in this cell is then at most this size. Grades h from these
+/// nodes to all nodes, or at least to those in `asked`.
 fn spread(samples: &Samples<'_>, sizes: &[f64], parameters: &Parameters, asked: Option<&NodeSet>) -> SizingField {
     let geometry = samples.geometry;
     let mut h = Image::filled(geometry.clone(), f32::INFINITY);

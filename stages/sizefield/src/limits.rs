@@ -1,6 +1,6 @@
-//! Checks the sizing field before the later stages. Rejects a constant h that is too large for the
-//! object, and particle counts that exceed the memory. Reports components that are too small for
-//! their h.
+//! Checks the sizing field before later stages use it. Rejects a constant h that is too large for
+//! the object, and sizes whose particles would not fit into memory. Reports components that are too
+//! small for their h.
 
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::topology::Component;
@@ -10,12 +10,12 @@ use isoparticles_stage::error::{Error, Result};
 use serde::Serialize;
 use std::path::Path;
 
-/// Minimum number of particles of a component. `seed` gives every component at least this many
-/// particles. Twelve vertices make an icosahedron, the coarsest closed surface of equilateral
-/// triangles with five triangles at each vertex.
+/// Minimum number of particles on a component. `seed` places at least this many on every component.
+/// Twelve vertices form an icosahedron, the closed surface with five equilateral triangles at every
+/// vertex.
 const FEWEST_PARTICLES: f64 = 12.0;
 
-/// Returns the number of particles per mm^2 of the hexagonal lattice of spacing h.
+/// Returns the number of particles per mm^2 in a hexagonal lattice with spacing h (mm).
 fn density(h: f64) -> f64 {
     2.0 / (3f64.sqrt() * h * h)
 }
@@ -23,7 +23,7 @@ fn density(h: f64) -> f64 {
 /// A component that is too small for its h.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TooSmall {
-    /// A point next to the component, in mm in the world frame.
+    /// A point near the component, in mm in the world frame.
     pub place: [f64; 3],
     /// Maximum extent of the component in mm along an axis of the grid.
     pub size: f64,
@@ -31,8 +31,8 @@ pub struct TooSmall {
     pub h: f64,
 }
 
-/// Returns the components of F = 0 on which h gives fewer than twelve particles, in the
-/// order of `components`.
+/// Returns the components of F = 0 on which h results in fewer than twelve particles, in the order
+/// of `components`.
 pub fn too_small(components: &[Component], sizing: &SizingField) -> Vec<TooSmall> {
     let told = |component: &Component| {
         let h = sizing.at(component.place);
@@ -59,7 +59,8 @@ pub fn too_small_told(found: &[TooSmall], components: usize) -> Option<String> {
     ))
 }
 
-/// Rejects a constant h that gives even the largest component, of `area` mm^2, too few particles.
+/// Rejects a constant h if even the largest component, with an area of `area` mm^2, gets too few
+/// particles.
 ///
 /// # Errors
 /// If there would be too few particles. The message suggests an edge length.
@@ -88,10 +89,10 @@ pub fn check_size(path: &Path, size: f64, area: f64) -> Result<()> {
     ))
 }
 
-/// Rejects sizes that need more particles than the memory allows in later stages.
+/// Rejects sizes whose number of particles would not fit into memory in later stages.
 ///
 /// # Errors
-/// If the memory is not sufficient. The message contains the figures.
+/// If there is not enough memory. The message states the required and the available memory.
 pub fn check_count(path: &Path, predicted: f64, nodes: usize, context: &Context) -> Result<()> {
     context.check_memory(
         particles_bytes(predicted, nodes),
@@ -112,7 +113,7 @@ mod tests {
 
     #[test]
     fn a_small_component_without_samples_is_reported() {
-        // a ball, and a small component that lies between the samples
+        // a ball, and a small component that lies between grid nodes
         let geometry = Geometry::axis_aligned([32, 24, 24], DVec3::ONE);
         let (ball, speck) = (DVec3::new(9.0, 12.0, 12.0), DVec3::new(24.5, 12.45, 12.52));
         let distance = |p: DVec3| (p.distance(ball) - 6.0).min(0.4 * (p.distance_squared(speck) - 0.3)) as f32;
@@ -133,7 +134,8 @@ mod tests {
 
     #[test]
     fn a_size_above_the_object_is_refused_with_a_better_one() {
-        // a ball of radius 10 mm has an area of 1257 mm^2: twelve particles at h = 11 mm
+        // a ball of radius 10 mm has an area of 1257 mm^2, which gives twelve particles at h = 11
+        // mm
         let area = 400.0 * std::f64::consts::PI;
         let path = Path::new("f.vti");
         assert!(check_size(path, 10.9, area).is_ok());

@@ -3,18 +3,18 @@
 //!
 //! A ball that touches the surface at a sample is shrunk until no other sample lies inside it. The
 //! centre of the ball is then on the medial axis. Each sample gives two balls, one inside and one
-//! outside the object. Balls of unstable branches of the axis are pruned (Chazal and Lieutier 2005)
-//! by two criteria:
+//! outside the object. Balls on unstable branches of the axis are pruned (Chazal and Lieutier 2005)
+//! if they meet one of two criteria:
 //!
 //! - The angle between the two touching points, seen from the centre, is small. Such a ball results
-//!   from ripple, or lies at the very end of a branch of the axis. Pruning shortens ends only
+//!   from ripple, or lies at the very end of a branch of the axis. Pruning shortens branches only
 //!   slightly: the feature size at the tip of an ellipsoid is 0.4 % too large.
-//! - The surface has noise ([`crate::noise`]), and the cap of the ball between the two points is no
-//!   higher than twice the noise. Such a ball results from a bump of the noise.
+//! - The surface has noise ([`crate::noise`]), and the cap of the ball between the two points is
+//!   lower than twice the height of the noise. Such a ball results from a bump in the noise.
 //!
-//! Two upper bounds of the radius save time. One comes from the distance field, and the other from
-//! the sample that the previous ball touches. All balls at one sample and side are nested, so a
-//! single query that shrinks the ball finds the smallest ball.
+//! Two upper bounds on the radius save time: one from the distance field, and one from the sample
+//! that the previous ball touches. All balls that touch a sample on one side are nested, so a
+//! single query that shrinks the ball as it proceeds finds the smallest one.
 
 use glam::DVec3;
 use isoparticles_field::sizing::trilinear;
@@ -25,31 +25,32 @@ use rayon::prelude::*;
 /// Minimum angle in radians between the two touching points of a ball, seen from its centre. Balls
 /// with smaller angles are pruned. With 20 degrees, the minimum feature size in the test
 /// `a_half_noisy_ball_has_its_radius_everywhere` falls from 17.4 to 13.9 voxels. With 80 degrees,
-/// ends of the axis are lost: the 5th percentile on an ellipsoid with semi-axes of 20, 10 and 10
-/// voxels rises from 5.3 to 6.3 voxels.
+/// ends of the axis are lost: the 5th percentile of the feature size on an ellipsoid with semi-axes
+/// of 20, 10 and 10 voxels rises from 5.3 to 6.3 voxels.
 pub const MIN_SEPARATION_ANGLE: f64 = 40.0 * std::f64::consts::PI / 180.0;
 
 /// Minimum height of the cap of a ball between the touching points, as a multiple of the noise.
 /// Balls with lower caps are pruned. With 1, the minimum feature size in the test
-/// `a_half_noisy_ball_has_its_radius_everywhere` falls from 17.4 to 1.3 voxels; 4 gives the same as
-/// 2.
+/// `a_half_noisy_ball_has_its_radius_everywhere` falls from 17.4 to 1.3 voxels; 4 gives the same
+/// result as 2.
 const LEAST_CAP: f64 = 2.0;
 
-/// Maximum number of leaves of the sample tree that one query visits, nearest leaf first. The limit
-/// is needed for a ball that fits the whole surface, because all samples are near its boundary.
-/// Measured with 400 and 100: label 2 of `lungs_label_big` gets 238,911 and 238,902 particles, and
-/// a ball in 256^3 voxels takes 4.7 and 3.5 s.
+/// Maximum number of leaves that one query visits in the k-d tree of samples, nearest leaf first.
+/// The limit is needed if a ball fits the whole surface, because all samples are then near its
+/// boundary. Measured with 400 and 100: label 2 of `lungs_label_big` gets 238,911 and 238,902
+/// particles, and a ball in 256^3 voxels takes 4.7 and 3.5 s.
 const MOST_LEAVES: usize = 100;
 
-/// Number of consecutive samples in a run. Consecutive samples are mostly neighbours, so each ball
-/// of a run starts with the sample that the previous ball touches. Only one ball in 64 has no such
-/// start.
+/// Number of consecutive samples that are processed one after another. They are mostly neighbours,
+/// so the search for each ball starts with the sample that the previous ball touches. Only one
+/// search in 64 has no such start.
 const RUN: usize = 64;
 
-/// A ball counts as containing samples if its radius exceeds the distance field at its centre by
-/// half the diagonal of a cell plus this fraction of the maximum spacing. The first term covers the
-/// interpolation error at the tip of a cone; the second term covers the errors of the samples. With
-/// 0 and with 0.4, the feature sizes of balls, tori, an ellipsoid and a slab are the same.
+/// A ball is assumed to contain samples if its radius exceeds the distance at its centre by more
+/// than half a cell diagonal plus this fraction of the maximum spacing (plus the blur). The half
+/// diagonal covers the interpolation error at the tip of a cone; the fraction covers the errors of
+/// the samples. With 0 and with 0.4, the feature sizes of balls, tori, an ellipsoid and a slab are
+/// the same.
 const SAMPLE_ERROR: f64 = 0.2;
 
 /// The samples of the surface and their distance field.
@@ -58,8 +59,8 @@ pub struct Surface<'a> {
     pub points: &'a [DVec3],
     /// Unit normals, outward.
     pub normals: &'a [DVec3],
-    /// Depth in mm, for each sample, to which other samples may lie inside its medial ball without
-    /// shrinking it. Near the tangent point, such samples are due to ripple or noise.
+    /// For each sample, the depth in mm to which other samples may lie inside its medial ball
+    /// without shrinking it. Near the touching point, such samples result from ripple or noise.
     pub blur: &'a [f64],
     /// Height in mm of the noise at each sample.
     pub noise: &'a [f64],
@@ -84,16 +85,16 @@ pub fn medial_points(surface: &Surface<'_>, largest: f64) -> Vec<[Option<DVec3>;
         };
         (start..count.min(start + RUN)).map(of_sample).collect()
     };
-    // runs begin at fixed indices and thus do not depend on the number of threads
+    // runs start at fixed indices, so they do not depend on the number of threads
     let runs: Vec<usize> = (0..count).step_by(RUN).collect();
     runs.into_par_iter().flat_map_iter(of_run).collect()
 }
 
 impl Surface<'_> {
-    /// Finds the largest ball that touches the surface at sample i, lies in `direction`, and
-    /// contains no other sample deeper than the blur. Returns the radius at which the ball touches
-    /// the sample that limits it, and this sample. Returns `None` if no sample limits the ball up
-    /// to the radius `largest`. `hint` is a sample that may limit the ball.
+    /// Finds the largest ball in `direction` that touches the surface at sample i and contains no
+    /// other sample deeper than the blur. Returns the radius of the ball that exactly touches the
+    /// limiting sample, and the index of that sample. Returns `None` if no sample limits the ball
+    /// up to the radius `largest`. `hint` is a sample that may limit the ball.
     fn largest_empty(
         &self,
         tree: &KdTree,
@@ -125,7 +126,7 @@ impl Surface<'_> {
             ball.0 = self.upper_bound(i, direction, largest);
         }
         tree.each_within(place(ball.0), MOST_LEAVES, &mut |q, at| shrink(&mut ball, q as usize, at));
-        // the ball that exactly touches the sample
+        // the ball that exactly touches the limiting sample
         let touched = |q: usize| {
             let offset = self.points[q] - p;
             (0.5 * offset.length_squared() / direction.dot(offset), q)
@@ -143,8 +144,8 @@ impl Surface<'_> {
         (angle >= MIN_SEPARATION_ANGLE && height >= LEAST_CAP * self.noise[i]).then_some(centre)
     }
 
-    /// Returns a radius slightly above that of the largest empty ball, from the distance field.
-    /// Returns `largest` if the field gives no such radius.
+    /// Returns an upper bound on the radius of the largest empty ball, derived from the distance
+    /// field, or `largest` if the field gives no bound.
     fn upper_bound(&self, i: usize, direction: DVec3, largest: f64) -> f64 {
         let (p, geometry) = (self.points[i], &self.distance.geometry);
         let margin = 0.5 * geometry.spacing.length() + SAMPLE_ERROR * geometry.spacing.max_element() + self.blur[i];
@@ -161,7 +162,8 @@ impl Surface<'_> {
         if high >= largest || is_full(high).is_none() {
             return largest;
         }
-        // the radii have a ratio of 1.5, so three halvings leave 1 / 24 = 4 % of `high`
+        // after the first step, the ratio of the radii is 1.5, so three halvings reduce the
+        // interval to 1 / 24 = 4 % of `high`
         for _ in 0..3 {
             let middle = 0.5 * (low + high);
             if is_full(middle) == Some(true) { high = middle } else { low = middle }

@@ -1,14 +1,14 @@
 //! Distinguishes noise from shape, and computes the denoised surface.
 //!
-//! The residual of a least-squares patch ([`crate::patch`]) grows with the radius of the patch. If
-//! the shape is more complex than a quadric, the residual grows with a power of the radius. If the
-//! samples scatter about a quadric, as with intensity noise, the residual hardly grows. A patch is
-//! therefore widened as long as its residual stays nearly the same, and the data determines the
-//! radius at each sample (as in Lepski 1990). If the residual already grows with the first
-//! widening, the surface is left unchanged.
+//! The criterion is the residual of a least-squares patch ([`crate::patch`]) as a function of its
+//! radius. If the shape is more complex than a quadric, the residual grows with a power of the
+//! radius. If the samples scatter about a quadric, as with intensity noise, the residual hardly
+//! grows. A patch is therefore widened as long as its residual stays nearly the same, so that the
+//! data determines the radius at each sample (as in Lepski 1990). If the residual grows in the
+//! first step, the surface is left unchanged.
 //!
-//! Ripple of the sampling, such as terraces of thick slices on a clean surface, scatters about a
-//! quadric in the same way and is treated as noise.
+//! Ripple from sampling, such as the terraces that thick slices leave on a clean surface, also
+//! scatters about a quadric and is treated as noise.
 
 use crate::averages::average;
 use crate::patch::{Marks, Patch, Samples};
@@ -16,21 +16,20 @@ use glam::{DVec2, DVec3};
 use isoparticles_mesh::incidence::Incidence;
 use rayon::prelude::*;
 
-/// Radius of the first patches, in voxels. A radius of two voxels is needed for enough samples:
-/// some of these patches have fewer than 18 samples, and [`crate::patch`] needs 9.
+/// Radius of the first patches, in voxels. A smaller radius would give too few samples: at two
+/// voxels, some patches have fewer than 18 samples, and [`crate::patch`] needs 9.
 const FIRST_RADIUS: f64 = 2.0;
 
 /// Radii in voxels of the wider patches, and the maximum factor by which the residual (root mean
-/// square over nearby samples) may grow from the previous radius. White noise gives bumps about 1.5
-/// voxels wide on the surface. For white noise, the measured factors are 1.5 to 1.6, 1.1 and 1.06
-/// to 1.12 (balls of 11 and 19 voxels, a torus of 8). A torus without noise gives factors of 2.3
-/// and more at each step. The first factor is larger because a patch of two voxels partly follows
-/// such bumps.
+/// square over nearby samples) may grow from the previous radius. White noise causes bumps about
+/// 1.5 voxels wide on the surface; its measured factors are 1.5 to 1.6, 1.1 and 1.06 to 1.12 (balls
+/// of 11 and 19 voxels, a torus of 8). A torus without noise has factors of 2.3 or more at each
+/// step. The first limit is larger because patches of two voxels partly follow such bumps.
 const WIDER: [(f64, f64); 3] = [(3.0, 1.8), (4.0, 1.25), (6.0, 1.2)];
 
-/// Maximum residual (root mean square, in voxels) that counts as noise: half the residual of steps
-/// one voxel high, 1 / sqrt(12) = 0.29. Larger residuals always count as shape, for example the
-/// steps of a coarse mask.
+/// Maximum residual (root mean square, in voxels) that is treated as noise: half the residual of
+/// steps one voxel high, 1 / sqrt(12) = 0.29. Larger residuals, such as those of the steps of a
+/// coarse mask, are always treated as shape.
 const LARGEST_NOISE: f64 = 0.15;
 
 /// Residuals are measured at every `RESIDUAL_STRIDE`-th sample. An average over
@@ -40,16 +39,16 @@ const LARGEST_NOISE: f64 = 0.15;
 const RESIDUAL_STRIDE: usize = 12;
 
 /// Number of averaging rounds along the surface, for the residuals and for the vote on which
-/// samples are noisy. Forty rounds have a standard deviation of sqrt(40 / 3) = 3.7 edges of
-/// marching cubes ([`crate::averages`]). With 20 rounds for either, the test
+/// samples are noisy. Forty rounds act like a Gaussian with a standard deviation of sqrt(40 / 3) =
+/// 3.7 marching-cubes edges ([`crate::averages`]). With 20 rounds for either, the test
 /// `a_half_noisy_ball_has_its_radius_everywhere` measures a minimum feature size of 1.2 instead of
-/// 17.4 voxels. With 80 rounds, it is 18.1, but nearly the whole clean half counts as noisy.
+/// 17.4 voxels. With 80 rounds, it is 18.1, but nearly the whole clean half is classified as noisy.
 const AVERAGING_ROUNDS: usize = 40;
 
 /// Number of triangles by which the noise is extended beyond the edge of a noisy region, where
 /// samples with and without noise alternate. With 2 triangles, the test
 /// `a_half_noisy_ball_has_its_radius_everywhere` measures a minimum feature size of 1.5 instead of
-/// 17.4 voxels; 8 triangles give the same as 4.
+/// 17.4 voxels; 8 triangles give the same result as 4.
 const EDGE_TRIANGLES: usize = 4;
 
 /// Number of samples in one parallel task.
@@ -86,8 +85,8 @@ impl Smoothed {
     }
 }
 
-/// Returns, for each sample, the number of the widest patch whose residual is noise. Patches are
-/// counted from 1 in [`WIDER`]; 0 means that the sample has no noise.
+/// Returns, for each sample, the number of the widest patch whose residual is noise. Number 1 is
+/// the first patch in [`WIDER`]; 0 means that the sample has no noise.
 fn scales(samples: &Samples<'_>, incidence: &Incidence<'_>, voxel: f64) -> Vec<usize> {
     let limit = LARGEST_NOISE * voxel;
     let mut scale = vec![0; samples.points.len()];
@@ -117,8 +116,8 @@ fn scales(samples: &Samples<'_>, incidence: &Incidence<'_>, voxel: f64) -> Vec<u
     scale
 }
 
-/// Decides by a majority of the nearby samples whether a sample is noisy. The patch number of a
-/// noisy sample is the rounded mean over the nearby noisy samples.
+/// Decides by a majority vote of the nearby samples whether a sample is noisy. The patch number of
+/// a noisy sample is the rounded mean over the nearby noisy samples.
 fn vote(scale: &mut [usize], incidence: &Incidence<'_>) {
     let mut votes: Vec<DVec2> = scale.iter().map(|&s| DVec2::new(s.min(1) as f64, s as f64)).collect();
     average(incidence, &mut votes, DVec2::ZERO, AVERAGING_ROUNDS);
@@ -136,8 +135,8 @@ fn spread_largest(values: &mut [f64], triangles: &[[u32; 3]]) {
     }
 }
 
-/// Returns the residuals (mm) of patches of a radius, at every [`RESIDUAL_STRIDE`]-th sample for
-/// which `wanted` is true.
+/// Returns the residuals (mm) of patches with the given radius (mm), at every
+/// [`RESIDUAL_STRIDE`]-th sample for which `wanted` is true.
 fn residuals(samples: &Samples<'_>, radius: f64, wanted: impl Fn(usize) -> bool + Sync) -> Vec<Option<f64>> {
     in_chunks(samples.points.len(), |i, marks| {
         (i % RESIDUAL_STRIDE == 0 && wanted(i))
@@ -147,7 +146,7 @@ fn residuals(samples: &Samples<'_>, radius: f64, wanted: impl Fn(usize) -> bool 
     })
 }
 
-/// Calls `at` for every sample in parallel chunks. Each chunk has its own marks.
+/// Calls `at` for every sample, in parallel chunks. Each chunk has its own marks.
 fn in_chunks<T: Send>(count: usize, at: impl Fn(usize, &mut Marks) -> T + Sync) -> Vec<T> {
     let starts: Vec<usize> = (0..count).step_by(CHUNK).collect();
     let chunks: Vec<Vec<T>> = starts

@@ -7,13 +7,15 @@
 use crate::connections::Connections;
 use glam::{DMat3, DVec2, DVec3};
 
-/// Minimum cosine between the normals of a sample and of the central sample. Samples below it
-/// belong to another part of the surface. On a ball, the angle of 60 degrees is reached at a chord
-/// of one radius, so a patch can be as wide as the radius of curvature.
+/// Minimum cosine of the angle between the normals of a sample and of the central sample. Samples
+/// with larger angles are assumed to belong to another part of the surface. On a ball, the angle is
+/// 60 degrees if the chord equals the radius, so the radius of a patch can be as large as the
+/// radius of curvature.
 const LEAST_COSINE: f64 = 0.5;
 
-/// Minimum number of samples of a patch: three more than unknowns, so that the residual has degrees
-/// of freedom. A minimum of 7 gives the same feature sizes on balls, tori and an ellipsoid.
+/// Minimum number of samples of a patch: three more than the number of unknowns, so that the
+/// residual has degrees of freedom. A minimum of 7 gives the same feature sizes on balls, tori and
+/// an ellipsoid.
 const FEWEST_SAMPLES: usize = UNKNOWNS + 3;
 
 /// Number of coefficients of a patch: height, two slopes and three second derivatives.
@@ -26,10 +28,10 @@ pub struct Patch {
     pub point: DVec3,
     /// Outward unit normal at the point.
     pub normal: DVec3,
-    /// Curvature tensor at the point, per mm. The eigenvalues are 0 (along the normal) and the
+    /// Curvature tensor at the point, in 1/mm. The eigenvalues are 0 (along the normal) and the
     /// principal curvatures, which are positive on a ball.
     pub curvature: DMat3,
-    /// Weighted root mean square distance in mm of the samples from the patch.
+    /// Weighted root mean square distance in mm from the samples to the patch.
     pub residual: f64,
 }
 
@@ -58,7 +60,7 @@ impl Marks {
 }
 
 impl Samples<'_> {
-    /// Fits a patch to the samples that lie within `radius` (mm) of sample i and are connected with
+    /// Fits a patch to the samples that lie within `radius` (mm) of sample i and are connected to
     /// it. Returns `None` if there are too few samples or the system is singular.
     pub fn patch(&self, i: usize, radius: f64, marks: &mut Marks) -> Option<Patch> {
         self.gather(i, radius, marks);
@@ -102,7 +104,7 @@ impl Samples<'_> {
     }
 
     /// Collects the samples within `radius` of sample i that have a similar normal and are
-    /// connected with sample i through such samples.
+    /// connected to it through such samples.
     fn gather(&self, i: usize, radius: f64, marks: &mut Marks) {
         marks.now += 1;
         marks.found.clear();
@@ -133,7 +135,7 @@ fn basis(at: DVec2, height: f64) -> [f64; UNKNOWNS] {
     [1.0, at.x, at.y, 0.5 * stretch * at.x * at.x, stretch * at.x * at.y, 0.5 * stretch * at.y * at.y]
 }
 
-/// Returns the curvature tensor from the second fundamental form over a tangent basis.
+/// Returns the curvature tensor, given the second fundamental form in a tangent basis.
 fn tensor([t1, t2]: [DVec3; 2], [l, m, n]: [f64; 3]) -> DMat3 {
     let (e, f, g) = (t1.length_squared(), t1.dot(t2), t2.length_squared());
     let determinant = e * g - f * f;
@@ -143,8 +145,8 @@ fn tensor([t1, t2]: [DVec3; 2], [l, m, n]: [f64; 3]) -> DMat3 {
     outer(d1, d1) * l + (outer(d1, d2) + outer(d2, d1)) * m + outer(d2, d2) * n
 }
 
-/// Solves a symmetric positive definite system by elimination. The right side is the last column.
-/// Returns `None` if the system is singular.
+/// Solves a symmetric positive definite system by elimination. The last column is the right-hand
+/// side. Returns `None` if the system is singular.
 fn solve(mut rows: [[f64; UNKNOWNS + 1]; UNKNOWNS]) -> Option<[f64; UNKNOWNS]> {
     for at in 0..UNKNOWNS {
         let pivot = rows[at];

@@ -1,6 +1,6 @@
 //! User-defined refinement in balls, at the voxels of a mask volume, or at points with sizes
-//! (section 7 of the paper: more particles in regions of interest). Outside a region, h grows with
-//! the slope delta.
+//! (section 7 of the paper: more particles in regions of interest). Outside a region, h increases
+//! with slope delta.
 
 use glam::DVec3;
 use isoparticles_mesh::points::read_sized_points;
@@ -20,7 +20,8 @@ pub enum Refinement {
     Ball(Ball),
     /// The nonzero voxels of a volume.
     Mask {
-        /// The volume, on any grid. Its world coordinates determine its position.
+        /// The volume, which may have a different grid. Its world coordinates determine its
+        /// position.
         file: PathBuf,
         /// Maximum h in the region, mm.
         size: f64,
@@ -129,8 +130,8 @@ fn extent_told(geometry: &Geometry) -> String {
     format!("{} mm", [0, 1, 2].map(range).join(", "))
 }
 
-/// Returns the nodes whose nearest voxel in the mask is not zero, and the nodes around the centre
-/// of each nonzero voxel. The latter are needed because mask voxels may be smaller than the cells
+/// Returns the nodes whose nearest voxel in the mask is not zero, and the nodes around the centres
+/// of all nonzero voxels. The latter are needed because mask voxels may be smaller than the cells
 /// of the grid.
 fn mask_nodes(file: &Path, geometry: &Geometry) -> Result<Vec<usize>> {
     let volume = read_volume(file)?;
@@ -156,8 +157,8 @@ fn mask_nodes(file: &Path, geometry: &Geometry) -> Result<Vec<usize>> {
     Ok(nodes)
 }
 
-/// Returns the nodes of the cell that contains a position in the grid frame; no nodes for a
-/// position outside the grid.
+/// Returns the nodes of the cell that contains a position in the grid frame, or no nodes if the
+/// position lies outside the grid.
 fn nodes_around(geometry: &Geometry, grid: DVec3) -> impl Iterator<Item = usize> {
     let index = geometry.grid_to_index(grid);
     let is_within = (0..3).all(|a| index[a] >= 0.0 && index[a] <= (geometry.size[a] - 1) as f64);
@@ -176,8 +177,8 @@ impl Ball {
         let reach = self.radius.max(geometry.spacing.length());
         let low = geometry.grid_to_index(centre - reach).ceil();
         let high = geometry.grid_to_index(centre + reach).floor();
-        // positions before the first node are clamped to 0, so a ball before the grid gives an
-        // empty range
+        // positions before the first node are clamped to 0, so the range is empty for a ball that
+        // lies before the first node
         let range = move |a: usize| low[a].max(0.0) as usize..((high[a] + 1.0).max(0.0) as usize).min(geometry.size[a]);
         let along = move |j, k| range(0).map(move |i| [i, j, k]);
         let grid = range(2).flat_map(move |k| range(1).flat_map(move |j| along(j, k)));
@@ -228,7 +229,7 @@ mod tests {
         assert!(error.next.contains("the grid covers x 0 to 19, y 0 to 9.5, z 0 to 38 mm"), "{error}");
     }
 
-    /// Tests a mask on a different grid, which is rotated by 90 degrees about z, finer and shifted.
+    /// Tests a mask on a grid that is finer, shifted, and rotated by 90 degrees about z.
     #[test]
     fn a_mask_is_placed_by_its_world_coordinates() {
         let folder = tempfile::tempdir().unwrap();

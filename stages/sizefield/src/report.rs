@@ -16,9 +16,9 @@ use serde_json::{Value, json};
 /// ripple from thick slices. The constant affects only this message.
 const THICK_SLICES: f64 = 1.5;
 
-/// Returns a message about the fraction of the surface with noise and the height of the noise.
+/// Returns a message about the height of the noise and the fraction of the surface that is noisy.
 /// Thick slices leave ripple on a clean surface, which patches cannot distinguish from noise. The
-/// message mentions both if `spacing` (mm) indicates such slices.
+/// message mentions both noise and ripple if `spacing` (mm) indicates such slices.
 pub(crate) fn noise_told(noise: &[f64], spacing: DVec3) -> Option<String> {
     let found: Vec<f64> = noise.iter().copied().filter(|&noise| noise > 0.0).collect();
     if found.is_empty() {
@@ -72,7 +72,7 @@ pub(crate) fn describe(
     meta
 }
 
-/// Returns the minimum, percentiles and maximum by name. Sorts the values.
+/// Returns the minimum, percentiles and maximum by name. Sorts the values in place.
 pub(crate) fn percentiles(values: &mut [f64]) -> Value {
     values.par_sort_unstable_by(f64::total_cmp);
     let at = |percent: usize| values[(values.len() - 1) * percent / 100];

@@ -33,9 +33,9 @@ pub(crate) struct Defaults {
     pub(crate) min_size_voxels: f64,
     /// Maximum h in units of the diagonal of the object's bounding box.
     pub(crate) max_size_diagonals: f64,
-    /// Maximum deviation in units of the mean voxel spacing. distfield keeps the surface of labels
-    /// 0.1 voxel away from voxel centres. With the same deviation, triangles do not cross voxel
-    /// centres.
+    /// Maximum deviation in units of the mean voxel spacing. `distfield` keeps the surface of
+    /// labels 0.1 voxel away from voxel centres, so triangles with at most this deviation do not
+    /// cross voxel centres.
     pub(crate) deviation_voxels: f64,
 }
 
@@ -60,7 +60,8 @@ impl Defaults {
 }
 
 /// Maximum radius of medial balls in units of the diagonal of the volume. With the defaults of
-/// every quality, features above 0.2 diagonals of the object (maximum h / epsilon) do not change h.
+/// every quality level, features above 0.2 diagonals of the object (maximum h / epsilon) do not
+/// change h.
 const LARGEST_FEATURE_DIAGONALS: f64 = 0.25;
 
 /// Computes the target edge length h (mm) on the grid of a distance field, from local feature size
@@ -178,7 +179,7 @@ impl Args {
         self.quality.unwrap_or(Quality::Medium)
     }
 
-    /// Rejects `--uniform` together with `--refine`.
+    /// Rejects the combination of `--uniform` and `--refine`.
     fn refuse_refined_constant(&self) -> Result<()> {
         let Some(size) = self.uniform.filter(|_| !self.refine.is_empty()) else { return Ok(()) };
         Err(Error::input(
@@ -204,8 +205,8 @@ impl Args {
         }
     }
 
-    /// Returns the parameters and the deviation (mm), with the defaults of the quality for options
-    /// that are not given. `largest` (mm) is the default of the maximum h.
+    /// Returns the parameters and the maximum deviation (mm). Uses the defaults of the quality
+    /// level for options that are not given, and `largest` (mm) as the default maximum h.
     pub(crate) fn parameters_with(&self, voxel: f64, largest: f64, refined: Vec<SizedNode>) -> (Parameters, f64) {
         let defaults = Defaults::of(self.quality());
         let min_size = self.min_size.unwrap_or(defaults.min_size_voxels * voxel);
@@ -229,7 +230,7 @@ impl Args {
         self.quality.is_some() || lengths.iter().any(Option::is_some) || !self.refine.is_empty()
     }
 
-    /// Returns the constant h if the options select a constant h.
+    /// Returns the constant h, if the options select one.
     fn one_size(&self, distance: &Image<f32>, surface: &CubicSpline) -> Option<f64> {
         let for_vertices = |vertices: u64| size_for_vertices(distance, surface, vertices as f64);
         self.uniform.or_else(|| self.vertices.filter(|_| !self.is_graded()).map(for_vertices))
@@ -295,7 +296,7 @@ struct Measured {
     features: Features,
     /// The constant h in mm, if the options select one.
     one_size: Option<f64>,
-    /// Maximum feature size in mm that the measurement distinguishes.
+    /// Upper limit in mm of the measured feature sizes.
     largest: f64,
     /// Whether the surface is smooth at the scale of a voxel: the input is a label map, or was
     /// smoothed (`distfield --scale`).
@@ -311,10 +312,10 @@ fn measure(args: &Args, input: &Input, context: &Context) -> Result<Measured> {
     let image = &input.field.image;
     let largest = LARGEST_FEATURE_DIAGONALS * image.geometry.upper_corner().length();
     let one_size = args.one_size(image, &input.surface);
-    // a constant h is compared only with smaller features; no sample lies inside an empty ball, so
-    // the centre is nearer than h only if the radius is below h
+    // only features smaller than a constant h matter; no sample lies inside an empty ball, so its
+    // centre is closer than h to a sample only if its radius is below h
     let largest = one_size.map_or(largest, |size| largest.min(size));
-    // for a constant h, the question is whether it resolves the surface as it is, including noise
+    // a constant h must resolve the surface as it is, including noise
     let origin: DistanceMeta = meta::typed(&args.input, &input.field.meta, "distfield")?;
     let is_smooth = origin.source == Some(Source::Labels) || origin.is_scaled();
     let bumps = if one_size.is_some() || is_smooth { Bumps::AreShape } else { Bumps::MayBeNoise };
@@ -372,15 +373,15 @@ fn predicted(args: &Args, input: &Input, measured: &Measured, sizing: &SizingFie
     if let Some(vertices) = args.vertices.filter(|_| measured.one_size.is_some()) {
         return predicted_for(vertices as f64);
     }
-    // the count on triangles misses features between the samples, which a smooth surface does not
-    // have; a requested number needs the exact count
+    // the count on triangles misses features between the samples, but a smooth surface has none; a
+    // requested number needs the exact count
     if measured.is_smooth && args.vertices.is_none() {
         return sizing.count_on(&measured.features.points, &measured.features.triangles);
     }
     sizing.predicted_count(&input.surface)
 }
 
-/// Returns the nodes of all `--refine` options, and adds the files of these options to the inputs.
+/// Returns the nodes of all `--refine` options, and adds their files to the inputs.
 pub(crate) fn refined_nodes(args: &Args, geometry: &Geometry, context: &Context) -> Result<Vec<SizedNode>> {
     let mut refined = Vec::new();
     for refinement in &args.refine {

@@ -1,15 +1,15 @@
 //! The equation |grad h| = delta at the nodes of a grid, discretized by an upwind scheme.
 //!
-//! [`Values`] holds h at the nodes, with a border of one node on each side. [`Scheme`] lowers h at
+//! [`Values`] stores h at the nodes, with a border of one node on each side. [`Scheme`] lowers h at
 //! one node to the value that the adjacent nodes allow (Godunov scheme; Rouy and Tourin 1992).
 //! [`NodeSet`] marks the nodes whose final values are requested.
 
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-/// Minimum relative decrease for which a node is lowered: 8 to 17 ulps of f32 (2^-24 to 2^-23 of
-/// the value). Rounding alone cannot lower a node, so the march ends. The result deviates from the
-/// steady state by less than 2e-5; with 1e-5, it deviates by more (test
-/// `blocks_come_to_the_steady_state_of_plain_sweeps`).
+/// Minimum relative decrease at which a node is lowered: 8 to 17 ulps of f32 (an ulp is 2^-24 to
+/// 2^-23 of the value). Rounding alone therefore cannot lower a node, and the march ends. The
+/// result deviates from the steady state by less than 2e-5; with a gain of 1e-5, it deviates by
+/// more (test `blocks_come_to_the_steady_state_of_plain_sweeps`).
 const LEAST_GAIN: f64 = 1e-6;
 
 /// A set of grid nodes, one bit each.
@@ -32,12 +32,12 @@ impl NodeSet {
     }
 }
 
-/// h at the nodes, with a border of infinite values. Threads may set and read different values at
-/// the same time.
+/// h at the nodes, with a border of infinite values. Threads can read and write different values
+/// concurrently.
 pub(crate) struct Values(Vec<AtomicU32>);
 
 impl Values {
-    /// Adds the border to the values of a grid, in the same memory.
+    /// Adds the border to the values of a grid, in place.
     pub(crate) fn new(mut data: Vec<f32>, [nx, ny, nz]: [usize; 3]) -> Self {
         let row_start = Self::row_start([nx, ny]);
         let total = (nx + 2) * (ny + 2) * (nz + 2);
@@ -84,7 +84,7 @@ impl Values {
     }
 }
 
-/// Upwind scheme of |grad h| = delta on a grid with a border of one node.
+/// Upwind scheme for |grad h| = delta on a grid with a border of one node.
 pub(crate) struct Scheme {
     /// Difference between the indices of adjacent nodes along each axis.
     pub(crate) strides: [usize; 3],
@@ -123,21 +123,21 @@ impl Scheme {
         })
     }
 
-    /// Solves sum over axes of (max(u - a, 0) / rise)^2 = 1 for u. At least one value must be
-    /// finite.
+    /// Solves sum over axes of (max(u - a, 0) / rise)^2 = 1 for u, where a is the value given for
+    /// the axis. At least one of these values must be finite.
     #[inline]
     fn upwind(&self, [x, y, z]: [f64; 3]) -> f64 {
         let ordered = |a: (f64, f64), b: (f64, f64)| if b.0 < a.0 { (b, a) } else { (a, b) };
         let (x, y) = ordered((x, self.weight[0]), (y, self.weight[1]));
         let (y, z) = ordered(y, (z, self.weight[2]));
         let ((least, wa), y) = ordered(x, y);
-        // p u^2 - 2 q u + r = 1, with u relative to `least`, over the active axes in ascending
-        // order of value; an axis is active if the solution with the previous axes exceeds the
-        // value of the axis
+        // Solve p u^2 - 2 q u + r = 1, with u relative to `least`. Axes contribute in ascending
+        // order of value, as long as the solution for the previous axes exceeds the value of the
+        // next axis.
         let (mut p, mut q, mut r) = (wa, 0.0, 0.0);
         for (value, weight) in [y, z] {
             let over = value - least;
-            // compares the left side at this value with 1; an infinite value gives NaN, which ends
+            // the left-hand side at this value is below 1; an infinite value gives NaN, which ends
             // the loop
             let takes_part = p * over * over - 2.0 * q * over + r < 1.0;
             if !takes_part {

@@ -7,8 +7,8 @@ use isoparticles_field::spline::CubicSpline;
 use isoparticles_volume::Image;
 
 /// Ratio of the number of vertices of the finished surface to the count that the sizing field
-/// predicts. Measured: 0.948 to 0.965 on four solid organs with 1,000 to 75,000 vertices, 0.914 to
-/// 0.975 on four thin objects, where edges become shorter and refinement adds vertices
+/// predicts. Measured: 0.948 to 0.965 on four solid organs with 1,000 to 75,000 vertices, and 0.914
+/// to 0.975 on four thin objects, where edges become shorter and refinement adds vertices
 /// (docs/developer/scale.md).
 const FINISHED_OVER_PREDICTED: f64 = 0.95;
 
@@ -20,8 +20,9 @@ const GRADED_ROUNDS: usize = 3;
 
 /// Number of iterations for a constant h with several materials. The number of particles on
 /// junction curves is inversely proportional to h, not to its square. An iteration therefore
-/// multiplies the relative error of h by half their share of the count. At a share of a third, six
-/// iterations reduce an initial factor of ten to 10^(1 / 6^6), a relative error below 1e-4.
+/// multiplies the relative error of h by half of their share of the count. If their share is one
+/// third, six iterations reduce an initial error of a factor of ten to a factor of 10^(1 / 6^6), a
+/// relative error below 1e-4.
 const CONSTANT_ROUNDS: usize = 6;
 
 /// Returns the constant h in mm that gives a surface with this number of vertices.
@@ -30,7 +31,7 @@ pub fn size_for_vertices(distance: &Image<f32>, surface: &CubicSpline, vertices:
     (FINISHED_OVER_PREDICTED * at_one / vertices).sqrt()
 }
 
-/// Returns the count that the sizing field predicts for the h that [`size_for_vertices`] returns.
+/// Returns the predicted count for the h that [`size_for_vertices`] returns.
 pub(crate) fn predicted_for(vertices: f64) -> f64 {
     vertices / FINISHED_OVER_PREDICTED
 }

@@ -33,8 +33,8 @@ fn features_for(purpose: Purpose, image: &Image<f32>) -> Features {
     Features::new(image, &surface, &components, image.geometry.upper_corner().length(), (Bumps::MayBeNoise, purpose))
 }
 
-/// Returns the maximum relative error of the local feature size against `truth`, which takes the
-/// position of a point relative to the volume's centre.
+/// Returns the maximum relative error of the local feature size compared with `truth`, a function
+/// of the position relative to the volume's centre.
 fn worst(image: &Image<f32>, found: &Features, truth: impl Fn(DVec3) -> f64) -> f64 {
     let centre = 0.5 * image.geometry.upper_corner();
     assert!(found.points.len() > 1000);
@@ -142,7 +142,8 @@ fn the_field_asks_for_epsilon_times_feature_size_and_is_graded() {
     assert!(largest_slope(field.image()) <= 0.3 * 1.01);
 }
 
-/// Returns the maximum |grad h| from the upwind differences that the paper's scheme limits.
+/// Returns the maximum |grad h|, computed from the upwind differences that the paper's scheme
+/// limits.
 fn largest_slope(h: &Image<f32>) -> f64 {
     let (size, spacing) = (h.geometry.size, h.geometry.spacing);
     let mut largest = 0.0f64;
@@ -160,7 +161,7 @@ fn largest_slope(h: &Image<f32>) -> f64 {
     largest
 }
 
-/// Halving epsilon, or halving the scale, gives four times the particles on a smooth organ.
+/// Halving epsilon or the scale quadruples the number of particles on a smooth ellipsoid.
 #[test]
 fn count_is_inverse_square_in_epsilon_and_scale() {
     let image = sampled(56, |p| {

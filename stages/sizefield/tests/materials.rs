@@ -1,5 +1,5 @@
-//! Runs the program with several materials. Tests constant h, sizes by name, and h from the shape
-//! of layers and balls.
+//! Tests the program with several materials: a constant h, sizes by name, and h from the shape of
+//! layers and balls.
 
 use glam::DVec3;
 use isoparticles_field::materials::{
@@ -16,14 +16,15 @@ use std::process::{Command, Output};
 
 const CENTRE: DVec3 = DVec3::new(20.1, 19.8, 20.3);
 
-/// Returns a ball of radius 8 mm inside a ball of radius 14 mm, and the outside.
+/// Returns the indicators of a ball of radius 8 mm, a shell around it with an outer radius of 14
+/// mm, and the outside.
 fn nested() -> Analytic {
     let shell = maximum(ball(CENTRE, 14.0), negative(ball(CENTRE, 8.0)));
     Analytic::new(vec![negative(ball(CENTRE, 14.0)), shell, ball(CENTRE, 8.0)], 1.0)
 }
 
-/// Returns two quarters and a half of a ball of radius 14 mm, which meet along a diameter of the
-/// ball.
+/// Returns the indicators of two quarters and a half of a ball of radius 14 mm, which meet along a
+/// diameter, and of the outside.
 fn wedges() -> Analytic {
     let all = || ball(CENTRE, 14.0);
     let part = |x: DVec3, y: DVec3| maximum(all(), maximum(half_space(CENTRE, x), half_space(CENTRE, y)));
@@ -60,7 +61,7 @@ fn sized(folder: &Path, analytic: &Analytic, options: &[&str]) -> (SizingField, 
     (SizingField::new(field.image), field.meta)
 }
 
-/// Returns the minimum and maximum h on a sphere around the centre.
+/// Returns the minimum and maximum h on a sphere around [`CENTRE`].
 fn on_ball(h: &SizingField, radius: f64) -> (f64, f64) {
     let ways = (0..500).map(|n| {
         let (z, angle) = (1.0 - (f64::from(n) + 0.5) / 250.0, 2.399_963 * f64::from(n));
@@ -112,7 +113,7 @@ fn thin_layers_and_small_balls_ask_for_smaller_triangles() {
     let folder = tempfile::tempdir().expect("folder");
     let options = ["--max-deviation", "0", "--min-size", "0.2", "--epsilon", "0.5", "--delta", "0.4"];
     let (h, _) = sized(folder.path(), &nested(), &options);
-    // expected: half of 3 mm, the radius of the ball that fits into the shell of thickness 6 mm
+    // expected: half of 3 mm, the radius of a ball that fits into the shell, which is 6 mm thick
     for radius in [8.0, 14.0] {
         let (low, high) = on_ball(&h, radius);
         assert!(low > 1.2 && high < 1.9, "{radius}: {low} {high}");

@@ -101,8 +101,8 @@ def sectors_of_a_ball(radius: float, times: int) -> Made:
         inside += 2 * [1 + k // 2]
         outside += 2 * [0]
     for k in range(3):
-        # the wall where sector k begins; as seen from the previous sector, its triangles are
-        # counter-clockwise
+        # the wall between sector k and the previous sector; its triangles are counter-clockwise as
+        # seen from the previous sector
         pair = (1 + k, 1 + (k - 1) % 3)
         for wall in ((middle, 3 + 2 * k, north), (middle, south, 3 + 2 * k)):
             turned = wall if pair[0] > pair[1] else wall[::-1]

@@ -30,7 +30,7 @@ NEEDS_TETGEN = pytest.mark.skipif(
 )
 
 _BUILT = Path(__file__).parents[3] / "target" / "release"
-# isoparticles-volume reads volumes; `make test-python` builds it first
+# the tests read volumes with isoparticles-volume, which `make test-python` builds first
 os.environ.setdefault("ISOPARTICLES_BIN", str(_BUILT))
 NEEDS_DISTFIELD = pytest.mark.skipif(
     shutil.which("isoparticles-volume", path=os.environ["ISOPARTICLES_BIN"]) is None,

@@ -31,12 +31,12 @@ def test_nested_balls(tmp_path: Path) -> None:
     body, heart = (by_name(found["materials"])[name] for name in ("body", "heart"))
     assert heart["volume_mm3"] == pytest.approx(4.0 / 3.0 * np.pi * 125.0, rel=0.04)
     assert body["volume_mm3"] + heart["volume_mm3"] == pytest.approx(4.0 / 3.0 * np.pi * 1000.0, rel=0.02)
-    # the body has a cavity: it is one part, and its surface has two components
+    # the body is one part with a cavity, so its surface has two components
     assert (body["components"], body["topology"]["components"], body["topology"]["euler_characteristic"]) == (1, 2, 4)
     assert complex_.shells.sheets()[0].tolist() == [[0, -1], [1, 0]]
     names = [entry["name"] for entry in found["interfaces"]]
     assert names == ["body/outside", "heart/body"]
-    # adjacent normals of an icosphere differ by about the edge length / (radius sqrt(3))
+    # normals of adjacent triangles differ by about the edge length / (radius sqrt(3))
     turn = found["interfaces"][0]["rms_turn_degrees"]
     edge = found["interfaces"][0]["quality"]["edge_length"]["mean"]
     assert turn == pytest.approx(np.degrees(edge / 10.0 / np.sqrt(3.0)), rel=0.1)
@@ -82,8 +82,8 @@ def test_four_regions_of_a_cube_meet_in_a_point(tmp_path: Path) -> None:
     np.testing.assert_allclose(volumes, [16.0, 8.0, 8.0, 32.0])
     assert len(found["interfaces"]) == 4 + 6
     assert by_name(found["interfaces"])["d/a"]["area_mm2"] == pytest.approx(8.0)
-    # the centre, where all four regions meet; on the outside, the points where three regions meet:
-    # one below, and three on the rim of the upper half
+    # the centre, where all four regions meet, and the points of the outer surface where three
+    # regions meet: one at the bottom, and three on the rim of the upper half
     assert found["vertices_by_materials"]["4"] == 1 + 1 + 3
     assert found["vertices_by_materials"].keys() == {"2", "3", "4"}
 

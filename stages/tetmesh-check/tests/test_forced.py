@@ -23,7 +23,7 @@ def with_neighbour(degrees: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the triangle, and a neighbour across its first edge at this angle in front of it."""
     turned = np.radians(degrees)
     apex = [1.0, np.sqrt(3.0) * np.cos(turned), np.sqrt(3.0) * np.sin(turned)]
-    # both are counter-clockwise as seen from the wedge
+    # both triangles are counter-clockwise as seen from the wedge
     return np.vstack([FLAT, apex]), np.array([[0, 1, 2], [1, 0, 3]])
 
 
@@ -32,7 +32,7 @@ def test_on_a_needle_no_tetrahedron_has_large_angles_and_a_large_scaled_jacobian
     needle = np.array([[0.0, 0.0, 0.0], [1.0, -np.tan(half), 0.0], [1.0, np.tan(half), 0.0]])
     (possible,) = largest_jacobians(needle, np.array([[0, 1, 2]]), 5.0)
     rng = np.random.default_rng(5)
-    # random apexes, and apexes along the edge that attains the bound
+    # random apexes, and apexes along the edge at which the bound is attained
     rise = np.arcsin(np.tan(half) / np.tan(np.radians(2.5)))
     best = np.array([np.cos(rise), 0.0, np.sin(rise)])
     apexes = np.concatenate(
@@ -49,7 +49,7 @@ def test_on_a_needle_no_tetrahedron_has_large_angles_and_a_large_scaled_jacobian
     assert quality.scaled_jacobian[wide].max() < 1.001 * possible
     assert quality.scaled_jacobian[wide].max() > 0.95 * possible
     assert possible < 0.05 < quality.scaled_jacobian.max(), "a smaller angle allows more"
-    # without a minimum angle, the third edge may be perpendicular to the triangle
+    # without a minimum angle, the third edge at the corner may be perpendicular to the triangle
     (free,) = largest_jacobians(needle, np.array([[1, 2, 0]]), 0.0)
     np.testing.assert_allclose(free, np.sqrt(2.0) * np.sin(2.0 * half))
     # the minimum angle does not limit an equilateral triangle
@@ -67,7 +67,7 @@ def test_facets_that_meet_at_an_angle_allow_no_larger_one() -> None:
     # with reversed triangles, the wedge is behind them
     turned = forced_sides(points, triangles[:, ::-1].copy(), 12.0)
     np.testing.assert_array_equal(turned.side, [INSIDE, INSIDE])
-    # triangles at large angles force nothing
+    # triangles that meet at large angles force nothing
     for degrees in (60.0, 179.0, 180.0, 181.0, 300.0):
         assert len(forced_sides(*with_neighbour(degrees), 12.0).facet) == 0
 
@@ -90,7 +90,7 @@ def test_a_facet_at_a_common_corner_may_reach_in() -> None:
     inwards = np.radians(30.0)
     ahead = np.array([np.cos(inwards), np.sin(inwards), 0.0])
     aside = np.array([-np.sin(inwards), np.cos(inwards), 0.0])
-    # the ridge of the roof at X rises by tan(X) sin(30 degrees) per mm from the corner
+    # the ridge of a roof with slope X rises from the corner by tan(X) sin(30 degrees) per mm
     possible = np.degrees(np.arctan(np.tan(np.radians(5.0)) / np.sin(inwards)))
     rise = np.array([0.0, 0.0, np.tan(np.radians(5.0))])
     tip = np.stack([ahead + rise, ahead + rise + 0.001 * aside + [0.0, 0.0, 1.0]])
@@ -132,7 +132,7 @@ def test_forced_tetrahedra_fail_unless_accepted() -> None:
     assert "--accept-forced" in strict.words
     assert accepting.as_dict()["verdict"] == "warning"
     assert accepting.words.startswith("fit but for 1 accepted tetrahedron: the minimum dihedral angle is ")
-    # a tetrahedron that no triangle forces is not accepted
+    # a tetrahedron that is not forced by a triangle is not accepted
     for forced in (None, Forced(~only, ~only)):
         assert judged(forced, True)["min_dihedral"].as_dict()["verdict"] == "fail"
     # its position is listed
@@ -140,7 +140,7 @@ def test_forced_tetrahedra_fail_unless_accepted() -> None:
     listed = poor_tetrahedra(points, tetrahedra, quality, Limits(min_dihedral=12.0))
     assert [entry["place_mm"] for entry in listed] == [pytest.approx([0.3, 0.3, 0.005])]
     assert listed[0]["min_dihedral"] == quality.min_dihedral[0]
-    # a tetrahedron without volume is not accepted either
+    # a tetrahedron with zero volume is not accepted either
     flat = tetrahedron_quality(np.vstack([points, [0.2, 0.2, 0.0]]), np.array([[0, 1, 2, 5], [0, 1, 2, 4]]))
     positive = shape_checks(flat, Limits(accept_forced=True), Forced(only, only))[0]
     assert (positive.name, positive.passed) == ("positive_volumes", False)
@@ -190,8 +190,8 @@ def test_what_the_surface_forces_is_listed_and_fails_unless_accepted(tmp_path: P
 def test_what_a_triangle_forces_by_its_own_angle_is_listed_and_judged_by_what_it_allows(
     tmp_path: Path, run: Run
 ) -> None:
-    # One material is a single tetrahedron on a triangle with an angle of 2.6 degrees. The third
-    # edge at this corner rises so that its dihedral angle is 5.3 degrees.
+    # One material is a single tetrahedron on a triangle with an angle of 2.6 degrees. Its third
+    # edge at that corner rises so steeply that the dihedral angle at this edge is 5.3 degrees.
     half, rise = np.radians(1.3), np.arcsin(np.tan(np.radians(1.3)) / np.tan(np.radians(2.65)))
     inner = 2.0 * np.array(
         [

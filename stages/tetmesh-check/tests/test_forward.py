@@ -37,7 +37,7 @@ def exact(points: np.ndarray, density: float) -> np.ndarray:
         matrix[2 * k, inner : inner + 2] = -r, -(r**-2)
         matrix[2 * k + 1, outer : outer + 2] = CONDUCTIVITY[k - 1], -2.0 * CONDUCTIVITY[k - 1] / r**3
         matrix[2 * k + 1, inner : inner + 2] = -CONDUCTIVITY[k], 2.0 * CONDUCTIVITY[k] / r**3
-        # only the innermost ball has an impressed current, which adds to the conduction current
+        # only the innermost ball has an impressed current in addition to the conduction current
         right[2 * k + 1] = -density if k == count - 1 else 0.0
     factors = np.linalg.solve(matrix, right).reshape(count, 2)
     r = np.linalg.norm(points, axis=1)
@@ -112,7 +112,7 @@ def test_nested_balls_of_different_conductivity(tmp_path: Path, run: Run) -> Non
     assert regions["heart"]["potential_mv"]["max"] == pytest.approx(potential.max(), rel=1e-6)
     assert regions["heart"]["potential_mv"]["max"] == pytest.approx(exact(np.array([[4.0, 0, 0]]), 2.0)[0], rel=0.05)
     assert regions["body"]["potential_mv"]["max"] == pytest.approx(exact(np.array([[6.0, 0, 0]]), 2.0)[0], rel=0.05)
-    # the net current through the interface of lung and body is nearly zero
+    # the net current through the interface between lung and body is nearly zero
     through = {entry["name"]: entry for entry in figures["interfaces"]}
     assert abs(through["lung/body"]["net_ua"]) < 0.01 * through["lung/body"]["passing_ua"]
     assert through["body/outside"]["net_ua"] == 0.0

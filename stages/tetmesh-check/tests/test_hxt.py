@@ -37,7 +37,7 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     outside = tetrahedron_boundary(cells)
     assert not outside.bodies.any()
     assert changed_triangles((surface.points, surface.triangles), (points, outside.triangles)) == (0, 0)
-    # the vertices of the surface come first, in their original order
+    # the surface vertices come first, in their original order
     np.testing.assert_array_equal(points[: len(surface.points)], surface.points)
     assert history_of(grid)["parameters"]["method"] == "hxt"
 

@@ -76,14 +76,14 @@ def test_the_outside_is_known_from_the_triangles() -> None:
 
 def test_what_does_not_fit_is_counted() -> None:
     _points, cells, triangles, sides = halves()
-    # without one tetrahedron, its triangles have no owner, and faces of its neighbours are open
+    # if a tetrahedron is missing, its triangles have no owner, and faces of its neighbours are open
     lost = conform(cells[1:], triangles, sides)
     assert lost.missing > 0
     assert lost.added > 0
     assert lost.missing + lost.added == 4
-    # if a tetrahedron is repeated, its faces have more than two tetrahedra
+    # if a tetrahedron is duplicated, its faces belong to more than two tetrahedra
     assert conform(np.concatenate([cells, cells[:1]]), triangles, sides).crowded > 0
-    # without one of the triangles between them, the halves are one region of undecided material
+    # if a triangle between the halves is missing, they form one region of undecided material
     between = np.flatnonzero(sides.outside == 1)[0]
     kept = np.arange(len(triangles)) != between
     assert conform(cells, triangles[kept], sides.of(kept)).undecided == len(cells)
@@ -102,7 +102,7 @@ CASES: dict[str, Made] = {
         lambda x, y, z: np.where((abs(x - 3) < 2) & (abs(y - 3) < 2) & (abs(z - 3) < 2) & ((x < 3) == (y < 3)), 2, 1),
         ("body", "columns"),
     ),
-    # two cavities of the outside in one material
+    # one material with two cavities, which belong to the outside
     "hollows": cells_of_a_block(
         (9, 5, 5), lambda x, y, z: np.where((abs(x - 4.5) == 2) & (y == 2.5) & (z == 2.5), 0, 1), ("bone",), 2.0
     ),
@@ -209,7 +209,7 @@ def test_other_programs_find_regions_and_interfaces(tmp_path: Path, run: Run) ->
     for mark, name in enumerate(called, 1):
         on = np.unique(triangles[marks == mark])
         np.testing.assert_array_equal(np.sort(abaqus.point_sets[name.upper()]), on)
-    # the faces of an interface belong to the elements behind it
+    # the faces of an interface refer to the elements behind it
     text = (tmp_path / "c.volume.inp").read_text()
     rows = text.split(f"*SURFACE, NAME={called[2].upper()}, TYPE=ELEMENT\n")[1].split("*")[0].split("\n")[:-1]
     corners = {"S1": (0, 1, 2), "S2": (0, 3, 1), "S3": (1, 3, 2), "S4": (2, 3, 0)}
@@ -271,7 +271,7 @@ def test_limits_decide_on_the_exit_code(tmp_path: Path, run: Run) -> None:
     assert done.returncode == 1, done.stderr
     assert (tmp_path / "c.vtu").is_file()
     ran = results_of(tmp_path / "r.json")["tetrahedralizer"]
-    # tetrahedra below a limit do not cause another attempt
+    # tetrahedra below a limit do not trigger another attempt
     assert [attempt["algorithm"] for attempt in ran["attempts"]] == ["hxt"]
     assert ran["algorithm"] == "hxt"
     assert "exists already" in run(*words).stderr

@@ -96,7 +96,7 @@ def test_a_cut_is_coloured_by_material(case: Path) -> None:
 
     with Image.open(case / "pictures" / "c.regions.png") as image:
         pixels = np.asarray(image.convert("RGB")).astype(float)
-    # the colour of each material, compared by hue, covers more than 1 % of the picture
+    # each material's colour (compared by hue) covers more than 1 % of the picture
     shown = pixels[np.ptp(pixels, axis=2) > 40]
     shown /= np.linalg.norm(shown, axis=1, keepdims=True)
     for colour in region_colours(4)[1:].astype(float):

@@ -52,17 +52,17 @@ def test_a_sliver_between_vertices_of_the_surface_goes() -> None:
 
 def test_what_lies_between_regions_is_not_crossed() -> None:
     points, cells = sliver(0.02)
-    # the sliver is a region of its own: its faces are fixed, and it cannot be repaired
+    # the sliver is a separate region, so its faces are fixed and it cannot be repaired
     part = Part(points, cells, np.array([2, 1, 1, 1, 1]), {}, GOAL)
     (worst,) = part.bad()
     assert not part.mend(worst)
-    # on a forced side, the goal does not exceed what is possible
+    # on a forced side, the goal is limited to what is possible
     bound = float(tetrahedron_quality(points, cells[:1]).min_dihedral[0])
     regions = np.ones(5, dtype=np.int64)
     assert Part(points, cells, regions, {((0, 1, 2), 1): bound}, GOAL).bad() == []
     assert len(Part(points, cells, regions, {((0, 1, 2), 1): 1.2 * bound}, GOAL).bad()) == 1
     assert len(Part(points, cells, regions, {((0, 1, 2), 2): bound}, GOAL).bad()) == 1
-    # the limit of the check remains required if it can be reached
+    # the limit of the check still applies if it can be reached
     strict = Goal(12.0, 0.05, 1.05 * bound)
     assert len(Part(points, cells, regions, {((0, 1, 2), 1): 1.08 * bound}, strict).bad()) == 1
 
@@ -104,8 +104,8 @@ def test_what_the_checks_still_ask_for_beside_a_forced_side_is_worth_more_than_w
     jacobian = float(tetrahedron_quality(points, cells[:1]).scaled_jacobian[0])
     angle = float(tetrahedron_quality(points, cells[:1]).min_dihedral[0])
     regions = np.ones(5, dtype=np.int64)
-    # The triangle allows twice the scaled Jacobian of the tetrahedron. The value is between 0.5 and
-    # 1, or below 0.5 if the angle fails the check.
+    # The triangle allows twice the scaled Jacobian of the tetrahedron. The tetrahedron's value is
+    # between 0.5 and 1, or below 0.5 if the angle fails the check.
     for least, low, high in ((0.9 * angle, 0.5, 1.0), (1.1 * angle, 0.0, 0.5)):
         part = Part(points, cells, regions, {}, Goal(1.2 * angle, 4.0 * jacobian, least), {(0, 1, 2): 2.0 * jacobian})
         assert low < part.value[0] < high
@@ -115,8 +115,8 @@ def test_what_the_checks_still_ask_for_beside_a_forced_side_is_worth_more_than_w
 def test_where_no_worst_becomes_better_what_fails_together_becomes_less(
     eased: float, left: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Four tetrahedra around a short edge of a convex body fail the checks. A new vertex replaces
-    # each of them by two that are slightly better.
+    # Four tetrahedra around a short edge of a convex body fail the checks. With a new vertex, each
+    # of them is replaced by two slightly better ones.
     side = [[0.0, 0.0, -0.04], [0.0, 0.0, 0.04], [1.0, -0.6, 0.0], [1.0, 0.6, 0.0]]
     behind = [[1.37, 0.13, -0.03], [0.5, 0.26, -1.28], [1.47, 0.36, 0.5], [1.45, 0.18, -0.32], [1.11, 0.9, -0.35]]
     points = np.array(side + behind)
@@ -143,7 +143,7 @@ def crooked() -> tuple[Points, Cells, Labels, Cells, Sides]:
     points, cells = block((9, 9, 10), 1.0)
     upper = points[cells].mean(axis=1)[:, 2] > 5.0
     made = between(points, cells, 1 + upper.astype(np.int64), ("lower", "upper"))
-    # the vertices of the surface come first
+    # surface vertices come first
     place = {tuple(position): k for k, position in enumerate(made.points.tolist())}
     order = [place.setdefault(tuple(position), len(place)) for position in points.tolist()]
     moved = np.empty_like(points)

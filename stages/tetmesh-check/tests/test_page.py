@@ -472,7 +472,7 @@ def test_charts() -> None:
     bars = re.search(r'<g class="bars">(.*?)</g>', drawn)
     assert bars is not None
     heights = [float(h) for h in re.findall(r'height="([0-9.]+)"', bars.group(1))]
-    # the logarithmic axis starts at 0.5, so that a count of 1 is visible beside 100
+    # the logarithmic axis starts at 0.5, so that a count of 1 is visible next to a count of 100
     assert heights[0] / heights[1] == pytest.approx(np.log10(2.0) / np.log10(200.0), rel=1e-3)
     assert "mean 0.7, minimum 0.1, limit 0.25: below it the check fails; 101 counted" in drawn
     for words in ("mean 0.7", "minimum 0.1", "limit 0.25: below it the check fails", "size, mm", "things, in powers"):

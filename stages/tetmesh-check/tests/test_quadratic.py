@@ -52,7 +52,7 @@ def field(tmp_path: Path) -> DistanceField:
 
 
 def test_f_is_the_spline_through_the_samples_with_its_gradient(tmp_path: Path) -> None:
-    # away from the border, the spline reproduces a cubic polynomial, also on an oblique grid
+    # away from the border, the spline reproduces a cubic polynomial, even on an oblique grid
     turn = np.array([[0.8, 0.6, 0.0], [-0.48, 0.64, 0.6], [0.36, -0.48, 0.8]])
     grid = pv.ImageData(dimensions=(44, 45, 46), spacing=(0.5, 0.6, 0.7), origin=(3.0, -2.0, 1.0))
     grid.direction_matrix = turn
@@ -192,7 +192,7 @@ def scikit_fem_of(path: Path) -> MeshTet2:
     return MeshTet2(np.concatenate([points[corners], middles]).T, mesh.t)
 
 
-# takes about ten seconds of processor time; the limit is for a busy machine
+# this test takes about ten seconds of CPU time; the limit allows for a busy machine
 @pytest.mark.timeout(240)
 @NEEDS_HXT
 def test_the_volume_and_a_solution_on_the_ball_converge_at_a_higher_order(tmp_path: Path, run: Run) -> None:
@@ -249,7 +249,7 @@ def test_exported_files_are_read_back(tmp_path: Path, field: DistanceField) -> N
         export(mesh, tmp_path / "b.volume.vtu", "b", kind)
     for name in ("inp", "msh", "msh2"):
         again = meshio.read(tmp_path / f"b.volume.{name}", "abaqus" if name == "inp" else "gmsh")
-        # msh files order the nodes by entity, so positions are compared
+        # msh files group the nodes by entity, so positions are compared
         np.testing.assert_allclose(again.points[again.cells_dict["tetra10"]], mesh.points[mesh.elements], rtol=1e-12)
     assert "TYPE=C3D10" in (tmp_path / "b.volume.inp").read_text()
     gmsh = meshio.read(tmp_path / "b.volume.msh2", "gmsh")

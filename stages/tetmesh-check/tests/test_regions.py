@@ -69,7 +69,7 @@ def test_labels_are_sampled_in_the_world(tmp_path: Path) -> None:
     # the stray label is used unless the meshed labels are given
     np.testing.assert_array_equal(regions_of(centres, plain, None), [3, 7, 3, 9])
 
-    # the same voxels in another world: right-anterior-superior, first axis along -y
+    # the same voxels in another frame: right-anterior-superior, with the first axis along -y
     steps = np.array([[0.0, -2.0, 0.0], [2.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
     header = placed("RAS", steps, [1.0, 2.0, 3.0])
     turned = read_label_volume(halves(tmp_path / "r.nrrd", header))
@@ -370,7 +370,7 @@ CCX = shutil.which("ccx")
 
 @pytest.mark.skipif(CCX is None, reason="no CalculiX (Debian, Ubuntu: apt-get install calculix-ccx)")
 def test_calculix_solves_a_pressure_on_the_exported_surface(tmp_path: Path) -> None:
-    # under equal pressure on all sides, the strain is -p / (3 K), which linear elements reproduce
+    # under uniform pressure, the strain is -p / (3 K), which linear elements reproduce exactly
     mesh = marked_block()
     export(mesh, tmp_path / "b.volume.vtu", "b", "inp")
     modulus, ratio, pressure = 1000.0, 0.3, 10.0
@@ -416,7 +416,8 @@ def test_points_on_the_rim_of_a_cap_belong_to_the_surface() -> None:
 
 
 def test_the_nearest_triangle_counts_and_not_the_nearest_centre() -> None:
-    # a fine block whose side x = 0 is the cap; in the input, this side consists of two triangles
+    # a fine block whose side x = 0 is the cap; in the input surface, this side consists of two
+    # triangles
     points, cells = block((8, 8, 8))
     fine = tetrahedron_boundary(cells).triangles
     on_cap = (points[fine][..., 0] == 0.0).all(axis=1)

@@ -188,13 +188,13 @@ def test_matrices_of_blocks_are_merged_as_they_come(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(assembly, "_merge", lambda parts: (held.append(len(parts)), merge(parts)))
     points, cells = block((4, 3, 3))
     Assembler(points, cells).matrix(lambda u, v, _w: dot(grad(u), grad(v)))
-    # 72 blocks: at most one partial sum for each binary digit, and the next matrix
+    # 72 blocks: at most one partial sum per binary digit, plus the next matrix
     assert max(held) <= 8
 
 
 def test_squared_errors_are_integrated_exactly() -> None:
     points, cells = block((2, 2, 2), 0.5)
-    # the integral of x^4 over the unit cube; a squared quadratic error has the same degree
+    # the integral of x^4 over the unit cube; the square of a quadratic error has the same degree
     integral = Assembler(points, cells).integrals([lambda w: (w.field * w.x[0]) ** 2], field=points[:, 0])[0]
     assert integral == pytest.approx(0.2, rel=1e-12)
 
@@ -205,7 +205,7 @@ def test_poisson_is_second_order_and_the_best_there_is() -> None:
         points, cells = block((count,) * 3, 24.0 / count)
         figures, converged = poisson(Assembler(points, cells), on_boundary(points, cells), FOREVER)
         assert converged
-        # at most 1 on any mesh by Cea's lemma, except for quadrature errors
+        # by Cea's lemma, at most 1 on any mesh, except for quadrature errors
         assert 0.5 < figures["best_approximation"] < 1.02
         errors.append((figures["relative_l2_error"], figures["relative_h1_error"]))
     orders = np.log2(np.array(errors[0]) / np.array(errors[1]))
@@ -240,7 +240,7 @@ def test_soft_tissue_hangs_by_as_much_of_its_weight_as_linear_theory_bears(monke
     assert converged
     assert stiff["load_share"] == 1.0
     assert soft["displacement_share"] == pytest.approx(problems.LINEAR_SHARE)
-    # the solution is proportional to load over stiffness
+    # the displacement is proportional to the load divided by the stiffness
     assert soft["load_share"] * 1e4 * stiff["displacement_share"] == pytest.approx(problems.LINEAR_SHARE, rel=1e-5)
     assert soft["weight_n"] == pytest.approx(stiff["weight_n"])
     assert soft["reaction_n"] == pytest.approx(soft["load_share"] * soft["weight_n"], rel=1e-6)
@@ -280,7 +280,7 @@ def test_conduction_follows_the_membrane_where_the_fibres_are_equal(monkeypatch:
     figures, converged = conduction(Assembler(apart, np.concatenate([cells, cells + len(points)])), FOREVER)
     assert converged
     assert figures["parts"] == 2
-    # once per block and matrix, not once per pair of basis functions
+    # tensors are computed once per block and matrix, not once per pair of basis functions
     assert len(tensors) == 2
     low, high = figures["potential_range_mv"]
     # phi = -sigma_i / (sigma_i + sigma_e) V plus a constant: a quarter of the 100 mV
@@ -292,7 +292,7 @@ def test_conduction_in_many_bodies(size: tuple[int, int, int], count: int) -> No
     figures, converged = conduction(Assembler(*copies(block(size), count)), FOREVER)
     assert converged
     assert figures["parts"] == count
-    # if not every part is grounded, the iteration stagnates after 4 and 2 steps
+    # if a part is not grounded, the iteration stagnates (after 4 and 2 steps in these cases)
     assert figures["multigrid"]["iterations"] <= 20
     assert figures["multigrid"]["condition"] is not None
 
@@ -349,7 +349,7 @@ def test_multigrid_hardly_minds_the_number_of_unknowns() -> None:
         assert converged
         for name, found in iterations.items():
             found.append(figures[name]["iterations"])
-    # measured: 13 and 13 with multigrid, 146 and 290 with Jacobi
+    # measured iterations: 13 and 13 with multigrid, 146 and 290 with Jacobi
     assert max(iterations["multigrid"]) <= 20
     assert iterations["multigrid"][1] < 1.5 * iterations["multigrid"][0]
     assert iterations["jacobi"][1] > 1.5 * iterations["jacobi"][0]
@@ -415,7 +415,7 @@ def test_which_runs_decide(monkeypatch: pytest.MonkeyPatch) -> None:
     def slow(*words: object, **options: object) -> CgResult:
         if which(words) == "multigrid":
             return conjugate_gradients(*words, **options)
-        # from here on, every look at the clock finds the time limit exceeded
+        # from here on, the clock is past the time limit
         monkeypatch.setattr(assembly.time, "monotonic", lambda: float("inf"))
         raise OutOfTimeError
 
@@ -439,7 +439,7 @@ def test_the_solution_of_jacobi_stands_in_for_that_of_multigrid(monkeypatch: pyt
     assert found["relative_l2_error"] == pytest.approx(right["relative_l2_error"], rel=1e-5)
     assert "poisson: multigrid did not converge" in context.warnings[0]
     assert "; poisson, conduction, elasticity with Jacobi's preconditioner only" in checks[0].words
-    # without time for Jacobi's preconditioner, nothing is known about the matrix
+    # if there is no time for Jacobi's preconditioner, nothing is known about the matrix
     context = Context(CommonArguments(), "", {})
     checks = solve_on(mesh_of(points, cells), SolveSettings(compare_seconds=0.0), context)
     assert [check.passed for check in checks] == [False]

@@ -161,8 +161,8 @@ def test_crossing_pairs_against_all_pairs() -> None:
 
 
 def test_mirrored_overlap_is_found() -> None:
-    # the balls are mirror images, so every edge that reaches the other ball meets its mirror image:
-    # no edge crosses the interior of a triangle
+    # the balls are mirror images of each other, so every edge that enters the other ball meets its
+    # own mirror image, and no edge crosses the interior of a triangle
     both = merged(ball(), ball().translate((9.0, 0, 0)))
     triangles = np.asarray(both.faces).reshape(-1, 4)[:, 1:].astype(np.int64)
     assert len(self_intersections(np.asarray(both.points), triangles)) > 0
@@ -211,7 +211,7 @@ def test_many_components_are_told_apart() -> None:
 
 def test_changed_triangles_are_counted() -> None:
     points, triangles = from_polydata(ball())
-    # the same triangles in another order, with one more vertex
+    # the same triangles in a different order, with an extra vertex
     order = np.random.default_rng(1).permutation(len(points))
     place = np.argsort(order)
     same = (np.concatenate([points[order], [[0.0, 0, 0]]]), np.roll(place[triangles], 1, axis=1)[::-1])
@@ -225,7 +225,7 @@ def test_changed_triangles_are_counted() -> None:
 
 
 def test_boundary_and_bodies_of_tetrahedra() -> None:
-    # two tetrahedra with a common face, and one that shares an edge with them
+    # two tetrahedra that share a face, and a third that shares only an edge with them
     cells = np.array([[0, 1, 2, 3], [0, 2, 1, 4], [0, 1, 5, 6]])
     outside = tetrahedron_boundary(cells)
     assert len(outside.triangles) == 10

@@ -90,7 +90,7 @@ def test_what_the_view_shows(case: Path) -> None:
     assert len(worst.triangles) == 4 * count
     assert worst.within
     assert worst.colours[0].values.max() == pytest.approx(np.sort(ratio)[count - 1])
-    # the faces of each tetrahedron face outward: the divergence theorem gives its volume
+    # the faces are oriented outward, so the divergence theorem gives the volume of each tetrahedron
     corners = points[worst.triangles].reshape(-1, 4, 3, 3)
     corners = corners - corners.mean(axis=(1, 2), keepdims=True)
     volumes = np.einsum("abi,abi->a", corners[:, :, 0], np.cross(corners[:, :, 1], corners[:, :, 2])) / 6.0
@@ -123,7 +123,7 @@ def browse(page: Path, folder: Path, *words: str) -> tuple[str, list[str]]:
         [BROWSER, *options, *words, page.as_uri()], capture_output=True, text=True, timeout=55, check=False
     )
     said = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-    # some runs print a performance warning of the driver about reading pixels back
+    # in some runs, the graphics driver warns that reading pixels back is slow
     return done.stdout, [line for line in said if "GL Driver Message (OpenGL, Performance" not in line]
 
 
@@ -157,7 +157,7 @@ def test_a_script_uses_the_page(page: Path, tmp_path: Path) -> None:
     found = driven(page, tmp_path)
     assert found.get("error") is None
     assert found["state"] == "drawn"
-    # the wheel alone scrolls the page and does not zoom
+    # without Ctrl, the wheel scrolls the page and does not zoom
     assert found["plainWheel"] == [False, 1.0]
     assert found["ctrlWheel"][0]
     assert found["ctrlWheel"][1] > 1.1
@@ -175,13 +175,13 @@ def test_a_script_uses_the_page(page: Path, tmp_path: Path) -> None:
     assert found["plus"] == pytest.approx(1.2)
     assert found["reset"] == found["start"]
     assert found["dragged"][0] < found["start"][0]
-    # The ball fills the height of the view except for a margin: pi / 4 of a square, which is about
-    # half as wide as the view.
+    # The ball fills the height of the view except for a margin. It covers pi / 4 of a square that
+    # is about half as wide as the view.
     assert 0.2 < found["covered"] < 0.6
     assert found["clipped"] < 0.85 * found["covered"]
     assert found["clippedAway"] < 0.1
     assert found["unclipped"] == pytest.approx(found["covered"])
-    # the middle of the picture shows a point of the ball, 10 mm from its centre
+    # the middle of the picture shows a point on the surface of the ball, 10 mm from its centre
     values = re.match(
         r"radius ratio: ([\d.]+), edge length: ([\d.]+) mm, deviation from F = 0: ([\d.]+) mm; "
         r"at ([RL]) ([\d.]+), ([AP]) ([\d.]+), ([IS]) ([\d.]+) mm$", found["value"],
@@ -197,7 +197,7 @@ def test_a_script_uses_the_page(page: Path, tmp_path: Path) -> None:
     assert found["within"][0] > 0.01
     assert found["within"][1] == "radius ratio"
     length, pixels, height = found["ruler"]
-    # the ball of 20 mm fills the height except for the margin of 8 %
+    # the ball, 20 mm in diameter, fills the height except for a margin of 8 %
     assert float(length.split()[0]) / pixels * height == pytest.approx(20.0 * 1.08, rel=0.02)
     assert found["letters"] == ["L", "A", "S"]
     assert found["lookedFromLeft"][0] == ["L"]

@@ -6,7 +6,7 @@ use glam::DVec3;
 use isoparticles_volume::Geometry;
 use std::collections::BTreeMap;
 
-/// A union of boxes with faces halfway between voxel centres.
+/// A union of boxes whose faces lie halfway between voxel centres.
 #[derive(Clone, Debug)]
 pub struct Boxes {
     name: &'static str,
@@ -15,19 +15,20 @@ pub struct Boxes {
 }
 
 impl Boxes {
-    /// Returns a plate in the middle slice of the volume, 60 % wide and one voxel thick.
+    /// Returns a plate one voxel thick in the middle slice, with 60 % of the volume's width and
+    /// depth.
     pub fn plate(grid: &Geometry) -> Self {
         let [nx, ny, nz] = grid.size;
         Self::single("plate", grid, [[nx / 5, nx - nx / 5], [ny / 5, ny - ny / 5], [nz / 2, nz / 2 + 1]])
     }
 
-    /// Returns a row of voxels along x with 60 % of the length of the volume.
+    /// Returns a row of voxels along x with 60 % of the volume's length.
     pub fn rod(grid: &Geometry) -> Self {
         let [nx, ny, nz] = grid.size;
         Self::single("rod", grid, [[nx / 5, nx - nx / 5], [ny / 2, ny / 2 + 1], [nz / 2, nz / 2 + 1]])
     }
 
-    /// Returns two boxes that share only one edge along z.
+    /// Returns two boxes that share only an edge along z.
     pub fn touching(grid: &Geometry) -> Self {
         let [nx, ny, nz] = grid.size;
         let along_z = [nz / 5, nz - nz / 5];
@@ -68,7 +69,8 @@ impl Boxes {
     }
 }
 
-/// Returns the outer corners of the voxels in the half-open index ranges, in mm in the grid frame.
+/// Returns the lower and upper corners (mm, grid frame) of the box of voxels with half-open index
+/// ranges.
 fn corners(grid: &Geometry, ranges: &[[usize; 2]; 3]) -> (DVec3, DVec3) {
     let bound = |side: usize| DVec3::from_array(ranges.map(|range| range[side] as f64 - 0.5));
     (grid.index_to_grid(bound(0)), grid.index_to_grid(bound(1)))

@@ -1,4 +1,4 @@
-//! Shapes that the border of the volume cuts: cylinder (two faces) and gyroid (all six).
+//! Shapes cut by the border of the volume: a cylinder (by two faces) and a gyroid (by all six).
 
 use crate::scene::{Scene, Truth, off_lattice_centre, shortest_extent};
 use glam::DVec3;
@@ -6,20 +6,20 @@ use isoparticles_volume::Geometry;
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
-/// An infinite cylinder along z, cut by the volume.
+/// An infinite cylinder along z, cut off by the border of the volume.
 #[derive(Clone, Copy, Debug)]
 pub struct Cylinder {
     /// A point on the axis, in mm in the grid frame.
     pub centre: DVec3,
     /// Radius, mm.
     pub radius: f64,
-    /// Length in mm, from half a voxel before the first voxel centre along z to half a voxel beyond
-    /// the last voxel centre.
+    /// Length, mm: from half a voxel below the lowest voxel centres to half a voxel above the
+    /// highest.
     pub length: f64,
 }
 
 impl Cylinder {
-    /// Returns a cylinder with a radius of 0.28 of the shortest side.
+    /// Returns a cylinder with a radius of 0.28 times the shortest side.
     pub fn filling(grid: &Geometry) -> Self {
         Self {
             centre: off_lattice_centre(grid),
@@ -72,7 +72,7 @@ impl Scene for Gyroid {
         let scale = 2.0 * PI / self.period;
         let p = scale * (position - self.centre);
         let (x, y, z) = (p.x, p.y, p.z);
-        // In phase units, the length of the gradient is about 1.5 on the surface.
+        // The gradient with respect to the phase has a magnitude of about 1.5 on the surface.
         (x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos()) / (1.5 * scale)
     }
 

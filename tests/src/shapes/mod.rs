@@ -1,4 +1,4 @@
-//! Shapes with exact figures in closed form or by quadrature.
+//! Shapes whose exact figures follow from a closed form or a quadrature.
 
 pub mod boxes;
 pub mod cut;

@@ -1,4 +1,5 @@
-//! Torus with exact distance, and bumpy torus as an implicit function with figures by quadrature.
+//! A torus with exact signed distance, and a bumpy torus given by an implicit function, with
+//! figures from quadrature.
 
 use crate::scene::{Scene, Truth, off_lattice_centre, shortest_extent};
 use crate::shapes::integrate;
@@ -14,13 +15,13 @@ pub struct Torus {
     pub centre: DVec3,
     /// Radius of the centre circle, mm.
     pub ring_radius: f64,
-    /// Radius of the tube in mm. It is at most half the ring radius, so that it equals the local
-    /// feature size.
+    /// Radius of the tube, mm. It is at most half the ring radius, so it equals the local feature
+    /// size.
     pub tube_radius: f64,
 }
 
 impl Torus {
-    /// Returns a torus with ring and tube radii of 0.27 and 0.13 of the shortest side.
+    /// Returns a torus with ring and tube radii of 0.27 and 0.13 times the shortest side.
     pub fn filling(grid: &Geometry) -> Self {
         let extent = shortest_extent(grid);
         Self { centre: off_lattice_centre(grid), ring_radius: 0.27 * extent, tube_radius: 0.13 * extent }
@@ -63,7 +64,7 @@ pub struct BumpyTorus {
 }
 
 impl BumpyTorus {
-    /// Returns the torus of [`Torus::filling`] with bumps of 15 % of the tube radius.
+    /// Returns the torus of [`Torus::filling`] with bumps 15 % of the tube radius high.
     pub fn filling(grid: &Geometry) -> Self {
         Self { torus: Torus::filling(grid), amplitude: 0.15 }
     }
@@ -72,7 +73,7 @@ impl BumpyTorus {
         self.torus.tube_radius * (1.0 + self.amplitude * (5.0 * u).cos() * (3.0 * v).cos())
     }
 
-    /// Returns the area element: the length of the cross product of the two parameter derivatives.
+    /// Returns the area element: the length of the cross product of the two partial derivatives.
     fn area_element(&self, u: f64, v: f64) -> f64 {
         let tube = self.tube_radius(u, v);
         let bump = self.torus.tube_radius * self.amplitude;

@@ -13,7 +13,7 @@ impl Heart {
     pub(super) fn new() -> Self {
         let oblique = DVec3::new(0.4, 0.9, 0.2);
         let chambers = vec![
-            // Left and right ventricle, left and right atrium.
+            // In order: left ventricle, right ventricle, left atrium, right atrium.
             Ellipsoid::aligned([24.0, -18.0, -28.0], [36.0, 25.0, 27.0]).turned(oblique, 35.0),
             Ellipsoid::aligned([-2.0, -28.0, -32.0], [32.0, 20.0, 26.0]).turned(oblique, 28.0),
             Ellipsoid::aligned([8.0, -1.0, -8.0], [26.0, 15.0, 19.0]),

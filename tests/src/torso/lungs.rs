@@ -26,8 +26,8 @@ struct Fissure {
     normal: DVec3,
     through: DVec3,
     half_width: f64,
-    /// Distance from the median plane of the body at which the cut ends, so that the lobes stay
-    /// joined.
+    /// Distance of the inner end of the cut from the median plane of the body. The lobes stay
+    /// joined there.
     ends_at: f64,
 }
 

@@ -2,8 +2,8 @@
 //! heart-like, lung-like and ribcage-like parts.
 //!
 //! The axes follow LPS: x points to the left, y to the back, z to the head. The anatomy is defined
-//! in a reference frame in mm, which is centred in a box of 347.1 x 166.4 x 228.8 mm, and scaled to
-//! the given grid.
+//! in a reference frame (mm) whose origin is the centre of a box of 347.1 x 166.4 x 228.8 mm. It is
+//! scaled to the given grid.
 
 mod heart;
 mod lungs;
@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 
 /// Number of voxels of the paper's volume along each axis.
 pub const PAPER_SIZE: [usize; 3] = [268, 129, 177];
-/// Spacing in mm. It gives the volume the size of a chest: 347.1 x 166.4 x 228.8 mm between the
+/// Spacing, mm. It makes the volume as large as a chest: 347.1 x 166.4 x 228.8 mm between the
 /// outermost voxel centres.
 pub const PAPER_SPACING: f64 = 1.3;
 
@@ -53,8 +53,8 @@ const BLOOD: f64 = 300.0;
 const BONE: f64 = 700.0;
 
 impl Torso {
-    /// Returns the torso scaled to the grid, with its centre a fraction of a voxel away from the
-    /// lattice.
+    /// Returns the torso scaled to the grid. Its centre is a fraction of a voxel away from the
+    /// lattice points.
     pub fn filling(grid: &Geometry, part: Part) -> Self {
         let reference = PAPER_SPACING * DVec3::from_array(PAPER_SIZE.map(|n| n as f64 - 1.0));
         let scale = (grid.upper_corner() / reference).min_element();
@@ -85,8 +85,8 @@ impl Torso {
     }
 
     fn body_value(&self, q: DVec3) -> f64 {
-        // A superellipse with semi-axes of 168 and 80.5 mm, cut by the lower and upper border as in
-        // a chest scan.
+        // A superellipse with semi-axes of 168 and 80.5 mm, cut off at the lower and upper borders
+        // as in a chest scan.
         let p = (q / DVec3::new(168.0, 80.5, 1.0)).abs();
         let level = (p.x.powi(3) + p.y.powi(3)).cbrt();
         self.scale * 80.5 * (level - 1.0)
@@ -114,9 +114,9 @@ impl Scene for Torso {
         parts.iter().find(|(_, value)| *value < 0.0).map_or(0, |(label, _)| *label)
     }
 
-    /// Returns the plain edge profile for one part. For the whole torso, returns CT values in
-    /// Hounsfield units: the body's value, blended with the value of each part in turn. Outside the
-    /// body the value is 0, as in a scan with a masked background.
+    /// Returns the plain edge profile for a single part. For the whole torso, returns Hounsfield
+    /// units: the value of the body, blended with the value of each part in turn. Outside the body
+    /// the value is 0, as in a scan with a masked background.
     fn profile(&self, position: DVec3, edge_width: f64) -> f64 {
         if self.part != Part::All {
             return edge_profile(self.value(position), edge_width);

@@ -2,26 +2,25 @@
 
 use glam::{DMat3, DVec3};
 
-/// Maximum of distance-like values, in mm of the reference frame. Every edge profile and blend is
-/// narrower, so pieces at a larger distance have no effect and are skipped.
+/// Upper limit of approximate distances, in mm of the reference frame. All edge profiles and blends
+/// are narrower, so pieces farther away have no effect and are skipped.
 pub(super) const FAR: f64 = 25.0;
 
-/// Returns the smooth minimum of two values, which represents the union of their shapes, rounded
-/// over a width of `blend`. It is polynomial and equals the plain minimum where the two differ by
-/// more than `blend`.
+/// Returns the polynomial smooth minimum of two values: the union of two shapes, rounded over a
+/// width of `blend`. It equals the minimum where the values differ by more than `blend`.
 pub(super) fn smooth_union(a: f64, b: f64, blend: f64) -> f64 {
     let overlap = (blend - (a - b).abs()).max(0.0) / blend;
     a.min(b) - 0.25 * overlap * overlap * blend
 }
 
-/// Returns the smooth maximum of two values, which represents the intersection of their shapes,
-/// rounded over a width of `blend`.
+/// Returns the smooth maximum of two values: the intersection of two shapes, rounded over a width
+/// of `blend`.
 pub(super) fn smooth_intersection(a: f64, b: f64, blend: f64) -> f64 {
     -smooth_union(-a, -b, blend)
 }
 
-/// An ellipsoid with a distance-like value, which is zero on the surface and has a gradient of
-/// about 1 near the surface.
+/// An ellipsoid. Its value is an approximate signed distance: zero on the surface, with a gradient
+/// of about 1 nearby.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ellipsoid {
     pub(super) centre: DVec3,
@@ -47,14 +46,15 @@ impl Ellipsoid {
     }
 }
 
-/// Number of straight pieces of a tube that share a bounding box. It affects only the run time.
+/// Number of consecutive segments of a tube that share a bounding box. It affects only the run
+/// time.
 const RUN: usize = 8;
 
 /// A tube along a polyline, with a radius at each point.
 #[derive(Clone, Debug)]
 pub(super) struct Tube {
     points: Vec<(DVec3, f64)>,
-    /// Lower and upper corners of the box around each run, so that a distant run costs only one
+    /// Lower and upper corners of the bounding box of each run. A distant run then costs only one
     /// comparison.
     boxes: Vec<(DVec3, DVec3)>,
 }
@@ -74,8 +74,8 @@ impl Tube {
         Self { points, boxes }
     }
 
-    /// Returns a tube along a Catmull-Rom curve through control points, divided into `pieces`
-    /// straight pieces per span.
+    /// Returns a tube along a Catmull-Rom curve through control points, with `pieces` segments per
+    /// span.
     pub(super) fn smooth(control: &[([f64; 3], f64)], pieces: usize) -> Self {
         let at = |i: isize| {
             let (point, radius) = control[i.clamp(0, control.len() as isize - 1) as usize];
@@ -98,7 +98,7 @@ impl Tube {
         Self::new(points)
     }
 
-    /// Returns the signed distance-like value, or `give_up` if the tube is at least that far away.
+    /// Returns the approximate signed distance, or `give_up` if the tube is at least that far away.
     pub(super) fn value(&self, q: DVec3, give_up: f64) -> f64 {
         let mut best = give_up;
         for (run, (low, high)) in self.boxes.iter().enumerate() {

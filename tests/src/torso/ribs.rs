@@ -1,6 +1,6 @@
-//! The ribcage-like part. Ribs 1 to 7 join the spine and the sternum; ribs 8 to 10 join only the
-//! spine. The floating pairs 11 and 12, the collar bones and the shoulder blades are separate
-//! components.
+//! The ribcage-like part. Ribs 1 to 7 connect the spine to the sternum; ribs 8 to 10 are attached
+//! only to the spine. The floating pairs 11 and 12, the collar bones and the shoulder blades are
+//! separate components.
 
 use super::pieces::{FAR, Tube, smooth_union};
 use glam::{DMat3, DVec3};
@@ -8,13 +8,13 @@ use std::f64::consts::PI;
 
 /// Number of components: the ribcage, four floating ribs, two collar bones and two shoulder blades.
 pub(super) const COMPONENTS: usize = 9;
-/// Genus: fourteen ribs join the spine and the sternum, so the graph has 14 edges, 2 nodes and 13
-/// independent loops.
+/// Genus: fourteen ribs connect the spine to the sternum. This graph has 14 edges, 2 nodes and
+/// hence 13 independent loops.
 pub(super) const GENUS: usize = 13;
 
 /// Width of the blend between a rib and the spine or the sternum, in mm of the reference frame.
 const BLEND: f64 = 3.0;
-/// Position along y at which the ribs leave the spine, in mm of the reference frame.
+/// y coordinate at which the ribs leave the spine, in mm of the reference frame.
 const BACK: f64 = 52.0;
 /// Distance from the centre line of a rib to the interior of the cage, in mm of the reference
 /// frame.
@@ -46,18 +46,18 @@ impl Blade {
     }
 }
 
-/// Returns the semi-axes of the elliptic hoop of a rib. Ribs are counted from 0; fractions give
-/// hoops between two ribs. Hoops are narrow at the top and wide below.
+/// Returns the semi-axes of the elliptic hoop of a rib. Ribs are numbered from 0; fractions denote
+/// hoops between two ribs. Hoops are narrow at the top and widen downwards.
 fn hoop(rib: f64) -> (f64, f64) {
     let down = 1.0 - rib / 11.0;
     (142.0 * (1.0 - 0.58 * down.powi(3)), 64.0 * (1.0 - 0.45 * down.powi(3)))
 }
 
-/// Returns a value that is negative inside the cage, away from the ribs, and distance-like near
-/// zero.
+/// Returns a value that is negative inside the cage, except close to the ribs. Near zero, it
+/// approximates the signed distance.
 pub(super) fn cage_interior(q: DVec3) -> f64 {
-    // Finds the rib whose slanted hoop passes through this height. This needs iterations because
-    // the hoop's size depends on the rib.
+    // Find the (fractional) rib whose slanted hoop passes through `q`. The hoop's size depends on
+    // the rib, so this takes a few iterations.
     let mut rib = (98.0 - q.z) / 15.5;
     for _ in 0..3 {
         let (half_width, half_depth) = hoop(rib.clamp(0.0, 11.0));
@@ -90,8 +90,8 @@ fn rib_point(rib: usize, side: f64, t: f64) -> DVec3 {
 impl Ribs {
     pub(super) fn new() -> Self {
         let mut tubes = Vec::new();
-        // The spine's radius varies with each vertebra. The spine comes first and the sternum
-        // second, so that the ribs blend into them.
+        // The radius of the spine varies periodically, once per vertebra. Spine and sternum come
+        // first, so that the ribs blend into them.
         let spine = (0..=140).map(|i| {
             let z = -106.0 + 1.5 * f64::from(i);
             (DVec3::new(0.0, 56.0, z), 13.0 + 1.6 * (2.0 * PI * z / 15.5).cos())

@@ -1,5 +1,5 @@
-//! Tests arguments: missing, contradictory, misspelled or out-of-range values, precedence, blanks
-//! in names, and the goals.
+//! Tests the arguments of make: missing, contradictory, misspelled and out-of-range values,
+//! precedence, spaces in names, and goals.
 
 use super::support::{binaries, run};
 use super::{Case, PARAMETERS, STAGES, ball, make};
@@ -71,7 +71,7 @@ fn slips_and_values_out_of_range_are_refused_before_any_work() {
     assert!(ended.stderr.contains("SZIE: no such variable"), "{}", ended.stderr);
 }
 
-/// The user's SIZE replaces the MIN_SIZE of the case file (issue 17).
+/// SIZE on the command line overrides MIN_SIZE in the case file (issue 17).
 #[test]
 fn a_case_file_gives_way_to_the_user() {
     let case = Case::new();
@@ -91,11 +91,11 @@ fn blanks_and_quotes_in_names_are_taken_as_they_are() {
     let volume = folder.join("left lung (2).nrrd");
     let mut command = case.bare("surface", &["ISO=100", "MIN_SIZE=2", "VERBOSITY=-q"]);
     command.arg(format!("INPUT={}", volume.display())).arg(format!("OUT={}", folder.join("my results").display()));
-    // Options are split into words as in a shell, so names with blanks need quotes.
+    // Options are split into words as in a shell, so names with spaces need quotes.
     command.arg(format!("SIZEFIELD_OPTIONS=--refine \"mask:{}=1.5\"", volume.display()));
     run(&mut command).expect_success("make surface");
     assert!(folder.join("my results/left lung (2)/left lung (2).surface.vtp").exists());
-    // Label names reach distfield as one word.
+    // distfield receives the label names as one argument.
     let ended = case.surface(&["LABELS=left lung,right lung", "VERBOSITY=-q"]);
     assert_eq!(ended.code, Some(2));
     assert!(ended.stdout.contains("--labels 'left lung,right lung'"), "{}", ended.stdout);

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
-/// Returns the command `make batch` up to the surface, with a list in the folder of the case.
+/// Writes a list of cases and returns the command `make batch` that makes their surfaces.
 fn batch(case: &Case, list: &str, variables: &[&str]) -> Command {
     let path = case.folder.path().join("cases.csv");
     std::fs::write(&path, list).unwrap();
@@ -17,7 +17,7 @@ fn batch(case: &Case, list: &str, variables: &[&str]) -> Command {
     command
 }
 
-/// Returns the verdict and headline of each case in the summary.
+/// Returns the verdict and the headline of each case from the summary.
 fn summary(case: &Case) -> BTreeMap<String, (String, String)> {
     let mut reader = csv::Reader::from_path(case.out().join("batch.csv")).expect("batch.csv");
     let columns = reader.headers().expect("a header").clone();
@@ -81,7 +81,7 @@ fn what_fails_is_told_and_the_rest_is_made() {
     for name in all.map(|(name, _)| name) {
         assert!(index.contains(&format!("\"name\": \"{name}\"")), "{name} is not in the index: {index}");
     }
-    // SIZE on the command line applies to the row that does not set SIZE.
+    // SIZE on the command line applies to the row whose SIZE is empty.
     assert!(case.text("status.json").contains("\"SIZE\": \"2.5\""), "{}", case.text("status.json"));
 
     let before = case.times();
@@ -102,7 +102,8 @@ fn what_fails_is_told_and_the_rest_is_made() {
     assert_eq!(case.times(), before, "what was made holds");
 }
 
-/// Options that a later stage refuses are reported before the first row runs; results are kept.
+/// Options that a later stage would refuse are reported before the first row runs, and earlier
+/// results are kept.
 #[test]
 fn refused_options_are_told_before_the_first_row() {
     let case = Case::new();

@@ -5,7 +5,7 @@ use super::{StandIn, make};
 use std::path::Path;
 use std::process::Stdio;
 
-/// A failing case stops neither the others nor the index, and make reports the failure.
+/// If a case fails, the other cases and the index are still made, and make reports the failure.
 #[test]
 fn the_index_is_written_although_a_case_fails() {
     let (folder, stand_in) = (tempfile::tempdir().expect("folder"), StandIn::new());
@@ -28,7 +28,7 @@ fn the_index_is_written_although_a_case_fails() {
     run(&mut command("index")).expect_success("make index");
 }
 
-/// Two cases that run in parallel give the same results as cases that run one at a time.
+/// A case that runs in parallel with another gives the same result as a case that runs alone.
 #[test]
 fn two_cases_at_once() {
     let folder = tempfile::tempdir().expect("folder");
@@ -58,8 +58,8 @@ fn two_cases_at_once() {
     assert_eq!(surface(&together), surface(&alone));
 }
 
-/// Runs `make -j` for two case files of pipelines/ up to the tetrahedra, if the Python environment
-/// exists.
+/// Runs `make -j` on two case files from pipelines/, up to the tetrahedra, if the Python
+/// environment exists.
 #[test]
 fn make_j_over_two_cases_down_to_the_tetrahedra() {
     let test = "make_j_over_two_cases_down_to_the_tetrahedra";

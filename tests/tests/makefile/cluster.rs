@@ -7,8 +7,8 @@ use super::{Case, STAGES, make};
 use std::process::Command;
 use std::time::SystemTime;
 
-/// Returns the command `make cluster` up to the surface. Without Snakemake, records a skip and
-/// returns `None`.
+/// Writes a list of cases and returns the command `make cluster` that makes their surfaces. Without
+/// Snakemake, records a skip and returns `None`.
 fn cluster(case: &Case, list: &str) -> Option<Command> {
     let snakemake = root().join(".venv-snakemake/bin/snakemake");
     if !snakemake.exists() {
@@ -24,7 +24,7 @@ fn cluster(case: &Case, list: &str) -> Option<Command> {
     Some(command)
 }
 
-/// Returns the modification time of each stage's output for a row.
+/// Returns the modification times of the outputs of all stages for a row.
 fn times(case: &Case, name: &str) -> Vec<SystemTime> {
     let time = |ending: &str| std::fs::metadata(case.out().join(name).join(format!("{name}.{ending}")));
     STAGES.iter().map(|(_, ending)| time(ending).and_then(|it| it.modified()).expect(ending)).collect()
@@ -53,8 +53,8 @@ fn a_list_is_made_by_snakemake() {
     }
     assert!(case.out().join("broken/broken.report.html").exists(), "what failed has a page");
 
-    // One row gets another size, and the other rows are removed. The distance field of the row
-    // stays valid.
+    // The new list changes the size of one row and omits the other rows. The distance field of that
+    // row stays valid.
     let before = times(&case, "a ball");
     let mended = "NAME,INPUT,ISO,SIZE,SCALE\na ball,ball.nrrd,100,3,0\n";
     let run_mended = |list: &str| {

@@ -1,5 +1,5 @@
-//! Tests failures. The status describes a failure, and the page and the index are made from the
-//! status. No file of an earlier run can be mistaken for a result.
+//! Tests failures. The status, the page and the index must describe the failure, and no file of an
+//! earlier run may be mistaken for a result.
 
 use super::support::{listing, run};
 use super::{Case, PARAMETERS, TAKES_ALL, executable};
@@ -21,8 +21,7 @@ fn a_failing_first_stage_has_a_page_and_stands_in_the_index() {
     assert!(index.contains("\"verdict\": \"error\""), "{index}");
 }
 
-/// After a good mesh, a run with the same name and a size that fails leaves no old result (issue
-/// 17).
+/// A run that fails leaves no result of an earlier run with the same name (issue 17).
 #[test]
 fn a_failed_run_leaves_no_result_of_an_earlier_one() {
     let case = Case::new();
@@ -56,13 +55,13 @@ fn a_failed_run_leaves_no_result_of_an_earlier_one() {
     assert!(case.has("surface.vtp") && case.has("volume.vtu") && pictures.exists());
 }
 
-/// A different surface under the same name removes the tetrahedra and the page of the first surface
-/// (issue 17).
+/// A different surface under the same name removes the tetrahedra of the first surface and replaces
+/// the page (issue 17).
 #[test]
 fn a_surface_of_something_else_takes_away_the_tetrahedra() {
     let case = Case::new();
     case.mesh(0, &[]);
-    // With the same surface, the tetrahedra and the page stay.
+    // If the surface is the same, the tetrahedra and the page are kept.
     case.surface(&PARAMETERS).expect_success("make surface");
     assert!(case.has("volume.vtu") && case.has("report.html"));
     assert_eq!(case.status()["goal"], "surface");
@@ -72,7 +71,7 @@ fn a_surface_of_something_else_takes_away_the_tetrahedra() {
     assert!(case.text("report.html").contains("\"ISO\": \"120\""), "the page is that of the new surface");
 }
 
-/// If a stage makes its output but fails a check, make fails and the output is renamed.
+/// If the output of a stage fails a check, make fails and the output is renamed.
 #[test]
 #[cfg(unix)]
 fn the_output_of_a_failed_check_is_kept_aside() {
@@ -88,13 +87,13 @@ fn the_output_of_a_failed_check_is_kept_aside() {
     assert_eq!(case.text("sizefield.failed.vti"), "made\n");
     assert_eq!(case.status()["verdict"], "failed");
     assert_eq!(case.status()["stages"][1]["kept"][0], "ball.sizefield.failed.vti");
-    // With the real program the case continues, and the failed output is removed.
+    // With the real program, the case succeeds and the failed output is removed.
     case.surface(&PARAMETERS).expect_success("make surface");
     assert!(!case.has("sizefield.failed.vti"));
 }
 
-/// A program that ends without a report, ends by a signal, or does not exist gives a three-part
-/// error.
+/// A program that exits without a report, is killed by a signal, or does not exist causes a
+/// three-part error.
 #[test]
 #[cfg(unix)]
 fn a_program_that_crashes_is_told_in_three_parts() {
@@ -113,8 +112,7 @@ fn a_program_that_crashes_is_told_in_three_parts() {
     assert_eq!(case.states()["seed"], "error", "nothing was begun");
 }
 
-/// For every way in which the last stage ends, no file of an earlier run can be mistaken for its
-/// result.
+/// No matter how the last stage ends, no file of an earlier run can be mistaken for its result.
 #[test]
 fn no_stale_mesh_or_page_is_left() {
     let case = Case::new();
@@ -156,7 +154,8 @@ fn the_last_lines_are_the_verdict() {
     );
 }
 
-/// A killed run leaves "running" in the status; the next command reports it as interrupted.
+/// A killed run leaves the state "running" in the status; the next command reports it as
+/// interrupted.
 #[test]
 fn a_killed_run_is_told() {
     let case = Case::new();
@@ -176,8 +175,8 @@ fn a_killed_run_is_told() {
     assert_eq!(case.status()["verdict"], "passed");
 }
 
-/// A killed run may write a late output, after the next run has removed old files and before it
-/// starts the stage. The stage replaces this file, and the status lists it as the stage's result.
+/// A process of a killed run may write an output late, when the next run has already removed old
+/// files. The next run still makes this output, and the status lists it as a result.
 #[test]
 #[cfg(unix)]
 fn late_output_of_a_killed_run_is_made_again() {
@@ -196,7 +195,7 @@ fn late_output_of_a_killed_run_is_made_again() {
     assert!(!case.has("seeds.bin"));
 }
 
-/// A second simultaneous run of a case is refused and does not disturb the first run.
+/// A second, simultaneous run of a case is refused and does not disturb the first run.
 #[test]
 fn two_runs_on_one_name_do_not_meet() {
     let case = Case::new();

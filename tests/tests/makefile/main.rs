@@ -23,7 +23,7 @@ use std::process::Command;
 use std::time::SystemTime;
 use support::{Ended, Kind, binaries, root, run, write_phantom};
 
-/// Stages in order, each with the ending of its output.
+/// The stages in order, each with the file name ending of its output.
 const STAGES: [(&str, &str); 5] = [
     ("distfield", "distfield.vti"),
     ("sizefield", "sizefield.vti"),
@@ -32,7 +32,7 @@ const STAGES: [(&str, &str); 5] = [
     ("reconstruct", "surface.vtp"),
 ];
 
-/// Parameters for the fastest surface of the ball.
+/// Parameters that make a surface of the ball quickly.
 const PARAMETERS: [&str; 3] = ["ISO=100", "SIZE=2.5", "VERBOSITY=-q"];
 
 /// A ball in a temporary folder, and stand-ins for the Python programs.
@@ -54,14 +54,14 @@ impl Case {
         self.folder.path().join("out")
     }
 
-    /// Returns the make command for a goal on the ball.
+    /// Returns the make command for a goal, with the ball as its volume.
     fn command(&self, goal: &str, variables: &[&str]) -> Command {
         let mut command = self.bare(goal, &[&format!("INPUT={}", self.volume.display())]);
         command.args(variables);
         command
     }
 
-    /// Returns the make command for a goal with these variables and no volume.
+    /// Returns the make command for a goal with these variables, without a volume.
     fn bare(&self, goal: &str, variables: &[&str]) -> Command {
         let mut command = make();
         command.arg(goal).arg(format!("OUT={}", self.out().display())).arg(self.stand_in.variable()).args(variables);
@@ -120,7 +120,8 @@ impl Case {
         STAGES.iter().map(|(name, _)| *name).filter(|name| before[name] != after[name]).collect()
     }
 
-    /// Returns a folder of links to the programs. A test can replace some of the links.
+    /// Creates a folder of links to the programs and returns its path. A test can replace the
+    /// links.
     #[cfg(unix)]
     fn linked_programs(&self) -> PathBuf {
         let programs = self.folder.path().join("bin");
@@ -137,19 +138,20 @@ fn ball(path: &Path) {
     write_phantom(path, Shape::Ball, &Geometry::axis_aligned([24; 3], DVec3::ONE), Kind::Scalar);
 }
 
-/// Returns a GNU make command on the Makefile that uses programs that are already built.
+/// Returns a make command that uses the programs already built.
 fn make() -> Command {
     let mut command = Command::new("make");
     command.current_dir(root()).arg("NO_BUILD=yes").arg(format!("BIN={}", binaries().display()));
-    // The settings of the make process that runs these tests must not be inherited.
+    // Settings of a make process that runs these tests must not be inherited.
     for variable in ["MAKEFLAGS", "MFLAGS", "MAKELEVEL", "MAKEOVERRIDES"] {
         command.env_remove(variable);
     }
     command
 }
 
-/// Stand-ins for tetmesh-check and its page and index programs. The stand-in for tetmesh-check ends
-/// with the exit code from `end_with`. Each page contains the status files that it is made from.
+/// Stand-ins for tetmesh-check and its page and index programs. The stand-in for tetmesh-check
+/// exits with the code set by `end_with`. Each page is a copy of the status files that it is made
+/// from.
 struct StandIn {
     folder: tempfile::TempDir,
 }
@@ -187,12 +189,13 @@ impl StandIn {
     }
 }
 
-/// First line of a stage's stand-in. It accepts any options.
+/// First line of a stand-in for a stage. It accepts all options when the stage is called to check
+/// them.
 const TAKES_ALL: &str = "[ \"$1\" = --check-options ] && { echo \"$2\"; exit 0; }\n";
 
 /// Writes an executable shell script.
 fn executable(path: &Path, script: &str) {
-    // A link must be replaced, not written through.
+    // Replace a link instead of writing to its target.
     let _ = std::fs::remove_file(path);
     std::fs::write(path, format!("#!/bin/sh\n{script}")).unwrap();
     #[cfg(unix)]

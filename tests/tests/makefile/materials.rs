@@ -1,5 +1,5 @@
-//! Makes several materials with make, up to the tetrahedra, and checks independently which labels
-//! the mesh preserves.
+//! Meshes several materials with make, up to the tetrahedra. Checks independently which labels the
+//! mesh preserves.
 
 use super::make;
 use super::support::{root, run, skip};
@@ -9,8 +9,8 @@ use isoparticles_volume::Geometry;
 use std::path::Path;
 use std::process::Command;
 
-/// Writes a ball of two halves (labels 1 and 2) in a block (label 3), on an oblique left-handed
-/// grid.
+/// Writes a label map on an oblique left-handed grid: a ball of two halves (labels 1 and 2) in a
+/// block (label 3).
 fn write_halves(path: &Path) {
     let mut geometry = Geometry::axis_aligned([20, 19, 18], DVec3::new(1.0, 1.1, 1.2));
     geometry.directions = DMat3::from_rotation_z(0.4) * DMat3::from_rotation_x(-0.3);
@@ -39,7 +39,7 @@ fn materials_become_one_mesh_that_keeps_every_voxel() {
     write_halves(&volume);
     let mut command = make();
     command.args(["mesh", "MATERIALS=left:1,right:2,rest:3", "SIZE=1.2", "SCALE=0", "VERBOSITY=-q"]);
-    // The clearance leaves room for the chord error of edges that are longer than a voxel.
+    // The clearance allows for the chord error of edges longer than a voxel.
     command.arg("DISTFIELD_OPTIONS=--clearance 0.1");
     command.arg("TETMESH_OPTIONS=--source left --conductivity right=0.2");
     command.arg(format!("INPUT={}", volume.display())).arg(format!("OUT={}", folder.path().display()));

@@ -3,7 +3,7 @@
 use super::support::run;
 use super::{Case, ball};
 
-/// `patient.001.nrrd` and `patient.002.nrrd` go to different folders (issue 17).
+/// `patient.001.nrrd` and `patient.002.nrrd` have separate results folders (issue 17).
 #[test]
 fn only_known_endings_are_taken_off() {
     let case = Case::new();
@@ -18,7 +18,7 @@ fn only_known_endings_are_taken_off() {
     }
 }
 
-/// `A/heart.nrrd` and `B/heart.nrrd` must not share `out/heart/` (issue 17).
+/// `A/heart.nrrd` and `B/heart.nrrd` must not share the folder `out/heart/` (issue 17).
 #[test]
 fn two_volumes_of_one_name_do_not_replace_each_other() {
     let case = Case::new();
@@ -41,14 +41,14 @@ fn two_volumes_of_one_name_do_not_replace_each_other() {
     distfield(&second, &[]).expect_error(2, &words);
     assert!(case.out().join("heart/heart.distfield.vti").exists(), "the first one's result stays");
     distfield(&second, &["NAME=heart B"]).expect_success("under a name of its own");
-    // A link to a file is the same volume as the file.
+    // A link to the volume of the case is accepted as the same volume.
     #[cfg(unix)]
     {
         let link = case.folder.path().join("heart.nrrd");
         std::os::unix::fs::symlink(&first, &link).unwrap();
         distfield(&link, &[]).expect_success("by a link");
     }
-    // A phantom instead of a file is also another volume.
+    // A phantom is also refused as a different volume.
     let phantom = ["PHANTOM=ball --size 24", "NAME=heart", "ISO=100", "VERBOSITY=-q"];
     run(&mut case.bare("distfield", &phantom)).expect_error(2, &["a phantom", "make clean"]);
     run(&mut case.bare("clean", &["NAME=heart"])).expect_success("make clean");

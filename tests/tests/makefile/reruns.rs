@@ -22,7 +22,7 @@ fn one_parameter_reruns_exactly_the_stages_that_depend_on_it() {
     let reseeded = ["ISO=100", "SIZE=2.5", "BACKEND=cpu", "SEED=3"];
     assert_eq!(case.reran(&reseeded), ["seed", "particles", "reconstruct"]);
     let resized = ["ISO=100", "SIZE=2.4", "BACKEND=cpu", "SEED=3"];
-    // The scale depends on an edge length that is coarser than the voxels.
+    // SIZE is above the voxel spacing, so the scale of distfield depends on it.
     assert_eq!(case.reran(&resized), ["distfield", "sizefield", "seed", "particles", "reconstruct"]);
     let graded = ["ISO=100", "SCALE=0", "EPSILON=0.4", "MAX_SIZE=3", "BACKEND=cpu", "SEED=3"];
     assert_eq!(case.reran(&graded).first(), Some(&"distfield"));
@@ -30,7 +30,7 @@ fn one_parameter_reruns_exactly_the_stages_that_depend_on_it() {
     assert_eq!(case.reran(&finer), ["sizefield", "seed", "particles", "reconstruct"]);
     let another = ["ISO=120", "EPSILON=0.4", "MAX_SIZE=3", "BACKEND=cpu", "SEED=3"];
     assert_eq!(case.reran(&another), ALL);
-    // A missing output is made again, and the stages after it run again.
+    // A missing output is made again, and all later stages run again.
     std::fs::remove_file(case.file("particles.bin")).unwrap();
     case.surface(&another).expect_success("make surface");
     assert_eq!(case.status()["stages"][3]["made"], true);
@@ -38,7 +38,8 @@ fn one_parameter_reruns_exactly_the_stages_that_depend_on_it() {
     assert_eq!(case.status()["stages"][4]["made"], true);
 }
 
-/// Reruns depend on the content of a file, not on its time, so touching a file changes no result.
+/// Reruns depend on the content of a file, not on its modification time, so touching a file has no
+/// effect.
 #[test]
 fn a_touched_input_reruns_nothing_and_a_changed_one_everything() {
     let case = Case::new();
@@ -73,7 +74,7 @@ fn a_file_that_an_option_names_is_a_prerequisite() {
     let status = case.status();
     let roles: Vec<_> = status["inputs"].as_array().unwrap().iter().map(|input| input["role"].clone()).collect();
     assert_eq!(roles, ["volume", "named in SIZEFIELD_OPTIONS"]);
-    // The tetrahedra depend on the volume that their labels come from.
+    // The tetrahedra also depend on the volume that provides their labels.
     let labels = format!("TETMESH_OPTIONS=--labels-volume='{}'", mask.display());
     case.mesh(0, &[&labels]);
     let made = |case: &Case| case.status()["stages"][5]["made"].clone();
@@ -125,14 +126,14 @@ fn a_program_built_anew_to_the_same_bytes_reruns_nothing() {
     case.surface(&variables).expect_success("make surface");
     copy();
     assert_eq!(case.reran(&variables), [] as [&str; 0]);
-    // One more byte at the end changes the program's hash, not its behaviour.
+    // An extra byte at the end changes the program's hash but not its behaviour.
     use std::io::Write;
     std::fs::File::options().append(true).open(programs.join("particles")).unwrap().write_all(&[0]).unwrap();
     assert_eq!(case.reran(&variables), ["particles", "reconstruct"]);
 }
 
 /// convergence.py is in the same folder as tetmesh-check but makes no tetrahedra, so a change to it
-/// must not cause the tetrahedra to be made again.
+/// must not cause a new tetrahedral mesh.
 #[test]
 fn the_files_of_the_tetrahedra_leave_out_other_programs() {
     let planned =
@@ -147,7 +148,7 @@ fn the_files_of_the_tetrahedra_leave_out_other_programs() {
 }
 
 /// Stopping make during `particles` leaves no particle file. The next run finishes the case with
-/// the same particles as a run that is never stopped.
+/// the same particles as an uninterrupted run.
 #[test]
 #[cfg(unix)]
 fn a_stopped_run_is_finished_by_the_next() {
@@ -156,7 +157,7 @@ fn a_stopped_run_is_finished_by_the_next() {
     let options = "PARTICLES_OPTIONS=--max-passes 300 --energy-tolerance 0";
     let variables = ["ISO=100", "SIZE=1.2", "VERBOSITY=-q", options];
     let mut command = stopped.command("surface", &variables);
-    // In a separate process group, the signal reaches make and its programs, as with Ctrl-C.
+    // A new process group lets the signal reach make and all its programs, as with Ctrl-C.
     command.process_group(0);
     let mut child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("make");
     let checkpoint = stopped.file("checkpoint.bin");
@@ -169,7 +170,7 @@ fn a_stopped_run_is_finished_by_the_next() {
     let killed = Command::new("sh").args(["-c", &format!("kill -s INT -- -{}", child.id())]).status().expect("sh");
     assert!(killed.success());
     assert!(!child.wait().expect("make ends").success(), "make must not call a stopped run a success");
-    // make does not wait for a child process after forwarding the signal.
+    // After the signal, make exits without waiting for its child processes.
     while !stopped.has("report.html") {
         assert!(waited < 12000, "a stopped case has its page, too: {}", stopped.status());
         std::thread::sleep(std::time::Duration::from_millis(10));
@@ -183,8 +184,8 @@ fn a_stopped_run_is_finished_by_the_next() {
     stopped.surface(&variables).expect_success("the second run");
     unbroken.surface(&variables).expect_success("the unbroken run");
     assert!(!checkpoint.exists(), "a finished run needs no checkpoint");
-    // The files differ because their histories contain the paths of the inputs, so only the
-    // particles are compared.
+    // The files differ because their histories contain the paths of the inputs. Only the particles
+    // can be compared.
     let particles = |file: &Path| {
         use isoparticles_stage::particle_file::{ParticleKind, read_particles};
         read_particles(file, &[ParticleKind::Particles]).expect("particles").particles

@@ -1,4 +1,4 @@
-//! Runs the stage programs from a volume to triangles.
+//! Runs the stage programs that turn a volume into triangles.
 
 use super::stage;
 use crate::arguments;
@@ -23,7 +23,7 @@ pub struct Files {
 }
 
 impl Files {
-    /// Returns the paths of all files of a case in a folder.
+    /// Returns the paths of the files of a case in `folder`.
     pub fn in_folder(folder: &Path) -> Self {
         let file = |name: &str| folder.join(name);
         Self {
@@ -37,10 +37,10 @@ impl Files {
     }
 }
 
-/// Options of the stages beyond their defaults.
+/// Options of the stages that differ from the defaults.
 #[derive(Clone, Debug, Default)]
 pub struct Wishes {
-    /// Options of `distfield`: at least the iso value or the labels.
+    /// Options of `distfield`, which must include the iso value, the labels or the materials.
     pub distfield: Vec<OsString>,
     /// Options of `sizefield`.
     pub sizefield: Vec<OsString>,

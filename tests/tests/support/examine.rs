@@ -1,4 +1,4 @@
-//! Examines a triangle mesh independently of the project's own code. Tests also use this to verify
+//! Examines a triangle mesh independently of the project's own code. Tests also use it to verify
 //! the project's own checks.
 
 use glam::DVec3;
@@ -7,7 +7,7 @@ use std::collections::HashMap;
 /// Properties of a mesh.
 #[derive(Clone, Debug)]
 pub struct Examination {
-    /// Directed edges without exactly one opposite edge; 0 for a closed, oriented mesh.
+    /// Number of directed edges without exactly one opposite edge; 0 for a closed, oriented mesh.
     pub bad_edges: usize,
     /// Connected components.
     pub components: usize,
@@ -20,8 +20,7 @@ pub struct Examination {
     pub volume: f64,
     /// Centre of mass of the enclosed solid.
     pub centroid: DVec3,
-    /// Mean radius ratio: twice the radius of the inscribed circle divided by the radius of the
-    /// circumscribed circle.
+    /// Mean radius ratio: twice the inradius divided by the circumradius.
     pub mean_radius_ratio: f64,
     /// Minimum radius ratio.
     pub smallest_radius_ratio: f64,

@@ -1,5 +1,5 @@
-//! Helpers of the integration tests: the built programs, phantoms on disk, and an examination of
-//! meshes that shares no code with the code under test.
+//! Helpers for the integration tests. They run the programs, write phantoms, and examine meshes
+//! without using the code under test.
 #![allow(dead_code, unreachable_pub, reason = "each test binary uses its own part of these helpers")]
 
 pub mod chain;
@@ -20,9 +20,8 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("tests/ lies in the repository").to_path_buf()
 }
 
-/// Returns the folder of the release programs. Each test binary builds the programs once (a
-/// fraction of a second if they are up to date), unless `ISOPARTICLES_BIN` contains the path of a
-/// folder with the programs.
+/// Returns the folder of the release programs: `ISOPARTICLES_BIN`, if it is set. Otherwise, each
+/// test binary builds the programs once (a fraction of a second if they are up to date).
 pub fn binaries() -> &'static Path {
     static BINARIES: OnceLock<PathBuf> = OnceLock::new();
     BINARIES.get_or_init(|| {
@@ -92,7 +91,7 @@ pub fn stage<A: AsRef<OsStr>>(name: &str, arguments: impl IntoIterator<Item = A>
     run(&mut command)
 }
 
-/// Makes a list of arguments from values that convert into an `OsString`.
+/// Makes a list of arguments from values that convert into `OsString`.
 #[macro_export]
 macro_rules! arguments {
     ($($argument:expr),* $(,)?) => { vec![$(std::ffi::OsString::from($argument)),*] };

@@ -1,4 +1,4 @@
-//! Errors from assembling material indicators from stored parts.
+//! Errors that occur when material indicators are assembled from stored parts.
 
 /// The parts do not fit together.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -14,7 +14,7 @@ pub enum Error {
         /// Number of nodes of the grid along each axis.
         grid: [usize; 3],
     },
-    /// Brick numbers are not ascending, or exceed the number of bricks.
+    /// Brick numbers are not in ascending order, or exceed the number of bricks.
     #[error("the brick numbers are not ascending, or exceed the {count} bricks of the grid")]
     Bricks {
         /// Number of bricks of the grid.
@@ -34,7 +34,7 @@ pub enum Error {
         /// The coefficient.
         value: f32,
     },
-    /// The fill of the bricks does not fit the grid or the materials.
+    /// The fill of the bricks does not match the grid or the materials.
     #[error(
         "{found} materials of bricks, up to number {largest:?}, but there are {bricks} bricks and {materials} materials"
     )]

@@ -1,5 +1,5 @@
-//! Stores the indicators of all materials of a volume, and the index of the materials that are
-//! known in each brick of cells.
+//! Stores the indicators of all materials of a volume, and an index of the materials that are known
+//! in each brick of cells.
 
 use super::error::Error;
 use super::indicator::{CELLS, Indicator, bricks_along};
@@ -11,7 +11,7 @@ use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Fill of a brick without a filling material. Every material that occurs in such a brick is known
+/// Fill of a brick that no material fills. Every material that occurs in such a brick is known
 /// there.
 const NO_FILL: u16 = u16::MAX;
 
@@ -49,7 +49,7 @@ pub struct Materials {
 }
 
 impl Materials {
-    /// Assembles the materials. The third item of each tuple is the list of bricks in which the
+    /// Assembles the materials. The third element of each tuple is the list of bricks in which the
     /// indicator is negative throughout. [`Indicator::new`] returns both the indicator and this
     /// list.
     ///
@@ -134,9 +134,9 @@ impl Materials {
         &self.fill
     }
 
-    /// Returns the materials that are known in a brick, ascending. `brick` counts the bricks of the
-    /// grid, x fastest. Each material is paired with the number of the brick among the bricks of
-    /// its indicator.
+    /// Returns the materials that are known in a brick, in ascending order. `brick` is the index of
+    /// the brick in the grid, x fastest. Each material is paired with the index of the brick among
+    /// the bricks of its indicator.
     pub fn known_in(&self, brick: usize) -> impl ExactSizeIterator<Item = (MaterialId, usize)> + Clone + '_ {
         self.known(brick).iter().map(|entry| (MaterialId(entry.material), entry.brick as usize))
     }
@@ -146,8 +146,8 @@ impl Materials {
         self.table.iter().position(|material| material.name == name).map(|n| MaterialId(n as u16))
     }
 
-    /// Returns the bricks in which more than one material is known, as first cell and number of
-    /// cells along each axis. These bricks contain all strata.
+    /// Returns the bricks in which more than one material is known. Each is given by its first cell
+    /// and its number of cells along each axis. These bricks contain all strata.
     pub fn bricks_of_many(&self) -> Vec<([usize; 3], [usize; 3])> {
         let [bx, by, _] = bricks_along(self.geometry.size);
         let many = (0..self.fill.len()).filter(|&brick| self.known(brick).len() > 1);
@@ -170,7 +170,7 @@ impl Materials {
         });
     }
 
-    /// Returns the memory in bytes.
+    /// Returns the memory usage in bytes.
     pub fn bytes(&self) -> usize {
         let index = size_of_val(self.start.as_slice())
             + size_of_val(self.entries.as_slice())
@@ -191,8 +191,8 @@ impl Materials {
         &self.entries[self.start[brick] as usize..self.start[brick + 1] as usize]
     }
 
-    /// Returns the coefficients of a material that a stencil uses. If some of them are not known,
-    /// the error is true if the position is inside the material.
+    /// Returns the coefficients of a material that a stencil uses. If some of them are unknown,
+    /// returns an error that tells whether the position is inside the material.
     #[inline(always)]
     fn gathered(&self, entry: Entry, stencil: &Stencil) -> Result<[f32; 64], bool> {
         let indicator = &self.indicators[usize::from(entry.material)];
@@ -200,7 +200,8 @@ impl Materials {
     }
 
     /// Returns the stencil of a position and the coefficients of a material that it uses. If some
-    /// of these are not known, the error is true if the position is inside the material.
+    /// of these are unknown, returns an error that tells whether the position is inside the
+    /// material.
     #[inline]
     fn of(&self, id: MaterialId, grid: DVec3) -> Result<(Stencil, [f32; 64]), bool> {
         let stencil = Stencil::new(&self.geometry, grid);
@@ -209,7 +210,7 @@ impl Materials {
     }
 
     /// Returns the coefficients of a material that a stencil in a brick uses. If some of them are
-    /// not known, the error is true if the position is inside the material.
+    /// unknown, returns an error that tells whether the position is inside the material.
     #[inline(always)]
     fn read(&self, id: MaterialId, brick: usize, stencil: &Stencil) -> Result<[f32; 64], bool> {
         match self.known(brick).iter().find(|entry| entry.material == id.0) {
@@ -276,7 +277,7 @@ impl Indicators for Materials {
         if others.peek().is_none() && !is_filled_by_other {
             return true;
         }
-        // a spline is never below the minimum of the coefficients that it uses
+        // the value of a spline is never below the minimum of its coefficients
         let own_value = || Some(stencil.clone().gathered().value(&self.read(own[0], brick, &stencil).ok()?));
         let is_far = |limit: f64| {
             others.all(|&entry| match self.gathered(entry, &stencil) {

@@ -26,7 +26,7 @@ pub const BLOCK: usize = CELLS * CELLS * CELLS;
 pub const KNOWN_VOXELS: usize = 2;
 
 /// Distance in nodes beyond which a sample is assumed not to affect a coefficient. At the next
-/// node, a coefficient changes by sqrt(3) (2 - sqrt(3))^9 = 1.2e-5 of the change of the sample.
+/// node, a coefficient changes by sqrt(3) (2 - sqrt(3))^9 = 1.2e-5 of the change in the sample.
 const CARDINAL_REACH: usize = 8;
 
 /// Maximum number of blocks along an axis that contain affected coefficients.
@@ -82,7 +82,7 @@ pub struct Indicator {
     size: [usize; 3],
     /// Whether all points beyond the box are inside the material.
     surrounds: bool,
-    /// Numbers of the known bricks, ascending.
+    /// Numbers of the known bricks, in ascending order.
     bricks: Vec<u32>,
     /// Indices, among the stored blocks, of the eight blocks that each known brick uses.
     blocks: Vec<[u32; 8]>,
@@ -99,7 +99,7 @@ pub struct IndicatorParts {
     pub size: [usize; 3],
     /// Whether all points beyond the box are inside the material.
     pub surrounds: bool,
-    /// Numbers of the known bricks, x fastest, ascending.
+    /// Numbers of the known bricks (x fastest), in ascending order.
     pub bricks: Vec<u32>,
     /// Coefficients, 64 per block.
     pub coefficients: Vec<f32>,
@@ -199,7 +199,7 @@ impl Indicator {
         self.surrounds
     }
 
-    /// Returns the numbers of the known bricks, x fastest, ascending.
+    /// Returns the numbers of the known bricks (x fastest), in ascending order.
     pub fn bricks(&self) -> &[u32] {
         &self.bricks
     }
@@ -227,7 +227,7 @@ impl Indicator {
     }
 
     /// Adds the given changes (mm) to the samples at some nodes of the shared grid of `size` nodes.
-    /// The spline interpolates the new samples; all other samples stay unchanged. The spline
+    /// The spline interpolates the new samples; all other samples remain unchanged. The spline
     /// changes only within a few voxels. Coefficients beyond the box, or in bricks that are not
     /// known, are not updated.
     pub fn add_at_nodes(&mut self, changes: &[([usize; 3], f64)], size: [usize; 3]) {
@@ -267,7 +267,7 @@ impl Indicator {
         }
     }
 
-    /// Returns the memory in bytes.
+    /// Returns the memory usage in bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(self.bricks.as_slice())
             + size_of_val(self.blocks.as_slice())
@@ -340,7 +340,8 @@ impl Indicator {
     }
 }
 
-/// Returns the indices of the blocks that the given bricks use, ascending, in the grid of blocks.
+/// Returns the blocks that the given bricks use, as indices in the grid of blocks, in ascending
+/// order.
 fn places(known: &[u32], bricks: [usize; 3]) -> Vec<u32> {
     let mut places: Vec<u32> = known.iter().flat_map(|&brick| blocks_of(brick, bricks)).collect();
     places.sort_unstable();

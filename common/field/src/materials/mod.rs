@@ -1,5 +1,5 @@
-//! Many materials in one space: one smooth indicator F_m for each material, including the outside,
-//! and the strata where materials meet.
+//! Represents many materials in one space: a smooth indicator F_m for each material, including the
+//! outside, and the strata where materials meet.
 //!
 //! The method follows Meyer, Whitaker, Kirby, Ledergerber and Pfister (Particle-based Sampling and
 //! Meshing of Surfaces in Multimaterial Volumes, IEEE TVCG 14(6), 2008), with signed distances (mm,
@@ -8,8 +8,8 @@
 //! *material interface*, the three smallest on a *junction curve*, and the four smallest at a
 //! *junction point*. Interfaces, curves and points are called *strata*.
 //!
-//! [`Indicators`] is the interface for algorithms. [`Materials`] implements it for samples on a
-//! grid, and [`Analytic`] implements it for functions.
+//! Algorithms access indicators through the trait [`Indicators`]. [`Materials`] implements it for
+//! samples on a grid, and [`Analytic`] implements it for functions.
 
 mod analytic;
 pub mod complex;
@@ -47,7 +47,8 @@ impl MaterialId {
     }
 }
 
-/// Maximum number of materials, including the outside. The number 65535 means no material.
+/// Maximum number of materials, including the outside. The number 65535 is reserved for "no
+/// material".
 pub const MOST_MATERIALS: usize = u16::MAX as usize;
 
 /// Name and labels of a material.
@@ -59,8 +60,9 @@ pub struct Material {
     pub labels: Vec<LayerLabel>,
 }
 
-/// Maximum number of indicators returned for one position: a position lies between eight voxel
-/// centres, which have at most eight labels. If more indicators are known, the largest are dropped.
+/// Maximum number of indicators returned for one position. A position lies between eight voxel
+/// centres, which have at most eight different labels. If more indicators are known, the largest
+/// are dropped.
 pub const MOST_NEAR: usize = 8;
 
 /// The indicators known at a position, smallest first. Equal indicators are ordered by material
@@ -120,11 +122,11 @@ pub(crate) fn far(inside: bool) -> Jet {
     Jet { value, gradient: DVec3::ZERO, hessian: DMat3::ZERO }
 }
 
-/// The indicators F_m of some materials: signed distances in mm, negative inside, with derivatives
-/// per mm. Positions are in the grid frame, mm. An indicator that is not known at a position is
-/// infinite there, with the correct sign and zero derivatives.
+/// The indicators F_m of a set of materials: signed distances in mm, negative inside, with
+/// derivatives per mm. Positions are in the grid frame, mm. An indicator that is not known at a
+/// position is infinite there, with the correct sign and zero derivatives.
 ///
-/// The provided methods compute the geometry of strata in the same way for all indicators.
+/// The provided methods compute the geometry of strata in the same way for all implementations.
 pub trait Indicators: Sync {
     /// Returns the indicators that are known at a position, smallest first.
     fn near(&self, grid: DVec3) -> Near;
@@ -135,8 +137,8 @@ pub trait Indicators: Sync {
     /// Returns F_m, its gradient and its Hessian.
     fn jet(&self, id: MaterialId, grid: DVec3) -> Jet;
 
-    /// Returns the length in mm over which indicators are smooth: the mean voxel spacing.
-    /// Projection steps are limited to half of this length.
+    /// Returns the length scale of the indicators in mm: the mean voxel spacing. Projection steps
+    /// are limited to half of this length.
     fn voxel(&self) -> f64;
 
     /// Returns the material at a position: the material with the smallest indicator, or the outside
@@ -224,7 +226,7 @@ pub trait Indicators: Sync {
 
     /// Projects `start` onto the junction curve of three materials by the Gauss-Newton method on
     /// G_ij = G_ik = 0, with minimum-norm steps. `limit` and `tolerance` are as in
-    /// [`Self::project_onto_interface`]. Also returns `None` if the interfaces are tangent
+    /// [`Self::project_onto_interface`]. Also returns `None` if the interfaces are nearly tangent
     /// ([`LEAST_SQUARED_SINE`]).
     fn project_onto_curve(&self, own: [MaterialId; 3], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
@@ -235,9 +237,9 @@ pub trait Indicators: Sync {
         .map(|(p, ())| p)
     }
 
-    /// Projects `start` onto the junction point of four materials by Newton's method on G_ij = G_ik
-    /// = G_il = 0. `limit` and `tolerance` are as in [`Self::project_onto_interface`]. Also returns
-    /// `None` if the curves are tangent ([`LEAST_SQUARED_SINE`]).
+    /// Projects `start` onto the junction point of four materials by Newton's method on
+    /// G_ij = G_ik = G_il = 0. `limit` and `tolerance` are as in [`Self::project_onto_interface`].
+    /// Also returns `None` if the curves are nearly tangent ([`LEAST_SQUARED_SINE`]).
     fn project_onto_point(&self, own: [MaterialId; 4], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
             let [first, others @ ..] = own.map(|id| self.value_gradient(id, p));

@@ -6,7 +6,7 @@ use crate::spline::{Jet, LEAST_SQUARED_GRADIENT, PROJECTION_STEPS};
 use glam::{DMat3, DVec3};
 
 /// Minimum squared sine of the angle between two interfaces, or between a curve and a third
-/// interface, at which they count as crossing. At this angle, 0.6 degrees, displacing one interface
+/// interface, for them to count as crossing. At this angle, 0.6 degrees, displacing one interface
 /// by a hundredth of a voxel moves the intersection by a voxel.
 pub const LEAST_SQUARED_SINE: f64 = 1e-4;
 
@@ -44,15 +44,15 @@ impl<I: Indicators + ?Sized> InterfaceFunction<'_, I> {
     }
 }
 
-/// Returns half the difference of two values with gradients.
+/// Returns half the difference of two values, with its gradient.
 #[inline(always)]
 pub(super) fn half_difference(a: (f64, DVec3), b: (f64, DVec3)) -> (f64, DVec3) {
     (0.5 * (a.0 - b.0), 0.5 * (a.1 - b.1))
 }
 
-/// Repeats steps until a step is no longer than `tolerance` (mm). Returns the position and the
-/// extra result of the last step. Returns `None` after [`PROJECTION_STEPS`], or if the position is
-/// `limit` (mm) or more from `start`.
+/// Takes steps until a step is no longer than `tolerance` (mm). Returns the position and the extra
+/// result of the last step. Returns `None` after [`PROJECTION_STEPS`] steps, if `step` fails, or if
+/// the position moves `limit` (mm) or more from `start`.
 #[inline(always)]
 pub(super) fn project<T>(
     voxel: f64,
@@ -89,7 +89,7 @@ pub(super) fn interface_step(value: f64, gradient: DVec3) -> Option<DVec3> {
     (is_steep(squared) && value.is_finite()).then(|| gradient * (-value / squared))
 }
 
-/// Returns the shortest step onto the line on which both linearised functions are zero:
+/// Returns the shortest step onto the line where both linearised functions are zero:
 /// `-J^T (J J^T)^-1 G`.
 pub(super) fn curve_step([(u, a), (v, b)]: [(f64, DVec3); 2]) -> Option<DVec3> {
     let (aa, bb, ab) = (a.length_squared(), b.length_squared(), a.dot(b));

@@ -4,8 +4,8 @@
 use super::MaterialId;
 use serde::{Deserialize, Serialize};
 
-/// The materials that meet on a stratum, ascending: two on an interface, three on a junction curve,
-/// four at a junction point.
+/// The materials that meet on a stratum, in ascending order: two on an interface, three on a
+/// junction curve, four at a junction point.
 ///
 /// More than four materials can meet at a junction point, because eight voxels meet at a corner.
 /// Four of the materials then identify the point.
@@ -37,14 +37,14 @@ impl Stratum {
         Self { ids: [a.min(b), a.max(b), NONE, NONE] }
     }
 
-    /// Returns whether the stratum has two to four different materials, ascending. File readers
-    /// check this.
+    /// Returns whether the stratum has two to four different materials in ascending order. File
+    /// readers check this.
     pub fn is_valid(&self) -> bool {
         let count = self.count();
         (2..=4).contains(&count) && self.ids[..count].is_sorted_by(|a, b| a < b)
     }
 
-    /// Returns the materials, ascending.
+    /// Returns the materials in ascending order.
     pub fn materials(&self) -> &[MaterialId] {
         &self.ids[..self.count()]
     }
@@ -81,7 +81,7 @@ impl Stratum {
     }
 
     /// Returns whether this stratum has all materials of `other`, so that it equals `other` or can
-    /// lie on its border.
+    /// lie on its boundary.
     pub fn is_on(&self, other: &Self) -> bool {
         other.materials().iter().all(|&id| self.has(id))
     }

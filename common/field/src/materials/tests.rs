@@ -16,8 +16,8 @@ pub(super) fn nested(centre: DVec3) -> Analytic {
     Analytic::new(vec![negative(ball(centre, 9.0)), shell, ball(centre, 5.0)], 1.0)
 }
 
-/// Three sectors of 120 degrees of a ball of radius 8 mm, around the z axis through its centre. The
-/// outside surrounds the ball.
+/// A ball of radius 8 mm, divided into three sectors of 120 degrees around the z axis through its
+/// centre. The outside surrounds the ball.
 pub(super) fn sectors(centre: DVec3) -> Analytic {
     let normal =
         |turns: f64| DVec3::new(-(turns * std::f64::consts::TAU).sin(), (turns * std::f64::consts::TAU).cos(), 0.0);
@@ -38,15 +38,15 @@ pub(super) fn corners(point: DVec3) -> Analytic {
     Analytic::new(ways.map(region).into(), 1.0)
 }
 
-/// Balls of different sizes whose surfaces all pass through a point. Their indicators are smooth
-/// and all equal at this point.
+/// Balls of different sizes whose surfaces all pass through a point. At this point, their
+/// indicators are smooth and equal.
 fn balls(point: DVec3) -> Analytic {
     let ball_towards = |x: f64, y: f64, z: f64| ball(point + DVec3::new(x, y, z), DVec3::new(x, y, z).length());
     let four = [(7.0, 6.0, 8.0), (9.0, -8.0, -6.0), (-6.0, 9.0, -9.0), (-8.0, -7.0, 7.0)];
     Analytic::new(four.map(|(x, y, z)| ball_towards(x, y, z)).into(), 1.0)
 }
 
-/// Samples the indicators on a cube of 24 mm with nodes `spacing` mm apart.
+/// Samples the indicators on a cube with an edge length of 24 mm, at nodes `spacing` mm apart.
 pub(super) fn sampled(analytic: &Analytic, spacing: f64) -> Materials {
     let nodes = (24.0 / spacing).round() as usize + 1;
     let geometry = Geometry::axis_aligned([nodes; 3], DVec3::splat(spacing));
@@ -159,7 +159,7 @@ fn junction_curves_are_met() {
         let own = [IDS[1], IDS[2], IDS[3]];
         let p = analytic.project_onto_curve(own, start, 2.0, 1e-9).expect("near the axis");
         assert!((p - CENTRE).truncate().length() < 1e-9, "{p}");
-        // the step is the shortest, so the position does not move along the curve
+        // each step is the shortest possible, so the position does not move along the curve
         assert!((p.z - start.z).abs() < 1e-9);
         // the curve is real only within the ball
         assert_eq!(analytic.clearance(p, &own) > 0.0, (p.z - CENTRE.z).abs() < 8.0);

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Number of rows of bins that are sorted per parallel task. A level of the maximum extent has 2^20
-/// rows, hence 4096 tasks.
+/// rows, which give 4096 tasks.
 const ROWS_PER_TASK: usize = 1 << 8;
 
 /// Maximum number of bins along an axis of a level. A level has at most 2^20 rows, whose table
@@ -20,7 +20,7 @@ const MOST_BINS: f64 = 1024.0;
 struct Grid {
     /// Lowest corner of the first bin, which is the same on every level.
     origin: DVec3,
-    /// Edge of the bins of level 0, which contain the largest points.
+    /// Edge length of the bins of level 0, the level of the largest points.
     edge: f64,
     /// Size of the largest point.
     largest: f64,
@@ -40,7 +40,7 @@ impl Grid {
             return Self { origin: DVec3::ZERO, edge: 1.0, largest, levels: 0, bins: IVec3::ZERO };
         }
         let extent = (high - low).max_element();
-        // wider bins are also correct; they limit the table of rows if all points are tiny
+        // wider bins are also correct; they keep the table of rows small if all sizes are tiny
         let edge = (reach * largest * (1.0 + WIDENING)).max(extent / MOST_BINS);
         let allowed = (edge * MOST_BINS / extent.max(edge)).log2().floor();
         let levels = (largest / smallest).log2().floor().min(allowed) as usize + 1;
@@ -63,8 +63,8 @@ impl Grid {
 
 /// Points in bins, with one grid of bins (level) for each octave of size. The bins of a level are
 /// as wide as the longest reach in its octave, so a query visits at most 27 bins per level. The
-/// points of a level are sorted by bin, x fastest. The three bins of a row are therefore one
-/// contiguous run, which is found by bisection within the row.
+/// points of a level are sorted by bin, x fastest. The three bins of a row that a query visits are
+/// therefore one contiguous run, found by binary search within the row.
 #[derive(Clone, Debug)]
 pub struct LevelBins {
     reach: f64,
@@ -94,7 +94,7 @@ impl Level {
             ((bin.z * rows[0] + bin.y) as u32, bin.x as u32)
         };
         let (row_of, bin_of): (Vec<u32>, Vec<u32>) = members.par_iter().map(place).unzip();
-        // divide into rows, then sort each row
+        // group the points by row, then sort each row
         let Buckets { starts, items } = Buckets::new(&row_of, (rows[0] * rows[1]) as usize);
         drop(row_of);
         let mut entries: Vec<(u32, u32)> =
@@ -115,7 +115,7 @@ impl Level {
         Self { rows, starts, bins, points }
     }
 
-    /// Calls `visit` with every run of entries in the bins from `low` to `high`, both included.
+    /// Calls `visit` with every run of entries in the bins from `low` to `high`, inclusive.
     #[inline]
     fn runs(&self, low: IVec3, high: IVec3, mut visit: impl FnMut(Range<usize>)) {
         if self.points.is_empty() || high.min_element() < 0 {
@@ -151,8 +151,8 @@ impl LevelBins {
     }
 
     /// Calls `visit` with every point whose distance from `centre` may be at most `reach` times the
-    /// smaller of `size` and the size of the point. It also visits some points farther away, so the
-    /// caller must check the distance. The order is fixed: by level, bin and index.
+    /// smaller of `size` and the size of the point. Some points farther away are also visited, so
+    /// the caller must check the distance. The order is fixed: by level, bin and index.
     pub fn visit(&self, centre: DVec3, size: f64, mut visit: impl FnMut(u32)) {
         for (l, level) in self.levels.iter().enumerate() {
             // slightly more than the reach, to allow for rounding
@@ -180,7 +180,7 @@ pub fn space_order(points: &[DVec3], sizes: &[f64], reach: f64) -> Vec<u32> {
     keyed.into_iter().map(|(_, i)| i).collect()
 }
 
-/// Spreads the low 21 bits of a number to every third bit of the result.
+/// Spreads the low 21 bits of a number over every third bit of the result.
 fn spread(x: u64) -> u64 {
     let mut x = x & 0x1f_ffff;
     for (shift, mask) in [

@@ -7,17 +7,16 @@ use rayon::prelude::*;
 /// Number of batches into which the order is divided. Searches within a batch run in parallel, and
 /// all threads synchronise after each batch. With fewer batches, more searches are wasted on points
 /// that another point of the same batch removes. For seeds of the lungs, where each kept point
-/// removes seven points, the wasted searches are 1.7 % of the kept points with 256 batches, 3.3 %
-/// with 128, and 6.7 % with 64.
+/// removes seven points, the number of wasted searches is 1.7 % of the number of kept points with
+/// 256 batches, 3.3 % with 128, and 6.7 % with 64.
 const BATCHES: usize = 128;
 /// Minimum number of points per batch: 16 searches for each of 16 threads.
 const SMALLEST_BATCH: usize = 256;
 
 /// Returns the points that remain after elimination in the given order. Each kept point i removes
-/// the points j whose distance is less than `reach` times the smaller of the two sizes and for
-/// which `removes(i, j, squared distance)` is true. The searches of a batch run in parallel;
-/// removals within the batch are then resolved in order. The result equals that of a sequential
-/// loop.
+/// every point j that is closer than `reach` times the smaller of the two sizes and for which
+/// `removes(i, j, squared distance)` is true. The searches of a batch run in parallel; removals
+/// within the batch are then resolved in order. The result equals that of a sequential loop.
 pub fn eliminate(
     points: &[DVec3],
     sizes: &[f64],

@@ -1,4 +1,4 @@
-//! A tree of boxes over consecutive points, with eight points per box. It uses SIMD to find the
+//! A tree of boxes over consecutive points, with eight points per box. Queries use SIMD to find the
 //! points that may be near the points of a box.
 
 use super::WIDENING;
@@ -10,7 +10,7 @@ use rayon::prelude::*;
 /// Number of points per SIMD operation: eight doubles fill a vector register of 512 bits.
 pub(super) const LANES: usize = 8;
 
-/// Eight consecutive points. A shorter run is padded with points infinitely far away.
+/// Eight consecutive points. A shorter run is padded with points at infinity.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     /// Coordinates of the points, axis by axis.
@@ -23,8 +23,8 @@ impl Run {
     const NOBODY: Self = Self { place: [[f64::INFINITY; LANES]; 3], reach: [0.0; LANES], number: [u32::MAX; LANES] };
 }
 
-/// Eight consecutive boxes, around runs or around groups of eight boxes. Missing boxes are padded
-/// with empty boxes.
+/// Eight consecutive bounding boxes, either of runs or of groups of eight boxes. Missing boxes are
+/// empty.
 #[derive(Clone, Copy, Debug)]
 struct Boxes {
     low: [[f64; LANES]; 3],
@@ -64,8 +64,7 @@ pub(super) struct Tree {
     /// Whether runs, and groups of eight runs, are on average about as small as they would be for
     /// points on a surface in spatial order.
     pub(super) is_compact: bool,
-    /// Boxes by level, from the boxes of runs up to the level of at most eight boxes that contain
-    /// all points.
+    /// Boxes by level, from the boxes of the runs up to a level of at most eight boxes.
     levels: Vec<Vec<Boxes>>,
 }
 
@@ -74,7 +73,7 @@ impl Tree {
         Self::default().anew(points, sizes, reach)
     }
 
-    /// Builds a tree like [`Self::new`]. Drops this tree and reuses its memory.
+    /// Builds a tree like [`Self::new`]. Consumes `self` and reuses its memory.
     pub(super) fn anew(self, points: &[DVec3], sizes: &[f64], reach: f64) -> Self {
         let Self { mut runs, mut boxes, .. } = self;
         let run = |(n, (points, sizes)): (usize, (&[DVec3], &[f64]))| {
@@ -104,8 +103,8 @@ impl Tree {
         Self { runs, boxes, is_compact, levels }
     }
 
-    /// Stores in `found`, in ascending order, the runs with points that may be within reach of the
-    /// points of a box. `next` is scratch space.
+    /// Finds the runs with points that may be within reach of the points of a box, and stores them
+    /// in `found` in ascending order. `next` is scratch space.
     #[inline(always)]
     fn near<S: Simd>(&self, simd: S, of: &Outline, found: &mut Vec<u32>, next: &mut Vec<u32>) {
         found.clear();
@@ -125,7 +124,7 @@ impl Tree {
 }
 
 impl Boxes {
-    /// Packs some boxes. Also returns the box around them.
+    /// Packs up to eight boxes. Also returns their bounding box.
     fn of(boxes: &[Outline]) -> (Self, Outline) {
         let mut new =
             Self { low: [[f64::INFINITY; LANES]; 3], high: [[f64::NEG_INFINITY; LANES]; 3], reach: [0.0; LANES] };
@@ -165,12 +164,12 @@ pub(super) struct Candidates {
     runs: Vec<Run>,
     /// Runs of the tree that may be near, and scratch space for the search.
     near: [Vec<u32>; 2],
-    /// Numbers of the points near the point of a query, with room for eight more.
+    /// Numbers of the points near the query point, with room for eight more.
     found: Vec<u32>,
 }
 
 impl Candidates {
-    /// Collects the points within reach of the box of a run, ascending.
+    /// Collects the points within reach of the box of a run, in ascending order.
     #[inline(always)]
     pub(super) fn collect<S: Simd>(&mut self, simd: S, tree: &Tree, run: usize) {
         let own = &tree.boxes[run];
@@ -195,11 +194,11 @@ impl Candidates {
         self.found.resize(self.found.len().max(count + LANES), 0);
     }
 
-    /// Returns the candidates that are nearer to `p` than the smaller of the two reaches, including
-    /// `p` itself, in ascending order.
+    /// Returns the candidates closer to `p` than the smaller of the two reaches, including `p`
+    /// itself, in ascending order.
     ///
-    /// Every lane is written, and the next near lane overwrites a lane that is not near. A branch
-    /// per lane would be mispredicted every other time.
+    /// Writes every lane, then overwrites the lanes that are not near. A branch per lane would be
+    /// mispredicted half of the time.
     #[inline(always)]
     pub(super) fn near<S: Simd>(&mut self, simd: S, p: DVec3, radius: f64) -> &[u32] {
         let mut count = 0;
@@ -220,9 +219,9 @@ impl Candidates {
     }
 }
 
-/// Maximum mean extent of runs, in units of the reach. Runs of particles in spatial order extend
-/// 1.7 to 2.1 reaches, half of the limit. If runs are larger, the points are first sorted into
-/// spatial order.
+/// Maximum mean extent of runs, in units of the reach. Runs of particles in spatial order have a
+/// mean extent of 1.7 to 2.1 reaches, half of the limit. Above the limit, the points are first
+/// sorted into spatial order.
 const MOST_EXTENT: f64 = 4.0;
 
 /// Maximum mean extent of groups of eight runs, in units of the reach. On a surface, eight runs

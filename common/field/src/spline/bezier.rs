@@ -9,8 +9,9 @@ pub(crate) const ORDER: usize = 4;
 /// property). The corner points are the values of F at the corners of the cell.
 pub(crate) type BezierPoints = [f64; ORDER * ORDER * ORDER];
 
-/// Bound on the rounding error of conversions and subdivisions, relative to the largest point. A
-/// conversion along three axes and seven levels of subdivision add fewer than 256 roundings.
+/// Bound on the rounding error of conversions and subdivisions, relative to the largest magnitude
+/// among the points. A conversion along three axes and seven levels of subdivision involve fewer
+/// than 256 roundings.
 pub(crate) const ROUNDING: f64 = 256.0 * f64::EPSILON;
 
 impl CubicSpline {
@@ -23,9 +24,9 @@ impl CubicSpline {
         points
     }
 
-    /// Returns the Bézier points like [`Self::bezier_points`], or `None` if F certainly has one
-    /// sign throughout the cell, including its border. The sign is tested after the conversion
-    /// along each axis, because each conversion computes weighted means of its input.
+    /// Returns the Bézier points like [`Self::bezier_points`], or `None` if F certainly has the
+    /// same sign throughout the closed cell. The signs are tested after the conversion along each
+    /// axis. A conversion computes weighted means, so it preserves a common sign.
     pub(crate) fn bezier_points_round_zero(&self, cell: [usize; 3]) -> Option<BezierPoints> {
         let mut points = self.coefficients_of_cell(cell);
         for convert in [along::<{ ORDER * ORDER }>, along::<ORDER>, along::<1>] {
@@ -60,16 +61,15 @@ impl CubicSpline {
     }
 }
 
-/// Returns whether all points certainly have the same sign, allowing for rounding.
+/// Returns whether all points have the same sign and exceed the rounding error in magnitude.
 pub(crate) fn is_of_one_sign(points: &BezierPoints) -> bool {
     let (low, high) = range(points);
     let slack = ROUNDING * low.abs().max(high.abs());
     low > slack || high < -slack
 }
 
-/// Converts coefficients of a uniform cubic B-spline to Bézier points, along the axis on which
-/// neighbouring points are `STRIDE` indices apart. A constant stride lets the compiler unroll the
-/// loops.
+/// Converts coefficients of a uniform cubic B-spline to Bézier points, along the axis with the
+/// stride `STRIDE`. A constant stride lets the compiler unroll the loops.
 fn along<const STRIDE: usize>(points: &mut BezierPoints) {
     for outer in (0..points.len()).step_by(ORDER * STRIDE) {
         for first in outer..outer + STRIDE {
@@ -82,7 +82,7 @@ fn along<const STRIDE: usize>(points: &mut BezierPoints) {
     }
 }
 
-/// Returns the minimum and maximum of some numbers, computed in independent lanes.
+/// Returns the minimum and maximum of the values, computed in independent lanes.
 pub(crate) fn range<const COUNT: usize>(values: &[f64; COUNT]) -> (f64, f64) {
     const LANES: usize = 8;
     let less = |a: f64, b: f64| if a < b { a } else { b };

@@ -1,5 +1,6 @@
 //! Stores the spline only near its zero set. The coefficients are stored in bricks, so that the
-//! memory for a large image is proportional to the surface area and not to the volume.
+//! memory for a large image is proportional to the area of the zero set, not to the volume of the
+//! image.
 
 use super::Jet;
 use super::prefilter::SlabFilter;
@@ -9,8 +10,8 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Number of cells of a brick along each axis. Each coefficient is stored (19 / 16)^3 = 1.7 times
-/// on average. Smaller bricks store it more often: 5.4 times with four cells.
+/// Number of cells of a brick along each axis. Bricks overlap, so each coefficient is stored
+/// (19 / 16)^3 = 1.7 times on average. With four cells, it would be stored 5.4 times.
 const BRICK_CELLS: usize = 16;
 
 /// Number of coefficients that the cells of a brick use along each axis.
@@ -29,13 +30,13 @@ const POSITIVE: u32 = u32::MAX - 1;
 /// An interpolating cubic B-spline that is stored only within a few voxels of its zero set.
 /// Positions are in the grid frame, derivatives per mm.
 ///
-/// A spline lies within the range of the coefficients that it uses, so a brick whose coefficients
-/// have the same sign contains no zero. In such a brick the value is taken as 1 or -1, with zero
-/// derivatives.
+/// The value of a spline lies within the range of its coefficients, so a brick whose coefficients
+/// have the same sign contains no zero. In a brick that is not stored, the value is 1 or -1 and the
+/// derivatives are zero.
 #[derive(Clone, Debug)]
 pub struct BrickSpline {
     geometry: Geometry,
-    /// Number of each brick, x fastest, or one of the markers [`NEGATIVE`] and [`POSITIVE`].
+    /// Number of each brick, x fastest, or one of the sentinels [`NEGATIVE`] and [`POSITIVE`].
     number: Vec<u32>,
     /// Coefficients of the bricks, one brick after the other.
     coefficients: Vec<f32>,
@@ -56,12 +57,12 @@ pub struct BrickSplineBuilder {
 }
 
 impl BrickSplineBuilder {
-    /// Starts a spline on a grid.
+    /// Creates a builder for a spline on a grid.
     pub fn new(geometry: Geometry) -> Self {
         Self { spline: BrickSpline { geometry, number: Vec::new(), coefficients: Vec::new() } }
     }
 
-    /// Returns the layers, from the first slice of the grid to the last slice.
+    /// Returns the layers in ascending order of their slices.
     pub fn layers(geometry: &Geometry) -> impl Iterator<Item = Layer> + use<> {
         let nz = geometry.size[2];
         let count = bricks_along(nz);
@@ -96,7 +97,7 @@ impl BrickSplineBuilder {
         }
     }
 
-    /// Returns the spline after all layers have been added.
+    /// Returns the spline. All layers must have been added.
     pub fn finish(mut self) -> BrickSpline {
         self.spline.coefficients.shrink_to_fit();
         self.spline
@@ -108,7 +109,7 @@ fn bricks_along(nodes: usize) -> usize {
 }
 
 /// Returns the coefficients of the brick whose lowest cell is `first`, on a grid of `size` nodes.
-/// Far from the zero set, returns the marker of the sign of the brick as an error.
+/// Far from the zero set, returns the sentinel for the sign of the spline as an error.
 fn brick<'a>(size: [usize; 3], first: [usize; 3], row: &impl Fn(usize, usize) -> &'a [f32]) -> Result<Vec<f32>, u32> {
     let around = [0, 1, 2].map(|a| {
         first[a].saturating_sub(1 + STORED_DISTANCE)..(first[a] + BRICK_CELLS + 2 + STORED_DISTANCE).min(size[a])

@@ -20,20 +20,20 @@ pub use prefilter::{Coefficients, SlabFilter};
 pub(crate) use stencil::Stencil;
 use stencil::mirror;
 
-/// Maximum number of Newton steps of a projection. Steps are limited to half a voxel; near F = 0,
+/// Maximum number of Newton steps in a projection. Steps are limited to half a voxel; near F = 0,
 /// each step doubles the number of correct digits. Projections that converge take at most 15 steps
-/// onto strata of the brain crop in `materials/complex/follow.rs`, and at most 21 steps onto F = 0
-/// of `trabecular_bone` (tolerance 1e-9 voxel, starts up to a voxel away).
+/// onto strata of the brain crop (see `materials/complex/follow.rs`), and at most 21 steps onto
+/// F = 0 of `trabecular_bone` (tolerance 1e-9 voxel, starts up to a voxel away).
 pub const PROJECTION_STEPS: usize = 25;
 
-/// Maximum squared gradient at which a projection fails, which corresponds to a slope of 1e-4. F is
-/// a distance, so its slope is 1 nearly everywhere. At this slope, F / slope is no distance: a
-/// value of 1e-4 voxel would give a step of a voxel.
+/// A projection fails where the squared gradient is at most this value, which corresponds to a
+/// slope of 1e-4. F is a distance, so its slope is 1 nearly everywhere. At a slope of 1e-4,
+/// F / slope does not approximate a distance: a value of 1e-4 voxel would give a step of one voxel.
 pub const LEAST_SQUARED_GRADIENT: f64 = 1e-8;
 
-/// Minimum distance in voxels between a surface and the face of a grid for which the spline near
-/// the surface is almost the same as on a larger grid. The mirror boundary replaces the values
-/// beyond the face. If the mirrored values differ by d, the spline n nodes from the face differs by
+/// Minimum distance in voxels from a surface to a face of the grid. At this distance, the spline
+/// near the surface is almost the same as on a larger grid. The mirror boundary replaces the values
+/// beyond the face. If the mirrored values are off by d, the spline n nodes from the face is off by
 /// less than d sqrt(3) z^(n + 1) / (1 - z), with z = 2 - sqrt(3) (impulse response of the
 /// prefilter, Unser 1999). With n = 7, this is 6e-5 d. If d is ten times the change from voxel to
 /// voxel at the surface, the surface moves by 0.0006 voxel.
@@ -76,7 +76,7 @@ impl CubicSpline {
         Self::from_coefficients(image.geometry.clone(), coefficients)
     }
 
-    /// Creates the spline with coefficients that are already prefiltered.
+    /// Creates the spline from coefficients that are already prefiltered.
     pub fn from_coefficients(geometry: Geometry, coefficients: Vec<f32>) -> Self {
         assert_eq!(geometry.voxel_count(), coefficients.len(), "one coefficient a voxel");
         Self { voxel: geometry.mean_spacing(), geometry, coefficients }
@@ -108,8 +108,8 @@ impl CubicSpline {
         Stencil::new(&self.geometry, grid).value_gradient(&self.coefficients, self.geometry.spacing)
     }
 
-    /// Returns the first-order distance from F = 0 in mm, negative inside: F / |grad F|
-    /// ([`distance_estimate`]).
+    /// Returns a first-order estimate of the distance from F = 0 in mm, negative inside:
+    /// F / |grad F| ([`distance_estimate`]).
     pub fn distance_estimate(&self, grid: DVec3) -> f64 {
         let (value, gradient) = self.value_gradient(grid);
         distance_estimate(value, gradient)
@@ -123,9 +123,9 @@ impl CubicSpline {
     }
 
     /// Moves a point onto F = 0 by Newton steps along the gradient (Eq. 5 with its sign corrected).
-    /// `limit` is the maximum total move in mm. Returns `None` if the point moves farther, the
-    /// gradient vanishes, or [`PROJECTION_STEPS`] steps do not reduce |F| and the first-order
-    /// distance to `tolerance` (mm).
+    /// `limit` is the maximum distance from `start` in mm. Returns `None` if the point moves
+    /// farther or ends outside the volume, if the gradient vanishes, or if [`PROJECTION_STEPS`]
+    /// steps do not reduce |F| and the first-order distance to `tolerance` (mm).
     pub fn project(&self, start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         self.project_with_gradient(start, limit, tolerance).map(|(p, _)| p)
     }
@@ -138,7 +138,7 @@ impl CubicSpline {
         for _ in 0..PROJECTION_STEPS {
             let (f, g) = self.value_gradient(p);
             let g2 = g.length_squared();
-            // also rejects a gradient that is NaN
+            // also rejects NaN gradients
             if g2.partial_cmp(&LEAST_SQUARED_GRADIENT) != Some(std::cmp::Ordering::Greater) {
                 return None;
             }
@@ -158,9 +158,9 @@ impl CubicSpline {
 /// limit keeps the estimate finite where F is flat.
 pub const LEAST_GRADIENT: f64 = 1e-12;
 
-/// Returns the first-order distance in mm from F = 0 of a point with the given value and gradient
-/// of F: F / |grad F| (Taubin 1994), negative inside. The estimate is exact where F is linear or a
-/// distance. Elsewhere its error is of second order in the distance.
+/// Returns a first-order estimate of the distance in mm from F = 0, given the value and gradient of
+/// F at a point: F / |grad F| (Taubin 1994), negative inside. The estimate is exact where F is
+/// linear or a signed distance. Elsewhere its error is of second order in the distance.
 pub fn distance_estimate(value: f64, gradient: DVec3) -> f64 {
     value / gradient.length().max(LEAST_GRADIENT)
 }

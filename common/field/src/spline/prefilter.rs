@@ -17,13 +17,13 @@ const HALO: usize = 16;
 /// MiB. Smaller images are filtered as a whole.
 const NODES_AT_A_TIME: usize = 8 << 20;
 
-/// Number of rows along x that are filtered together. Eight independent recursions then proceed at
-/// once, and one sample from each row fills a cache line of 64 bytes. In a single row, each sample
-/// must wait for the previous sample.
+/// Number of rows along x that are filtered together. Eight independent recursions then run in
+/// parallel, and one sample from each row fills a cache line of 64 bytes. Within a row, each sample
+/// depends on the previous one.
 const ROWS_AT_A_TIME: usize = 8;
 
-/// Prefilters an image that is given slice by slice, and returns the coefficients of some slices at
-/// a time. The coefficients of a large image are therefore never all stored. They equal those of
+/// Prefilters an image slice by slice and returns the coefficients of a few slices at a time, so
+/// that those of a large image are never all in memory. The coefficients equal those of
 /// [`super::CubicSpline`] up to single-precision rounding, for any number of threads.
 pub struct SlabFilter {
     size: [usize; 3],
@@ -58,8 +58,8 @@ impl SlabFilter {
 
     /// Returns the coefficients of at least the slices in `range`. Successive ranges must be in
     /// ascending order of their starts. `fill` writes the samples of one slice (x fastest). It is
-    /// called at most once per slice. Each call of this function fills only slices after those of
-    /// earlier calls.
+    /// called at most once per slice, and only for slices after those of earlier calls of this
+    /// function.
     pub fn coefficients(&mut self, range: Range<usize>, fill: impl Fn(usize, &mut [f32]) + Sync) -> &Coefficients {
         if self.held.slices.start > range.start || self.held.slices.end < range.end {
             let [nx, ny, nz] = self.size;
@@ -156,7 +156,8 @@ fn filter_lines(scratch: &mut [f64], width: usize, length: usize) {
         scratch.iter_mut().for_each(|sample| *sample /= 6.0);
         return;
     }
-    // first causal value: mirrored geometric sum, up to weights of POLE^30 = 7e-18, below 2^-53
+    // first causal value: mirrored geometric sum, truncated at the weight POLE^30 = 7e-18, which is
+    // below 2^-53
     let horizon = 30.min(length);
     for x in 0..width {
         scratch[x] = causal_start(|k| scratch[k * width + x], length, horizon);

@@ -1,5 +1,5 @@
-//! The coefficients that determine F at a position, their weights, and the sums for value, gradient
-//! and Hessian.
+//! The coefficients that determine F at a position, their weights, and the weighted sums for the
+//! value, gradient and Hessian.
 
 use super::Jet;
 use glam::{DMat3, DVec3};
@@ -60,7 +60,7 @@ impl Stencil {
         self
     }
 
-    /// Returns the indices along each axis of the nodes whose coefficients the stencil uses.
+    /// Returns, for each axis, the indices of the nodes whose coefficients the stencil uses.
     #[inline]
     pub(crate) fn indices(&self) -> [[usize; 4]; 3] {
         [self.ix, self.iy, self.iz]
@@ -89,9 +89,10 @@ impl Stencil {
         dot(&self.x.0, &value)
     }
 
-    /// Returns the value and the gradient. Sums over y, then over z, with four coefficients along x
-    /// at a time, and over x at the end. Inlined, so that it is compiled for the instruction set of
-    /// the caller. No operations are fused, so every instruction set gives the same bits.
+    /// Returns the value and the gradient. Sums over y and then over z, for four coefficients along
+    /// x at a time, and finally over x. Inlined, so that it is compiled for the instruction set of
+    /// the caller. Multiplications and additions are not fused, so every instruction set gives the
+    /// same bits.
     #[inline(always)]
     pub(crate) fn value_gradient(&self, coefficients: &[f32], spacing: DVec3) -> (f64, DVec3) {
         self.sums(spacing, |b, c| self.row(coefficients, b, c))
@@ -128,8 +129,7 @@ impl Stencil {
     #[inline(always)]
     pub(crate) fn jet(&self, coefficients: &[f32], s: DVec3) -> Jet {
         let (x, y, z) = (&self.x, &self.y, &self.z);
-        // derivatives with respect to y and z that are not yet summed over x: none, y, z, yy, zz,
-        // yz
+        // the value and its derivatives with respect to y, z, yy, zz and yz, not yet summed over x
         let mut sums = [[0.0; 4]; 6];
         for c in 0..4 {
             let (mut plane, mut slope, mut bend) = ([0.0; 4], [0.0; 4], [0.0; 4]);

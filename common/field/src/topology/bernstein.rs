@@ -1,10 +1,10 @@
 //! Represents the spline within one cell in Bernstein form. The coefficients of this form bound F
 //! and its derivatives.
 //!
-//! A polynomial lies within the range of its Bernstein coefficients (convex hull property). Up to a
-//! constant factor, its derivatives lie within the range of the differences of these coefficients.
-//! Each halving of a cell divides the distance between the coefficients and the polynomial by four.
-//! Subdivision therefore resolves every cell that is not degenerate.
+//! The values of a polynomial lie within the range of its Bernstein coefficients (convex hull
+//! property). Up to a constant factor, its derivatives lie within the range of the differences of
+//! these coefficients. Each halving of a cell divides the distance between the coefficients and the
+//! polynomial by four. Subdivision therefore resolves every cell that is not degenerate.
 
 use crate::spline::CubicSpline;
 use crate::spline::bezier::{BezierPoints, ORDER, ROUNDING, is_of_one_sign, range};
@@ -14,13 +14,13 @@ use crate::spline::bezier::{BezierPoints, ORDER, ROUNDING, is_of_one_sign, range
 pub(super) struct Bernstein(BezierPoints);
 
 impl Bernstein {
-    /// Returns F in the voxel cell with the given lowest sample.
+    /// Returns F in the voxel cell with the given lowest node.
     pub(super) fn of_cell(field: &CubicSpline, cell: [usize; 3]) -> Self {
         Self(field.bezier_points(cell))
     }
 
-    /// Returns F in a voxel cell like [`Self::of_cell`], or `None` if F has one sign throughout the
-    /// cell.
+    /// Returns F in a voxel cell like [`Self::of_cell`], or `None` if F certainly has one sign
+    /// throughout the cell.
     pub(super) fn of_crossed_cell(field: &CubicSpline, cell: [usize; 3]) -> Option<Self> {
         field.bezier_points_round_zero(cell).map(Self)
     }
@@ -36,9 +36,9 @@ impl Bernstein {
         all
     }
 
-    /// Subdivides cells at the middle (de Casteljau's algorithm), along the axis on which
-    /// neighbouring coefficients are `STRIDE` indices apart. The first half of `all` becomes the
-    /// lower halves of the cells, and the second half becomes the upper halves.
+    /// Subdivides cells at the middle (de Casteljau's algorithm), along the axis with the stride
+    /// `STRIDE`. The first half of `all` becomes the lower halves of the cells, and the second half
+    /// becomes the upper halves.
     fn halve<const STRIDE: usize>(all: &mut [Self]) {
         let (lower, upper) = all.split_at_mut(all.len() / 2);
         for (Self(lower), Self(upper)) in lower.iter_mut().zip(upper) {
@@ -57,8 +57,8 @@ impl Bernstein {
         }
     }
 
-    /// Returns the range of the derivative of F along each axis, including rounding errors. The
-    /// derivatives are per index, up to a factor common to all axes.
+    /// Returns bounds on the derivative of F along each axis, widened by the rounding error.
+    /// Derivatives are per index, up to a factor common to all axes.
     fn slopes(&self) -> [(f64, f64); 3] {
         let (low, high) = range(&self.0);
         let slack = low.abs().max(high.abs()) * ROUNDING;
@@ -84,14 +84,14 @@ impl Bernstein {
         self.slopes().iter().all(|&(low, high)| low <= 0.0 && high >= 0.0)
     }
 
-    /// Returns whether F has one sign throughout the cell, including its border.
+    /// Returns whether F certainly has one sign throughout the closed cell.
     pub(super) fn is_clear(&self) -> bool {
         is_of_one_sign(&self.0)
     }
 
-    /// Returns whether the gradients (per index) at any two positions in the cell differ by less
-    /// than a right angle: condition C1 of Plantinga and Vegter. F = 0 is then a graph in the cell,
-    /// over the plane perpendicular to any of the gradients.
+    /// Returns whether the gradients (per index) at any two positions in the cell form an acute
+    /// angle: condition C1 of Plantinga and Vegter. F = 0 is then a graph in the cell, over the
+    /// plane perpendicular to any of the gradients.
     pub(super) fn is_graph(&self) -> bool {
         let least = self.slopes().map(|(low, high)| {
             // the minimum product of two numbers within the range

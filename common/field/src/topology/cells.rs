@@ -10,20 +10,20 @@ use isoparticles_mesh::buckets::starts_of;
 use rayon::prelude::*;
 
 /// Level to which every uncertain voxel cell is subdivided. A neck, gap or speck of radius r at a
-/// critical point is certain in cells of edge e < r / sqrt 3, where F differs little from its
-/// second-order expansion. Cells of a sixteenth of a voxel decide all features of radius 0.108
-/// voxel and more, almost down to `RESOLUTION` (0.1).
+/// critical point is resolved by cells with an edge length below r / sqrt 3, where F differs little
+/// from its second-order expansion. Cells of a sixteenth of a voxel resolve all features with a
+/// radius of at least 0.108 voxel, almost down to `RESOLUTION` (0.1).
 pub(super) const BASE: u8 = 4;
 
-/// Finest level. In its cells, features of radius r > sqrt 3 / 128 = 0.014 voxel are certain, a
+/// Finest level. Its cells resolve features with a radius above sqrt 3 / 128 = 0.014 voxel, a
 /// seventh of `RESOLUTION`.
 pub(super) const DEPTH: u8 = 7;
 
 /// Cells are subdivided beyond [`BASE`] while at most this many cells of a voxel are uncertain. If
-/// F = 0 touches itself at a point, the number of uncertain cells is the same on every level: 14
+/// F = 0 touches itself at a point, the number of uncertain cells is the same at every level: 14
 /// per point (9,237 cells at 662 such points of a noisy scan, at [`BASE`]). The limit allows four
-/// such points. Along a curve the number doubles with each level, and over a surface it quadruples;
-/// subdivision does not help there.
+/// such points. If F = 0 touches itself along a curve, the number doubles with each level, and over
+/// a surface it quadruples; subdivision does not help there.
 const MOST_UNCERTAIN: usize = 64;
 
 /// Number of finest cells along the edge of a voxel.
@@ -34,7 +34,7 @@ pub(super) const FINE: u64 = 1 << DEPTH;
 pub(super) enum State {
     /// F has one sign throughout the cell.
     Clear,
-    /// F = 0 is a graph in the cell, if it crosses the cell.
+    /// If F = 0 crosses the cell, it is a graph in the cell.
     Graph,
     /// Neither clear nor a graph, and not subdivided further.
     Undecided,
@@ -78,8 +78,8 @@ impl From<Packed> for State {
     }
 }
 
-/// A cell. Its edge is a voxel's edge halved `level` times. `at` is its position along each axis in
-/// units of this edge.
+/// A cell. Its edge length is that of a voxel cell divided by 2^`level`. `at` is its position along
+/// each axis in units of this length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Cell {
     pub(super) level: u8,
@@ -93,7 +93,7 @@ impl Cell {
         Self { level: self.level + 1, at: [0, 1, 2].map(|axis| 2 * self.at[axis] + bit(axis)) }
     }
 
-    /// Returns the cell of a lower level that contains this cell.
+    /// Returns the ancestor of this cell at the given lower level.
     pub(super) fn within(self, level: u8) -> Self {
         Self { level, at: self.at.map(|n| n >> (self.level - level)) }
     }
@@ -125,10 +125,10 @@ pub(super) struct Cells {
 }
 
 impl Cells {
-    /// Subdivides cells where F = 0 is not certain, and cells next to much smaller cells.
-    /// Afterwards, a cell in which F = 0 is a graph is at most twice as large as the cells around
-    /// it that F = 0 may cross. The surface given by the signs at the cell corners is isotopic to
-    /// F = 0 only with this balance.
+    /// Subdivides cells in which F = 0 is uncertain, and cells next to much smaller cells.
+    /// Afterwards, a cell in which F = 0 is a graph is at most twice as large as any neighbour that
+    /// F = 0 may cross. Without this balance, the surface given by the signs at the cell corners
+    /// need not be isotopic to F = 0.
     pub(super) fn new(field: &CubicSpline, watch: &Watch<'_>) -> Result<Self, Interrupted> {
         let size = field.geometry().size.map(|n| n.saturating_sub(1));
         let signs = Signs::of(field);
@@ -176,13 +176,13 @@ impl Cells {
         Cell { level: DEPTH, at: [0, 1, 2].map(|axis| fine[axis].min(last[axis]).max(0.0) as u32) }
     }
 
-    /// Returns whether the cell at the offset `away` from `cell`, in cell edges, is subdivided.
+    /// Returns whether the cell at the offset `away` (in cell edges) from `cell` is subdivided.
     pub(super) fn is_halved(&self, cell: Cell, away: [i64; 3]) -> bool {
         self.halves(cell, away).is_some()
     }
 
-    /// Returns the index of the octants of the cell at the offset `away` from `cell`, in cell
-    /// edges, if that cell is subdivided.
+    /// Returns the index of the octants of the cell at the offset `away` (in cell edges) from
+    /// `cell`, if that cell is subdivided.
     pub(super) fn halves(&self, cell: Cell, away: [i64; 3]) -> Option<u32> {
         let cell = moved(cell, away)?;
         match self.find(cell)? {
@@ -232,8 +232,8 @@ impl Cells {
         found
     }
 
-    /// Adds the leaf cells within `cell` that F = 0 may cross. If `cell` is a part of a larger leaf
-    /// cell, adds that leaf cell if F = 0 may cross it.
+    /// Adds the leaf cells within `cell` that F = 0 may cross. If `cell` is part of a larger leaf
+    /// cell that F = 0 may cross, adds that leaf cell.
     pub(super) fn crossed_in(&self, cell: Cell, found: &mut Vec<(Cell, State)>) {
         match self.find(cell) {
             Some((_, State::Halved(halves))) => self.crossed_in_halves(cell, halves, found),
@@ -274,8 +274,8 @@ impl Cells {
         }
     }
 
-    /// Subdivides cells in which F = 0 is a graph, and further cells to restore the balance.
-    /// Returns the voxels that have changed, in ascending order.
+    /// Subdivides the given cells, in which F = 0 is a graph, and further cells to restore the
+    /// balance. Returns the voxels that have changed, in ascending order.
     pub(super) fn refine(&mut self, field: &CubicSpline, cells: &[Cell]) -> Vec<[u32; 3]> {
         self.halve_all(field, cells);
         let mut changed = self.balance(field, cells.to_vec());
@@ -286,8 +286,8 @@ impl Cells {
         changed
     }
 
-    /// Restores the balance around the octants of the given cells, which are subdivided. Returns
-    /// the cells that it subdivides.
+    /// Restores the balance around the octants of the given subdivided cells. Returns the cells
+    /// that it subdivides.
     fn balance(&mut self, field: &CubicSpline, halved: Vec<Cell>) -> Vec<Cell> {
         let mut by_level: Vec<Vec<Cell>> = vec![Vec::new(); usize::from(DEPTH)];
         halved.into_iter().for_each(|cell| by_level[usize::from(cell.level)].push(cell));
@@ -314,8 +314,9 @@ impl Cells {
         all
     }
 
-    /// Returns the cells around the octants of `whole` that must be subdivided. F = 0 is a graph in
-    /// these cells. They touch an octant that F = 0 may cross and are more than twice its size.
+    /// Returns the cells around `whole` that must be subdivided. These are cells in which F = 0 is
+    /// a graph. Each touches an octant of `whole` that F = 0 may cross and is more than twice its
+    /// size.
     fn too_large_beside(&self, whole: Cell) -> Vec<Cell> {
         let mut large = Vec::new();
         let Some(halves) = self.halves(whole, [0; 3]) else { return large };
@@ -352,8 +353,8 @@ impl Cells {
     }
 }
 
-/// Returns the cell at the offset `away` from `cell`, in cell edges. Returns `None` if a coordinate
-/// is negative.
+/// Returns the cell at the offset `away` (in cell edges) from `cell`. Returns `None` if a
+/// coordinate is negative.
 pub(super) fn moved(cell: Cell, away: [i64; 3]) -> Option<Cell> {
     let mut at = [0; 3];
     for axis in 0..3 {

@@ -1,11 +1,11 @@
-//! Finds the critical points of F near F = 0. There, necks, gaps, handles and specks of the
-//! isosurface appear or vanish as the iso value changes.
+//! Finds the critical points of F near F = 0. At these points, necks, gaps, handles and specks of
+//! the isosurface appear or vanish as the iso value changes.
 //!
 //! By Morse theory, the topology of F = 0 is determined by the critical points of F and the side of
-//! F = 0 on which each critical point lies. If every critical point is on the correct side of a
-//! mesh near F = 0, the mesh has the correct handles there. Boissonnat, Cohen-Steiner and Vegter
-//! (2004) mesh implicit surfaces by this rule. A critical point on the wrong side shows where the
-//! mesh lacks points.
+//! F = 0 on which each of them lies. A mesh near F = 0 has the correct handles if every critical
+//! point is on the correct side of the mesh. Boissonnat, Cohen-Steiner and Vegter (2004) use this
+//! criterion to mesh implicit surfaces. A critical point on the wrong side shows where the mesh
+//! lacks points.
 
 use super::bernstein::Bernstein;
 use super::signs::Signs;
@@ -23,10 +23,10 @@ const NEWTON_STEPS: usize = 30;
 
 /// A search starts in a cell only if the gradient at its middle is shorter than the norm of the
 /// Hessian times this number of voxels. The corners are sqrt(3) / 2 = 0.87 voxel from the middle;
-/// the rest is a margin for the change of the Hessian within the cell. With 1, 2 and 4, the
+/// the rest is a margin for the variation of the Hessian within the cell. With 1, 2 and 4, the
 /// search finds 1169, 1183 and 1188 critical points (`cargo run --release -p isoparticles-field
 /// --example topology -- F.vti`, with F of `trabecular_bone` at iso value 80, nodes 70 to 129 along
-/// each axis). The undecided locations are the same.
+/// each axis). The undecided locations are the same in all three cases.
 const FLATNESS_MARGIN: f64 = 2.0;
 
 /// Starting points of the searches in a cell, as fractions of the cell edges: the middle, and one
@@ -44,14 +44,14 @@ const STARTS: [DVec3; 9] = [
 ];
 
 /// Maximum distance along each axis, in voxels, that a search for a critical point may move from
-/// its start. A search that moves farther is abandoned, because a search from a nearer cell usually
+/// its start. A search that moves farther is abandoned, because a search from a closer cell usually
 /// finds the point. With 0.5, 1 and 2, 1115, 1183 and 1228 critical points are found, and 6, 7 and
 /// 7 locations are undecided (measured as for [`FLATNESS_MARGIN`]).
 const SEARCH_RADIUS: f64 = 1.0;
 
-/// Critical points closer to each other than this distance, in voxels, count as one point. Searches
-/// converge to 1e-9 voxel, and distinct critical points are much farther apart: with 1e-4, 1e-3 and
-/// 1e-2, the same 1183 points are found (measured as for [`FLATNESS_MARGIN`]).
+/// Critical points closer to each other than this distance, in voxels, are treated as one point.
+/// Searches converge to 1e-9 voxel, and distinct critical points are much farther apart: with 1e-4,
+/// 1e-3 and 1e-2, the same 1183 points are found (measured as for [`FLATNESS_MARGIN`]).
 const MERGE_DISTANCE: f64 = 1e-3;
 
 /// A critical point of F.
@@ -61,8 +61,9 @@ pub struct CriticalPoint {
     pub position: DVec3,
     /// F at the critical point, mm.
     pub value: f64,
-    /// For each eigenvector of the Hessian, the vector along it from the critical point to F = 0 by
-    /// the second-order expansion (mm). It is zero if F = 0 is not reached in that direction.
+    /// For each eigenvector of the Hessian, the vector along it from the critical point to F = 0
+    /// (mm), according to the second-order expansion. It is zero if F = 0 is not reached in that
+    /// direction.
     pub ways: [DVec3; 3],
     /// Length of the shortest non-zero vector in `ways`, in mm. It approximates the radius of the
     /// neck, gap or speck.
@@ -77,8 +78,8 @@ impl CriticalPoint {
     }
 }
 
-/// Returns the critical points of F within a few voxels of F = 0 whose neck, gap or speck has at
-/// least the radius `smallest` (mm).
+/// Returns the critical points of F within a few voxels of F = 0 whose neck, gap or speck has a
+/// radius of at least `smallest` (mm).
 pub fn critical_points(field: &CubicSpline, smallest: f64) -> Vec<CriticalPoint> {
     let watch = Watch::new(&Silent, 0);
     let mut found = all(field, &watch).unwrap_or_default();
@@ -121,9 +122,9 @@ pub(super) fn all(field: &CubicSpline, watch: &Watch<'_>) -> Result<Vec<Critical
 }
 
 /// Adds points to `apart`. Of points closer to each other than `limit`, only the first is added.
-/// Points are divided into groups wherever neighbours along an axis are at least `limit` apart.
-/// `uncut` is the number of axes tried since the last division. Points in a plane, such as a mirror
-/// plane of a symmetric object, are divided along another axis.
+/// The points are divided into groups at gaps of at least `limit` along an axis. `uncut` is the
+/// number of axes tried since the last division. All three axes are tried, because points in a
+/// plane, such as a mirror plane of a symmetric object, cannot be divided along its normal.
 fn keep_apart(points: &mut [DVec3], limit: f64, axis: usize, uncut: usize, apart: &mut Vec<DVec3>) {
     if points.len() == 1 || uncut == 3 {
         points.sort_unstable_by(|a, b| a.to_array().partial_cmp(&b.to_array()).unwrap_or(Ordering::Equal));
@@ -144,7 +145,7 @@ fn keep_apart(points: &mut [DVec3], limit: f64, axis: usize, uncut: usize, apart
 }
 
 /// Returns whether the gradient may vanish in the cell around a point. The test uses the Hessian at
-/// the point, with a margin for the change of the Hessian within the cell.
+/// the point, with a margin for the variation of the Hessian within the cell.
 #[inline(always)]
 fn may_be_flat(field: &CubicSpline, p: DVec3, voxel: f64) -> bool {
     let jet = field.jet(p);
@@ -175,8 +176,8 @@ fn newton(field: &CubicSpline, start: DVec3, reach: f64) -> Option<DVec3> {
     None
 }
 
-/// Describes F = 0 around a critical point. Returns `None` if the second-order expansion does not
-/// reach F = 0 in any direction.
+/// Describes F = 0 around a critical point with the second-order expansion of F. Returns `None` if
+/// the expansion does not reach F = 0 in any direction.
 fn describe(field: &CubicSpline, position: DVec3) -> Option<CriticalPoint> {
     let jet = field.jet(position);
     let mut radius = f64::INFINITY;
@@ -254,7 +255,7 @@ mod tests {
 
     #[test]
     fn points_on_a_mirror_plane_are_found_once() {
-        // four balls around an axis, with mirror planes through samples and at angles to each other
+        // four balls around an axis, with mirror planes through samples and along diagonals
         let scene = Scene::new([33; 3], DVec3::ONE, |p| {
             let balls = [(1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)];
             let away = |(x, y)| p.distance(DVec3::new(16.0 + 6.0 * x, 16.0 + 6.0 * y, 16.0)) - 5.0;

@@ -1,7 +1,7 @@
-//! Finds the component of F = 0 that contains a given point on F = 0. A path on F = 0 leads from
-//! the point to a crossing of this component.
+//! Finds the component of F = 0 that contains a given point on F = 0. If necessary, walks on F = 0
+//! from the point to a crossing of this component.
 //!
-//! The polygons equal F = 0 only up to isotopy. Where several parts of the surface are close
+//! The polygons represent F = 0 only up to isotopy. Where several parts of the surface are close
 //! together, F = 0 may bulge into cells whose polygons belong to another part. If all polygons
 //! around a point belong to one component, the point also belongs to it. Otherwise a walk on F = 0
 //! decides.
@@ -12,26 +12,25 @@ use crate::spline::CubicSpline;
 use glam::DVec3;
 
 // Walks are rarely needed and short. In a test with 43,565 points on two fields, halving or
-// doubling any one of the constants below except the tolerance changed the component of no point
-// (`LEAST_COSINE`: 0.6 and 0.9). No walk that succeeds takes more than 4 steps, and no step is
-// shortened. The points are every seventh crossing (`FieldTopology::samples`), displaced by up to
-// half a voxel along each axis and projected onto the surface. The two fields are `trabecular_bone`
-// (see `FLATNESS_MARGIN` in `critical.rs`) and the noise of `tooth_ct` (iso value 404, nodes x and
-// y 5 to 22, z 20 to 37).
+// doubling any of the constants below except the tolerance does not change the component of any
+// point (for `LEAST_COSINE`, the values are 0.6 and 0.9). No successful walk takes more than 4
+// steps, and no step is shortened. The points are every seventh crossing
+// (`FieldTopology::samples`), displaced by up to half a voxel along each axis and projected onto
+// the surface. The two fields are `trabecular_bone` (see `FLATNESS_MARGIN` in `critical.rs`) and
+// the noise of `tooth_ct` (iso value 404, nodes 5 to 22 along x and y, 20 to 37 along z).
 
 /// Maximum length of a step of a walk, in edge lengths of the cell in which the step starts. In a
-/// cell in which F = 0 is a graph, its normal turns by less than 90 degrees over one edge length.
-/// Over a quarter of that, the normal of a curve of constant curvature turns by less than 23
-/// degrees; [`LEAST_COSINE`] allows 37 degrees.
+/// cell where F = 0 is a graph, its normal turns by less than 90 degrees. Over a quarter of the
+/// edge length, at constant curvature, it turns by less than 23 degrees; [`LEAST_COSINE`] allows 37
+/// degrees.
 const LONGEST_STEP: f64 = 0.25;
 
-/// Minimum cosine between the normals at both ends of a step (37 degrees). The distance between the
-/// chord of such a step and F = 0 is at most a twelfth of the chord length. A step with a smaller
-/// cosine is halved.
+/// Minimum cosine between the normals at both ends of a step (37 degrees). The chord of such a step
+/// deviates from F = 0 by at most a twelfth of its length. A step with a smaller cosine is halved.
 const LEAST_COSINE: f64 = 0.8;
 
 /// Number of attempts to take a step, each half as long as the one before. The shortest attempt is
-/// 2^-5 / 4 = 1/128 of an edge; in a voxel cell, this is the edge of a finest cell.
+/// 2^-5 / 4 = 1/128 of an edge; in a voxel cell, this is the edge length of the finest cells.
 const STEP_ATTEMPTS: usize = 6;
 
 /// Maximum number of steps of a walk: four times the 12 steps of a straight path through three
@@ -44,7 +43,7 @@ const TOLERANCE: f64 = 1e-6;
 
 impl Surface {
     /// Returns the component of a point on F = 0 (grid frame, mm). `normal` is grad F at the point.
-    /// Returns `None` if there are no crossings around the point, or if they belong to several
+    /// Returns `None` if there are no crossings near the point, or if they belong to several
     /// components and no walk reaches a crossing.
     pub(super) fn component_at(&self, field: &CubicSpline, cells: &Cells, point: DVec3, normal: DVec3) -> Option<u32> {
         let (own, _) = cells.find(cells.finest_at(field, point))?;
@@ -83,8 +82,8 @@ impl Surface {
         Some(only)
     }
 
-    /// Returns the crossings of the polygons in a cell and in the cells of its size around it,
-    /// ascending.
+    /// Returns the crossings of the polygons in a cell and its neighbours of the same size, in
+    /// ascending order.
     pub(super) fn crossings_round(&self, cells: &Cells, cell: Cell) -> Vec<u32> {
         let mut near = Vec::new();
         around().filter_map(|away| moved(cell, away)).for_each(|cell| cells.crossed_in(cell, &mut near));

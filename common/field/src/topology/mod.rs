@@ -5,15 +5,15 @@
 //! Each voxel cell is subdivided until F has one sign throughout the cell, or any two gradients in
 //! the cell form an acute angle. Bounds for the whole cell (Bernstein form) prove both conditions.
 //! If the sizes of adjacent cells differ by at most a factor of two, the signs of F at the cell
-//! corners give the surface up to isotopy (Plantinga and Vegter, *Isotopic approximation of
-//! implicit curves and surfaces*, 2004). Components and Euler characteristics are counted on the
+//! corners determine the surface up to isotopy (Plantinga and Vegter, *Isotopic approximation of
+//! implicit curves and surfaces*, 2004). Components and Euler characteristics are computed from the
 //! polygons of that surface.
 //!
 //! The topology is *undecided* at three kinds of locations:
 //! - Cells that are uncertain at the finest level, near critical points of F with a value close to
-//!   zero. The counts follow the signs at the corners of these cells.
-//! - Critical points whose neck, gap or speck is finer than [`RESOLUTION`]. F is known there, but a
-//!   mesh of ordinary resolution need not reproduce it.
+//!   zero. In these cells, the counts follow the signs at the corners.
+//! - Critical points whose neck, gap or speck is finer than [`RESOLUTION`]. The topology of F is
+//!   known there, but a mesh of ordinary resolution need not reproduce it.
 //! - Other components finer than [`RESOLUTION`], for example where F is nearly flat and the
 //!   second-order expansion overestimates the radius.
 //!
@@ -45,9 +45,9 @@ pub use undecided::{Group, Groups, Undecided, UndecidedKind};
 use watch::Watch;
 
 /// Minimum radius, in voxels (geometric mean spacing), of necks, gaps and specks whose topology a
-/// mesh must reproduce. The radius is the distance from the critical point to F = 0 by the
-/// second-order expansion. A neck of this radius has a circumference of 0.63 voxel, so six edges
-/// around it are a tenth of a voxel long. Samples one voxel apart do not determine smaller
+/// mesh must reproduce. The radius is the distance from the critical point to F = 0, according to
+/// the second-order expansion of F. A neck of this radius has a circumference of 0.63 voxel, so six
+/// edges around it are a tenth of a voxel long. Samples one voxel apart do not determine smaller
 /// features.
 pub const RESOLUTION: f64 = 0.1;
 
@@ -60,12 +60,11 @@ pub struct Component {
     pub euler: i64,
     /// A position near the component, in the grid frame, mm.
     pub place: DVec3,
-    /// Bounding box in the grid frame, mm, to first order in the edge length of the cells.
+    /// Bounding box in the grid frame, mm, accurate to first order in the cell size.
     pub bounds: Bounds,
-    /// Area in mm^2, to first order in the edge length of the cells.
+    /// Area in mm^2, accurate to first order in the cell size.
     pub area: f64,
-    /// Enclosed volume in mm^3, negative for a cavity, to first order in the edge length of the
-    /// cells.
+    /// Enclosed volume in mm^3, negative for a cavity, accurate to first order in the cell size.
     pub volume: f64,
 }
 
@@ -102,6 +101,7 @@ pub struct TopologySummary {
 
 impl FieldComponents {
     /// Computes the components of F = 0, where F is the spline through the samples of a volume.
+    ///
     /// # Errors
     /// If the monitor interrupts the work.
     pub fn new(field: &CubicSpline, monitor: &dyn Monitor) -> Result<Self, Interrupted> {
@@ -119,8 +119,8 @@ impl FieldComponents {
         &self.surface.components
     }
 
-    /// Returns outward-facing triangles near a component, to first order in the edge length of the
-    /// cells. The triangles are denser where F = 0 is curved.
+    /// Returns triangles that approximate a component to first order in the cell size. They face
+    /// outward, and they are denser where F = 0 is curved.
     pub fn mesh(&self, component: u32) -> TriangleMesh {
         self.surface.mesh(component)
     }
@@ -133,8 +133,8 @@ impl FieldComponents {
     }
 
     /// Returns the component of a point on F = 0 (grid frame, mm). `normal` is grad F at the point.
-    /// Returns `None` if there is no component around the point, or if there are several and no
-    /// path on F = 0 to any of them is found.
+    /// Returns `None` if no component is near the point, or if several are near and no path on
+    /// F = 0 leads to one of them.
     pub fn at(&self, field: &CubicSpline, point: DVec3, normal: DVec3) -> Option<u32> {
         self.surface.component_at(field, &self.cells, point, normal)
     }

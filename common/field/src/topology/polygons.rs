@@ -1,9 +1,10 @@
-//! Represents the surface given by the signs of F at cell corners as polygons. Their corners are
-//! crossings with cell edges. Components and Euler characteristics need no triangles.
+//! Represents the surface as polygons, which are determined by the signs of F at the cell corners.
+//! The corners of the polygons are crossings with cell edges. Components and Euler characteristics
+//! need no triangles.
 //!
-//! Each edge is divided as finely as the smallest cell that contains it, and each face as finely as
-//! the smaller of its two cells. All cells therefore use the same crossings, and the polygons form
-//! a closed surface, except at the border of the volume.
+//! Each edge is divided as finely as in the smallest cell that shares it, and each face as finely
+//! as in the smaller of its two cells. All cells therefore use the same crossings, and the polygons
+//! form a closed surface, except at the border of the volume.
 
 use super::cells::{Cell, Cells, DEPTH, FINE, around};
 use crate::marching_cubes::NODE_CLEARANCE;
@@ -12,7 +13,7 @@ use glam::DVec3;
 use std::ops::Range;
 use std::sync::OnceLock;
 
-/// Number of cached values of F; a power of two. At 16 bytes each, they take 256 KiB and stay in
+/// Number of cached values of F; a power of two. At 16 bytes each, they take 256 KiB and fit into
 /// the second-level cache.
 const CACHED_VALUES: usize = 1 << 14;
 
@@ -22,7 +23,7 @@ const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
 const SHIFT: u32 = 64 - CACHED_VALUES.trailing_zeros();
 
 /// Bit mask of a cell and the 26 cells around it in a block of 4 x 4 x 4 cells, x fastest. The
-/// lowest of these 27 cells has bit 0.
+/// lowest of these 27 cells corresponds to bit 0.
 const AROUND: u64 = 0x0000_0777_0777_0777;
 
 /// Bit index in such a block of each cell that [`around`] returns.
@@ -40,14 +41,14 @@ const BLOCK_BIT: [u32; 27] = {
 /// numbers increase with the lower end of the edge, x fastest.
 pub(super) type Crossing = u64;
 
-/// Returns how many crossing numbers are reserved for the edges that begin in one slice of voxels.
+/// Returns how many crossing numbers are reserved for the edges that start in one slice of voxels.
 /// The range of each slice starts at a multiple of this count.
 pub(super) fn crossings_in_slice(cells: &Cells) -> u64 {
     let [x, y, _] = corners(cells);
     x * y * FINE * 3 * (u64::from(DEPTH) + 1)
 }
 
-/// Returns the number of corners of finest cells along each axis.
+/// Returns the number of corners of the finest cells along each axis.
 fn corners(cells: &Cells) -> [u64; 3] {
     cells.size().map(|n| n as u64 * FINE + 1)
 }
@@ -101,27 +102,26 @@ impl Polygons {
 pub(super) struct Reader<'a> {
     field: &'a CubicSpline,
     cells: &'a Cells,
-    /// Number of corners of finest cells along each axis.
+    /// Number of corners of the finest cells along each axis.
     corners: [u64; 3],
     remembered: Vec<(u64, f64)>,
     /// The current cell, whose polygons are being extracted.
     present: Cell,
     /// Bit mask of the corners of the current cell that are inside the object, x fastest.
     inside: u8,
-    /// Bit mask of the subdivided cells in a block of 4 x 4 x 4 cells, x fastest. The cells of the
-    /// block have the size of the current cell. They include the current cell and the cells around
-    /// it.
+    /// Bit mask of the subdivided cells in a block of 4 x 4 x 4 cells, x fastest. The cells have
+    /// the size of the current cell. The block contains the current cell and its neighbours.
     halved: u64,
     /// Lowest cell of that block. `block_level` is the level of the cells in the block.
     block: [i64; 3],
     block_level: u8,
-    /// Whether neither the current cell nor any cell around it is subdivided.
+    /// Whether neither the current cell nor any of its neighbours of the same size is subdivided.
     is_even: bool,
     /// Indices of the octants of the current cell and of its neighbours of the same size. Valid
     /// only if `is_even` is false.
     near: [Option<u32>; 27],
-    /// For each level: the cell requested last, and the octant indices of this cell and of the
-    /// cells of its size around it.
+    /// For each level, the cell requested last, and the octant indices of this cell and of its
+    /// neighbours of the same size.
     larger: Vec<Option<(Cell, [Option<u32>; 27])>>,
     /// Scratch space: sides of the polygons of a cell, and crossings around a face.
     sides: Vec<[Crossing; 2]>,
@@ -151,7 +151,8 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Adds the polygons of a cell, one for each closed path of the surface across its faces.
+    /// Adds the polygons of a cell, one for each closed curve in which the surface intersects its
+    /// faces.
     pub(super) fn polygons(&mut self, cell: Cell, order: u64, all: &mut Polygons) {
         self.present = cell;
         self.look_around(cell);
@@ -178,7 +179,8 @@ impl<'a> Reader<'a> {
         (0..3).any(|axis| cell.at[axis] == 0 || cell.at[axis] + 1 == (size[axis] as u32) << cell.level)
     }
 
-    /// Adds the polygons of an even cell. The corners of the polygons in `known` are cell edges.
+    /// Adds the polygons of an even cell (see `is_even`). In `known`, polygon corners are given as
+    /// cell edges.
     fn add_known(&self, cell: Cell, known: &Polygons, all: &mut Polygons) {
         let low = self.number(cell.corner());
         let along = [1, self.corners[0], self.corners[0] * self.corners[1]].map(|step| step * cell.edge());
@@ -190,7 +192,7 @@ impl<'a> Reader<'a> {
         all.ends.extend(known.ends.iter().map(|end| first + end));
     }
 
-    /// Adds the polygons of a cell face by face.
+    /// Adds the polygons of a cell, constructed face by face.
     fn add_by_faces(&mut self, cell: Cell, all: &mut Polygons) {
         if !self.is_even {
             self.near = self.halves_round(cell);
@@ -214,7 +216,7 @@ impl<'a> Reader<'a> {
         self.sides = sides;
     }
 
-    /// Determines which of a cell and its neighbours of the same size are subdivided.
+    /// Determines which of the cells around `cell`, including itself, are subdivided.
     fn look_around(&mut self, cell: Cell) {
         if cell.level == 0 {
             self.block = cell.at.map(|n| i64::from(n) - 1);
@@ -290,9 +292,8 @@ impl<'a> Reader<'a> {
         (0..8).map(is_inside).enumerate().map(|(n, is_inside)| u8::from(is_inside) << n).sum()
     }
 
-    /// Adds the polygon sides on a cell face that is perpendicular to an axis. The object is on the
-    /// left of each side when seen from below along that axis. `face` is the cell on the upper side
-    /// of the face.
+    /// Adds the polygon sides on a cell face perpendicular to `axis`. Seen from below along that
+    /// axis, the object is on the left of each side. `face` is the cell above the face.
     fn face(&mut self, face: Cell, axis: usize, sides: &mut Vec<[Crossing; 2]>) {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         let mut before = [0; 3];
@@ -303,7 +304,8 @@ impl<'a> Reader<'a> {
             }
             return;
         }
-        // crossings around the face; the flag tells whether the path enters the object there
+        // crossings in order along the boundary of the face; the flag tells whether the boundary
+        // enters the object there
         let mut crossings = std::mem::take(&mut self.crossings);
         crossings.clear();
         let shifted = |axis: usize| {
@@ -361,8 +363,8 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Returns whether one of the four cells at an edge of the current cell is subdivided. `across`
-    /// contains the two axes perpendicular to the edge.
+    /// Returns whether one of the four cells that share an edge of the current cell is subdivided.
+    /// `across` contains the two axes perpendicular to the edge.
     fn is_own_edge_halved(&self, edge: Cell, across: [usize; 2]) -> bool {
         let bit = self.bit(edge.at.map(i64::from));
         let [u, v] = across.map(|axis| 1 << (2 * axis));
@@ -373,7 +375,7 @@ impl<'a> Reader<'a> {
         if self.is_even || cell.level == DEPTH {
             return false;
         }
-        // the cell has the size of the current cell, or lies within such a cell around it
+        // the cell has the size of the current cell or is part of a cell of that size
         let finer = cell.level - self.present.level;
         let bit = self.bit([0, 1, 2].map(|k| (i64::from(cell.at[k]) + away[k]) >> finer));
         if self.halved >> bit & 1 == 0 {
@@ -388,8 +390,8 @@ impl<'a> Reader<'a> {
         halves.is_some()
     }
 
-    /// Returns the bit index, in the block, of the cell at position `at`. This cell has the size of
-    /// the current cell.
+    /// Returns the bit index in the block of the cell at position `at`, which has the size of the
+    /// current cell.
     fn bit(&self, at: [i64; 3]) -> u32 {
         (0..3).map(|axis| ((at[axis] - self.block[axis]) as u32) << (2 * axis)).sum()
     }
@@ -440,8 +442,8 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Returns the index, in the order of [`around`], of the cell at position `at`. This cell is
-/// adjacent to `cell` and has the same size.
+/// Returns the index, in the order of [`around`], of the cell at position `at`, which is `cell` or
+/// one of its neighbours of the same size.
 fn number_around(cell: Cell, at: [i64; 3]) -> usize {
     let way = |axis: usize| (at[axis] - i64::from(cell.at[axis]) + 1) as usize;
     (way(2) * 3 + way(1)) * 3 + way(0)
@@ -486,8 +488,8 @@ fn even_cell(inside: usize) -> Option<Polygons> {
     Some(polygons)
 }
 
-/// Adds the closed paths that the sides form. Each crossing is the start of one side and the end of
-/// another side.
+/// Joins the sides into closed polygons and adds them. Each crossing is the start of one side and
+/// the end of another.
 fn add_closed_ways(sides: &mut Vec<[Crossing; 2]>, all: &mut Polygons) {
     while let Some([start, mut end]) = sides.pop() {
         all.corners.push(start);

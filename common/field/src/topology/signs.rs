@@ -20,10 +20,10 @@ impl Signs {
     }
 
     /// Returns the voxel cells of a slice whose coefficients do not all have the same sign. The
-    /// cells are given by their numbers in the slice (x fastest), ascending. The coefficients of a
-    /// cell are those that F uses in it and in the cells up to `around` cells away. If they have
-    /// the same sign, F also has this sign, because F is a weighted mean of them (convex hull
-    /// property).
+    /// cells are given by their numbers in the slice (x fastest), in ascending order. The
+    /// coefficients of a cell are those that determine F in it and in the cells up to `around`
+    /// cells away. If they have the same sign, F also has this sign, because F is a weighted mean
+    /// of them (convex hull property).
     pub(crate) fn changes(&self, k: usize, around: usize) -> Vec<usize> {
         let [nx, ny, nz] = self.size;
         let width = self.positive.width();
@@ -36,7 +36,7 @@ impl Signs {
         for j in 0..ny.saturating_sub(1) {
             let over_rows = over_slices.each_ref().map(|words| {
                 let mut row = all_of(reach(j, ny), |row| &words[row * width..][..width]);
-                // bits beyond the last node are set, so that they do not affect the conjunction
+                // bits beyond the last node are set, so that they do not affect the AND
                 row[width - 1] |= !first_bits(nx - (width - 1) * WORD);
                 row
             });
@@ -53,7 +53,7 @@ impl Signs {
     }
 }
 
-/// Returns the bitwise conjunction of the given runs of words, which is empty if there are no runs.
+/// Returns the bitwise AND of the given runs of words. The result is empty if there are no runs.
 fn all_of<'w>(mut runs: Range<usize>, words: impl Fn(usize) -> &'w [u64]) -> Vec<u64> {
     let mut all = runs.next().map_or_else(Vec::new, |run| words(run).to_vec());
     runs.for_each(|run| all.iter_mut().zip(words(run)).for_each(|(all, own)| *all &= own));

@@ -20,23 +20,23 @@ pub(super) struct Surface {
     pub(super) component_of: Vec<u32>,
     /// Components, in the order of their first crossings.
     pub(super) components: Vec<Component>,
-    /// The cells with polygons, given by their position in the order of all cells, ascending. Each
-    /// is paired with the end of its polygons in `ends`.
+    /// The cells with polygons, sorted. Each is given by its position in the order of all cells,
+    /// and is paired with the end of its polygons in `ends`.
     cells: Vec<(u64, u32)>,
     /// End of each polygon in `corners`.
     ends: Vec<u32>,
     /// Crossings of the polygons.
     corners: Vec<u32>,
-    /// The voxels with polygons, ascending. Each is paired with the component of all its polygons,
-    /// or [`SEVERAL`].
+    /// The voxels with polygons, in ascending order. Each is paired with the component of all its
+    /// polygons, or [`SEVERAL`].
     voxels: Vec<(u64, u32)>,
     /// Start of each row of voxels along x in `voxels`, followed by the end of the last row.
     rows: Vec<u32>,
-    /// Cells that are neither certain nor subdivided, ascending.
+    /// Cells that are uncertain and not subdivided further, in ascending order.
     pub(super) undecided: Vec<Cell>,
 }
 
-/// Marker instead of a component's number where there are several components.
+/// Used in place of a component number where there are several components.
 const SEVERAL: u32 = u32::MAX;
 
 impl Surface {
@@ -126,7 +126,7 @@ impl Surface {
         new
     }
 
-    /// Returns the polygons of a component cut into triangles, in the order of the cells.
+    /// Returns the polygons of a component, divided into triangles, in the order of the cells.
     pub(super) fn mesh(&self, component: u32) -> TriangleMesh {
         let mut mesh = TriangleMesh::default();
         let mut number = BTreeMap::new();
@@ -150,8 +150,8 @@ impl Surface {
         mesh
     }
 
-    /// Returns, for each voxel of a row that has polygons, the component of all its polygons, in
-    /// ascending order of the voxels. The value is `None` if there are several components.
+    /// For each voxel of `row` that has polygons, returns the component of its polygons, or `None`
+    /// if there are several components.
     pub(super) fn components_of_voxels(
         &self,
         cells: &Cells,
@@ -182,8 +182,8 @@ impl Surface {
     }
 }
 
-/// Returns the polygons in all leaf cells, by slices of voxels, and the undecided cells. Does not
-/// subdivide cells.
+/// Returns the polygons in all leaf cells, grouped by slices of voxels, and the undecided cells.
+/// Does not subdivide cells.
 pub(super) fn read_all(
     field: &CubicSpline,
     cells: &Cells,
@@ -202,13 +202,13 @@ pub(super) fn read_all(
     Ok((polygons, undecided.concat()))
 }
 
-/// Adds the polygons in some cells to `all`.
+/// Adds the polygons in the given cells to `all`.
 fn read(field: &CubicSpline, cells: &Cells, crossed: &[(Cell, State)], all: &mut Polygons) {
     let mut reader = Reader::new(field, cells);
     crossed.iter().for_each(|(cell, _)| reader.polygons(*cell, order(cells, *cell), all));
 }
 
-/// All crossings, ascending, grouped by the slices of voxels in which their edges begin.
+/// All crossings in ascending order, grouped by the slices of voxels in which their edges start.
 struct Crossings {
     /// Crossings of each slice, followed by those on the upper border of the last slice.
     by_slice: Vec<Vec<Crossing>>,
@@ -263,7 +263,7 @@ impl Crossings {
 
 /// The polygons of a slice of voxels. Crossings are given by their indices among all crossings.
 struct Slice {
-    /// Position of each cell in the order of all cells, and the end of the polygons of the cell.
+    /// Position of each cell in the order of all cells, and the end of its polygons in `ends`.
     cells: Vec<(u64, u32)>,
     /// End of each polygon in `corners`.
     ends: Vec<u32>,
@@ -290,8 +290,8 @@ impl Slice {
         firsts.zip(&self.ends).map(|(first, &end)| &self.corners[first as usize..end as usize])
     }
 
-    /// Returns the voxels, ascending. Each is paired with the component of all its polygons, or
-    /// [`SEVERAL`].
+    /// Returns the voxels in ascending order. Each is paired with the component of all its
+    /// polygons, or [`SEVERAL`].
     fn voxels(&self, component_of: &[u32]) -> Vec<(u64, u32)> {
         let mut voxels: Vec<(u64, u32)> = Vec::new();
         let mut polygons = self.polygons();
@@ -313,7 +313,7 @@ impl Slice {
     }
 }
 
-/// Returns the start of each row along x in a list of ascending voxels, followed by the end of the
+/// Returns the start of each row along x in a sorted list of voxels, followed by the end of the
 /// last row.
 fn rows(voxels: &[(u64, u32)], size: [usize; 3]) -> Vec<u32> {
     let mut rows = vec![0; size[1] * size[2] + 1];

@@ -21,8 +21,8 @@ impl Scene {
         Self { field: CubicSpline::new(&image) }
     }
 
-    /// Returns the Euler characteristics, ascending, of the components of a triangulation. The
-    /// triangulation uses samples that are `fine` times as dense.
+    /// Returns the Euler characteristics of the components of a triangulation, in ascending order.
+    /// The triangulation uses samples that are `fine` times as dense.
     fn by_samples(&self, fine: usize) -> Vec<i64> {
         let own = self.field.geometry();
         let size = own.size.map(|n| (n - 1) * fine + 1);
@@ -52,7 +52,7 @@ fn unwatched() -> Watch<'static> {
 
 const CENTRE: DVec3 = DVec3::splat(15.7);
 
-/// A torus with the radii 9 and 4.
+/// A torus with radii 9 and 4.
 pub(super) fn torus() -> Scene {
     Scene::new([32; 3], DVec3::ONE, |p| {
         let q = p - CENTRE;
@@ -60,7 +60,7 @@ pub(super) fn torus() -> Scene {
     })
 }
 
-/// Two balls of radius 5, 2 apart.
+/// Two balls of radius 5, separated by a gap of 2.
 pub(super) fn two_balls() -> Scene {
     Scene::new([32, 24, 24], DVec3::ONE, |p| {
         let centre = |x: f64| DVec3::new(x, 11.6, 11.6);
@@ -68,7 +68,7 @@ pub(super) fn two_balls() -> Scene {
     })
 }
 
-/// A spherical shell between the radii 8 and 10.5.
+/// A spherical shell with radii 8 and 10.5.
 pub(super) fn shell() -> Scene {
     Scene::new([32; 3], DVec3::ONE, |p| (p.distance(CENTRE) - 9.25).abs() - 1.25)
 }
@@ -84,7 +84,7 @@ pub(super) fn gyroid() -> Scene {
     })
 }
 
-/// A torus with the radii 5 and 4.8. Its hole is 0.4 voxel wide and lies between the nodes.
+/// A torus with radii 5 and 4.8. Its hole is 0.4 voxel wide and lies between the nodes.
 fn pierced() -> Scene {
     let (ring, tube) = (5.0, 4.8);
     Scene::new([28; 3], DVec3::ONE, |p| {
@@ -124,7 +124,7 @@ fn known_shapes_have_their_components_and_euler_characteristics() {
         assert_eq!(summary.components_between, [expected.len(); 2]);
         assert_eq!(summary.euler_between, [expected.iter().sum::<i64>(); 2]);
     }
-    // the samples alone do not show the hole
+    // the samples alone do not reveal the hole
     assert_eq!(pierced().by_samples(1), [2]);
 }
 
@@ -189,7 +189,7 @@ fn random_scenes_have_the_topology_of_much_denser_samples() {
     for seed in 0..12 {
         let scene = random(seed);
         let topology = scene.topology();
-        // five samples per voxel may miss finer features, but the cells may not
+        // five samples per voxel edge may miss finer features, but the cells must not
         let (summary, dense) = (topology.summary(), scene.by_samples(5));
         let [least, most] = summary.components_between;
         assert!((least..=most).contains(&dense.len()), "scene {seed}: {summary:?} and {}", dense.len());
@@ -288,7 +288,7 @@ fn a_dome_through_a_face_between_cell_sizes_stays_connected() {
 }
 
 /// A speck of the given radius, optionally with a second surface at a distance of 1.3 voxels.
-/// Splines reproduce cubic functions, and the effect of the grid border has decayed.
+/// Splines reproduce cubic functions, and the effect of the grid border has decayed at the speck.
 fn speck(radius: f64, has_interface: bool) -> FieldTopology {
     cubic(radius, if has_interface { 0.3 } else { 0.0 })
 }
@@ -304,8 +304,8 @@ fn cubic(radius: f64, bend: f64) -> FieldTopology {
 
 #[test]
 fn a_component_at_the_resolution_may_vanish_or_join_another() {
-    // the radius by the second-order expansion is just above the resolution, but the extent of the
-    // crossings is below it
+    // the radius from the second-order expansion is just above the resolution, but the extent of
+    // the crossings is less than twice the resolution
     let radius = 1.003 * RESOLUTION;
     let topology = speck(radius, false);
     let [place] = topology.undecided() else { panic!("{:?}", topology.undecided()) };
@@ -332,7 +332,7 @@ fn a_component_at_the_resolution_may_vanish_or_join_another() {
 fn only_a_closed_speck_may_vanish() {
     let topology = speck(0.5 * RESOLUTION, false);
     assert!(topology.groups().may_vanish(0) && topology.undecided()[0].kind == UndecidedKind::Speck);
-    // the same speck, but it opens into the adjacent surface
+    // a speck that opens into the adjacent surface
     let topology = cubic(0.9 * RESOLUTION, 1.78);
     assert_eq!(topology.components().len(), 1);
     assert!(topology.critical_points().iter().any(|c| c.is_enclosed() && c.radius < RESOLUTION));

@@ -1,5 +1,5 @@
-//! Finds the locations where the topology of F = 0 is undecided or finer than a mesh must
-//! reproduce, and the topologies that these locations allow.
+//! Finds the locations where the topology of F = 0 is undecided or where a mesh need not reproduce
+//! it, and the topologies that these locations allow.
 
 use super::cells::{BASE, Cell, Cells, around, moved};
 use super::critical::CriticalPoint;
@@ -26,7 +26,7 @@ pub struct Undecided {
     pub value: f64,
     /// Kind of the location.
     pub kind: UndecidedKind,
-    /// Components that the location touches, ascending.
+    /// Components that the location touches, in ascending order.
     #[serde(skip)]
     pub components: Vec<u32>,
     /// Bounding box of the location in the grid frame, mm.
@@ -36,7 +36,7 @@ pub struct Undecided {
 
 /// Kind of an undecided location. Gaps, necks and most specks are at critical points of F. The
 /// number of principal directions in which F = 0 is reached determines the kind. If the critical
-/// point were on the other side of F = 0, the topology would change in one known way.
+/// point were on the other side of F = 0, the topology would change in a known way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum UndecidedKind {
@@ -52,20 +52,20 @@ pub enum UndecidedKind {
     Uncertain(usize),
 }
 
-/// Components that undecided locations may join, or a single component, with the topologies that
-/// are allowed for them.
+/// A single component, or several components that undecided locations may join, with the topologies
+/// that are allowed for them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
     /// Allowed numbers of components for each Euler characteristic, in steps of two from the
     /// lowest.
     counts: Vec<RangeInclusive<usize>>,
-    /// Components of the group, ascending. Empty if the group is only a possible speck.
+    /// Components of the group, in ascending order. Empty if the group is only a possible speck.
     pub components: Vec<u32>,
     /// Allowed numbers of components.
     pub component_count: RangeInclusive<usize>,
     /// Allowed Euler characteristics.
     pub euler: RangeInclusive<i64>,
-    /// Indices of the undecided locations in the group, ascending.
+    /// Indices of the undecided locations in the group, in ascending order.
     pub undecided: Vec<u32>,
 }
 
@@ -167,13 +167,13 @@ impl Groups {
     }
 }
 
-/// The changes that locations allow: for each change of the Euler characteristic, in steps of two,
-/// the range of the change of the number of components.
+/// The changes that locations allow: for each change in the Euler characteristic, in steps of two,
+/// the range of changes in the number of components.
 #[derive(Clone)]
 struct Changes {
     /// Maximum number of steps by which the Euler characteristic may decrease.
     removed: usize,
-    /// Minimum and maximum change of the number of components, in ascending order of the Euler
+    /// Minimum and maximum change in the number of components, in ascending order of the Euler
     /// characteristic.
     counts: Vec<[i64; 2]>,
 }
@@ -188,11 +188,11 @@ impl Default for Changes {
 impl Changes {
     /// Returns the changes that a location allows. `is_joining` tells whether the location joins
     /// components that no earlier location has joined. Replacing two disks with a tube lowers the
-    /// Euler characteristic by two. The tube joins two components or is a handle.
+    /// Euler characteristic by two. The tube either joins two components or forms a handle.
     fn at(place: &Undecided, is_joining: bool) -> Self {
         let none = [0, 0];
-        // components joined by earlier locations may nevertheless be separate, and then this
-        // location joins them
+        // components that earlier locations may join can still be separate, and then this location
+        // joins them
         let joined = [-i64::from(place.components.len() > 1), -i64::from(is_joining)];
         let joins = Self { removed: 1, counts: vec![joined, none] };
         match place.kind {
@@ -223,13 +223,13 @@ impl Changes {
     }
 }
 
-/// Returns whether a component is thin everywhere, and not only at an extremum of F in it. The
+/// Returns whether a component is thin everywhere, not only at an extremum of F inside it. The
 /// ratio of volume to area is half the thickness for a plate, and less for any other shape.
 fn is_thin(component: &Component, resolution: f64) -> bool {
     component.volume.abs() < resolution * component.area
 }
 
-/// Returns the undecided locations. The first are clusters of cells in which F = 0 is not certain,
+/// Returns the undecided locations. Clusters of cells in which F = 0 is uncertain come first,
 /// ordered by their lowest cells. They are followed by all other critical points whose neck, gap or
 /// speck is finer than [`RESOLUTION`], in the order of `critical`, and by the remaining components
 /// finer than that.
@@ -327,7 +327,7 @@ fn at_critical_point(field: &CubicSpline, cells: &Cells, surface: &Surface, c: &
     })
 }
 
-/// Returns the location of a cluster of cells in which F = 0 is not certain.
+/// Returns the location of a cluster of cells in which F = 0 is uncertain.
 fn uncertain(field: &CubicSpline, cells: &Cells, surface: &Surface, own: &[Cell], critical_points: usize) -> Undecided {
     let edge = field.geometry().spacing / f64::from(1u32 << BASE);
     let low = |cell: &Cell| DVec3::from_array(cell.at.map(f64::from)) * edge;

@@ -9,12 +9,13 @@ use isoparticles_volume::{Space, Voxels};
 use std::io::{self, Write};
 use vtkio::model::{Attribute, Attributes, ByteOrder, DataSet, IOBuffer, PolyDataPiece, Version, VertexNumbers, Vtk};
 
-/// Maximum length of a part of the history in one comment line. With the words before it, a line
-/// has at most 216 characters. The PLY reader RPly has buffers of 256 characters per word and 1,024
-/// per line (`WORDSIZE` and `LINESIZE` in `rply.c`).
+/// Maximum length of a piece of the history in one comment line. With its prefix, a line has at
+/// most 216 characters. The PLY reader RPly has buffers of 256 characters per word and 1,024 per
+/// line (`WORDSIZE` and `LINESIZE` in `rply.c`).
 const COMMENT_WIDTH: usize = 200;
 
-/// Returns a line with the program that wrote a surface, and the frame and unit of its positions.
+/// Returns a line that states which program wrote a surface, and the frame and unit of its
+/// positions.
 fn provenance(surface: &Surface, history: &History) -> String {
     let frame = match surface.space {
         Space::Lps => "LPS",
@@ -33,7 +34,7 @@ fn comments(surface: &Surface, history: &History) -> Vec<String> {
     lines
 }
 
-/// Returns the property names of an array, one per component, without special characters.
+/// Returns the property names of an array, one per component, with special characters replaced.
 fn property_names(array: &DataArray) -> Vec<String> {
     let name: String = array.name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
     match array.components {
@@ -87,7 +88,7 @@ pub(super) fn write_ply(file: &mut dyn Write, surface: &Surface, history: &Histo
 }
 
 pub(super) fn write_stl(file: &mut dyn Write, surface: &Surface, history: &History) -> io::Result<()> {
-    // The header must not start with "solid", because this word marks the text format.
+    // The header must not start with "solid", because that word identifies the text format.
     let mut header = [b' '; 80];
     let text = comments(surface, history).swap_remove(0);
     let length = text.len().min(80);
@@ -114,7 +115,7 @@ pub(super) fn write_obj(file: &mut dyn Write, surface: &Surface, history: &Histo
         writeln!(file, "# {line}")?;
     }
     for vertex in &surface.mesh.vertices {
-        // Rust prints the shortest string that parses to the same number.
+        // Rust prints the shortest string that parses back to the same number.
         writeln!(file, "v {:?} {:?} {:?}", vertex.x, vertex.y, vertex.z)?;
     }
     for [a, b, c] in &surface.mesh.triangles {
@@ -123,7 +124,7 @@ pub(super) fn write_obj(file: &mut dyn Write, surface: &Surface, history: &Histo
     Ok(())
 }
 
-/// Writes a surface as binary `POLYDATA` with its data. The format cannot store the history.
+/// Writes a surface with its data as binary `POLYDATA`. The format cannot store the history.
 pub(super) fn write_vtk(file: &mut dyn Write, surface: &Surface, history: &History) -> io::Result<()> {
     let triangles = &surface.mesh.triangles;
     let piece = PolyDataPiece {
@@ -154,15 +155,15 @@ fn attribute(array: &DataArray) -> Attribute {
     let attribute = match array.components {
         3 if name.eq_ignore_ascii_case("normals") => Attribute::normals(name),
         3 => Attribute::vectors(name),
-        // the format allows up to four components; the other arrays of this project have one
+        // the format allows up to four components; all other arrays of this project have one
         components => Attribute::scalars(name, u32::try_from(components).unwrap_or(u32::MAX)),
     };
     attribute.with_data(data)
 }
 
-/// Converts numbers to types that all programs can read. The name of the 64-bit integer type
-/// differs between versions of the format. 64-bit integers are therefore converted to 32-bit
-/// integers, or to doubles if they do not fit.
+/// Converts numbers to types that all programs can read. 64-bit integers are converted to 32-bit
+/// integers, or to doubles if they do not fit, because the name of the 64-bit type differs between
+/// versions of the format.
 fn buffer(values: &Voxels) -> IOBuffer {
     match values {
         Voxels::F32(values) => IOBuffer::F32(values.clone()),

@@ -1,9 +1,9 @@
-//! Surface files: `.vtp` (with all data, read back bit for bit), and `.ply`, `.stl`, `.obj` and
+//! Surface files: `.vtp`, which preserves all data bit for bit, and `.ply`, `.stl`, `.obj` and
 //! legacy `.vtk` for other programs.
 //!
-//! Files contain *world* coordinates, and triangles are written with the given orientation.
-//! [`Surface::from_grid`] maps a mesh from the grid frame to the world, and reverses the triangles
-//! if the volume is left-handed.
+//! Files contain *world* coordinates, and the orientation of the triangles is preserved.
+//! [`Surface::from_grid`] maps a mesh from the grid frame to the world frame, and reverses the
+//! triangles if the volume is left-handed.
 
 mod interchange;
 mod vtp;
@@ -69,8 +69,8 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// Maps a mesh from the grid frame to the world. Reverses the triangles if the volume is
-    /// left-handed, because triangles must be counter-clockwise as seen from outside.
+    /// Maps a mesh from the grid frame to the world frame. If the volume is left-handed, reverses
+    /// the triangles to keep them counter-clockwise as seen from outside.
     pub fn from_grid(mesh: &TriangleMesh, geometry: &Geometry) -> Self {
         let turn = geometry.is_left_handed();
         let triangles = mesh.triangles.iter().map(|&[a, b, c]| if turn { [a, c, b] } else { [a, b, c] }).collect();
@@ -92,8 +92,8 @@ pub struct Simplices {
     pub edges: Vec<[u32; 2]>,
     /// Triangles, as indices into `points`.
     pub triangles: Vec<[u32; 3]>,
-    /// Values on all displayed cells (vertices, then edges, then triangles), for example the failed
-    /// check.
+    /// Values on all displayed cells (vertices, then edges, then triangles), such as which check
+    /// failed.
     pub cell_data: Vec<DataArray>,
 }
 
@@ -108,7 +108,7 @@ pub struct SurfaceFile {
     pub history: Option<History>,
 }
 
-/// File formats, which the file extension determines.
+/// File format, determined by the file extension.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Format {
     Vtp,
@@ -140,8 +140,8 @@ fn format(path: &Path) -> Result<Format> {
     }
 }
 
-/// Writes a surface. The file extension determines the format. Only `.vtp` keeps all data, and
-/// `.stl` keeps only 32-bit positions. Returns an error if an array or index does not match the
+/// Writes a surface. The file extension determines the format. Only `.vtp` preserves all data, and
+/// `.stl` contains only 32-bit positions. Returns an error if an array or index does not match the
 /// mesh.
 pub fn write_surface(path: &Path, surface: &Surface, meta: &Value, history: &History) -> Result<()> {
     let format = format(path)?;
@@ -205,7 +205,7 @@ mod tests {
         }
     }
 
-    /// Returns a tetrahedron that faces outward in the grid frame.
+    /// Returns a tetrahedron whose triangles face outward in the grid frame.
     fn tetrahedron() -> TriangleMesh {
         TriangleMesh {
             vertices: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z * (1.0 / 3.0)],

@@ -1,4 +1,5 @@
-//! Reads and writes VTK polygon files with all data. Positions have 64 bits, so they are exact.
+//! Reads and writes VTK polygon files with all data. Positions are stored exactly, as 64-bit
+//! floats.
 
 use super::{DataArray, Simplices, Surface, SurfaceFile, check_indices};
 use crate::TriangleMesh;
@@ -14,11 +15,12 @@ use std::path::Path;
 
 /// Name of the file kind.
 const KIND: &str = "surface";
-/// Version of the surface files that are written. Version 1 stored strings as VTK strings instead
-/// of bytes. Both versions can be read.
+/// Format version of the files that are written. Version 1 stored strings as VTK strings instead of
+/// bytes. Both versions can be read.
 const VERSION: u32 = 2;
 
-/// Cells of one type: the vertex indices of all cells, and the number of vertices per cell.
+/// Cells of one type: their section in the file, their vertex indices, and the number of vertices
+/// per cell.
 struct Cells<'a> {
     section: &'static str,
     indices: &'a [u32],

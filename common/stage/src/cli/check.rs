@@ -1,16 +1,17 @@
 //! `STAGE --check-options KNOWN ...` checks whether the stage would refuse a command line. It
 //! writes no files, and reads the volume only if the volume is known to exist.
 //!
-//! isoparticles-case runs this for every stage of a case before it removes or starts anything. Like
-//! `--command-line`, `--check-options` is not a regular option. The exit code is 0, or the code
-//! with which the refused run would exit.
+//! isoparticles-case runs this check for every stage of a case before it removes any file or starts
+//! any stage. Like `--command-line`, `--check-options` is not a regular option. The exit code is 0
+//! if the command line is accepted. Otherwise, it is the exit code of the refused run.
 
 use super::{Outcome, exit_code};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::process::ExitCode;
 
-/// First word of a command line that is only checked. The second word is a [`Known`] as JSON.
+/// First argument of a command line that is checked but not run. The second argument is a [`Known`]
+/// as JSON.
 pub const CHECK_OPTIONS: &str = "--check-options";
 
 /// Information about a case that is available before its stages run. Each stage adds its own
@@ -56,7 +57,7 @@ pub fn asked<A: clap::Parser>(tool: &str, check: impl FnOnce(&A, Known) -> Resul
     Some(ExitCode::from(exit_code(&checked.map(|_| Outcome::Passed))))
 }
 
-/// Converts a usage error of clap to an error in three parts, each on one line.
+/// Converts a usage error of clap to a three-part error, with each part on one line.
 fn usage(tool: &str, error: &clap::Error) -> Error {
     let text = error.to_string();
     let end = ["\n\nUsage:", "\n\nFor more information"].iter().filter_map(|part| text.find(part)).min();
@@ -65,9 +66,9 @@ fn usage(tool: &str, error: &clap::Error) -> Error {
     Error::input(what, "the command line is invalid", format!("see `{} --help`", command(tool)))
 }
 
-/// Returns the command that starts this program: `tool` after the user's command in
-/// ISOPARTICLES_FRONT. Without this variable, returns the path with which the program was started,
-/// because programs built in a clone of the repository are not on the PATH.
+/// Returns the command with which the user starts this program: the value of ISOPARTICLES_FRONT
+/// followed by `tool`. If the variable is not set, returns the path of the running program, because
+/// programs built in a clone of the repository are not on the PATH.
 fn command(tool: &str) -> String {
     let path = || std::env::args().next().unwrap_or_else(|| tool.to_owned());
     std::env::var("ISOPARTICLES_FRONT").map_or_else(|_| path(), |front| format!("{front} {tool}"))

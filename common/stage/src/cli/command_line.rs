@@ -1,4 +1,4 @@
-//! The canonical command line that the history of an output contains.
+//! The canonical command line in the history of an output.
 
 use isoparticles_file::history::file_name;
 use std::path::{Path, PathBuf};

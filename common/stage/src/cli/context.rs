@@ -69,7 +69,7 @@ impl Context {
         }
     }
 
-    /// Sets the files that the run will write. An input must not be one of them.
+    /// Sets the files that the run will write. None of them may be an input.
     pub(super) fn with_outputs(mut self, outputs: Vec<PathBuf>) -> Self {
         self.outputs = outputs;
         self
@@ -108,7 +108,7 @@ impl Context {
     }
 
     /// Times a step until the returned guard is dropped. The times of steps with the same name are
-    /// added.
+    /// added up.
     pub fn step(&self, name: impl Into<String>) -> Step<'_> {
         Step { context: self, name: name.into(), started: Instant::now() }
     }
@@ -128,13 +128,13 @@ impl Context {
         }
     }
 
-    /// Returns whether the user has requested the run to stop.
+    /// Returns whether the user has interrupted the run.
     pub fn interrupted(&self) -> bool {
         interrupt::requested()
     }
 
-    /// Returns an error (exit code 130) if the user has requested the run to stop. Long loops call
-    /// this function regularly.
+    /// Returns an error (exit code 130) if the user has interrupted the run. Long loops call this
+    /// function regularly.
     pub fn check_interrupt(&self) -> Result<()> {
         Ok(Monitor::check(self)?)
     }
@@ -144,7 +144,7 @@ impl Context {
         self.state().results.insert(key.into(), value.into());
     }
 
-    /// Adds a value, such as the adapter or the number of particles, to the closing table and to
+    /// Adds a value, such as the GPU adapter or the number of particles, to the closing table and
     /// the report.
     pub fn summary(&self, key: impl Into<String>, value: impl ToString) {
         let (key, value) = (key.into(), value.to_string());
@@ -152,15 +152,14 @@ impl Context {
         self.state().closing.push((key, value));
     }
 
-    /// Sets a parameter that was determined during the run. It appears in the history and in the
+    /// Sets a parameter that is determined during the run. It appears in the history and the
     /// report.
     pub fn set_parameter(&self, key: impl Into<String>, value: impl Into<Value>) {
         self.state().parameters.insert(key.into(), value.into());
     }
 
-    /// Computes and returns the hash of an input file. The history and the report of this run then
-    /// contain the file and its history. Returns an error if the file cannot be read or is an
-    /// output of this run.
+    /// Adds an input file and its history to the history and the report of this run. Returns the
+    /// hash of the file, or an error if the file cannot be read or is an output of this run.
     pub fn add_input(&self, path: &Path, history: Option<History>) -> Result<String> {
         let [hash] = self.add_inputs([(path, history)])?;
         Ok(hash)
@@ -188,8 +187,8 @@ impl Context {
         Ok(hashes)
     }
 
-    /// Returns the history for the outputs of this run. All parameters and inputs must have been
-    /// added.
+    /// Returns the history for the outputs of this run. Call this function after all parameters and
+    /// inputs have been added.
     pub fn history(&self) -> History {
         let state = self.state();
         History {

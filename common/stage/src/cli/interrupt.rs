@@ -17,7 +17,8 @@ pub fn install() {
                 std::process::exit(130);
             }
         };
-        // If the handler cannot be installed, the signal's default action ends the program.
+        // If the handler cannot be installed, the signals keep their default action, which ends the
+        // program.
         let _ = ctrlc::set_handler(handler);
     });
 }

@@ -96,11 +96,11 @@ pub trait StageArgs {
     /// [`Context::set_parameter`].
     fn parameters(&self) -> serde_json::Value;
 
-    /// Checks the options as a run would, but before any computation. Returns `known` together with
-    /// the information that the options add.
+    /// Checks the options as a run would, but computes nothing. Returns `known`, extended with the
+    /// information in the options.
     ///
     /// # Errors
-    /// If a run with these options would fail.
+    /// If a run would reject these options.
     fn check_options(&self, known: check::Known) -> Result<check::Known> {
         Ok(known)
     }
@@ -116,7 +116,7 @@ pub enum Outcome {
 }
 
 impl Outcome {
-    /// Returns `Passed` if there are no failed checks, or otherwise `ChecksFailed`.
+    /// Returns `Passed` if there are no failed checks, and `ChecksFailed` otherwise.
     pub fn from_failed_checks(failed: Vec<String>) -> Self {
         if failed.is_empty() { Self::Passed } else { Self::ChecksFailed(failed) }
     }
@@ -135,7 +135,7 @@ pub fn exit_code(result: &Result<Outcome>) -> u8 {
     }
 }
 
-/// Stack size of each thread in bytes. It equals the stack size of the main thread on Linux.
+/// Stack size of each thread in bytes, equal to that of the main thread on Linux.
 const STACK_BYTES: usize = 8 << 20;
 
 /// Runs a stage program. Parses the command line, sets up threads and signals, checks the outputs,
@@ -171,8 +171,8 @@ pub fn run_stage<A: clap::Parser + StageArgs + Sync>(
     let context = Context::new(tool, command_line, common, args.parameters()).with_outputs(outputs);
     interrupt::install();
     let ready = report.and_then(|()| prepare(&args, &context));
-    // Run on a thread of the pool. A thread outside the pool would be suspended and resumed by each
-    // of thousands of parallel loops.
+    // Run on a thread of the pool. A thread outside the pool would be suspended and resumed once
+    // for each of thousands of parallel loops.
     let result = ready.and_then(|()| rayon::scope(|_| run(&args, &context)));
     let result = context.close(result);
     ExitCode::from(exit_code(&result))
@@ -184,7 +184,7 @@ fn check_report(report: Option<&Path>, outputs: &[PathBuf]) -> Result<()> {
     output::check_output(path, true)?;
     let mut start = [b'{'];
     if path.is_file() {
-        // reading an empty file leaves the brace in `start`, so an empty file may be replaced
+        // reading an empty file leaves `start` unchanged, so an empty file may be replaced
         let _ = std::fs::File::open(path).and_then(|mut file| std::io::Read::read(&mut file, &mut start));
     }
     if outputs.iter().any(|output| output == path || same_file(output, path)) || start != [b'{'] {
@@ -205,7 +205,7 @@ fn same_file(a: &Path, b: &Path) -> bool {
     }
 }
 
-/// Sets up the threads, and checks all conditions that can be checked before the run starts.
+/// Sets up the threads, and checks everything that can be checked before the run starts.
 fn prepare<A: StageArgs>(args: &A, context: &Context) -> Result<()> {
     let common = args.common();
     // 0 means one thread per core

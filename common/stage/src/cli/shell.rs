@@ -1,9 +1,8 @@
 //! Shell completions, manual pages and a machine-readable description of the options. All are
 //! generated from clap's definition of the command line: `--completions SHELL [SUBCOMMAND]`,
-//! `--man-page [SUBCOMMAND]` and `--command-line`. Each must be the only request on the command
-//! line.
+//! `--man-page [SUBCOMMAND]` and `--command-line`. No other arguments are allowed.
 //!
-//! These flags are not regular options, because clap would also require the files of the stage.
+//! These flags are not regular options, because clap would then also require the stage's files.
 //! `make completions` writes the scripts. With `--command-line`, a stage in any language describes
 //! its options to a calling program ([`CommandLine`]).
 
@@ -19,7 +18,7 @@ use std::process::ExitCode;
 pub struct CommandLine {
     /// Name of the program.
     pub name: String,
-    /// The options; positional files are not included.
+    /// The options, without the positional files.
     pub options: Vec<StageOption>,
 }
 
@@ -30,7 +29,7 @@ pub struct StageOption {
     pub long: String,
     /// Short name, if there is one.
     pub short: Option<char>,
-    /// Placeholder of the value, such as `<mm>`; `None` for a switch.
+    /// Placeholder for the value, such as `<mm>`; `None` for a switch.
     pub value: Option<String>,
     /// Allowed values; empty if any value is allowed.
     pub words: Vec<String>,
@@ -61,11 +60,11 @@ impl CommandLine {
         }
     }
 
-    /// Converts this description to a subcommand of another program. Adds an argument for the
+    /// Converts this description to a subcommand of another program, with an argument for the
     /// positional files.
     #[must_use]
     pub fn command(&self) -> Command {
-        // clap needs names with a static lifetime; the program ends soon after it prints them
+        // clap needs static strings; the leak is harmless because the program soon ends
         let kept = |text: &str| -> &'static str { text.to_owned().leak() };
         let arg = |option: &StageOption| {
             let arg = Arg::new(kept(&option.long)).long(kept(&option.long)).help(option.help.clone());
@@ -95,7 +94,7 @@ fn is_switch(arg: &Arg) -> bool {
     matches!(arg.get_action(), ArgAction::SetTrue | ArgAction::SetFalse | ArgAction::Count)
 }
 
-/// Prints the completions, manual page or description that the command line requests, and returns
+/// Prints the completions, manual page or description requested on the command line, and returns
 /// the exit code. Returns `None` for any other command line.
 pub fn told(words: &[&str], command: impl FnOnce() -> Command) -> Option<ExitCode> {
     let text = match *words {

@@ -41,8 +41,8 @@ pub fn bytes(text: &str) -> Result<u64, String> {
     }
 }
 
-/// Formats a number with up to four significant digits, without trailing zeros. Absolute values
-/// below 0.001 or from 1e7 on have an exponent.
+/// Formats a number with up to four significant digits, without trailing zeros. Uses an exponent
+/// for absolute values below 0.001 and for those of at least 1e7.
 pub fn significant(value: f64) -> String {
     let rounded = format!("{value:.3e}").parse().unwrap_or(value);
     if rounded == 0.0 || !rounded.is_finite() || (1e-3..1e7).contains(&rounded.abs()) {
@@ -53,8 +53,8 @@ pub fn significant(value: f64) -> String {
     }
 }
 
-/// Formats a position (mm) with up to three decimals. [`significant`] formats coordinates below
-/// 0.01.
+/// Formats a position (mm) with up to three decimals. Uses [`significant`] for coordinates below
+/// 0.01 in absolute value.
 pub fn place(position: [f64; 3]) -> String {
     let coordinate = |x: f64| if x.abs() < 0.01 { significant(x) } else { format!("{}", (1e3 * x).round() / 1e3) };
     format!("({})", position.map(coordinate).join(", "))

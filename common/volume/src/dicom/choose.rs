@@ -6,16 +6,16 @@ use crate::error::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The images of one series with the same SOP class. A stack is built from a single group.
+/// The images of one series that have the same SOP class. A stack is built from a single group.
 type Group = Vec<Picture>;
 
 /// Returns the slices of the chosen series, their SOP class, and remarks on the series that were
-/// not used. `wanted` is the UID, number or description of a series. If several groups match,
+/// left out. `wanted` is the UID, number or description of a series. If several groups match,
 /// exactly one of them must form a stack of slices.
 ///
 /// # Errors
-/// If no group matches, if several groups match but not exactly one forms a stack, or if an image
-/// of the chosen group is not a slice.
+/// If no group matches, if several groups match and none or more than one of them forms a stack, or
+/// if an image of the chosen group is not a slice.
 pub(super) fn choose(
     folder: &Path,
     pictures: Vec<Picture>,
@@ -56,7 +56,8 @@ fn is_stack(group: &Group) -> bool {
     group.len() > 1 && group.iter().all(|picture| picture.slice.is_ok())
 }
 
-/// Describes a series. Includes the error of the first image that is not a slice, if there is one.
+/// Describes a series. If an image is not a slice, the description includes the error for the first
+/// such image.
 fn described(group: &Group) -> String {
     let SeriesName { uid, number, description, modality } = &group[0].series;
     let why = group.iter().find_map(|picture| picture.slice.as_ref().err());

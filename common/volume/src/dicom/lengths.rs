@@ -12,9 +12,8 @@ use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Returns whether the elements can be followed to the end of the file and none of them extends
-/// beyond it. Also returns true if the file meta group or the start of the data set cannot be
-/// parsed.
+/// Returns whether all elements can be traversed and none of them extends beyond the end of the
+/// file. Also returns true if the file meta group or the start of the data set cannot be parsed.
 ///
 /// # Errors
 /// If the file cannot be read.
@@ -28,7 +27,7 @@ pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
     let Some(syntax) = TransferSyntaxRegistry.get(group.transfer_syntax()) else { return Ok(true) };
     let Ok(mut elements) = LazyDataSetReader::new_with_ts(reader, syntax) else { return Ok(true) };
     while let Some(token) = elements.advance() {
-        // reject the file: the reader of values may continue where the lazy reader fails
+        // reject the file, because the full reader may accept what the lazy reader cannot parse
         let Ok(token) = token else { return Ok(false) };
         let (length, position) = match &token {
             LazyDataToken::LazyValue { header, decoder } => (header.len.0, decoder.position()),
@@ -82,7 +81,8 @@ mod tests {
         lie_within(&path).expect("read")
     }
 
-    /// Returns a DICOM file: a file meta group with a transfer syntax, followed by `elements`.
+    /// Returns the bytes of a DICOM file: a file meta group with a transfer syntax, followed by
+    /// `elements`.
     fn dicom(syntax: &[u8], elements: &[u8]) -> Vec<u8> {
         let mut bytes = [vec![0; 128], b"DICM".to_vec()].concat();
         bytes.extend(b"\x02\x00\x00\x00UL\x04\x00");
@@ -94,8 +94,8 @@ mod tests {
         bytes
     }
 
-    /// Found by fuzzing (1): an OB value of undefined length with a tag other than pixel data.
-    /// dicom-rs parses the items of this value as elements.
+    /// Found by fuzzing (1): an OB element of undefined length that is not pixel data. dicom-rs
+    /// parses the contents of its items as elements.
     #[test]
     fn elements_in_items_of_bytes_lie_within_as_well() {
         let says = |length: u32| {
@@ -108,8 +108,8 @@ mod tests {
         assert!(!says(0xff00_0058) && says(0));
     }
 
-    /// Found by fuzzing (3): the transfer syntax UID ends with several null bytes, which dicom-rs
-    /// ignores.
+    /// Found by fuzzing (3): the transfer syntax UID ends with several null bytes. dicom-rs ignores
+    /// them.
     #[test]
     fn elements_are_read_as_dicom_rs_reads_them() {
         let says = |length: u32| {
@@ -118,12 +118,12 @@ mod tests {
             elements.extend([b' '; 0x4353]);
             lies_within(&dicom(b"1.2.840.10008.1.2\0\0\0", &elements))
         };
-        // with explicit value representations, these four bytes would be the VR CS and the length 2
+        // with explicit VRs, these four bytes would be parsed as the VR `CS` and a length of 2
         assert!(!says(0x0002_5343) && says(0x4352));
     }
 
-    /// Found by fuzzing (4): the lazy reader cannot parse an element inside an item. The reader of
-    /// values interprets it as an element of 2 GiB.
+    /// Found by fuzzing (4): an element inside an item that the lazy reader cannot parse. The full
+    /// reader interprets it as an element of 2 GiB.
     #[test]
     fn what_cannot_be_followed_does_not_lie_within() {
         assert!(!lies_within(include_bytes!("../../tests/data/found/4.dcm")));

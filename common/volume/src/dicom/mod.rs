@@ -1,4 +1,4 @@
-//! Reads the slices of one series from a folder of DICOM files as a volume. The world frame is LPS.
+//! Reads one series from a folder of DICOM files. The world frame is LPS.
 //!
 //! The dicom-rs crates decode headers and pixels. This module chooses the series ([`choose`]),
 //! sorts the slices and computes their spacing ([`stack`]), and selects the number type
@@ -25,8 +25,8 @@ pub(crate) fn is_dicom(start: &[u8]) -> bool {
     source::missing(start).is_some()
 }
 
-/// Reads a series from a folder: the series that `wanted` selects, or the only series if `wanted`
-/// is `None`.
+/// Reads the series of a folder that `wanted` selects. If `wanted` is `None`, there must be exactly
+/// one series of slices.
 pub(crate) fn read_folder(folder: &Path, wanted: Option<&str>) -> Result<Volume> {
     let files = dicom_files(folder)?;
     let (mut pictures, mut no_images) = (Vec::new(), Vec::new());
@@ -89,8 +89,8 @@ fn dicom_files(folder: &Path) -> Result<Vec<PathBuf>> {
     ))
 }
 
-/// Returns whether a file starts like a DICOM file, or false if it cannot be read. If the
-/// unreadable file is an inner slice, the stack has a gap, which is reported later.
+/// Returns whether a file starts like a DICOM file. Unreadable files are skipped; if one of them is
+/// an inner slice, the gap in the stack is reported later.
 fn is_dicom_file(path: &Path) -> bool {
     let mut start = Vec::new();
     let read = std::fs::File::open(path).and_then(|file| file.take(source::START as u64).read_to_end(&mut start));

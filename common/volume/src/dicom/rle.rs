@@ -1,14 +1,14 @@
-//! Decodes DICOM's run-length encoding (PS3.5, annex G). The pixel bytes are stored in planes,
-//! starting with the most significant byte. Each plane is compressed as in TIFF's PackBits.
+//! Decodes DICOM's run-length encoding (PS3.5, annex G). The bytes of the pixels are stored in
+//! separate planes, most significant byte first. Each plane is compressed with PackBits, as in
+//! TIFF.
 //!
 //! This module replaces the decoder of dicom-rs 0.10, which panics on damaged data.
 
 /// Size of the header in bytes (PS3.5, annex G.5): the number of planes and fifteen plane offsets,
-/// with 4 bytes each.
+/// 4 bytes each.
 const HEADER_BYTES: usize = 64;
 
-/// Decodes a frame of `pixels` pixels with `width` bytes each. Returns `None` if the data is
-/// damaged.
+/// Decodes a frame of `pixels` pixels of `width` bytes each. Returns `None` if the data is damaged.
 pub(super) fn decode(frame: &[u8], pixels: usize, width: usize) -> Option<Vec<u64>> {
     let number = |at: usize| Some(u32::from_le_bytes(frame.get(4 * at..4 * at + 4)?.try_into().ok()?) as usize);
     if number(0)? != width || frame.len() < HEADER_BYTES {
@@ -24,9 +24,9 @@ pub(super) fn decode(frame: &[u8], pixels: usize, width: usize) -> Option<Vec<u6
     Some(values)
 }
 
-/// Decompresses `count` bytes. A control byte n of 0 to 127 is followed by n + 1 literal bytes. A
-/// control byte n of 129 to 255 is followed by one byte that is repeated 257 - n times. Returns
-/// `None` if the data is too short.
+/// Decompresses PackBits data to `count` bytes. A control byte n <= 127 is followed by n + 1
+/// literal bytes. A control byte n >= 129 is followed by one byte that is repeated 257 - n times.
+/// Returns `None` if the data is too short.
 fn unpack(mut packed: &[u8], count: usize) -> Option<Vec<u8>> {
     // two packed bytes expand to at most 128 bytes
     if packed.len().saturating_mul(64) < count {

@@ -1,4 +1,4 @@
-//! Reads a single slice: its position and number format from the header, and its pixels.
+//! Reads a single slice: the position and number format in its header, and its pixels.
 
 use super::{lengths, rle, source};
 use crate::error::bad;
@@ -11,23 +11,23 @@ use glam::DVec3;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-/// Maximum error of the directions in a header. It applies to the length of a unit vector, to the
-/// dot product of perpendicular unit vectors, and to the relative difference of equal vectors.
-/// Directions are decimal strings, which some programs round to four decimals. Rounding changes a
-/// unit vector by at most sqrt(3) * 5e-5 = 8.7e-5, so the limit is more than 5 times the error of
-/// two vectors.
+/// Tolerance for the directions in a header. It applies to the length of unit vectors, to the dot
+/// product of perpendicular ones, and to the relative difference between vectors that should be
+/// equal. Directions are decimal strings, which some programs round to four decimals. Rounding
+/// changes a unit vector by at most sqrt(3) * 5e-5 = 8.7e-5, so the tolerance is more than 5 times
+/// the error of two vectors.
 pub(super) const DIRECTION_TOLERANCE: f64 = 1e-3;
 
 /// UID of the RLE transfer syntax, which [`rle`] decodes.
 const RLE_LOSSLESS: &str = "1.2.840.10008.1.2.5";
 
-/// A file that contains an image, which can be a slice of a volume.
+/// A file that contains an image, possibly a slice of a volume.
 #[derive(Debug)]
 pub(super) struct Picture {
     /// Kind of DICOM object (SOP class UID).
     pub(super) class: String,
     pub(super) series: SeriesName,
-    /// The slice, or the reason why the image is not a slice.
+    /// The slice, or an error that explains why the image is not a slice.
     pub(super) slice: Result<Slice>,
 }
 
@@ -50,7 +50,7 @@ pub(super) struct Slice {
 pub(super) enum Found {
     /// An image.
     Image(Box<Picture>),
-    /// No image: a report, a directory, contours, or a slice with a truncated header.
+    /// Anything else: a report, a directory, contours, or a slice with a truncated header.
     NoImage { path: PathBuf, class: String },
 }
 
@@ -64,7 +64,7 @@ pub(super) struct SeriesName {
 }
 
 /// The conversion of stored pixels to values: number format, rescale slope and rescale intercept.
-/// The values are in Hounsfield units for a CT.
+/// For CT images, the values are in Hounsfield units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pixels {
     /// Bytes per stored pixel: 1, 2 or 4.
@@ -115,7 +115,7 @@ impl Slice {
         header.check_plain()?;
         let orientation = header.numbers::<6>(tags::IMAGE_ORIENTATION_PATIENT, "ImageOrientationPatient")?;
         let position = header.numbers::<3>(tags::IMAGE_POSITION_PATIENT, "ImagePositionPatient")?;
-        // the first number is the distance between rows, the second the distance between columns
+        // PixelSpacing contains the distance between rows, then the distance between columns
         let spacing = header.numbers::<2>(tags::PIXEL_SPACING, "PixelSpacing")?;
         let (row, column) = (DVec3::from_slice(&orientation[..3]), DVec3::from_slice(&orientation[3..]));
         let is_unit = |v: DVec3| (v.length() - 1.0).abs() < DIRECTION_TOLERANCE;
@@ -133,7 +133,7 @@ impl Slice {
         })
     }
 
-    /// Reads the pixels, decodes them and converts them to values, row by row.
+    /// Reads and decodes the pixels, and returns their values row by row.
     pub(super) fn values(&self) -> Result<Vec<f64>> {
         let path = &self.path;
         let object = dicom_object::from_reader(opened(path)?).map_err(|error| damaged(path, &error))?;
@@ -164,7 +164,7 @@ impl Slice {
     /// Extracts the stored numbers from the decoded bytes, which are in native byte order.
     fn numbers(&self, bytes: &[u8]) -> Result<Vec<u64>> {
         let (count, width) = (self.rows * self.columns, self.pixels.bytes);
-        // decoders pad an odd number of bytes to an even number
+        // decoders append a padding byte if the number of bytes is odd
         if !(bytes.len() == count * width || bytes.len() == (count * width).next_multiple_of(2)) {
             return Err(bad(
                 &self.path,
@@ -195,7 +195,7 @@ impl Pixels {
         whole as f64 * self.slope + self.intercept
     }
 
-    /// Returns the minimum and maximum of the possible values.
+    /// Returns the minimum and maximum values that the pixels can represent.
     fn range(&self) -> (f64, f64) {
         let (low, high) = match self.is_signed {
             true => (-(2f64.powi(self.bits as i32 - 1)), 2f64.powi(self.bits as i32 - 1) - 1.0),
@@ -209,8 +209,8 @@ impl Pixels {
         self.slope.fract() == 0.0 && self.intercept.fract() == 0.0
     }
 
-    /// Returns the first of the types U8, I16, U16, I32 and F64 that contains the values of all
-    /// slices. If any slope or intercept is not an integer, returns F32.
+    /// Returns the first of the types U8, I16, U16, I32 and F64 that can represent the values of
+    /// all slices, or F32 if any slope or intercept is not an integer.
     pub(super) fn common_type(all: impl Iterator<Item = Self> + Clone) -> ScalarType {
         if !all.clone().all(|pixels| pixels.is_whole()) {
             return ScalarType::F32;
@@ -228,8 +228,7 @@ impl Pixels {
         }
     }
 
-    /// Describes the conversion of the stored numbers. Returns `None` if values equal stored
-    /// numbers.
+    /// Describes how values are computed from stored numbers. Returns `None` if they are identical.
     pub(super) fn remark(&self) -> Option<String> {
         (self.slope != 1.0 || self.intercept != 0.0).then(|| {
             format!("values are computed as stored value * {} + {}, as given in the slices", self.slope, self.intercept)

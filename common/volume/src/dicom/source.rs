@@ -1,5 +1,5 @@
-//! Provides the bytes of a DICOM file. Prepends the preamble, the letters DICM and the file meta
-//! group (PS3.10, section 7) if they are missing.
+//! Opens DICOM files for reading. Prepends the preamble, the letters DICM and the file meta group
+//! (PS3.10, section 7) if they are missing.
 
 use dicom_dictionary_std::uids;
 use std::fs::File;
@@ -8,7 +8,7 @@ use std::path::Path;
 
 /// Length in bytes of the preamble, whose contents are arbitrary.
 pub(super) const PREAMBLE: usize = 128;
-/// Length in bytes of the preamble and the letters DICM that follow the preamble.
+/// Length in bytes of the preamble and the letters DICM that follow it.
 pub(super) const START: usize = PREAMBLE + 4;
 
 /// First bytes of the file meta group: the tag (0002,0000) in little-endian order.
@@ -16,13 +16,13 @@ const FILE_GROUP: &[u8] = &[2, 0, 0, 0];
 /// First bytes of a data set: the group number 0008 in little-endian order.
 const FIRST_GROUP: &[u8] = &[8, 0];
 
-/// Maximum length in bytes of the first element of a data set. UIDs, the longest identifiers of
-/// group 0008, have at most 64 bytes (PS3.5, table 6.2-1).
+/// Maximum length in bytes of the first value in a data set. UIDs, the longest identifiers in group
+/// 0008, have at most 64 bytes (PS3.5, table 6.2-1).
 const LARGEST_LENGTH: u8 = 64;
 
-/// Returns the bytes to prepend to a file that begins with `start`, or `None` if this is not the
-/// beginning of a DICOM file. A data set without a file meta group is assumed to be little-endian,
-/// with explicit or implicit value representations.
+/// Returns the bytes to prepend to a file that begins with `start`, or `None` if it is not a DICOM
+/// file. A data set without a file meta group is assumed to be little-endian, with explicit or
+/// implicit VRs (value representations).
 pub(super) fn missing(start: &[u8]) -> Option<Vec<u8>> {
     let preamble = || vec![0; PREAMBLE];
     if start.get(PREAMBLE..START) == Some(b"DICM") {
@@ -61,8 +61,8 @@ fn file_group(syntax: &str) -> Vec<u8> {
 pub(super) trait Source: Read + Seek {}
 impl<T: Read + Seek> Source for T {}
 
-/// Opens a file. Returns the reader and the number of bytes, including prepended bytes. The file is
-/// loaded into memory only if bytes are prepended.
+/// Opens a file. Returns a reader and the total number of bytes, including those prepended. The
+/// file is loaded into memory only if bytes are prepended.
 pub(super) fn open(path: &Path) -> io::Result<(BufReader<Box<dyn Source>>, u64)> {
     let mut file = File::open(path)?;
     let mut start = Vec::new();

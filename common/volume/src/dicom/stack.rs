@@ -9,21 +9,22 @@ use crate::voxels::ScalarType;
 use glam::DVec3;
 use std::path::Path;
 
-/// Maximum distance between a slice and its position in an evenly spaced stack, in units of the
-/// slice distance. If one of N + 1 slices is missing, this distance is 1/3 or more for N = 3, and
-/// at least (N - 2) / (2 N) for larger N: 0.25 for N = 4, and more for larger stacks.
+/// Maximum distance from a slice to its position in an evenly spaced stack, in units of the slice
+/// distance. If an inner slice of N + 1 slices is missing, the largest distance is 1/3 for N = 3,
+/// and at least (N - 2) / (2 N), which is 0.25 or more, for N >= 4.
 const LARGEST_SHIFT: f64 = 0.1;
 
-/// Maximum effect of rounded positions, in units of the slice distance. Rounding to 0.01 mm moves a
-/// slice by 0.5 % of the distance if slices are 1 mm apart. Larger deviations from the regular
-/// stack are reported. Two slices at most this far apart count as having the same position.
+/// Tolerance for rounded positions, in units of the slice distance. Rounding to 0.01 mm moves a
+/// slice by up to 0.5 % of the slice distance if slices are 1 mm apart. Larger deviations from even
+/// spacing are reported. Slices that are no farther apart than this are treated as having the same
+/// position.
 const ROUNDING: f64 = 0.01;
 
 /// The slices of a volume in spatial order, and the grid that they form.
 pub(super) struct Stack {
     pub(super) slices: Vec<Slice>,
     pub(super) geometry: Geometry,
-    /// Maximum distance between a slice and its regular position, in units of the slice distance.
+    /// Maximum distance from a slice to its regular position, in units of the slice distance.
     shift: f64,
 }
 
@@ -73,7 +74,7 @@ impl Stack {
         Pixels::common_type(self.slices.iter().map(|slice| slice.pixels))
     }
 
-    /// Describes the conversion of the stored numbers and any uneven spacing of the slices.
+    /// Returns remarks on uneven slice spacing and on the conversion of stored numbers to values.
     pub(super) fn remarks(&self) -> Vec<String> {
         let first = self.slices[0].pixels;
         let uneven = (self.shift > ROUNDING).then(|| {
@@ -136,8 +137,8 @@ fn check_doubles(slices: &[Slice], places: &[f64]) -> Result<()> {
     Ok(())
 }
 
-/// Fails if a gap between slices differs from the median gap, and reports the position of the first
-/// such gap. Succeeds if all gaps are equal; then the irregular slices are shifted sideways.
+/// Fails if a gap between slices differs from the median gap, and reports the first such gap.
+/// Succeeds if all gaps are equal, in which case some slices are shifted sideways.
 fn check_gaps(slices: &[Slice], places: &[f64]) -> Result<()> {
     let gaps: Vec<f64> = places.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let mut sorted = gaps.clone();

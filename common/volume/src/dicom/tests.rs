@@ -1,5 +1,5 @@
-//! Tests which DICOM series can be read as volumes and which are rejected. dicom-rs writes the test
-//! files.
+//! Tests which DICOM series can be read as volumes and which are rejected. The test files are
+//! written with dicom-rs.
 
 use super::*;
 use crate::geometry::Space;
@@ -59,8 +59,7 @@ fn write(path: &Path, elements: &Elements) {
     InMemDicomObject::from_element_iter(all).with_meta(meta).expect("a file").write_to_file(path).expect("written");
 }
 
-/// Creates three slices 2.5 mm apart. The slice whose file name comes first has the highest
-/// position.
+/// Creates three slices that are 2.5 mm apart, in descending order of z.
 fn stack() -> Vec<Elements> {
     (0..3u16)
         .map(|n| {
@@ -101,7 +100,7 @@ fn slope_intercept_sign_and_overlay_bits() {
         for elements in &mut slices {
             texts(elements, VR::DS, &[(tags::RESCALE_SLOPE, slope), (tags::RESCALE_INTERCEPT, intercept)]);
             numbers(elements, &[(tags::PIXEL_REPRESENTATION, signed)]);
-            // the highest bits contain an overlay, not pixel data
+            // the four highest bits contain an overlay, not pixel data
             let pixels = [0xf000u16, 0x0001, 0x0fff, 0x0800, 0x07ff, 0x1002];
             elements.insert(tags::PIXEL_DATA, (VR::OW, PrimitiveValue::U16(pixels.as_slice().into())));
         }
@@ -159,8 +158,8 @@ fn one_of_several_series_is_chosen_by_name_number_or_uid() {
     assert!(error.to_string().contains("no series 'abdomen'") && error.remedy().contains("Thorax 1.0"), "{error}");
 }
 
-/// Returns the CT of [`stack`] and two additional files: a colour picture and a segmentation with
-/// several frames.
+/// Returns the CT slices of [`stack`] and two additional images: a colour picture and a multi-frame
+/// segmentation.
 fn mixed() -> Vec<Elements> {
     let mut slices = stack();
     let mut picture = slices[0].clone();
@@ -200,7 +199,7 @@ fn series_that_are_not_volumes_do_not_prevent_reading() {
 #[test]
 fn files_without_preamble_or_file_group_are_read() {
     let expected = read_volume(folder_of(&stack()).path()).expect("a volume");
-    // removes the preamble, then also the letters DICM, and then also the file meta group
+    // remove the preamble; the preamble and the letters DICM; all of these and the file meta group
     for kept in ["DICM", "group", "data set"] {
         let folder = folder_of(&stack());
         for n in 0..3 {
@@ -238,7 +237,8 @@ fn an_uneven_stack_within_a_tenth_of_its_distance_is_read() {
     assert!(at(2.8).expect_err("12 %").to_string().contains("unevenly spaced"));
 }
 
-/// A modification of a valid stack, and the expected part of the error message.
+/// An expected part of the error message, and the modification of a valid stack that causes the
+/// error.
 type Fault = (&'static str, fn(&mut Vec<Elements>));
 
 #[test]
@@ -286,7 +286,7 @@ fn a_file_cut_short_anywhere_is_an_error() {
     let folder = folder_of(&stack());
     let path = folder.path().join("slice1.dcm");
     let whole = std::fs::read(&path).expect("bytes");
-    // a file that is truncated before the end of the letters DICM is not a DICOM file
+    // files shorter than the preamble and the letters DICM are not detected as DICOM
     for length in source::START..whole.len() {
         std::fs::write(&path, &whole[..length]).expect("cut");
         let error = read_volume(folder.path()).expect_err("cut short");

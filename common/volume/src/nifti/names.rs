@@ -1,5 +1,5 @@
-//! Reads label names from the extensions of a NIfTI header. The names are in the label table of
-//! Connectome Workbench, which TotalSegmentator also writes.
+//! Reads label names from the extensions of a NIfTI header. The names are stored in a label table
+//! in the format of Connectome Workbench, which TotalSegmentator also writes.
 //!
 //! An extension consists of its length in bytes (32 bits), a code (32 bits) and a string. The code
 //! is ignored, because the two programs use different codes. The table is XML: `<Label Key="5"
@@ -9,7 +9,7 @@ use crate::segments::{LayerLabel, Segment};
 use crate::voxels::Endian;
 use quick_xml::events::Event;
 
-/// Size in bytes of the length and code of an extension, with 4 bytes each.
+/// Size in bytes of the length and code of an extension, 4 bytes each.
 const HEAD_BYTES: usize = 8;
 
 /// Returns the label names in all extensions. `bytes` are the bytes between the header and the
@@ -92,7 +92,7 @@ mod tests {
             assert!(remarks.is_empty());
             let silent = [vec![0; 4], extension(TABLE, endian)].concat();
             assert!(names(&silent, endian, &mut remarks).is_empty());
-            // the extensions are truncated at every position
+            // truncate the extensions at every position
             (0..bytes.len()).for_each(|end| assert!(names(&bytes[..end], endian, &mut remarks).is_empty(), "{end}"));
         }
     }
@@ -104,7 +104,7 @@ mod tests {
         let bytes = [vec![1, 0, 0, 0], extension(&damaged, Endian::Little)].concat();
         assert!(names(&bytes, Endian::Little, &mut remarks).is_empty());
         assert_eq!(remarks.len(), 1, "{remarks:?}");
-        // the extension has an invalid length
+        // lengths that are too short for the header or exceed the data
         for length in [0u32, 7, 4_000_000_000] {
             let bytes = [&[1, 0, 0, 0][..], &length.to_le_bytes(), &[0; 12]].concat();
             assert!(names(&bytes, Endian::Little, &mut remarks).is_empty());

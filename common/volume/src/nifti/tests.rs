@@ -7,8 +7,8 @@ use crate::voxels::Voxels;
 use glam::DVec3;
 use std::path::Path;
 
-/// Creates a header of 2 x 2 x 2 voxels of one byte with a spacing of 2 mm and the given qform and
-/// sform codes. The numbers of the sform are zero.
+/// Creates a header for 2 x 2 x 2 one-byte voxels with a spacing of 2 mm and the given qform and
+/// sform codes. All numbers of the sform are zero.
 fn header(offset: f32, qform: i16, sform: i16, magic: &[u8; 4]) -> Vec<u8> {
     let mut header = vec![0u8; 348];
     let mut put = |at: usize, bytes: &[u8]| header[at..at + bytes.len()].copy_from_slice(bytes);

@@ -1,5 +1,5 @@
-//! Converts the axes of an NRRD header to a [`Geometry`]. Determines which axes are spatial, their
-//! spacings, and their directions in the world frame.
+//! Computes the [`Geometry`] that an NRRD header describes: which axes are spatial, their spacings,
+//! and their directions in the world frame.
 
 use super::header::{Header, field_error};
 use crate::error::Result;
@@ -13,13 +13,13 @@ use std::path::Path;
 /// The grid that a header describes.
 pub(super) struct Grid {
     pub(super) geometry: Geometry,
-    /// Assumptions that were made for missing information.
+    /// Remarks on assumptions made because information is missing.
     pub(super) remarks: Vec<String>,
-    /// The axis of the layers of a segmentation, if there are several layers.
+    /// The axis along which the layers of a segmentation are stored, if it has several.
     pub(super) layer_axis: Option<usize>,
 }
 
-/// Converts the axes of a header to a grid. Only a segmentation may have an axis of layers.
+/// Computes the grid that a header describes. Only a segmentation may have a layer axis.
 pub(super) fn grid(path: &Path, header: &Header, is_segmentation: bool) -> Result<Grid> {
     let kinds = header.words(path, "kinds")?;
     let (space, to_lps, has_time) = world(path, header)?;
@@ -58,12 +58,12 @@ pub(super) fn grid(path: &Path, header: &Header, is_segmentation: bool) -> Resul
     Ok(Grid { geometry, remarks, layer_axis })
 }
 
-/// Words that indicate that no unit is defined.
+/// Words that stand for an undefined unit, in the singular.
 const NO_UNIT: [&str; 6] = ["none", "unknown", "?", "???", "pixel", "voxel"];
 
-/// Returns the unit length in mm along each world axis. `space units` applies to `space
-/// directions`, and `units` applies to `spacings`. If the appropriate field is missing, the other
-/// field is used.
+/// Returns the length in mm of the unit of each world axis. `space units` applies to `space
+/// directions`, and `units` applies to `spacings`. If the applicable field is missing, the other
+/// one is used.
 fn unit_lengths(
     path: &Path,
     header: &Header,
@@ -105,7 +105,7 @@ fn unit_lengths(
     Ok(lengths)
 }
 
-/// Splits a field into words, which may be quoted.
+/// Splits the value of a field into words, which may be quoted.
 fn quoted_words(text: &str) -> Vec<&str> {
     let mut rest = text.trim();
     let mut words = Vec::new();
@@ -121,7 +121,7 @@ fn quoted_words(text: &str) -> Vec<&str> {
 }
 
 /// Returns the space of a header, the signs that convert its coordinates to LPS, and whether its
-/// vectors have a fourth component for time.
+/// vectors have a fourth component, time.
 fn world(path: &Path, header: &Header) -> Result<(Space, DVec3, bool)> {
     if let Some(text) = header.field("space dimension") {
         return if text == "3" {
@@ -165,7 +165,7 @@ fn vectors(path: &Path, header: &Header, text: &str) -> Result<Vec<Option<DVec3>
 }
 
 /// Parses `(x,y,z)` or `(x,y,z,t)` and ignores t. Returns `Some(None)` for `none` or a vector of
-/// NaN, and `None` for a syntax error.
+/// NaNs, and `None` for a syntax error.
 fn vector(word: &str) -> Option<Option<DVec3>> {
     if word.eq_ignore_ascii_case("none") {
         return Some(None);
@@ -182,12 +182,12 @@ fn vector(word: &str) -> Option<Option<DVec3>> {
     }
 }
 
-/// Properties of all axes: their kinds, their vectors, and whether the vectors have a component for
-/// time.
+/// Properties of all axes: their kinds, their vectors, and whether the vectors have a time
+/// component.
 type Axes<'a> = (Option<&'a [&'a str]>, Option<&'a [Option<DVec3>]>, bool);
 
-/// Returns the three spatial axes, and the axis of the layers of a segmentation. Any other axis
-/// must have a single sample.
+/// Returns the three spatial axes and, for a segmentation with several layers, the layer axis.
+/// Fails if any other axis has more than one sample.
 fn spatial_axes(
     path: &Path,
     header: &Header,
@@ -281,8 +281,8 @@ fn plain_spacing(path: &Path, header: &Header, axes: [usize; 3], remarks: &mut V
 mod tests {
     use super::*;
 
-    /// Returns the spacing, origin and remarks of a grid of 2 x 3 x 4 voxels with the given header
-    /// lines.
+    /// Parses a header for 2 x 3 x 4 voxels that ends with `lines`. Returns the spacing, origin and
+    /// remarks.
     fn read(lines: &str) -> Result<(DVec3, DVec3, Vec<String>)> {
         let path = Path::new("test.nrrd");
         let text = format!("NRRD0004\ntype: uchar\ndimension: 3\nsizes: 2 3 4\nencoding: raw\n{lines}");

@@ -1,5 +1,5 @@
-//! Parses the text header of an NRRD file line by line. The fields are interpreted by
-//! [`super::grid`], [`super::segments`] and [`crate::voxel_data`].
+//! Parses the text header of an NRRD file. [`super::grid`] and [`super::segments`] interpret the
+//! fields that describe the grid and the segments; [`crate::voxel_data`] reads the voxels.
 
 use crate::error::bad;
 use crate::error::{Error, Result};
@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::io::{BufRead, Read};
 use std::path::Path;
 
-/// Maximum number of axes (`NRRD_DIM_MAX` of Teem).
+/// Maximum number of axes (`NRRD_DIM_MAX` in Teem).
 const MOST_AXES: usize = 16;
 
 /// The contents of a header.
@@ -24,8 +24,7 @@ pub(super) struct Header {
 }
 
 impl Header {
-    /// Reads the header. Afterwards, the reader is positioned at the first byte after the blank
-    /// line that ends the header.
+    /// Reads the header. Leaves the reader positioned after the blank line that ends the header.
     pub(super) fn read(path: &Path, reader: &mut impl BufRead) -> Result<Self> {
         let Fields { fields, pairs, list } = read_fields(path, reader)?;
         let get = |name: &str| fields.get(name).map(String::as_str);
@@ -158,7 +157,7 @@ fn read_fields(path: &Path, reader: &mut impl BufRead) -> Result<Fields> {
     Ok(Fields { fields, pairs, list })
 }
 
-/// Maps alternative spellings of field names to one spelling.
+/// Maps alternative spellings of field names to the standard spelling.
 fn canonical_name(name: &str) -> &str {
     match name {
         "datafile" => "data file",

@@ -1,7 +1,7 @@
-//! Reads and writes NRRD ("nearly raw raster data"), the format of Teem and 3D Slicer, with
-//! attached (`.nrrd`) and detached (`.nhdr`) headers.
+//! Reads NRRD ("nearly raw raster data"), the format of Teem and 3D Slicer, with attached (`.nrrd`)
+//! or detached (`.nhdr`) headers. Writes NRRD with attached headers.
 //!
-//! The module follows versions 1 to 5 of Teem's format specification. Anatomical spaces are
+//! Supports versions 1 to 5 of Teem's format specification. Coordinates in anatomical spaces are
 //! converted to LPS.
 
 mod grid;
@@ -21,7 +21,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 /// Reads an NRRD volume that has three spatial axes and one number per voxel, or a 3D Slicer
-/// segmentation including its layers.
+/// segmentation with all its layers.
 pub fn read_nrrd(path: &Path) -> Result<Volume> {
     let file = File::open(path).map_err(|error| Error::file(path, "read", error, "check the name of the volume"))?;
     let mut reader = BufReader::new(file);
@@ -50,7 +50,7 @@ pub fn read_nrrd(path: &Path) -> Result<Volume> {
     Ok(Volume { remarks, segments, more_layers, ..Volume::new(geometry, first) })
 }
 
-/// Returns the data files that the header lists.
+/// Returns the data files that the header specifies.
 pub(crate) fn data_files(path: &Path, reader: &mut impl BufRead) -> Result<DataFiles> {
     Ok(header::Header::read(path, reader)?.layout.files)
 }

@@ -1,5 +1,5 @@
-//! Reads the segments of a 3D Slicer segmentation (`.seg.nrrd`). A segment is stored in key/value
-//! pairs: `Segment0_Name`, `Segment0_LabelValue` and `Segment0_Layer`.
+//! Reads the segments of a 3D Slicer segmentation (`.seg.nrrd`). Each segment is described by
+//! key/value pairs such as `Segment0_Name`, `Segment0_LabelValue` and `Segment0_Layer`.
 
 use super::header::{Header, field_error};
 use crate::error::Result;
@@ -18,8 +18,8 @@ fn number_of(key: &str) -> Option<u64> {
 }
 
 /// Returns the segments of a file with `layers` layers, sorted by segment number. Files written
-/// before Slicer 4.11 contain neither label values nor layers. In these files, each segment has the
-/// label 1 in a separate layer.
+/// before Slicer 4.11 contain neither label values nor layer numbers; each segment has label 1 in a
+/// layer of its own.
 pub(super) fn segments(path: &Path, header: &Header, layers: usize) -> Result<Vec<Segment>> {
     let mut numbers: Vec<u64> = header.pairs.keys().filter_map(|key| number_of(key)).collect();
     numbers.sort_unstable();

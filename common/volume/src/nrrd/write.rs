@@ -16,8 +16,8 @@ pub enum Encoding {
     Gzip,
 }
 
-/// Writes a volume as NRRD with an attached header. `voxels` must contain one value per voxel of
-/// `geometry`.
+/// Writes a volume to an NRRD file with an attached header. `voxels` must contain one value per
+/// voxel of `geometry`.
 pub fn write_nrrd(path: &Path, geometry: &Geometry, voxels: &Voxels, encoding: Encoding) -> Result<()> {
     let header = header(geometry, voxels, encoding);
     Ok(write_atomically(path, |mut file| {

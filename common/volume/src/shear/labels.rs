@@ -1,19 +1,20 @@
 //! Resamples labels to the orthonormal grid.
 //!
 //! A new voxel lies between two old voxels of its row. If both have the same label, the new voxel
-//! gets that label. If the labels differ, rounding would shift each row by up to half a voxel and
-//! roughen every surface. Instead, these voxels are ranked by the labels in their neighbourhood,
-//! except where a label is only one voxel long in its row. In every slice, the voxels with the
-//! highest rank for a label get that label. Their number follows from linear interpolation.
+//! gets that label. If the labels differ, choosing the nearer one would shift each row by up to
+//! half a voxel and roughen every surface. This rounding is used only where a label is one voxel
+//! long in its row. Elsewhere, for each slice and pair of labels, the voxels are sorted by the
+//! labels in their neighbourhood. The first ones get the first label; linear interpolation
+//! determines their number.
 
 use super::{Pass, Shear};
 use crate::voxels::Voxels;
 use rayon::prelude::*;
 
-/// Weights along each axis for the ranking: a binomial filter of five voxels. Measured on masks of
-/// balls of 14 and 8 mm, with 1 mm voxels sheared by 30 degrees: the surface F = 0 of `distfield
-/// --labels 1` has root-mean-square deviations of 0.064 and 0.076 mm. Rounding gives 0.158 and
-/// 0.164 mm, and unsheared grids give 0.052 mm.
+/// Weights along each axis for the score of a voxel: a binomial filter of five voxels. Measured on
+/// masks of balls of 14 and 8 mm, with 1 mm voxels sheared by 30 degrees: the surface F = 0 of
+/// `distfield --labels 1` has root-mean-square deviations of 0.064 and 0.076 mm. Rounding gives
+/// 0.158 and 0.164 mm, and unsheared grids give 0.052 mm.
 const VOTE: [f64; 5] = [0.0625, 0.25, 0.375, 0.25, 0.0625];
 
 /// Number of voxels that the filter covers on each side of its centre.
@@ -23,9 +24,9 @@ const FILTER_RADIUS: isize = VOTE.len() as isize / 2;
 struct Undecided<T> {
     /// Index of the voxel in the slice.
     at: usize,
-    /// The two labels. The label with the lower key is first.
+    /// The two labels, the one with the lower key first.
     pair: [T; 2],
-    /// Weighted excess of the first label over the second label in the neighbourhood.
+    /// Total weight of the first label minus that of the second one in the neighbourhood.
     score: f64,
     /// Fraction of the first label according to linear interpolation.
     share: f64,
@@ -33,7 +34,7 @@ struct Undecided<T> {
 
 /// A voxel value that is used as a label.
 trait Label: Copy + PartialEq + Send + Sync {
-    /// Returns a key that is unique for labels up to 2^53.
+    /// Returns a key that is unique for labels with a magnitude of up to 2^53.
     fn key(self) -> u64;
 }
 
@@ -47,8 +48,8 @@ macro_rules! labels {
 labels!(i8, u8, i16, u16, i32, u32, i64, u64, f32, f64);
 
 impl Shear {
-    /// Resamples labels to the orthonormal grid. Outside the volume, the label is `beyond`. If
-    /// `beyond` is `None`, it is the label of the nearest voxel in the row.
+    /// Resamples labels to the orthonormal grid. Voxels outside the old volume get the label
+    /// `beyond`, or the label of the nearest voxel in the row if `beyond` is `None`.
     pub fn move_labels(&self, voxels: &Voxels, beyond: Option<i64>) -> Voxels {
         macro_rules! each {
             ($($variant:ident $type:ty),*) => { match voxels { $(Voxels::$variant(values) => {
@@ -79,7 +80,8 @@ impl<T: Label> OldLabels<'_, T> {
         }
     }
 
-    /// Returns the weighted excess of label `a` over label `b` in the neighbourhood of a new voxel.
+    /// Returns the total weight of label `a` minus that of label `b` in the neighbourhood of a new
+    /// voxel.
     fn vote(&self, [a, b]: [T; 2], n: usize, row: usize, k: usize) -> f64 {
         let side = |label: T| f64::from(u8::from(label == a)) - f64::from(u8::from(label == b));
         let mut sum = 0.0;
@@ -112,7 +114,7 @@ impl Pass {
                     let (at, place) = (n as isize - first, self.linear(self.to, n, row, 0));
                     let [a, b] = [at, at + 1].map(|n| old.at(n, row, k));
                     slice[place] = if part < 0.5 { a } else { b };
-                    // round if a label is only one voxel long in its row; this preserves its length
+                    // round where a label is only one voxel long in its row, to preserve its length
                     let is_thin = || old.at(at - 1, row, k) != a || old.at(at + 2, row, k) != b;
                     if a.key() != b.key() && part > 0.0 && !is_thin() {
                         let (pair, share) = if a.key() < b.key() { ([a, b], 1.0 - part) } else { ([b, a], part) };
@@ -127,8 +129,8 @@ impl Pass {
 }
 
 /// Assigns the first label of each pair to the voxels with the highest scores, and the second label
-/// to the other voxels. The number of voxels with the first label is the rounded sum of their
-/// shares.
+/// to the other voxels. The number of voxels that get the first label is the sum of all shares,
+/// rounded.
 fn share_out<T: Label>(slice: &mut [T], mut open: Vec<Undecided<T>>) {
     let key = |open: &Undecided<T>| open.pair.map(Label::key);
     open.sort_by(|a, b| key(a).cmp(&key(b)).then(b.score.total_cmp(&a.score)).then(a.at.cmp(&b.at)));

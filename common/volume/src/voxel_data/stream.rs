@@ -5,8 +5,8 @@ use bzip2::bufread::BzDecoder;
 use flate2::bufread::{GzDecoder, ZlibDecoder};
 use std::io::{self, BufRead, ErrorKind, Read};
 
-/// A reader that decodes data. gzip and bzip2 data may consist of several members. As in the gzip
-/// and bzip2 programs, the data ends if the next bytes do not start another member.
+/// A reader that decodes data. gzip and bzip2 data may consist of several members. Like the gzip
+/// and bzip2 programs, the reader stops at bytes that do not start another member.
 pub(crate) enum Stream<R> {
     Plain(R),
     Hex(HexReader<R>),
@@ -34,7 +34,7 @@ impl<R: BufRead> Stream<R> {
         Ok(self.read(&mut [0])? > 0)
     }
 
-    /// Returns whether any bytes follow the end of compressed data.
+    /// Returns whether any bytes follow the compressed data.
     pub(crate) fn leaves_bytes(self) -> io::Result<bool> {
         let rest = match self {
             Self::Plain(_) | Self::Hex(_) => None,

@@ -1,4 +1,4 @@
-//! Tests skips that count from the end of the data, and data after the last voxel.
+//! Tests negative byte skips, which count from the end of the data, and data after the last voxel.
 
 use crate::read::read_volume;
 use crate::voxels::Voxels;
@@ -86,7 +86,7 @@ fn more_data_than_voxels_and_damage_are_refused() {
         let error = read_volume(&path).expect_err(encoding);
         assert!(error.to_string().contains("after the last voxel"), "{encoding}: {error}");
     }
-    // a wrong checksum is an error, not the end of the data
+    // a wrong checksum is reported as an error, not treated as the end of the data
     let mut damaged = gzip(&VALUES);
     let end = damaged.len() - 6;
     damaged[end] ^= 1;

@@ -1,5 +1,5 @@
-//! Decodes the bytes of one array. The data follows a header that contains its length. It is base64
-//! or raw, and uncompressed or in zlib blocks.
+//! Decodes the bytes of one array. A header with the length precedes the data. The data is raw or
+//! encoded in base64, and uncompressed or compressed in zlib blocks.
 
 use crate::voxels::Endian;
 use std::io::{self, BufRead, Read};
@@ -8,7 +8,7 @@ use std::io::{self, BufRead, Read};
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Layout {
     pub(super) endian: Endian,
-    /// True if the numbers in array headers have 64 bits, and false if they have 32 bits.
+    /// Whether the numbers in array headers have 64 bits instead of 32.
     pub(super) wide_header: bool,
     pub(super) compressed: bool,
 }
@@ -63,7 +63,7 @@ impl Read for ArrayReader<'_> {
             let mut compressed = Read::take(&mut self.source, compressed_bytes);
             let mut decoder = flate2::read::ZlibDecoder::new(&mut compressed);
             let mut block = Vec::new();
-            // the limit bounds the memory if a damaged block is longer than the header declares
+            // the limit bounds the memory use if a damaged block is longer than its header declares
             Read::take(&mut decoder, blocks.block_bytes).read_to_end(&mut block)?;
             io::copy(&mut compressed, &mut io::sink())?;
             blocks.current = io::Cursor::new(block);
@@ -71,7 +71,7 @@ impl Read for ArrayReader<'_> {
     }
 }
 
-/// Reads one number of an array header.
+/// Reads one number from an array header.
 fn header_number(source: &mut dyn Read, layout: Layout) -> io::Result<u64> {
     let mut wide = [0; 8];
     let mut narrow = [0; 4];

@@ -12,8 +12,8 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// Maximum nesting depth, which bounds the recursion when the tree of elements is dropped. The
-/// files that VTK writes need six levels.
+/// Maximum nesting depth, which bounds the recursion when the tree of elements is dropped. Files
+/// written by VTK have six levels.
 const MOST_DEPTH: usize = 32;
 
 /// An XML element with its contents.
@@ -119,7 +119,7 @@ impl VtkFile {
     /// Reads an array of `count` numbers. Fails if the array has a different length.
     pub fn numbers(&self, array: &Element, count: usize) -> Result<Voxels> {
         let scalar = self.scalar(array)?;
-        // an overflow saturates, so the memory check fails
+        // on overflow, the product saturates and the memory check fails
         let expected = (count as u64).saturating_mul(scalar.bytes() as u64);
         check_memory(&self.path, expected)?;
         let wrong = |error: std::io::Error| self.array_error(array, &error);
@@ -157,8 +157,8 @@ impl VtkFile {
         self.numbers(array, usize::try_from(length / scalar.bytes() as u64).unwrap_or(usize::MAX))
     }
 
-    /// Returns the string in a field-data array, if there is one. The string is stored as bytes, or
-    /// as a VTK string in format version 1.
+    /// Returns the string in a field-data array, if the array exists. The string is stored as bytes
+    /// or, in format version 1, as a VTK string.
     pub fn text(&self, data_set: &Element, name: &str) -> Result<Option<String>> {
         let Some(array) = data_set.child("FieldData").and_then(|field| field.array(name)) else { return Ok(None) };
         if !matches!(array.attribute("type"), Some("UInt8" | "String")) {
@@ -186,7 +186,8 @@ impl VtkFile {
         scalar_of(name).ok_or_else(|| self.array_error(array, &std::io::Error::other(format!("its type is {name}"))))
     }
 
-    /// Returns the position of an appended array in the file, and whether the array is base64.
+    /// Returns the position of an appended array in the file, and whether the array is encoded in
+    /// base64.
     fn place(&self, array: &Element) -> std::io::Result<(u64, bool)> {
         let offset = array.attribute("offset").and_then(|text| text.parse::<u64>().ok());
         let (Some((start, base64)), Some(offset)) = (self.appended, offset) else {
@@ -196,8 +197,8 @@ impl VtkFile {
         Ok((position, base64))
     }
 
-    /// Returns the position of an array's numbers in the file if they are raw, uncompressed
-    /// appended data.
+    /// Returns the position of an array's numbers in the file if they are stored as raw,
+    /// uncompressed appended data.
     fn plain_bytes(&self, array: &Element) -> Option<u64> {
         let (position, base64) = self.place(array).ok().filter(|_| array.attribute("format") != Some("binary"))?;
         let header = if self.layout.wide_header { 8 } else { 4 };
@@ -224,15 +225,15 @@ impl VtkFile {
     }
 }
 
-/// Position of the appended data in the file, and whether the data is base64.
+/// Position of the appended data in the file, and whether the data is encoded in base64.
 type Appended = Option<(u64, bool)>;
 
 /// Reads the XML up to the appended data. Returns the XML, and the position and encoding of the
 /// data.
 fn read_head(path: &Path, reader: &mut impl BufRead) -> Result<(Vec<u8>, Appended)> {
     const TAG: &[u8] = b"<AppendedData";
-    // XML with appended data has about 100 bytes per array. Longer XML contains the array values,
-    // and parsing stores a second copy of them in memory.
+    // If the data is appended, the XML has about 100 bytes per array. Longer XML contains the array
+    // values themselves, and parsing it creates a second copy of them.
     const SHORT_XML: usize = 64 << 20;
     let mut head = Vec::new();
     let mut searched = 0usize;

@@ -16,8 +16,8 @@ pub enum Payload<'a> {
     Values(Voxels),
     /// Borrowed numbers of any scalar type.
     Voxels(&'a Voxels),
-    /// A string, written as bytes. VTK's string type is not supported by all programs; meshio
-    /// cannot read it.
+    /// A string, written as bytes, because some programs, such as meshio, cannot read VTK's string
+    /// type.
     Text(String),
 }
 
@@ -63,7 +63,7 @@ impl Payload<'_> {
 }
 
 fn write_f32(values: &[f32], file: &mut dyn Write) -> io::Result<()> {
-    // an interrupt takes effect between two chunks of 1 MiB
+    // an interrupt takes effect between chunks of 1 MiB
     for chunk in values.chunks(1 << 18) {
         if cfg!(target_endian = "little") {
             file.write_all(bytemuck::cast_slice(chunk))?;
@@ -83,7 +83,7 @@ pub struct Document<'a> {
 }
 
 impl<'a> Document<'a> {
-    /// Starts a document with a data set type such as `ImageData`.
+    /// Starts a document for a data set of type `data_set`, such as `ImageData`.
     pub fn new(data_set: &str) -> Self {
         let text = format!(
             "<?xml version=\"1.0\"?>\n<VTKFile type=\"{data_set}\" version=\"1.0\" byte_order=\"LittleEndian\" \
@@ -134,7 +134,7 @@ impl<'a> Document<'a> {
         self.identity_with(kind, version, texts, Vec::new(), history);
     }
 
-    /// Adds the same field data as [`Document::identity`], and additional arrays.
+    /// Adds the same field data as [`Document::identity`] and additional arrays.
     pub fn identity_with(
         &mut self,
         kind: &str,
@@ -178,14 +178,15 @@ impl<'a> Document<'a> {
 
 /// Serializes a value as ASCII-only JSON, which all readers of VTK strings support.
 pub fn ascii_json(value: &impl serde::Serialize) -> String {
-    // Serialization cannot fail: the values have string keys, and their numbers are finite or null.
+    // Serialization cannot fail: all keys are strings, and serde_json writes non-finite numbers as
+    // null.
     let json = serde_json::to_string(value).unwrap_or_else(|_| "null".to_owned());
     let mut text = String::with_capacity(json.len());
     for c in json.chars() {
         if c.is_ascii() {
             text.push(c);
         } else {
-            // non-ASCII characters occur only in the strings of JSON
+            // in JSON, non-ASCII characters occur only in strings
             for unit in c.encode_utf16(&mut [0; 2]) {
                 let _ = write!(text, "\\u{unit:04x}");
             }

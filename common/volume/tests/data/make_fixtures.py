@@ -5,10 +5,11 @@
 
 NAME is nrrd, nifti, vti, meta, segmentation, dicom or edited; the default is all of them.
 
-Every file holds 3 x 4 x 2 voxels whose values encode their index. `expected.json` holds what
-another reader (SimpleITK, nibabel, VTK or Teem's unu) reads from each file: the type, the values,
-and the world positions of the first voxel and of the last one along each axis (LPS if the file
-names an anatomical space). Files that must be refused are listed with a word of the error.
+Every file contains 3 x 4 x 2 voxels whose values encode their index. For each file,
+`expected.json` contains what another program (SimpleITK, nibabel, VTK or Teem's unu) reads: the
+type, the values, and the world positions of the first voxel and of the last voxel along each axis
+(in LPS if the file specifies an anatomical space). Files that must be refused are listed with an
+expected part of the error message.
 """
 
 import gzip
@@ -66,7 +67,7 @@ def by_itk(file, name=None, check_values=True):
 
 
 def by_unu(file, name, positions):
-    """Record what Teem reads from a file. unu prints no positions, so the caller gives them."""
+    """Record what Teem reads from a file. unu prints no positions, so the caller passes them."""
     out = subprocess.run([UNU, "save", "-f", "nrrd", "-e", "raw", "-en", "little", "-i", file, "-o", "-"],
                          cwd=HERE, check=True, capture_output=True).stdout
     array = np.frombuffer(out.split(b"\n\n", 1)[1], dtype=name).reshape(SIZE, order="F")
@@ -228,7 +229,8 @@ def make_nifti():
     scaled[112:120] = struct.pack("<ff", 0.5, -2.0)
     (folder / "scaled.nii.gz").write_bytes(gzip.compress(bytes(scaled), mtime=0))
     by_itk("nifti/scaled.nii.gz", check_values=False)
-    # SimpleITK returns 64-bit numbers; this project uses 32-bit numbers for scaled 16-bit integers.
+    # SimpleITK returns 64-bit numbers; this project converts scaled 16-bit integers to 32-bit
+    # numbers.
     entry = expected["volumes"]["nifti/scaled.nii.gz"]
     assert entry["values"] == [str(float(v)) for v in (voxels("int16") * 0.5 - 2.0).flatten(order="F")]
     entry["type"] = "float32"
@@ -284,14 +286,14 @@ def make_vti():
                         writer.SetHeaderTypeToUInt64()
                     else:
                         writer.SetHeaderTypeToUInt32()
-                    # The array has several blocks, and the last block is shorter.
+                    # This splits the array into several blocks, the last of which is shorter.
                     writer.SetBlockSize(40)
                     writer.Write()
                     told(file, name)
 
 
 def make_meta():
-    """Write MetaImage files: with SimpleITK, and by hand the variants that SimpleITK only reads."""
+    """Write MetaImage files with SimpleITK, and by hand the variants that it can only read."""
     folder = HERE / "meta"
     folder.mkdir(exist_ok=True)
     for name in NAMES:
@@ -364,7 +366,7 @@ def make_segmentation():
 
 
 def make_dicom():
-    """Write two oblique slices, uncompressed and in RLE. The upper slice is first by name."""
+    """Write two oblique slices, raw and RLE-compressed. The name of the upper slice sorts first."""
     for folder, compressed in [("dicom/oblique", False), ("dicom/rle", True)]:
         (HERE / folder).mkdir(parents=True, exist_ok=True)
         for n in range(2):

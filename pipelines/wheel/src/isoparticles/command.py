@@ -25,9 +25,9 @@ VOLUME_GOALS = {
     "mesh": "from the volume to tetrahedra and the page about them",
     "surface": "as far as the triangles",
 }
-"""Goals whose first argument is the volume. The name of a stage runs the stage instead."""
+"""Goals whose first argument is the volume. Unlike in the Makefile, the stages are not goals."""
 TOOLS = {"convert": "write a volume as a VTK image (.vti)"}
-"""Verbs of ``isoparticles-volume`` that run without a case."""
+"""Subcommands of ``isoparticles-volume`` that run without a case."""
 NAME_GOALS = {
     "verdict": "how it went",
     "page": "the page once more",
@@ -37,7 +37,7 @@ NAME_GOALS = {
 SHORT = {"-o": "OUT", "--output": "OUT"}
 VERBOSITY = frozenset({"-q", "-v", "-vv"})
 BATCH = {"--time-limit": "--time-limit", "--goal": "--as-far-as"}
-"""Options that only ``batch`` has, with their names in ``isoparticles-case``."""
+"""Options of ``batch`` only, with their names in ``isoparticles-case``."""
 
 
 class UsageError(Exception):
@@ -54,7 +54,7 @@ def program(name: str) -> str:
 
 
 def scripts() -> Path:
-    """Return the folder of the commands that were installed with this command."""
+    """Return the folder of the commands that were installed together with this one."""
     name = f"tetmesh-check{'.exe' if os.name == 'nt' else ''}"
     for folder in (Path(sys.argv[0]).resolve().parent, Path(sys.executable).parent):
         if (folder / name).is_file():
@@ -91,7 +91,7 @@ def case_arguments(goal: str, settings: Sequence[str], options: Sequence[str] = 
 
 
 def settings_of(words: Sequence[str], first: str, known: dict[str, str]) -> tuple[list[str], list[str]]:
-    """Turn options into settings.
+    """Convert options to settings.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def settings_of(words: Sequence[str], first: str, known: dict[str, str]) -> tupl
 
 
 def preset_of(case_file: Path) -> list[str]:
-    """Return options of ``isoparticles-case`` for the lines ``KEY := VALUE`` of a case file."""
+    """Return the ``isoparticles-case`` options for the ``KEY := VALUE`` lines of a case file."""
     lines = case_file.read_text(encoding="utf-8").splitlines()
     pairs = [line.split(":=", 1) for line in lines if ":=" in line and not line.startswith("#")]
     presets = [word for key, value in pairs for word in ("--preset", f"{key.strip()}={value.strip()}")]

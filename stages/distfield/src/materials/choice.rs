@@ -8,7 +8,7 @@ use isoparticles_volume::{LayerLabel, Volume};
 use std::collections::BTreeMap;
 use std::str::FromStr;
 
-/// Name of the material of all labels that belong to no other material.
+/// Name of the material that contains all labels not assigned to another material.
 pub const OUTSIDE: &str = "outside";
 
 /// Maximum number of materials listed in an error message.
@@ -78,8 +78,8 @@ impl Chosen {
     }
 }
 
-/// Returns the names of the materials, the outside first. The list is empty without choices.
-/// Returns `None` if a choice is `all`, because its names depend on the volume.
+/// Returns the names of the materials, the outside first. The list is empty if there are no
+/// choices. Returns `None` if a choice is `all`, because its names depend on the volume.
 pub fn names(choices: &[MaterialChoice]) -> Option<Vec<String>> {
     let name = |choice: &MaterialChoice| match choice {
         MaterialChoice::All => None,
@@ -146,7 +146,7 @@ pub fn resolve(choices: &[MaterialChoice], volume: &Volume) -> Result<Chosen> {
     Ok(Chosen { table: std::iter::once(outside).chain(named).collect(), number })
 }
 
-/// Adds one material for each label except 0 that no material contains.
+/// Adds one material for each label except 0 that belongs to no material yet.
 fn add_rest(
     volume: &Volume,
     present: &[LayerLabel],

@@ -1,20 +1,20 @@
-//! Corrects the indicators so that materials touch exactly where their nodes do.
+//! Corrects the indicators so that materials touch exactly where their nodes are adjacent.
 //!
-//! Each indicator is computed separately and smooths away protrusions of one voxel. At a hole of
-//! one voxel in a thin layer, the materials on both sides recede, so the indicator of the layer can
-//! be the smallest between them. The mesh then contains a film that the labels do not contain, and
-//! lacks the junction curve around the hole. Where the indicator of the layer is only slightly
+//! Each indicator is computed separately, and protrusions of one voxel are smoothed away. At a hole
+//! of one voxel in a thin layer, the materials on both sides recede, so the indicator of the layer
+//! can be the smallest between them. The mesh then contains a film that the labels do not contain,
+//! and lacks the junction curve around the hole. Where the indicator of the layer is only slightly
 //! larger, a tube a tenth of a voxel wide connects two such holes. The indicators are therefore
 //! checked at the midpoints of grid edges, faces and cells whose corners belong to several
 //! materials:
 //!
-//! - No material other than those of the corners may have the smallest indicator at the midpoint,
+//! - At the midpoint, no material other than those of the corners may have the smallest indicator,
 //!   or nearly the smallest. On an edge, both corner materials must have smaller indicators than
 //!   all others.
 //! - If the corners of a face differ along all four edges, the corners of either diagonal may
-//!   touch, or be connected if they have the same material. If a material has exactly two opposite
-//!   corners of a cell, these corners may be connected or not. The indicators make these open
-//!   decisions, but their choice gets a margin.
+//!   touch, or be connected if they have the same material. If a material has exactly two corners
+//!   of a cell and they are opposite, they may be connected or not. The indicators make these open
+//!   decisions, and the correction gives each decision a margin.
 //!
 //! An indicator that violates the margin is raised at the corners of other materials, where another
 //! indicator is already smaller. No node changes its material.
@@ -28,29 +28,29 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Minimum amount by which an indicator must exceed the indicators that must be smaller at a
-/// midpoint, in units of the mean voxel spacing: without a scale, and with a scale. With a scale,
-/// mesh edges are longer and details between nodes matter less.
+/// Minimum margin at a midpoint between an indicator and those that must be smaller, in units of
+/// the mean voxel spacing: without and with a scale. With a scale, mesh edges are longer, and
+/// details between nodes matter less.
 ///
-/// `thorax_labels` with `--scale-for-size 6` (h = 6 mm): two segments of junction curves are
-/// missing with 0.2 and none with 0.4. At 3 mm the minimum radius ratio is 0.31 with 0.2 and 0.42
-/// with 0.4. Default sizes without a scale: on `frog_tissue_labels`, 0.2, 0.3 and 0.4 give 0, 1 and
-/// 1 triangles forced by curves and a minimum radius ratio of 0.51, 0.23 and 0.16; on
+/// For `thorax_labels` with `--scale-for-size 6` (h = 6 mm), two segments of junction curves are
+/// missing with 0.2 and none with 0.4. At 3 mm, the minimum radius ratio is 0.31 with 0.2 and 0.42
+/// with 0.4. With default sizes and without a scale: on `frog_tissue_labels`, 0.2, 0.3 and 0.4 give
+/// 0, 1 and 1 triangles forced by curves and a minimum radius ratio of 0.51, 0.23 and 0.16; on
 /// `brain_parcellation`, 0.2 and 0.3 give 13 and 15 such triangles.
 const CLEARANCE: [f64; 2] = [0.2, 0.4];
 
 /// Tolerance, in units of the mean voxel spacing, within which the four indicators at the midpoint
-/// of a face count as equal. All faces along a line where four materials meet then choose the same
-/// diagonal. Along such lines between eight cubes of 6^3 voxels, the indicators (pinned to 0.0005
-/// voxel) differ by up to 0.0026 voxel. Without this tolerance, the faces there choose different
-/// diagonals, and eight segments of junction curves are missing.
+/// of a face are considered equal. All faces along a line where four materials meet then choose the
+/// same diagonal. For eight adjacent cubes of 6^3 voxels, the indicators along such lines (pinned
+/// to 0.0005 voxel) differ by up to 0.0026 voxel. Without this tolerance, the faces there choose
+/// different diagonals, and eight segments of junction curves are missing.
 const TIE: f64 = 0.004;
 
-/// Target margin of a raise, relative to the required margin. A raise that lifts its indicator at
-/// one midpoint lowers it at the next midpoint by 0.13 / 0.6 = 22 % as much (see [`MOST_ROUNDS`]).
-/// The excess of 25 % compensates for about one such loss. With 1, 1.25 and 1.5, 1137, 43 and 51
-/// contacts of `frog_tissue_labels` have less than the required margin (`near` of the report of
-/// `make distfield MATERIALS=all`).
+/// Target margin of a raise, relative to the required margin. A raise that increases its indicator
+/// at one midpoint decreases it at the next midpoint by 0.13 / 0.6 = 22 % of that amount (see
+/// [`MOST_ROUNDS`]). The excess of 25 % compensates for about one such loss. With 1, 1.25 and 1.5,
+/// 1137, 43 and 51 contacts of `frog_tissue_labels` have less than the required margin (`near` of
+/// the report of `make distfield MATERIALS=all`).
 const AIM: f64 = 1.25;
 
 /// Maximum total raise of an indicator sample, in units of the mean voxel spacing. Adjacent raises
@@ -61,12 +61,12 @@ const AIM: f64 = 1.25;
 /// the report of `make distfield MATERIALS=all`).
 const MOST_RAISE: f64 = 1.0;
 
-/// Effect of a unit raise at a node on the value at the midpoint of an adjacent grid edge. The
-/// cubic spline that is one at the node and zero at all other nodes has this value there.
+/// Effect of a unit raise at a node on the value at the midpoint of an adjacent grid edge. It is
+/// the value of the cardinal cubic spline (one at the node, zero at all others) at this midpoint.
 const HALF_WAY: f64 = 0.6005;
 
-/// Distance in nodes beyond which the effect of a raise is neglected. The spline of a unit raise is
-/// below 0.003 beyond this distance.
+/// Distance in nodes beyond which the effect of a raise is neglected. Beyond this distance, the
+/// spline of a unit raise is below 0.003 in absolute value.
 const REACH: usize = 4;
 
 /// Maximum number of rounds of raises. A raise lowers its own indicator between the next two nodes
@@ -77,17 +77,17 @@ const MOST_ROUNDS: usize = 40;
 /// Report of the contacts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct ContactReport {
-    /// Number of pairs of a midpoint and a material that none of its corners has, with too small a
-    /// margin before the raises.
+    /// Number of pairs (midpoint, material) whose margin was too small before the raises. The
+    /// material is none of those at the corners.
     pub crossed: usize,
-    /// Number of open decisions with too small a margin before the raises.
+    /// Number of open decisions whose margin was too small before the raises.
     pub undecided: usize,
     /// Number of indicator samples raised.
     pub raised: usize,
-    /// Number of pairs, counted as in `crossed`, where the indicator is still smaller than one that
-    /// it must exceed.
+    /// Number of pairs, as in `crossed`, in which the indicator is still smaller than one that it
+    /// must exceed.
     pub left: usize,
-    /// Number of other pairs and open decisions with too small a margin after the raises.
+    /// Number of other pairs and open decisions whose margin is still too small after the raises.
     pub near: usize,
 }
 
@@ -100,9 +100,9 @@ fn owners(materials: &Materials) -> Vec<u16> {
     all.map(|n| materials.material_at(geometry.index_to_grid(node(n))).0).collect()
 }
 
-/// Raises indicators so that materials touch where their nodes do. With a scale, the required
-/// margin is larger. With only two materials, each indicator is the negative of the other, and both
-/// stay unchanged.
+/// Raises indicators so that materials touch exactly where their nodes are adjacent. With a scale,
+/// the required margin is larger. With only two materials, each indicator is the negative of the
+/// other, and both stay unchanged.
 ///
 /// # Errors
 /// If the run is interrupted.
@@ -146,7 +146,7 @@ pub fn keep_contacts(materials: &mut Materials, is_scaled: bool, monitor: &dyn M
         materials.add_at_nodes(&changes);
         lacks = elements.lacking(materials, owners, |brick| changed.contains(&brick));
         if lacks.is_empty() {
-            // the effects of raises farther away than `REACH` can add up
+            // effects of raises beyond `REACH` can add up
             lacks = elements.lacking(materials, owners, |_| true);
         }
     }
@@ -169,8 +169,8 @@ fn bricks_near(node: [usize; 3], size: [usize; 3]) -> impl Iterator<Item = usize
     span(2, bz).flat_map(move |z| span(1, by).flat_map(move |y| span(0, bx).map(move |x| (z * by + y) * bx + x)))
 }
 
-/// An edge, face or cell of the grid, given by its first corner (x fastest) and one bit per axis
-/// that it extends along.
+/// An edge, face or cell of the grid, given by the index of its first corner (x fastest) and one
+/// bit for each axis along which it extends.
 #[derive(Clone, Copy)]
 struct GridElement {
     node: usize,
@@ -187,7 +187,7 @@ struct Lack {
     corners: Vec<[usize; 3]>,
     /// Required raise in mm at each of these corners.
     raise: f64,
-    /// Whether the missing margin belongs to an open decision.
+    /// Whether the margin is that of an open decision.
     is_undecided: bool,
     /// Whether the indicator is smaller than an indicator that it must exceed.
     is_lost: bool,
@@ -234,8 +234,8 @@ impl Corners {
         own.len() == 4 && [[0, 1], [1, 3], [3, 2], [2, 0]].iter().all(|&[a, b]| own[a] != own[b])
     }
 
-    /// Returns whether a material has exactly two opposite corners of a cell. These corners may be
-    /// connected or not.
+    /// Returns whether a material has exactly two corners of a cell and they are opposite. These
+    /// corners may be connected or not.
     fn is_across(&self, id: MaterialId) -> bool {
         let own = self.materials();
         let is_own = |n: usize| own[n] == id;
@@ -254,9 +254,10 @@ impl Corners {
         materials.near(materials.geometry().index_to_grid(middle))
     }
 
-    /// Returns the corner that decides which materials touch at the midpoint. Face: the first
-    /// corner of the diagonal whose larger indicator is smaller, or of the first diagonal if all
-    /// four indicators are equal within [`TIE`]. Cell: the corner with the smallest indicator.
+    /// Returns the corner that decides which materials touch at the midpoint. On a face, it is the
+    /// first corner of the diagonal whose larger indicator is smaller, or of the first diagonal if
+    /// all four indicators are equal within [`TIE`]. In a cell, it is the corner with the smallest
+    /// indicator.
     fn deciding(&self, materials: &Materials) -> u8 {
         let near = self.near(materials);
         let value = |n: u8| value_of(&near, self.materials[usize::from(n)]);
@@ -271,7 +272,7 @@ impl Corners {
     }
 }
 
-/// The edges, faces and cells with margins to check, grouped by brick.
+/// The edges, faces and cells whose margins are checked, grouped by brick.
 struct GridElements {
     /// Required margin, mm.
     clearance: f64,
@@ -349,7 +350,7 @@ fn lacking_at(
 ) {
     let corners = Corners::of(element, owners, materials.geometry());
     let near = corners.near(materials);
-    // effect at the midpoint of a unit raise at one corner
+    // effect of a unit raise at one corner on the value at the midpoint
     let share = HALF_WAY.powi(corners.count.ilog2() as i32);
     let mut keep_above = |id: MaterialId, limit: f64, is_undecided: bool| {
         let value = value_of(&near, id);

@@ -27,16 +27,16 @@ use rayon::prelude::*;
 /// Distances are needed up to 7 voxels: an indicator is stored for two to three voxels around its
 /// zero set, and its bricks extend four cells farther. The tolerance is half that of a single
 /// object, because the deviations of two indicators add up at their interface. Fewer
-/// conjugate-gradient steps than for a single object suffice: an interface lies between the zero
-/// sets of its two indicators. `brain_parcellation` takes 165 s of processor time with 160 steps,
-/// as for a single object, and 89 s with 40 steps.
+/// conjugate-gradient steps than for a single object suffice, because an interface lies between the
+/// zero sets of its two indicators. `brain_parcellation` takes 165 s of processor time with 160
+/// steps, as for a single object, and 89 s with 40 steps.
 const DEMANDS: Demands = Demands { limit: 7.0, pinned: 0.0005, pin_steps: 40 };
 
 /// Options for computing indicators from labels.
 #[derive(Clone, Debug)]
 pub struct MaterialOptions {
-    /// Minimum distance of each border from voxel centres, in units of the minimum voxel spacing.
-    /// Not used with a scale.
+    /// Minimum distance of the zero set of each indicator from voxel centres, in units of the
+    /// minimum voxel spacing. Not used with a scale.
     pub clearance: f64,
     /// The scales of the smoothing; `None` keeps every voxel centre in its material.
     pub scales: Option<Scales>,
@@ -48,8 +48,8 @@ pub struct Tally {
     /// Number of voxels of the material.
     pub voxels: usize,
     /// Components, cavities and volume: first of the voxels of the material, then of the region
-    /// where its indicator is negative, before contacts are corrected. For the outside, those of
-    /// the complement.
+    /// where its indicator is negative, before contacts are corrected. For the outside, they are
+    /// those of its complement.
     pub parts: [Parts; 2],
     /// Number of voxel centres where the indicator has the wrong sign.
     pub changed: usize,
@@ -107,10 +107,11 @@ pub fn extract(
             "leave it out of MATERIALS (--material); another material or layer may contain its voxels",
         ));
     }
-    // the outside is computed from the union of all other materials, whose box contains all boxes
+    // the outside is computed from the union of all other materials, whose box contains all their
+    // boxes
     let all = extents[1..].iter().copied().reduce(Extent::joined).unwrap_or(extents[0]);
     let box_size = |extent: &Extent| (0..3).map(|a| extent.high[a] + 1 - extent.low[a]).product::<usize>();
-    // largest box first, while memory is free: the results accumulate
+    // largest box first, because the results accumulate and leave less memory for later materials
     let mut order: Vec<usize> = (1..extents.len()).collect();
     order.sort_by_key(|&id| (std::cmp::Reverse(box_size(&extents[id])), id));
     let mut made: Vec<Option<(Indicator, Vec<u32>)>> = vec![None; extents.len()];
@@ -125,7 +126,7 @@ pub fn extract(
             (Indicator::constant(false), Vec::new())
         } else {
             let one = OneMaterial { grid, id: MaterialId(id as u16), extent };
-            // an outside without voxels is the space beyond the volume, at any scale
+            // an outside without voxels is the space beyond the volume and needs no scale
             let scaled = levels.as_ref().filter(|_| extents[id].count > 0);
             let (indicator, tally) = one.indicator(scaled, options, &Quiet(monitor)).map_err(|error| Error {
                 what: format!("material '{}': {}", chosen.table[id].name, error.what),
@@ -200,7 +201,7 @@ impl OneMaterial<'_> {
             return Ok((None, first, Tally::default()));
         };
         self.negate_if_outside(&mut field);
-        // the parts of the voxels, not of the smoothed object
+        // components of the voxels, not of the smoothed object
         let components = changes.as_ref().map_or(parts_before.components, |changes| changes.components[0]);
         let before = Parts { components, ..parts_before };
         let tally = Tally { voxels: 0, parts: [before, parts_after], changed: 0, undecided, changes };

@@ -1,4 +1,4 @@
-//! Stores the material of every voxel, and returns that of the nodes beyond the border of the
+//! Stores the material of every voxel, and determines that of nodes beyond the border of the
 //! volume.
 
 use super::choice::Chosen;
@@ -24,7 +24,7 @@ pub struct LabelGrid {
     pub margin: usize,
 }
 
-/// The bounding box and the number of a material's voxels.
+/// The bounding box of the voxels of a material, and their number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Extent {
     /// First voxel along each axis.
@@ -153,7 +153,7 @@ impl Coarser for LabelGrid {
     }
 
     /// Assigns each coarse voxel to the most frequent material of its eight voxels. Ties go to the
-    /// material that comes first along x, y and z.
+    /// material that occurs first among these voxels (x fastest).
     fn halved(&self) -> Self {
         let [nx, ny, nz] = self.geometry.size;
         let size = self.geometry.size.map(|n| n.div_ceil(2));

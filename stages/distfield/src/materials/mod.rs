@@ -2,10 +2,11 @@
 //! Whitaker, Kirby, Ledergerber and Pfister 2008).
 //!
 //! [`choice`] maps labels to materials and [`grid`] maps voxels to materials; [`islands`] removes
-//! small components. [`mod@extract`] computes the indicators one after the other by the method for
-//! a single object or, with [`scales`], from the smoothed occupancy of [`scaled`]. [`contacts`]
-//! corrects the indicators where several materials meet. [`survey`] measures the result: material
-//! of every node, volumes, areas, junctions and changed voxel centres. [`program`] runs the stage.
+//! small components. [`mod@extract`] computes the indicators one after the other, by the method for
+//! a single object or, if there are [`scales`], from the level sets of [`scaled`]. [`contacts`]
+//! corrects the indicators where several materials meet. [`survey`] measures the result: the
+//! material of every node, volumes, areas, junctions and changed voxel centres. [`program`] runs
+//! the stage.
 
 pub mod choice;
 pub mod contacts;

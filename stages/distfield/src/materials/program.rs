@@ -28,8 +28,9 @@ use isoparticles_volume::Volume;
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
-/// Maximum number of materials, and of pairs of materials, in the table at the end of a run, and of
-/// materials in the warning about specks. The report contains all of them.
+/// Maximum number of materials, and of pairs of materials, in the table at the end of a run. It
+/// also limits the number of materials in the warning about specks. The report contains all of
+/// them.
 const MOST_ROWS: usize = 12;
 
 /// Maximum number of names listed in a warning or a failed check.
@@ -50,7 +51,8 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     let longest = scales(args, base, &chosen, voxel).map(|scales| scales.range(chosen.table.len())[1]);
     let whole = volume.geometry.padded(args.margin.into());
     let found = VoxelBox::of_labels(&volume, |label| chosen.number(label) != MaterialId::OUTSIDE.0);
-    // faces of the cropped grid count as borders of the volume: only the outside lies beyond them
+    // faces of the cropped grid are treated as borders of the volume, because only the outside lies
+    // beyond them
     let room = longest.map_or([LABEL_ROOM; 3], |scale| room_round(0.5 * scale / volume.geometry.spacing));
     take_out(args, &mut volume, found, room, context)?;
     let mut grid = LabelGrid::new(&volume, &chosen, args.border, args.margin.into())?;
@@ -101,7 +103,7 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     Ok(Outcome::from_failed_checks(failed))
 }
 
-/// Reports the corrections where several materials meet. Warns if some could not be made.
+/// Reports the corrections of the contacts. Warns if some contacts could not be corrected.
 fn tell_contacts(contacts: ContactReport, context: &Context) {
     let ContactReport { crossed, undecided, raised, left, near } = contacts;
     context.summary(
@@ -201,7 +203,7 @@ fn scales(args: &Args, base: Scale, chosen: &Chosen, voxel: f64) -> Option<Scale
     Scales::new(base, Given::new(&known, &names).ok()?, voxel)
 }
 
-/// Reports the shortest and longest scales, in mm, that result from `--size`.
+/// Reports the shortest and the longest scale (mm) that result from `--size`.
 fn tell_scales(range: Option<[f64; 2]>, args: &Args, context: &Context) {
     let Some([shortest, longest]) = range.filter(|_| !args.scale.size.is_empty()) else { return };
     let [from, to] = [shortest, longest].map(significant);
@@ -226,7 +228,7 @@ fn notes(materials: &Materials, tallies: &[Tally], found: &Survey) -> Map<String
             "undecided_junctions": tally.undecided,
             "state_bytes": materials.indicators()[id].bytes(),
         });
-        // the parts of the outside are those of the union of all other materials
+        // the parts counted for the outside are those of the union of all other materials
         if id != MaterialId::OUTSIDE.index() {
             row["components_before"] = json!(before.components);
             row["components"] = json!(after.components);
@@ -308,8 +310,8 @@ fn volumes_changed(materials: &Materials, tallies: &[Tally], found: &Survey, lim
         .collect()
 }
 
-/// Warns about materials with broken or merged parts or filled gaps at a scale, and about the
-/// losses of each material.
+/// Warns about materials whose parts are split or merged or whose gaps are filled at a scale, and
+/// about the losses of each material.
 fn tell_changes(materials: &Materials, tallies: &[Tally], range: [f64; 2], context: &Context) {
     let [shortest, longest] = range.map(significant);
     let at_scale = if shortest == longest {
@@ -366,7 +368,8 @@ fn tell_losses(losses: Vec<(&str, &Changes)>, at_scale: &str, context: &Context)
     context.warn(format!("{at_scale} specks are lost (less than {percent:.1} % of each material): {named}{more}"));
 }
 
-/// Returns the failed checks of a run with a scale, which preserves volumes but not voxels.
+/// Returns the failed checks of a run with a scale, which preserves volumes but not the materials
+/// of voxel centres.
 fn failed_at_scale(materials: &Materials, tallies: &[Tally], found: &Survey) -> Vec<String> {
     let changed = volumes_changed(materials, tallies, found, SCALED_VOLUME_LIMITS.1);
     if changed.is_empty() {

@@ -4,14 +4,15 @@
 //! or overlaps.
 //!
 //! Where only two materials are near, their occupancies sum to one, and so do their levels: both
-//! give the same surface as a single object. Where three materials meet, their borders differ. A
-//! corner of a material is rounded, and its level there is far from 1/2. A straight border where
-//! two other materials meet is unchanged, and its level is 1/2. Between two materials, the border
-//! whose level is closer to 1/2 therefore has more weight. The outer border of an organ of several
-//! materials is then as smooth as that of a single material.
+//! give the same surface as a single object. Where three materials meet, their borders no longer
+//! coincide. A corner of a material is rounded, and its level there is far from 1/2. A straight
+//! border where two other materials meet is unchanged, and its level is 1/2. Between two materials,
+//! the border whose level is closer to 1/2 therefore has more weight. The outer border of an organ
+//! that consists of several materials is then as smooth as that of a single material.
 //!
-//! Pairs of materials can have scales of their own, from the edge lengths of `--size` ([`Scales`]).
-//! There is a level set of each material for each scale, and a pair is compared at its scale.
+//! Pairs of materials can have their own scales, given by the edge lengths of `--size`
+//! ([`Scales`]). Each material then has one level set per scale, and each pair is compared at its
+//! own scale.
 
 use super::grid::{Extent, LabelGrid};
 use super::scales::Scales;
@@ -37,31 +38,32 @@ use rayon::prelude::*;
 /// by less than a thousandth of the width of the Gaussian.
 const UNIT: f32 = i16::MAX as f32;
 
-/// Value where a material is absent, and of parts that are too small for the scale.
+/// Value of a material where it is absent, and in its parts that are too small for the scale.
 const ABSENT: i16 = i16::MIN;
 
-/// A third material counts as near above this value. At a level of 1/2, its smoothed occupancy is
-/// then above 0.01, and the values of the other two materials are no longer the negatives of each
-/// other.
+/// A third material is near a voxel if its value there exceeds this limit. At a level of 1/2, its
+/// smoothed occupancy is then above 0.01, and the values of the other two materials are no longer
+/// the negatives of each other.
 const NEAR_VALUE: i16 = -((0.49 * UNIT) as i16);
 
 /// Maximum number of materials stored at a voxel where more than two are near. In general position,
-/// at most four materials meet, at junction points.
+/// at most four materials meet at a point.
 const MOST_NEAR: usize = 4;
 
-/// Deviation of the level from 1/2 that counts as a rounded border. For comparison, the level is
+/// Deviation of the level from 1/2 that indicates a rounded border. For comparison, the level is
 /// 0.3 at a right-angled edge and 0.43 on a ball with a radius of six standard deviations.
 ///
-/// On a ball divided into three sectors, normals deviate from those of an exact ball by 1.2 degrees
-/// (root mean square, away from the edges). The deviation is 2.2 degrees if both borders have equal
-/// weight, and 0.7 degrees if the ball is a single object (test
+/// On a ball divided into three sectors, the normals deviate from those of an exact ball by 1.2
+/// degrees (root mean square, away from the edges). The deviation is 2.2 degrees if both borders
+/// have equal weight, and 0.7 degrees if the ball is a single object (test
 /// `a_scale_keeps_the_volumes_of_all_and_smooths_their_borders`).
 const ROUNDED_DEVIATION: f32 = 0.1;
 
-/// Minimum smoothed occupancy, as a share of its level, with which a material wins a voxel. Without
-/// a minimum, materials that are too small for the scale fill the gaps between others. With 0, 1/3
-/// and 2/3, the 121 voxels (65 parts) of `label_25` of `frog_tissue_labels` at 50,000 vertices give
-/// 550, 0 and 0 voxels, and label 1 of `thorax_labels` at 20,000 vertices loses 11, 12 and 17 %.
+/// Minimum smoothed occupancy, as a fraction of the level, at which a material can win a voxel.
+/// Without a minimum, materials that are too small for the scale fill the gaps between others. With
+/// 0, 1/3 and 2/3, the 121 voxels (65 parts) of `label_25` of `frog_tissue_labels` at 50,000
+/// vertices become 550, 0 and 0 voxels, and label 1 of `thorax_labels` at 20,000 vertices loses 11,
+/// 12 and 17 %.
 const LEAST_SHARE: f32 = 1.0 / 3.0;
 
 /// A material at a voxel.
@@ -79,7 +81,7 @@ impl Share {
         f32::from(self.above) / UNIT
     }
 
-    /// Returns the smoothed occupancy minus the minimum with which the material wins a voxel.
+    /// Returns the smoothed occupancy minus the minimum at which the material can win a voxel.
     fn surplus(self) -> f32 {
         self.above() + (1.0 - LEAST_SHARE) * (0.5 + f32::from(self.off) / 255.0)
     }
@@ -129,7 +131,7 @@ struct Highest {
     above: [i16; 3],
 }
 
-/// The level sets of all materials, each border at its scale.
+/// The level sets of all materials, with each interface at its own scale.
 pub struct Levels<'a> {
     scales: &'a Scales,
     set: LevelsAt<'a>,
@@ -160,7 +162,7 @@ pub struct Made {
 
 impl<'a> LevelsAt<'a> {
     /// Smooths the occupancies of all materials, whose bounding boxes are `extents`. Materials
-    /// without extent have no level set.
+    /// whose extent contains no voxel have no level set.
     fn new(
         grid: &'a LabelGrid,
         extents: &[Extent],
@@ -201,8 +203,9 @@ impl<'a> LevelsAt<'a> {
         new
     }
 
-    /// Removes the parts of each material that `is_crumb` selects by the number of the material,
-    /// their volume (mm^3) and the share of their voxels that have the label of the material.
+    /// Removes the parts of each material for which `is_crumb` is true. Its arguments are the
+    /// number of the material, the volume of the part (mm^3), and the fraction of the part's voxels
+    /// that have the label of the material.
     fn without_crumbs(mut self, is_crumb: impl Fn(usize, f64, f64) -> bool, monitor: &dyn Monitor) -> Result<Self> {
         for id in 0..self.levels.len() {
             monitor.check()?;
@@ -214,7 +217,8 @@ impl<'a> LevelsAt<'a> {
         Ok(self)
     }
 
-    /// Finds the highest values at each voxel, and all near materials where more than two are near.
+    /// Finds the highest values at each voxel, and the near materials where there are more than
+    /// two.
     fn compare(&mut self) {
         let Self { grid, levels, highest, several, near, .. } = self;
         let size = grid.geometry.size;
@@ -251,9 +255,10 @@ impl<'a> LevelsAt<'a> {
     }
 
     /// Returns the minimum of the border functions ([`between`]) of the material of `own` and the
-    /// near materials at a voxel, or the highest other material where at most two are near. Given
-    /// `scales`, materials whose interface has another scale are skipped; the value is 1 if none
-    /// remains. It is positive where the voxel belongs to the material of `own`.
+    /// other materials near a voxel. Where at most two materials are near, only the highest other
+    /// material counts. If `scales` are given, materials whose interface has another scale are
+    /// skipped; the value is 1 if none remains. It is positive where the voxel belongs to the
+    /// material of `own`.
     fn above_others(&self, voxel: usize, own: Share, scales: Option<&Scales>) -> f32 {
         let has_scale = |other: u16| {
             other != own.material && scales.is_none_or(|scales| scales.of_pair(own.material, other) == self.length)
@@ -284,9 +289,9 @@ impl<'a> LevelsAt<'a> {
         rows.par_iter().flat_map_iter(row).collect()
     }
 
-    /// Removes the parts of a material that `is_crumb` selects by their volume (mm^3) and the share
-    /// of their voxels that have the label of the material, unless it selects all parts. Other
-    /// materials take over the voxels of removed parts.
+    /// Removes the parts of a material for which `is_crumb` is true, unless it is true for all
+    /// parts. Its arguments are the volume of the part (mm^3) and the fraction of the part's voxels
+    /// that have the label of the material. Other materials take over the voxels of removed parts.
     fn remove_crumbs(&mut self, id: usize, is_crumb: impl Fn(f64, f64) -> bool) -> Result<()> {
         let before = self.above(id, None);
         let mut after = before.clone();
@@ -305,7 +310,7 @@ impl<'a> LevelsAt<'a> {
         Ok(())
     }
 
-    /// Returns the area of all interfaces in mm^2, with each pair of materials counted once. With a
+    /// Returns the total area of all interfaces in mm^2, with each interface counted once. With a
     /// closed border, the faces that close the materials at the border of the volume are included.
     fn area(&self) -> f64 {
         let of = |id: usize| {
@@ -336,7 +341,7 @@ impl<'a> Levels<'a> {
     /// of their interfaces.
     ///
     /// # Errors
-    /// If there are too many runs of voxels to label the parts of a material, or the run is
+    /// If there are too many runs of voxels to label the parts of a material, or if the run is
     /// interrupted.
     pub fn new(grid: &'a LabelGrid, extents: &[Extent], scales: &'a Scales, monitor: &dyn Monitor) -> Result<Self> {
         let lengths = scales.lengths(extents.len());
@@ -357,10 +362,11 @@ impl<'a> Levels<'a> {
     }
 
     /// Combines the level sets of several scales. The value of a material is the minimum of its
-    /// border functions with all others, each at its scale. Where interfaces of different scales
-    /// meet, the values of all materials can be negative. The material with the largest value then
-    /// gets the position. Parts are removed that are too small for the shortest scale of their
-    /// material, or for the longest of all if most of their voxels belong to other materials.
+    /// border functions with all others, each at its own scale. Where interfaces of different
+    /// scales meet, the values of all materials can be negative. The position then belongs to the
+    /// material with the largest value. Parts that are too small for the shortest scale of their
+    /// material are removed. So are parts that are too small for the longest scale of all if most
+    /// of their voxels have the labels of other materials.
     fn combined(sets: Vec<LevelsAt<'a>>, scales: &Scales, monitor: &dyn Monitor) -> Result<LevelsAt<'a>> {
         let level = |id: usize| {
             let mut with_id = sets.iter().filter(|set| !set.levels[id].above.is_empty());
@@ -449,8 +455,8 @@ pub fn edge_length(
     edge_length_by(grid, area, vertices, keep_thin)
 }
 
-/// Smooths the occupancy of a material and subtracts the level that preserves its volume.
-/// `room` is the distance of the box from the voxels of the material.
+/// Smooths the occupancy of a material and subtracts the level that preserves its volume. `room` is
+/// the number of voxels by which the box extends beyond the material along each axis.
 fn smoothed(grid: &LabelGrid, id: MaterialId, extent: &Extent, scale: Scale, room: [usize; 3]) -> Level {
     let whole = grid.geometry.size;
     let smoothing = scale.smoothing(&grid.geometry);

@@ -1,4 +1,4 @@
-//! The scales of the interfaces of several materials, from one scale for all and from the edge
+//! Determines the scale of the interface of each pair of materials, from a base scale and the edge
 //! lengths of `--size`.
 
 use crate::choose::{FINE_ENOUGH, LEAST_SCALE};
@@ -9,18 +9,18 @@ use isoparticles_stage::material_sizes::Given;
 /// The scales of all pairs of materials.
 #[derive(Clone, Debug)]
 pub struct Scales {
-    /// The scale of the pairs without an edge length, mm.
+    /// The scale of pairs without an edge length, mm.
     base: f64,
     /// Edge lengths of single materials.
     given: Given,
     /// The minimum scale of pairs with an edge length, mm.
     smallest: f64,
-    /// Whether parts are kept that are too thin for a mesh of the matching edge length.
+    /// Whether to keep parts that are too thin for a mesh of the matching edge length.
     pub(super) keep_thin: bool,
 }
 
 impl Scales {
-    /// Returns one scale for all materials.
+    /// Returns the same scale for all pairs of materials.
     pub fn same(scale: Scale) -> Self {
         Self { base: scale.length, given: Given::default(), smallest: 0.0, keep_thin: scale.keep_thin }
     }
@@ -35,22 +35,23 @@ impl Scales {
         needs.then_some(Self { base: length, given, smallest, keep_thin: base.keep_thin })
     }
 
-    /// Returns the scale of the interface of two materials, mm: that of the smaller edge length of
-    /// the two. Edge lengths of pairs do not count, because each material would then need a
-    /// comparison with all others at every scale.
+    /// Returns the scale (mm) of the interface of two materials, given by the smaller of their edge
+    /// lengths. Edge lengths of pairs have no effect, because each material would then have to be
+    /// compared with all others at every scale.
     pub(super) fn of_pair(&self, a: u16, b: u16) -> f64 {
         let own = [a, b].map(|id| self.own(MaterialId(id)));
         own.into_iter().flatten().min_by(f64::total_cmp).unwrap_or(self.base)
     }
 
-    /// Returns the shortest scale of the interfaces of one of so many materials, mm.
+    /// Returns the shortest scale (mm) of the interfaces of a material. `materials` is the number
+    /// of materials.
     pub(super) fn shortest_of(&self, id: u16, materials: usize) -> f64 {
         let others = (0..materials as u16).filter(|&other| other != id);
         others.map(|other| self.of_pair(id, other)).min_by(f64::total_cmp).unwrap_or(self.base)
     }
 
-    /// Returns the scale that the edge length of a material gives, or else the base scale, mm. An
-    /// interface with a material of smaller edge length has another scale.
+    /// Returns the scale (mm) given by the edge length of a material, or the base scale if it has
+    /// none. An interface with another material can have a different scale.
     pub fn of_material(&self, id: MaterialId) -> f64 {
         self.own(id).unwrap_or(self.base)
     }
@@ -59,13 +60,15 @@ impl Scales {
         self.given.of_material(id).map(|size| (SCALE_OVER_SIZE * size).max(self.smallest))
     }
 
-    /// Returns the shortest and the longest scale of the pairs of so many materials, mm.
+    /// Returns the shortest and the longest scale (mm) of all pairs of materials. `materials` is
+    /// the number of materials.
     pub fn range(&self, materials: usize) -> [f64; 2] {
         let lengths = self.lengths(materials);
         [lengths.first(), lengths.last()].map(|length| length.copied().unwrap_or(self.base))
     }
 
-    /// Returns the different scales of the pairs of so many materials, ascending, mm.
+    /// Returns the distinct scales (mm) of all pairs of materials, in ascending order. `materials`
+    /// is the number of materials.
     pub fn lengths(&self, materials: usize) -> Vec<f64> {
         let pairs = (0..materials as u16).flat_map(|a| (0..a).map(move |b| (a, b)));
         let mut lengths: Vec<f64> = pairs.map(|(a, b)| self.of_pair(a, b)).collect();

@@ -1,6 +1,6 @@
-//! Measures the indicators: material of every node and its distance from the nearest interface,
-//! volumes of materials, areas of interfaces, counts of junctions, and voxel centres that changed
-//! material.
+//! Measures the indicators: the material of every node and its distance from the nearest interface,
+//! the volumes of materials, the areas of interfaces, the numbers of junctions, and the voxel
+//! centres that changed material.
 
 use super::grid::LabelGrid;
 use crate::Border;
@@ -45,13 +45,12 @@ pub struct JunctionCounts {
 pub struct Survey {
     /// Material number of each node, x fastest.
     pub material: Vec<u16>,
-    /// Half the difference of the two smallest indicators at each node in mm, at most
+    /// Half the difference of the two smallest indicators at each node, in mm, at most
     /// [`distance_limit`].
     pub interface_distance: Vec<f32>,
-    /// For each material, number of its voxel centres where another indicator is smaller.
+    /// For each material, the number of its voxel centres where another indicator is smaller.
     pub changed: Vec<usize>,
-    /// Volume of each material, mm^3. The volume of the outside is limited to the voxels of the
-    /// volume.
+    /// Volume of each material, mm^3. The outside includes only space within the volume.
     pub volumes: Vec<f64>,
     /// The pairs of materials that touch.
     pub interfaces: Vec<Interface>,
@@ -74,11 +73,11 @@ struct Sums {
 
 /// Surveys the nodes of the padded grid and the edges between them.
 ///
-/// The area of an interface is a sum over the grid edges that the interface crosses: the area of
-/// the dual face, times |n_a|, the component of the unit normal along the edge. A piece dA of the
-/// interface covers the area |n_a| dA of the faces across axis a, and the squares of n_a sum to
-/// one. The volume of a material is the volume enclosed by the surface where its indicator equals
-/// the smallest of all other indicators.
+/// The area of an interface is a sum over the grid edges that it crosses. Each edge contributes the
+/// area of its dual face times |n_a|, where n_a is the component of the unit normal along the edge.
+/// An element dA of the interface covers an area |n_a| dA of the faces perpendicular to axis a, and
+/// the squares of n_a sum to one. The volume of a material is the volume enclosed by the surface
+/// where its indicator equals the smallest of all other indicators.
 ///
 /// # Errors
 /// If the run is interrupted.
@@ -132,7 +131,7 @@ pub fn survey(
 
 /// Returns the material of each node and the distance (mm) from the nearest interface, at most
 /// [`distance_limit`]. Also returns, for each slice, the number of counted nodes of each material
-/// whose smallest indicator is that of another material.
+/// where the indicator of another material is smaller.
 fn survey_nodes(
     indicators: &impl Indicators,
     geometry: &Geometry,

@@ -1,5 +1,5 @@
 //! Multi-material test bodies with known strata. The positions of junction particles are computed
-//! in closed form. Particles on interfaces are random points, projected onto the interfaces.
+//! in closed form. Particles on interfaces are random points projected onto the interfaces.
 
 use crate::coarse::empty;
 use crate::constants::INITIAL_LAMBDA;
@@ -46,8 +46,8 @@ struct Curve {
 }
 
 impl Body {
-    /// Adds the particles of junction points and curves first. Then projects random points until
-    /// `count` particles lie on interfaces.
+    /// Creates a body. Adds the particles of junction points and curves first, then projects random
+    /// points until `count` particles lie on interfaces.
     fn new(
         indicators: Analytic,
         h: f64,
@@ -100,7 +100,7 @@ impl Body {
         Self { indicators, sizing, seeds: (set, strata), interfaces }
     }
 
-    /// Returns the same indicators sampled on the grid of h.
+    /// Returns the indicators sampled on the grid of h.
     pub(crate) fn sampled(&self) -> Materials {
         let geometry = self.sizing.image().geometry.clone();
         let parts = self.indicators.ids().map(|id| {
@@ -112,8 +112,8 @@ impl Body {
     }
 
     /// Returns the number of lattice particles inside the border of each interface. By Pick's
-    /// theorem, the count is the area in cells, minus half the number of border particles, plus one
-    /// if there is a border.
+    /// theorem, this is the area in lattice cells, minus half the number of border particles, plus
+    /// one if there is a border.
     pub(crate) fn lattice_counts(&self) -> Vec<(Stratum, f64)> {
         let h = self.sizing.at(CENTRE);
         let count = |area: f64, border: f64| {
@@ -171,9 +171,9 @@ pub(crate) fn sectors(h: f64, count: usize) -> Body {
     Body::new(indicators, h, &points, &curves, interfaces, count)
 }
 
-/// Returns a ball cut into four regions that meet at its centre. Each region surrounds the
-/// direction of one corner of a tetrahedron. There is one junction point inside the ball and four
-/// on its surface.
+/// Returns a ball cut into four regions that meet at its centre. Each region is centred on the
+/// direction towards one corner of a regular tetrahedron. There is one junction point inside the
+/// ball and four on its surface.
 pub(crate) fn corners(h: f64, count: usize) -> Body {
     let ways = [DVec3::ONE, DVec3::new(1.0, -1.0, -1.0), DVec3::new(-1.0, 1.0, -1.0), DVec3::new(-1.0, -1.0, 1.0)];
     let region = |own: DVec3| {
@@ -183,7 +183,7 @@ pub(crate) fn corners(h: f64, count: usize) -> Body {
     let mut functions = vec![negative(ball(CENTRE, RADIUS))];
     functions.extend(ways.map(region));
     let indicators = Analytic::new(functions, 1.0);
-    // the ray where all regions except one meet; it points away from that region
+    // direction of the ray along which all regions except `without` meet
     let ray = |without: usize| -ways[without].normalize();
     let others = |without: &[usize]| (0..4).filter(|n| !without.contains(n)).map(|n| n as u16 + 1).collect::<Vec<_>>();
     let mut points = vec![(stratum(&[1, 2, 3, 4]), CENTRE)];

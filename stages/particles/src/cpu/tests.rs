@@ -75,10 +75,10 @@ fn interfaces_are_filled_to_their_borders() {
     }
 }
 
-/// On a plane with a straight border, the first rows have as many particles as the border and are
-/// 0.866 h apart. Lattice defects displace 2 to 3 % of the particles of the first row, one particle
-/// in half of all runs, by more than 0.12 of the row distance. The test therefore averages over
-/// several seeds.
+/// On a plane with a straight border, the first rows contain as many particles as the border and
+/// are 0.866 h apart. Lattice defects displace 2 to 3 % of the particles in the first row (one
+/// particle in every second run) by more than 0.12 of the row distance. The test therefore averages
+/// over several seeds.
 #[test]
 fn rows_along_a_straight_border_are_those_of_the_lattice() {
     let body = sectors(1.0, 700);
@@ -118,8 +118,8 @@ fn rows_along_a_straight_border_are_those_of_the_lattice() {
     assert!(of_row.iter().all(|count| (count - 10.0).abs() < 0.5), "{of_row:?}");
 }
 
-/// Returns the energy that particle i has at a point, as a direct sum over all particles that
-/// interact with particle i.
+/// Returns the energy that particle i would have at a point, as a direct sum over all particles
+/// that interact with it.
 fn energy_of((set, strata): &OnStrata, i: usize, point: DVec3) -> f64 {
     let meets = |j: usize| match strata.of[j].dimension() {
         2 => strata.of[j] == strata.of[i] && set.normals[j].dot(set.normals[i]) > 0.0,

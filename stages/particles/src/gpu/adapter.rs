@@ -1,5 +1,5 @@
-//! Adapters of this machine: enumeration, selection, and opening with the limits of the adapter
-//! instead of wgpu's defaults.
+//! Adapters of this machine: enumerates and selects them, and opens one with its own limits instead
+//! of wgpu's default limits.
 
 use super::kernels::Kernels;
 use super::shaders::Variant;
@@ -7,16 +7,16 @@ use isoparticles_stage::error::{Error, Result};
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Sizes of the driver's memory blocks. They grow from 16 to 256 MiB on the device and have half
-/// that size on the host. With wgpu's default sizes, the first access to host memory took a tenth
-/// of the run time.
+/// Sizes of the memory blocks that wgpu requests from the driver: from 16 to 256 MiB on the device,
+/// and half as much on the host. With wgpu's default sizes, the first access to host memory takes a
+/// tenth of the run time.
 const MEMORY_BLOCKS: wgpu::MemoryHints =
     wgpu::MemoryHints::Manual { suballocated_device_memory_block_size: 16 << 20..256 << 20 };
 
 /// Properties of an adapter that are known before it is opened.
 #[derive(Clone, Debug)]
 pub struct AdapterSummary {
-    /// Name given by the driver.
+    /// Name reported by the driver.
     pub name: String,
     /// Type: `discrete`, `integrated`, `virtual`, `software` or `other`.
     pub kind: &'static str,
@@ -76,7 +76,7 @@ pub struct Gpu {
     /// True if timestamp queries are enabled.
     pub(crate) timestamps: bool,
     summary: AdapterSummary,
-    /// First uncaptured error of the device, or its loss.
+    /// First uncaptured error of the device; the loss of the device counts as an error.
     failure: Arc<Mutex<Option<String>>>,
     /// Compiled kernels: for one or several slabs, and for one object or many materials.
     kernels: Mutex<[Option<Arc<Kernels>>; 4]>,
@@ -164,8 +164,8 @@ fn select<'a>(all: &'a [wgpu::Adapter], choice: &AdapterChoice) -> Result<&'a wg
     }
 }
 
-/// Opens the device of an adapter with the given features and the adapter's limits. The first
-/// uncaptured error of the device, or its loss, is stored in `failure`.
+/// Opens the device of an adapter with the given features and the adapter's limits. `failure`
+/// receives the first uncaptured error or the loss of the device.
 fn request_device(
     adapter: &wgpu::Adapter,
     features: wgpu::Features,
@@ -202,7 +202,7 @@ impl Gpu {
     /// Opens the selected adapter.
     ///
     /// # Errors
-    /// If there is no such adapter or if it cannot be opened; the exit code is 3.
+    /// If no adapter matches or if it cannot be opened; the exit code is 3.
     pub fn open(choice: &AdapterChoice) -> Result<Self> {
         let instance = instance();
         let all = found(&instance);
@@ -287,7 +287,8 @@ impl Gpu {
         self.wait_for(None)
     }
 
-    /// Waits until the device has finished a submission, or all submissions if `None`.
+    /// Waits until the device has finished the given submission, or all submissions if none is
+    /// given.
     pub(crate) fn wait_for(&self, submission: Option<&wgpu::SubmissionIndex>) -> Result<()> {
         let until = wgpu::PollType::Wait { submission_index: submission.cloned(), timeout: None };
         self.device.poll(until).map_err(|error| self.failed(&error.to_string()))?;

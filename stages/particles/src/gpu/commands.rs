@@ -1,6 +1,6 @@
-//! Encodes the commands of one pass into one command buffer. When profiling, a timestamp is written
-//! before and after each kernel. For a small pass, encoding on the host takes as long as execution
-//! on the device, so the next pass is encoded while the device works.
+//! Encodes the commands of a pass into one command buffer. When profiling, the device writes a
+//! timestamp before and after each kernel. For few particles, encoding on the host takes as long as
+//! execution on the device, so the next pass is encoded while the device works.
 
 use super::adapter::Gpu;
 use super::constants::GROUPS_PER_ROW;
@@ -30,7 +30,7 @@ impl Command<'_> {
     }
 }
 
-/// Times and numbers of dispatches of the kernels.
+/// Time and number of dispatches of each kernel.
 #[derive(Default)]
 pub(crate) struct Profile {
     queries: Option<(wgpu::QuerySet, wgpu::Buffer, wgpu::Buffer)>,
@@ -46,7 +46,7 @@ const MOST_TIMED_DISPATCHES: u32 = 128;
 /// Encoded commands that can be submitted once.
 pub(crate) struct Encoded {
     buffer: wgpu::CommandBuffer,
-    /// Kernels with timestamps, in order.
+    /// Kernels with timestamps, in the order of their dispatches.
     timed: Vec<&'static str>,
 }
 
@@ -70,8 +70,7 @@ pub(crate) fn encode(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], pro
                 let Some(kernel) = command.kernel() else { continue };
                 let timestamp_writes =
                     profile.queries.as_ref().filter(|_| timed.len() < MOST_TIMED_DISPATCHES as usize).map(|q| {
-                        // timestamps belong to compute passes, so each kernel gets a separate
-                        // compute pass
+                        // timestamps apply to whole compute passes, so each kernel gets its own
                         pass = None;
                         let at = 2 * timed.len() as u32;
                         timed.push(kernel);
@@ -101,7 +100,7 @@ pub(crate) fn encode(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], pro
     Encoded { buffer: encoder.finish(), timed }
 }
 
-/// Dispatches a kernel whose pipeline and bind group are set. Zero workgroups dispatch nothing.
+/// Dispatches a kernel whose pipeline and bind group are set. Does nothing for zero workgroups.
 fn dispatch(pass: &mut wgpu::ComputePass<'_>, command: &Command<'_>) {
     match command {
         Command::Run { workgroups, .. } if *workgroups > 0 => {

@@ -1,6 +1,6 @@
-//! Constants of the kernels, defined once in Rust. The source of every kernel begins with their
-//! declarations under their Rust names. A second definition in a `.wgsl` file is a redefinition
-//! error in naga.
+//! Constants of the kernels, defined once in Rust. The source of every kernel begins with
+//! declarations of the same names. A second definition in a `.wgsl` file is a redefinition error in
+//! naga.
 
 use super::differences::{INDEX_BRICKS, MORE_INTERFACES, NEVER_REAL};
 use crate::constants::{
@@ -12,7 +12,7 @@ use isoparticles_field::spline::{LEAST_SQUARED_GRADIENT, PROJECTION_STEPS};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// Maximum number of workgroups along the first axis of a dispatch: WebGPU's default for
-/// `maxComputeWorkgroupsPerDimension`. Further workgroups go along the second axis.
+/// `maxComputeWorkgroupsPerDimension`. Larger dispatches also extend along the second axis.
 pub(crate) const GROUPS_PER_ROW: u32 = 65_535;
 
 /// Workgroup size of kernels that use one invocation per particle and no workgroup-wide sums: two
@@ -22,7 +22,8 @@ pub(crate) const PARTICLE_GROUP: u32 = 64;
 /// supports (default of `maxComputeInvocationsPerWorkgroup`).
 pub(crate) const SUM_GROUP: u32 = 256;
 /// Number of elements per invocation in a prefix sum or in the totals. With eight, the single
-/// workgroup of `scan_sums` processes the blocks of 524,288 elements (8 x 256 x 256) in one round.
+/// workgroup of `scan_sums` processes the block sums of 524,288 elements (8 x 256 x 256) in one
+/// round.
 pub(crate) const SUM_ELEMENTS: u32 = 8;
 /// Number of elements per workgroup in a prefix sum or in the totals.
 pub(crate) const SUM_BLOCK: u32 = SUM_GROUP * SUM_ELEMENTS;
@@ -33,13 +34,13 @@ pub(crate) const CLASSES: u32 = 32;
 pub(crate) const UNCLASSED: u32 = u32::MAX;
 
 /// Distance, in bins along each axis, between bins of the same colour. Two other bins lie between
-/// them, so the 27 bins around one bin and the 27 bins around the other are disjoint. All data that
-/// the particles of a bin read or write must lie in these 27 bins; see [`BIN_REACH`].
+/// them, so their neighbourhoods of 3 x 3 x 3 bins are disjoint. All data that the particles of a
+/// bin read or write must lie in its neighbourhood; see [`BIN_REACH`].
 pub(crate) const COLOUR_STRIDE: u32 = 3;
 
 /// Minimum edge of a bin, in units of the largest h of its level: the reach of the neighbour lists.
 /// The list members of the particles of a bin are therefore in that bin or in an adjacent bin. With
-/// the edge of the paper, max(h), interactions reach two bins away.
+/// the paper's bin edge, max(h), interactions reach two bins away.
 pub(crate) const BIN_REACH: f64 = SUPPORT * (1.0 + SKIN);
 
 const _: () = assert!(
@@ -65,24 +66,26 @@ pub(crate) const HELD_CODE: u32 = 15;
 /// Brick index if no record is loaded.
 const NO_BRICK: u32 = u32::MAX;
 
-/// Result of the checks of third materials: no third material is as close as the two materials of
+/// Result of the check for third materials: no third material is as close as the two materials of
 /// the interface.
 const CHECKS_PASS: u32 = 0;
-/// Result of the checks of third materials: a third material is as close as the two materials.
+/// Result of the check for third materials: a third material is at least as close as the two
+/// materials of the interface.
 const CHECKS_FAIL: u32 = 1;
-/// Result of the checks of third materials: another difference must be evaluated.
+/// Result of the check for third materials: another difference must be evaluated.
 const CHECKS_GO_ON: u32 = 2;
 
-/// Minimum relative energy decrease that the quadratic model predicts for a step; a particle with a
-/// smaller decrease does not move. The value is eight ulps of f32 (eight times 2^-23). An energy is
-/// a sum over about 18 neighbours, so its rounding error is a few ulps.
+/// Minimum relative energy decrease, as predicted by the quadratic model, for which a particle
+/// moves. The value is eight ulps of f32 (eight times 2^-23). An energy is a sum over about 18
+/// neighbours, so its rounding error is a few ulps.
 const LEAST_DECREASE: f64 = 1e-6;
-/// Maximum gap between the two eigenvalues of a Hessian that the kernels treat as equal, as a
-/// fraction of their mean. At this gap the rounding error of the eigenvectors in f32 is about
-/// 1.2e-7 / 1e-6 = 0.1 radians.
+/// The kernels treat the two eigenvalues of a Hessian as equal if each differs from their mean by
+/// at most this fraction of it. At this limit the rounding error of the eigenvectors in f32 is
+/// about 1.2e-7 / 1e-6 = 0.1 radians.
 const EQUAL_EIGENVALUES_F32: f64 = 1e-6;
 
-/// Index of the word with the energy, as bits of an f32. The host reads the words after a pass.
+/// Index of the word with the energy, as the bits of an f32. The host reads these words after each
+/// pass.
 pub(crate) const WORD_ENERGY: usize = 0;
 /// Index of the word with the number of particles that took a step.
 pub(crate) const WORD_MOVED: usize = 1;
@@ -106,17 +109,16 @@ pub(crate) const WORD_CLASSES: usize = 9;
 /// Number of words.
 pub(crate) const WORDS: usize = 10;
 
-/// Stands for the number of particles that the previous pass left, if the host does not know it
-/// yet.
+/// Stands in for the number of particles after the previous pass if the host does not know it yet.
 pub(crate) const COUNT_ON_DEVICE: u32 = u32::MAX;
 
 /// Number of particles whose neighbour lists are interleaved: the subgroup size of most adapters.
 pub(crate) const LIST_TILE: u32 = 32;
 
-/// Initial room of each neighbour list. In the lattice a list has 18 members (three rings are
+/// Initial capacity of each neighbour list. In the lattice a list has 18 members (three rings are
 /// within `SUPPORT (1 + SKIN)`), and no list for the seeds of `make bench-gpu` has more than 32. If
-/// a list is longer (very dense particles, junctions of many interfaces), all lists get more room
-/// and the pass is repeated.
+/// a list is longer (very dense particles, junctions of many interfaces), the capacity of all lists
+/// is increased and the pass is repeated.
 pub(crate) const FIRST_LIST_ROOM: u32 = 32;
 
 /// Value of a constant together with its WGSL type.

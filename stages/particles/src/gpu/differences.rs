@@ -2,31 +2,31 @@
 //! where `high` is the material with the higher number. A difference is stored for every pair of
 //! materials whose interface has particles, in all bricks where both indicators are stored. Where a
 //! third material may be equally close, the difference between the third material and `high` is
-//! stored too.
+//! also stored.
 //!
 //! A particle therefore reads one coefficient per node, as with a single object. Two look-ups find
-//! the coefficients: the entry of the brick, and a record with the eight blocks of coefficients
-//! that the brick reads. The result is valid within the brick of 4 x 4 x 4 cells. For most cells,
-//! the record states that no third material can be closer. Storing the two indicators of an
+//! the coefficients: the entry of the brick, and a record of the eight blocks of coefficients that
+//! the cells of the brick read. The result applies to the whole brick of 4 x 4 x 4 cells. For most
+//! cells, the record rules out that a third material is closer. Storing the two indicators of an
 //! interface instead would need twice the memory.
 //!
 //! The index consists of groups of four words:
 //!
 //! - Group 0: index of the first stratum, and three unused words.
 //! - From [`INDEX_BRICKS`]: one entry for each brick of the grid, with x varying fastest. An entry
-//!   contains two pairs. The interface closest to the brick centre comes first. A pair is the
-//!   number of an interface (or [`NO_INTERFACE`]) and the index of its record. If the brick has
+//!   contains two pairs. The interface closest to the brick centre comes first. A pair consists of
+//!   the number of an interface (or [`NO_INTERFACE`]) and the index of its record. If the brick has
 //!   more than two interfaces, the second pair is [`MORE_INTERFACES`] and the index of the next
 //!   entry.
-//! - The additional entries.
+//! - The additional entries of bricks with more than two interfaces.
 //! - Records of four groups each. Groups 0 and 1: the blocks, with x varying fastest. Group 2: two
 //!   bit masks of two words each for the 64 cells of the brick. The first marks the cells where
-//!   both materials are known, the second the cells where a third material may be equally close.
+//!   both indicators are stored, the second the cells where a third material may be equally close.
 //!   Group 3: index of the first check, number of checks or [`NEVER_REAL`], and two unused words.
 //! - Checks: index of the record of the difference between a third material and `high` (positive
-//!   where the interface is real); whether the stored difference has the opposite sign; mask of the
-//!   cells where the third material may be equally close. A cell of the mask where the third
-//!   material is not known lies inside that material.
+//!   where the interface exists); whether the stored difference has the opposite sign; mask of the
+//!   cells where the third material may be equally close. If the indicator of the third material is
+//!   not stored in a cell of the mask, the cell lies inside that material.
 //! - Strata: the four materials of each stratum, padded with 65535.
 
 use isoparticles_field::materials::{
@@ -36,7 +36,7 @@ use rayon::prelude::*;
 
 /// Index of the first brick entry.
 pub(crate) const INDEX_BRICKS: usize = 1;
-/// Marks an empty pair of an entry.
+/// Marks an empty pair in an entry.
 const NO_INTERFACE: u32 = u32::MAX;
 /// Marks a pair that links to the next entry.
 pub(crate) const MORE_INTERFACES: u32 = u32::MAX - 1;
@@ -44,7 +44,7 @@ pub(crate) const MORE_INTERFACES: u32 = u32::MAX - 1;
 /// brick lies on the interface.
 pub(crate) const NEVER_REAL: u32 = u32::MAX;
 
-/// Marks a brick that no material fills; also the padding of strata.
+/// Marks a brick that no material fills. Also pads the materials of strata.
 const NO_MATERIAL: u16 = u16::MAX;
 
 /// Number of nodes along each axis that the cells of a brick read.
@@ -77,11 +77,12 @@ impl Pair {
     }
 }
 
-/// A third material in a brick of an interface.
+/// Check for one third material in a brick that contains an interface.
 struct Check {
     pair: Pair,
     is_negative: bool,
-    /// One bit for each cell in which the third material may be as close as the two materials.
+    /// One bit for each cell, set if the third material may be as close there as the two materials
+    /// of the interface.
     near: u64,
 }
 
@@ -155,8 +156,8 @@ impl Differences {
     }
 }
 
-/// Returns the interfaces whose two materials are both stored in a brick. The interface whose two
-/// materials are closest to the centre of the brick is first.
+/// Returns the interfaces whose two materials are both stored in a brick. The interface closest to
+/// the centre of the brick comes first.
 fn entries_of(materials: &Materials, interfaces: &[Stratum], brick: usize) -> Vec<Entry> {
     let known = materials.known_in(brick);
     let mut entries = Vec::new();
@@ -189,9 +190,9 @@ fn entries_of(materials: &Materials, interfaces: &[Stratum], brick: usize) -> Ve
 }
 
 /// Returns one bit for each cell of a brick, set if a third material may be as close there as the
-/// two materials of an interface. A spline is nowhere below the minimum of its coefficients. The
-/// test therefore uses the coefficients of the third indicator minus the mean of the two
-/// indicators, which equals each of them on the interface.
+/// two materials of an interface. On the interface both indicators equal their mean. The test
+/// therefore uses the coefficients of the third indicator minus this mean; a spline is nowhere
+/// below the minimum of its coefficients.
 fn near_cells(materials: &Materials, pair: &Pair, (third, number): (MaterialId, usize)) -> u64 {
     let indicator = &materials.indicators()[usize::from(third.0)];
     let [low, high] = pair.indicators(materials);
@@ -202,8 +203,8 @@ fn near_cells(materials: &Materials, pair: &Pair, (third, number): (MaterialId, 
             coefficient(indicator, number, node) - 0.5 * (coefficient(low, a, node) + coefficient(high, b, node))
         })
         .collect();
-    // takes the minimum over the four nodes that a cell reads, first along x, then y, then z; each
-    // iteration makes its axis the slowest-varying one
+    // takes the minimum over the four nodes that a cell reads along each axis: first x, then y,
+    // then z; each iteration makes its axis the slowest-varying one
     for _ in 0..3 {
         let rows = least.len() / NODES_PER_AXIS;
         least = (0..CELLS * rows)
@@ -248,12 +249,12 @@ fn known_cells(materials: &Materials, pair: &Pair) -> u64 {
         .fold(u64::MAX, |bits, indicator| bits & cells_within(materials, indicator, pair.brick))
 }
 
-/// Blocks of the difference of two materials: the two source blocks of each block, and the blocks
-/// that each brick reads.
+/// Blocks of the difference of one pair of materials: the two source blocks of each block, and the
+/// blocks that each brick reads.
 type Part = (Vec<[u32; 2]>, Vec<[u32; 8]>);
 
-/// Returns the coefficients of the differences in blocks, and the eight blocks that each pair
-/// reads. `pairs` must be sorted.
+/// Returns the coefficients of the differences in blocks, and the eight blocks that the cells of
+/// each pair's brick read. `pairs` must be sorted.
 fn coefficients(materials: &Materials, pairs: &[Pair]) -> (Vec<f32>, Vec<[u32; 8]>) {
     let runs: Vec<&[Pair]> = pairs.chunk_by(|a, b| (a.low, a.high) == (b.low, b.high)).collect();
     let parts: Vec<Part> = runs

@@ -1,9 +1,9 @@
-//! The particles on the device, and their transfer from and to the host.
+//! The particles on the device, and their transfer to and from the host.
 //!
-//! Between passes the state is in the sorted or in the listed buffers. In the *sorted* buffers
+//! Between passes the state is in either the sorted or the listed buffers. In the *sorted* buffers
 //! (`place`, `normal`) the particles are in the order of the bins. Neighbour lists and classes
 //! refer to these buffers, and movement overwrites them. Density control writes its result to one
-//! of two sets of *listed* buffers, and the next pass sorts that result again (`passes.rs`).
+//! of two sets of *listed* buffers, and the next pass sorts the particles again (`passes.rs`).
 
 use super::adapter::Gpu;
 use super::commands::{Encoded, Profile};
@@ -30,7 +30,7 @@ use std::time::Instant;
 /// Commands of the next pass, encoded while the device runs the current pass.
 pub(super) struct EncodedPass {
     pub(super) plan: Plan,
-    /// Number of particles that the commands have room for.
+    /// Maximum number of particles that the commands can process.
     pub(super) room: u32,
     pub(super) encoded: Encoded,
 }
@@ -39,7 +39,7 @@ pub(super) struct EncodedPass {
 pub(super) struct SubmittedPass {
     pub(super) pass: u64,
     pub(super) plan: Plan,
-    /// Number of particles that the pass has room for.
+    /// Maximum number of particles that the pass can process.
     pub(super) room: u32,
     pub(super) submission: wgpu::SubmissionIndex,
     /// Kernels with timestamps.
@@ -64,20 +64,20 @@ pub struct GpuEngine<'a> {
     pub(super) levels: BinLevels,
     slab_length: u32,
     pub(super) count: u32,
-    /// Number of particles that the buffers have room for.
+    /// Capacity of the buffers in particles.
     pub(super) rows: u32,
-    /// Number of members that each list has room for.
+    /// Capacity of each neighbour list.
     pub(super) list_room: u32,
     /// True if the state is in the listed buffers.
     pub(super) listed: bool,
-    /// Set of listed buffers that contains the state or contained it last.
+    /// Set of listed buffers that contains, or last contained, the state.
     pub(super) set: usize,
     /// True if a particle has moved so far that the lists must be rebuilt.
     pub(super) stale: bool,
     /// Number of classes that a pass dispatches. Each class costs a dispatch, so this is only
     /// slightly more than the number in use.
     pub(super) classes: u32,
-    /// Absolute change of the number of particles in the last pass.
+    /// Absolute change in the number of particles during the last pass.
     pub(super) changed: u32,
     /// Last pass that controls the density.
     pub(super) last_control: u64,
@@ -99,7 +99,7 @@ impl<'a> GpuEngine<'a> {
         Self::over(gpu, &surface, (fields.sizing, levels), (set, &[]), Carried::default(), settling)
     }
 
-    /// Creates an engine for many materials. Uploads the differences of the materials, h, and the
+    /// Creates an engine for many materials. Uploads the differences of the indicators, h, and the
     /// particles with their strata. Held particles must come first.
     pub(crate) fn of_materials(
         gpu: &'a Gpu,
@@ -191,9 +191,9 @@ impl<'a> GpuEngine<'a> {
         Ok(())
     }
 
-    /// Creates all buffers with one entry per particle. The `listed_*` buffers have room for twice
-    /// as many particles: a pass adds at most one newcomer per particle, so density control cannot
-    /// overflow them.
+    /// Creates all buffers whose size depends on the number of particles, for `rows` particles. The
+    /// `listed_*` buffers can hold twice as many: a pass adds at most one newcomer per particle, so
+    /// density control cannot overflow them.
     fn make_room(&mut self, rows: u32) -> Result<()> {
         let none = wgpu::BufferUsages::empty();
         for name in ["place", "normal", "place_at_listing", "newcomer_place", "newcomer_normal"] {
@@ -228,7 +228,7 @@ impl<'a> GpuEngine<'a> {
         self.make_lists(self.list_room)
     }
 
-    /// Creates neighbour lists with room for `members` members each.
+    /// Creates neighbour lists with a capacity of at least `members` particles each.
     ///
     /// # Errors
     /// If the lists exceed the limits of the adapter.
@@ -311,8 +311,8 @@ impl<'a> GpuEngine<'a> {
     }
 }
 
-/// Creates the buffers whose size does not depend on the particles. `bins` is the number of bins in
-/// all levels.
+/// Creates the buffers whose size does not depend on the number of particles. `bins` is the number
+/// of bins in all levels.
 fn make_fixed_buffers(gpu: &Gpu, memory: &mut Memory, bins: u32) -> Result<()> {
     let uniform = wgpu::BufferUsages::UNIFORM;
     memory.make(gpu, "parameters", 1024, uniform)?;
@@ -333,7 +333,7 @@ fn make_fixed_buffers(gpu: &Gpu, memory: &mut Memory, bins: u32) -> Result<()> {
     Ok(())
 }
 
-/// Uploads the coefficients of the surface, the index of the coefficients, and the samples of h.
+/// Uploads the coefficients of the surface, their index (if there is one) and the samples of h.
 /// Coefficients and samples are split into slabs of `slab_length` values.
 fn upload_surface(
     gpu: &Gpu,

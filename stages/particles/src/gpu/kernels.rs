@@ -25,7 +25,7 @@ impl Kernels {
     /// Compiles every kernel. The device reports compilation errors separately.
     pub(crate) fn new(device: &wgpu::Device, variant: Variant) -> Self {
         let all: Vec<_> = sources().collect();
-        // in parallel because drivers compile slowly
+        // in parallel, because drivers take long to compile
         let kernels = all.par_iter().map(|s| (s.name, kernel(device, s.name, s.compose(variant)))).collect();
         Self { kernels }
     }

@@ -3,8 +3,8 @@
 //!
 //! A particle belongs to the last level k for which `largest / 2^k` is at least its h. The bin edge
 //! of a level is the maximum reach of the neighbour lists of its particles, [`BIN_REACH`] largest /
-//! 2^k. A query therefore visits at most 27 bins of the level. A single level corresponds to the
-//! global bin edge of the paper.
+//! 2^k. A query therefore visits at most 27 bins per level. A single level corresponds to the
+//! paper's global bin edge.
 
 use super::constants::{BIN_REACH, MOST_LEVELS};
 use crate::state::Fields;
@@ -17,9 +17,9 @@ use rayon::prelude::*;
 /// the same results. A bin has a count and a start, 8 bytes, so a level needs at most 32 MB.
 const MOST_BINS: f64 = 4e6;
 
-/// Returns the voxel whose centre is the origin of device positions, near the middle of the grid,
-/// which gives f32 positions the best resolution. Because the origin is the centre of a voxel, the
-/// fraction within a cell is exact.
+/// Returns the voxel whose centre is the origin of device positions. It is near the middle of the
+/// grid, so that f32 positions have the best resolution. Because the origin is the centre of a
+/// voxel, the fraction within a cell is exact.
 pub(crate) fn centre_voxel(geometry: &Geometry) -> UVec3 {
     UVec3::from_array(geometry.size.map(|n| n as u32 / 2))
 }
@@ -45,7 +45,7 @@ pub(crate) struct BinLevel {
 /// All levels, from the coarsest to the finest.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct BinLevels {
-    /// Device position in mm of the corner of bin (0, 0, 0).
+    /// Device position in mm of the lower corner of bin (0, 0, 0).
     pub origin: Vec3,
     pub levels: Vec<BinLevel>,
 }
@@ -77,7 +77,7 @@ impl BinLevels {
     /// Creates the levels from the fields near the surface. If `graded` is false, there is one
     /// level.
     pub(crate) fn new(fields: &Fields, graded: bool) -> Self {
-        // the cells that contain F = 0, and the cells around them
+        // covers the cells that contain F = 0, and the cells around them
         let near = near_surface(fields, 2.0 * fields.surface.geometry().spacing.length());
         let range = if near.largest > 0.0 { near } else { near_surface(fields, f64::INFINITY) };
         Self::of_range(fields.surface.geometry(), &range, graded)
@@ -107,7 +107,7 @@ impl BinLevels {
         )
     }
 
-    /// Creates `count` levels for a box; `largest` is the maximum h in mm.
+    /// Creates `count` levels that cover a box; `largest` is the maximum h in mm.
     pub(crate) fn over(low: Vec3, high: Vec3, largest: f32, count: usize) -> Self {
         let extent = (high - low).as_dvec3().max(DVec3::splat(f64::MIN_POSITIVE));
         let mut first_bin = 0;

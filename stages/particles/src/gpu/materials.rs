@@ -38,19 +38,18 @@ impl<'a> DeviceSurface<'a> {
     }
 }
 
-/// Data that is stored with the normal of each particle: the damping and, with many materials, the
-/// stratum.
+/// Data stored with the normal of each particle: the damping and, with many materials, the stratum.
 ///
 /// With many materials, both are packed into one number: 16 times the index of the stratum, plus
-/// log10(damping / 0.001) or, for a held particle, [`HELD_CODE`]. Interfaces come first, in
-/// ascending order. Each held particle then has an index of its own.
+/// log10(damping / 0.001) or, for a held particle, [`HELD_CODE`]. The first indices are those of
+/// the interfaces, in ascending order. They are followed by one index for each held particle.
 #[derive(Debug, Default)]
 pub(super) struct Carried {
     /// Strata by index; empty for one object.
     strata: Vec<Stratum>,
     /// Number of interfaces among the strata.
     interfaces: usize,
-    /// Held particles, unchanged; `None` for one object.
+    /// Held particles as uploaded; `None` for one object.
     held: Option<ParticleSet>,
 }
 
@@ -58,7 +57,7 @@ impl Carried {
     /// Assigns indices to the strata of multi-material particles. Held particles must come first.
     ///
     /// # Errors
-    /// If there are more interfaces and held particles than indices.
+    /// If there are more than [`MOST_STRATA`] interfaces and held particles.
     pub(super) fn new(set: &ParticleSet, of: &[Stratum]) -> Result<Self> {
         let held = of.partition_point(|stratum| stratum.dimension() < 2);
         let mut strata = of[held..].to_vec();

@@ -1,11 +1,11 @@
 //! The GPU backend: sections 4 and 5 of the paper, implemented with wgpu and the WGSL kernels in
 //! `/shaders`.
 //!
-//! The particles stay on the device from the first pass to the last, and the host reads a few words
-//! per pass. Each kernel is named after its file. A twin is the CPU code that performs the same
-//! computation. The twins of the lists are in `isoparticles_field::neighbours`, those of the energy
-//! in `energy`, and those of the fields in `spline` and `sizing`. The twins of movement and density
-//! control are in the parent folder. Both backends share the constants.
+//! The particles stay on the device from the first pass to the last, and the host reads only a few
+//! words per pass. Each kernel is named after its file. The twin of a kernel is the CPU code that
+//! performs the same computation. The twins are in the crate `isoparticles_field` (lists in
+//! `neighbours`, energy in `energy`, fields in `spline` and `sizing`) and in the parent folder
+//! (movement and density control). Both backends share the constants.
 
 mod adapter;
 mod commands;

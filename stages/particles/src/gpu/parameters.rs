@@ -33,7 +33,7 @@ impl Block {
     }
 }
 
-/// Returns the maximum |F| (mm) at which the device treats a position as lying on F = 0: the
+/// Returns the maximum |F| (mm) at which the device considers a position to be on F = 0: the
 /// tolerance of the passes on the CPU, or twice the resolution of f32 positions if that is larger.
 pub(crate) fn tolerance(geometry: &Geometry) -> f64 {
     let resolution = geometry.upper_corner().max_element() * f64::from(f32::EPSILON);
@@ -120,7 +120,7 @@ pub(crate) fn pass_block(number: u64, count: u32, allow_insert: bool) -> Block {
         .whole("unused", [0])
 }
 
-/// Returns the block `Scan` of a prefix sum over `length` elements.
+/// Returns the block `Scan` for a prefix sum over `length` elements.
 pub(crate) fn scan_block(length: u32) -> Block {
     Block::default()
         .whole("length", [length])

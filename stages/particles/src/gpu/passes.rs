@@ -1,11 +1,12 @@
 //! Runs passes on the device: submits a pass, waits for it, and repeats it if the neighbour lists
-//! or the classes overflowed.
+//! or the classes overflow.
 //!
 //! A pass with density control reads one set of listed buffers and writes the other. It can
 //! therefore be submitted before the host has read the result of the previous pass, so the device
 //! does not idle. The number of particles stays on the device (`shaders/begin_pass.wgsl`). A pass
-//! submitted early is discarded if the run ends, if lists or classes overflowed, or if there are
-//! more particles than the pass has room for. In these cases the input of the pass is unchanged.
+//! submitted early is discarded if the run ends, if lists or classes of the previous pass
+//! overflowed, or if there are more particles than the pass can process. In these cases its input
+//! is unchanged.
 
 use super::commands::{Command, Encoded, encode, submit};
 use super::constants::{
@@ -24,11 +25,11 @@ use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_stage::error::Result;
 use std::time::Instant;
 
-/// Number of classes dispatched in addition to the classes in use. The number in use varies where
-/// particles are dense, and a pass that needs more classes must be repeated. Measured with 0, 2 and
-/// 4 (heart of docs/developer/method.md, also with `seed --from marching-cubes`; `--backend gpu
-/// --adapter llvmpipe --max-passes 60`): no pass is repeated because of too few classes. Each
-/// additional class costs an empty dispatch.
+/// Number of classes dispatched in addition to the classes in use. Where particles are dense, the
+/// number in use varies from pass to pass, and a pass that needs more classes must be repeated.
+/// Measured with 0, 2 and 4 (heart of docs/developer/method.md, also with `seed --from
+/// marching-cubes`; `--backend gpu --adapter llvmpipe --max-passes 60`): no pass is repeated
+/// because of too few classes. Each additional class costs an empty dispatch.
 const CLASSES_TO_SPARE: u32 = 2;
 
 impl GpuEngine<'_> {
@@ -43,15 +44,15 @@ impl GpuEngine<'_> {
         self.wait_for(&submitted)
     }
 
-    /// Returns the room for a pass with an unknown number of particles: 1/16 more than the current
-    /// number, limited by the size of the buffers. A pass that exceeds this room is discarded and
-    /// submitted again after the previous pass has ended.
+    /// Returns the capacity of a pass whose number of particles is not known yet: about 1/16 more
+    /// than the current number, limited by the size of the buffers. If there are more particles,
+    /// the pass is discarded and submitted again after the previous pass has ended.
     fn room_ahead(&self) -> u32 {
         (self.count + self.count / 16 + 64).min(self.rows)
     }
 
-    /// Returns the commands of a pass with room for at least `least` particles. Uses the commands
-    /// already encoded if they fit; otherwise encodes new commands for `room` particles.
+    /// Returns the commands of a pass with a capacity of at least `least` particles. Uses the
+    /// commands already encoded if they fit; otherwise encodes new commands for `room` particles.
     fn commands(&mut self, plan: Plan, least: u32, room: u32) -> EncodedPass {
         let ready = self.encoded_next.take().filter(|ahead| ahead.plan == plan && least <= ahead.room);
         ready.unwrap_or_else(|| self.make_commands(plan, room))
@@ -123,8 +124,8 @@ impl GpuEngine<'_> {
         Ok(submitted)
     }
 
-    /// Prepares passes while the device runs a pass: submits the next pass if it is likely to be
-    /// valid, and encodes the pass after it.
+    /// Prepares work while the device runs a pass: submits the next pass if it is likely to be
+    /// valid, and encodes the commands of the following pass.
     fn look_ahead(&mut self, now: &SubmittedPass) -> Result<()> {
         let after = |plan: Plan, pass: u64| {
             let density = plan.density && pass < self.last_control;
@@ -137,8 +138,8 @@ impl GpuEngine<'_> {
         // timestamp queries support only one pass at a time
         if next.density && self.submitted.is_none() && self.changed <= self.count / 16 && !self.gpu.timestamps {
             let one_after = after(next, now.pass + 1);
-            // existing commands are one pass old and may have less room; half of the spare room
-            // suffices
+            // commands encoded one pass ago may have less spare capacity than new ones; half is
+            // enough
             let least = self.count.midpoint(self.room_ahead());
             let commands = self.commands(next, least, self.room_ahead());
             self.submitted = Some(self.submit_pass(now.pass + 1, commands, COUNT_ON_DEVICE, now.plan)?);
@@ -155,8 +156,8 @@ impl GpuEngine<'_> {
         read_staging(self.gpu, &self.words[submitted.plan.set], 4 * WORDS as u64, Some(&submitted.submission))
     }
 
-    /// Runs a pass and repeats it until the lists and classes have enough room. Returns the plan
-    /// and the words of the pass.
+    /// Runs a pass and repeats it until neither lists nor classes overflow. Returns the plan and
+    /// the words of the pass.
     fn run_until_valid(&mut self, pass: u64, density: bool) -> Result<(Plan, Vec<u32>)> {
         // discard an early submission that does not match this pass
         let ready = self.submitted.take().filter(|submitted| density && submitted.pass == pass);
@@ -180,7 +181,7 @@ impl GpuEngine<'_> {
                 }
                 return Ok((submitted.plan, words));
             }
-            // the output of this pass is discarded, and passes submitted after it have done nothing
+            // the output of this pass is discarded, and a pass submitted after it has no effect
             (self.submitted, self.listed, self.classes) = (None, true, CLASSES);
             (plan.bring, plan.classes) = (false, CLASSES);
             if longest > self.list_room {

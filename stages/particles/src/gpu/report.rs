@@ -1,4 +1,4 @@
-//! Statistics of the device and its times.
+//! Statistics of the device, including the times of its kernels.
 
 /// Time of one kernel over a whole run.
 #[derive(Clone, Debug, serde::Serialize)]
@@ -24,14 +24,14 @@ pub struct DeviceReport {
     /// Part of `device_seconds` during which the host encodes and submits passes while the device
     /// is idle.
     pub encode_seconds: f64,
-    /// Part of `device_seconds` during which the host waits for passes. Host work on the next pass
-    /// while the device works is not in any of these parts.
+    /// Part of `device_seconds` during which the host waits for passes. While the device works, the
+    /// host also prepares the next pass; none of these parts includes that time.
     pub wait_seconds: f64,
     /// Part of `device_seconds` during which the particles are downloaded.
     pub readback_seconds: f64,
     /// Time in seconds to compile the kernels.
     pub compile_seconds: f64,
-    /// Maximum number of bytes in buffers at one time.
+    /// Maximum total size of all buffers in bytes.
     pub peak_device_bytes: u64,
     /// Number of levels of bins.
     pub levels: usize,
@@ -42,8 +42,8 @@ pub struct DeviceReport {
 }
 
 impl DeviceReport {
-    /// Combines the report of this level with that of the earlier levels: sums of times, maximum of
-    /// memory.
+    /// Combines the report of this level with that of the earlier levels: adds the times and takes
+    /// the maximum of the memory.
     pub(crate) fn after(mut self, before: Self) -> Self {
         self.device_seconds += before.device_seconds;
         self.upload_seconds += before.upload_seconds;

@@ -1,4 +1,4 @@
-//! The kernels of a pass, their order and their numbers of workgroups.
+//! The kernels of a pass, their order and their workgroup counts.
 
 use super::constants::{CLASSES, COLOUR_STRIDE, PARTICLE_GROUP, SUM_BLOCK, SUM_GROUP};
 use super::levels::BinLevels;
@@ -9,14 +9,14 @@ use glam::UVec3;
 /// Number of rounds that assign classes. A particle without a class does not move until the lists
 /// are rebuilt. Measured with 3, 4, 6, 8 and 12 rounds (heart of docs/developer/method.md,
 /// `--backend gpu --adapter llvmpipe --max-passes 60`): the results with 6, 8 and 12 are identical,
-/// so rounds after the sixth change nothing. `tests/lists.rs` requires a class for 99.5 % of the
-/// particles, and for 80 % where the particles are too dense.
+/// so rounds after the sixth change nothing. `tests/lists.rs` requires that 99.5 % of the particles
+/// have a class, and 80 % where the particles are too dense.
 const CLASS_ROUNDS: u32 = 6;
-/// Number of rounds of deletion per pass. A comment in `shaders/density_delete.wgsl` compares the
-/// rounds with the order on the CPU. Measured like [`CLASS_ROUNDS`]: with the default seeds, the
-/// results of 3 and 5 rounds are identical. With seeds from marching cubes (`seed --from
-/// marching-cubes`), which are too dense, 1, 2, 3 and 4 rounds leave 6235, 4815, 4761 and 4747
-/// particles after 60 passes.
+/// Number of deletion rounds per pass. A comment in `shaders/density_delete.wgsl` compares the
+/// rounds with the order on the CPU. Measured like [`CLASS_ROUNDS`]: with the default seeds, 3 and
+/// 5 rounds give identical results. With seeds from marching cubes (`seed --from marching-cubes`),
+/// which are too dense, 1, 2, 3 and 4 rounds leave 6235, 4815, 4761 and 4747 particles after 60
+/// passes.
 const DELETION_ROUNDS: u32 = 3;
 
 /// Number of bin colours.
@@ -52,8 +52,8 @@ pub(crate) struct Step {
     /// Value of the variable `round` of the kernel.
     pub round: u32,
     pub aliases: Aliases,
-    /// Number of workgroups. `None` for an indirect dispatch; the device then computes the number
-    /// for the class.
+    /// Number of workgroups. `None` for an indirect dispatch, where the device computes it from the
+    /// size of the class.
     pub workgroups: Option<u32>,
 }
 

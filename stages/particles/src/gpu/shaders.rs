@@ -1,5 +1,5 @@
-//! Composes the source of each kernel: constants declared from Rust, the shared pieces that the
-//! kernel uses, and the kernel's own file.
+//! Composes the source of each kernel: declarations of the Rust constants, the shared pieces that
+//! the kernel uses, and the kernel's own file.
 
 use super::constants::declarations;
 
@@ -31,15 +31,15 @@ enum Piece {
 pub(crate) struct Variant {
     /// True if the fields are split into slabs.
     pub slabs: bool,
-    /// Number of lanes of a team that sums by subgroup operations; `None` for sums through
-    /// workgroup memory.
+    /// Number of lanes of a team if sums use subgroup operations; `None` if they use workgroup
+    /// memory.
     pub subgroup_team: Option<u32>,
     /// True if the run has many materials.
     pub materials: bool,
 }
 
 impl Variant {
-    /// Returns the number of lanes of a team and the number of teams of a workgroup.
+    /// Returns the number of lanes per team and the number of teams per workgroup.
     pub(crate) fn team(self) -> (u32, u32) {
         // a team that sums through workgroup memory is a whole workgroup; otherwise several teams
         // share a workgroup of 128 lanes
@@ -162,7 +162,7 @@ const SOURCES: &[Source] = &[
     source!("compact", &[PARAMETERS]),
 ];
 
-/// Kernels for tests, which write out the results of the shared pieces.
+/// Test kernels, which write the results of the shared pieces to buffers.
 #[cfg(test)]
 pub(crate) const PROBES: &[Source] = &[
     source!(
@@ -191,15 +191,15 @@ pub(crate) const PROBES: &[Source] = &[
 #[cfg(not(test))]
 const PROBES: &[Source] = &[];
 
-/// Returns every kernel. Test builds include the kernels for tests.
+/// Returns all kernels. In test builds, these include the test kernels.
 pub(crate) fn sources() -> impl Iterator<Item = &'static Source> {
     SOURCES.iter().chain(PROBES)
 }
 
 impl Source {
-    /// Returns the variant for this kernel. In `move_bins` a workgroup is one team of up to 32
-    /// lanes that processes a bin. The particles of the bin move one after the other, so more lanes
-    /// make each step faster.
+    /// Returns the variant for this kernel. In `move_bins` a workgroup is one team of 32 lanes that
+    /// processes a bin. The particles of the bin move one after the other, and more lanes make each
+    /// step faster.
     pub(crate) fn variant(&self, variant: Variant) -> Variant {
         match self.name {
             "move_bins" => Variant { subgroup_team: variant.subgroup_team.map(|_| 32), ..variant },
@@ -246,7 +246,7 @@ pub(crate) struct Binding {
     pub access: Access,
 }
 
-/// How a kernel uses a buffer.
+/// Access of a kernel to a buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Access {
     Uniform,

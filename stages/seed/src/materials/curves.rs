@@ -11,30 +11,30 @@ use std::collections::BTreeSet;
 
 /// Maximum step along a curve in units of h. The number of steps is the length of the curve in
 /// units of h, rounded. With two or more steps, a step is at most 1.25 h long. A single step could
-/// be 1.5 h long; above this limit it becomes two steps of at least 0.65 h. Every point of a step
-/// must be nearer than [`DISK_RADIUS`] to an end of the step, so that particles on interfaces keep
-/// clear of the curve.
+/// be 1.5 h long; if it exceeds this limit, it is divided into two steps of at least 0.65 h. Every
+/// point of a step must be closer than [`DISK_RADIUS`] to one of its ends, so that particles on
+/// interfaces keep their distance from the curve.
 const LONGEST_STEP: f64 = 1.3;
 const _: () = assert!(LONGEST_STEP > 1.25 && LONGEST_STEP < 2.0 * DISK_RADIUS, "a step has a wrong length");
 
 /// A closed curve shorter than h and shorter than this many voxels gets one particle instead of a
-/// ring of three. Its extent is at most half its length, one voxel, so the data does not resolve
-/// its shape.
+/// ring of three. Such a curve is at most one voxel across (half its length), so the data does not
+/// resolve its shape.
 const TINY_VOXELS: f64 = 2.0;
 
-/// Minimum number of steps of other closed curves: a closed polygon has at least three sides.
+/// Minimum number of steps of any other closed curve: a polygon has at least three sides.
 const RING: usize = 3;
 
-/// Maximum distance in voxels between particles that count as coincident: half the distance at
+/// Distance in voxels below which two particles are considered coincident: half the distance below
 /// which the complex merges junction points. Coincident particles occur on chains of the complex
 /// that have no counterpart in the true strata.
 const DUPLICATE_DISTANCE: f64 = 0.5 * SAME_JUNCTION;
 
-/// Maximum distance from a chain to its curve, in voxels: the same limit that the complex uses when
-/// it projects the vertices of a chain (`LONGEST_PROJECTION` in `complex/chains.rs`).
+/// Maximum distance of a projection from a chain onto its curve, in voxels: the limit that the
+/// complex applies to the vertices of the chain (`LONGEST_PROJECTION` in `complex/chains.rs`).
 const MAX_PROJECTION: f64 = 1.0;
 
-/// Tolerance of the projection, in voxels, as in the complex: about one ulp of a spline
+/// Tolerance of the projection, in voxels, the same as in the complex: about one ulp of a spline
 /// coefficient, an f32 whose magnitude is about one voxel near the zero set (2^-23 = 1.2e-7).
 const TOLERANCE: f64 = 1e-7;
 
@@ -43,9 +43,9 @@ const TOLERANCE: f64 = 1e-7;
 pub struct Curves {
     /// Positions in mm in the grid frame.
     pub positions: Vec<DVec3>,
-    /// Zero for particles at points, the unit tangent for particles on curves.
+    /// Unit tangents for particles on curves, zero for particles at points.
     pub normals: Vec<DVec3>,
-    /// Edge lengths in mm: the minimum of h and the longest step to a neighbour.
+    /// Edge lengths in mm: the minimum of h and the longest adjacent step.
     pub sizes: Vec<f64>,
     /// Strata of the particles, and the segments of the curves.
     pub strata: Strata,
@@ -67,8 +67,8 @@ pub fn seed_curves<I: Indicators>(
         found.normals.push(DVec3::ZERO);
         found.strata.of.push(point.stratum);
     }
-    // pairs of points that a curve of one step connects; a second curve between the same points
-    // needs a particle, because its segment would coincide with the first
+    // pairs of points connected by a curve of a single step; a second curve between the same points
+    // needs a particle in between, because otherwise the segments of the two curves would coincide
     let mut joined = BTreeSet::new();
     for chain in &complex.chains {
         let line = complex.line(chain);
@@ -91,8 +91,8 @@ pub fn seed_curves<I: Indicators>(
 }
 
 impl Curves {
-    /// Adds the particles of a chain that is divided into `steps` steps. Skips a particle that is
-    /// coincident with the previous particle or with an end of the chain.
+    /// Divides a chain into `steps` steps and adds its particles. Skips particles that coincide
+    /// with the previous particle or with an end of the chain.
     fn add<I: Indicators>(&mut self, indicators: &I, chain: &Chain, along: &Along, steps: usize) {
         let point = |end: End| match end {
             End::Point(point) => Some(point),
@@ -142,7 +142,7 @@ impl Curves {
         }
     }
 
-    /// Sets the size of each particle to the minimum of h and the longest step to a neighbour.
+    /// Sets the size of each particle to the minimum of h and the longest adjacent step.
     fn set_sizes(&mut self, sizing: &SizingField) {
         let mut longest = vec![0.0f64; self.positions.len()];
         for segment in &self.strata.segments {
@@ -159,7 +159,7 @@ impl Curves {
     }
 }
 
-/// A polyline with the metric ds / h.
+/// A polyline parametrized by its length in the metric ds / h.
 struct Along {
     line: Vec<DVec3>,
     /// Integral of ds / h from the start of the line to each vertex.
@@ -184,8 +184,8 @@ impl Along {
         self.sums.last().copied().unwrap_or(0.0)
     }
 
-    /// Returns the point at the fraction `share` of the integral, and the direction of the line at
-    /// this point.
+    /// Returns the point at which the integral reaches the fraction `share` of its total, and the
+    /// direction of the line there.
     fn at(&self, share: f64) -> (DVec3, DVec3) {
         let wanted = share * self.total();
         let after = self.sums.partition_point(|&sum| sum < wanted).clamp(1, self.line.len().max(2) - 1);

@@ -17,7 +17,7 @@ use rayon::prelude::*;
 /// of the interface: the same as between two particles on the interface.
 const BORDER_DISTANCE: f64 = DISK_RADIUS;
 
-/// Area in squared voxels below which a component with a border gets no particle. A disc of this
+/// Area in square voxels below which a component with a border gets no particle. A disc of this
 /// area has a diameter of 0.25 voxel and a circumference of 0.8 voxel. The complex itself drops
 /// closed curves shorter than 0.5 voxel (`SPECK` in `complex/chains.rs`).
 const SPECK_AREA: f64 = 0.05;
@@ -36,10 +36,10 @@ pub struct InterfaceParticles {
     pub of: Vec<Stratum>,
     /// Number of components of the interfaces.
     pub components: usize,
-    /// Number of components that were sampled separately because they have too few particles at the
-    /// spacing h.
+    /// Number of components that were resampled separately because the spacing h gave them too few
+    /// particles.
     pub crowded: usize,
-    /// Number of components that have no particle even after separate sampling.
+    /// Number of components that have no particle even after resampling.
     pub bare: usize,
     /// Number of components that were skipped because their area is below `SPECK_AREA`.
     pub specks: usize,
@@ -55,8 +55,8 @@ struct Placed {
     component: u32,
 }
 
-/// Places particles on the interfaces of a complex, away from the particles at points and on
-/// curves.
+/// Places particles on the interfaces of a complex, at a distance from the particles at points and
+/// on curves.
 pub fn seed_interfaces<I: Indicators>(
     indicators: &I,
     complex: &Complex,
@@ -95,7 +95,7 @@ pub fn seed_interfaces<I: Indicators>(
     found
 }
 
-/// The triangles of a complex, divided into the components of its interfaces.
+/// The triangles of a complex, grouped by the components of its interfaces.
 struct Components {
     mesh: TriangleMesh,
     /// Component of each triangle.
@@ -124,8 +124,8 @@ impl Components {
         Self { mesh, of_triangle, members, is_closed, interface }
     }
 
-    /// Samples all components at the density of `spread`, away from the particles on the border.
-    /// Returns `None` for a sample that cannot be placed on its interface.
+    /// Samples all components with the density of `spread`, at a distance from the particles on
+    /// their borders. A sample is `None` if it cannot be projected onto its interface.
     fn sampled<I: Indicators>(
         &self,
         indicators: &I,
@@ -146,7 +146,7 @@ impl Components {
         chosen.par_iter().map(place).collect()
     }
 
-    /// Projects a point of a component onto the interface of the component.
+    /// Projects a point of a component onto the interface to which the component belongs.
     fn place<I: Indicators>(&self, indicators: &I, point: DVec3, normal: DVec3, component: u32) -> Option<Placed> {
         let (position, normal) = met(indicators, self.interface[component as usize], point, normal)?;
         Some(Placed { position, normal, component })
@@ -167,9 +167,9 @@ impl InterfaceParticles {
     }
 }
 
-/// Projects a point of a triangle with the given normal onto an interface. Returns the projected
-/// point and the unit normal at this point, or `None` if the projection fails, another material is
-/// nearer, or the normal points to the other side.
+/// Projects a point of a triangle onto an interface. Returns the projected point and the unit
+/// normal there. Returns `None` if the projection fails, if another material is nearer, or if the
+/// unit normal and the normal of the triangle differ by 90 degrees or more.
 fn met<I: Indicators>(indicators: &I, interface: Stratum, point: DVec3, normal: DVec3) -> Option<(DVec3, DVec3)> {
     let &[low, high] = interface.materials() else { return None };
     let voxel = indicators.voxel();
@@ -180,8 +180,8 @@ fn met<I: Indicators>(indicators: &I, interface: Stratum, point: DVec3, normal: 
     (is_real && own.dot(normal) > 0.0).then_some((position, own))
 }
 
-/// The particles at points and on curves. Particles on interfaces keep the distance
-/// [`BORDER_DISTANCE`] from these particles.
+/// The particles at points and on curves, from which particles on interfaces keep a distance of at
+/// least [`BORDER_DISTANCE`].
 struct Border<'a> {
     curves: &'a Curves,
     sizes: Vec<f64>,
@@ -195,7 +195,7 @@ impl<'a> Border<'a> {
         Self { curves, sizes, bins }
     }
 
-    /// Returns the candidates that are at least [`BORDER_DISTANCE`] from the particles on the
+    /// Returns the candidates that are at least [`BORDER_DISTANCE`] away from the particles on the
     /// border of their interface.
     fn beyond(&self, all: Candidates, interface_of: &[Stratum]) -> Candidates {
         let is_beyond = |i: usize| {
@@ -218,7 +218,7 @@ impl<'a> Border<'a> {
         }
     }
 
-    /// Returns the particle in `own` with the maximum distance from the border of `interface`.
+    /// Returns the particle in `own` that is farthest from the border of `interface`.
     fn farthest(&self, own: Vec<Placed>, interface: Stratum) -> Option<Placed> {
         let border: Vec<DVec3> = (0..self.curves.positions.len())
             .filter(|&j| self.curves.strata.of[j].is_on(&interface))

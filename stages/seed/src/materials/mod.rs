@@ -1,9 +1,9 @@
-//! Seeds several materials: at junction points, along junction curves and on interfaces.
+//! Seeds several materials at junction points, along junction curves and on interfaces.
 //!
-//! The strata are sampled in the order of their dimension, with the strata of lower dimension held
-//! fixed (Meyer, Whitaker, Kirby, Ledergerber and Pfister 2008). Particles at points and on curves
-//! do not move later, because equal distances in the metric ds / h minimize the one-dimensional
-//! energy. Interfaces are sampled like the surface of one object.
+//! The strata are sampled in order of increasing dimension, with the particles on lower-dimensional
+//! strata held fixed (Meyer, Whitaker, Kirby, Ledergerber and Pfister 2008). Particles at points
+//! and on curves do not move later, because equal spacing in the metric ds / h minimizes the
+//! one-dimensional energy. Interfaces are sampled like the surface of one object.
 
 mod curves;
 mod interfaces;
@@ -34,13 +34,13 @@ pub struct Summary {
     pub underpopulated_components: usize,
     /// Number of particles that the sizing field predicts ([`Complex::predicted_count`]).
     pub predicted_count: f64,
-    /// Number of seeds dropped because the projection onto their stratum failed, or another
-    /// material is nearer to the projected point.
+    /// Number of seeds dropped because the projection onto their stratum failed or because another
+    /// material is nearer at the projected point.
     pub not_projected: usize,
-    /// Number of components of interfaces that were skipped because they are far smaller than a
-    /// voxel's face.
+    /// Number of interface components that were skipped because they are far smaller than a voxel
+    /// face.
     pub specks: usize,
-    /// Number of components of interfaces that have no particle because every projection failed.
+    /// Number of interface components that have no particle because every projection failed.
     pub bare_components: usize,
 }
 

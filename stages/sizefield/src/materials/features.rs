@@ -22,16 +22,16 @@ use std::ops::{Add, Mul};
 /// At this distance, it is 0.46 times the change of slope per voxel; at the kink, 1.73 times.
 const CURVATURE_CLEARANCE: f64 = 1.0;
 
-/// A layer counts as a wedge between two interfaces that meet, not as a thin layer, if the junction
-/// curve of the interfaces is nearer than this many times the thickness. Such wedges have angles
-/// above atan(1/2) = 27 degrees. With 1, 2 and 4, `make sizefield MATERIALS=all` predicts
-/// 1,063,700, 1,063,100 and 1,062,700 particles for `frog_tissue_labels`.
+/// A layer is treated as a wedge between two interfaces that meet, not as a thin layer, if their
+/// junction curve is closer than this many times the thickness. Such wedges have angles above
+/// atan(1/2) = 27 degrees. With 1, 2 and 4, `make sizefield MATERIALS=all` predicts 1,063,700,
+/// 1,063,100 and 1,062,700 particles for `frog_tissue_labels`.
 const WEDGE_LENGTH: f64 = 2.0;
 
-/// Minimum step in voxels across a material; also the first step away from an interface. A
-/// thickness is overestimated by at most about this step. With the defaults of every quality, h
-/// depends only on thicknesses of at least 3 voxels (2 minimum h / epsilon), so the error of h is
-/// at most 3 %.
+/// Minimum step, in voxels, of a ray across a material; also the first step away from an interface.
+/// Thicknesses are overestimated by at most about this step. With the defaults of every quality
+/// level, h depends only on thicknesses of at least 3 voxels (2 minimum h / epsilon), so the error
+/// of h is at most 3 %.
 const LEAST_STEP: f64 = 0.1;
 
 /// Length of a step as a fraction of the estimated distance to the nearest interface. A step
@@ -43,11 +43,12 @@ const STEP_SHARE: f64 = 0.8;
 /// Measurements at the vertices of a complex.
 #[derive(Clone, Debug, Default)]
 pub(super) struct StrataFeatures {
-    /// Maximum magnitude of the principal curvatures in 1/mm, averaged along the interface. Samples
-    /// near a third material count as flat.
+    /// Maximum magnitude of the principal curvatures in 1/mm, averaged along the interface.
+    /// Vertices near a third material are treated as flat.
     pub(super) curvature: Vec<f64>,
-    /// Half the thickness in mm of the thinner adjacent material. Where curvature is high, at most
-    /// the radius of curvature. Infinite at junctions and above the limit of the search.
+    /// Half the thickness in mm of the thinner adjacent material. Where the curvature is high, at
+    /// most the radius of curvature. Infinite at junctions, and where the thickness exceeds the
+    /// search limit.
     pub(super) feature_size: Vec<f64>,
 }
 
@@ -71,7 +72,7 @@ impl Mul<f64> for Tensor {
     }
 }
 
-/// Measures the interfaces of a complex. Thickness above `largest` (mm) is reported as infinite.
+/// Measures the interfaces of a complex. Thicknesses above `largest` (mm) are reported as infinite.
 pub(super) fn measure<I: Indicators>(
     indicators: &I,
     geometry: &Geometry,
@@ -119,7 +120,7 @@ fn interface(vertex: &Vertex) -> Option<(MaterialId, MaterialId)> {
     }
 }
 
-/// Ray marching across the materials, from one interface to the next.
+/// Marches rays across the materials, from one interface to the next.
 struct Ways<'a, I> {
     indicators: &'a I,
     /// Estimated distance to the nearest interface, mm ([`free_distances`]).
@@ -140,8 +141,9 @@ impl<'a, I: Indicators> Ways<'a, I> {
     }
 
     /// Returns the thickness (mm) of the thinner of the two materials at a point of an interface.
-    /// The rays follow the normal, which points from `high` to `low`. A thickness is infinite if it
-    /// exceeds the limit, or if the ray ends at an interface that meets this interface nearby.
+    /// Rays follow the normal in both directions; the normal points from `high` to `low`. A
+    /// thickness is infinite if it exceeds the limit, or if the ray ends at an interface that meets
+    /// this interface nearby.
     fn thinner(&self, place: DVec3, normal: DVec3, (low, high): (MaterialId, MaterialId)) -> f64 {
         let sides = [(normal, low, high), (-normal, high, low)];
         let thickness = |(way, across, behind): (DVec3, MaterialId, MaterialId)| {

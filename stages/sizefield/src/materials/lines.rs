@@ -3,28 +3,29 @@
 use glam::DVec3;
 use isoparticles_field::materials::complex::{Complex, End};
 
-/// Minimum distance in voxels from a vertex to the two vertices whose circle gives the curvature.
-/// With the defaults of every quality, radii below this distance do not change h, because minimum h
-/// / epsilon is at least 1.5 voxels. A circle of this radius still has points at this distance.
+/// Minimum distance in voxels from a vertex to the two other vertices that define its circle of
+/// curvature. With the defaults of every quality level, smaller radii do not change h, because
+/// minimum h / epsilon is at least 1.5 voxels. A circle of this radius still has points at this
+/// distance.
 const CHORD: f64 = 1.5;
 
-/// Minimum number of steps on a curve between two junction points. With a single step, two curves
+/// Minimum number of edges of a curve between two junction points. With a single edge, two curves
 /// between the same points would coincide.
 const OPEN_STEPS: f64 = 2.0;
 
-/// Minimum number of steps on a closed curve: the border of the coarsest disc of the hexagonal
+/// Minimum number of edges of a closed curve: the boundary of the smallest disc in a hexagonal
 /// lattice, six equilateral triangles around a vertex.
 const CLOSED_STEPS: f64 = 6.0;
 
-/// Returns the edge length for a radius of curvature (mm). The criteria are those of interfaces:
-/// `epsilon` times the radius, and a chord no farther than `max_deviation` from the curve. A chord
-/// of length h is h^2 / (8 R) from the curve.
+/// Returns the edge length for a radius of curvature (mm). The criteria are the same as for
+/// interfaces: at most `epsilon` times the radius, and a chord that deviates from the curve by at
+/// most `max_deviation`. A chord of length h deviates by h^2 / (8 R).
 fn by_radius(radius: f64, epsilon: f64, max_deviation: f64) -> f64 {
     (epsilon * radius).min((8.0 * max_deviation * radius).sqrt())
 }
 
-/// Lowers the sizes (mm) of the vertices of junction curves to the bounds from the curvature and
-/// length of the curves.
+/// Lowers the sizes (mm) at the vertices of junction curves to the bounds given by the curvature
+/// and length of the curves.
 pub(super) fn lower(complex: &Complex, voxel: f64, epsilon: f64, max_deviation: f64, sizes: &mut [f64]) {
     for chain in &complex.chains {
         let line = complex.line(chain);
@@ -43,8 +44,8 @@ pub(super) fn lower(complex: &Complex, voxel: f64, epsilon: f64, max_deviation: 
     }
 }
 
-/// Returns the radius in mm of the circle through a vertex of a line and the first vertex in each
-/// direction at a distance of `chord` or more. The radius is infinite if the line ends earlier.
+/// Returns the radius in mm of the circle through a vertex of a line and the first vertices in both
+/// directions that are at least `chord` away. The radius is infinite if the line ends earlier.
 fn radius(line: &[DVec3], at: usize, is_closed: bool, chord: f64) -> f64 {
     let count = line.len();
     let beyond = |forth: bool| {

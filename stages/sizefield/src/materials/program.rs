@@ -82,7 +82,7 @@ fn uniform(geometry: &Geometry, size: f64) -> SizingField {
     SizingField::new(Image::filled(geometry.clone(), size as f32))
 }
 
-/// Computes h from the shape of the strata and from the sizes of `--size`.
+/// Computes h from the shape of the strata and from the sizes given with `--size`.
 fn by_shape(
     args: &Args,
     materials: &Materials,
@@ -128,7 +128,7 @@ fn by_shape(
     Ok(graded_field(&samples, &wanted, &parameters, &most))
 }
 
-/// Sets the sizes of interface vertices from curvature and thickness.
+/// Sets the sizes at interface vertices from curvature and thickness.
 fn by_features(
     complex: &Complex,
     features: &StrataFeatures,
@@ -137,16 +137,16 @@ fn by_features(
     wanted: &mut [f64],
 ) {
     for (n, vertex) in complex.vertices.iter().enumerate().filter(|(_, vertex)| vertex.stratum.count() == 2) {
-        // as for one object: the centre of an equilateral triangle of edge h lies h^2 / (6 R) below
-        // the surface
+        // as for one object, the centre of a triangle of edge length h lies h^2 / (6 R) below the
+        // surface
         let by_deviation = (6.0 * parameters.max_deviation / features.curvature[n].max(1e-12)).sqrt();
         let by_feature = parameters.epsilon * features.feature_size[n];
         wanted[n] = by_feature.min(by_deviation).min(largest.of(&vertex.stratum));
     }
 }
 
-/// Returns the minimum h and the maximum h of each vertex. The maximum is the h at which a closed
-/// interface gets its minimum number of particles. It takes precedence over the minimum.
+/// Returns the minimum h and the maximum h at each vertex. The maximum is the h at which a closed
+/// interface gets its minimum number of particles; it takes precedence over the minimum.
 fn smallest_sizes(complex: &Complex, parameters: &Parameters) -> Vec<(f64, f64)> {
     let (component, count) = complex.interface_components();
     let mut areas = vec![(0.0, true); count];
@@ -192,8 +192,8 @@ impl LargestSizes {
         )
     }
 
-    /// Returns the maximum h of an interface: the smaller maximum of its two materials. The outside
-    /// does not count.
+    /// Returns the maximum h of an interface: the smaller of the maxima of its two materials. The
+    /// outside is ignored.
     fn of(&self, interface: &Stratum) -> f64 {
         let named = interface.materials().iter().filter(|&&id| id != MaterialId::OUTSIDE);
         named.map(|id| self.0[id.index()]).fold(f64::INFINITY, f64::min)

@@ -1,5 +1,5 @@
-//! Marching tetrahedra in one block of grid cells: computes interface triangles, and the vertices
-//! of junction curves and junction points. Edges that pass through a material of neither end are
+//! Marching tetrahedra in one block of grid cells: computes interface triangles and the vertices of
+//! junction curves and junction points. Edges that pass through a material that neither end has are
 //! bisected first. Vertices with the same name in neighbouring blocks are merged later.
 
 use super::lattice::{Lattice, LatticePoint, Piece, TETRAHEDRA, UNIT, half_way, number, pieces, rank};
@@ -7,7 +7,7 @@ use crate::materials::{Indicators, MaterialId, Near, Stratum};
 use glam::{DVec3, DVec4};
 use std::collections::BTreeMap;
 
-/// An edge between nodes of one material is assumed to cross no interface if the interface
+/// An edge between nodes of the same material is assumed to cross no interface if the interface
 /// distances of its ends sum to more than this multiple of its length. A factor of one suffices for
 /// indicators of slope one; 1.25 also covers slopes of up to 1.25. On the brain crop of
 /// `follow.rs`, the complex has 509,294 vertices with a factor of 1, and 509,297 with 1.25 and 2.
@@ -31,14 +31,14 @@ pub struct Triangle {
     pub interface: Stratum,
 }
 
-/// Identifies a vertex by the numbers of the nodes at the corners of its simplex, ascending. If
-/// there are fewer than four corners, the name is padded with the largest number.
+/// Identifies a vertex by the numbers of the nodes at the corners of its simplex, in ascending
+/// order. If there are fewer than four corners, the name is padded with the largest number.
 pub(super) type Name = [u128; 4];
 
 /// The result for one block. Triangle corners are indices into the vertices of this block.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Part {
-    /// Names of the vertices, ascending.
+    /// Names of the vertices, in ascending order.
     pub(super) names: Vec<Name>,
     pub(super) vertices: Vec<Vertex>,
     pub(super) triangles: Vec<Triangle>,
@@ -55,7 +55,7 @@ struct NodeSample {
 #[derive(Clone, Copy)]
 struct Node {
     place: LatticePoint,
-    /// Index in `Block::known` of the values sampled at the node.
+    /// Index in `Block::known` of the sample at the node.
     known: usize,
     own: MaterialId,
 }
@@ -113,8 +113,8 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
         self.known[node.known].as_ref()
     }
 
-    /// Returns whether an edge must be bisected because it passes through a material that
-    /// neither end has.
+    /// Returns whether an edge must be bisected because it passes through a material that neither
+    /// end has.
     fn is_halved(&mut self, a: Node, b: Node) -> bool {
         if half_way(a.place, b.place).is_none() {
             return false;
@@ -131,9 +131,9 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
         told
     }
 
-    /// Returns whether a sample on the edge has a material of neither end. The sample lies where
-    /// the indicators of the two end materials, interpolated linearly, are equal. If both ends have
-    /// the same material, the sample lies at the midpoint.
+    /// Returns whether a sample on the edge lies in a material that neither end has. The sample is
+    /// taken where the indicators of the two end materials, interpolated linearly, are equal. If
+    /// both ends have the same material, it is taken at the midpoint.
     fn passes_another(&self, a: Node, b: Node) -> bool {
         let (Some(from), Some(to)) = (self.of(a), self.of(b)) else { return false };
         let share = if a.own == b.own {
@@ -165,13 +165,13 @@ fn equal_between(nodes: [&NodeSample; 2], of: [MaterialId; 2]) -> [f64; 2] {
     }
 }
 
-/// Returns the indicator of a material sampled at a node in mm, or infinity if it is unknown.
+/// Returns the indicator of a material at a sampled node in mm, or infinity if it is unknown.
 fn value(near: &Near, id: MaterialId) -> f64 {
     near.entries().iter().find(|(known, _)| *known == id).map_or(f64::INFINITY, |(_, value)| *value)
 }
 
-/// Returns the pieces in a block of grid cells. The block starts at `first` and has `count` cells
-/// along each axis.
+/// Returns the vertices and triangles in a block of grid cells. The block starts at `first` and has
+/// `count` cells along each axis.
 pub(super) fn part<I: Indicators + ?Sized>(
     lattice: Lattice<'_>,
     indicators: &I,
@@ -190,7 +190,7 @@ pub(super) fn part<I: Indicators + ?Sized>(
     found.into_part()
 }
 
-/// Vertices and triangles found so far, identified by names.
+/// Vertices and triangles found so far. Vertices are identified by their names.
 #[derive(Default)]
 struct Found {
     vertices: Vec<(Name, Vertex)>,
@@ -310,7 +310,7 @@ struct Corners {
 }
 
 impl Corners {
-    /// Returns the corners selected by the bits of `own`, and the number of these corners.
+    /// Returns the corners selected by the bits of `own`, and their number.
     fn chosen(&self, own: u8) -> ([Node; 4], usize) {
         let (mut chosen, mut count) = (self.nodes, 0);
         for corner in (0..4).filter(|corner| own >> corner & 1 == 1) {

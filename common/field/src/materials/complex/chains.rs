@@ -15,16 +15,16 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Maximum distance in voxels between a lattice vertex and its projection onto a curve or point:
 /// the edge length of a grid cell. On the brain crop of `follow.rs`, 1,279, 260 and 226 vertices
-/// are not projected with 0.5, 1 and 2. The chains are the same.
+/// are not projected with 0.5, 1 and 2. The chains are the same in all three cases.
 const LONGEST_PROJECTION: f64 = 1.0;
 
 /// Junction points of the same four materials are merged if a chain shorter than this length, in
-/// voxels, joins them. Such points are one junction point that was found twice, and a chain of a
-/// third of the minimum h (0.75 voxel) is too short for particles.
+/// voxels, joins them. Such points are one junction point that was found twice. Moreover, a chain a
+/// third as long as the minimum h (0.75 voxel) is too short for particles.
 const MERGED_WITHIN: f64 = 0.25;
 
-/// Closed curves shorter than this length, in voxels, are dropped. A circle of this length encloses
-/// 0.5^2 / (4 pi) = 0.02 of a voxel face.
+/// Closed curves shorter than this length, in voxels, are dropped. A circle of this circumference
+/// encloses 0.5^2 / (4 pi) = 0.02 of the area of a voxel face.
 const SPECK: f64 = 0.5;
 
 /// An end of a chain.
@@ -167,7 +167,7 @@ struct Line {
     curve: Stratum,
     /// Positions along the curve, without junction points.
     places: Vec<DVec3>,
-    /// Whether the positions are in the order of the tangent.
+    /// Whether the positions are ordered along the tangent.
     is_along: bool,
     /// Reasons why the curve ends before the first position and after the last position.
     ends: [Stop; 2],
@@ -212,7 +212,7 @@ struct Points {
     /// Positions closer than this distance, in mm, count as one point.
     reach: f64,
     /// Lattice vertices that Newton's method projected onto junction points. They are more accurate
-    /// than the end of a curve that could not be followed to its end.
+    /// than the last position on a curve that could not be followed to its end.
     met: KdTree,
     met_places: Vec<DVec3>,
     all: Vec<JunctionPoint>,
@@ -250,9 +250,9 @@ struct Assembly<'a> {
 impl Assembly<'_> {
     /// Adds a curve. If `from` is given, this point is the first end of the curve. A curve that the
     /// complex already contains is not added. If the existing chain ends at another point of the
-    /// same materials close to `from`, the two points are marked for merging. Where four indicators
-    /// are almost equal along a curve, Newton's method finds the junction point at several
-    /// positions.
+    /// same materials close to `from`, the two points are marked for merging. Such points occur
+    /// where four indicators are almost equal along a curve, so that Newton's method finds the
+    /// junction point at several positions.
     fn add(&mut self, line: Line, from: Option<u32>) {
         let position = |point: u32| self.points.all[point as usize].position;
         let end = |stop: Stop| if let Stop::Point(place, _) = stop { Some(place) } else { None };
@@ -342,8 +342,8 @@ impl StepIndex {
         Self::along(path, is_along).for_each(|[a, b]| bins.add(a.midpoint(b), (chain, [a, b])));
     }
 
-    /// Returns the existing chain that a path follows in the same direction. The ends of the path
-    /// are ignored over a length of [`MERGED_WITHIN`] or a third of the path, whichever is less.
+    /// Returns the existing chain that a path follows in the same direction. Each end of the path
+    /// is ignored over a length of [`MERGED_WITHIN`] or a third of the path, whichever is less.
     fn chain_along(&self, curve: Stratum, path: &[DVec3], is_along: bool) -> Option<u32> {
         let bins = self.steps.get(&curve)?;
         let length: f64 = path.windows(2).map(|step| step[0].distance(step[1])).sum();
@@ -376,9 +376,9 @@ impl StepIndex {
     }
 }
 
-/// Returns the sets of points that are merged, and whether each chain is too short to remain. The
-/// sets join the pairs in `same`, and the ends of each chain shorter than [`MERGED_WITHIN`] between
-/// points of the same materials.
+/// Returns the sets of points to be merged, and whether each chain is too short to keep. Points are
+/// merged if they are a pair in `same`, or if they have the same materials and a chain shorter than
+/// [`MERGED_WITHIN`] joins them.
 fn merged_sets(complex: &Complex, same: &[[u32; 2]], voxel: f64) -> (DisjointSets, Vec<bool>) {
     let mut sets = DisjointSets::new(complex.points.len());
     same.iter().for_each(|&[a, b]| sets.join(a, b));

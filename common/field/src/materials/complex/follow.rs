@@ -1,6 +1,6 @@
 //! Follows junction curves step by step from a position on the curve to the ends of the curve. Each
-//! step is a predictor step along the tangent, followed by Newton's method back onto the curve.
-//! Positions are in the grid frame, mm.
+//! step is a predictor step along the tangent, followed by a projection back onto the curve with
+//! Newton's method. Positions are in the grid frame, mm.
 
 use crate::materials::{Indicators, MaterialId, Stratum};
 use glam::DVec3;
@@ -13,17 +13,18 @@ use glam::DVec3;
 // - `LEAST_COSINE` 0.6 and 0.9, `LARGEST_CORRECTION` 0.25 and 0.7, `PASSING_DISTANCE` 0.1 and 0.5
 //   on both crops,
 // - `LONGEST_STEP` 0.1 and 0.4, `SHORTEST_STEP` 0.0005 and 0.002, `EQUAL_CLEARANCE` 0.0002 and
-//   0.01, `END_TOLERANCE` 0.003 and 0.03 on the frog.
+//   0.01, `END_TOLERANCE` 0.003 and 0.03 on the frog crop.
 
-/// Junction points closer than this distance, in voxels, count as one point. Labels locate a
-/// junction only to a fraction of a voxel, which is a much larger distance. Where more than four
-/// materials meet, the clearance at this distance decides which curves leave the point.
+/// Junction points closer than this distance, in voxels, count as one point. Labels determine the
+/// position of a junction only to a fraction of a voxel, which is a much larger distance. Where
+/// more than four materials meet, the clearance at this distance decides which curves leave the
+/// point.
 pub const SAME_JUNCTION: f64 = 0.02;
 
-/// Maximum length of a step along a curve, in voxels. On a curve with a radius of one voxel, the
+/// Maximum length of a step along a curve, in voxels. On a curve with a radius of one voxel, a
 /// chord of this length is within 0.2^2 / 8 = 0.005 voxel of the arc. With 0.1, 0.2 and 0.4, the
-/// curves of the frog have a total length of 3,327, 3,321 and 3,309 mm. A step is halved until the
-/// cosine of the angle between the tangents at its ends is at least [`LEAST_COSINE`].
+/// curves of the frog crop have a total length of 3,327, 3,321 and 3,309 mm. A step is halved until
+/// the cosine of the angle between the tangents at its ends is at least [`LEAST_COSINE`].
 pub(super) const LONGEST_STEP: f64 = 0.2;
 
 /// Minimum length of a step along a curve, in voxels: a twentieth of [`SAME_JUNCTION`]. Where a
@@ -39,37 +40,38 @@ const _: () = assert!(0.0811 * LONGEST_STEP < SAME_JUNCTION, "a step could devia
 
 /// Maximum Newton correction after a step, as a fraction of the step length. The step must also
 /// advance by more than this fraction of its length. On a circular arc that turns by the angle of
-/// [`LEAST_COSINE`], the correction is 1/3 and the advance 0.8 of the step length. The constant
-/// lies between these values, so that steps along curves of varying curvature are accepted.
+/// [`LEAST_COSINE`], the correction is 1/3 of the step length and the advance is 0.8 of it. The
+/// constant lies between these values, so that steps along curves of varying curvature are
+/// accepted.
 const LARGEST_CORRECTION: f64 = 0.5;
 
 /// A step passes a position if the distance between them is at most this fraction of the step
-/// length. Positions on the arc of a step are within a twelfth of the step length
+/// length. The arc deviates from the step by at most a twelfth of the step length
 /// ([`LEAST_COSINE`]). The constant is three times as large, because a position may have been
 /// projected onto the curve separately. For the longest step, the distance is 0.05 voxel.
 pub(super) const PASSING_DISTANCE: f64 = 0.25;
 
-/// Maximum clearance, in voxels, at which a fourth material counts as equally near where a curve
-/// cannot be followed further. Indicators have slope one, so the clearance changes by at most twice
-/// the distance. The curve ends within [`SHORTEST_STEP`] of the junction point.
+/// Where a curve cannot be followed further, a fourth material counts as equally near if the
+/// clearance, in voxels, is below this value. Indicators have slope one, so the clearance changes
+/// by at most twice the distance. The curve ends within [`SHORTEST_STEP`] of the junction point.
 const EQUAL_CLEARANCE: f64 = 2.0 * SHORTEST_STEP;
 
-/// Distance, in voxels, within which the end of a path counts as having reached a position. Two
-/// paths that reach the same position then end within [`SAME_JUNCTION`] of each other.
+/// A path counts as having reached a position if it ends within this distance of the position, in
+/// voxels. Two paths that reach the same position then end within [`SAME_JUNCTION`] of each other.
 const END_TOLERANCE: f64 = 0.5 * SAME_JUNCTION;
 
-/// Maximum number of steps in one direction. With the longest step, they cover 100,000 voxels, and
-/// their positions take 12 MiB. A longer curve counts as lost. The longest curve of the two crops
-/// takes 812 steps.
+/// Maximum number of steps in one direction. At the maximum step length, they cover 100,000 voxels,
+/// and their positions take 12 MiB. A longer curve counts as lost. The longest curve of the two
+/// crops takes 812 steps.
 const MOST_STEPS: usize = 1 << 19;
 
 /// Tolerance, in voxels, of projections onto points and curves: about one ulp of a coefficient,
-/// which is an f32 of about one voxel near the zero set (2^-23 = 1.2e-7).
+/// which is an f32 with a magnitude of about one voxel near the zero set (2^-23 = 1.2e-7).
 pub(super) const TOLERANCE: f64 = 1e-7;
 
 /// A stratum exists at a position unless the indicator of another material is smaller than its own
-/// indicators by more than this tolerance, in voxels. It is ten times [`TOLERANCE`], to cover
-/// the differences between the indicators of the stratum that a projection leaves.
+/// indicators by more than this tolerance, in voxels. It is ten times [`TOLERANCE`], to cover the
+/// differences that a projection leaves between the indicators of the stratum.
 pub(super) const UNDERCUT: f64 = 1e-6;
 
 /// Maximum number of alternating projections onto the border of the grid and onto the curve, for a
@@ -109,11 +111,11 @@ pub fn way_round<I: Indicators + ?Sized>(
     (ends == [Stop::Start; 2] && way.len() >= 3).then_some(way)
 }
 
-/// Returns paths along a junction curve from one position on it to another, both included. `corner`
-/// is the last corner of the grid. There is at most one path for each direction. The paths are
-/// sorted by length. The search along a path stops at the length `longest` (mm). A path may cross
-/// parts where another material is nearer by less than [`SAME_JUNCTION`], because positions a step
-/// apart do not resolve such parts.
+/// Returns paths along a junction curve from one position on it to another, including both
+/// positions. `corner` is the last corner of the grid. There is at most one path for each
+/// direction. The paths are sorted by length. A search stops when its path reaches the length
+/// `longest` (mm). A path may cross parts where another material is nearer by less than
+/// [`SAME_JUNCTION`], because positions a step apart do not resolve such parts.
 pub fn ways_along<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
@@ -157,9 +159,9 @@ pub fn way_along<I: Indicators + ?Sized>(
     ways_along(indicators, curve, corner, ends, longest).into_iter().next()
 }
 
-/// Returns a path along a junction curve, starting with a position on the curve, in the direction
-/// closer to `heading`. The path ends after `longest` (mm), or where the curve ends or cannot be
-/// followed.
+/// Returns a path along a junction curve. It starts at a position on the curve and runs in the
+/// direction closer to `heading`. The path ends after `longest` (mm), or where the curve ends or
+/// cannot be followed.
 pub fn way_from<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
@@ -215,8 +217,8 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         p == p.clamp(DVec3::ZERO, self.corner)
     }
 
-    /// Returns whether two paths that were both lost end at the same position, at a turn too sharp
-    /// to follow. `starts` contains the start of each path, or the start that both paths share.
+    /// Returns whether two lost paths end at the same position, at a turn too sharp to follow.
+    /// `starts` contains the start of each path, or the start that both paths share.
     fn meet(&self, starts: &[DVec3], forth: &[DVec3], back: &[DVec3]) -> bool {
         let last = |way: &[DVec3], start: usize| *way.last().unwrap_or(&starts[start]);
         last(forth, 0).distance(last(back, starts.len() - 1)) < END_TOLERANCE * self.indicators.voxel()
@@ -331,8 +333,8 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         (places, before, ends)
     }
 
-    /// Returns the junction point between two positions on a curve, if the curve is not real at the
-    /// second position.
+    /// Returns the junction point between a position on a curve and a position `beyond` at which
+    /// the curve is not real.
     fn point_between(&self, place: DVec3, beyond: DVec3, step: f64) -> Option<(DVec3, Stratum)> {
         let near = self.indicators.near(beyond);
         let (fourth, _) = near.entries().iter().find(|(id, _)| !self.own.contains(id))?;
@@ -353,7 +355,7 @@ pub(super) fn is_passed(place: DVec3, a: DVec3, b: DVec3) -> bool {
     distance_from_step(place, a, b) <= PASSING_DISTANCE * a.distance(b)
 }
 
-/// Returns the distance in mm of a position from a step.
+/// Returns the distance in mm from a position to a step.
 pub(super) fn distance_from_step(place: DVec3, a: DVec3, b: DVec3) -> f64 {
     let (way, squared) = (b - a, a.distance_squared(b));
     let share = if squared > 0.0 { ((place - a).dot(way) / squared).clamp(0.0, 1.0) } else { 0.0 };

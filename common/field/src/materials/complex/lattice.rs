@@ -25,7 +25,7 @@ impl Lattice<'_> {
     }
 }
 
-/// Returns a lattice position as one number. The numbers are ordered by z, then y, then x.
+/// Encodes a lattice position as one number. The numbers are ordered by z, then y, then x.
 pub(super) fn number(place: LatticePoint) -> u128 {
     let [x, y, z] = place.map(u128::from);
     z << 64 | y << 32 | x
@@ -39,21 +39,21 @@ pub(super) fn half_way(a: LatticePoint, b: LatticePoint) -> Option<LatticePoint>
 
 /// Returns the rank of an edge. Edges with the highest rank are bisected first. The rank is the
 /// squared length in steps, followed by the numbers of the ends. No two edges have the same rank,
-/// so tetrahedra that share a face cut it in the same way.
+/// so tetrahedra that share a face divide it in the same way.
 pub(super) fn rank(a: LatticePoint, b: LatticePoint) -> (u32, [u128; 2]) {
     let squared = (0..3).map(|axis| a[axis].abs_diff(b[axis]).pow(2)).sum();
     let (a, b) = (number(a), number(b));
     (squared, [a.min(b), a.max(b)])
 }
 
-/// Corner offsets (bits of x, y, z) of Kuhn's tetrahedra. They are the paths from the lowest node
-/// of a cell to the highest node along three edges. The tetrahedra of neighbouring cells match.
+/// Corner offsets (bits of x, y, z) of Kuhn's tetrahedra. Each tetrahedron is a path along three
+/// edges from the lowest node of a cell to the highest. The tetrahedra of neighbouring cells match.
 pub(super) const TETRAHEDRA: [[u8; 4]; 6] =
     [[0, 1, 3, 7], [0, 1, 5, 7], [0, 2, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 4, 6, 7]];
 
-/// A piece of a stratum within a tetrahedron. Each corner of the piece is a set of tetrahedron
-/// corners (bits): two for a point on an edge, three for a point on a face, four for the point
-/// inside.
+/// A piece of a stratum within a tetrahedron. Each corner of the piece is given by a set of
+/// tetrahedron corners (as bits): two for a point on an edge, three for a point on a face, four for
+/// the point inside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Piece {
     /// Part of the interface of two materials. `of` contains one tetrahedron corner of each
@@ -70,8 +70,8 @@ pub(super) fn pieces(of: [MaterialId; 4], mut hear: impl FnMut(Piece)) {
     let same = |a: usize, b: usize| of[a] == of[b];
     let pair = (0..4).flat_map(|a| (a + 1..4).map(move |b| [a, b])).find(|&[a, b]| same(a, b));
     let Some([a, b]) = pair else {
-        // four materials: each interface is a quadrilateral from an edge across two faces to the
-        // point inside
+        // four materials: each interface is a quadrilateral with corners on an edge, on two faces,
+        // and at the point inside
         for i in 0..4 {
             for j in i + 1..4 {
                 let edge = bit(i) | bit(j);

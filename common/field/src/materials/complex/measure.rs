@@ -8,8 +8,8 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Number of triangles that are summed sequentially. A fixed number makes the sum independent of
-/// the number of threads.
+/// Number of triangles that each task sums sequentially. A fixed number makes the sum independent
+/// of the number of threads.
 const CHUNK: usize = 1 << 14;
 
 /// Number of interface particles that one particle on a junction curve replaces. The curve particle
@@ -17,8 +17,8 @@ const CHUNK: usize = 1 << 14;
 const SAVED_ON_CURVES: f64 = 1.5;
 
 impl Complex {
-    /// Returns the positions along a chain, including its ends. A closed chain does not repeat its
-    /// first position.
+    /// Returns the positions along a chain, including its ends. For a closed chain, the first
+    /// position is not repeated.
     pub fn line(&self, chain: &Chain) -> Vec<DVec3> {
         let end = |end: End| match end {
             End::Point(point) => Some(self.points[point as usize].position),
@@ -28,7 +28,8 @@ impl Complex {
         end(chain.ends[0]).into_iter().chain(inner).chain(end(chain.ends[1])).collect()
     }
 
-    /// Returns the positions like [`Self::line`], but a closed chain ends with its first position.
+    /// Returns the positions like [`Self::line`], but repeats the first position of a closed chain
+    /// at the end.
     fn whole_line(&self, chain: &Chain) -> Vec<DVec3> {
         let mut line = self.line(chain);
         if chain.is_closed() {
@@ -65,7 +66,7 @@ impl Complex {
         lengths
     }
 
-    /// Returns the number of particles that settle on all strata. It is the number of particles of
+    /// Predicts the number of particles that settle on all strata. It is the number of particles in
     /// a hexagonal lattice on the interfaces ([`SizingField::lattice_density`]), minus those that
     /// curve particles replace, plus the particles on curves and points.
     pub fn predicted_count(&self, sizing: &SizingField) -> f64 {

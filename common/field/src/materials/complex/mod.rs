@@ -8,9 +8,9 @@
 //! interface once, a face with three different materials crosses their curve once, and a
 //! tetrahedron with four contains one junction point. The complex is therefore closed for any
 //! indicators: interfaces end at curves, and curves end at points. Newton's method moves the
-//! vertices of curves and points onto the true strata. Interface vertices remain where the
-//! indicators, interpolated linearly between the corners, are equal; their error is of second order
-//! in the spacing.
+//! vertices of curves and points onto the true strata. Interface vertices lie where the indicators,
+//! interpolated linearly between the corners, are equal; they are not moved, and their error is of
+//! second order in the spacing.
 
 mod cells;
 mod chains;
@@ -47,16 +47,16 @@ pub struct Tally {
     pub curve_vertices_not_projected: usize,
     /// Lattice curve vertices projected to a position where a fourth material is nearer.
     pub curve_vertices_not_clear: usize,
-    /// Ends of curves that could not be followed further.
+    /// Curve ends beyond which the curve could not be followed.
     pub curves_lost: usize,
     /// Junction points that were merged with another junction point of the same materials.
     pub points_merged: usize,
-    /// Junction points that were removed, because all their curves continue through them.
+    /// Junction points that were removed because all their curves continue through them.
     pub points_passed: usize,
     /// Junction points at which some triple of the four materials does not have exactly one curve
     /// end.
     pub points_irregular: usize,
-    /// Closed curves that were dropped, because they are shorter than half a voxel.
+    /// Closed curves that were dropped because they are shorter than half a voxel.
     pub specks: usize,
 }
 
@@ -73,7 +73,7 @@ pub struct Complex {
     pub chains: Vec<Chain>,
     /// The junction points.
     pub points: Vec<JunctionPoint>,
-    /// Counts from projecting and following.
+    /// Counts from projecting vertices and following curves.
     pub tally: Tally,
 }
 

@@ -10,7 +10,8 @@ use glam::{DVec2, DVec3};
 use isoparticles_volume::Image;
 use std::f64::consts::PI;
 
-/// The grid of a cube of 24 mm that contains the shapes. Its nodes are `spacing` mm apart.
+/// Returns the grid of a cube that contains the shapes. Its edge length is 24 mm, and its nodes are
+/// `spacing` mm apart.
 fn grid(spacing: f64) -> Geometry {
     Geometry::axis_aligned([(24.0 / spacing).round() as usize + 1; 3], DVec3::splat(spacing))
 }
@@ -40,9 +41,9 @@ fn sum(a: Function, b: Function) -> Function {
     })
 }
 
-/// Two overlapping balls of radius 5 mm, divided by the plane between them. The junction curve is a
-/// circle of radius 3 mm. Away from this circle, the difference of two indicators is smooth on
-/// their interface.
+/// Two overlapping balls of radius 5 mm, separated by the plane midway between their centres. The
+/// junction curve is a circle of radius 3 mm. Away from this circle, the difference of two
+/// indicators is smooth on their interface.
 fn touching() -> Analytic {
     let way = DVec3::new(2.0, -1.0, 1.5).normalize();
     let side = |way: DVec3| scaled(half_space(CENTRE, way), 0.5);
@@ -60,8 +61,8 @@ fn lens() -> Analytic {
     Analytic::new(vec![side(way), side(-way), sum(minimum(side(way), side(-way)), own)], 1.0)
 }
 
-/// Three sectors of 120 degrees of a ball of radius 8 mm. Their indicators are smooth except at the
-/// centre of the ball.
+/// A ball of radius 8 mm, divided into three sectors of 120 degrees. Their indicators are smooth
+/// except at the centre of the ball.
 fn smooth_sectors() -> Analytic {
     let way = |n: f64| DVec2::from_angle((n / 3.0 + 0.1) * std::f64::consts::TAU).extend(0.0);
     let wedge = |n: f64| scaled(half_space(CENTRE, -way(n)), 0.5);
@@ -161,7 +162,7 @@ fn three_sectors_of_a_ball_have_four_curves_and_two_points() {
     assert!(coarse[1] < 1e-4 && fine[1] < 1e-4, "lengths {coarse:?} {fine:?}");
     // triangles next to curves may fold slightly
     assert!(coarse[2] < 2.5e-3 && fine[2] < 2e-3, "areas {coarse:?} {fine:?}");
-    // each sampled indicator is a separate distance with kinks that the spline rounds; the
+    // each sampled indicator is a signed distance with kinks that the spline rounds off; the
     // positions converge with the spacing
     let of_samples = |spacing: f64| errors(&Complex::new(&sampled(&sectors(CENTRE), spacing)));
     let (coarse, fine) = (of_samples(1.0), of_samples(0.5));
@@ -181,7 +182,7 @@ fn four_regions_of_a_cube_have_four_curves_and_one_point() {
             ends.sort_by_key(|end| *end == End::Border);
             assert_eq!(ends, [End::Point(0), End::Border]);
             for v in &chain.vertices {
-                // curves run along directions that are equally far from three corners of the
+                // curves run in directions that are equally far from three corners of the
                 // tetrahedron
                 let away = (complex.vertices[*v as usize].position - CENTRE).abs();
                 assert!(away.max_element() - away.min_element() < most.max(1e-3), "{away}");
@@ -212,8 +213,8 @@ fn touching_balls_and_a_lens_have_one_closed_curve() {
 
 #[test]
 fn a_layer_thinner_than_a_cell_is_not_passed_over() {
-    // a slanted layer of 0.4 mm; lattice edges of 1.5 mm cross it, between nodes of the materials
-    // on both sides
+    // a slanted layer that is 0.4 mm thick; lattice edges of 1.5 mm cross it between nodes in the
+    // materials on either side
     let way = DVec3::new(0.4, -0.5, 0.8).normalize();
     let low = half_space(CENTRE - 0.2 * way, way);
     let high = half_space(CENTRE + 0.2 * way, -way);

@@ -1,5 +1,5 @@
-//! Compares the movement of one class or colour and every kernel of density control with sequential
-//! twins.
+//! Compares the movement of one class or colour and every kernel of density control with their
+//! sequential twins.
 
 use super::any_gpu;
 use super::fields::{lists, sorted};
@@ -25,8 +25,8 @@ use isoparticles_field::energy::{SUPPORT, pair_energy, scaled_distance};
 
 /// Pass number used for the random numbers.
 const PASS: u32 = 7;
-/// Decisions within this relative distance of a threshold may differ in f32: about 100 roundings of
-/// 2^-23.
+/// Values within this relative distance of a threshold may fall on either side of it in f32: about
+/// 100 rounding errors of 2^-23.
 const ROUNDING: f64 = 1e-5;
 
 /// Returns random bits; the twin of `shaders/shared/random.wgsl`.
@@ -89,7 +89,7 @@ impl<'a> Rig<'a> {
         scaled_distance(at(i).distance(at(j)), f64::from(self.places[i][3]), f64::from(self.places[j][3]))
     }
 
-    /// Returns the state on the CPU, with lists built on the CPU.
+    /// Returns the particles as a CPU state, with lists built on the CPU.
     fn state(&mut self) -> State {
         let mut state = State::unlisted(self.engine.particles().unwrap(), Parameters::default().normal_agreement);
         state.rebuild();
@@ -102,7 +102,8 @@ fn beyond(value: f64, threshold: f64) -> Option<bool> {
     ((value - threshold).abs() > ROUNDING * (1.0 + threshold.abs())).then_some(value > threshold)
 }
 
-/// Returns the logical and. The result is `None` only if it depends on an undecided operand.
+/// Returns the logical AND of two operands. The result is `None` only if it depends on an undecided
+/// operand.
 fn both(a: Option<bool>, b: Option<bool>) -> Option<bool> {
     if a == Some(false) || b == Some(false) { Some(false) } else { a.and(b) }
 }
@@ -121,7 +122,7 @@ fn undersampled(energy: f32, i: usize) -> Option<bool> {
     both(beyond(lack, bar), beyond(random_uniform(1, i) * lack, bar))
 }
 
-/// Returns a torus with graded h and more random particles than the lattice has.
+/// Returns a torus with graded h and more random particles than in the lattice.
 fn too_many() -> Scene {
     Scene::bumpy_torus(2100)
 }
@@ -156,7 +157,7 @@ fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
         assert!(now <= was * (1.0 + 1e-4), "{i}: energy {was} -> {now}");
     }
     assert!(members > 40 && moved * 10 > members * 9, "{moved} of {members} moved");
-    // if the energies are nearly equal, a step may be accepted on only one of the two backends
+    // if two energies are nearly equal, a step may be accepted on only one of the two backends
     assert!(alike * 100 >= members * 98, "{alike} of {members} went where the CPU sends them");
 }
 
@@ -183,8 +184,8 @@ fn only_bins_of_the_colour_move_one_particle_at_a_time() {
         }
         members += range.len();
         moved += range.clone().filter(|&i| after[i] != rig.places[i]).count();
-        // the CPU moves the particles of the bin in series: each particle sees the new positions of
-        // the particles before it
+        // the CPU moves the particles of the bin one after the other: each particle sees the new
+        // positions of the particles before it
         for i in range {
             let wanted = movement::step_alone(&state, &fields, i);
             let found = origin + Vec3::from_slice(&after[i]).as_dvec3();
@@ -252,7 +253,7 @@ fn rounds_of_deletion_are_those_of_the_twin() {
 #[test]
 fn newcomers_are_those_of_the_twin_and_everybody_finds_a_place() {
     let Some(gpu) = any_gpu("insertion", AdapterChoice::default()) else { return };
-    // far fewer particles than the lattice has, so that newcomers come close to each other
+    // far fewer particles than in the lattice, so that some newcomers are close to each other
     let tori = (120..420).step_by(60).map(Scene::bumpy_torus);
     let balls = (40..400).step_by(20).map(|n| Scene::ball(n, 1.6));
     let by_distance: usize =
@@ -260,8 +261,8 @@ fn newcomers_are_those_of_the_twin_and_everybody_finds_a_place() {
     assert!(by_distance >= 3, "{by_distance} newcomers gave way to another's over a distance: too few for a test");
 }
 
-/// Compares all steps of insertion. Returns the number of newcomers that were rejected because of a
-/// newcomer whose parent is not a direct neighbour.
+/// Compares all steps of insertion. Returns the number of newcomers rejected because they are too
+/// close to a newcomer whose parent is not a neighbour of their own parent.
 fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
     let mut rig = Rig::new(gpu, scene);
     let (state, fields) = (rig.state(), scene.fields());
@@ -292,7 +293,7 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
         differ += usize::from(!alike);
     }
     assert!(made > 10, "{made} newcomers: too few for a test");
-    // two gaps may have the same width in f32, and a distance may nearly equal its minimum
+    // two gaps may be equally wide in f32, and a distance may nearly equal the minimum distance
     assert!(differ * 100 <= made, "{differ} of {made} proposals differ");
 
     rig.run("insert_choose", 0);
@@ -365,7 +366,7 @@ fn totals_are_those_of_the_particles() {
     }
 }
 
-/// Returns whether f32 rounding may put a neighbour of particle i on the other side of the first
+/// Returns whether f32 rounding may move a neighbour of particle i across the limit of the first
 /// ring or of the support.
 fn on_the_edge(state: &State, i: usize) -> bool {
     let set = &state.set;

@@ -1,4 +1,4 @@
-//! Compares F, h, energies and their derivatives with those of the CPU.
+//! Compares F, h, energies and their derivatives on the device with those on the CPU.
 
 use super::any_gpu;
 use crate::gpu::adapter::{AdapterChoice, Gpu};
@@ -15,7 +15,7 @@ use crate::state::State;
 use glam::{DVec3, Vec3};
 
 /// Returns an engine with sorted particles and neighbour lists, and with a buffer for the output of
-/// a probe.
+/// the test kernels.
 pub(super) fn sorted<'a>(gpu: &'a Gpu, scene: &Scene, binning: Binning) -> GpuEngine<'a> {
     let settings = Parameters { binning, ..Parameters::default() };
     let mut engine = GpuEngine::new(gpu, &scene.fields(), &scene.seeds, &settings).unwrap();
@@ -37,7 +37,8 @@ pub(super) fn lists(gpu: &Gpu, engine: &GpuEngine<'_>) -> Vec<Vec<u32>> {
     let lengths: Vec<u32> = download(gpu, engine.memory.get("list_lengths"), count).unwrap();
     let tile = LIST_TILE as usize;
     let all: Vec<u32> = download(gpu, engine.memory.get("lists"), room * count.next_multiple_of(tile)).unwrap();
-    // in a tile, the groups of four of all particles are interleaved
+    // lists are stored in groups of four members; within a tile, the groups of all particles are
+    // interleaved
     let place = |i: usize, n: usize| 4 * ((i / tile * (room / 4) + n / 4) * tile + i % tile) + n % 4;
     (0..count).map(|i| (0..lengths[i] as usize).map(|n| all[place(i, n)]).collect()).collect()
 }
@@ -106,8 +107,8 @@ fn energies_and_forces_are_those_of_the_cpu() {
             worst[0] = worst[0].max((f64::from(found[0][3]) - energy).abs() / scale);
             worst[0] = worst[0].max((f64::from(found[1][3]) - energy).abs() / scale);
             worst[0] = worst[0].max((f64::from(energies[i]) - energy).abs() / scale);
-            // the terms of a force cancel, so the error is relative to the sum of their magnitudes,
-            // which is about the Hessian times h
+            // the terms of a force largely cancel, so the error is relative to the sum of their
+            // magnitudes, which is about the Hessian times h
             let size = curvature[0].abs().max(curvature[2].abs()) * state.set.sizes[i] + 1e-9;
             worst[1] = worst[1].max((vector(found[0]) - force).length() / size);
             for (a, b) in found[1].iter().zip(curvature) {

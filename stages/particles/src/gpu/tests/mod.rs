@@ -1,5 +1,5 @@
 //! Tests of the kernels against their CPU twins. Tests that need an adapter use the first adapter,
-//! including software adapters such as lavapipe. Without an adapter they print that they are
+//! which may be a software renderer such as lavapipe. Without an adapter they print that they are
 //! skipped.
 
 mod density;

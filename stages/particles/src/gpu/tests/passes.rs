@@ -1,4 +1,4 @@
-//! Tests of the whole backend: the lattice matches that on the CPU, and every run gives the same
+//! Tests of the whole backend: the lattice matches that of the CPU, and every run gives the same
 //! bytes, even after a resume.
 
 use super::any_gpu;
@@ -16,7 +16,7 @@ fn settled(gpu: &Gpu, scene: &Scene, parameters: &Parameters) -> (ParticleSet, S
     settle_with(&mut engine, &fields, parameters, &[], |_, _| Ok(())).unwrap()
 }
 
-/// Asserts that count and energy agree within 1 %.
+/// Asserts that count and energy agree to within 1 %.
 fn alike(a: &(ParticleSet, Summary), b: &(ParticleSet, Summary), what: &str) {
     let count = a.0.positions.len() as f64 / b.0.positions.len() as f64;
     let energy = a.1.energy_ratio / b.1.energy_ratio;
@@ -36,7 +36,8 @@ fn the_lattice_is_that_of_the_cpu() {
     };
     let parameters = Parameters { max_passes: 25, seed: 5, ..first.clone() };
     for (mut scene, what) in [(Scene::ball(1500, 1.2), "ball"), (Scene::bumpy_torus(1300), "graded torus")] {
-        // the seeds are about as even as those of the seed stage, to reduce random variation
+        // the first run makes the seeds about as even as those of the seed stage, which reduces
+        // random variation
         scene.seeds = settle(&scene.seeds, None, &scene.fields(), &first, |_, _| Ok(())).unwrap().0;
         let on_cpu = settle(&scene.seeds, None, &scene.fields(), &parameters, |_, _| Ok(())).unwrap();
         let graded = settled(&gpu, &scene, &parameters);
@@ -112,7 +113,8 @@ fn repeated_resumed_and_slab_runs_give_the_same_bytes() {
 #[test]
 fn passes_before_their_turn_are_no_different() {
     let Some(gpu) = any_gpu("passes before their turn", AdapterChoice::default()) else { return };
-    // with these counts, a pass outgrows the room of the next pass, and lists and classes overflow
+    // with these counts, some passes leave more particles than the next pass can process, and lists
+    // and classes overflow
     for count in [1, 60, 700, 3000] {
         let scene = Scene::ball(count, 1.6);
         let parameters = Parameters { max_passes: 16, levels: 1, closing_passes: 3, ..Parameters::default() };
@@ -136,7 +138,7 @@ fn passes_before_their_turn_are_no_different() {
 fn crowds_and_lonely_ones_end_as_the_lattice() {
     let Some(gpu) = any_gpu("density control", AdapterChoice::default()) else { return };
     let lattice = 4.0 * std::f64::consts::PI * 144.0 * 2.0 / (3f64.sqrt() * 1.6 * 1.6);
-    // 3000 is three times too many, so the lists outgrow their initial room
+    // 3000 is more than three times the lattice count, so the lists exceed their initial capacity
     for count in [40, 3000] {
         let parameters = Parameters { max_passes: 60, ..Parameters::default() };
         let (set, summary) = settled(&gpu, &Scene::ball(count, 1.6), &parameters);

@@ -16,7 +16,7 @@ use isoparticles_field::random::{bits, uniform};
 use isoparticles_volume::Geometry;
 use std::sync::Arc;
 
-/// Manually filled buffers, and a way to run individual steps on them.
+/// Buffers that the tests fill directly, and methods to run individual steps on them.
 struct Rig {
     gpu: Gpu,
     kernels: Arc<Kernels>,
@@ -158,7 +158,7 @@ fn energies_and_totals_of_more_than_65535_workgroups() {
     let places: Vec<[f32; 4]> =
         (0..count).map(|i| [if i % 2 == 0 { 0.0 } else { distance(i / 2) }, 0.0, 0.0, 0.5]).collect();
     let last = count - 1;
-    // each list has room for four members, so the groups of four of all particles are consecutive
+    // each list has a capacity of four members, so the lists are stored one after the other
     let lengths: Vec<u32> = (0..count).map(|i| u32::from(i < last)).collect();
     let lists: Vec<[u32; 4]> = (0..count.next_multiple_of(LIST_TILE)).map(|i| [i ^ 1; 4]).collect();
     let geometry = Geometry::axis_aligned([9; 3], DVec3::ONE);
