@@ -257,7 +257,8 @@ const MOST_EXTENSIONS: u64 = 1 << 24;
 /// of these bytes, which contain the extensions.
 fn skip_to_voxels(reader: &mut dyn Read, skip: f64) -> io::Result<Vec<u8>> {
     if !(0.0..1e9).contains(&skip) {
-        return Err(io::Error::new(io::ErrorKind::InvalidData, "the voxels start inside the header"));
+        let what = if skip < 0.0 { "the voxels start inside the header" } else { "vox_offset is not below 1e9" };
+        return Err(io::Error::new(io::ErrorKind::InvalidData, what));
     }
     let mut between = Vec::new();
     let mut reader = reader.take(skip as u64);

@@ -256,8 +256,9 @@ impl Batch<'_> {
         };
         let cells: Vec<String> = cells.filter(|(_, value)| !value.is_empty()).map(cell).collect();
         let settings = Settings::read_row(&cells, line, self.common, self.known);
-        // The NAME of the row is used even if another cell is invalid.
-        let named = cells.iter().find_map(|cell| cell.strip_prefix("NAME=")).map(str::to_owned);
+        // A valid NAME of the row is used even if another cell is invalid.
+        let named = cells.iter().find_map(|cell| cell.strip_prefix("NAME="));
+        let named = named.filter(|name| crate::name::check(name).is_ok()).map(str::to_owned);
         let unnamed = || named.unwrap_or_else(|| format!("line {line}"));
         match settings.and_then(Case::new) {
             Ok(case) => Row { line, cells, name: case.folder.name.clone(), case: Ok(case) },
@@ -459,7 +460,8 @@ mod tests {
     fn rows_have_the_lines_that_an_editor_shows() {
         let list =
             "# a comment\n\nNAME,INPUT,ISO\na,v.nrrd,1\n\n# \"another\n\n\"b\nb\",v.nrrd,2\n , ,\n\"c\",v.nrrd,3\n";
-        let expected = [(4, "a"), (8, "b\nb"), (11, "c")].map(|(line, name)| (line, name.to_owned()));
+        // a name with a line break is not valid
+        let expected = [(4, "a"), (8, "line 8"), (11, "c")].map(|(line, name)| (line, name.to_owned()));
         for end in ["\n", "\r\n", "\r"] {
             for mark in ["", "\u{feff}"] {
                 let list = format!("{mark}{}", list.replace('\n', end));
@@ -468,5 +470,11 @@ mod tests {
         }
         let error = lines("NAME,INPUT\r\n\r\n# one\r\na,v.nrrd,1\r\n").expect_err("a cell too many");
         assert!(error.what.contains("3 cells") && error.what.contains("line: 4"), "{error}");
+    }
+
+    #[test]
+    fn names_with_paths_are_not_used_for_files() {
+        let found = lines("NAME,INPUT\n../x,v.nrrd\ny,v.nrrd\n").expect("a list");
+        assert_eq!(found, [(2, "line 2".to_owned()), (3, "y".to_owned())]);
     }
 }

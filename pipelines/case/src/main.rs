@@ -274,7 +274,7 @@ fn info(settings: Settings, programs: &Programs) -> Result<u8> {
         return Err(Error::input(
             format!("{}: not made yet", volume.display()),
             "the volume of this case is a phantom, which distfield makes",
-            "run 'make distfield CASE=...' first",
+            format!("run '{} distfield' with the same settings first", program::front()),
         ));
     }
     let mut words = vec!["info".into(), volume.into_os_string()];

@@ -21,6 +21,10 @@ pub(super) fn canonical_command_line(
         match name {
             "--verbose" | "--quiet" | "--force" => {}
             _ if short_flags => {}
+            // -oPATH and -o=PATH are the same as -o PATH
+            _ if name.len() > 2 && name.starts_with("-o") => {
+                words.extend(["-o".to_owned(), shorten(name[2..].trim_start_matches('='), outputs)]);
+            }
             "--threads" | "--max-memory" | "--report" | "--progress" => {
                 if value.is_none() {
                     arguments.next();
@@ -62,6 +66,9 @@ mod tests {
         let second = line(&["b/in.vti", "-o", "other.bin", "--seed", "3", "--report", "r.json"], "other.bin");
         assert_eq!(first, "seed in.vti -o OUTPUT --seed 3");
         assert_eq!(first, second);
+        for attached in ["-oout.bin", "-o=out.bin"] {
+            assert_eq!(line(&["in.vti", attached], "out.bin"), "seed in.vti -o OUTPUT");
+        }
         assert_eq!(line(&["--iso=-500", "-5"], "x"), "seed --iso=-500 -5");
     }
 }

@@ -25,7 +25,7 @@ pub fn above_one(text: &str) -> Result<f64, String> {
 pub fn bytes(text: &str) -> Result<u64, String> {
     let must = "must be a number of bytes above 0, such as 8G or 500M";
     let lower = text.trim().to_ascii_lowercase();
-    let unit = lower.trim_end_matches("ib").trim_end_matches('b');
+    let unit = lower.strip_suffix("ib").or_else(|| lower.strip_suffix('b')).unwrap_or(&lower);
     let digits = unit.trim_end_matches(['k', 'm', 'g', 't']);
     let power = match &unit[digits.len()..] {
         "" => 0,
@@ -91,7 +91,7 @@ mod tests {
         }
         assert!(positive("one").is_err());
         assert_eq!(["8G", "500 mb", "1.5KiB", "12"].map(bytes), [8 << 30, 500 << 20, 1536, 12].map(Ok));
-        for wrong in ["", "G", "0", "-1G", "8GG", "inf", "8X"] {
+        for wrong in ["", "G", "0", "-1G", "8GG", "8bb", "8GiBib", "inf", "8X"] {
             assert!(bytes(wrong).is_err(), "{wrong}");
         }
     }
