@@ -1,8 +1,9 @@
-# The goals of the project; `make` lists them, README.md explains them.
+# The goals of the project. `make` lists them, and README.md explains them.
 #
-# The program `isoparticles-case` (pipelines/case) decides what must be made again: it compares what
-# every result depends on with OUT/NAME/NAME.status.json. This file builds the programs, reads the
-# case files, and passes on each setting with its origin.
+# The program `isoparticles-case` (pipelines/case) decides which results must be made again: it
+# compares the dependencies of each result with those recorded in OUT/NAME/NAME.status.json. This
+# file builds the programs, reads the case files, and passes each setting and its origin to that
+# program.
 
 SHELL := /bin/sh
 .DELETE_ON_ERROR:
@@ -11,22 +12,23 @@ MAKEFLAGS += --no-builtin-rules
 
 CARGO ?= cargo
 CARGO_TARGET_DIR ?= target
-# Folder of the programs. With NO_BUILD=yes they are not built first, as in tests of this file.
+# Folder of the programs. With NO_BUILD=yes, they are used without being built first, as in the
+# tests of this file.
 BIN ?= $(CARGO_TARGET_DIR)/release
-# Folder in which tetmesh-check finds isoparticles-volume, which reads volumes.
+# Folder in which tetmesh-check looks for isoparticles-volume, the program that reads volumes.
 export ISOPARTICLES_BIN := $(abspath $(BIN))
 NO_BUILD ?=
 # The Python environment of tetmesh-check.
 VENV ?= .venv
 TETMESH_CHECK ?= $(VENV)/bin/tetmesh-check
-# HXT=no leaves out Gmsh (GPL-2.0-or-later); fTetWild then fills large surfaces, too.
+# HXT=no omits Gmsh (GPL-2.0-or-later). fTetWild then fills large surfaces as well.
 HXT ?= yes
 without_hxt = $(if $(filter no,$(HXT)),--without-hxt)
 # Folder of the real volumes for the cases in pipelines/.
 DATA ?= ../shared/data
-# Results go to OUT/NAME/.
+# The results of a case are written to OUT/NAME/.
 OUT ?= out
-# Extra options of every stage, such as VERBOSITY=-v or -q; they change no result.
+# An option for every stage, such as VERBOSITY=-v or -q. It does not affect the results.
 VERBOSITY ?=
 THREADS ?=
 
@@ -56,14 +58,15 @@ ifneq ($(CASE),)
   endif
   before := before $(.VARIABLES)
   include pipelines/$(CASE).mk
-  # A misspelled key in the case file is passed on, too; the program suggests the nearest key.
+  # A misspelled key in the case file is also passed on, so that isoparticles-case can suggest the
+  # nearest key.
   KEYS += $(filter-out $(before) $(KEYS),$(.VARIABLES))
 endif
 
 .DEFAULT_GOAL := $(if $(CASE),mesh,help)
 
-# Unknown variables on the command line: isoparticles-case suggests the nearest key; goals that do
-# not run it stop here.
+# Unknown variables on the command line. isoparticles-case suggests the nearest key. Goals that do
+# not run it fail here.
 by_user = $(filter command,$(firstword $(origin $(1))))
 unknown := $(strip $(foreach name,$(.VARIABLES),$(if $(call by_user,$(name)),$(filter-out $(KEYS) $(OTHERS),$(name)))))
 ifneq ($(unknown),)
@@ -74,12 +77,13 @@ endif
 
 # --- A case ---------------------------------------------------------------------------------------
 
-# $(call quote,TEXT): TEXT as one word of the shell.
+# $(call quote,TEXT): TEXT quoted as a single shell word.
 quote = '$(subst ','\'',$(1))'
-# $(call set,KEY): the user's setting, or the case file's as a --preset that the user can replace.
+# $(call set,KEY): the user's value of KEY or, if there is none, the case file's value as a
+# --preset.
 set = $(if $(call by_user,$(1)),$(call quote,$(1)=$($(1))),$(if $($(1)),--preset $(call quote,$(1)=$($(1)))))
-# If one of these files changes, the tetrahedra or the page are made again. convergence.py is left
-# out because it makes no tetrahedra.
+# If one of these files changes, the tetrahedra or the page must be made again. convergence.py is
+# excluded because it makes no tetrahedra.
 TETMESH_FILES = $(wildcard stages/tetmesh-check/requirements*.lock) \
                 $(filter-out %/convergence.py,$(sort $(wildcard stages/tetmesh-check/src/tetmesh_check/*.py)))
 PAGE_FILES = $(sort $(wildcard stages/tetmesh-check/src/tetmesh_check/page/*.*))
@@ -175,7 +179,7 @@ export HELP
 help:
 	@printf '%s\n' "$$HELP"
 
-# These goals need the Python environment. Other goals make a page only if it is installed.
+# These goals need the Python environment. Other goals make a page only if the environment exists.
 mesh page: build env
 distfield sizefield seed particles reconstruct surface verdict info clean: build
 $(CASE_GOALS):
@@ -184,28 +188,28 @@ $(CASE_GOALS):
 demo:
 	@$(MAKE) --no-print-directory CASE=demo mesh
 
-# Makes every case even if another one fails, then the index, and prints the verdicts.
+# Makes every case, even if another one fails. Then makes the index and prints the verdicts.
 cases: build env
 	@status=0; $(MAKE) --no-print-directory -k NO_BUILD=yes $(addprefix case-,$(CASES)) || status=$$?; \
 	  $(call case,index) || { code=$$?; if [ $$status = 0 ]; then status=$$code; fi; }; \
 	  for name in $(CASES); do $(MAKE) --no-print-directory CASE=$$name CASES= NO_BUILD=yes verdict || true; done; exit $$status
 
-# Makes every row of a list, then a summary and the index.
+# Makes the case of every row of a list, then a summary and the index.
 LIST ?=
 TIME_LIMIT ?=
 batch: build env
 	@$(call case,batch) $(if $(LIST),--list $(call quote,$(LIST))) $(if $(TIME_LIMIT),--time-limit $(call quote,$(TIME_LIMIT))) --as-far-as $(GOAL)
 
-# Makes the rows of a list with Snakemake. PROFILE is local, slurm or a folder with a config.yaml;
-# CLUSTER_OPTIONS are passed to Snakemake. An invalid list is refused before any job starts. The
-# summary and the index are also made if jobs fail.
+# Makes the cases of a list with Snakemake. PROFILE is local, slurm or a folder that contains a
+# config.yaml. CLUSTER_OPTIONS are passed to Snakemake. An invalid list is rejected before any job
+# starts. The summary and the index are made even if jobs fail.
 PROFILE ?= local
 CLUSTER_OPTIONS ?=
 SNAKEMAKE_VENV ?= .venv-snakemake
 SNAKEMAKE ?= $(SNAKEMAKE_VENV)/bin/snakemake
 CLUSTER_DIR = $(OUT)/.cluster
 over_list = $(call case,$(1)) $(if $(LIST),--list $(call quote,$(LIST))) --as-far-as $(GOAL)
-# 90 % of the memory of this machine, MiB.
+# 90 % of the memory of this machine, in MiB.
 all_memory = $(shell awk '/MemTotal/ { print int($$2 / 1024 * 0.9) }' /proc/meminfo)
 cluster: build env $(if $(NO_BUILD),,snakemake-env)
 	@mkdir -p $(call quote,$(CLUSTER_DIR)) && $(call over_list,rows) > $(call quote,$(CLUSTER_DIR)/rows.new) \
@@ -218,7 +222,7 @@ cluster: build env $(if $(NO_BUILD),,snakemake-env)
 
 snakemake-env: $(SNAKEMAKE_VENV)/.made
 
-# The package connection-pool is only available as source.
+# The package connection-pool is available only as source.
 $(SNAKEMAKE_VENV)/.made: pipelines/snakemake.lock | env
 	@$(VENV)/bin/python -m venv --clear $(SNAKEMAKE_VENV)
 	@$(SNAKEMAKE_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --no-binary connection-pool \
@@ -253,9 +257,9 @@ ifeq ($(NO_BUILD),)
 	@stages/tetmesh-check/setup-env.sh --venv $(VENV) $(without_hxt)
 endif
 
-# One wheel with the whole chain, for `pip install`: target/wheel/isoparticles-*.whl.
-# ISOPARTICLES_BIN of hatch_build.py is a folder of the programs without symbols. auditwheel names
-# the oldest Linux on which they run.
+# Builds a wheel of all programs for `pip install`: target/wheel/isoparticles-*.whl. hatch_build.py
+# takes stripped copies of the programs from ISOPARTICLES_BIN. auditwheel tags the wheel with the
+# oldest Linux platform on which they run.
 WHEEL = $(CARGO_TARGET_DIR)/wheel
 WHEEL_PROGRAMS = distfield sizefield seed particles reconstruct phantom isoparticles-case isoparticles-volume
 wheel: build env $(WHEEL)/venv/.made completions
@@ -270,8 +274,8 @@ $(WHEEL)/venv/.made: pipelines/wheel/requirements.lock | env
 	@$(WHEEL)/venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --require-hashes -r pipelines/wheel/requirements.lock
 	@touch $@
 
-# Shell completions and man pages, generated from the programs' command lines, in folders as under
-# /usr/share. The wheel contains those of its command.
+# Generates shell completions and man pages from the command lines of the programs, in the folder
+# layout of /usr/share. The wheel contains those for its own commands.
 SHARE = $(CARGO_TARGET_DIR)/share
 SHARE_STAGES = distfield sizefield seed particles reconstruct
 SHARE_GOALS = info convert mesh surface verdict page clean demo index batch tetmesh-check
@@ -292,7 +296,7 @@ completions: build env
 
 # --- Checks of the project itself -----------------------------------------------------------------
 
-# Where Sphinx is installed.
+# The Python environment of Sphinx.
 DOCS_VENV ?= .venv-docs
 
 test:
@@ -311,7 +315,7 @@ test-rust: build env
 	@tests/lavapipe.sh $(BIN)/particles
 	$(CARGO) test --locked --workspace --no-fail-fast
 
-# Runs in the folder of tetmesh-check: its pyproject.toml holds the settings of all four tools.
+# Runs in the folder of tetmesh-check, whose pyproject.toml configures all four tools.
 test-python: build env wheel
 	cd stages/tetmesh-check && $(abspath $(VENV))/bin/ruff check . && $(abspath $(VENV))/bin/ruff format --check . \
 	  && $(abspath $(VENV))/bin/mypy && $(abspath $(VENV))/bin/pytest -q
@@ -322,7 +326,7 @@ test-python: build env wheel
 	  && $(abspath $(VENV))/bin/mypy --strict --python-version 3.11 src/isoparticles \
 	  && WHEEL=$(abspath $(WHEEL)) $(abspath $(VENV))/bin/pytest -q -c pytest.ini
 
-# Builds the documentation site, target/docs/index.html. Every warning is an error.
+# Builds the documentation site, target/docs/index.html. Warnings are errors.
 docs: $(DOCS_VENV)/.made
 	$(DOCS_VENV)/bin/sphinx-build -W --keep-going --quiet docs $(CARGO_TARGET_DIR)/docs
 	@echo $(CARGO_TARGET_DIR)/docs/index.html
@@ -336,21 +340,21 @@ $(DOCS_VENV)/.made: docs/requirements.lock | env
 doctor:
 	@sh tests/doctor.sh
 
-# Fuzzes every reader, or FUZZ_TARGETS, for FUZZ_SECONDS each, FUZZ_JOBS in parallel. Needs nightly
-# Rust and cargo-fuzz.
+# Fuzzes every reader, or only FUZZ_TARGETS, for FUZZ_SECONDS each, with FUZZ_JOBS in parallel.
+# Needs nightly Rust and cargo-fuzz.
 FUZZ_SECONDS ?= 60
 FUZZ_JOBS ?= 1
 fuzz:
 	@tests/fuzz/run.sh --seconds $(FUZZ_SECONDS) --jobs $(FUZZ_JOBS) $(FUZZ_TARGETS)
 
-# Checks licences, advisories and sources of the linked crates (deny.toml), and runs RustSec's own
-# check. Needs cargo-deny, cargo-audit and the network.
+# Checks licences, advisories and sources of the linked crates (deny.toml), and runs cargo-audit,
+# RustSec's own check. Needs cargo-deny, cargo-audit and network access.
 deny:
 	$(CARGO) deny --locked check
 	$(CARGO) audit
 
-# Runs every stage from scratch on the torso phantom of the paper's size. GOAL=surface omits the
-# tetrahedra.
+# Runs every stage from scratch on parts of the torso phantom at the paper's size. GOAL=surface
+# omits the tetrahedra.
 PARTS ?= heart lungs ribs
 GOAL ?= mesh
 bench-stages: build env
@@ -360,24 +364,24 @@ bench-stages: build env
 	done; \
 	python3 tests/stage_table.py $(addprefix $(OUT)/bench/torso-,$(PARTS)) && exit $$status
 
-# Compares the particles stage on the GPU with one CPU thread. Example:
+# Compares the particles stage on the GPU with the same stage on one CPU thread. Example:
 # BENCH_OPTIONS="--adapter NAME --sizes '2 1'".
 BENCH_OPTIONS ?=
 bench-gpu: build
 	@stages/particles/benches/bench_gpu.sh --bin $(BIN) --work $(OUT)/bench-gpu $(BENCH_OPTIONS)
 
 # Times the particles stage on the CPU. BENCH_OPTIONS="--beside OLDER/particles" alternates with
-# another build.
+# runs of another build.
 bench-particles: build
 	@stages/particles/benches/bench_cpu.sh --bin $(BIN) --work $(OUT)/bench-gpu $(BENCH_OPTIONS)
 
-# Compares the Delaunay triangulation with that of CGAL on the same particles. Needs g++,
-# libcgal-dev and libtbb-dev.
+# Compares our Delaunay triangulation with CGAL's for the same particles. Needs g++, libcgal-dev and
+# libtbb-dev.
 bench-delaunay: build
 	@$(CARGO) build --release --locked -p isoparticles-delaunay --example bench_delaunay
 	@common/delaunay/benches/compare.sh --bin $(BIN) --work $(OUT)/bench-delaunay $(BENCH_OPTIONS)
 
-# Measures the error of Poisson's equation on the ball at several edge lengths (mm).
+# Measures the error of the solution of Poisson's equation on the ball at several edge lengths (mm).
 SIZES ?= 4 2 1
 bench-convergence: build env
 	@for size in $(SIZES); do \
@@ -385,11 +389,12 @@ bench-convergence: build env
 	done
 	$(TETMESH_CHECK)-convergence $(foreach size,$(SIZES),$(OUT)/bench/ball-$(size)/ball-$(size).volume.vtu)
 
-# Compares our surfaces with marching cubes and a remesher on the same distance field, with the same
-# tetrahedralizer. Example: COMPARE_OPTIONS="--surfaces particles remesh_botsch --fill-seconds 600".
+# Compares our surfaces with those of marching cubes and of a remesher, from the same distance field
+# and with the same tetrahedralizer. Example: COMPARE_OPTIONS="--surfaces particles remesh_botsch
+# --fill-seconds 600".
 COMPARED ?= ball mickey
 COMPARE_OPTIONS ?=
-# The remesher has a separate environment; REMESHER=no leaves it out.
+# The remesher is installed in a separate environment. REMESHER=no omits it.
 REMESHER ?= yes
 BENCH_VENV ?= .venv-bench
 BENCH_LOCK = stages/tetmesh-check/benches/requirements.lock
@@ -406,21 +411,21 @@ $(BENCH_VENV)/.made: $(BENCH_LOCK) | env
 	$(BENCH_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes -r $(BENCH_LOCK)
 	@touch $@
 
-# Kills a small chain N times at random moments and compares the results of the next run with those
-# of an undisturbed run. KILL_SEED=2 gives other moments.
+# Kills runs of a small case N times at random moments, and compares the results of the next run
+# with those of an uninterrupted run. KILL_SEED is the seed of the random moments.
 N ?= 100
 KILL_SEED ?= 1
 bench-kills: build env
 	@$(VENV)/bin/python tests/kills.py --count $(N) --seed $(KILL_SEED) --bin $(abspath $(BIN)) --tetmesh-check $(abspath $(TETMESH_CHECK))
 
-# Runs fifty phantoms, the small volumes of DATA and five broken rows as one batch. Interrupts the
+# Runs fifty phantoms, the small volumes in DATA and five invalid rows as one batch. Interrupts the
 # batch, runs it again and checks the results. GOAL=mesh continues up to the tetrahedra.
 bench-batch: build env
 	@$(VENV)/bin/python tests/batch.py --bin $(abspath $(BIN)) --tetmesh-check $(abspath $(TETMESH_CHECK)) --goal $(if $(call by_user,GOAL),$(GOAL),surface) \
 	  $(if $(wildcard $(DATA)/mickey_labels.nrrd),--data $(DATA))
 
-# Solves with those of CalculiX, GetDP, FreeFEM and dolfinx that are installed (Debian: calculix-ccx
-# getdp freefem++ libfreefem++ python3-dolfinx).
+# Solves a known problem with CalculiX, GetDP, FreeFEM and dolfinx, as far as they are installed
+# (Debian: calculix-ccx getdp freefem++ libfreefem++ python3-dolfinx).
 bench-solvers: build env
 	@for order in 1 2; do \
 	  $(MAKE) --no-print-directory mesh PHANTOM="ball --size 32" NAME=order-$$order ISO=100 SIZE=2 BACKEND=cpu TET_ORDER=$$order OUT=$(OUT)/bench/solvers NO_BUILD=yes VERBOSITY=-q \
@@ -428,7 +433,7 @@ bench-solvers: build env
 	done
 	@$(VENV)/bin/python tests/solvers.py $(OUT)/bench/solvers/order-1 $(OUT)/bench/solvers/order-2
 
-# Runs the notebook with nbclient, which is installed in a folder beside the environment.
+# Runs the notebook with nbclient, which is installed in a separate folder, outside the environment.
 NOTEBOOK = docs/notebooks/volume-to-solve.ipynb
 NOTEBOOK_ENV = $(CARGO_TARGET_DIR)/notebook
 notebook: build env $(NOTEBOOK_ENV)/.made
@@ -442,9 +447,9 @@ $(NOTEBOOK_ENV)/.made: docs/notebooks/requirements.lock | env
 	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes --target $(NOTEBOOK_ENV) -r docs/notebooks/requirements.lock
 	@touch $@
 
-# Compares coarse meshes of the real volumes in DATA with those of gpytoolbox and CGAL from the same
-# smoothed fields. REMESHER=no makes only our meshes, which needs no Python package with
-# BENCH_OPTIONS=--no-distances. Another example: BENCH_OPTIONS="--tetrahedra
+# Compares coarse meshes of the real volumes in DATA with those that gpytoolbox and CGAL make from
+# the same smoothed fields. REMESHER=no makes only our meshes; with BENCH_OPTIONS=--no-distances,
+# this needs no Python packages. Another example: BENCH_OPTIONS="--tetrahedra
 # .venv/bin/tetmesh-check --backend gpu".
 SCALE_BENCH = stages/distfield/benches
 SCALE_CASES ?= @$(SCALE_BENCH)/solid.txt @$(SCALE_BENCH)/thin.txt
@@ -455,15 +460,16 @@ bench-scale: build $(SCALE_PEERS)
 	DATA=$(DATA) $(SCALE_PYTHON) $(SCALE_BENCH)/scale.py $(SCALE_CASES) --vertices $(SCALE_VERTICES) --bin $(BIN) --work $(OUT)/bench-scale \
 	  $(if $(SCALE_PEERS),--peers $(BENCH_VENV)-scale/bin/python) $(BENCH_OPTIONS)
 
-# Remeshes blurred label maps with every packaged remesher at several numbers of vertices. Also
-# makes the plain meshes of marching cubes and surface nets.
+# Remeshes blurred label maps with every packaged remesher at several vertex counts. Also makes
+# meshes with marching cubes and surface nets.
 REMESHER_CASES ?= @$(SCALE_BENCH)/remeshers.txt
 REMESHER_VERTICES ?= 5000 20000 75000 400000
 bench-remeshers: build env $(BENCH_VENV)-scale/.made
 	DATA=$(DATA) $(VENV)/bin/python $(SCALE_BENCH)/scale.py $(REMESHER_CASES) --vertices $(REMESHER_VERTICES) --bin $(BIN) --work $(OUT)/bench-remeshers \
 	  --peers $(BENCH_VENV)-scale/bin/python --programs marching-cubes surface-nets botsch cgal mmg pymeshlab instant-meshes acvd $(BENCH_OPTIONS)
 
-# Compares meshes of many materials with CGAL's Mesh_3 (g++, libcgal-dev), Cleaver and surface nets.
+# Compares our meshes of many materials with those of CGAL's Mesh_3, Cleaver and surface nets. Needs
+# g++ and libcgal-dev.
 MATERIALS_CASES ?= 'mickey=$$DATA/mickey_labels.nrrd;--material all' 'torso=torso --kind label --size 134,65,89 --spacing 2.6;--material all --scale-for-size 3;--uniform 3'
 MATERIALS_BENCH = stages/reconstruct/benches
 bench-materials-peers: build env $(BENCH_VENV)-cleaver/.made
@@ -477,28 +483,29 @@ $(BENCH_VENV)-cleaver/.made: $(MATERIALS_BENCH)/cleaver.lock | env
 	$(BENCH_VENV)-cleaver/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes -r $(MATERIALS_BENCH)/cleaver.lock
 	@touch $@
 
-# Compares triangles of one edge length from label maps with the remeshing of gpytoolbox and CGAL on
-# the same blurred labels.
+# Meshes label maps at a constant edge length, and compares the triangles with those that gpytoolbox
+# and CGAL make from the same labels after blurring.
 PEER_CASES ?= @$(SCALE_BENCH)/peers.txt
 bench-peers: build env $(SCALE_PEERS)
 	DATA=$(DATA) $(VENV)/bin/python $(SCALE_BENCH)/scale.py $(PEER_CASES) --as-given --no-distances --bin $(BIN) --work $(OUT)/bench-peers \
 	  $(if $(SCALE_PEERS),--peers $(BENCH_VENV)-scale/bin/python) $(BENCH_OPTIONS)
 
-# Times each step of all stages on 1, 2, 4 ... threads, with the same volumes. Example:
+# Times each step of all stages on 1, 2, 4 ... threads, for the volumes of bench-peers. Example:
 # BENCH_OPTIONS="--threads 2 4 8 16 --rounds 3".
 bench-scaling: build
 	DATA=$(DATA) python3 tests/scaling.py $(PEER_CASES) --bin $(BIN) --work $(OUT)/bench-scaling $(BENCH_OPTIONS)
 
-# Measures the tables and figures of the paper, and the growth of every stage. A GPU is needed for
-# complete tables. A stopped benchmark resumes. Examples: BENCH_OPTIONS="--tables 2 1", "--series
-# cores", "--time-limit 540", "--quick --no-gpu --json FILE".
+# bench-paper measures the values in the tables and figures of the paper. bench-growth measures how
+# the time and memory of every stage grow. Complete tables require a GPU. An interrupted benchmark
+# resumes on the next run. Examples: BENCH_OPTIONS="--tables 2 1", "--series cores", "--time-limit
+# 540", "--quick --no-gpu --json FILE".
 bench-paper: build
 	@python3 tests/results/paper.py --data $(DATA) --bin $(BIN) --work $(OUT)/paper --keep $(OUT)/paper-surfaces $(BENCH_OPTIONS)
 
 bench-growth: build
 	@python3 tests/results/growth.py --bin $(BIN) --work $(OUT)/growth $(BENCH_OPTIONS)
 
-# Makes the page and the pictures of these two benchmarks.
+# Makes the results page and its pictures from these two benchmarks.
 results-page: env
 	@$(VENV)/bin/python tests/results/page.py && $(VENV)/bin/python tests/results/plots.py \
 	  && { [ ! -d $(OUT)/paper-surfaces ] || $(VENV)/bin/python tests/results/plots.py --closeups $(OUT)/paper-surfaces; }

@@ -25,7 +25,8 @@ def main() -> None:
     program, goal, *words = stages[what] if what in stages else row[what]
     os.chdir(row["folder"])
     # Assignments go before the options, because some options take any number of values. The last
-    # assignment to a key takes effect, so the settings of the job override those of the row.
+    # assignment to a key takes effect, so a setting of the job overrides the same setting of the
+    # row.
     at = next((n for n, word in enumerate(words) if word.startswith("-")), len(words))
     set_here = [word for word in more if not word.startswith("-")]
     options = [word for word in more if word.startswith("-")]

@@ -1,29 +1,29 @@
 # The demo: a heart-like phantom at half the resolution of the paper's volume (`make demo`). This
 # file also explains the keys of a case; pipelines/case/src/keys.rs lists all keys. If a key is not
-# set, the default of the stage applies. The command line takes precedence over this file: SIZE=3 on
-# the command line drops the MIN_SIZE of this file.
+# set, the default of the stage applies. The command line takes precedence over this file: for
+# example, SIZE=3 on the command line replaces the MIN_SIZE of this file.
 
 # The volume: either INPUT, a file (.nrrd .nhdr .nii .nii.gz .mha .mhd .vti) or a folder of DICOM
 # slices. $(DATA) is the folder of the real volumes, set by DATA=...
 #   INPUT := $(DATA)/heart_label.nrrd
-# or PHANTOM, the shape and options for the `phantom` program (`target/release/phantom --help`),
-# which makes the volume.
+# or PHANTOM, a shape and options for the `phantom` program (`target/release/phantom --help`), which
+# makes the volume.
 PHANTOM := torso --part heart --size 134,65,89 --spacing 2.6
 
-# Name of the results in OUT/NAME/ (default: the name of this file).
+# Name of the results, which are written to OUT/NAME/ (default: the name of this file).
 NAME := demo
 
 # The object to mesh: either ISO, an iso value of the volume's scalars, with INSIDE = above or
 # below ...
 ISO := 170
 INSIDE := above
-# ... or LABELS, whole numbers separated by commas; their union is meshed.
+# ... or LABELS, integers separated by commas, whose union is meshed.
 #   LABELS := 1,2
-# ... or MATERIALS: all labels, or some labels with names. Each material is a region of one mesh
-# with shared interfaces.
+# ... or MATERIALS, either `all` or a list of named labels. Each material becomes a region of one
+# mesh with shared interfaces.
 #   MATERIALS := lungs:2,heart:1,rest:3+4
 
-# BORDER = cap closes the object where the volume's box cuts it; open leaves it open.
+# BORDER = cap closes the object where the border of the volume cuts it; open leaves it open.
 #   BORDER := cap
 
 # Edge length h (mm): EPSILON times the local feature size, with a gradient of at most DELTA,
@@ -50,12 +50,12 @@ MIN_SIZE := 2
 #   BACKEND := auto
 #   MAX_MEMORY := 8G
 
-# ACCEPT_FORCED = yes accepts elements whose quality is below a limit because the surface of several
-# materials forces it. The verdict counts these elements.
+# ACCEPT_FORCED = yes accepts elements below a quality limit if the surface of several materials
+# forces their shape. The verdict counts these elements.
 #   ACCEPT_FORCED := no
 
-# Further options of a stage, from its --help. RECONSTRUCT_OPTIONS := --method tight-cocone connects
-# the particles with the paper's method.
+# Further options of a stage, which its --help lists. RECONSTRUCT_OPTIONS := --method tight-cocone
+# connects the particles by the paper's method.
 #   DISTFIELD_OPTIONS :=
 #   SIZEFIELD_OPTIONS :=
 #   PARTICLES_OPTIONS :=

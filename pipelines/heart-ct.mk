@@ -1,5 +1,6 @@
-# Blood pools and vessels around a heart: contrast CT, meshed at an iso value (TotalSegmentator's
-# test data, Apache-2.0). The border of the volume cuts many vessels. Keys: see demo.mk.
+# Blood pools and vessels of a heart: contrast-enhanced CT, meshed at an iso value
+# (TotalSegmentator's test data, Apache-2.0). The border of the volume cuts many vessels. Keys: see
+# demo.mk.
 #
 # The volume, in Hounsfield units.
 INPUT := $(DATA)/heart_ct.nrrd

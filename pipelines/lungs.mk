@@ -3,5 +3,5 @@
 INPUT := $(DATA)/thorax_labels.nrrd
 # Label 2 marks the lungs and airways, which have several components.
 LABELS := 2
-# Two cases share this volume, so the results need a distinct name.
+# Two cases share this volume, so each needs its own name for the results.
 NAME := lungs

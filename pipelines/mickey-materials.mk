@@ -1,5 +1,5 @@
 # Five materials without smoothing: a hollow ball that touches two other balls, in a box (the label
-# map of Cleaver's tutorials). Keys: see demo.mk.
+# map from Cleaver's tutorials). Keys: see demo.mk.
 INPUT := $(DATA)/mickey_labels.nrrd
 MATERIALS := box:1,head:2,left ear:3,right ear:4,nose:5
 NAME := mickey-materials

@@ -1,4 +1,4 @@
-# Bone from a chest CT, defined by an iso value, including every noise speck above it
+# Bone from a chest CT, meshed at an iso value, with every speck of noise above that value
 # (LIDC-IDRI-0314, CC BY 3.0). Keys: see demo.mk.
 #
 # The volume, in Hounsfield units.

@@ -3,5 +3,5 @@
 INPUT := $(DATA)/thorax_labels.nrrd
 # Label 1 is bone.
 LABELS := 1
-# Two cases share this volume, so the results need a distinct name.
+# Two cases share this volume, so each needs its own name for the results.
 NAME := ribs

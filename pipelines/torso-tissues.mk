@@ -3,5 +3,5 @@
 PHANTOM := torso --kind label --size 134,65,89 --spacing 2.6
 MATERIALS := heart:1,lungs:2,ribs:3,body:4
 NAME := torso-tissues
-# Slightly more than a voxel (2.6 mm); ribs are two to three voxels thick.
+# Slightly more than a voxel (2.6 mm). The ribs are two to three voxels thick.
 SIZE := 3

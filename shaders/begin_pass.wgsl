@@ -1,12 +1,11 @@
 // Writes the parameters that the other kernels of a pass read. The host may submit a pass before it
 // has read the result of the previous pass. In that case only the device knows the number of
-// particles. If the previous pass must be repeated, or if it left more particles than this pass has
-// room for, the count is set to 0. The pass then leaves its input unchanged.
+// particles. This kernel sets the number to 0 if the previous pass must be repeated, or if it left
+// more particles than this pass has room for. This pass then leaves its input unchanged.
 
 struct Planned {
     number: u32,
-    // Number of particles, or COUNT_ON_DEVICE for the number of particles that the previous pass
-    // left.
+    // Number of particles, or COUNT_ON_DEVICE if only the device knows it.
     count: u32,
     allow_insert: u32,
     // Maximum number of particles for which this pass has room.

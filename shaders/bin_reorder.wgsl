@@ -1,6 +1,7 @@
 // Counting sort into bins, step 3: copies the particles into sorted order. Within a bin, held
-// particles come first, and both groups keep their previous order. The result does not depend on
-// the order of the atomic operations in step 2, so a resumed run is reproducible.
+// particles come first. Held particles and other particles each keep their previous order. The
+// result does not depend on the order of the atomic operations in step 2, so a resumed run is
+// reproducible.
 
 @group(0) @binding(2) var<storage, read> listed_place: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> bin_of: array<u32>;
@@ -40,6 +41,6 @@ fn bin_reorder(
     place[to] = listed_place[i];
     place_at_listing[to] = listed_place[i];
     normal[to] = listed_normal[i];
-    // a particle without a class does not move and keeps this value
+    // a particle without a class does not move, so its outcome stays 0
     outcome[to] = 0u;
 }

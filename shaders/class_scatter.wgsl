@@ -1,5 +1,5 @@
-// Writes the members of the classes, class by class. The order within a class is arbitrary; it has
-// no effect because members of a class do not interact.
+// Writes the indices of the particles, class by class. The order within a class is arbitrary; it
+// has no effect because members of a class do not interact.
 
 @group(0) @binding(3) var<storage, read> classes: array<u32>;
 @group(0) @binding(4) var<storage, read_write> class_counts: array<atomic<u32>>;

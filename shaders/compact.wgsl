@@ -1,4 +1,4 @@
-// Density control, last step: writes the remaining particles and the newcomers in order. There are
+// Density control, last step: writes the remaining particles, followed by the newcomers. There are
 // two sets of `listed_*` buffers; the output goes to the set that the pass did not read. If a list
 // was truncated, the kernel does nothing and the host repeats the pass. If too few classes were
 // dispatched, the host ignores the output and repeats the pass as well.

@@ -1,5 +1,6 @@
 // Computes the energy (Eq. 1) and the lattice-defect flag of every particle, and resets the marks
-// of density control. Particles next to a held particle are not counted as defects.
+// of density control. Particles with a held particle in their first ring are not counted as
+// defects.
 //
 // Twin: `measure` in stages/particles/src/state.rs
 
@@ -8,7 +9,7 @@
 @group(0) @binding(12) var<storage, read_write> energies: array<f32>;
 // 0 if the particle is kept, n if it was deleted in round n.
 @group(0) @binding(13) var<storage, read_write> marks: array<u32>;
-// Last round that deleted a neighbour of the particle.
+// Last round that deleted a neighbour of the particle; 0 if there is none.
 @group(0) @binding(14) var<storage, read_write> touched: array<u32>;
 
 // Number of attempted steps, combined with the flags STEP_TAKEN and LATTICE_DEFECT.

@@ -19,8 +19,8 @@ fn beats(j: u32, i: u32) -> bool {
     return other > own || (other == own && j < i);
 }
 
-// Returns whether the newcomer of i is too close to a newcomer of higher priority. The bins hold
-// the parents at their positions at the time of the sort. Since then, a parent of size h has moved
+// Returns whether the newcomer of i is too close to a newcomer of higher priority. The parents are
+// in the bins of their positions at the time of the sort. Since then, a parent of size h has moved
 // by at most (REBUILD_MOVE + FARTHEST_MOVE) h. A newcomer is within two lattice spacings of its
 // parent, because it starts one spacing away and is projected by at most one more spacing.
 fn is_too_near(i: u32) -> bool {

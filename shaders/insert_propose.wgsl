@@ -1,7 +1,7 @@
 // Density control, insertion: each undersampled particle proposes a newcomer. The candidate is
 // placed one lattice spacing away, in the middle of the widest gap between neighbours, and
-// projected onto the surface. The proposal is dropped if the projection fails, if the normals
-// differ too much, or if a particle is too close.
+// projected onto the surface. It is rejected if the projection fails, if its normal differs too
+// much from that of the particle, or if it is too close to another particle.
 //
 // Twin: `propose`, `place_in_widest_gap` in stages/particles/src/density.rs
 
@@ -13,8 +13,8 @@
 @group(0) @binding(15) var<storage, read_write> newcomer_place: array<vec4<f32>>;
 @group(0) @binding(16) var<storage, read_write> newcomer_normal: array<vec4<f32>>;
 
-// Returns the direction, in radians in the tangent plane, from the particle to neighbour j. Returns
-// 2 TAU if j is deleted or outside the second ring.
+// Returns the direction from the particle to neighbour j, as an angle in the tangent plane in
+// radians. Returns 2 TAU if j is deleted or not inside the second ring.
 fn angle_of(own: vec4<f32>, plane: Plane, j: u32) -> f32 {
     let offset = place[j].xyz - own.xyz;
     let edge = parameters.spacing_in_h * own.w;
@@ -26,7 +26,8 @@ fn angle_of(own: vec4<f32>, plane: Plane, j: u32) -> f32 {
 }
 
 // Returns the direction of the middle of the widest gap. The lanes of the team share the loop over
-// the neighbours. If several gaps are equally wide, the first in the list is used.
+// the neighbours. If several gaps are equally wide, the gap after the first neighbour in the list
+// is used.
 fn widest_gap(own: vec4<f32>, plane: Plane, list: List, lane: u32) -> f32 {
     var lowest = TAU;
     for (var k = lane; k < list.length; k += TEAM) {

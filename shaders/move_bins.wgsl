@@ -3,10 +3,10 @@
 // the neighbours of the moving particle.
 //
 // Every third bin along each axis has the same colour, so there are 27 colours. Workgroups do not
-// conflict: neighbour lists reach no farther than one bin edge, so a workgroup writes one bin and
-// reads that bin and the 26 adjacent bins. Two bins of one colour are separated by two other bins,
-// so the two regions are disjoint. Bins and lists do not change until the next sort, so this holds
-// for all passes before that sort.
+// conflict: neighbour lists reach no farther than one bin edge, so a workgroup writes the particles
+// of one bin and reads only those of this bin and the 26 adjacent bins. Two bins of one colour are
+// separated by two other bins, so two workgroups never access the same bin. This also holds when
+// particles have moved, because bins and lists do not change until the next sort.
 
 @group(0) @binding(5) var<storage, read> bin_starts: array<u32>;
 

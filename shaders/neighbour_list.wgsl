@@ -32,7 +32,7 @@ fn neighbour_list(
     list_lengths[i] = length;
     let rest = length % 4u;
     if rest > 0u && length < parameters.list_room {
-        // the last group has one to three members, which are moved to its front
+        // the last group has one to three members, which must be at its front
         let four = select(select(vec4(last_four.w), last_four.zwzw, rest == 2u), last_four.yzwy, rest == 3u);
         lists[list_slot(i, length)] = four;
     }

@@ -66,7 +66,8 @@ def phantoms(folder: Path, program: Path, count: int) -> list[dict[str, str]]:
         path = folder / f"{shape}-{number:02}.nrrd"
         subprocess.run([program, shape, "-o", path, *variant, "--seed", str(number)], check=True)
         labels = "label" in variant
-        # Two out of three rows have a constant edge length; the others use the local feature size.
+        # Two out of three rows have a constant edge length. In the others, h follows the local
+        # feature size.
         row = {"NAME": path.stem, "INPUT": path.name, "LABELS" if labels else "ISO": "1" if labels else "100"}
         rows.append({**row, "SIZE": "2"} if number % 3 else row)
     return rows

@@ -83,8 +83,8 @@ def crossings(
     yz = corners[:, :, 1:] - np.asarray(OFF_LATTICE)
     low = np.maximum(np.ceil(yz.min(axis=1)).astype(np.int64), 0)
     high = np.minimum(np.floor(yz.max(axis=1)).astype(np.int64), np.asarray(size[1:]) - 1)
-    # Twice the signed area of the projection onto the y-z plane. It is positive if a line along +x
-    # crosses the counter-clockwise triangle from inside to outside.
+    # `area` is twice the signed area of the projection onto the y-z plane. It is positive if a line
+    # along +x crosses the triangle from the material inside to the material outside.
     a, b, c = yz[:, 0], yz[:, 1], yz[:, 2]
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     span = np.maximum(high - low + 1, 0)
@@ -276,8 +276,8 @@ def look(surface: pv.PolyData, labels: pv.ImageData, volume: pv.UnstructuredGrid
         np.asarray(surface.cell_data[f"material_{side}"]).astype(np.int64) for side in ("inside", "outside")
     )
     in_voxels = into_voxels(points, labels)
-    # Left-handed grid coordinates mirror the triangles. Reversing the vertex order restores their
-    # orientation.
+    # The coordinates of a left-handed grid mirror the triangles. Reversing the vertex order
+    # restores the orientation.
     corners = in_voxels[triangles]
     if np.linalg.det(np.asarray(labels.direction_matrix).reshape(3, 3)) < 0:
         corners = corners[:, ::-1]

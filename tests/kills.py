@@ -197,7 +197,7 @@ def kill_once(
         met = stage_now(chain.folder)
         send(process, target, which)
     process.wait(PATIENCE)
-    # Child processes of a killed program may still be running when the next run starts.
+    # The next run starts at once, even if child processes of the killed program are still running.
     again = chain.start()
     wait_for(again)
     wrong = [] if again.returncode == 0 else [f"the run after it ended with {again.returncode}: {chain.log()[-2000:]}"]

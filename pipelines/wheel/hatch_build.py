@@ -65,7 +65,8 @@ class Programs(BuildHookInterface[Any]):
         for licence in ("LICENSE-MIT", "LICENSE-APACHE"):
             included[str(ROOT / licence)] = f"isoparticles/{licence}"
         share = Path(os.environ.get("ISOPARTICLES_SHARE", ROOT / "target" / "share"))
-        # The wheel puts no stage on PATH, so the man page of a stage is named `isoparticles-STAGE`.
+        # The wheel does not install the stages as commands of their own, so the man page of a stage
+        # is named `isoparticles-STAGE`.
         own = [file for file in sorted(share.rglob("*")) if file.is_file()]
         if not own:
             raise FileNotFoundError(f"{share}: no completions and man pages there (make completions)")

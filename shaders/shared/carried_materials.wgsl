@@ -1,7 +1,7 @@
 // In a multi-material run, normal.w stores 16 s + c, where s is the index of the particle's
 // stratum. The code c is log10(damping / 0.001), or HELD_CODE for a held particle. The value is an
-// integer below 2^24, so f32 represents it exactly. The indices start with the material interfaces,
-// followed by one index for each held particle.
+// integer below 2^24, so f32 represents it exactly. The material interfaces have the lowest
+// indices. Each held particle has an index of its own after these.
 //
 // Twin: `rebuild_lists` in stages/particles/src/state.rs
 

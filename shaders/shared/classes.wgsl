@@ -3,8 +3,8 @@
 //
 // Twin: `independent_blocks` in common/field/src/neighbours.rs
 
-// Returns the priority of particle i in a round. If neighbours propose the same class, the one with
-// the highest priority gets it.
+// Returns the priority of particle i in a round. If neighbours propose the same class, the
+// neighbour with the highest priority gets it.
 fn class_priority(i: u32, round: u32) -> u32 {
     return random_bits(0x80000000u + 16u * now.number + round, i);
 }

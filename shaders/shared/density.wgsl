@@ -1,6 +1,6 @@
 // Tests for oversampling and undersampling (section 3.3 of the paper) with the random bias of
-// Witkin and Heckbert: the relative excess or deficit of energy, multiplied by a random number,
-// must exceed the threshold.
+// Witkin and Heckbert: the relative excess or deficit of energy, multiplied by a random number in
+// [0, 1), must exceed the threshold.
 //
 // Twin: `delete`, `insert` in stages/particles/src/density.rs
 

@@ -1,10 +1,10 @@
 // Energy of a pair of particles (Eq. 1 and 2). The sums over neighbours (Eq. 4) are in
 // team_energy.wgsl.
 //
-// With x = d pi/2 and c = cot x, the energy is c + x - pi/2. Its first derivative with respect to d
-// is -(pi/2) c^2, and the second is (pi^2/2) c (1 + c^2). Sine and cosine are evaluated as
-// polynomials because WGSL guarantees only 11 bits of accuracy for the built-in functions, and
-// their results differ between adapters.
+// With the scaled distance d, x = d pi/2 and c = cot x, the energy is c + x - pi/2. Its first
+// derivative with respect to d is -(pi/2) c^2, and the second is (pi^2/2) c (1 + c^2). Sine and
+// cosine are evaluated as polynomials because WGSL guarantees only 11 bits of accuracy for the
+// built-in functions, and their results differ between adapters.
 //
 // Twin: `pair_energy`, `scaled_distance` in common/field/src/energy.rs
 

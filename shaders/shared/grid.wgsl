@@ -1,6 +1,6 @@
 // Finds the voxel-grid cell that contains a position and interpolates h trilinearly. Device
 // positions are in mm, relative to the centre of voxel parameters.centre. Because the origin is a
-// voxel centre, the fraction within a cell keeps its full precision.
+// voxel centre, the fractional position within a cell loses no precision.
 //
 // Twin: `SizingField`, `value_gradient` in common/field/src/sizing.rs
 

@@ -4,7 +4,7 @@
 //
 // Twin: `LevelBins` in common/field/src/neighbours/bins.rs
 
-// Returns the finest level that can hold a particle of size h.
+// Returns the finest level whose maximum h is at least `h`, or level 0 if there is none.
 fn level_of(h: f32) -> u32 {
     var level = 0u;
     for (var k = 1u; k < parameters.level_count; k++) {

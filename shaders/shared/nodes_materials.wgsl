@@ -1,8 +1,8 @@
 // Coefficients of G = (F_i - F_j) / 2 at the grid nodes, for the interface of materials i > j. The
 // differences are stored in blocks of 4 x 4 x 4 coefficients. For each brick of 4 x 4 x 4 cells, an
 // index contains records that locate the blocks (stages/particles/src/gpu/differences.rs documents
-// the layout). A look-up takes two dependent reads, so the record stays loaded until the brick
-// changes. A projection rarely leaves the brick in which it starts.
+// the layout). A look-up takes two dependent reads, so a record stays loaded as long as the cells
+// are in the same brick. A projection rarely leaves the brick in which it starts.
 //
 // Twin: `gather` in common/field/src/materials/indicator.rs
 // Twin: `is_real_interface` in common/field/src/materials/index.rs
@@ -12,7 +12,8 @@ var<private> chosen: u32;
 // The brick whose record is loaded, and its first cell.
 var<private> open_brick: u32;
 var<private> open_start: vec3<u32>;
-// The interface of the loaded record, and the index of the brick's next entry (0 if there is none).
+// The interface of the loaded record, and the index of the next entry of the brick (0 if there is
+// none).
 var<private> open_interface: u32;
 var<private> open_next: u32;
 // The index of the loaded record, and the first three of its four groups.
@@ -104,7 +105,8 @@ var<private> end_of_checks: u32;
 // True if the difference for the open check is stored with the opposite sign.
 var<private> is_negative: bool;
 
-// Prepares the checks of a cell. Returns CHECKS_FAIL if another material fills the brick.
+// Prepares the checks of a cell. Returns CHECKS_FAIL if a third material fills the brick, otherwise
+// CHECKS_PASS.
 fn begin_checks(cell: Cell) -> u32 {
     next_check = 0u;
     end_of_checks = 0u;
@@ -120,8 +122,8 @@ fn begin_checks(cell: Cell) -> u32 {
     return CHECKS_PASS;
 }
 
-// Replaces the open record with that of the next third material that may be equally close in the
-// cell.
+// Replaces the open record with the record for the next third material that may be equally close in
+// the cell. Returns CHECKS_PASS if there is none.
 fn open_check(cell: Cell) -> u32 {
     let base = vec3<u32>(cell.base);
     while next_check < end_of_checks {

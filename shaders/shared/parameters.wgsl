@@ -6,7 +6,7 @@
 struct Level {
     edge: f32,
     inverse_edge: f32,
-    // Maximum h of the level in mm.
+    // Maximum h in mm of the particles of the level.
     largest: f32,
     // Index of the first bin of the level.
     first_bin: u32,
@@ -41,8 +41,8 @@ struct Parameters {
     list_room: u32,
     seed: u32,
     initial_lambda: f32,
-    // Lengths in units of h: spacing of the target lattice, radius of the first ring, and minimum
-    // distances of a newcomer from other particles and from its parent.
+    // Lengths in units of h: the spacing of the target lattice, the radius of the first ring, and
+    // the minimum distances of a newcomer from other particles and from its parent.
     spacing_in_h: f32,
     first_ring: f32,
     newcomer_distance: f32,

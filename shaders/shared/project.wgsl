@@ -28,9 +28,9 @@ fn projection_motion(field: vec4<f32>) -> vec3<f32> {
 }
 
 // Projects `start` by at most `limit` mm. With many materials, the end point is rejected if a third
-// material is as close as the two materials of the interface. The differences from third materials
-// are evaluated in the same loop, because a second copy of the code would cost registers in every
-// step.
+// material is at least as close as the two materials of the interface. The differences from third
+// materials are evaluated in the same loop as the Newton steps, because a second copy of
+// `surface_at` would cost registers in every step.
 fn project(start: vec3<f32>, limit: f32, lane: u32) -> Projected {
     var there = Projected(start, false, vec3(0.0), 0.0);
     var is_there = false;

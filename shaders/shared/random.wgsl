@@ -1,6 +1,6 @@
 // Counter-based random numbers: each number is a pure function of seed, stream and counter. The
-// mixer is the PCG hash of Jarzynski and Olano (2020). The 64-bit version is in
-// common/field/src/random.rs.
+// mixer is the PCG hash of Jarzynski and Olano (2020). The CPU uses a 64-bit generator
+// (common/field/src/random.rs), so its random numbers differ.
 
 fn mix_bits(x: u32) -> u32 {
     let state = x * 747796405u + 2891336453u;

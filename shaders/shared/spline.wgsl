@@ -22,9 +22,8 @@ fn mirrored(i: i32, n: i32) -> i32 {
 }
 
 // Returns the contribution of taps (x, y, z) and (x, y, z + 1) to the gradient per voxel (xyz) and
-// to the value (w); `plane` is x + 4 y. The sum over taps is unrolled by hand because naga adds a
-// counter to every loop. The counter prevents drivers from unrolling the loop and issuing the loads
-// together.
+// to the value (w); `plane` is x + 4 y. The sum over taps is unrolled by hand, because naga adds a
+// counter to every loop and drivers then neither unroll the loop nor issue its loads together.
 fn two_taps(cell: Cell, plane: u32, z: u32) -> vec4<f32> {
     let step = vec3(plane & 3u, plane >> 2u, z);
     let size = vec3<i32>(parameters.grid_size);
@@ -39,7 +38,7 @@ fn two_taps(cell: Cell, plane: u32, z: u32) -> vec4<f32> {
     return vec4(u.y * v.x * w.x, u.x * v.y * w.x, u.x * v.x * w.y, u.x * v.x * w.x);
 }
 
-// Returns the contribution of taps (x, y, 0) to (x, y, 3).
+// Returns the contribution of the four taps (x, y, 0) to (x, y, 3), in the same form as two_taps.
 fn four_taps(cell: Cell, plane: u32) -> vec4<f32> {
     return two_taps(cell, plane, 0u) + two_taps(cell, plane, 2u);
 }

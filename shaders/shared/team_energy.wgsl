@@ -7,15 +7,16 @@
 
 struct Jet {
     energy: f32,
-    // Gradient per mm in the tangent plane, including the variation of the particle's own h.
+    // Gradient per mm in the tangent plane, including the change of the particle's own h with its
+    // position.
     gradient: vec2<f32>,
     // Hessian per mm squared for fixed h: entries uu, uv, vv.
     hessian: vec3<f32>,
 }
 
 // The first three neighbours of a lane as (position, h). A missing neighbour is placed far away.
-// Most lists have at most 24 members, three for each lane of a team of eight. The three are loaded
-// only once, because every attempted step reads them.
+// Most lists have at most 24 members, three for each lane of a team of eight. These three are
+// loaded only once, although every attempted step reads them.
 struct Nearest {
     a: vec4<f32>,
     b: vec4<f32>,

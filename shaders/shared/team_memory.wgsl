@@ -1,5 +1,6 @@
 // A team is a workgroup of TEAM lanes that work on one particle. Sums are computed in workgroup
-// memory in a fixed order. This variant is for adapters without subgroups of 32 lanes.
+// memory in a fixed order. This variant is for adapters without subgroups, or with subgroups of
+// fewer than 32 lanes.
 
 var<workgroup> team_scratch: array<vec4<f32>, TEAM>;
 
@@ -15,8 +16,8 @@ fn team_sum(value: vec4<f32>, lane: u32) -> vec4<f32> {
     return sum;
 }
 
-// Returns the value with the largest x among the lanes of the team. Ties are resolved in favour of
-// the smallest y. Every lane gets the same result.
+// Returns the value with the largest x among the lanes of the team. If several values have the
+// largest x, the one with the smallest y is returned. Every lane gets the same result.
 fn team_best(value: vec4<f32>, lane: u32) -> vec4<f32> {
     workgroupBarrier();
     team_scratch[lane] = value;

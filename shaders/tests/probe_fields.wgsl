@@ -1,5 +1,6 @@
-// Test kernel: evaluates F (or G of the interface) and h with their gradients at each particle, and
-// tests whether the projection of the particle succeeds. One team processes each particle.
+// Test kernel: evaluates F (or G, the difference for the particle's interface) and h with their
+// gradients at each particle, and reports whether projecting the particle succeeds. One team
+// processes each particle.
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;

@@ -14,17 +14,17 @@
 #
 # Exit codes: 0: ready; 2: something is missing, and the message says how to install it.
 #
-# Takes well under a second if nothing has changed. DIR/.tetmesh-check-stamp contains a checksum of
-# the lock files, pyproject.toml, this script, the interpreter and the choice of HXT. Packages come
-# from the index configured in pip and are checked against the hashes in the lock files. Nothing is
-# compiled.
+# The script takes well under a second if nothing has changed. DIR/.tetmesh-check-stamp contains a
+# checksum of the lock files, pyproject.toml, this script, the interpreter and the choice of HXT.
+# Packages come from the index configured in pip and are checked against the hashes in the lock
+# files. Nothing is compiled.
 #
 # Debian and Ubuntu provide `ensurepip` in a separate package (python3-venv). VTK loads its
 # off-screen renderer at run time: libOSMesa (libosmesa6), or EGL with Mesa's drivers (libegl1
-# libgl1-mesa-dri) on releases without libOSMesa. VTK can be imported without a renderer. If none is
-# found, the script prints a warning, and tetmesh-check skips only the pictures. Gmsh's library
-# links to OpenGL, X11 and fontconfig. If Gmsh cannot be installed or loaded, the script prints a
-# warning, and fTetWild replaces it.
+# libgl1-mesa-dri) on releases without libOSMesa. VTK can be imported without a renderer. In this
+# case, the script prints a warning, and tetmesh-check skips only the pictures. Gmsh's library links
+# to OpenGL, X11 and fontconfig. If Gmsh cannot be installed or loaded, the script prints a warning,
+# and tetmesh-check uses fTetWild instead.
 set -eu
 
 here=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd)
@@ -80,14 +80,14 @@ privilege() {
     fi
 }
 
-# install_packages PACKAGE... : installs Debian packages; returns 1 if this is not permitted or
-# fails
+# install_packages PACKAGE... : installs Debian packages. Returns 1 if the installation fails or is
+# not permitted.
 install_packages() {
     how=$(privilege)
     [ "$how" != no ] || return 1
     say "installing Debian packages: $*"
     packages_log=$(mktemp)
-    # The package lists of a fresh container are empty, so the second try follows an update.
+    # A fresh container has no package lists, so they are updated before the second attempt.
     if $how env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends "$@" >"$packages_log" 2>&1 ||
         { $how apt-get update -q >>"$packages_log" 2>&1 &&
             $how env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends "$@" >>"$packages_log" 2>&1; }; then
@@ -248,7 +248,7 @@ if [ "$with_hxt" = yes ]; then
     say "installing HXT: Gmsh, GPL-2.0-or-later (40 MB; --without-hxt leaves it out)"
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input --no-deps --only-binary :all: --require-hashes \
         -r "$hxt_lock" || say "pip could not install Gmsh; see the message above"
-    # without the Python package, the system libraries are useless
+    # system libraries are of use only if the Python package is installed
     if ! reason=$(can_hxt) && has_modules "$venv/bin/python" gmsh; then
         # shellcheck disable=SC2086 # a list of names
         install_packages $hxt_packages || true

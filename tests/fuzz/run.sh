@@ -1,13 +1,15 @@
 #!/bin/sh
-# Fuzzes all file readers, or only the named ones, for the given time each (default 60 s), with the
-# given number of readers in parallel (default 1). The initial corpus consists of the test fixtures
-# and the files in seeds/. The corpus is stored in target/fuzz/corpus, and failing inputs in
-# target/fuzz/finds. Needs nightly Rust and cargo-fuzz (cargo install cargo-fuzz).
+# Fuzzes all file readers, or only the named readers. --seconds sets the time per reader (default
+# 60), and --jobs the number of readers that run in parallel (default 1). The initial corpus
+# consists of the test fixtures and the files in seeds/. The corpus is stored in target/fuzz/corpus,
+# and failing inputs in target/fuzz/finds. Needs nightly Rust and cargo-fuzz (cargo install
+# cargo-fuzz).
 #
 #   tests/fuzz/run.sh [--seconds N] [--jobs N] [--pack FOLDER] [READER...]
 #
-# With --pack, the script fuzzes nothing. It builds the program and copies everything that another
-# machine needs to FOLDER. That machine can run FOLDER/run.sh --seconds 300 --jobs 16 without Rust.
+# With --pack, the script fuzzes nothing. It builds the program and copies it to FOLDER, together
+# with this script, the dictionary and the initial corpus. A machine without Rust can then run
+# FOLDER/run.sh --seconds 300 --jobs 16.
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
 
@@ -72,12 +74,12 @@ pack() {
 fuzz() {
     mkdir -p "$work/corpus/$1" "$work/finds" "$work/logs" "$scratch/$1"
     most=8192
-    # The smallest valid file with several materials is 41 kB long.
+    # The default maximum length is too small for this reader: its smallest valid file has 41 kB.
     if [ "$1" = materials ]; then most=65536; fi
     end=$(($(date +%s) + seconds))
     : >"$work/logs/$1"
     while left=$((end - $(date +%s))) && [ "$left" -gt 0 ]; do
-        # Temporary files are in /dev/shm, if it exists. Each process runs one thread.
+        # Temporary files are in /dev/shm, if it is writable. Each process runs one thread.
         status=0
         READER=$1 TMPDIR=$scratch/$1 RAYON_NUM_THREADS=1 "$program/readers" "$work/corpus/$1" "$program/seeds/$1" -dict="$program/words.dict" \
             -max_total_time="$left" -max_len=$most -timeout=10 -rss_limit_mb=2048 -print_final_stats=1 \

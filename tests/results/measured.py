@@ -260,7 +260,8 @@ def begin(arguments: argparse.Namespace, further: Row) -> tuple[Bench, Rows]:
     }
     if gpu is None:
         print("no GPU: its rows are left out", file=sys.stderr)
-    # Existing files are reused, so each build and each quick run has a separate folder.
+    # Files in the work folder are reused. Each build, and each quick run of a build, therefore has
+    # a folder of its own.
     work = arguments.work / (f"{head['commit']}-quick" if arguments.quick else str(head["commit"]))
     work.mkdir(parents=True, exist_ok=True)
     bench = Bench(arguments.bin, work, cores, time.monotonic() + arguments.time_limit)

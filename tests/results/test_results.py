@@ -191,7 +191,7 @@ def test_a_tiny_case_runs_and_is_not_run_again(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     rows = json.loads((tmp_path / "rows.json").read_text())["rows"]
     assert len(rows) == 6
-    # Full runs and other builds use different folders.
+    # A quick run must not reuse the files of a full run, so the name of its folder ends in -quick.
     assert [folder.name.endswith("-quick") for folder in (tmp_path / "work").iterdir()] == [True]
     one, every = (rows[f"2-torso-heart-as-printed {engine}"] for engine in ("cpu-1", "cpu-all"))
     assert one["particles"] == every["particles"] == pytest.approx(4000, rel=0.25)

@@ -1,5 +1,5 @@
 //! A minimal NRRD writer (format: teem.sourceforge.net/nrrd/format.html). It is independent of the
-//! reader under test, and supports spaces that the pipeline's own writer does not.
+//! reader under test, and supports spaces that the pipeline's own writer does not support.
 
 use flate2::{Compression, write::GzEncoder};
 use glam::DVec3;
@@ -59,8 +59,7 @@ pub fn write(path: &Path, geometry: &Geometry, space: FileSpace, voxels: &Voxels
         std::fs::rename(&partial, path)
     };
     attempt().map_err(|source| {
-        // Errors are ignored here: the partial file may not exist, and the first error is the one
-        // to report.
+        // If the partial file does not exist, removing it fails. Only the first error is reported.
         std::fs::remove_file(&partial).ok();
         Error::file(path, "write the phantom", &source, "choose a folder that exists and can be written")
     })
@@ -71,7 +70,7 @@ fn header(geometry: &Geometry, space: FileSpace, type_name: &str, gzip: bool) ->
         FileSpace::Ras => DVec3::new(-v.x, -v.y, v.z),
         FileSpace::Lps | FileSpace::Unnamed => v,
     };
-    // `+ 0.0` turns a negative zero into a positive one.
+    // `+ 0.0` turns -0 into 0.
     let vector = |v: DVec3| format!("({},{},{})", v.x + 0.0, v.y + 0.0, v.z + 0.0);
     let space_field = match space {
         FileSpace::Lps => "space: left-posterior-superior",

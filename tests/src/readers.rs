@@ -28,7 +28,7 @@ fn volume(path: &Path) -> Option<Error> {
     read_volume(path).err().map(Error::from)
 }
 
-/// Reads the folder that contains the file as a series of slices.
+/// Reads the parent folder of `path` as a series of slices.
 fn series(path: &Path) -> Option<Error> {
     read_volume(path.parent()?).err().map(Error::from)
 }
@@ -159,8 +159,8 @@ impl Feeder {
     }
 }
 
-/// Returns the particle file with its payload length and checksum corrected (`particle_file.rs`).
-/// They are never correct in random bytes. Returns `None` for other files.
+/// Returns a copy of a particle file with the correct payload length and checksum in its header
+/// (`particle_file.rs`), or `None` for other files. Random changes almost always invalidate both.
 fn sealed(bytes: &[u8]) -> Option<Vec<u8>> {
     let (head, _) = bytes.split_at_checked(16).filter(|(head, _)| head.starts_with(b"ISOPART\n"))?;
     let payload = bytes.get(56..)?;
@@ -170,8 +170,8 @@ fn sealed(bytes: &[u8]) -> Option<Vec<u8>> {
 /// Length in bytes of the DICOM preamble, which precedes the letters DICM.
 const SLICE_MAGIC: usize = 128;
 
-/// Splits concatenated slices. Each slice starts 128 bytes before the letters DICM. With a single
-/// slice, the reader would stop before it reads pixels, because a volume needs at least two slices.
+/// Splits concatenated slices. Each slice starts 128 bytes before the letters DICM. The DICOM
+/// reader needs at least two slices; with only one, it returns an error before it reads pixels.
 fn slices(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     let mut rest = Some(bytes);
     std::iter::from_fn(move || {

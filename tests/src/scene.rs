@@ -35,8 +35,8 @@ pub trait Scene: Sync {
     fn truth(&self) -> Truth;
 }
 
-/// Returns the smooth edge profile of a scanner image: 1 deep inside, 0.5 on the surface, 0 far
-/// outside.
+/// Returns the smooth edge profile of a scanner image: nearly 1 deep inside, 0.5 on the surface,
+/// and nearly 0 far outside.
 pub fn edge_profile(signed_distance: f64, edge_width: f64) -> f64 {
     0.5 * (1.0 - (signed_distance / edge_width).tanh())
 }
@@ -118,7 +118,8 @@ pub struct Options {
 }
 
 impl Options {
-    /// Returns the defaults: a wall of 2.5 and a gap of 3 mean voxel spacings, and the whole torso.
+    /// Returns the defaults: a wall thickness of 2.5 mean voxel spacings, a gap of 3 mean voxel
+    /// spacings, and the whole torso.
     pub fn for_grid(grid: &Geometry) -> Self {
         Self { thickness: 2.5 * grid.mean_spacing(), gap: 3.0 * grid.mean_spacing(), part: torso::Part::All }
     }
@@ -143,13 +144,13 @@ pub fn build(shape: Shape, grid: &Geometry, options: &Options) -> Box<dyn Scene>
 }
 
 /// Returns the shortest side, in mm, of the bounding box of the voxel centres. The size of most
-/// shapes is proportional to it.
+/// shapes is proportional to this length.
 pub fn shortest_extent(grid: &Geometry) -> f64 {
     grid.upper_corner().min_element()
 }
 
-/// Returns a point (mm, grid frame) near the centre of the grid, a fraction of a voxel away from
-/// every symmetry point of the lattice.
+/// Returns a point (mm, grid frame) near the centre of the grid. It is a fraction of a voxel away
+/// from all voxel centres, corners and other symmetry points of the voxel grid.
 pub fn off_lattice_centre(grid: &Geometry) -> DVec3 {
     0.5 * grid.upper_corner() + grid.index_to_grid(DVec3::new(0.137, 0.291, -0.173))
 }

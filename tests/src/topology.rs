@@ -1,6 +1,6 @@
 //! Computes the digital topology of a set of voxels: the components, cavities and Euler
-//! characteristic of the cubical complex. It shares no code with the meshing, so tests can compare
-//! meshes with it.
+//! characteristic of the cubical complex. This module shares no code with the meshing, so tests can
+//! compare meshes with its results.
 //!
 //! For a solid with `b0` components, `b2` cavities and `b1` handles, `euler = b0 - b1 + b2`. The
 //! genera of all its `b0 + b2` surfaces sum to `b1`.
@@ -60,8 +60,9 @@ fn euler(inside: &[bool], size: [usize; 3]) -> i64 {
         for j in 1..size[1] {
             for i in 1..size[0] {
                 let here = i + j * stride[1] + k * stride[2];
-                // Bit a of `cell` is set if the cell extends along axis a. Voxels that contain such
-                // a cell have this index along axis a.
+                // Bit a of `cell` is set if the cell extends along axis a. Along such an axis, all
+                // voxels that contain the cell have the index of `here`. Along the other axes, the
+                // voxel at `here` and the voxel before it contain the cell.
                 for cell in 0..8_u32 {
                     let present = (0..8_u32).filter(|corner| corner & cell == 0).any(|corner| {
                         inside[here - (0..3).map(|a| ((corner >> a & 1) as usize) * stride[a]).sum::<usize>()]

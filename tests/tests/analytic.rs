@@ -54,7 +54,7 @@ fn assert_as_stated(shape: Shape, meshed: &Meshed) {
         let relative = found / stated - 1.0;
         assert!(relative.abs() < 0.01, "{shape:?}: {name} {found} is off {stated} by {:.2} %", 100.0 * relative);
     }
-    // Meshes of organs must meet these limits, and phantoms are no more difficult.
+    // The same limits apply to meshes of organs, which are at least as difficult as phantoms.
     assert!(examined.mean_radius_ratio >= 0.95, "{shape:?}: {examined:?}");
     assert!(examined.smallest_radius_ratio >= 0.30, "{shape:?}: {examined:?}");
 }
@@ -141,8 +141,8 @@ fn thin_shell_scalar() {
 
 #[test]
 fn cylinder_is_closed_where_the_volume_cuts_it() {
-    // F rounds the rims, which reduces the area by 0.73 % (measured with h = 0.3). Triangles with h
-    // = 1.3 reduce the area by another 0.21 to 0.26 % (eight random seeds).
+    // F rounds the rims. At h = 0.3, the measured area is 0.73 % below the exact area. At h = 1.3,
+    // the triangles reduce it by another 0.21 to 0.26 % (range over eight random seeds).
     let meshed = mesh(Shape::Cylinder, &cube(48), Kind::Scalar, Some(1.3));
     assert_as_stated(Shape::Cylinder, &meshed);
 }
@@ -157,8 +157,8 @@ fn cylinder_ends_at_an_open_border() {
         let [low, high] = [heights.clone().fold(f64::MAX, f64::min), heights.fold(f64::MIN, f64::max)];
         let radius =
             meshed.vertices.iter().map(|v| (v.truncate() - 15.5).length()).sum::<f64>() / meshed.vertices.len() as f64;
-        // F extends five voxels beyond the volume. The rims are uneven by less than one edge
-        // length.
+        // F extends five voxels beyond the volume. The rims may be at most one edge length (2 mm)
+        // short of the border of F.
         assert!(low < -5.0 + 2.0 && high > 36.0 - 2.0, "{kind:?}: from {low} to {high}");
         let wall = 2.0 * std::f64::consts::PI * radius * (high - low);
         assert!((0.9..1.01).contains(&(meshed.examined.area / wall)), "{kind:?}: {} of {wall}", meshed.examined.area);
@@ -171,8 +171,8 @@ fn gyroid_is_closed_on_all_six_faces() {
     let meshed = mesh(Shape::Gyroid, &cube(48), Kind::Scalar, Some(1.3));
     assert_eq!(meshed.examined.bad_edges, 0, "{:?}", meshed.examined);
     assert!(meshed.examined.genus > 3, "a gyroid has many handles: {:?}", meshed.examined);
-    // The expected volume is half that of the box bounded by the caps, which are half a voxel
-    // beyond the outermost voxel centres.
+    // The gyroid fills half of the box bounded by the caps. The caps are half a voxel beyond the
+    // outermost voxel centres.
     let half_box = 0.5 * 48.0_f64.powi(3);
     assert!((meshed.examined.volume / half_box - 1.0).abs() < 0.03, "{:?}", meshed.examined);
 }
@@ -189,9 +189,9 @@ fn one_voxel_thin_labels_keep_their_topology() {
 }
 
 /// Tests the local feature size in an image blurred like a scan. The spline through a blurred edge
-/// has ripples of a few thousandths of a voxel. Measured ratios to the exact value (minimum and
-/// median): ball 0.988 and 0.995, torus 0.966 and 0.987, two balls 1.005 and 0.999; ellipsoid, at
-/// its tips, 1.016.
+/// has ripples of a few thousandths of a voxel. Measured minimum and median, divided by the exact
+/// value: 0.988 and 0.995 for the ball, 0.966 and 0.987 for the torus, 1.005 and 0.999 for two
+/// balls. For the ellipsoid, the ratio of the minima, at its tips, is 1.016.
 #[test]
 fn local_feature_size_stands_the_ripple_of_an_edge() {
     for (shape, n) in [(Shape::Ball, 56), (Shape::Torus, 64), (Shape::TwoBalls, 56), (Shape::Ellipsoid, 64)] {
@@ -252,14 +252,14 @@ fn size_is_epsilon_times_local_feature_size() {
         errors.sort_by(f64::total_cmp);
         let mean = errors.iter().sum::<f64>() / errors.len() as f64;
         let at = |percent: usize| errors[(errors.len() - 1) * percent / 100];
-        // The errors come from the smoothing and the gradation of h. Measured mean errors (ball,
-        // torus, two balls): 0.7, 0.4 and 2.9 %.
+        // The errors come from the smoothing and the gradation of h. The measured mean error is 0.7
+        // % for the ball, 0.4 % for the torus and 2.9 % for two balls.
         assert!(mean < 0.05, "{shape:?}: h is off by {mean:.4} on average, {:.4} at worst", at(100));
     }
 }
 
-/// Returns the points where rays towards the centre, from evenly distributed directions, meet the
-/// true surface.
+/// Casts rays towards the centre from evenly distributed directions. Returns the points at which
+/// they meet the true surface.
 fn surface_points(scene: &dyn scene::Scene, truth: &Truth) -> Vec<DVec3> {
     let centre = DVec3::from_array(truth.centre_grid);
     let mut points = Vec::new();
@@ -290,8 +290,8 @@ fn true_feature_size(shape: Shape, truth: &Truth, point: DVec3) -> f64 {
 }
 
 /// Returns the minimum and median of the local feature size, then the minimum and median of h, on
-/// the surface of a noisy phantom. `noise` is the standard deviation of the noise; the edge has a
-/// height of 400.
+/// the surface of a noisy phantom. `noise` is the standard deviation of the noise; the intensities
+/// inside and outside differ by 400.
 fn noisy_sizes(shape: Shape, n: usize, noise: f64) -> [f64; 4] {
     let folder = tempfile::tempdir().expect("folder");
     let volume = folder.path().join("phantom.nrrd");
@@ -308,9 +308,9 @@ fn noisy_sizes(shape: Shape, n: usize, noise: f64) -> [f64; 4] {
 }
 
 /// Noise of 5 % of the edge height produces bumps of 0.1 voxel (root mean square) on the surface
-/// and changes the medians by at most 10 %. Measured (ball, torus, two balls): local feature size
-/// -5, -4 and -7 %, h -4, 0 and -3 %. If the noise were treated as part of the shape, the minimum
-/// local feature size of each shape would be 1.3 voxels.
+/// and must change the medians by at most 10 %. Measured changes for the ball, the torus and two
+/// balls: -5, -4 and -7 % (local feature size); -4, 0 and -3 % (h). If the noise were treated as
+/// part of the shape, the minimum local feature size of each shape would be 1.3 voxels.
 #[test]
 fn local_feature_size_and_h_stand_noise() {
     for (shape, n) in [(Shape::Ball, 56), (Shape::Torus, 64), (Shape::TwoBalls, 56)] {
@@ -329,8 +329,8 @@ fn local_feature_size_and_h_stand_noise() {
     }
 }
 
-/// On a ball blurred like a scan, h is nearly constant. Measured: the maximum is 2.7 % above the
-/// minimum.
+/// On a ball blurred like a scan, h must be nearly constant. The measured maximum is 2.7 % above
+/// the minimum.
 #[test]
 fn h_is_even_on_a_ball_with_a_scanners_edge() {
     let folder = tempfile::tempdir().expect("folder");

@@ -1,6 +1,6 @@
 //! Tests the stages that read files of other stages. They must refuse files of the wrong kind,
-//! damaged files, fields of another volume and impossible parameters. Also tests interrupted
-//! stages.
+//! damaged files, fields of another volume and impossible parameters. The module also tests
+//! interrupted and resumed runs.
 
 mod support;
 
@@ -58,7 +58,8 @@ fn refused(name: &str, mut arguments: Vec<OsString>, output: &str, words: &[&str
     assert_eq!(listing(folder.path()), [] as [&str; 0], "{name} left something behind");
 }
 
-/// Replaces each input of each stage with a missing, empty, damaged or unrelated file.
+/// Replaces each input of each stage with a missing, empty, damaged or unrelated file, which the
+/// stage must refuse.
 #[test]
 fn every_input_of_every_stage_is_checked() {
     let folder = tempfile::tempdir().expect("folder");
@@ -80,7 +81,8 @@ fn every_input_of_every_stage_is_checked() {
                 ("truncated", Some(bytes[..bytes.len() / 2].to_vec())),
             ];
             if ending == "bin" {
-                // Only particle files store a length and a checksum. A VTK file is still valid
+                // Changed, added and missing bytes are detected reliably only in particle files,
+                // which store a length and a checksum. A VTK file, for example, is still valid
                 // without its final line break.
                 let shorter = bytes[..bytes.len() - 1].to_vec();
                 replacements.extend([("flipped", Some(flipped)), ("longer", Some(longer)), ("shorter", Some(shorter))]);
@@ -226,7 +228,7 @@ fn output_bytes_do_not_depend_on_the_thread_count() {
     }
 }
 
-/// An interrupted stage exits with code 130 and leaves nothing but its checkpoint.
+/// An interrupted stage must exit with code 130 and leave only its checkpoint.
 #[test]
 #[cfg(unix)]
 fn an_interrupted_run_leaves_nothing_but_its_checkpoint() {
@@ -272,8 +274,8 @@ fn an_interrupted_run_leaves_nothing_but_its_checkpoint() {
     assert_eq!(listing(folder.path()), ["checkpoint.bin"]);
 }
 
-/// A run of 20 passes and a run resumed from the checkpoint of pass 10 give bit-identical
-/// particles. (The files themselves differ, because their histories contain the command lines.)
+/// A run of 20 passes, and a run resumed from the checkpoint of pass 10, must give bit-identical
+/// particles. The files differ, because their histories contain the command lines.
 #[test]
 fn a_resumed_run_gives_the_particles_of_an_unbroken_one() {
     let folder = tempfile::tempdir().expect("folder");
@@ -336,8 +338,8 @@ fn a_resumed_run_gives_the_particles_of_an_unbroken_one() {
     ended.expect_success("the resumed run");
     let particles = |path: &Path| read_particles(path, &[ParticleKind::Particles]).expect("particles").particles;
     assert!(particles(&unbroken) == particles(&resumed), "the resumed run differs");
-    // A run resumed from the checkpoint of the last pass also gives the same particles. Only the
-    // final steps are left after that pass.
+    // A run resumed from the checkpoint of the last pass executes only the final steps. It must
+    // also give the same particles.
     let last = folder.path().join("last.bin").to_string_lossy().into_owned();
     let (ended, _) = run("whole.bin", "20", &["--checkpoint", &last]);
     ended.expect_success("the run with checkpoints");

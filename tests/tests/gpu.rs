@@ -48,13 +48,13 @@ fn settle(files: &Files, adapter: &str, output: &Path, more: &[&str]) -> Particl
 fn the_mesh_is_as_good_as_that_of_the_cpu() {
     let Some(adapter) = adapter("the mesh from the GPU's particles") else { return };
     let folder = tempfile::tempdir().expect("folder");
-    // This gives 2,400 particles. With 600, a difference of one per cent is within random
-    // variation.
+    // h = 0.9 mm gives 2,400 particles. With only 600 particles, a difference of 1 % would be
+    // within the random variation.
     let files = torus(folder.path(), 0.9);
     let report = folder.path().join("particles.json");
     let output = folder.path().join("gpu.bin");
-    // This is the CPU's default number of levels. One level gives 2 % more particles on such a
-    // small surface.
+    // Three levels are the default of the CPU backend. On such a small surface, a single level
+    // gives 2 % more particles.
     let found = settle(&files, &adapter, &output, &["--levels", "3", "--report", &report.to_string_lossy()]);
     let on_cpu = read_particles(&files.particles, &[ParticleKind::Particles]).expect("particles").particles;
     let ratio = found.positions.len() as f64 / on_cpu.positions.len() as f64;
@@ -81,8 +81,8 @@ fn runs_repeat_and_resume_to_the_same_particles() {
     let passes = ["--energy-tolerance", "0", "--levels", "2", "--coarse-passes", "15", "--max-passes", "17"];
     let whole = settle(&files, &adapter, &folder.path().join("whole.bin"), &passes);
     assert!(whole == settle(&files, &adapter, &folder.path().join("again.bin"), &passes), "two runs differ");
-    // The first run leaves the checkpoint of pass 30 (second level). The second run resumes from
-    // this checkpoint.
+    // The first run leaves the checkpoint of pass 30, which belongs to the second level. The second
+    // run resumes from it.
     let checkpoint = folder.path().join("checkpoint.bin");
     let mut more = passes.to_vec();
     let name = checkpoint.to_string_lossy().into_owned();

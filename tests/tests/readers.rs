@@ -49,7 +49,7 @@ fn changed(bytes: &[u8], changes: Vec<(prop::sample::Index, u8, u8)>) -> Vec<u8>
     bytes
 }
 
-/// Returns a strategy for valid and invalid lines of an NRRD header.
+/// Returns a strategy that generates valid and invalid lines of an NRRD header.
 fn header_line() -> impl Strategy<Value = String> {
     let fields = [
         "type",
@@ -160,8 +160,8 @@ proptest! {
     }
 }
 
-/// Runs the readers on the files with which fuzzing exposed a fault. There is one file per fault:
-/// `tests/data/found/NUMBER.READER`.
+/// Runs the readers on `tests/data/found/NUMBER.READER`, the inputs for which fuzzing found faults.
+/// There is one file per fault.
 #[test]
 fn what_was_found_stays_found() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/found");

@@ -36,7 +36,7 @@ fn mesh(test: &str, case: &str, components: Option<usize>) {
 
 #[test]
 fn mickey() {
-    // A hollow ball has an outer and an inner surface.
+    // The object is a hollow ball, which has an outer and an inner surface.
     mesh("mickey", "mickey", Some(2));
 }
 

@@ -12,7 +12,7 @@ use support::examine::{Examination, examine};
 use support::{Kind, write_phantom};
 
 /// Meshes a phantom with a target number of vertices and additional options of `sizefield`. Returns
-/// the properties of the mesh, and the ratio of its volume to the exact volume.
+/// the properties of the mesh, and its volume divided by the exact volume.
 fn mesh(shape: Shape, spacing: DVec3, kind: Kind, vertices: u32, graded: &[&str]) -> (Examination, f64) {
     let folder = tempfile::tempdir().expect("folder");
     let volume = folder.path().join("phantom.nrrd");

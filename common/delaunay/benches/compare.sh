@@ -11,10 +11,10 @@
 # --sizes          uniform target edge lengths in mm for particles settled on the ribcage of the
 #                  torso phantom
 #                  [1.482 0.663 0.332: about 100, 500 and 2,000 thousand particles]
-# --particles      files of settled particles of other surfaces         [none]
-# --passes         maximum number of passes                             [12]
-# --repeat         runs of each program; the fastest run counts         [3]
-# --threads        threads of the parallel runs                         [all]
+# --particles      files of settled particles on other surfaces         [none]
+# --passes         maximum number of passes of `particles`              [12]
+# --repeat         number of runs of each program; the fastest counts   [3]
+# --threads        number of threads of the parallel runs               [all]
 # --no-degenerate  skip the cospherical points, the grid and the random cube
 # --no-parallel    skip the runs on several threads
 #
@@ -55,7 +55,7 @@ if [ ! -e "$work/cgal" ] || [ "$here/cgal.cpp" -nt "$work/cgal" ]; then
     }
 fi
 
-# settled H: settles particles on the ribcage with target edge length H
+# settled H: settles particles on the ribcage with a target edge length of H mm
 settled() {
     ribs=$work/ribs.distfield.vti
     if [ ! -e "$ribs" ]; then

@@ -1,23 +1,23 @@
-//! Computes the exact signs of the orientation and in-sphere determinants in integer arithmetic. It
-//! handles inputs that the floating-point filters cannot decide, such as cospherical and coplanar
-//! points.
+//! Computes the exact signs of the orientation and in-sphere determinants in integer arithmetic.
+//! The module decides inputs that the floating-point filters cannot decide, such as cospherical and
+//! coplanar points.
 //!
 //! Every double is an integer times a power of two. In units of the lowest set bit of all
 //! coordinates, the coordinate differences of nearby points therefore have few bits. They fit in 62
 //! bits unless some coordinate is tiny compared with the distances between the points. The two
 //! determinants then fit in 189 and 317 bits, and a few dozen multiplications evaluate them
-//! exactly. An adaptive expansion is about a hundred times slower. The cofactors are the same as in
-//! the filters of [`super::predicates`].
+//! exactly. Adaptive floating-point expansions are about a hundred times slower. The cofactors are
+//! the same as in the filters of [`super::predicates`].
 
 use glam::DVec3;
 
-/// Maximum number of bits of a coordinate difference, excluding the sign. The orientation is a sum
-/// of 6 products of 3 differences: 3 * 62 + log2(6) < 189 bits. The in-sphere determinant is a sum
-/// of 72 products of 5 differences: 5 * 62 + log2(72) < 317 bits.
+/// Maximum number of bits of a coordinate difference, excluding the sign. The orientation, a sum of
+/// 6 products of 3 differences, then has 3 * 62 + log2(6) < 189 bits. The in-sphere determinant, a
+/// sum of 72 products of 5 differences, has 5 * 62 + log2(72) < 317 bits.
 const DIFFERENCE_BITS: u32 = 62;
 
-/// Maximum number of bits per difference for which the in-sphere determinant fits in an `i64`: 5 *
-/// 11 + log2(72) < 62 bits. Differences of grid points are usually this small.
+/// Maximum number of bits per difference for which the in-sphere determinant fits in an `i64`: it
+/// has at most 5 * 11 + log2(72) < 62 bits. Differences of grid points are usually this small.
 const SMALL_BITS: u32 = 11;
 
 type Difference = [i64; 3];
@@ -26,8 +26,7 @@ type Difference = [i64; 3];
 /// bits.
 pub(super) fn orientation_sign(points: &[DVec3; 4]) -> Option<f64> {
     let [p, q, r] = differences::<4, 3>(points)?;
-    // The differences are taken relative to d instead of a, which flips the sign of the
-    // determinant.
+    // The differences are relative to d instead of a, so the determinant has the opposite sign.
     Some(sign(-i32::from(volume(p, q, r).signum())))
 }
 
@@ -87,8 +86,8 @@ fn differences_of_integers<const POINTS: usize, const OTHERS: usize>(
 ) -> Option<[Difference; OTHERS]> {
     let points = points.map(|p| p.to_array());
     let scale = scale(points.iter().flatten())?;
-    // Numbers below 2^100 can be subtracted in an `i128` without overflow. Points with larger
-    // coordinates are left to the adaptive expansion.
+    // Numbers below 2^100 can be subtracted in an `i128` without overflow. For points with larger
+    // coordinates, the caller uses the adaptive expansion.
     let whole = |x: f64| Some(x * scale).filter(|x| x.abs() < 2f64.powi(100)).map(|x| x as i128);
     let mut base = [0i128; 3];
     for (to, x) in base.iter_mut().zip(points[POINTS - 1]) {
@@ -251,8 +250,8 @@ mod tests {
 
     #[test]
     fn the_largest_differences_do_not_overflow() {
-        // corners of a box with an edge of 2^62 - 1024 units; each coordinate may be shifted by one
-        // unit (at the lower end) or by 512 units (at the upper end)
+        // corners of a box with an edge of 2^62 - 1024 units; a random bit shifts each coordinate
+        // by one unit at the lower end, or by 512 units at the upper end
         let edge = 2f64.powi(62);
         for n in 0..4000u64 {
             let points: [DVec3; 5] = std::array::from_fn(|k| {

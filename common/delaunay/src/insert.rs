@@ -3,7 +3,7 @@
 //! of the resulting cavity ("walls") to the point.
 //!
 //! A [`Cells`] is a whole triangulation or one region of it (see [`super::regions`]). In a region,
-//! an operation that would cross a cut fails with [`Beyond`].
+//! an operation fails with [`Beyond`] if it would cross a cut, a boundary between regions.
 
 use super::predicates::{in_sphere_perturbed, orientation};
 use super::{DEAD, FACETS, INFINITE, Tetrahedron};
@@ -15,8 +15,8 @@ const IN_CONFLICT: u8 = 1;
 const KEPT: u8 = 2;
 
 /// Neighbour entries at or above this value mark a cut: the neighbour belongs to another region.
-/// The outermost cut has the largest value. 256 markers are more than enough, because at most
-/// `Cutting::depth` (3) cuts are nested.
+/// The outermost cut has the largest value. At most `Cutting::depth` (3) cuts are nested, so 256
+/// markers are more than enough.
 const ELSEWHERE: u32 = u32::MAX - 255;
 
 /// A cut, identified by its depth (0 for the outermost cut). As an error, it means that the
@@ -39,7 +39,8 @@ impl Beyond {
 
 type Reached<T> = std::result::Result<T, Beyond>;
 
-/// Entry facet of the first tetrahedron of a walk, which is not entered through a facet.
+/// Entry facet of the first tetrahedron of a walk. The walk enters this tetrahedron through none of
+/// its facets.
 const NOWHERE: usize = 4;
 
 /// Maximum number of tetrahedra before an insertion. Indices have 30 bits, because neighbour
@@ -77,7 +78,7 @@ pub(super) struct Workspace {
     numbered: u32,
     /// For each directed edge (an ordered pair of local numbers), the facet that contains it.
     table: Vec<u32>,
-    /// The edges and their facets as a sortable list, which replaces the table for large cavities.
+    /// The edges and their facets as a sortable list. For large cavities, it replaces the table.
     edges: Vec<(u32, u32, u32)>,
 }
 
@@ -179,8 +180,8 @@ impl Sites<'_> {
     }
 
     /// Returns the rank of a vertex in the symbolic perturbation: a hash of the caller's index. The
-    /// odd factor keeps the ranks distinct. Ranks that increase along a surface or grid would turn
-    /// cospherical points into fans of long cells.
+    /// odd factor keeps the ranks distinct. If ranks increased along a surface or grid, cospherical
+    /// points would be connected by fans of long tetrahedra.
     fn rank(&self, v: u32) -> u32 {
         let index = if self.named.is_empty() { v } else { self.named[v as usize] };
         index.wrapping_mul(0x9e37_79b9)
@@ -220,7 +221,7 @@ impl Cells {
         self.work.states.reserve(more);
     }
 
-    /// Appends the tetrahedra of `others`, with their numbers offset by the length of `self`.
+    /// Appends the tetrahedra of `others`. Their numbers increase by the number of slots of `self`.
     /// Reserves memory for `spare` further tetrahedra. Facets on a cut remain marked.
     pub(super) fn joined_by(mut self, mut others: Self, spare: usize) -> Self {
         let offset = self.tetrahedra.len() as u32;
@@ -252,8 +253,8 @@ impl Cells {
                 let [p, q, r] = FACETS[of];
                 [p, r, q].iter().position(|&k| k == vertex).map_or(0, |k| k + 1)
             };
-            // this ghost shares the facet opposite vertex k with the ghost at facet k, where it is
-            // the facet opposite vertex i
+            // this ghost shares its facet opposite vertex k with the ghost at facet k; in that
+            // ghost, the facet is opposite vertex i
             let ghost = |k: usize| (k as u32 + 1) << 2 | place(k, i) as u32;
             self.tetrahedra.push(Tetrahedron {
                 vertices: [INFINITE, simplex[p], simplex[r], simplex[q]],
@@ -265,8 +266,9 @@ impl Cells {
     }
 
     /// Walks to the tetrahedron that contains a point, or to a ghost if the point lies strictly
-    /// outside the hull. The walk terminates because the tetrahedra of a Delaunay triangulation are
-    /// ordered front to back as seen from any point. Returns an error if the walk crosses a cut.
+    /// outside the hull. The walk terminates because the tetrahedra of a Delaunay triangulation
+    /// have an acyclic front-to-back order as seen from any point. Returns an error if the walk
+    /// crosses a cut.
     pub(super) fn locate(&self, sites: Sites<'_>, point: DVec3, start: u32) -> Reached<u32> {
         let mut t = start;
         let Tetrahedron { vertices, neighbours } = &self.tetrahedra[t as usize];
@@ -299,8 +301,8 @@ impl Cells {
         }
     }
 
-    /// Returns whether a tetrahedron is in conflict with a vertex, which means that its
-    /// circumsphere contains the vertex. A ghost is in conflict if the vertex lies in the open
+    /// Returns whether a tetrahedron is in conflict with a vertex: the circumsphere of the
+    /// tetrahedron contains the vertex. A ghost is in conflict if the vertex lies in the open
     /// half-space beyond its hull triangle. If the vertex lies in the plane of that triangle, the
     /// circumsphere of the finite neighbour decides. Returns an error if that neighbour lies beyond
     /// a cut.

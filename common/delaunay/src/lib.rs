@@ -59,7 +59,7 @@ pub const INFINITE: u32 = u32::MAX;
 const DEAD: u32 = u32::MAX - 1;
 
 /// Maximum absolute value of a coordinate. The in-sphere determinant is a polynomial of degree 5,
-/// so its terms are at most of the order of 1e250, below the largest double, 1.8e308.
+/// so its terms are at most of the order of 1e250. The largest double is 1.8e308.
 const LARGEST_COORDINATE: f64 = 1e50;
 
 /// Coordinates closer to zero than this are set to zero, so that the exact predicates never
@@ -162,7 +162,7 @@ impl Delaunay {
         (first != point).then_some(first)
     }
 
-    /// Returns one more than the largest tetrahedron number. Some numbers below it may be free.
+    /// Returns one more than the largest tetrahedron number. Smaller numbers may be unused.
     pub fn slot_count(&self) -> usize {
         self.cells.tetrahedra.len()
     }
@@ -177,9 +177,9 @@ impl Delaunay {
         self.cells.tetrahedra[tetrahedron as usize].vertices.contains(&INFINITE)
     }
 
-    /// Returns all tetrahedra as (number, vertices). Finite tetrahedra have positive volume. Ghosts
-    /// contain [`INFINITE`]; replacing it with any point beyond the hull triangle also gives a
-    /// positive volume.
+    /// Returns all tetrahedra as (number, vertices). Finite tetrahedra have positive volume. A
+    /// ghost contains [`INFINITE`]. If this vertex is replaced with any point beyond the hull
+    /// triangle, the volume is also positive.
     pub fn tetrahedra(&self) -> impl Iterator<Item = (u32, [u32; 4])> + '_ {
         let all = self.cells.tetrahedra.iter().enumerate();
         all.filter(|(_, t)| t.vertices[0] != DEAD).map(|(i, t)| (i as u32, t.vertices))
@@ -222,7 +222,7 @@ impl Delaunay {
 
     /// Returns the circumcentre of a tetrahedron, or `None` for a ghost or a removed tetrahedron,
     /// or if the centre is not finite. The result is accurate even for a thin tetrahedron, because
-    /// it is computed from coordinates relative to one vertex and from [`predicates::volume`].
+    /// the computation uses coordinates relative to one vertex, and [`predicates::volume`].
     pub fn circumcentre(&self, tetrahedron: u32) -> Option<DVec3> {
         let v = self.vertices(tetrahedron);
         if v.contains(&INFINITE) || v[0] == DEAD {
@@ -244,8 +244,8 @@ impl Delaunay {
         }
     }
 
-    /// Inserts a point. The search starts at the vertex `near`, or at the last insertion if `near`
-    /// is `None`. [`Delaunay::created`] then returns the new tetrahedra.
+    /// Inserts a point. The search for its position starts at the vertex `near`, or at the last
+    /// inserted point if `near` is `None`. [`Delaunay::created`] then returns the new tetrahedra.
     ///
     /// # Errors
     /// If a coordinate is not finite or exceeds 1e50 in absolute value, or if there are more than
@@ -289,8 +289,8 @@ impl Delaunay {
     }
 }
 
-/// Panic message for operations that fail at a cut. A whole triangulation has no cuts, so the panic
-/// cannot occur.
+/// Panic message for operations that fail at a cut between regions. A whole triangulation has no
+/// cuts, so the panic cannot occur.
 const WHOLE: &str = "a whole triangulation has all tetrahedra";
 
 /// Facet opposite each vertex of a positively oriented tetrahedron. The vertices are

@@ -1,18 +1,18 @@
-//! The insertion order: a biased randomised insertion order (Amenta, Choi and Rote 2003). Each
-//! round has about eight times as many points as the previous round and follows a Hilbert curve.
-//! The walk from the last insertion is then short, whatever the order of the input.
+//! Computes a biased randomised insertion order (Amenta, Choi and Rote 2003). Each round has about
+//! eight times as many points as the previous round and follows a Hilbert curve. The walk from each
+//! inserted point to the next one is then short, whatever the order of the input.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Number of bits of the Hilbert index per axis. The full index has 60 bits and fits in 64. Points
-/// in the same Hilbert cell are ordered by their coordinates.
+/// Number of bits of the Hilbert index per axis. The full index has 60 bits and fits in a `u64`.
+/// Points in the same Hilbert cell are ordered by their coordinates.
 const BITS_PER_AXIS: u32 = 20;
 
 /// Sets with fewer distinct points are inserted in a single round. For larger sets, the first round
-/// has about 125 to 1000 points. With limits of 250, 1000 and 4000, the triangulation of
-/// `thorax_labels` 2 (84,000 particles) takes 0.28 s; in a single round, it takes 0.34 s (step
-/// `triangulate` of `reconstruct`).
+/// has about 125 to 1000 points. The step `triangulate` of `reconstruct` takes 0.28 s for label 2
+/// of `thorax_labels` (84,000 particles) with limits of 250, 1000 and 4000, and 0.34 s with a
+/// single round.
 const FEWEST_FOR_ROUNDS: usize = 1000;
 
 /// The insertion order of a set of points.
@@ -44,8 +44,8 @@ pub(super) fn insertion_order(points: &[DVec3]) -> Order {
     along.par_sort_unstable();
     let mut first: Vec<u32> = (0..points.len() as u32).collect();
     let mut distinct: Vec<u32> = Vec::with_capacity(points.len());
-    // Equal points share a Hilbert cell. Sorting the points of a cell by coordinates makes equal
-    // points adjacent.
+    // Equal points lie in the same Hilbert cell. Sorting the points of each cell by coordinates
+    // makes equal points adjacent.
     for group in along.chunk_by_mut(|a, b| a.0 == b.0) {
         if group.len() > 1 {
             group.sort_unstable_by(|a, b| {

@@ -4,12 +4,13 @@
 //! Devillers and Teillaud (2003) breaks exact ties of the in-sphere test.
 //!
 //! Filter bounds: a determinant is a sum of monomials, and each monomial undergoes a known number
-//! of roundings. Let (mx, my, mz) bound the coordinate differences, and let m be the largest of the
-//! three. The orientation has 6 monomials with at most 8 roundings each, so its error is at most
-//! 48 * 2^-53 mx my mz. The in-sphere determinant has 72 monomials with at most 16 roundings each,
-//! so its error is at most 1152 * 2^-53 mx my mz m^2. The in-sphere test first tries a coarser
-//! bound, which replaces mx, my, mz and m with the length of the longest difference. The constants
-//! below are rounded up by more than the rounding errors of the bounds themselves.
+//! of roundings. Let mx, my and mz bound the absolute coordinate differences along the three axes,
+//! and let m be the largest of these bounds. The orientation has 6 monomials with at most 8
+//! roundings each, so its error is at most 48 * 2^-53 mx my mz. The in-sphere determinant has 72
+//! monomials with at most 16 roundings each, so its error is at most 1152 * 2^-53 mx my mz m^2. The
+//! in-sphere test first tries a coarser bound, which replaces mx, my, mz and m with the length of
+//! the longest difference. The constants below are rounded up by more than the rounding errors of
+//! the bounds themselves.
 
 use super::exact;
 use glam::DVec3;
@@ -25,8 +26,8 @@ fn coordinates(p: DVec3) -> Coord3D<f64> {
 }
 
 /// Returns a number with the exact sign of (b - a) x (c - a) . (d - a). The sign is positive if b,
-/// c, d are counter-clockwise as seen from the side opposite a, which is VTK's order for a
-/// tetrahedron. Only the sign is meaningful; use [`volume`] for the value.
+/// c, d are counter-clockwise as seen from the side of their plane opposite a (VTK's vertex order).
+/// Only the sign is meaningful; use [`volume`] for the value.
 #[inline]
 pub fn orientation(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     let (u, v, w) = (b - a, c - a, d - a);
@@ -39,8 +40,8 @@ pub fn orientation(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     orientation_of_flat(a, b, c, d)
 }
 
-/// Computes (b - a) x (c - a) . (d - a), six times the volume of the tetrahedron. The sign is
-/// exact, and the relative error of the value is small even for flat tetrahedra.
+/// Computes (b - a) x (c - a) . (d - a), six times the signed volume of the tetrahedron. The sign
+/// is exact. The relative error of the value is small even for flat tetrahedra.
 pub fn volume(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     -robust::orient3d(coordinates(a), coordinates(b), coordinates(c), coordinates(d))
 }
@@ -77,7 +78,7 @@ pub fn in_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
     in_sphere_near_zero(determinant, [a, b, c, d, e])
 }
 
-/// Computes [`in_sphere`] for determinants that the coarse bound cannot decide.
+/// Computes [`in_sphere`] where the coarse bound does not decide the sign of the determinant.
 #[cold]
 #[inline(never)]
 fn in_sphere_near_zero(determinant: f64, [a, b, c, d, e]: [DVec3; 5]) -> f64 {
@@ -95,9 +96,9 @@ fn in_sphere_near_zero(determinant: f64, [a, b, c, d, e]: [DVec3; 5]) -> f64 {
 }
 
 /// Returns whether `points[4]` lies inside the sphere through the positively oriented
-/// `points[0..4]`, and breaks ties by rank. Each point on the paraboloid is lifted by an
-/// infinitesimal amount; a point with a larger rank has an infinitely larger lift. The lift of a
-/// point is always the same, so all results are consistent with one regular triangulation. Its
+/// `points[0..4]`, and breaks ties by rank. Each point of the paraboloid (x, y, z, x^2 + y^2 + z^2)
+/// is lifted by an infinitesimal amount; a larger rank means an infinitely larger lift. The lift of
+/// a point is always the same, so all results are consistent with one regular triangulation. Its
 /// cells are never flat, and its cavities are star-shaped. Points and ranks must be distinct.
 #[inline]
 pub fn in_sphere_perturbed(points: &[DVec3; 5], ranks: impl FnOnce() -> [u32; 5]) -> bool {
@@ -114,8 +115,9 @@ fn break_tie(points: &[DVec3; 5], ranks: [u32; 5]) -> bool {
         // the point with the next lower rank; the first point usually decides
         let below = (0..5).filter(|&i| largest.is_none_or(|above| ranks[i] < ranks[above]));
         largest = below.max_by_key(|&i| ranks[i]);
-        // Lifting a vertex raises the plane at e in proportion to the barycentric coordinate of e
-        // for that vertex, so the result has the sign of that coordinate.
+        // Lifting a vertex raises the hyperplane through the lifted vertices at e in proportion to
+        // the barycentric coordinate of e for that vertex. The result has the sign of that
+        // coordinate.
         let sign = match largest {
             Some(0) => orientation(e, b, c, d),
             Some(1) => orientation(a, e, c, d),

@@ -1,8 +1,9 @@
 //! Inserts rounds of points on all cores. Planes recursively cut the triangulation into regions.
-//! Each region has its own tetrahedra, and one thread inserts its points. A point whose cavity
-//! would extend into another region is postponed until the two regions are merged. Tetrahedra next
-//! to another region are therefore never removed, and merging only renumbers the tetrahedra of one
-//! region. The coarse rounds come first, so most cavities are small by the time a round is cut.
+//! Each region has its own tetrahedra, and a single thread inserts the points of the region. A
+//! point whose cavity would extend into another region is postponed until the two regions are
+//! merged. Tetrahedra next to another region are therefore never removed, and merging only
+//! renumbers the tetrahedra of one region. The coarse rounds come first, so most cavities are small
+//! by the time a round is cut.
 //!
 //! The cuts do not depend on the number of threads, and neither do the tetrahedron numbers.
 
@@ -21,21 +22,21 @@ pub(super) struct Cutting {
 }
 
 impl Cutting {
-    /// Measured on 377,000 particles of a ribcage, while the topology of F was computed
-    /// concurrently. On 16 cores, 2, 4, 8 and 16 regions take 1.32, 1.04, 0.77 and 0.74 s (`points`
-    /// is 200,000 for two regions and 20,000 for sixteen). On one core, 2 regions take 3.3 s and 8
-    /// take 3.5 s.
+    /// Time to triangulate 377,000 particles of a ribcage while the topology of F is computed
+    /// concurrently: on 16 cores, 1.32, 1.04, 0.77 and 0.74 s with 2, 4, 8 and 16 regions (`points`
+    /// is 200,000 for 2 regions and 20,000 for 16); on one core, 3.3 s with 2 regions and 3.5 s
+    /// with 8.
     pub(super) const USUAL: Self = Self { points: 20_000, depth: 3 };
 }
 
-/// Minimum share of the points on each side of a cut. The cut is at the median, so each side has
-/// about half of the points unless many points have the same coordinate. Below this share, cutting
-/// saves at most a tenth of the time. If one side has a smaller share, the region is not cut.
+/// Minimum fraction of the points on each side of a cut. The cut is at the median, so each side has
+/// about half of the points unless many points have the same coordinate. If one side has a smaller
+/// fraction, a cut saves at most a tenth of the time, and the region is not cut.
 const LEAST_SHARE_OF_SIDE: f64 = 0.1;
 
-/// Maximum number of sampled points whose median determines the plane of a cut. The rank of the
-/// median of 10,000 points has a standard error of 0.5 / sqrt(10,000), or half a per cent of all
-/// points.
+/// Maximum number of sampled points whose median determines the plane of a cut. Among all points,
+/// the rank of the median of 10,000 sampled points has a standard error of 0.5 / sqrt(10,000), or
+/// half a per cent of the number of points.
 const MEDIAN_SAMPLE: usize = 10_000;
 
 /// Triangulates points that are given in insertion order. `rounds` contains the end index of each
@@ -63,8 +64,8 @@ pub(super) fn triangulate(
 struct Inserted {
     /// Postponed points, each with the cut that must be removed before the point can be inserted.
     put_off: Vec<(u32, Beyond)>,
-    /// New number of each tetrahedron slot that existed before the insertion. `None` if the numbers
-    /// are unchanged.
+    /// New number of each tetrahedron that existed before the insertion. `None` if the numbers are
+    /// unchanged.
     renumbered: Option<Vec<u32>>,
 }
 
@@ -72,7 +73,7 @@ struct Inserted {
 /// region.
 struct Outer<'a> {
     whole: &'a Cells,
-    /// Slot of each tetrahedron of `whole` after the cut.
+    /// For each tetrahedron of `whole`, its region and number after the cut.
     places: &'a [Slot],
     /// Side of the cut on which the region lies: 0 below the plane, 1 above.
     side: usize,
@@ -114,8 +115,8 @@ fn insert_all(
         Cut::new(cells, sites, &members, depth)
     };
     let Some(Cut { mut regions, places, seams }) = cut else {
-        // Reserve once. When a vector grows in a thread, that thread's allocator retains the freed
-        // memory.
+        // Reserve once. If a vector grew repeatedly in a thread, the allocator of that thread would
+        // retain the freed memory.
         cells.reserve(members.len() * 8);
         let put_off = insert_in_order(cells, sites, members, outer, None)?;
         return Ok(Inserted { put_off, renumbered: None });
@@ -205,7 +206,7 @@ impl Slot {
 struct Cut {
     /// The tetrahedra of each half, and the points to insert into it.
     regions: [(Cells, Vec<u32>); 2],
-    /// Slot of each tetrahedron of the region before the cut.
+    /// For each tetrahedron before the cut, its half and number after the cut.
     places: Vec<Slot>,
     /// The facets on the cut, as (tetrahedron * 4 + facet index) on both sides.
     seams: Vec<[u32; 2]>,

@@ -83,7 +83,7 @@ fn check_structure(d: &Delaunay) {
     }
 }
 
-/// Checks that no point lies strictly inside a circumsphere or strictly outside a hull triangle.
+/// Checks that no point lies strictly inside a circumsphere or strictly beyond a hull triangle.
 fn check_spheres(d: &Delaunay) {
     for (t, v) in d.tetrahedra() {
         let corners = |p: DVec3| v.map(|i| if i == INFINITE { p } else { d.points()[i as usize] });
@@ -122,7 +122,8 @@ fn random_points_in_a_cube() {
     check_spheres(&d);
     let large = Delaunay::new(&cube(20_000)).unwrap();
     check_structure(&large);
-    // Poisson points have 6.77 cells per vertex on average; the hull reduces this number
+    // uniformly random points in unbounded space have 6.77 cells per vertex on average; the hull
+    // reduces this number
     let ratio = large.finite_tetrahedra().count() as f64 / 20_000.0;
     assert!((6.3..6.8).contains(&ratio), "{ratio} cells a vertex");
 }
@@ -213,7 +214,7 @@ fn later_insertions_give_the_triangulation_of_the_whole() {
     }
 }
 
-/// Limits that cut regions down to a few points.
+/// Limits that cut even small point sets into many regions.
 const FINELY: Cutting = Cutting { points: 40, depth: 6 };
 
 #[test]
@@ -303,7 +304,8 @@ fn scales_from_tiny_to_huge() {
 
 #[test]
 fn circumcentre_of_a_thin_cell_is_at_its_distance() {
-    // four points near the unit circle in the plane z = 0; the last point is displaced by `far`
+    // four points near the unit circle in the plane z = 0; the last one is displaced by `far`. The
+    // centre must have the same distance from all four.
     let p = |angle: f64, z: f64| DVec3::new(angle.cos(), angle.sin(), z);
     for far in [1e-3, 1e-6, 1e-9] {
         let corners = [p(0.0, 0.0), p(1.0, 0.0), p(2.5, 0.0), p(4.0, 0.0) * (1.0 + far) + DVec3::Z * far];
@@ -317,8 +319,8 @@ fn circumcentre_of_a_thin_cell_is_at_its_distance() {
 
 #[test]
 fn circumcentre_of_a_flat_cell_is_far_away_in_any_unit() {
-    // The corners form quadrilaterals in a tilted plane. Their volume comes only from rounding of
-    // the coordinates and is below the bound of the filter.
+    // The corners form quadrilaterals in a tilted plane. The volume of each tetrahedron comes only
+    // from rounding of the coordinates and is below the error bound of the orientation filter.
     let (u, v) = (DVec3::new(0.9, 0.2, -0.3).normalize(), DVec3::new(0.1, 0.7, 0.6));
     let mut undecided = 0;
     for k in 0..200u64 {

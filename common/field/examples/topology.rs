@@ -1,6 +1,6 @@
-//! Prints the topology of F = 0 for each distance field and the time taken to compute it. Also
-//! prints digests of the complete result, to compare two builds of the code. Usage: `cargo run
-//! --release -p isoparticles-field --example topology -- F.vti [more.vti]`.
+//! Prints the topology of F = 0 in each of the given distance fields, and the computing time. Also
+//! prints digests of all results, to compare two builds of the code. Usage: `cargo run --release -p
+//! isoparticles-field --example topology -- F.vti [more.vti]`.
 
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldTopology;
@@ -49,8 +49,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Returns a hash of debug output. Floats are printed at full precision, so equal strings mean
-/// equal bits.
+/// Returns a hash of debug output. Floats are printed at full precision, so results with equal
+/// output are equal bit for bit.
 fn digest(text: &str) -> u64 {
     let mut hasher = DefaultHasher::new();
     text.hash(&mut hasher);

@@ -18,7 +18,7 @@ pub fn curvature_tensor(jet: &Jet) -> DMat3 {
     across * jet.hessian * across * (1.0 / slope)
 }
 
-/// Returns the larger magnitude of the two principal curvatures, per mm. `tensor` is the curvature
+/// Returns the maximum magnitude of the two principal curvatures, per mm. `tensor` is the curvature
 /// tensor of a surface with unit normal n.
 pub fn largest_curvature(tensor: &DMat3, n: DVec3) -> f64 {
     let u = n.any_orthonormal_vector();
@@ -28,7 +28,7 @@ pub fn largest_curvature(tensor: &DMat3, n: DVec3) -> f64 {
     (0.5 * (a + c)).abs() + (0.5 * (a - c)).hypot(b)
 }
 
-/// Returns the mean curvature, per mm: half the divergence of the unit normal, which is 1/R on a
+/// Returns the mean curvature (half the divergence of the unit normal), per mm. It is 1/R for a
 /// ball of radius R.
 pub fn mean_curvature(jet: &Jet) -> f64 {
     let slope = jet.gradient.length().max(LEAST_GRADIENT);

@@ -2,36 +2,37 @@
 //! of the surface.
 //!
 //! The mesh vertices are moved onto the surface. The normals at both ends of an edge give the
-//! height of the surface above the midpoint of the edge. These heights give the volume between a
-//! triangle and the surface, which is assumed to be quadratic over the triangle. An edge is divided
-//! if the surface curves too much over it. The decision depends only on the edge, so adjacent
-//! triangles agree and the mesh remains closed. Parts of the surface that are missing from the mesh
-//! are ignored.
+//! height of the surface above the midpoint of the edge. The surface is assumed to be quadratic
+//! over each triangle, so the heights at its three edges give the volume between triangle and
+//! surface. An edge is divided if the surface curves too much over it. The decision depends only on
+//! the edge, so adjacent triangles agree and the mesh remains closed. Parts of the surface that are
+//! missing from the mesh are ignored.
 
 use fearless_simd::{Level, dispatch};
 use glam::DVec3;
 use isoparticles_mesh::{TriangleMesh, components};
 use rayon::prelude::*;
 
-/// An edge is divided if the height of the surface above its midpoint exceeds this fraction of its
-/// length. With 0.1, the volume of a ball with a radius of 0.9 voxels is off by 0.07 %; with 0.13,
-/// it is off by 0.11 % (test `balls_and_rods_have_their_volumes`).
+/// An edge is divided if the height of the surface above its midpoint exceeds this fraction of the
+/// edge length. With 0.1, the computed volume of a ball with a radius of 0.9 voxels has an error of
+/// 0.07 %; with 0.13, the error is 0.11 % (test `balls_and_rods_have_their_volumes`).
 const LARGEST_BEND: f64 = 0.1;
 
-/// Coefficient of the next-order term for a triangle with corners on a sphere, derived from the
+/// Coefficient of the correction term for a triangle with corners on a sphere, derived from the
 /// solid angle of the spherical triangle. The volume between triangle and sphere is
-/// `area * height * (1 + 10.7 (height / edge)^2)`, where the height of the sphere is measured at
-/// the midpoints of the edges.
+/// `area * height * (1 + 10.7 (height / edge)^2)`, where `height` is the height of the sphere above
+/// the midpoint of an edge of length `edge`.
 const SPHERE_TERM: f64 = 10.7;
 
-/// Maximum number of times an edge is divided. The height is proportional to the square of the
-/// length, so each division halves the ratio of height to length. Three divisions reduce a ratio of
-/// 0.8 to [`LARGEST_BEND`]; a half circle has a ratio of 0.5.
+/// Maximum number of times that an edge is divided. The height of the surface above an edge is
+/// proportional to the square of the edge length, so each division halves the ratio of height to
+/// length. Three divisions reduce a ratio of 0.8 to [`LARGEST_BEND`]; a half circle over its
+/// diameter has a ratio of 0.5.
 const DIVISIONS: u32 = 3;
 
-/// Maximum number of Newton steps in a projection. Three steps of length [`LONGEST_STEP`] and a
-/// short final step reach the surface from a distance of up to 0.9 `near`. A point that does not
-/// converge is not moved.
+/// Maximum number of Newton steps in a projection. Three steps of the maximum length
+/// ([`LONGEST_STEP`]) reach the surface from a distance of up to 0.9 times `near`; the fourth step
+/// is short. A point that does not converge is not moved.
 const NEWTON_STEPS: usize = 4;
 /// Maximum length of a Newton step, as a fraction of `near`, the maximum expected distance of a
 /// vertex from the surface. Short steps keep a vertex from jumping to another part of the surface.
@@ -43,14 +44,14 @@ const LONGEST_STEP: f64 = 0.3;
 const TOLERANCE: f64 = 0.03;
 
 /// Number of vertices or triangles per parallel task. A mesh of a million triangles gives hundreds
-/// of tasks, and each task takes far longer than scheduling it.
+/// of tasks, and a task takes far longer than its scheduling.
 const CHUNK: usize = 1024;
 
 /// Returns the volumes (mm^3) enclosed by the zero set of an implicit function (negative inside).
 /// There is one volume per component of `mesh`, in the order of [`components::of_vertices`].
-/// Volumes of cavities are negative. `value_gradient` takes points in the frame of the mesh.
-/// Vertices farther than about 0.9 `near` (mm) from the surface are not moved onto it. The result
-/// does not depend on the number of threads.
+/// Volumes of cavities are negative. `value_gradient` takes points in the frame of the mesh. `near`
+/// (mm) is the expected maximum distance of a vertex from the surface; vertices farther away than
+/// about 0.9 times `near` are not moved. The result does not depend on the number of threads.
 pub fn enclosed_volumes(
     mesh: &TriangleMesh,
     near: f64,
@@ -88,7 +89,8 @@ pub fn enclosed_volumes(
     found
 }
 
-/// A point on the surface and its unit normal. The normal is zero if the projection failed.
+/// A mesh vertex moved onto the surface, and the unit normal there. If the projection failed, the
+/// vertex is not moved and the normal is zero.
 #[derive(Clone, Copy)]
 struct Vertex {
     place: DVec3,

@@ -1,11 +1,12 @@
 //! The inter-particle energy: Eq. 1, 2 and 4 of Kim, Chen and Hansen 2012 (after Meyer, Georgel and
 //! Whitaker 2005).
 //!
-//! With x = d pi/2 and c = cot x, the pair energy is `c + x - pi/2`. Its first derivative with
-//! respect to d is `-(pi/2) c^2` (Eq. 4, with 1 - 1/sin^2 = -cot^2). Its second derivative is
-//! `(pi^2/2) c (1 + c^2)`. All three are computed from a single tangent. The paper prints the
-//! factor 2 cos(pi/2) = 0 in Eq. 2; the correct factor is 2 cos(pi/6) = sqrt(3). With this factor,
-//! the second ring of the hexagonal lattice of spacing h lies exactly at the cut-off d = 1.
+//! The scaled distance of a pair is d. With x = d pi/2 and c = cot x, the pair energy is
+//! `c + x - pi/2`. Its first derivative with respect to d is `-(pi/2) c^2` (Eq. 4, with
+//! 1 - 1/sin^2 = -cot^2). Its second derivative is `(pi^2/2) c (1 + c^2)`. All three are computed
+//! from a single tangent. The paper prints the factor 2 cos(pi/2) = 0 in Eq. 2; the correct factor
+//! is 2 cos(pi/6) = sqrt(3). With this factor, the second ring of the hexagonal lattice of spacing
+//! h lies exactly at the cut-off d = 1.
 
 use fearless_simd::{Simd, f64x8, prelude::*};
 use glam::{DMat3, DVec3};
@@ -23,8 +24,8 @@ pub const LEAST_SCALED_DISTANCE: f64 = 1e-6;
 /// not six times the energy (Eq. 1) at that distance.
 pub const PRINTED_IDEAL_ENERGY: f64 = 3.462;
 
-/// Returns the energy of a particle whose six neighbours lie on the hexagonal lattice of spacing h:
-/// 6 E(1/sqrt(3)) = 0.7108.
+/// Returns the energy of a particle with six neighbours at distance h, as in the hexagonal lattice
+/// of spacing h: 6 E(1/sqrt(3)) = 0.7108.
 pub fn ideal_energy() -> f64 {
     6.0 * pair_energy(1.0 / SUPPORT)
 }
@@ -32,16 +33,17 @@ pub fn ideal_energy() -> f64 {
 /// Returns the energy (Eq. 1) of a particle in a hexagonal lattice, summed over all rings within
 /// the cut-off. `spacing` is in units of h. The energy is 0.7108 at spacing 1 ([`ideal_energy`]).
 pub fn lattice_energy(spacing: f64) -> f64 {
-    // the lattice consists of six rotations of the points a u + b v with a > 0 and b >= 0, whose
-    // distance from the origin is sqrt(a^2 + a b + b^2) spacings
+    // the lattice consists of six rotations of the points a u + b v with a > 0 and b >= 0; u and v
+    // are lattice vectors at 60 degrees, so a point is `sqrt(a^2 + a b + b^2)` spacings from the
+    // origin
     let last = (SUPPORT / spacing).ceil() as u32;
     let place =
         |a: u32, b: u32| pair_energy(scaled_distance(f64::from(a * a + a * b + b * b).sqrt() * spacing, 1.0, 1.0));
     6.0 * (1..=last).flat_map(|a| (0..=last).map(move |b| (a, b))).map(|(a, b)| place(a, b)).sum::<f64>()
 }
 
-/// Minimum result of [`lattice_spacing`], in units of h. It is a tenth of 0.5, the minimum spacing
-/// that `particles` accepts.
+/// Minimum result of [`lattice_spacing`], in units of h: a tenth of the minimum spacing that
+/// `particles` accepts (0.5).
 const SMALLEST_LATTICE_SPACING: f64 = 0.05;
 
 /// Returns the spacing, in units of h, of the hexagonal lattice whose particles have the given
@@ -113,7 +115,7 @@ pub fn pair_jet(offset: DVec3, size_i: f64, size_j: f64) -> (f64, DVec3, DMat3) 
 /// mm). The derivative is zero if the second particle is smaller.
 ///
 /// Eq. 3 holds the sizes fixed, but h changes when a particle moves. Without this term, the energy
-/// test rejects steps wherever h varies.
+/// test rejects more than half of the steps where h varies.
 pub fn pair_size_derivative(distance: f64, size_i: f64, size_j: f64) -> f64 {
     let d = scaled_distance(distance, size_i, size_j);
     if size_i > size_j || d >= 1.0 { 0.0 } else { -pair_energy_derivatives(d).1 * d / size_i }
@@ -123,8 +125,9 @@ pub fn pair_size_derivative(distance: f64, size_i: f64, size_j: f64) -> f64 {
 ///
 /// With s = d^2, x cot x is an even function of x that vanishes at s = 1, so
 /// `cot x = (1 - s) Q(s) / x`. The nearest pole of Q is at s = 4, so each additional degree of a
-/// polynomial fit on [0, 1] gains more than one digit of accuracy. A polynomial of degree 10 is
-/// within 4e-13 of Q (fitted to `x cot x / (1 - s)` at Chebyshev points with 40 digits).
+/// polynomial fit on [0, 1] gains more than one digit of accuracy. The polynomial of degree 10 is
+/// within 4e-13 of Q; it was fitted to `x cot x / (1 - s)` at Chebyshev points with 40-digit
+/// arithmetic.
 ///
 /// The tests bound the errors: 4e-13 (1 + E) for the energy, a relative error of 8e-13 for the
 /// first derivative, and 1.2e-12 for the second, which is cubic in the cotangent. Multiplications
@@ -219,7 +222,7 @@ mod tests {
     fn ideal_energy_is_that_of_the_hexagonal_lattice() {
         assert!((ideal_energy() - 0.7108).abs() < 1e-4, "{}", ideal_energy());
         for (spacing, energy) in [(0.6, 4.60), (0.657, 3.462), (0.8, 1.76), (0.9, 1.12), (1.0, 0.711), (1.1, 0.434)] {
-            // the values in the table are rounded to three digits, including the spacing
+            // the spacings and energies in the table are rounded to three digits
             assert!((lattice_energy(spacing) / energy - 1.0).abs() < 0.005, "{spacing}: {}", lattice_energy(spacing));
             assert!((lattice_energy(spacing) / energy_by_rows(spacing) - 1.0).abs() < 1e-12, "{spacing}");
             assert!((lattice_spacing(lattice_energy(spacing)) - spacing).abs() < 1e-14, "{spacing}");
@@ -292,7 +295,7 @@ mod tests {
         for n in 0..20_000 {
             let d: [f64; 8] = std::array::from_fn(|lane| {
                 let part = (f64::from(n) + lane as f64 / 8.0) / 20_000.0;
-                // evenly spread, or clustered at either end
+                // distances that are evenly spread, or clustered at one end of the range
                 [part, 1e-6f64.powf(part), 1.0 - 1e-6f64.powf(part)][n as usize % 3].max(LEAST_SCALED_DISTANCE)
             });
             let found = by_lanes(levels[0], d.map(|d| d * d));

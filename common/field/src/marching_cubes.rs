@@ -3,9 +3,9 @@
 //!
 //! The case table is computed at run time. If exactly two corners of a cell face are inside and
 //! they are diagonally opposite, the sign at the saddle of the face decides whether they are joined
-//! (Nielson and Hamann 1991). The saddle value is that of a quadratic interpolant, because the
-//! bilinear interpolant breaks up diagonal layers that are one voxel thick. Two cells that share a
-//! face always create the same segments on it. The segments form loops, and each loop is
+//! (Nielson and Hamann 1991). The saddle value is computed with a quadratic interpolant, because
+//! the bilinear interpolant breaks up diagonal layers that are one voxel thick. Two cells that
+//! share a face always create the same segments on it. The segments form loops, and each loop is
 //! triangulated without diagonals on cell faces. Every edge therefore lies in exactly two
 //! triangles.
 
@@ -19,8 +19,8 @@ use std::collections::BTreeSet;
 use std::sync::OnceLock;
 
 /// Minimum distance of a vertex from the nodes of its grid edge, as a fraction of the edge length.
-/// It prevents degenerate triangles where a sample equals the iso value. The offset survives
-/// rounding to single precision: at index 512, an ulp of f32 is 6e-5.
+/// It prevents degenerate triangles where a sample equals the iso value. The distance remains
+/// positive after rounding to single precision: at index 512, an ulp of f32 is 6e-5.
 pub(crate) const NODE_CLEARANCE: f64 = 1e-3;
 
 /// Number of slices of cells per parallel task. Each task also numbers the vertices of the slice
@@ -195,8 +195,8 @@ impl Grid<'_> {
 }
 
 /// Returns the value at the saddle of a cell face, given its two pairs of diagonally opposite
-/// nodes. The value is that of the bilinear interpolant, corrected by the mean second differences
-/// along the two axes. Second differences across the image border count as zero. If the value is
+/// nodes. The value of the bilinear interpolant is corrected with the mean second differences along
+/// the two axes. Second differences across the image border count as zero. If the saddle value is
 /// below the iso value, the inside corners are joined across the face.
 pub fn saddle_value(image: &Image<f32>, diagonal: [usize; 2], other: [usize; 2]) -> f64 {
     // sorted, so that both cells that share the face compute the same bits
@@ -234,7 +234,7 @@ fn second_difference(image: &Image<f32>, node: usize, stride: usize) -> f64 {
 
 // ---- the case table ----------------------------------------------------------------------------
 
-/// For each axis, the bit of a corner number that holds the offset of the corner along that axis.
+/// For each axis, the bit of a corner number that gives the offset of the corner along that axis.
 /// The four corners with the same x have consecutive numbers.
 const AXIS_BIT: [u8; 3] = [4, 1, 2];
 
@@ -273,8 +273,8 @@ const fn edges() -> [Edge; 12] {
 /// edge.
 enum Piece {
     Triangles(Vec<[u8; 3]>),
-    /// A loop to be triangulated as a fan around an extra vertex at the mean of its vertices. Used
-    /// if every triangulation without an extra vertex has a diagonal on a cell face.
+    /// A loop that is triangulated as a fan around an extra vertex at the mean of the loop's
+    /// vertices. Every triangulation without an extra vertex has a diagonal on a cell face.
     Fan(Vec<u8>),
 }
 
@@ -283,7 +283,7 @@ struct Case {
     /// Faces whose only inside corners are the first and the third. Face n corresponds to bit n of
     /// a variant.
     ambiguous: Vec<[u8; 4]>,
-    /// The contour for each combination of joined ambiguous faces.
+    /// The contour for each set of ambiguous faces whose inside corners are joined.
     variants: Vec<Vec<Piece>>,
 }
 
@@ -329,8 +329,8 @@ fn faces() -> impl Iterator<Item = [u8; 4]> {
     })
 }
 
-/// Returns the closed loops of the contour on the surface of the cell, oriented with the inside
-/// always on the same side. The bits of `variant` specify the ambiguous faces whose inside corners
+/// Returns the closed loops of the contour on the surface of the cell. All loops have the inside
+/// corners on the same side. The bits of `variant` specify the ambiguous faces whose inside corners
 /// are joined.
 fn loops(case: u8, variant: usize) -> Vec<Vec<u8>> {
     let inside = |corner: u8| case >> corner & 1 == 1;
@@ -386,8 +386,8 @@ fn cut(cycle: Vec<u8>) -> Piece {
 }
 
 /// Triangulates a cycle by ear clipping, without diagonals on a cell face. Backtracks if only such
-/// diagonals remain. `given_up` contains the remainders of the cycle that are known to fail.
-/// Returns whether a triangulation was found.
+/// diagonals remain. `given_up` contains the partial cycles that are known to have no such
+/// triangulation. Returns whether a triangulation was found.
 fn cut_without_face_diagonals(cycle: &[u8], triangles: &mut Vec<[u8; 3]>, given_up: &mut BTreeSet<Vec<u8>>) -> bool {
     if let &[a, b, c] = cycle {
         triangles.push([a, b, c]);

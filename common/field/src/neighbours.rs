@@ -19,14 +19,13 @@ use rayon::prelude::*;
 use std::ops::Range;
 use tree::{Candidates, LANES, Tree};
 
-/// Relative widening of bins and boxes, so that rounding cannot move an interaction beyond the
-/// adjacent bin. Rounding errors of positions are below 1024 bins times 2^-52, which is 2e-13 of a
-/// bin.
+/// Relative widening of bins and boxes, so that rounding cannot place two interacting points more
+/// than one bin apart. Rounding errors of positions are below 1024 * 2^-52 = 2e-13 bin widths.
 const WIDENING: f64 = 1e-9;
 
-/// Number of points per block of [`NeighbourLists::independent_blocks`]. A block and its
-/// surroundings take some tens of KiB, which fit into the L1 or L2 cache of a core. A few thousand
-/// points give enough blocks for all cores.
+/// Number of points per block of [`NeighbourLists::independent_blocks`]. The points of a block and
+/// their neighbours take some tens of KiB, which fits into the L1 or L2 cache of a core. A few
+/// thousand points give enough blocks for all cores.
 pub const BLOCK: usize = 128;
 
 /// Number of points whose lists are created and stored together. A few thousand points give enough
@@ -140,13 +139,13 @@ impl NeighbourLists {
         self.chunks.iter().map(|lists| lists.members.len()).sum::<usize>() as f64 / self.count.max(1) as f64
     }
 
-    /// Divides the points into blocks of [`BLOCK`] consecutive points, and the blocks into classes,
-    /// so that no point has a neighbour in another block of its class. The classes are computed by
-    /// greedy colouring with the smallest free colour. The blocks of a class can be processed
-    /// concurrently, and the points of a block one after the other. However much h varies, no block
-    /// then reads a point that another block of its class moves. This satisfies the paper's rule
-    /// (section 4) that overlapping neighbourhoods must not be processed together. The points
-    /// should be in spatial order ([`space_order`]).
+    /// Divides the points into blocks of [`BLOCK`] consecutive points, and the blocks into classes.
+    /// No point has a neighbour in another block of the same class, however much h varies. The
+    /// blocks of a class can therefore be processed concurrently, and the points of a block in
+    /// sequence: no block reads a point that another block of the class moves. This satisfies the
+    /// paper's rule (section 4) that overlapping neighbourhoods must not be processed together. The
+    /// classes are computed by greedy colouring with the smallest free colour. The points should be
+    /// in spatial order ([`space_order`]).
     pub fn independent_blocks(&self) -> Vec<Vec<u32>> {
         let blocks = self.len().div_ceil(BLOCK);
         let seen: Vec<Vec<u32>> = (0..blocks)
@@ -185,7 +184,8 @@ impl NeighbourLists {
     }
 }
 
-/// Appends the lists of the points in `range`. The range must start at the first point of a run.
+/// Appends the lists of the points in `range`. The range must start at the first point of a run of
+/// the tree.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "a closure's body, so that it is compiled for each instruction set")]
 fn append_lists<S: Simd>(

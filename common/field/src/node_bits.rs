@@ -1,5 +1,5 @@
-//! Stores one bit for each node of a grid, in rows of whole words, so that 64 nodes at a time are
-//! compared with their neighbours.
+//! Stores one bit for each node of a grid, in rows of whole words, so that 64 nodes can be compared
+//! with their neighbours in one operation.
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
@@ -46,7 +46,7 @@ impl NodeBits {
         self.width
     }
 
-    /// Returns the words of a row. The row at indices j and k has the number j + ny k.
+    /// Returns the words of a row. The row at indices j and k has the number `j + ny * k`.
     pub(crate) fn row(&self, row: usize) -> &[u64] {
         self.rows(row, 1)
     }
@@ -78,8 +78,8 @@ fn mark<S: Simd>(simd: S, row: &[f32], side: Side, level: f32, words: &mut [u64]
     }
 }
 
-/// Returns the bits of the nodes that are `by` nodes after those of a word in a row, or before them
-/// if `by` is negative. The distance must be less than a word. Words beyond the ends of the row
+/// Returns 64 bits of a row, starting `by` nodes after the first node of a word, or before it if
+/// `by` is negative. The magnitude of `by` must be less than 64. Words beyond the ends of the row
 /// count as all ones.
 pub(crate) fn shifted(row: &[u64], word: usize, by: isize) -> u64 {
     let at = |word: Option<usize>| word.and_then(|word| row.get(word)).copied().unwrap_or(u64::MAX);

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 /// created.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ParticleSet {
-    /// Geometry of this distance field.
+    /// Geometry of the distance field.
     pub geometry: Geometry,
     /// Positions in the grid frame, mm.
     pub positions: Vec<DVec3>,

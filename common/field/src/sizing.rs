@@ -39,13 +39,13 @@ impl SizingField {
     }
 
     /// Returns the edge length (mm) and its gradient (dimensionless) at a grid position. The
-    /// gradient is that of the trilinear interpolant, so it jumps from cell to cell.
+    /// gradient of the trilinear interpolant is discontinuous at the faces of cells.
     #[inline(always)]
     pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         let cell = Cell::around(&self.image, grid);
         let value = |x: usize, y: usize, z: usize| cell.value([x, y, z]);
         let [tx, ty, tz] = cell.fraction;
-        // first along x: the values on the four edges of the cell that are parallel to x
+        // the values are interpolated first along the four edges of the cell that are parallel to x
         let (e00, e10) = (mix(value(0, 0, 0), value(1, 0, 0), tx), mix(value(0, 1, 0), value(1, 1, 0), tx));
         let (e01, e11) = (mix(value(0, 0, 1), value(1, 0, 1), tx), mix(value(0, 1, 1), value(1, 1, 1), tx));
         let slope = |y: usize, z: usize| value(1, y, z) - value(0, y, z);
@@ -64,8 +64,8 @@ impl SizingField {
     /// The distance between two particles is the smaller of their sizes h (Eq. 2), so a step
     /// towards larger h has the length h. Where h has the directional derivative d, each step
     /// multiplies h by 1 + d, and the mean step is h ln(1 + d) / d. At an angle t to the tangential
-    /// gradient, whose magnitude is s, d = s |cos t|. The mean over t is
-    /// e = h (asin s / s) (1 - asin s / pi).
+    /// gradient, whose magnitude is s, d = s |cos t|. The mean step over all t is
+    /// `e = h (asin s / s) (1 - asin s / pi)`.
     pub fn lattice_density(&self, grid: DVec3, normal: DVec3) -> f64 {
         let (h, gradient) = self.value_gradient(grid);
         2.0 / (3f64.sqrt() * (h * edge_over_size(gradient.reject_from_normalized(normal).length())).powi(2))
@@ -77,8 +77,8 @@ impl SizingField {
         integrate(surface, |point, normal| self.lattice_density(point, normal))
     }
 
-    /// Estimates [`Self::predicted_count`] from triangles that approximate F = 0, such as those of
-    /// marching cubes. This is faster but misses features between the samples.
+    /// Estimates [`Self::predicted_count`] from triangles that approximate F = 0, such as the
+    /// output of marching cubes. This is faster but misses features between the samples.
     pub fn count_on(&self, points: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
         let on = |corners: &[u32; 3]| {
             let [a, b, c] = corners.map(|v| points[v as usize]);
@@ -117,7 +117,7 @@ fn mix(a: f64, b: f64, t: f64) -> f64 {
 
 /// The eight voxels around a position.
 struct Cell {
-    /// Values at x and x + 1 in each of the four rows along x, y fastest.
+    /// The two values in each of the four rows along x, y fastest.
     rows: [[f64; 2]; 4],
     fraction: [f64; 3],
 }
@@ -182,7 +182,7 @@ mod tests {
             );
             assert!((gradient - want).length() < 2e-5, "{p}: {gradient}, not {want}");
         }
-        // clamped outside the volume
+        // positions outside the volume are clamped to it
         assert_eq!(field.at(DVec3::splat(-3.0)), field.at(DVec3::ZERO));
         assert_eq!(field.at(2.0 * geometry.upper_corner()), field.at(geometry.upper_corner()));
     }

@@ -2,8 +2,8 @@
 //! formula).
 //!
 //! Consider lines along an axis a, with one line per area s of the perpendicular plane. A piece of
-//! surface with area A and unit normal n is crossed A |n_a| / s times on average. The sum of s
-//! |n_a| over the crossings with lines along all three axes therefore has the mean
+//! surface with area A and unit normal n is crossed `A |n_a| / s` times on average. The sum of
+//! `s |n_a|` over the crossings with lines along all three axes therefore has the mean
 //! `A (n_x^2 + n_y^2 + n_z^2) = A`. Along a line within a cell, the spline is a cubic polynomial,
 //! and all its roots are found. The integral therefore includes folds and specks between the nodes.
 //! Marching cubes misses these features, which make up a tenth of the area of F = 0 in a noisy
@@ -15,10 +15,11 @@ use crate::topology::Signs;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// `LINES` x `LINES` lines parallel to each axis pass through a cell. With 2, 3, 5 and 9 lines, the
-/// area of F = 0 is 63,412, 63,250, 63,242 and 63,224 mm^2 for `heart_label` (`distfield --labels
-/// all`). It is 8.836, 8.775, 8.799 and 8.807 mm^2 for `trabecular_bone` (measured as for
-/// `FLATNESS_MARGIN` in `topology/critical.rs`). Three lines agree with nine to within 0.4 %.
+/// `LINES` x `LINES` lines parallel to each axis pass through a cell. With 2, 3, 5 and 9, the
+/// computed area of F = 0 is 63,412, 63,250, 63,242 and 63,224 mm^2 for `heart_label`
+/// (`distfield --labels all`). It is 8.836, 8.775, 8.799 and 8.807 mm^2 for `trabecular_bone`
+/// (measured as for `FLATNESS_MARGIN` in `topology/critical.rs`). The areas with 3 and 9 agree to
+/// within 0.4 %.
 const LINES: usize = 3;
 
 /// Maximum number of bisections of a line within a cell. The shortest intervals are 2^-12 = 2.4e-4
@@ -201,7 +202,7 @@ mod tests {
 
     #[test]
     fn planes_count_up_to_the_border_whatever_their_direction() {
-        // z = 6 + a x + b y over [0, 11]^2
+        // the plane z = 6 + a x + b y - 0.01 over [0, 11]^2
         for (a, b) in [(0.0, 0.0), (0.3, -0.2), (0.4, 0.05), (-0.2, -0.25)] {
             let surface = spline([12; 3], DVec3::ONE, |p| p.z - 6.0 - a * p.x - b * p.y + 0.01);
             let want = 121.0 * DVec3::new(a, b, 1.0).length();

@@ -3,8 +3,8 @@
 //!
 //! [`output`] writes files atomically: it writes to a temporary file and then renames it.
 //! [`history`] records how a file was made. [`limit`] rejects data that does not fit in memory
-//! before allocating memory for it. [`monitor`] reports the progress of long computations and stops
-//! them on request.
+//! before memory is allocated for it. [`monitor`] reports the progress of long computations and
+//! stops them on request.
 //!
 //! ```
 //! use isoparticles_file::{history::hash_file, output::write_atomically};

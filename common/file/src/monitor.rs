@@ -1,5 +1,5 @@
-//! An interface for reporting progress and checking for stop requests. It makes the algorithms
-//! independent of the program that runs them.
+//! The interface through which algorithms report progress and check for stop requests. It makes
+//! them independent of the program that runs them.
 
 /// The computation was interrupted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

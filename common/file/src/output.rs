@@ -31,8 +31,8 @@ pub fn check_output(path: &Path, force: bool) -> Result<()> {
 }
 
 /// Writes a file atomically: the file appears under its name only when it is complete. After an
-/// error, an interrupt or a full disk, the old file is unchanged and no temporary file remains.
-/// Devices and pipes are written directly.
+/// error (such as a full disk) or an interrupt, the old file is unchanged and no temporary file
+/// remains. Devices and pipes are written directly.
 pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<()> {
     let attempt = if is_special(path) { write_through(path, write) } else { write_and_rename(path, write) };
     attempt.map_err(|error| {
@@ -104,8 +104,8 @@ fn temporaries() -> std::sync::MutexGuard<'static, Vec<PathBuf>> {
     TEMPORARIES.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A file that rejects writes after an interrupt. Files opened after the interrupt (reports and
-/// final checkpoints) still accept writes.
+/// A file that rejects writes after an interrupt. Files that are opened after the interrupt, such
+/// as reports and final checkpoints, still accept writes.
 struct Stoppable<'a> {
     file: &'a File,
     stopped_before: bool,

@@ -6,8 +6,8 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Minimum number of triangles or buckets per task of a parallel loop. At 10 ns or more per item, a
-/// task takes at least 40 us. Starting a task costs 0.1 us, or 25 us if a thread must be woken
-/// (`rayon::join` after 2 ms of idleness; 2 busy cores, 2026-11-27).
+/// task takes at least 40 us. Starting a task takes 0.1 us, or 25 us if it wakes a thread (measured
+/// with `rayon::join` after 2 ms of idleness, on a busy machine with 2 cores, 2026-11-27).
 pub(crate) const TASK_ITEMS: usize = 1 << 12;
 
 /// Items sorted by bucket.
@@ -19,8 +19,8 @@ pub struct Buckets {
 }
 
 impl Buckets {
-    /// Sorts the items 0, 1, ... into `count` buckets. `bucket_of` contains the bucket of each
-    /// item, which must be below `count`.
+    /// Sorts the items 0, 1, ... into `count` buckets. `bucket_of` contains the bucket number of
+    /// each item. All bucket numbers must be below `count`.
     pub fn new(bucket_of: &[u32], count: usize) -> Self {
         debug_assert!(bucket_of.iter().all(|&bucket| (bucket as usize) < count), "a bucket is not below {count}");
         // each thread reads all items and handles its own range of buckets

@@ -115,7 +115,7 @@ mod tests {
 
     #[test]
     fn components_of_many_are_those_of_one_set_after_the_other() {
-        // strips of triangles of different lengths, in random order
+        // strips with different numbers of triangles, in random order
         let count = 60_000u32;
         let mut triangles: Vec<[u32; 3]> =
             (0..count - 2).filter(|n| n % 997 < 900 && n % 31 < 29).map(|n| [n, n + 1, n + 2]).collect();

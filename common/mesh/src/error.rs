@@ -3,9 +3,9 @@
 use std::fmt::Display;
 use std::path::Path;
 
-/// An error in a surface or point file. The message names the file and the problem,
-/// [`Error::reason`] explains why the problem matters, and [`Error::remedy`] tells the user how to
-/// solve it.
+/// An error in a surface or point file. The message names the file and the problem.
+/// [`Error::reason`] explains why the problem matters, and [`Error::remedy`] explains how to solve
+/// it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -21,7 +21,7 @@ pub enum Error {
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// Returns why the error matters.
+    /// Returns an explanation of why the error matters.
     pub fn reason(&self) -> String {
         match self {
             Self::File(error) => error.reason(),
@@ -29,7 +29,7 @@ impl Error {
         }
     }
 
-    /// Returns what to do about the error.
+    /// Returns instructions for solving the problem.
     pub fn remedy(&self) -> String {
         match self {
             Self::File(error) => error.remedy(),
@@ -38,7 +38,7 @@ impl Error {
     }
 }
 
-/// Returns an error for the contents of a file.
+/// Creates an error about the contents of a file.
 pub(crate) fn bad(path: &Path, problem: impl Display, reason: impl Into<String>, remedy: impl Into<String>) -> Error {
     isoparticles_file::error::Error::contents(path, problem, reason, remedy).into()
 }

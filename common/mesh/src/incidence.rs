@@ -1,18 +1,18 @@
 //! The triangles at each vertex, and the edges, fans and Euler characteristics derived from them.
-//! The lists are built by counting, which is faster than sorting, because the refinement rebuilds
-//! them in every round.
+//! The refinement rebuilds the lists in every round, so they are built by counting, which is faster
+//! than sorting.
 
 use crate::buckets::{Buckets, TASK_ITEMS};
 use rayon::prelude::*;
 
-/// Number of vertices per task: a closed surface has about half as many vertices as triangles.
+/// Number of vertices per task. A closed surface has about half as many vertices as triangles.
 const TASK_VERTICES: usize = TASK_ITEMS / 2;
 
-/// Buffers of [`Incidence::fans_at`], which are reused between vertices.
+/// Buffers that [`Incidence::fans_at`] reuses for all vertices.
 #[derive(Default)]
 pub struct FanWork {
-    /// For each edge at the vertex and each of its triangles: the other end of the edge, and the
-    /// local index of the triangle.
+    /// For each triangle side that ends at the vertex: the other end of the side, and the position
+    /// of the triangle in the list of the vertex.
     ends: Vec<(u32, u32)>,
     /// Fan number of each triangle at the vertex.
     fan: Vec<u32>,
@@ -30,7 +30,7 @@ impl<'a> Incidence<'a> {
     /// Indexes the triangles. All vertex indices must be below `vertex_count`.
     pub fn new(triangles: &'a [[u32; 3]], vertex_count: usize) -> Self {
         let Buckets { starts, items } = Buckets::new(triangles.as_flattened(), vertex_count);
-        // each item is a corner, numbered 3 * triangle + corner index
+        // each item is a corner with the number `3 * triangle + corner index`
         let at_vertex = items.into_par_iter().map(|corner| corner / 3).collect();
         Self { triangles, starts, at_vertex }
     }

@@ -1,9 +1,10 @@
 //! Finds the grid nodes inside a closed mesh, and the nodes where the mesh and F disagree.
 //!
 //! The method counts crossings along the grid lines parallel to x. Where a line crosses a triangle,
-//! all nodes beyond the crossing change sides. Grid lines are shifted symbolically to (y + e, z +
-//! e^2), so a crossing at a shared vertex or edge counts only once. All signs come from exact
-//! predicates. For each triangle, only the grid lines near its yz projection are tested.
+//! all nodes beyond the crossing change sides. Grid lines are shifted symbolically to
+//! `(y + e, z + e^2)`, where e is infinitesimal, so a crossing at a shared vertex or edge counts
+//! only once. All signs come from exact predicates. For each triangle, only the grid lines near its
+//! yz projection are tested.
 
 use super::TriangleMesh;
 use super::intersect::{orientation, turn};
@@ -57,11 +58,11 @@ pub fn count_nodes_inside(mesh: &TriangleMesh, geometry: &Geometry) -> usize {
         .sum()
 }
 
-/// A crossing of a triangle and a grid line. All nodes of the row with index `first` or above
-/// change sides.
+/// A crossing of a triangle and a grid line. In the row of the line, all nodes with index `first`
+/// or above change sides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Crossing {
-    /// Row number, k * ny + j.
+    /// Row number, `k * ny + j`.
     pub row: usize,
     /// Index i of the first node beyond the crossing, or the number of nodes in the row if there is
     /// no such node.
@@ -74,7 +75,7 @@ pub fn crossings(corners: [DVec3; 3], geometry: &Geometry, mut found: impl FnMut
     let spacing = geometry.spacing;
     let low = corners[0].min(corners[1]).min(corners[2]);
     let high = corners[0].max(corners[1]).max(corners[2]);
-    // the range is slightly too wide; the exact signs below decide
+    // the range of lines is slightly too wide; the exact signs below decide
     let range = |axis: usize| {
         let from = (low[axis] / spacing[axis] - 1e-6).ceil().max(0.0);
         let to = (high[axis] / spacing[axis] + 1e-6).floor().min(geometry.size[axis] as f64 - 1.0);
@@ -95,8 +96,8 @@ pub fn crossings(corners: [DVec3; 3], geometry: &Geometry, mut found: impl FnMut
     }
 }
 
-/// Returns the side of a point relative to the line a, b after the symbolic shift. The result is 0
-/// only if a = b.
+/// Returns the side of a point relative to the line through a and b, after the symbolic shift. The
+/// result is 0 only if a = b.
 fn moved_turn(a: Coord<f64>, b: Coord<f64>, p: Coord<f64>) -> i8 {
     let difference = |x: f64, y: f64| i8::from(x > y) - i8::from(x < y);
     match turn(a, b, p) {
@@ -208,7 +209,7 @@ mod tests {
         let inside = truth.data.iter().filter(|&&x| x < 0.0).count();
         assert_eq!(count_nodes_inside(&mesh, &truth.geometry), inside);
         assert!(inside > 200);
-        // if F is positive everywhere, all inner nodes are on the wrong side
+        // if F is positive everywhere, all nodes inside the mesh are on the wrong side
         let outside = Image::filled(truth.geometry.clone(), 1.0f32);
         assert_eq!(nodes_on_wrong_side(&mesh, &outside).len(), inside);
     }
@@ -227,7 +228,8 @@ mod tests {
 
     #[test]
     fn lines_through_vertices_edges_and_faces_count_once() {
-        // all corners, edges and faces lie on grid lines, so every crossing is degenerate
+        // all corners lie on grid nodes, so some grid lines run along edges and within faces of the
+        // box
         let mesh = moved(shapes::cuboid(DVec3::new(4.0, 3.0, 2.0)), DVec3::ONE);
         let field = image([8; 3], DVec3::ONE, |p| {
             let d = (p - DVec3::new(3.0, 2.5, 2.0)).abs() - DVec3::new(2.0, 1.5, 1.0);

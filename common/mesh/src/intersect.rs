@@ -150,8 +150,8 @@ fn flat(p: DVec3, axis: usize) -> Coord<f64> {
     Coord { x: p[(axis + 1) % 3], y: p[(axis + 2) % 3] }
 }
 
-/// Returns whether a point lies in a triangle. Returns false for a degenerate triangle; callers
-/// test its sides separately.
+/// Returns whether a point lies in a triangle or on its border. Returns false for a degenerate
+/// triangle, because callers test its sides separately.
 fn holds(t: [Coord<f64>; 3], p: Coord<f64>) -> bool {
     let turns: [i8; 3] = std::array::from_fn(|e| turn(t[e], t[(e + 1) % 3], p));
     turn(t[0], t[1], t[2]) != 0 && !(turns.contains(&1) && turns.contains(&-1))
@@ -177,8 +177,8 @@ pub fn turn(a: Coord<f64>, b: Coord<f64>, c: Coord<f64>) -> i8 {
     sign(robust::orient2d(a, b, c))
 }
 
-/// Returns the exact side of d relative to the plane a, b, c. The result is 1 on the side of the
-/// normal (b - a) x (c - a), -1 on the other side, and 0 in the plane.
+/// Returns the exact side of d relative to the plane through a, b and c. The result is 1 on the
+/// side of the normal (b - a) x (c - a), -1 on the other side, and 0 in the plane.
 pub fn orientation(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> i8 {
     let coordinate = |p: DVec3| Coord3D { x: p.x, y: p.y, z: p.z };
     -sign(robust::orient3d(coordinate(a), coordinate(b), coordinate(c), coordinate(d)))
@@ -220,7 +220,7 @@ mod tests {
         // a corner on the face, and a corner slightly off the face
         assert!(pair(BASE, [v(0.25, 0.25, 0.0), v(0.0, 0.0, 1.0), v(1.0, 0.0, 1.0)]));
         assert!(!pair(BASE, [v(0.25, 0.25, 1e-300), v(0.0, 0.0, 1.0), v(1.0, 0.0, 1.0)]));
-        // edge on edge
+        // two edges that cross
         assert!(pair(BASE, [v(0.5, 0.0, -1.0), v(0.5, 0.0, 1.0), v(0.5, -1.0, 0.0)]));
         // parallel
         assert!(!pair(BASE, BASE.map(|p| p + DVec3::Z * 1e-12)));
@@ -252,8 +252,8 @@ mod tests {
             triangles: vec![[0, 1, 2], [4, 0, 3]],
         };
         assert!(self_intersections(&mesh(v(-1.0, 0.0, 0.0), v(0.0, -1.0, 0.5))).is_empty());
-        // the opposite edge of the second triangle passes through the first triangle, or beyond the
-        // first triangle's opposite edge
+        // the edge opposite the common vertex passes through the other triangle, or beyond it; the
+        // triangles intersect in both cases
         assert_eq!(self_intersections(&mesh(v(0.2, 0.2, -1.0), v(0.2, 0.2, 1.0))), [[0, 1]]);
         assert_eq!(self_intersections(&mesh(v(2.0, 2.0, -1.0), v(2.0, 2.0, 1.0))), [[0, 1]]);
         // coplanar triangles: side by side, and overlapping
@@ -294,8 +294,8 @@ mod tests {
 
     /// Returns whether two triangles intersect, using the separating-axis test, which is exact in
     /// integers. Two triangles are disjoint if and only if their projections onto some axis are
-    /// disjoint. The axis is a face normal, a cross product of two edges, or an in-plane edge
-    /// normal.
+    /// disjoint. It is enough to test the face normals, the cross products of two edges, and the
+    /// in-plane edge normals.
     fn reference_meet(p: [[i64; 3]; 3], q: [[i64; 3]; 3]) -> bool {
         let sub = |a: [i64; 3], b: [i64; 3]| std::array::from_fn::<i128, 3, _>(|i| i128::from(a[i]) - i128::from(b[i]));
         let cross = |a: [i128; 3], b: [i128; 3]| {

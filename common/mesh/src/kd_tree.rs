@@ -1,19 +1,20 @@
 //! A balanced k-d tree of points for nearest-neighbour queries (Bentley 1975). Every node stores
 //! the bounding box of its points.
 //!
-//! The points are reordered into an implicit median tree, so the tree stores only an index and
-//! about ten bytes of boxes for each point. It supports any number of equal coordinates, which are
-//! common because points often lie on grid planes. The boxes exclude the empty space around surface
-//! points, so a ball that touches a surface intersects few boxes.
+//! The points are reordered into an implicit median tree. For each point, the tree therefore stores
+//! only its position, its index and about ten bytes of boxes. It supports any number of equal
+//! coordinates, which are common because points often lie on grid planes. The boxes exclude the
+//! empty space around surface points, so a ball that touches a surface intersects few boxes.
 
 use crate::spatial::Bounds;
 use glam::DVec3;
 use std::ops::Range;
 
-/// Maximum number of points in a leaf. Callers that limit the number of visited leaves count leaves
-/// of this size. Measured on 300,000 points of a bumpy sphere: a query for the nearest point, at
-/// most 5 % of the radius away from the sphere, takes 8.0, 7.6, 6.2, 5.4 and 4.0 us with 3, 6, 12,
-/// 24 and 48 points per leaf (medians of three runs with `rustc -O`; 2 busy cores, 2026-11-27).
+/// Maximum number of points in a leaf. Callers that limit the number of visited leaves rely on this
+/// size. With 3, 6, 12, 24 and 48 points per leaf, a search for the nearest of 300,000 points on a
+/// bumpy sphere takes 8.0, 7.6, 6.2, 5.4 and 4.0 us. The query positions are at most 5 % of the
+/// radius away from the sphere (medians of three runs with `rustc -O` on a busy machine with 2
+/// cores, 2026-11-27).
 const LEAF_POINTS: usize = 12;
 
 /// A k-d tree over a fixed set of points.
@@ -21,7 +22,7 @@ const LEAF_POINTS: usize = 12;
 pub struct KdTree {
     points: Vec<DVec3>,
     index: Vec<u32>,
-    /// Bounding box of each node. The children of node n are 2 n + 1 and 2 n + 2.
+    /// Bounding box of each node. The children of node n are `2 * n + 1` and `2 * n + 2`.
     boxes: Vec<Bounds>,
 }
 
@@ -58,8 +59,9 @@ impl KdTree {
     }
 
     /// Works like [`KdTree::nearest_within`], but visits at most `leaves` leaves, closest first.
-    /// The result is therefore not always the nearest point. If all points are at about the same
-    /// distance, for example around the centre of a ball, an exact search would visit every leaf.
+    /// The result is therefore not always the nearest point. From the centre of a ball, for
+    /// example, all points of its surface are at about the same distance, and an exact search would
+    /// visit every leaf.
     pub fn nearest_of_leaves(&self, query: DVec3, radius: f64, leaves: usize) -> Option<(usize, f64)> {
         let mut search = Search { query, best: (u32::MAX, radius * radius), leaves };
         self.search(&mut search, 0..self.points.len(), 0);

@@ -56,8 +56,8 @@ mod tests {
 
     #[test]
     fn a_fine_sphere_approaches_the_analytic_measure() {
-        // An inscribed icosphere of level n has too small a volume, by a fraction of about 0.83 /
-        // 4^n, and too small an area, by half that fraction.
+        // The volume of an inscribed icosphere of level n is too small by a fraction of about
+        // `0.83 / 4^n`. Its area is too small by half that fraction.
         let got = measure(&shapes::icosphere(2.0, 5));
         let (area, volume) = (16.0 * PI, 32.0 / 3.0 * PI);
         assert!((got.area / area - 1.0).abs() < 1e-3, "{got:?}");

@@ -12,7 +12,7 @@ use isoparticles_volume::Space;
 use isoparticles_volume::vtk_xml::VtkFile;
 use std::path::Path;
 
-/// Points in the order of the file, with their coordinates in the file.
+/// The points of a file, in the order and the coordinate frame of the file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PointCloud {
     /// Positions, all of which are finite.

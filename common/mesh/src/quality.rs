@@ -12,14 +12,14 @@ use serde::Serialize;
 /// intervals of 0.02.
 pub const HISTOGRAM_BINS: usize = 50;
 
-/// A triangle is degenerate if its area is at most this fraction of the mean area. The rounding of
-/// `f64` coordinates gives three collinear points a positive area: up to 1.5e-13 of the area of an
-/// equilateral triangle at a distance of 1,000 edge lengths from the origin, and 2.3e-12 at 10,000
-/// (200,000 random triples in NumPy).
+/// A triangle is degenerate if its area is at most this fraction of the mean area. After rounding
+/// to `f64`, the area of three collinear points, relative to an equilateral triangle, is up to
+/// 1.5e-13 at a distance of 1,000 edge lengths from the origin, and up to 2.3e-12 at 10,000 (maxima
+/// over 200,000 random triples in NumPy).
 pub const ZERO_AREA_SHARE: f64 = 1e-12;
 
-/// Computes the radius ratio 2r/R of a triangle: 8 A^2 / (s a b c), where s is half the perimeter.
-/// Returns 0 for a degenerate triangle.
+/// Computes the radius ratio 2r/R of a triangle: `8 A^2 / (s l)`, where A is the area, s is half
+/// the perimeter and l is the product of the edge lengths. Returns 0 for a degenerate triangle.
 #[inline]
 pub fn radius_ratio(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     let lengths = [b.distance(c), c.distance(a), a.distance(b)];
@@ -101,7 +101,8 @@ pub struct QualitySummary {
     pub edge_length_max: f64,
 }
 
-/// Minimum and maximum angle and edge length of some triangles, and their total edge length.
+/// Minimum and maximum angle, minimum and maximum edge length, and total edge length of a group of
+/// triangles.
 struct Sides {
     angles: [f64; 2],
     lengths: [f64; 2],

@@ -132,7 +132,7 @@ struct Found {
 }
 
 impl BoxTree {
-    /// Builds a tree of some boxes.
+    /// Builds a tree of the given boxes.
     pub fn new(boxes: &[Bounds]) -> Self {
         let whole = boxes.iter().fold(Bounds::EMPTY, |a, &b| a.merged(b));
         let scale = (whole.high - whole.low).max(DVec3::splat(f64::MIN_POSITIVE)).recip() * LARGEST_CELL;
@@ -264,7 +264,7 @@ impl<T: PartialEq> Bins<T> {
     }
 
     /// Returns the values in the bin of a point and in the 26 adjacent bins, in a fixed order. They
-    /// include all values at points closer than the side length.
+    /// include all values whose points are closer to `p` than the side length.
     pub fn near(&self, p: DVec3) -> impl Iterator<Item = &T> {
         let at = self.bin(p);
         let around = (0..27).map(move |n| [at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1]);

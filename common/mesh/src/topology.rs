@@ -93,7 +93,7 @@ pub fn analyse(mesh: &TriangleMesh) -> Topology {
 
 /// Counts the edges, and lists the edges that violate a condition. Marks the components of these
 /// edges in `faulty`. Returns disjoint sets of triangle corners: two corners at a vertex are in the
-/// same set if their triangles are connected through edges at the vertex.
+/// same set if a chain of triangles connects them across edges at the vertex.
 fn examine_edges(mesh: &TriangleMesh, topology: &mut Topology, faulty: &mut [bool]) -> DisjointSets {
     let mut fans = DisjointSets::new(3 * mesh.triangles.len());
     for group in sorted_sides(mesh).chunk_by(|a, b| a.key == b.key) {
@@ -123,13 +123,13 @@ fn examine_edges(mesh: &TriangleMesh, topology: &mut Topology, faulty: &mut [boo
 }
 
 /// Lists the vertices without triangles and the vertices with more than one fan. Marks the
-/// components of the latter in `faulty`. The number of fans at a vertex is the number of sets of
-/// its corners.
+/// components with more than one fan at a vertex in `faulty`. The number of fans at a vertex is the
+/// number of sets of its corners.
 fn examine_vertices(mesh: &TriangleMesh, mut fans: DisjointSets, topology: &mut Topology, faulty: &mut [bool]) {
     let mut fan_count = vec![0u32; mesh.vertices.len()];
     for corner in 0..3 * mesh.triangles.len() as u32 {
         let vertex = mesh.triangles[corner as usize / 3][corner as usize % 3];
-        // a corner that repeats a vertex of its triangle is not counted as a fan
+        // if a triangle contains a vertex twice, only the first of the two corners is counted
         if fans.find(corner) == corner && corner_of(mesh, corner / 3, vertex) == corner {
             fan_count[vertex as usize] += 1;
         }

@@ -9,7 +9,7 @@ use vtkio::model::{Attribute, DataSet, IOBuffer, Piece, UnstructuredGridPiece, V
 pub(crate) type Points = (Vec<DVec3>, Option<Vec<DVec3>>);
 
 /// Reads the points of a `POLYDATA` or `UNSTRUCTURED_GRID` file (text or binary), and its point
-/// array `Normals` or `normal`.
+/// array `normals` or `normal` (in upper or lower case).
 ///
 /// # Errors
 /// If the file is not a legacy VTK file or has no usable points. The error describes the problem.

@@ -1,9 +1,9 @@
 //! Reads and writes the fields that stages exchange as VTK image files: signed distance and target
 //! edge length.
 //!
-//! Origin, Spacing and Direction give ParaView and pyvista the position of the grid in the world.
-//! The field data contains the exact geometry, the metadata of the stage, and the history. Files
-//! that were edited and saved in pyvista can be read even if this field data is incomplete.
+//! The attributes Origin, Spacing and Direction place the grid in the world, for ParaView and
+//! pyvista. The field data contains the exact geometry, the metadata of the stage, and the history.
+//! Files that were edited and saved in pyvista can be read even if this field data is incomplete.
 
 use crate::error::{Error, Result};
 use crate::materials_file;

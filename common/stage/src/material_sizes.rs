@@ -50,8 +50,8 @@ pub struct Given {
 }
 
 impl Given {
-    /// Looks up the names in `sizes`. `names` contains the names of all materials, indexed by
-    /// number.
+    /// Looks up the names in `sizes`. `names` contains the name of each material, indexed by
+    /// material number.
     ///
     /// # Errors
     /// If a name is unknown.
@@ -83,8 +83,8 @@ impl Given {
         self.materials.iter().map(|(_, size)| *size).max_by(f64::total_cmp)
     }
 
-    /// Returns the edge length in mm that is set for a material, or the smallest one if there are
-    /// several. Ignores lengths that are set for interfaces.
+    /// Returns the edge length in mm that is set for a material. If several lengths are set,
+    /// returns the smallest. Ignores lengths that are set for interfaces.
     pub fn of_material(&self, id: MaterialId) -> Option<f64> {
         self.materials.iter().filter(|(own, _)| *own == id).map(|(_, size)| *size).min_by(f64::total_cmp)
     }

@@ -2,9 +2,9 @@
 //! materials.
 //!
 //! The point data, for ParaView and pyvista, contains the material of each node and the node's
-//! distance from the nearest interface. The field data contains a table of the materials and their
-//! indicators: the bricks and coefficients of all materials, concatenated in the order of the
-//! table, and the material that fills each brick. The format preserves indicators bit for bit.
+//! distance from the nearest interface. The field data contains a table of the materials, and the
+//! material that fills each brick. It also contains the bricks and coefficients of the indicators,
+//! concatenated in the order of the table. The format preserves indicators bit for bit.
 
 use crate::error::{Error, Result};
 use crate::output::write_atomically;

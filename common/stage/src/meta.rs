@@ -107,7 +107,7 @@ pub struct MaterialsMeta {
     /// Number of grid nodes added beyond each face of the volume.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub margin: Option<usize>,
-    /// Upper bound of `interface_distance` in mm.
+    /// Upper bound of the point array `interface_distance` in mm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distance_limit: Option<f64>,
     /// Largest length scale of the smoothing in mm. `None` if every voxel centre stays in its
@@ -151,7 +151,7 @@ pub struct SurfaceMeta {
     pub failed_checks: Vec<String>,
     /// Expected number of components.
     pub components: usize,
-    /// The materials in the order of their numbers, if there are several. The triangle arrays
+    /// The materials in the order of their numbers; empty for a single object. The triangle arrays
     /// `material_inside` and `material_outside` contain these numbers.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub materials: Vec<Material>,

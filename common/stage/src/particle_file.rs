@@ -80,7 +80,7 @@ pub struct ParticleFile {
     pub meta: Value,
     /// The history of the file.
     pub history: History,
-    /// Bytes that only the stage that wrote them interprets. Empty except in checkpoints.
+    /// Bytes that only the writing stage interprets. Empty except in checkpoints.
     pub extra: Vec<u8>,
 }
 
@@ -92,8 +92,8 @@ struct PayloadOut<'a> {
     extra: &'a [u8],
 }
 
-/// The payload, with its strings decoded as bytes, because the encoding is the same. For a string,
-/// bincode would allocate the declared length before checking the amount of data.
+/// The payload as it is decoded. Strings are decoded as bytes, which have the same encoding. For a
+/// string, bincode would allocate the declared length before checking the amount of data.
 #[derive(Deserialize)]
 struct PayloadIn {
     particles: ParticleSet,

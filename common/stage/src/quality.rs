@@ -1,4 +1,4 @@
-//! The mesh quality set with `--quality`. It determines the length scale of `distfield` and the
+//! The mesh quality that `--quality` selects. It determines the length scale of `distfield` and the
 //! defaults of `sizefield`.
 
 /// Fineness of a mesh.
@@ -24,8 +24,8 @@ impl Quality {
     }
 
     /// Returns the minimum h in units of the mean voxel spacing. Triangles with edges shorter than
-    /// 0.75 voxels capture no further detail of the data. Twice this length gives a quarter as many
-    /// triangles; two thirds of it give 2.25 times as many.
+    /// 0.75 voxels capture no further detail of the data. Compared with 0.75, a minimum of 1.5
+    /// gives a quarter as many triangles, and a minimum of 0.5 gives 2.25 times as many.
     #[must_use]
     pub fn smallest_size_voxels(self) -> f64 {
         match self {

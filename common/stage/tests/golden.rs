@@ -1,5 +1,6 @@
-//! Tests one file of each released format version. Files in our own formats must remain readable,
-//! and writing the same data must reproduce the file of the current version byte for byte.
+//! Tests one file of each released format version. Files in the project's own formats must remain
+//! readable, and writing the same data must reproduce the file of the current version byte for
+//! byte.
 //!
 //! `UPDATE_GOLDEN=1 cargo test -p isoparticles-stage --test golden` rewrites the files of the
 //! current versions.
@@ -181,8 +182,8 @@ fn surface_versions_1_and_2() {
     }
 }
 
-/// Reads a size field whose values were doubled in pyvista and that was saved in several ways (see
-/// `make_edited` in `common/volume/tests/data/make_fixtures.py`).
+/// Reads copies of a size field that pyvista saved in several ways, after the values were doubled
+/// (see `make_edited` in `common/volume/tests/data/make_fixtures.py`).
 #[test]
 fn a_size_field_edited_in_pyvista_is_read() {
     for name in

@@ -1,7 +1,8 @@
 //! Tests the shared parts of all stage programs with a small program: exit codes, atomic outputs,
 //! the report, reproducible bytes, and the response to signals.
 //!
-//! This test does not use the default harness, because it runs its own executable as that program.
+//! This test does not use the default harness, because its own executable also serves as that
+//! program.
 
 use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::cli::shell::CommandLine;

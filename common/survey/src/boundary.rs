@@ -1,15 +1,15 @@
-//! Measures the surface of objects from their voxels: the area, and the local shape at sampled
+//! Measures the surfaces of objects in a voxel grid: their area, and their local shape at sampled
 //! faces.
 //!
-//! A *face* separates two neighbouring voxels of different classes. Lines along axis a, with one
-//! line per area s, cross a surface |n_a| A / s times, where A is the area of the surface and n its
-//! unit normal. The mean of |n_x| + |n_y| + |n_z| over all directions is 3/2 (Cauchy and Crofton).
-//! The area of the surface is therefore 2/3 of the total area of all faces.
+//! A *face* separates two neighbouring voxels of different classes. Parallel lines along axis a,
+//! one per area s, cross a surface |n_a| A / s times, where A is the area of the surface and n is
+//! its unit normal. Averaged over all directions, |n_x| + |n_y| + |n_z| is 3/2 (Cauchy and
+//! Crofton). The area of the surface is therefore 2/3 of the total area of all faces.
 //!
-//! At a sampled face, the volume fraction of a ball inside the object gives the mean curvature H
-//! (integral invariant of Pottmann et al. 2007: fraction = 1/2 - 3/16 r H). The centre of mass of
-//! this part of the ball gives the normal. A walk along the normal gives the thickness of the
-//! object or of the adjacent gap.
+//! A ball is centred at each sampled face. The fraction of its volume inside the object gives the
+//! mean curvature H (integral invariant of Pottmann et al. 2007: fraction = 1/2 - 3/16 r H), and
+//! the centroid of this part gives the normal. Walks along the normal in both directions measure
+//! the thickness of the object and of the adjacent gap.
 
 use crate::classes::{Classes, OUTSIDE};
 use glam::DVec3;
@@ -17,19 +17,19 @@ use isoparticles_field::random::uniform;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// Radius of the ball in units of the mean spacing. In smaller balls, the staircase of voxels
-/// affects the volume fraction more than the curvature does. The value is from the grid search
-/// described at `EDGE_OVER_RADIUS` in `cost.rs`.
+/// Radius of the ball in units of the mean spacing. In a smaller ball, the voxel staircase changes
+/// the volume fraction more than the curvature does. The value comes from the grid search described
+/// at `EDGE_OVER_RADIUS` in `cost.rs`.
 pub const BALL: f64 = 2.0;
 
-/// Step length along the normal in units of the mean spacing, and the resolution of the thickness.
-/// With two steps per voxel, the walk does not skip a layer one voxel thick.
+/// Step length along the normal in units of the mean spacing. It is also the resolution of the
+/// thickness. With two steps per voxel, the walk does not skip a layer one voxel thick.
 const WALK_STEP: f64 = 0.5;
 
-/// Length of the walk along the normal in units of the mean spacing. This thickness limits h to
-/// 0.20 x 30 = 6 voxels (`EDGE_OVER_THICKNESS` in `cost.rs`). The vertex density is proportional to
-/// 1 / h^2, so thicker parts have at most (0.75 / 6)^2 = 1/64 of the density at the minimum h.
-/// Their exact thickness hardly affects the vertex count.
+/// Maximum length of a walk along the normal in units of the mean spacing. At this thickness, h is
+/// limited to 0.20 x 30 = 6 voxels (`EDGE_OVER_THICKNESS` in `cost.rs`). The vertex density is
+/// proportional to 1 / h^2, so thicker parts have at most (0.75 / 6)^2 = 1/64 of the density at the
+/// minimum h. Their exact thickness hardly affects the vertex count.
 const WALK_LENGTH: f64 = 30.0;
 
 /// Seed for the random selection of faces. The value is arbitrary.
@@ -53,11 +53,10 @@ pub struct SampledFace {
     pub axis: usize,
     /// Centre of the face in mm, in the grid frame.
     pub position: DVec3,
-    /// Absolute difference between 1/2 and the volume fraction of the ball inside the object.
+    /// Absolute difference between 1/2 and the fraction of the ball's volume inside the object.
     pub imbalance: f64,
-    /// Thickness in units of the mean spacing: the smaller of two distances along the normal, to
-    /// the other side of the object and to the other side of the adjacent gap. Infinite if both
-    /// exceed `WALK_LENGTH`.
+    /// Distance along the normal to the far side of the object or of the adjacent gap, whichever is
+    /// smaller, in units of the mean spacing. Infinite if both distances exceed `WALK_LENGTH`.
     pub thickness: f64,
 }
 
@@ -68,7 +67,7 @@ struct Face {
     inside: [usize; 3],
     /// Axis normal to the face.
     axis: usize,
-    /// Whether the face is on the upper side of that voxel.
+    /// Whether the face is on the upper side of the voxel `inside` along the axis.
     is_up: bool,
 }
 
@@ -78,7 +77,7 @@ impl Boundary {
         (0..3).map(|axis| self.faces[axis] as f64 * face_area(geometry, axis)).sum::<f64>() / 1.5
     }
 
-    /// Returns the area of the surface that a sampled face represents, in mm^2.
+    /// Returns the surface area that a sampled face represents, in mm^2.
     pub fn area_of(&self, place: &SampledFace, geometry: &Geometry) -> f64 {
         self.weight * face_area(geometry, place.axis) / 1.5
     }
@@ -96,7 +95,7 @@ impl Boundary {
     }
 }
 
-/// Returns the area of a face normal to an axis, in mm^2.
+/// Returns the area of a face normal to `axis`, in mm^2.
 fn face_area(geometry: &Geometry, axis: usize) -> f64 {
     geometry.spacing.element_product() / geometry.spacing[axis]
 }
@@ -140,8 +139,8 @@ pub fn boundaries(classes: &Classes<'_>, wanted: usize) -> Vec<Boundary> {
     found.split_off(1)
 }
 
-/// Calls `found` with the faces of slice `k`: those between each voxel and the next voxel along
-/// each axis, and those at the border of the volume.
+/// Calls `found` for each face between a voxel of slice `k` and the next voxel along an axis, and
+/// for each face of the slice at the border of the volume.
 fn each_face(classes: &Classes<'_>, k: usize, mut found: impl FnMut(Face)) {
     let [nx, ny, nz] = classes.geometry.size;
     let row = |j: usize, k: usize| {
@@ -195,10 +194,11 @@ fn each_face(classes: &Classes<'_>, k: usize, mut found: impl FnMut(Face)) {
     }
 }
 
-/// The balls that measure the shape at a face.
+/// The balls used to measure the shape at a face.
 struct Shapes {
-    /// Offsets of the voxels in the ball from the inside voxel of the face. The first index is the
-    /// axis of the face. The second is 1 if the face is on the upper side of the voxel.
+    /// Offsets from the inside voxel of a face to all voxels in the ball around the face. The first
+    /// index is the axis of the face. The second is 1 if the face is on the upper side of the
+    /// inside voxel.
     balls: [[Vec<[isize; 3]>; 2]; 3],
 }
 
@@ -250,8 +250,8 @@ impl Shapes {
         let voxel = geometry.mean_spacing();
         let walk = |direction: DVec3, from_inside: bool| {
             let steps = (WALK_LENGTH / WALK_STEP) as usize;
-            // the first sample is 0.75 voxel away; a closer sample may be on the wrong side of the
-            // staircase
+            // the first sample is 0.75 voxels away, because a closer one may be on the wrong side
+            // of the staircase
             let ways = (1..=steps).map(|n| (n as f64 + 0.5) * WALK_STEP);
             let ends = |way: &f64| {
                 let index = geometry.grid_to_index(position + direction * (way * voxel));
@@ -289,7 +289,7 @@ mod tests {
         let sampled: f64 = ball.sample.iter().map(|place| ball.area_of(place, &geometry)).sum();
         assert!((sampled / area - 1.0).abs() < 0.05, "{sampled}, not {area}");
         assert!((ball.diagonal() - 2.0 * 3f64.sqrt() * radius).abs() < 1.5, "{}", ball.diagonal());
-        // the opposite side is 2 r = 35 voxels away, beyond the end of the walk
+        // the opposite side is 2 r = 36 mean spacings away, beyond the end of the walk
         assert!(ball.sample.iter().all(|place| place.thickness > 15.0), "a walk along the normal ends early");
     }
 

@@ -1,18 +1,18 @@
 //! Assigns a class to each voxel: one class per label, or one class for the inside of an object.
-//! Classes are computed row by row from the voxel values, so no second volume is stored.
+//! Classes are computed row by row from the voxel values, which avoids a second copy of the volume.
 
 use isoparticles_volume::{Geometry, Voxels};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// Class of voxels outside all objects, and of positions beyond the border of the volume.
+/// Class of voxels outside all objects, and of positions outside the volume.
 pub const OUTSIDE: u16 = 0;
 
 /// Maximum number of classes, excluding [`OUTSIDE`].
 pub const MOST_CLASSES: usize = u16::MAX as usize;
 
-/// Maximum range of labels for a lookup table. A table of this range takes 128 KiB, at two bytes
-/// per label. A hash map replaces the table for a larger range.
+/// Maximum range of labels that a lookup table covers. At two bytes per label, the table takes at
+/// most 128 KiB. A hash map is used for a larger range.
 const LARGEST_TABLE: i64 = 1 << 16;
 
 /// Maps the value of a voxel to its class.
@@ -24,7 +24,8 @@ pub enum Rule {
     Below(f64),
     /// A table of classes that starts at the given label. Labels outside the table are [`OUTSIDE`].
     Table(i64, Vec<u16>),
-    /// A hash map of classes for labels with a large range. All other labels are [`OUTSIDE`].
+    /// A hash map from labels to classes, for labels with a large range. All other labels are
+    /// [`OUTSIDE`].
     Search(HashMap<i64, u16>),
 }
 
@@ -34,8 +35,8 @@ impl Rule {
         Self::with(labels, |_| 1)
     }
 
-    /// Returns the rule that assigns class n to the n-th of these labels, counted from 1. There may
-    /// be at most [`MOST_CLASSES`] labels.
+    /// Returns the rule that assigns class n to the n-th of these labels, counting from 1. The
+    /// number of labels must not exceed [`MOST_CLASSES`].
     pub fn each_of(labels: &[i64]) -> Self {
         Self::with(labels, |n| n as u16 + 1)
     }
@@ -93,7 +94,8 @@ struct Layer<'a> {
 }
 
 impl<'a> Classes<'a> {
-    /// Creates the classes 1 to `count` from the voxels and rules of some layers.
+    /// Creates the classes of a volume from the voxels and the rule of each layer. The rules must
+    /// map to classes from 0 to `count`.
     pub fn new(geometry: &'a Geometry, layers: Vec<(&'a Voxels, Rule)>, count: usize) -> Self {
         let layer = |(voxels, rule): (&'a Voxels, Rule)| {
             let of_byte = std::array::from_fn(|byte| rule.of_label(byte as i64));
@@ -102,7 +104,7 @@ impl<'a> Classes<'a> {
         Self { geometry, layers: layers.into_iter().map(layer).collect(), count }
     }
 
-    /// Writes the classes of the row with y index `j` and z index `k`.
+    /// Writes the classes of the voxels with y index `j` and z index `k` to `row`.
     pub fn copy_row(&self, j: usize, k: usize, row: &mut [u16]) {
         row.fill(OUTSIDE);
         let first = self.geometry.linear(0, j, k);
@@ -172,8 +174,7 @@ impl<'a> Classes<'a> {
     }
 }
 
-/// Writes the classes of the values to the row. Leaves the row unchanged where the class is
-/// [`OUTSIDE`].
+/// Writes the class of each value to `row`, except where that class is [`OUTSIDE`].
 fn put<T: Copy>(values: &[T], row: &mut [u16], class: impl Fn(T) -> u16) {
     for (row, &value) in row.iter_mut().zip(values) {
         let found = class(value);

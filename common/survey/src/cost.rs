@@ -1,10 +1,10 @@
 //! Predicts the cost of meshing an object from its voxels: vertices, processor time and memory.
 //!
 //! `sizefield` computes the edge length h from local feature size and curvature, and limits its
-//! gradient (`sizefield --help`). The mean curvature and the thickness at sampled faces
-//! ([`crate::boundary`]) give a rough estimate of h. A factor fitted to the shared volumes accounts
-//! for the gradient limit and for other features of the surface. The measurement or source of each
-//! constant is stated in its comment.
+//! gradient (`sizefield --help`). This module estimates h roughly, from the mean curvature and the
+//! thickness at sampled faces ([`crate::boundary`]). A factor fitted to the shared volumes accounts
+//! for the gradient limit and for other effects that the estimate ignores. The comment of each
+//! constant states its measurement or source.
 
 use crate::boundary::{BALL, Boundary, SampledFace};
 use crate::kind::Kind;
@@ -12,18 +12,18 @@ use isoparticles_field::spline::ROOM;
 use isoparticles_volume::Geometry;
 use serde::Serialize;
 
-/// Ratio of the edge length to the radius of mean curvature. A grid search over this constant,
-/// [`EDGE_OVER_THICKNESS`], [`STAIRCASE`] and [`BALL`] minimised the scatter between predicted and
-/// actual vertex counts of fourteen surfaces. The remaining scatter is a factor of 1.3.
-/// `stages/distfield/benches/predicted.py` lists the surfaces, compares the counts and prints
-/// corrections to the gradation factors below.
+/// Ratio of the edge length to the radius of mean curvature. The value comes from a grid search
+/// over this constant, [`EDGE_OVER_THICKNESS`], [`STAIRCASE`] and [`BALL`]. The search minimised
+/// the scatter of the ratio of predicted to actual vertex count over fourteen surfaces. The
+/// remaining scatter is a factor of 1.3. `stages/distfield/benches/predicted.py` lists the
+/// surfaces, compares the counts and prints corrections for the gradation factors below.
 const EDGE_OVER_RADIUS: f64 = 0.30;
 
 /// Ratio of the edge length to the thickness, from the same search as [`EDGE_OVER_RADIUS`].
 const EDGE_OVER_THICKNESS: f64 = 0.20;
 
-/// Root mean square of the imbalance that the staircase of voxels causes on a plane, from the same
-/// search as [`EDGE_OVER_RADIUS`].
+/// Root-mean-square imbalance that the voxel staircase causes on a plane, from the same search as
+/// [`EDGE_OVER_RADIUS`].
 const STAIRCASE: f64 = 0.06;
 
 /// Default minimum h of `sizefield --quality medium`, in units of the mean voxel spacing.
@@ -33,54 +33,55 @@ const SMALLEST_VOXELS: f64 = 0.75;
 /// bounding box.
 const LARGEST_DIAGONALS: f64 = 0.1;
 
-/// Ratio of the actual vertex count to the count from h at the sampled faces, for label maps. The
-/// ratio exceeds 1 because the gradient limit spreads small h to nearby regions. The value is the
-/// geometric mean over the surfaces in `predicted.py` except the smallest.
+/// Ratio of the actual vertex count to the count computed from h at the sampled faces, for label
+/// maps. The ratio exceeds 1 because the gradient limit extends small values of h to nearby
+/// regions. The value is the geometric mean over the surfaces in `predicted.py` except the
+/// smallest.
 const GRADATION_LABELS: f64 = 1.82;
 
-/// Ratio of the actual vertex count to the count from h at the sampled faces, for scans, from the
-/// same measurement as [`GRADATION_LABELS`]. It is larger because the surface of a scan is not
-/// smoothed. Parts of it can also lie between voxel centres without separating them, so they have
-/// no faces to sample.
+/// The same ratio as [`GRADATION_LABELS`], for scans. It is larger because the surface of a scan is
+/// not smoothed, and because features that lie between voxel centres have no faces to sample.
 const GRADATION_SCAN: f64 = 2.22;
 
-/// Expected maximum factor between the predicted and the actual vertex count, in either direction.
-/// The prediction is within a factor of 1.43 for all but the smallest of the fourteen surfaces
-/// (`predicted.py`).
+/// Expected maximum factor by which the predicted vertex count is too high or too low. The factor
+/// is at most 1.43 for all but the smallest of the fourteen surfaces (`predicted.py`).
 pub const UNCERTAINTY: f64 = 1.5;
 
 /// Minimum number of vertices of a part with default sizes; equal to `MIN_PARTICLES` of
 /// `sizefield`.
 const SPECK_VERTICES: f64 = 32.0;
 
-/// Minimum number of vertices of a part, whatever the edge length; equal to `COMPONENT_MINIMUM` in
+/// Minimum number of vertices of a part for any edge length; equal to `COMPONENT_MINIMUM` in
 /// `seed`.
 pub(crate) const FEWEST_VERTICES: f64 = 12.0;
 
-/// Cost of a group of stages: a fixed amount, and amounts per node of the padded grid, per face
-/// between voxels and per vertex.
+/// Cost of a group of stages: a fixed amount, plus amounts per node of the padded grid, per voxel
+/// face at the surface and per vertex.
 struct Rates {
     stage: &'static str,
-    /// Processor seconds: fixed, and per million nodes, faces and vertices.
+    /// Processor time in seconds: a fixed amount, and amounts per million nodes, faces and
+    /// vertices.
     seconds: [f64; 4],
-    /// Memory in bytes: a fixed amount, and amounts per node, face and vertex. Each entry is for a
-    /// program that can determine the peak memory of the group. The prediction is the maximum over
-    /// the entries.
+    /// Memory in bytes: a fixed amount, and amounts per node, face and vertex. There is one entry
+    /// for each program that can have the highest peak of the group. The prediction is the maximum
+    /// over the entries.
     bytes: &'static [[f64; 4]],
 }
 
-/// Measured with `python stages/distfield/benches/costs.py` on seven phantoms, with two cores of an
-/// EPYC that also ran other work. The predicted memory is within about a fifth of the measurements,
-/// and the time within about a third. There are two exceptions: the particles of the noise phantom
-/// (11.3 s measured, 4.3 s predicted, because all passes run) and the particles of the coarse ball.
+/// Measured with `python stages/distfield/benches/costs.py` on seven phantoms, on two cores of an
+/// EPYC that also ran other work. The predicted memory differs from the measured memory by at most
+/// about a fifth, and the predicted time by at most about a third. The two exceptions are the
+/// `particles` stage on the noise phantom (11.3 s measured, 4.3 s predicted, because all passes
+/// run) and on the coarse ball.
 ///
-/// - `fields`: either distfield needs the most memory, per node, or sizefield, per vertex.
-///   `sizefield` needs 12 bytes per node for F, its coefficients and h, and 820 to 1,160 bytes per
-///   vertex on eight shared volumes (`costs.py --volumes`; 551 on `heart_ct`).
-/// - `triangles`: bytes per vertex measured on `thorax_ct_native_u8`.
-/// - `tetrahedra`: elapsed seconds of the torso's lungs and ribs, 11.7 for 36,514 vertices and 19.5
-///   for 99,084. Memory of `heart` and `ribs`, 896 MiB for 55,626 vertices and 2,050 MiB for
-///   292,825 (`docs/developer/performance.md`, "Real volumes").
+/// - `fields`: the peak is that of `distfield`, which depends on the nodes, or that of `sizefield`,
+///   which also depends on the vertices. `sizefield` needs 12 bytes per node for F, its
+///   coefficients and h, and 820 to 1,160 bytes per vertex on eight shared volumes (`costs.py
+///   --volumes`; 551 on `heart_ct`).
+/// - `triangles`: the bytes per vertex are those measured on `thorax_ct_native_u8`.
+/// - `tetrahedra`: the elapsed time for the torso is 11.7 s with the lungs (36,514 vertices) and
+///   19.5 s with the ribs (99,084 vertices). The memory is 896 MiB for `heart` (55,626 vertices)
+///   and 2,050 MiB for `ribs` (292,825 vertices; `docs/developer/performance.md`, "Real volumes").
 const RATES: [Rates; 4] = [
     Rates {
         stage: "fields",
@@ -92,8 +93,8 @@ const RATES: [Rates; 4] = [
     Rates { stage: "tetrahedra", seconds: [7.0, 0.0, 0.0, 125.0], bytes: &[[6.3e8, 0.0, 0.0, 5100.0]] },
 ];
 
-/// Memory of distfield in bytes per node of the padded grid, without its input. Measured on the
-/// whole grid of 512^3 voxels: 5.98 for labels and 5.16 for scalars
+/// Memory of `distfield` in bytes per node of the padded grid, excluding its input. Measured on
+/// 512^3 voxels, with F on the whole grid: 5.98 for labels and 5.16 for scalars
 /// (`docs/developer/performance.md`, "Memory").
 const DISTFIELD_BYTES: f64 = 6.0;
 
@@ -107,10 +108,10 @@ pub struct Cost {
     pub area: f64,
     /// Number of vertices with default sizes.
     pub vertices: usize,
-    /// Expected minimum and maximum of `vertices`: `vertices` divided and multiplied by
-    /// [`UNCERTAINTY`].
+    /// Expected range of the vertex count: from `vertices` divided by [`UNCERTAINTY`] to `vertices`
+    /// multiplied by it.
     pub vertices_range: [usize; 2],
-    /// Number of vertices for several constant edge lengths.
+    /// Predicted vertex counts for several constant edge lengths.
     pub uniform: Vec<Uniform>,
     /// Time and memory of the stages with default sizes.
     pub stages: Vec<StageCost>,
@@ -138,8 +139,8 @@ pub struct StageCost {
     pub bytes: f64,
 }
 
-/// Predicts the cost of an object from its boundary and its number of connected parts (1 if
-/// unknown).
+/// Predicts the cost of an object from its boundary and its number of connected parts (assumed to
+/// be 1 if unknown).
 pub fn cost(boundary: &Boundary, parts: Option<usize>, geometry: &Geometry, kind: Kind) -> Cost {
     let area = boundary.area(geometry);
     let parts = parts.unwrap_or(1) as f64;
@@ -169,9 +170,9 @@ pub fn cost(boundary: &Boundary, parts: Option<usize>, geometry: &Geometry, kind
     }
 }
 
-/// Returns the number of nodes of the grid of F. The grid covers the bounding box of the object
-/// with [`ROOM`] voxels on each side, clipped to the volume. Five more voxels are added on each
-/// side.
+/// Returns the number of nodes of the grid of F. The grid is the bounding box of the object,
+/// extended by [`ROOM`] voxels on each side and clipped to the volume, plus a margin of five
+/// voxels.
 fn nodes(boundary: &Boundary, geometry: &Geometry) -> f64 {
     let along = |axis: usize| {
         let voxels = boundary.extent()[axis] / geometry.spacing[axis] + 1.0 + 2.0 * ROOM as f64;
@@ -214,8 +215,8 @@ pub fn two_digits(value: f64) -> f64 {
     (value / unit).round() * unit
 }
 
-/// Returns the peak memory of distfield in bytes, without its input, for a padded grid of `nodes`
-/// nodes.
+/// Returns the peak memory of `distfield` in bytes, excluding its input, for a padded grid of
+/// `nodes` nodes.
 pub fn distfield_bytes(nodes: usize) -> f64 {
     DISTFIELD_BYTES * nodes as f64
 }

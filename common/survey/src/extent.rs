@@ -17,14 +17,14 @@ pub struct WorldBox {
     pub centre: [f64; 3],
 }
 
-/// First and last index of the voxels of one class along each axis.
+/// Minimum and maximum voxel index of one class along each axis.
 type Indices = [[usize; 3]; 2];
 
 /// Indices of a class without voxels.
 const NONE: Indices = [[usize::MAX; 3], [0; 3]];
 
-/// Returns the box of each class except [`OUTSIDE`], or `None` for a class without voxels. A voxel
-/// extends half a spacing beyond its centre.
+/// Returns the bounding box of each class except [`OUTSIDE`], or `None` for a class without voxels.
+/// The boxes enclose whole voxels, not only their centres.
 pub fn boxes(classes: &Classes<'_>) -> Vec<Option<WorldBox>> {
     let [nx, ny, nz] = classes.geometry.size;
     let slice = |k: usize| {
@@ -71,7 +71,7 @@ mod tests {
 
     #[test]
     fn boxes_are_in_world_coordinates() {
-        // the x axis of the grid is the y axis of the world
+        // the x axis of the grid points along the y axis of the world
         let geometry = Geometry {
             directions: glam::DMat3::from_cols(DVec3::Y, -DVec3::X, DVec3::Z),
             origin: DVec3::new(10.0, 20.0, 30.0),

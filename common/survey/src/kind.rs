@@ -1,10 +1,10 @@
 //! Determines whether a volume is a scan or a label map.
 //!
-//! A label map consists of regions of constant value, so two consecutive changes of value along an
-//! axis are rare. In a scan, noise and blurred edges change the value from voxel to voxel, even if
-//! large parts are saturated or padded. The number of distinct values is a weaker criterion: an
-//! 8-bit scan has up to 256, and a parcellation can have more. A scan with few levels also has
-//! regions of constant value, but neighbouring regions have consecutive levels.
+//! A label map consists of regions of constant value, so the value rarely changes twice in a row
+//! along an axis. In a scan, noise and blurred edges make the value differ from voxel to voxel,
+//! even if large parts are saturated or padded. The number of distinct values is a weaker
+//! criterion: an 8-bit scan has up to 256, and a parcellation can have more. A scan with few levels
+//! also has regions of constant value, but neighbouring regions have consecutive levels.
 
 use crate::survey::{Survey, UNCLEAR};
 use serde::Serialize;
@@ -51,39 +51,40 @@ impl KindChoice {
     }
 }
 
-/// The kind of a volume, as determined from its values.
+/// The kind of a volume, whether it is certain, and the reason.
 #[derive(Clone, Debug, Serialize)]
 pub struct Judgement {
     /// The kind: scan or labels.
     pub kind: Kind,
-    /// Whether the kind is certain enough to refuse options for the other kind.
+    /// Whether the kind is certain enough to reject options that apply only to the other kind.
     pub certain: bool,
     /// Reason for the decision, in words.
     pub reason: String,
 }
 
-/// Minimum share of jumps between consecutive occurring values (`steps` / `jumps`) for a scan with
-/// few levels, in which neighbouring regions have consecutive levels. The share is at least 0.54
-/// for scans quantized to 8 to 128 levels, and at most 0.3 for label maps with more than 8 labels
-/// (`isoparticles-volume info VOLUME --json -`).
+/// Minimum share of jumps that are steps (`steps` / `jumps`) in a scan with few levels, where
+/// neighbouring regions have consecutive levels. The share is at least 0.54 for scans quantized to
+/// 8 to 128 levels, and at most 0.3 for label maps with more than 8 labels (`isoparticles-volume
+/// info VOLUME --json -`).
 const STEPS_ABOVE: f64 = 0.5;
 
-/// Minimum number of distinct values for the test with [`STEPS_ABOVE`]. With three labels, two of
-/// the three pairs are consecutive, and nested layers are often numbered in order.
+/// Minimum number of distinct values for the test with [`STEPS_ABOVE`]. Label maps with fewer
+/// values can pass that test: two of the three pairs of three labels are consecutive, and nested
+/// layers are often numbered in order.
 const FEWEST_LEVELS: usize = 8;
 
-/// Maximum number of distinct values for which a label map is certain. The finest brain atlases
-/// have a few hundred labels. A volume with more values in regions of constant value can also be a
-/// scan that was enlarged by repeating voxels.
+/// Maximum number of distinct values in a volume that is certainly a label map. The finest brain
+/// atlases have a few hundred labels. A volume with more values, in regions of constant value, may
+/// be a scan that was upsampled by repeating voxels.
 const MOST_CERTAIN_LABELS: usize = 1000;
 
-/// Minimum number of jumps for which the kind is certain. The share of double jumps among 100
+/// Minimum number of jumps for the kind to be certain. The share of double jumps among 100
 /// independent jumps has a standard deviation of at most sqrt(0.25 / 100) = 0.05. The range
 /// [`UNCLEAR`] is nine times as wide.
 const FEWEST_JUMPS: usize = 100;
 
-/// Determines the kind of a volume. `named` is the number of labels that have a name in the file. A
-/// file with label names is a label map.
+/// Determines the kind of a volume. `named` is the number of labels with a name in the file. A file
+/// with named labels is a label map.
 pub fn judge(survey: &Survey, named: usize) -> Judgement {
     let is = |kind, certain, reason: String| Judgement { kind, certain, reason };
     if named > 0 {
@@ -140,7 +141,7 @@ mod tests {
         judge(&Survey::of(&Voxels::I16(image.data), &geometry), 0)
     }
 
-    /// Returns the distance from the middle of the volume, in voxels.
+    /// Returns the distance from a point near the centre of the volume, in voxels.
     fn radius(p: DVec3) -> f64 {
         p.distance(DVec3::new(23.3, 21.6, 19.8))
     }
@@ -169,7 +170,7 @@ mod tests {
         ];
         for (name, judgement) in scans {
             assert_eq!(judgement.kind, Kind::Scan, "{name}: {judgement:?}");
-            // with ten values, most of them clipped to 0, the kind is not certain
+            // with about ten distinct values and most voxels clipped to 0, the kind is uncertain
             assert!(judgement.certain || name == "eight bits, dark", "{name}: {judgement:?}");
         }
     }
@@ -264,7 +265,8 @@ mod tests {
         assert_eq!(with(|r, _| if r < 14.0 { 1.0 } else { f32::INFINITY }).kind, Kind::Scan);
     }
 
-    /// Interpolation of a label map gives values between the labels, so the kind is not certain.
+    /// Interpolating a label map creates values between the labels. [`judge`] must not be certain
+    /// that the result is a scan.
     #[test]
     fn blurred_labels_are_not_certainly_anything_else() {
         let blurred = judged(|p, _| (12.0 * (1.0 - ((radius(p) - 13.0) / 1.5).clamp(0.0, 1.0))).round() as i16);

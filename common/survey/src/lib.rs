@@ -1,11 +1,11 @@
 //! Describes a volume: size, orientation, kind (scan or labels), values, labels, and the predicted
-//! cost of a mesh. `isoparticles-volume info` prints the description. `distfield` uses the same
-//! test to refuse labels for a scan and iso values for a label map.
+//! cost of a mesh. `isoparticles-volume info` prints the description. `distfield` also uses the
+//! kind, to reject label options for a scan and iso values for a label map.
 //!
-//! [`survey`] computes statistics of the values in one pass, and [`kind`] determines the kind from
-//! them. [`selection`] resolves the labels that a user specifies. [`classes`] assigns the voxels to
+//! [`survey`] computes statistics of the values, from which [`kind`] determines the kind.
+//! [`selection`] resolves the labels that a user specifies. [`classes`] assigns the voxels to
 //! objects, [`boundary`] measures their surfaces, [`mod@parts`] counts their connected parts,
-//! [`extent`] measures their boxes, and [`mod@cost`] predicts vertices, time and memory.
+//! [`extent`] computes their bounding boxes, and [`mod@cost`] predicts vertices, time and memory.
 //! [`thresholds`] proposes iso values, [`orientation`] names the axes, and [`text`] formats the
 //! description.
 
@@ -45,28 +45,28 @@ pub enum Inside {
     Below,
 }
 
-/// Number of faces sampled to predict the cost of an object. With this number, random variation
-/// changes the predicted vertex count by 2 %. With 1500, 6000, 24,000 and 200,000 faces, `make
-/// info` predicts 41,000, 43,000, 43,000 and 44,000 vertices for `tooth_ct` at 600.
+/// Number of faces sampled to predict the cost of an object. With this number, the sampling error
+/// of the predicted vertex count is 2 %. With 1500, 6000, 24,000 and 200,000 faces, `make info`
+/// predicts 41,000, 43,000, 43,000 and 44,000 vertices for `tooth_ct` at an iso value of 600.
 const SAMPLED_FACES: usize = 6000;
 
-/// Total number of faces sampled for the label table. It bounds the time for the table, and allows
-/// the maximum of [`LABEL_FACES`] for up to 100 labels.
+/// Number of faces sampled for the label table, divided equally among the labels. It limits the
+/// time to compute the table, and allows the maximum of [`LABEL_FACES`] for up to 100 labels.
 const TABLE_FACES: usize = 200_000;
 
-/// Minimum and maximum number of faces sampled per label of the table. Random variation is
+/// Minimum and maximum number of faces sampled per label of the table. The sampling error is
 /// inversely proportional to the square root of the number: 2 % with [`SAMPLED_FACES`] (6000),
 /// hence 15 % with 100 faces and 3.5 % with 2000 faces.
 const LABEL_FACES: std::ops::RangeInclusive<usize> = 100..=2000;
 
-/// Options that the user specified for the volume.
+/// Options that the user specified for a volume.
 #[derive(Clone, Debug, Default)]
 pub struct Wishes {
     /// Labels whose union is the object.
     pub labels: Option<Vec<LayerLabel>>,
-    /// Iso value of the object, and the side of it that is inside.
+    /// Iso value of the object, and which side of it is inside.
     pub iso: Option<(f64, Inside)>,
-    /// Kind of the volume, which overrides the automatic decision.
+    /// Kind of the volume, which overrides the automatic detection.
     pub kind: Option<Kind>,
 }
 
@@ -81,7 +81,7 @@ pub struct VolumeInfo {
     pub size: [usize; 3],
     /// Distance between voxel centres along each axis in mm.
     pub spacing: [f64; 3],
-    /// Edge lengths of the box around all voxels in mm.
+    /// Size of the volume along each axis in mm: number of voxels times spacing.
     pub extent: [f64; 3],
     /// World position of the centre of the first voxel in mm.
     pub origin: [f64; 3],
@@ -93,7 +93,7 @@ pub struct VolumeInfo {
     pub scalar_type: &'static str,
     /// Number of label layers. Labels of different layers may overlap.
     pub layers: usize,
-    /// Kind of the volume, whether the kind is certain, and the reason.
+    /// Kind of the volume, whether it is certain, and the reason.
     #[serde(flatten)]
     pub judgement: Judgement,
     /// Whether the values look like Hounsfield units; false for label maps.
@@ -106,7 +106,7 @@ pub struct VolumeInfo {
     pub labels: Vec<LabelInfo>,
     /// The object that the user specified, or all candidates if the user specified none.
     pub objects: Vec<Object>,
-    /// Remarks on assumptions made while reading the file, on NaN among labels, and on shear.
+    /// Remarks on assumptions made while reading the file, on NaN in a label map, and on shear.
     pub remarks: Vec<String>,
 }
 
@@ -122,7 +122,7 @@ pub struct LabelInfo {
     pub voxels: usize,
     /// Volume of these voxels in mm^3.
     pub volume: f64,
-    /// Box around these voxels in world coordinates, mm; `None` if resampling a sheared volume
+    /// Bounding box of these voxels in world coordinates, mm; `None` if resampling a sheared volume
     /// removed all of them.
     pub bounds: Option<WorldBox>,
     /// Connected parts of the label; `None` if the volume is too noisy to count them.
@@ -136,7 +136,7 @@ pub struct LabelInfo {
 pub struct Object {
     /// Description, in words.
     pub what: String,
-    /// The variables of `make` that select the object.
+    /// The `make` variables that select the object.
     pub options: String,
     /// Reason for proposing the object, in words.
     pub why: String,
@@ -154,8 +154,7 @@ pub struct Object {
 /// `wishes` specifies no object.
 ///
 /// # Errors
-/// If the run is interrupted, or if the kind is labels and a value other than NaN is not an
-/// integer.
+/// If the run is interrupted, or if a label map contains a value other than an integer or NaN.
 pub fn examine(volume: &Volume, wishes: &Wishes, monitor: &dyn Monitor) -> Result<VolumeInfo> {
     let geometry = &volume.geometry;
     let shear = Shear::of(geometry);
@@ -208,8 +207,8 @@ pub fn examine(volume: &Volume, wishes: &Wishes, monitor: &dyn Monitor) -> Resul
     })
 }
 
-/// Returns the classes of a sheared volume, resampled to the orthonormal grid of `shear`. Voxels
-/// beyond the volume are [`OUTSIDE`].
+/// Returns the classes of a sheared volume, resampled to the orthonormal grid of `shear`. Grid
+/// points outside the volume are [`OUTSIDE`].
 fn moved(classes: &Classes<'_>, shear: &Shear) -> Voxels {
     let [nx, ny, _] = classes.geometry.size;
     let mut numbers = vec![OUTSIDE; classes.geometry.voxel_count()];
@@ -217,9 +216,8 @@ fn moved(classes: &Classes<'_>, shear: &Shear) -> Voxels {
     shear.move_labels(&Voxels::U16(numbers), Some(OUTSIDE.into()))
 }
 
-/// Returns the classes on the orthonormal grid of a sheared volume, from the result of [`moved`].
-/// Returns `classes` if the volume is not sheared. Areas and volumes are measured on orthonormal
-/// axes.
+/// Returns `classes` unchanged if the volume is not sheared. Otherwise, returns the classes that
+/// [`moved`] resampled to an orthonormal grid, on which areas and volumes can be measured.
 fn unsheared<'a>(classes: Classes<'a>, moved: Option<(&'a Shear, &'a Voxels)>) -> Classes<'a> {
     let Some((shear, voxels)) = moved else { return classes };
     let numbers: Vec<i64> = (1..=classes.count as i64).collect();
@@ -262,11 +260,11 @@ fn label_table(volume: &Volume, shear: Option<&Shear>) -> Result<Vec<LabelInfo>>
 }
 
 /// An object that could be meshed: its description, the `make` variables that select it, the reason
-/// for proposing it, and the layers with their rules.
+/// for proposing it, and its layers with their rules.
 type Candidate<'a> = (String, String, String, Vec<(&'a Voxels, Rule)>);
 
-/// Returns the object in `wishes`. If `wishes` specifies none, returns an object for each proposed
-/// iso value of a scan, or the union of all labels except 0.
+/// Returns the object in `wishes`. If `wishes` specifies none, returns one object for each proposed
+/// iso value of a scan, or the union of all labels except 0 of a label map.
 fn candidates<'a>(
     volume: &'a Volume,
     wishes: &Wishes,

@@ -7,21 +7,22 @@ use serde::Serialize;
 /// Orientation of a grid in the world.
 #[derive(Clone, Debug, Serialize)]
 pub struct Orientation {
-    /// Direction of each axis from its first voxel to its last, for example `right to left`, or
-    /// `+x` if the file does not specify an anatomical space.
+    /// Direction of each axis, from its first voxel to its last. Examples: `right to left`, or `+x`
+    /// if the file does not specify an anatomical space.
     pub axes: [String; 3],
-    /// Initials of the directions in which the axes point, for example `LPS`. `None` if the file
-    /// does not specify an anatomical space.
+    /// Initials of the axis directions, for example `LPS`. `None` if the file does not specify an
+    /// anatomical space.
     pub letters: Option<String>,
     /// Maximum angle between a grid axis and the nearest world axis, in degrees.
     pub oblique_degrees: f64,
     /// Whether the transformation from grid to world includes a reflection.
     pub left_handed: bool,
-    /// Whether the angle between two grid axes differs from a right angle by more than 0.1 degrees.
+    /// Whether the angle between any two grid axes deviates from 90 degrees by more than 0.1
+    /// degrees.
     pub sheared: bool,
 }
 
-/// Start and end of each axis of the LPS frame.
+/// Names of the negative and the positive end of each axis of the LPS frame.
 const ENDS: [[&str; 2]; 3] = [["right", "left"], ["anterior", "posterior"], ["inferior", "superior"]];
 
 impl Orientation {

@@ -4,8 +4,8 @@ use crate::classes::{Classes, OUTSIDE};
 use isoparticles_mesh::components::DisjointSets;
 use serde::Serialize;
 
-/// Maximum number of runs along x. At 18 bytes per run, they take 288 MiB. A volume with more runs
-/// is noise, and its parts are specks.
+/// Maximum number of runs along x, which take 288 MiB at 18 bytes per run. A volume with more runs
+/// is mostly noise, so its parts are specks.
 const MOST_RUNS: usize = 1 << 24;
 
 /// Connected parts of one class.
@@ -17,8 +17,7 @@ pub struct Parts {
     pub largest: usize,
 }
 
-/// A run of consecutive voxels of one class along x, from index `first` up to, but not including,
-/// `end`.
+/// A run of consecutive voxels of one class along x, with the indices `first..end`.
 struct Run {
     class: u16,
     first: usize,
@@ -84,7 +83,7 @@ fn rows(ny: usize, nz: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..nz).flat_map(move |k| (0..ny).map(move |j| (j, k)))
 }
 
-/// Joins the runs of two adjacent rows that have the same class and overlap.
+/// Joins overlapping runs of the same class in two adjacent rows.
 fn join_touching(a: &[Run], b: &[Run], sets: &mut DisjointSets) {
     let (mut m, mut n) = (0, 0);
     while m < a.len() && n < b.len() {

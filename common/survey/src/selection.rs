@@ -5,7 +5,7 @@ use isoparticles_volume::{LayerLabel, Volume};
 use std::str::FromStr;
 
 /// Maximum number of labels listed in an error message or a description. Forty labels fill a
-/// screen; a description lists the largest labels.
+/// screen. If there are more, a description lists the largest ones.
 pub(crate) const MOST_LISTED: usize = 40;
 
 /// A selection of labels, as specified by the user. [`Selection::resolve`] finds the labels in a
@@ -41,8 +41,8 @@ enum Item {
     Name(String),
 }
 
-/// Returns the labels as JSON for the output file: plain numbers if the volume has one layer, or
-/// otherwise pairs of layer and label.
+/// Returns the labels as JSON for the output file: plain numbers if the volume has one layer, and
+/// pairs of layer and label otherwise.
 #[must_use]
 pub fn noted(labels: &[LayerLabel], volume: &Volume) -> serde_json::Value {
     if volume.layer_count() == 1 { labels.iter().map(|at| at.label).collect() } else { serde_json::json!(labels) }
@@ -52,7 +52,7 @@ impl Selection {
     /// Returns the selected labels in the order of the selection, without duplicates.
     ///
     /// # Errors
-    /// If a label, range or name is not in the volume, or if a voxel value is not a label.
+    /// If no voxel has the given label, range or name, or if a voxel value is not a valid label.
     pub fn resolve(&self, volume: &Volume) -> Result<Vec<LayerLabel>> {
         let present = volume.label_set()?;
         let mut chosen: Vec<LayerLabel> = Vec::new();
@@ -156,7 +156,7 @@ fn missing_error(missing: &[Item], volume: &Volume, present: &[LayerLabel]) -> E
     no_voxel(&told.join(", "), volume, present)
 }
 
-/// Returns the error for labels that no voxel has. `labels` describes these labels in the message.
+/// Returns the error for selected labels that no voxel has. The message refers to them as `labels`.
 pub fn no_voxel(labels: &str, volume: &Volume, present: &[LayerLabel]) -> Error {
     Error::input(
         format!("no voxel has the label {labels}"),
@@ -165,8 +165,8 @@ pub fn no_voxel(labels: &str, volume: &Volume, present: &[LayerLabel]) -> Error 
     )
 }
 
-/// Formats labels and their names as a string. Leaves out the background, which is label 0 without
-/// a name, if there are other labels.
+/// Formats labels and their names as a string. Omits the background (label 0 without a name) if
+/// there are other labels.
 pub fn listed(volume: &Volume, present: &[LayerLabel]) -> String {
     let is_object = |at: &&LayerLabel| at.label != 0 || volume.name_of(**at).is_some();
     let objects: Vec<LayerLabel> = present.iter().filter(is_object).copied().collect();
@@ -185,8 +185,8 @@ pub fn listed(volume: &Volume, present: &[LayerLabel]) -> String {
     shown.join(", ")
 }
 
-/// Computes the edit distance between two words (Levenshtein): the number of letters to insert,
-/// delete or replace.
+/// Returns the Levenshtein distance between two words: the minimum number of insertions, deletions
+/// and replacements of single characters.
 fn distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();

@@ -14,15 +14,15 @@ const MOST_DISTINCT: usize = 1 << 16;
 /// Maximum number of bins of the histogram: one for each 8-bit value.
 const MOST_BINS: usize = 256;
 
-/// Number of voxels per task. Counting them takes much longer than adding the table of the task,
-/// which has at most [`MOST_DISTINCT`] entries, to the sum.
+/// Number of voxels per task. Counting this many voxels takes much longer than merging the table of
+/// the task, which has at most [`MOST_DISTINCT`] entries.
 const CHUNK: usize = 1 << 20;
 
-/// Range of the share of double jumps (`double_jumps` / `jumps`) that does not distinguish between
-/// scans and label maps. A lower share indicates a label map, and a higher share a scan. Among the
+/// Range in which the share of double jumps (`double_jumps` / `jumps`) does not distinguish scans
+/// from label maps. A lower share indicates a label map, and a higher share a scan. Among the
 /// shared volumes, the share is at most 0.28 for label maps (`brain_parcellation`) and at least
 /// 0.91 for scans (`thorax_ct_native_u8`). It is 0.30 to 0.83 for scans quantized to 8 to 64
-/// levels. Measured with `isoparticles-volume info VOLUME --json -`.
+/// levels. The shares were measured with `isoparticles-volume info VOLUME --json -`.
 pub const UNCLEAR: std::ops::Range<f64> = 0.29..0.75;
 
 /// Statistics of the voxels.
@@ -36,8 +36,8 @@ pub struct Survey {
     pub nan: usize,
     /// Number of finite values that are not integers.
     pub fractions: usize,
-    /// Each value except NaN with its number of voxels, in ascending order. `None` if a value is
-    /// fractional or infinite, if all values are NaN, or if there are too many distinct values.
+    /// All values except NaN in ascending order, each with its number of voxels. `None` if a value
+    /// is fractional or infinite, if all values are NaN, or if there are too many distinct values.
     #[serde(skip)]
     pub values: Option<Vec<(i64, usize)>>,
     /// Number of jumps. A jump is a triple of consecutive voxels along an axis whose last two
@@ -45,7 +45,7 @@ pub struct Survey {
     pub jumps: usize,
     /// Number of double jumps. A double jump is a jump whose first two values also differ.
     pub double_jumps: usize,
-    /// Number of steps. A step is a jump between two values with no other occurring value between
+    /// Number of steps. A step is a jump between two values such that no voxel has a value between
     /// them. Steps are counted only if the share of double jumps is in [`UNCLEAR`]; otherwise, this
     /// is 0.
     pub steps: usize,
@@ -53,7 +53,7 @@ pub struct Survey {
     pub histogram: Histogram,
 }
 
-/// Number of voxels by value, in bins of equal width.
+/// A histogram of the voxel values, with bins of equal width.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Histogram {
     /// Lower bound of the first bin.
@@ -99,7 +99,8 @@ trait Cell: Copy + Send + Sync {
     fn same(self, other: Self) -> bool;
     /// Returns the value as f64. Integers beyond 2^53 are rounded.
     fn double(self) -> f64;
-    /// Returns the value as an integer, or `None` if the value is not an integer or does not fit.
+    /// Returns the value as an integer, or `None` if it is not an integer or does not fit into
+    /// `i64`.
     fn whole(self) -> Option<i64>;
 }
 
@@ -128,14 +129,14 @@ macro_rules! float_cell {
         }
         fn whole(self) -> Option<i64> {
             let value = f64::from(self);
-            // f64 does not represent every integer beyond 2^53
+            // f64 cannot represent every integer beyond 2^53
             (value.fract() == 0.0 && value.abs() <= 9_007_199_254_740_992.0).then_some(value as i64)
         }
     })*};
 }
 float_cell!(f32, f64);
 
-/// Statistics of one slice, which are combined over all slices.
+/// Statistics of one slice, or of several slices combined.
 #[derive(Clone, Copy)]
 struct Slice {
     low: f64,
@@ -222,8 +223,8 @@ fn survey<T: Cell>(values: &[T], size: [usize; 3]) -> Survey {
     }
 }
 
-/// Visits all triples of consecutive voxels along each axis whose last voxel is in slice `k`.
-/// `visit` receives the rows of the first, second and third voxels.
+/// Visits all triples of consecutive voxels along an axis whose last voxel is in slice `k`. `visit`
+/// receives the rows of the first, second and third voxels.
 fn each_triple<T>(values: &[T], [nx, ny, _]: [usize; 3], k: usize, mut visit: impl FnMut(&[T], &[T], &[T])) {
     let row = |j: usize, k: usize| &values[(k * ny + j) * nx..][..nx];
     for j in 0..ny {

@@ -1,4 +1,4 @@
-//! Formats the description of a volume as `isoparticles-volume info` prints it.
+//! Formats the description of a volume for `isoparticles-volume info`.
 
 use crate::cost::{Cost, FEWEST_VERTICES, UNCERTAINTY, Uniform};
 use crate::extent::WorldBox;
@@ -17,9 +17,10 @@ const ROWS: usize = 16;
 const BAR: f64 = 40.0;
 
 impl VolumeInfo {
-    /// Formats the description of the volume called `name`. The string has several lines.
+    /// Returns the description as several lines of text. The first line is `name`, the name of the
+    /// volume.
     pub fn text(&self, name: &str) -> String {
-        // writing into a String cannot fail
+        // writing to a String cannot fail
         let mut out = String::new();
         let _ = self.write(name, &mut out);
         out
@@ -122,8 +123,8 @@ impl VolumeInfo {
         self.write_boxes(&labels, out)
     }
 
-    /// Writes the box and the centre of each label in world coordinates, for options that take
-    /// world positions.
+    /// Writes the bounding box of each label and its centre in world coordinates, for use in
+    /// options that take world positions.
     fn write_boxes(&self, labels: &[&LabelInfo], out: &mut String) -> std::fmt::Result {
         if labels.iter().all(|label| label.bounds.is_none()) {
             return Ok(());
@@ -192,8 +193,8 @@ fn write_object(object: &Object, out: &mut String) -> std::fmt::Result {
     writeln!(out, "    {}", told.join("; "))
 }
 
-/// Explains equal numbers of vertices for several edge lengths: every part has a minimum number of
-/// vertices. Returns an empty string if the minimum does not apply.
+/// Returns a note that each part has a minimum number of vertices, which explains equal vertex
+/// counts for different edge lengths. The note is empty if the minimum does not apply.
 fn fewest_told(parts: usize, uniform: &[Uniform]) -> String {
     let fewest = two(FEWEST_VERTICES * parts as f64) as usize;
     if parts < 2 || uniform.iter().all(|one| one.vertices > fewest) {

@@ -1,5 +1,5 @@
-//! Proposes iso values for a scan: the thresholds of Otsu (1979) and, for Hounsfield units,
-//! textbook values.
+//! Proposes iso values for a scan: the thresholds of Otsu (1979) and, for scans in Hounsfield
+//! units, textbook values.
 
 use crate::Inside;
 use crate::survey::{Histogram, Survey};
@@ -24,25 +24,25 @@ fn side<S: serde::Serializer>(inside: &Inside, serializer: S) -> Result<S::Ok, S
     })
 }
 
-/// A scan in Hounsfield units contains values below this threshold. Air has -1000 by definition;
-/// the difference allows for noise and for voxels that are partly air.
+/// A scan in Hounsfield units contains values below this threshold. Air is at -1000 by definition;
+/// the margin allows for noise and for voxels that are only partly air.
 const AIR: f64 = -800.0;
 
-/// A scan in Hounsfield units contains values above this threshold, the iso value of bone in
-/// [`LEVELS`].
+/// A scan in Hounsfield units contains values above this threshold, which is the iso value of bone
+/// in [`LEVELS`].
 const BONE: f64 = 200.0;
 
-/// Range of values that scanners write: from -1024 for air, with padding down to -3024 (GE: -2000,
-/// 3D Slicer: -3024), to 3071 for metal at 12 bits. The range is rounded outwards to hundreds. The
-/// minimum of a scan in Hounsfield units is in this range.
+/// Range of values in scans, rounded outwards to hundreds. Padding can be as low as -3024 (GE:
+/// -2000, 3D Slicer: -3024), air is at -1024 or above, and metal reaches 3071 with 12 bits. The
+/// minimum of a scan in Hounsfield units lies in this range.
 const SCANNER_RANGE: [f64; 2] = [-3100.0, 3100.0];
 
-/// Minimum share of voxels in [`SCANNER_RANGE`] for Hounsfield units. A few voxels of metal can
-/// exceed the range. `isoparticles-volume info VOLUME --json -` gives shares of 0.99994 for
-/// `heart_ct` and 1 for `thorax_ct`.
+/// Minimum share of voxels with values in [`SCANNER_RANGE`] in a scan in Hounsfield units. A few
+/// metal voxels can exceed the range. `isoparticles-volume info VOLUME --json -` gives shares of
+/// 0.99994 for `heart_ct` and 1 for `thorax_ct`.
 const LEAST_SHARE_IN_RANGE: f64 = 0.99;
 
-/// Iso values for CT: textbook values half-way between the tissues that they separate.
+/// Iso values for CT: textbook values halfway between the tissues that they separate.
 const LEVELS: [(f64, Inside, &str); 4] = [
     (200.0, Inside::Above, "Hounsfield: bone, and blood with contrast agent"),
     (-300.0, Inside::Above, "Hounsfield: the body, to its skin"),
@@ -50,11 +50,11 @@ const LEVELS: [(f64, Inside, &str); 4] = [
     (700.0, Inside::Above, "Hounsfield: compact bone and teeth"),
 ];
 
-/// If the most frequent bin contains a larger share of the voxels, the bin is treated as padding or
-/// saturation, and the thresholds ignore it. According to `isoparticles-volume info VOLUME --json
-/// -`, the most frequent bin contains 0.05 to 0.10 of `heart_ct`, `trabecular_bone` and `tooth_ct`,
-/// and 0.55 of `thorax_ct`, whose background has a constant value. The limit is about the geometric
-/// mean of 0.10 and 0.55.
+/// If the fullest bin of the histogram contains more than this share of the voxels, it is treated
+/// as padding or saturation, and Otsu's thresholds ignore it. According to `isoparticles-volume
+/// info VOLUME --json -`, the fullest bin contains 0.05 to 0.10 of the voxels of `heart_ct`,
+/// `trabecular_bone` and `tooth_ct`, and 0.55 of those of `thorax_ct`, whose background is
+/// constant. The limit is about the geometric mean of 0.10 and 0.55.
 const PADDING_SHARE: f64 = 0.25;
 
 /// Returns whether the values look like Hounsfield units.
@@ -69,8 +69,8 @@ pub fn is_hounsfield(survey: &Survey) -> bool {
     low < AIR && high > BONE && low >= SCANNER_RANGE[0] && within as f64 >= LEAST_SHARE_IN_RANGE * total as f64
 }
 
-/// Returns the iso values proposed for a scan. Omits a value whose distance from an earlier value
-/// is at most 1 % of the range of the scan.
+/// Returns the iso values proposed for a scan. Omits a value that differs from an earlier one by at
+/// most 1 % of the range of the scan.
 pub fn iso_values(survey: &Survey) -> Vec<IsoValue> {
     let Some([low, high]) = survey.range.filter(|[low, high]| low < high) else { return Vec::new() };
     let mut found: Vec<IsoValue> = Vec::new();
@@ -103,7 +103,7 @@ impl Histogram {
         self.low + (bin as f64 + 0.5) * self.width
     }
 
-    /// Returns the lower bound of a bin, rounded to the decimal place of the bin width.
+    /// Returns the lower bound of a bin, rounded to the leading decimal place of the bin width.
     fn round(&self, bin: usize) -> f64 {
         let unit = 10f64.powf(self.width.log10().floor());
         ((self.low + bin as f64 * self.width) / unit).round() * unit
@@ -123,8 +123,8 @@ impl Histogram {
         (rest, padding.map(|bin| self.low + bin as f64 * self.width))
     }
 
-    /// Returns, for each bin, the number of values in all lower bins and the sum of their bin
-    /// numbers.
+    /// Returns, for each bin, the number of values in all lower bins and the sum of the bin numbers
+    /// of these values.
     fn sums(&self) -> Vec<[f64; 2]> {
         let mut sums = vec![[0.0, 0.0]];
         for (n, &count) in self.counts.iter().enumerate() {
@@ -135,16 +135,15 @@ impl Histogram {
     }
 }
 
-/// Returns the squared sum of the bin numbers divided by the count, for the bins from `a` up to,
-/// but not including, `b`. The sum of these values over all classes is the between-class variance,
-/// up to constants (Otsu 1979).
+/// Returns the squared sum of the bin numbers divided by the number of values, for the bins `a..b`.
+/// Summed over all classes, this is the between-class variance up to constants (Otsu 1979).
 fn weight(sums: &[[f64; 2]], a: usize, b: usize) -> f64 {
     let (count, sum) = (sums[b][0] - sums[a][0], sums[b][1] - sums[a][1]);
     if count > 0.0 { sum * sum / count } else { f64::NEG_INFINITY }
 }
 
-/// Returns the first bin of the upper of two classes. If empty bins separate the classes, returns
-/// the middle of the gap.
+/// Splits the histogram into two classes by Otsu's method and returns the first bin of the upper
+/// class. If empty bins separate the classes, returns the middle of the gap.
 fn otsu(histogram: &Histogram) -> Option<usize> {
     let sums = histogram.sums();
     let end = histogram.counts.len();
@@ -152,7 +151,8 @@ fn otsu(histogram: &Histogram) -> Option<usize> {
     best((1..end).map(|bin| (bin, of(bin))))
 }
 
-/// Returns the first bins of the middle class and of the upper class of three classes.
+/// Splits the histogram into three classes and returns the first bins of the middle and upper
+/// classes.
 fn otsu_two(histogram: &Histogram) -> Option<[usize; 2]> {
     let sums = histogram.sums();
     let end = histogram.counts.len();
@@ -162,8 +162,8 @@ fn otsu_two(histogram: &Histogram) -> Option<[usize; 2]> {
     Some([lower, upper(lower)?])
 }
 
-/// Returns the position of the maximum value. If the maximum occurs at several positions, as with
-/// empty bins, returns the middle between the first and the last of them.
+/// Returns the position of the maximum value. If several positions share the maximum, as with empty
+/// bins, returns the midpoint of the first and the last.
 fn best(values: impl Iterator<Item = (usize, f64)>) -> Option<usize> {
     let mut found: Option<(usize, usize, f64)> = None;
     for (place, value) in values.filter(|(_, value)| value.is_finite()) {

@@ -1,4 +1,4 @@
-//! Checks the kind that is determined for every shared volume.
+//! Checks the kind determined for each shared volume.
 
 use isoparticles_survey::kind::judge;
 use isoparticles_survey::survey::Survey;

@@ -8,9 +8,9 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
-/// Returns the additional files of a volume. For a detached NRRD or MetaImage header, these are the
-/// voxel files, in order. For one file of a NIfTI pair, this is the other file. For any other file,
-/// the list is empty.
+/// Returns the additional files of a volume. For a detached NRRD or MetaImage header, the list
+/// contains the voxel files, in order. For one file of a NIfTI pair, it contains the other file.
+/// For any other file, it is empty.
 ///
 /// # Errors
 /// If the header cannot be read.

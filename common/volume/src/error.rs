@@ -3,8 +3,8 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// An error related to a volume. The error message identifies the file or the invalid value.
-/// [`Error::reason`] explains why the problem matters, and [`Error::remedy`] how to solve it.
+/// An error related to a volume. The message identifies the file or the invalid value.
+/// [`Error::reason`] explains why the problem matters; [`Error::remedy`] explains how to solve it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {

@@ -10,7 +10,7 @@
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// The world frame of a volume's directions and origin.
+/// The world frame in which the directions and origin of a volume are given.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Space {
     /// Left, posterior, superior: the world frame of DICOM and ITK. RAS and LAS coordinates in
@@ -72,8 +72,8 @@ impl Geometry {
         grid / self.spacing
     }
 
-    /// Returns whether a grid position lies within the box of the voxel centres, with a tolerance
-    /// of 0.001 times the spacing.
+    /// Returns whether a grid position lies within the bounding box of the voxel centres, with a
+    /// tolerance of 0.001 times the spacing.
     #[inline(always)]
     pub fn holds(&self, grid: DVec3) -> bool {
         let index = self.grid_to_index(grid);

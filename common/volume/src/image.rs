@@ -39,9 +39,9 @@ impl<T: Copy + Send + Sync> Image<T> {
     }
 }
 
-/// Reverses the order of the slices, each of which has `length` values, but not the order within a
-/// slice. The first slice is then at the end of the vector, where a consumer can remove slices one
-/// by one and release their memory.
+/// Reverses the order of the slices, which have `length` values each, and keeps the order within
+/// each slice. The first slice is then at the end of the vector, where a consumer can remove slices
+/// one by one and release their memory.
 pub fn reverse_slices<T>(values: &mut [T], length: usize) {
     let count = values.len() / length;
     for n in 0..count / 2 {

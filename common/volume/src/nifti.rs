@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 /// Size of a NIfTI-1 header in bytes (`sizeof_hdr` of the format).
 const HEADER_BYTES: u64 = 348;
 
-/// Default byte offset of the voxels in a single file. The header is followed by four bytes that
+/// Default byte offset of the voxels in a single file. They follow the header and four bytes that
 /// indicate whether there are extensions.
 const FIRST_VOXEL: u64 = 352;
 
@@ -226,7 +226,8 @@ fn pixel_spacing(header: &NiftiHeader) -> DVec3 {
     DVec3::new(header.pixdim[1].into(), header.pixdim[2].into(), header.pixdim[3].into())
 }
 
-/// Returns the vectors between neighbouring voxels, the origin and the space defined by the sform.
+/// Returns the sform as the vectors between neighbouring voxels, the origin and the space.
+/// Coordinates are RAS.
 fn sform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     let row = |row: [f32; 4]| row.map(f64::from);
     let (x, y, z) = (row(header.srow_x), row(header.srow_y), row(header.srow_z));
@@ -234,7 +235,8 @@ fn sform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     (DMat3::from_cols(column(0), column(1), column(2)), column(3), Space::Lps)
 }
 
-/// Returns the vectors between neighbouring voxels, the origin and the space defined by the qform.
+/// Returns the qform as the vectors between neighbouring voxels, the origin and the space.
+/// Coordinates are RAS.
 fn qform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     let vector = DVec3::new(header.quatern_b.into(), header.quatern_c.into(), header.quatern_d.into());
     // The first component of the quaternion is not stored. The norm of the other three may exceed
@@ -253,8 +255,8 @@ fn qform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
 /// bytes.
 const MOST_EXTENSIONS: u64 = 1 << 24;
 
-/// Skips the `skip` bytes between the header and the voxels. Returns the first [`MOST_EXTENSIONS`]
-/// of these bytes, which contain the extensions.
+/// Skips the `skip` bytes between the header and the voxels. Returns at most the first
+/// [`MOST_EXTENSIONS`] of these bytes, which contain the extensions.
 fn skip_to_voxels(reader: &mut dyn Read, skip: f64) -> io::Result<Vec<u8>> {
     if !(0.0..1e9).contains(&skip) {
         let what = if skip < 0.0 { "the voxels start inside the header" } else { "vox_offset is not below 1e9" };

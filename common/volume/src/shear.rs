@@ -1,4 +1,5 @@
-//! Resamples a volume from a sheared grid (gantry tilt, sform with shear) to an orthonormal grid.
+//! Resamples a volume from a sheared grid to an orthonormal grid. A gantry tilt or a NIfTI sform
+//! can cause the shear.
 //!
 //! The new axes result from Gram-Schmidt orthogonalization: x is unchanged, y lies in the slice
 //! plane, and z is the slice normal. Every old slice becomes one new slice, so at most two
@@ -17,7 +18,7 @@ use rayon::prelude::*;
 
 /// A shear is ignored if it shifts the far end of the volume by less than this number of voxels.
 /// Such a shear can result from rounded directions in the header: an error of 1e-4 shifts the 500th
-/// voxel by half of this limit.
+/// voxel by 0.05 voxel.
 const IGNORED_SHIFT: f64 = 0.1;
 
 /// A transformation from a sheared grid to an orthonormal grid that covers it.
@@ -163,9 +164,9 @@ fn snapped(shift: f64) -> f64 {
 
 /// Returns the weights of voxels -1, 0, 1 and 2 for interpolation at a position t between voxels 0
 /// and 1. The kernel is the cubic convolution of Keys (1981) with a = -1/2, which is exact for
-/// polynomials of second degree. Measured on a scan of a 14 mm ball (point spread 0.8 mm, 1 mm
-/// voxels sheared by 30 degrees), F = 0 encloses 11,454 mm^3. Linear interpolation gives 11,446
-/// mm^3, and the unsheared grid 11,456 mm^3.
+/// polynomials of second degree. Measured on a scan of a ball of radius 14 mm with a point spread
+/// of 0.8 mm and 1 mm voxels sheared by 30 degrees: F = 0 encloses 11,454 mm^3. With linear
+/// interpolation, it encloses 11,446 mm^3; on an unsheared grid, 11,456 mm^3.
 fn keys(t: f64) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [-0.5 * t + t2 - 0.5 * t3, 1.0 - 2.5 * t2 + 1.5 * t3, 0.5 * t + 2.0 * t2 - 1.5 * t3, 0.5 * (t3 - t2)]

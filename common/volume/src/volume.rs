@@ -52,7 +52,7 @@ impl Volume {
         std::iter::once(&self.voxels).chain(&self.more_layers)
     }
 
-    /// Returns a remark on the treatment of NaN voxels, if there are any.
+    /// Returns a remark on the treatment of NaN voxels, or `None` if no voxel is NaN.
     pub fn nan_remark(&self) -> Option<String> {
         let count: usize = self.layers().map(Voxels::nan_count).sum();
         (count > 0).then(|| format!("{count} voxels are NaN and are treated as background (label 0)"))
@@ -99,7 +99,7 @@ impl Volume {
         }
     }
 
-    /// Finds the layer that contains a label. If no layer contains it, returns the first layer.
+    /// Returns a label with the layer that contains it. If there is none, takes the first layer.
     ///
     /// # Errors
     /// If several layers contain the label, or if the volume has several layers and a value is not

@@ -36,8 +36,8 @@ pub fn piece_extent(geometry: &Geometry) -> String {
     format!("0 {nx} 0 {ny} 0 {nz}")
 }
 
-/// Reads the geometry of an image. Returns the exact geometry in the field data if it agrees with
-/// VTK's attributes. Otherwise, takes only the space from the field data.
+/// Reads the geometry of an image. Returns the exact geometry from the field data if it agrees with
+/// VTK's attributes. Otherwise, combines the attributes with the space from the field data.
 pub fn geometry(path: &Path, file: &VtkFile) -> Result<Geometry> {
     let image = file.data_set("ImageData")?;
     let numbers = |name: &str, default: &[f64]| -> Result<Vec<f64>> {
@@ -101,7 +101,7 @@ pub fn same_grid(a: &Geometry, b: &Geometry) -> bool {
 
 /// File kind that [`write_volume`] writes to the field data.
 const KIND: &str = "volume";
-/// Version of the file layout, the only one so far.
+/// Version of the file layout in the field data.
 const VERSION: u32 = 1;
 
 /// Returns the name of the point array that contains a layer.

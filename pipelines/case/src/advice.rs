@@ -1,6 +1,6 @@
-//! Advice for failed checks, from the table
+//! Selects the advice for failed checks and warnings from the table
 //! `stages/tetmesh-check/src/tetmesh_check/page/advice.json`. The page of a case uses the same
-//! table, whose format is described in `page/advice.py`.
+//! table; `page/advice.py` describes its format.
 
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -13,12 +13,13 @@ struct Table {
     terms: Vec<Entry>,
 }
 
-/// The advice for messages that contain `words`, or the replacement text for a placeholder in
-/// braces.
+/// An entry of the table: the advice for messages that contain `words`, or the text that replaces
+/// the placeholder `words` in an advice.
 #[derive(Deserialize)]
 struct Entry {
     words: String,
-    /// Condition for the entry to apply: a variable that must be set, or `VARIABLE=VALUE`.
+    /// Variable that must be set for the entry to apply, or `VARIABLE=VALUE`; `None` if the entry
+    /// always applies.
     set: Option<String>,
     #[serde(rename = "do")]
     text: String,

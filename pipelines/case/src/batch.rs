@@ -1,8 +1,8 @@
 //! Runs many cases from a list: a CSV file with one column per key and one row per case.
 //!
-//! Each row runs in a separate process of this program with its own log, so a crash does not affect
-//! other rows. If a row fails, the error is reported and the next row starts. Valid results of
-//! earlier runs are kept, so a stopped batch resumes where it left off. The outputs are
+//! Each row runs in a separate process of this program, so a crash does not affect other rows. Each
+//! process writes its own log. If a row fails, the error is reported and the next row starts. Valid
+//! results of earlier runs are kept, so a stopped batch resumes where it left off. The outputs are
 //! `OUT/batch.csv`, which has one line per row, and an index of all cases.
 
 use crate::check::Answers;
@@ -21,8 +21,8 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Folder in OUT that contains the logs of the rows. No case can have this name
-/// ([`crate::name::check`]).
+/// Folder in OUT that contains the logs of the rows. [`crate::name::check`] rejects this name, so
+/// no case can have it.
 pub(crate) const LOGS: &str = ".batch";
 
 /// First character of comment lines.
@@ -38,7 +38,8 @@ pub struct Batch<'a> {
     pub list: &'a Path,
     /// `KEY=VALUE` settings for all rows. The cells of a row take precedence.
     pub common: &'a [String],
-    /// Names of the caller's other variables, which are also suggested for a misspelled key.
+    /// Other variable names of the caller. They are candidates for the correction of a misspelled
+    /// key.
     pub known: &'a [String],
     /// Goal of each case, such as `mesh` or `surface`.
     pub goal: &'a str,
@@ -108,7 +109,7 @@ pub struct Ending {
 }
 
 impl Ending {
-    /// Returns the outcome of a row for which nothing has run.
+    /// Returns the initial outcome of a row, before any program has run.
     pub(crate) fn of_nothing(row: &Row) -> Self {
         Self {
             name: row.name.clone(),
@@ -135,8 +136,8 @@ impl Batch<'_> {
     /// stop the others.
     ///
     /// # Errors
-    /// Before any row runs: if the list is unreadable, a column is not a key, or two rows have the
-    /// same name. Later: if the summary or a log cannot be written.
+    /// If the list is unreadable, a column is not a key, two rows have the same name, or the
+    /// summary or a log cannot be written. The first three errors occur before any row runs.
     pub fn make(&self, programs: &Programs) -> Result<Vec<Ending>> {
         let settings = Settings::read(&[], self.common, None, self.known)?;
         let out = out(&settings);
@@ -356,8 +357,8 @@ pub fn columns() -> impl Iterator<Item = &'static str> {
     KEYS.iter().map(|key| key.name).filter(|name| !BATCH_KEYS.contains(name))
 }
 
-/// Returns the exit code of a batch: 0 if every row is fit, 1 if any row is not fit, 130 after an
-/// interrupt.
+/// Returns the exit code of a batch: 0 if every row passed all its checks, 1 if any row did not,
+/// and 130 after an interrupt.
 #[must_use]
 pub fn exit_code(endings: &[Ending]) -> u8 {
     if program::stop_requested() {
@@ -383,7 +384,7 @@ pub fn closing(endings: &[Ending]) -> String {
     text
 }
 
-/// Reports the rows that cannot start, before any row runs.
+/// Prints the errors of the rows that cannot start. Called before any row runs.
 pub(crate) fn tell_refused(rows: &[Row]) {
     for row in rows {
         if let Err(error) = &row.case {
@@ -402,7 +403,7 @@ pub(crate) fn word(verdict: Verdict) -> String {
     value.as_str().unwrap_or_default().to_owned()
 }
 
-/// Returns a status that describes a row that could not start, for use in the index.
+/// Returns the status of a row that could not start. The index lists this status.
 pub(crate) fn refused_status(row: &Row, error: &Problem) -> Status {
     let stage = Stage { error: Some(error.clone()), ..Stage::nothing("distfield", State::Error) };
     Status {

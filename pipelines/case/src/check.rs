@@ -12,15 +12,15 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Checks the command lines of the stages that are about to run. If no earlier result could be
-/// lost, an error in the content of the volume is ignored here; the run then reports it on the page
-/// of the case.
+/// Checks the command lines of the stages that are about to run. If the run cannot remove an
+/// earlier result, an error in the content of the volume is ignored here. The run then reports this
+/// error on the page of the case.
 ///
 /// # Errors
 /// If a stage rejects its command line.
 pub fn planned(stages: &[Planned], case: &Case, before: Option<&Status>) -> Result<()> {
     let made = |stage: &str| !stages.iter().any(|planned| planned.name() == stage);
-    // If this run regenerates the phantom, the existing file may be out of date.
+    // If this run regenerates the phantom, the existing file may be out of date and is not read.
     let volume = matches!(case.volume, Volume::At(_)) || made("phantom");
     let materials = if made("distfield") { materials_made(&case.folder) } else { None };
     let mut known = Known { materials, volume };
@@ -43,8 +43,8 @@ fn materials_made(folder: &CaseFolder) -> Option<Vec<String>> {
     table.iter().map(|material| material["name"].as_str().map(str::to_owned)).collect()
 }
 
-/// Answers of the stages, cached by command line because the cases of a list share most of their
-/// options.
+/// Results of the checks with `--check-options`, cached by program, arguments and known facts. Most
+/// cases of a list have the same options, so the cache avoids most calls.
 #[derive(Default)]
 pub struct Answers(BTreeMap<(PathBuf, Vec<OsString>, String), Result<Known>>);
 
@@ -78,8 +78,8 @@ impl Answers {
     }
 }
 
-/// Runs one stage with `--check-options`. Returns the facts about the case that the next stage can
-/// rely on.
+/// Runs one stage with `--check-options`. Returns the known facts about the case, including those
+/// that this stage adds for the next stage.
 fn ask(stage: &str, program: &Path, arguments: &[OsString], known: &Known) -> Result<Known> {
     let mut words = vec![CHECK_OPTIONS.into(), serde_json::json!(known).to_string().into()];
     words.extend_from_slice(arguments);

@@ -1,4 +1,4 @@
-//! Runs a list of cases under a job scheduler: describes the command of each stage of each row, and
+//! Runs a list of cases under a job scheduler: lists the command of each stage of each row, and
 //! collects the outcomes.
 //!
 //! [`crate::batch`] parses the list, so a list has the same meaning for a scheduler and for a
@@ -54,9 +54,9 @@ struct ListedStage {
 
 /// Describes each row of a list in one line of JSON.
 ///
-/// Removes the scheduler's marker files (`OUT/.cluster/made/NAME/STAGE`) of results that are
-/// missing or were made with other settings. The scheduler tracks markers instead of results,
-/// because it changes the modification times of the files that it tracks.
+/// Removes the scheduler's marker files (`OUT/.cluster/made/NAME/STAGE`) if the corresponding
+/// result is missing or was made with other settings. The scheduler tracks markers instead of
+/// results, because it changes the modification times of all files that it tracks.
 ///
 /// # Errors
 /// If the list is invalid; see [`Batch::make`].
@@ -259,7 +259,8 @@ fn is_of(status: &Status, case: &Case) -> bool {
     status.parameters == case.settings.parameters() && same_volume
 }
 
-/// Copies the outcome from a status; `stopped` is the first stage without a valid result.
+/// Copies the outcome from a status. `stopped` is the first stage without a valid result, if there
+/// is one.
 fn tell(ending: &mut Ending, status: &Status, stopped: Option<&str>) {
     ending.seconds = status.stages.iter().filter_map(|stage| stage.seconds).sum();
     ending.verdict = batch::word(status.verdict);
@@ -284,7 +285,7 @@ fn tell(ending: &mut Ending, status: &Status, stopped: Option<&str>) {
 }
 
 /// Returns the status of a case if the checks of `stage` failed with the current settings, and
-/// `None` otherwise. The same stage would fail again.
+/// `None` otherwise. Another run of the stage would fail in the same way.
 ///
 /// # Errors
 /// If the corrected status of a killed run cannot be written.
@@ -305,8 +306,8 @@ pub fn failed_before(case: &Case, stage: &str) -> Result<Option<Status>> {
 mod tests {
     use super::*;
 
-    /// Calls `test` with a batch whose list is in a temporary folder, and with the path of this
-    /// folder.
+    /// Writes the list to a temporary folder. Calls `test` with a batch of this list and the path
+    /// of the folder.
     fn with_list<T>(list: &str, test: impl FnOnce(&Batch<'_>, &Path) -> T) -> T {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("cases.csv");

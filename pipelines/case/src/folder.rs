@@ -15,7 +15,7 @@ pub struct CaseFolder {
     pub name: String,
 }
 
-/// The files of a stage in the folder of a case, and the endings of those that are kept if the
+/// The files of a stage in the folder of a case, and the suffixes of the files that are kept if the
 /// stage fails.
 #[derive(Clone, Copy, Debug)]
 pub struct Belongings {
@@ -23,13 +23,13 @@ pub struct Belongings {
     pub stage: &'static str,
     /// Ending of the output file, NAME.ENDING.
     pub output: &'static str,
-    /// Stems of the stage's files, which are named NAME.STEM or NAME.STEM.*.
+    /// The files named NAME.STEM or NAME.STEM.* belong to the stage.
     pub stems: &'static [&'static str],
     /// Subfolders of the case's folder that belong to the stage.
     pub folders: &'static [&'static str],
-    /// Endings of results whose names get an additional `.failed` when a check fails.
+    /// Suffixes of the results that are kept under an additional `.failed` if a check fails.
     pub set_aside: &'static [&'static str],
-    /// Endings of files that explain a failure and keep their names.
+    /// Suffixes of the files that explain a failure. These files keep their names.
     pub explains: &'static [&'static str],
 }
 
@@ -93,9 +93,9 @@ pub const STAGES: [Belongings; 7] = [
     },
 ];
 
-/// Ending of the checkpoint file, from which a stopped run of `particles` resumes.
+/// Suffix of the checkpoint file, from which a stopped run of `particles` resumes.
 pub const CHECKPOINT: &str = "checkpoint.bin";
-/// Ending of the report of `tetmesh-check`, which is also a result.
+/// Suffix of the report of `tetmesh-check`, which is also a result of the case.
 pub const REPORT: &str = "report.json";
 /// Ending of the page about the case.
 pub const PAGE: &str = "report.html";
@@ -119,11 +119,11 @@ pub fn belongings(stage: &str) -> &'static Belongings {
 }
 
 /// Lock that a run holds while it works in a folder. The operating system releases the lock when
-/// the process ends, for whatever reason.
+/// the process ends, even after a crash.
 #[derive(Debug)]
 pub struct Lock {
     _file: File,
-    /// True if the file system supports locks, so that no other run can hold this lock.
+    /// True if the file system supports locks. In this case, no other run can hold the same lock.
     certain: bool,
 }
 
@@ -134,13 +134,13 @@ impl CaseFolder {
         Self { path: out.join(name), name: name.to_owned() }
     }
 
-    /// Returns the name of the case's file with this ending.
+    /// Returns the name of the case's file with the suffix `ending`.
     #[must_use]
     pub fn file_name(&self, ending: &str) -> String {
         format!("{}.{ending}", self.name)
     }
 
-    /// Returns the path of the case's file with this ending.
+    /// Returns the path of the case's file with the suffix `ending`.
     #[must_use]
     pub fn file(&self, ending: &str) -> PathBuf {
         self.path.join(self.file_name(ending))
@@ -250,10 +250,10 @@ impl CaseFolder {
         usual.into_iter().any(|ending| name == self.file_name(ending) || name == self.file_name(&failed(ending)))
     }
 
-    /// Removes the report and the files that a stage made, except files with the endings in `keep`.
-    /// The files of a stage are those with fixed names, those listed in the status and, if the
-    /// stage was interrupted or killed, all files with its stems. Other files belong to the user
-    /// and are left in place.
+    /// Removes the report and the files that a stage made, except files with the suffixes in
+    /// `keep`. The files of a stage are the files with its fixed names and the files listed in the
+    /// status. If the stage was interrupted or killed, all files with its stems are included. Other
+    /// files belong to the user and are left in place.
     ///
     /// # Errors
     /// If a file cannot be removed.
@@ -360,7 +360,7 @@ impl CaseFolder {
     }
 }
 
-/// Returns the ending of a result that is kept after a failed check: `volume.vtu` becomes
+/// Returns the suffix under which a result is kept after a failed check: `volume.vtu` becomes
 /// `volume.failed.vtu`.
 fn failed(ending: &str) -> String {
     ending.rsplit_once('.').map_or_else(|| format!("{ending}.failed"), |(stem, kind)| format!("{stem}.failed.{kind}"))
@@ -389,7 +389,8 @@ fn interrupted(mut status: Status) -> Status {
 mod tests {
     use super::CaseFolder;
 
-    /// SIGKILL during a write leaves an unfinished file behind (found by `tests/kills.py`).
+    /// A SIGKILL during a write leaves an unfinished file behind (found by `tests/kills.py`). The
+    /// next run must remove this file.
     #[test]
     fn what_a_killed_program_had_begun_to_write_is_taken_away() {
         let out = tempfile::tempdir().expect("folder");

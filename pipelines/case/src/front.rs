@@ -35,8 +35,8 @@ pub fn stage(path: &Path) -> Result<CommandLine> {
     })
 }
 
-/// Returns the command line of `isoparticles` for completions and man pages. The stages in `known`
-/// get all their options; other stages accept any arguments.
+/// Returns the command line of `isoparticles` for completions and man pages. It includes all
+/// options of the stages in `known`. The other stages accept any arguments.
 #[must_use]
 pub fn command(known: &[CommandLine]) -> Command {
     let options = || KEYS.iter().filter(|key| !["CASE", "INPUT"].contains(&key.name)).map(option);

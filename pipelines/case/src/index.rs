@@ -7,8 +7,8 @@ use isoparticles_stage::error::{Error, Result};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Returns the status files of the cases in a folder, sorted by name, after marking killed runs as
-/// interrupted.
+/// Marks killed runs in a folder as interrupted. Returns the status files of the cases in the
+/// folder, sorted by name.
 ///
 /// # Errors
 /// If there is no status file, or the corrected status of a killed run cannot be written.

@@ -8,15 +8,15 @@ use isoparticles_volume::data_files;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// Role of the data files to which a detached header refers.
+/// Role of the data files that a detached header names.
 const VOLUME_DATA: &str = "data of the volume";
 
 /// Options of a stage that take the path of an output.
 const OUTPUT_OPTIONS: [&str; 8] =
     ["-o", "--output", "--report", "--log", "--checkpoint", "--pictures", "--json", "--truth"];
 
-/// Returns the current state of the volume and its data files. If a file has not changed since
-/// `before`, its hash is reused.
+/// Returns the current state of the volume and its data files. If `before` lists a file with the
+/// same size and modification time, its hash is reused.
 ///
 /// # Errors
 /// If a file cannot be read.
@@ -31,8 +31,8 @@ pub fn of_volume(volume: &Path, before: Option<&Status>) -> Result<Vec<Input>> {
     Ok(inputs)
 }
 
-/// Returns the files that are named in the options under `key`, such as `DISTFIELD_OPTIONS`, and
-/// their data files.
+/// Returns the files named in the setting `key`, such as `DISTFIELD_OPTIONS`, and the data files
+/// that belong to their headers.
 ///
 /// # Errors
 /// If a file cannot be read.
@@ -66,8 +66,8 @@ pub fn paths_named_in(settings: &Settings, key: &str) -> Vec<PathBuf> {
 }
 
 /// Returns every existing file whose path is a word, or a part of a word between separators (`=`,
-/// `:` and `,`). Includes folders for options that take a volume. Skips the values of output
-/// options.
+/// `:` and `,`). Accepts a folder only as the value of an option that takes a volume, and skips the
+/// values of output options.
 fn files_in_words(words: &[String]) -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> = Vec::new();
     let mut option = "";
@@ -82,7 +82,8 @@ fn files_in_words(words: &[String]) -> Vec<PathBuf> {
             continue;
         }
         for path in parts(value).map(PathBuf::from) {
-            // Accept a folder only for options that take a volume, which may be a folder of slices.
+            // A volume may be a folder of slices, so only options that take a volume accept a
+            // folder.
             let counts = path.is_file() || (name.ends_with("-volume") && path.is_dir());
             if counts && !found.contains(&path) {
                 found.push(path);
@@ -172,7 +173,8 @@ pub(crate) fn hash_program(files: &[PathBuf]) -> String {
     let mut hasher = blake3::Hasher::new();
     for file in files {
         let mut content = Vec::new();
-        // An unreadable program cannot be started either; the error is reported then.
+        // An unreadable program cannot be started either. The error is reported when the program is
+        // started.
         let _ = std::fs::File::open(file).and_then(|mut file| file.read_to_end(&mut content));
         hasher.update(&content.len().to_le_bytes()).update(&content);
     }

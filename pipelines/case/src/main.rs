@@ -94,8 +94,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// Prints completions or a man page if requested. The arguments after `--command-lines` are the
-/// paths of files that contain the output of `STAGE --command-line`.
+/// Prints completions or a man page. Returns `None` if neither is requested. The arguments after
+/// `--command-lines` are the paths of files that contain the output of `STAGE --command-line`.
 fn told() -> Option<ExitCode> {
     let words: Vec<String> = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
     let mut parts = words.splitn(2, |word| word == "--command-lines");
@@ -225,8 +225,8 @@ fn close_batch(batch: &Batch<'_>, endings: &[Ending], programs: &Programs) -> Re
     Ok(code)
 }
 
-/// Returns the folder of the case named by NAME or by the case file. If there is neither, returns
-/// the folder that a run would use.
+/// Returns the folder of the case named by NAME or by the case file. If neither is set, returns the
+/// folder that a run with these settings would use.
 fn named(settings: &Settings) -> Result<CaseFolder> {
     match settings.get("NAME").or(settings.case_file()) {
         Some(name) => {

@@ -3,10 +3,11 @@
 use isoparticles_stage::error::{Error, Result};
 use std::path::Path;
 
-/// Endings that describe the file type and are removed from the name. Longer endings come first.
+/// File name suffixes that are not part of the name of the results. Longer suffixes come first,
+/// because the first match is removed.
 const ENDINGS: [&str; 9] = [".seg.nrrd", ".nii.gz", ".nrrd", ".nhdr", ".nii", ".mha", ".mhd", ".vti", ".dcm"];
 
-/// Returns the name of a volume's results: the file or folder name without a known ending.
+/// Returns the name of a volume's results: the file or folder name without a known suffix.
 ///
 /// # Errors
 /// If the remaining name is not a valid folder name.

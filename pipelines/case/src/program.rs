@@ -16,12 +16,12 @@ pub fn front() -> String {
     std::env::var("ISOPARTICLES_FRONT").unwrap_or_else(|_| "make".to_owned())
 }
 
-/// Time that a program has to write its last checkpoint after an interrupt. For a million
-/// particles, the checkpoint takes at least 72 MB (nine numbers of 8 bytes each), or 7 s at 10
-/// MB/s.
+/// Time that a program has to write its last checkpoint after an interrupt. The checkpoint of a
+/// million particles occupies at least 72 MB: nine numbers of 8 bytes per particle. At 10 MB/s, it
+/// is written in 7 s.
 const GRACE_PERIOD: Duration = Duration::from_secs(60);
-/// Interval at which a program with a time limit is polled. It adds at most 0.05 s to the time of a
-/// row, half a unit of the last printed digit.
+/// Interval at which a program with a time limit is polled. Polling adds at most 0.05 s to the
+/// measured time of a row, which is printed with a resolution of 0.1 s.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Process ID of the running program; 0 if no program is running.
@@ -33,8 +33,8 @@ static INSTALL: Once = Once::new();
 /// and this program exits afterwards.
 pub fn listen() {
     INSTALL.call_once(|| {
-        // If no handler can be installed, a signal ends this program immediately; the next run then
-        // reports that it was killed.
+        // If no handler can be installed, a signal ends this program immediately. The next run then
+        // reports that this run was killed.
         let _ = ctrlc::set_handler(|| {
             REQUESTED.store(true, Ordering::SeqCst);
             interrupt(RUNNING.load(Ordering::SeqCst));
@@ -58,7 +58,7 @@ pub fn note_stop() {
 pub enum Ended {
     /// The program ended with this exit code.
     Code(i32),
-    /// This signal ended the program; 0 if the system does not report the signal number.
+    /// Number of the signal that ended the program; 0 if the system does not report the number.
     Signal(i32),
 }
 

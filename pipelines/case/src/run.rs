@@ -14,7 +14,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// One case as described by its settings. No file has been read yet.
+/// A case as described by its settings. Its files have not been read yet.
 #[derive(Debug)]
 pub struct Case {
     /// Folder of the results.
@@ -91,7 +91,7 @@ impl Case {
     /// Checks that the settings allow a goal whose last stage is `stage`.
     ///
     /// # Errors
-    /// If an open surface would have to be filled with tetrahedra.
+    /// If the goal requires tetrahedra, but the settings give an open surface.
     pub(crate) fn check_goal(&self, stage: &str) -> Result<()> {
         // With many materials, distfield itself rejects an open border.
         let of_one_object = self.settings.get("MATERIALS").is_none();
@@ -290,9 +290,9 @@ impl<'a> Run<'a> {
         self.status.stages[position] = stage.clone();
         self.write()?;
         say(&command);
-        // Files that exist at this point belong to the user and are left in place, except those
-        // with the stage's fixed names. These are the checkpoint and the log from which a stopped
-        // run resumes, or files that a stage of a killed run wrote late.
+        // Files that exist at this point belong to the user and are left in place. The exceptions
+        // are files with the stage's fixed names: the checkpoint and the log from which a stopped
+        // run resumes, and files that a stage of a killed run wrote late.
         let mut others = folder.files_of(planned.belongings);
         others.retain(|name| !folder.is_usual(planned.belongings, name));
         let started = Instant::now();
@@ -341,7 +341,8 @@ impl<'a> Run<'a> {
         let page = folder.file(PAGE);
         let told = (&self.status.verdict, &self.status.stages, &self.status.parameters, &self.status.inputs);
         let told = serde_json::to_string(&told).unwrap_or_default() + &hash_program(&programs.page_files);
-        // The page must not depend on which run made a result.
+        // The page does not depend on which run made a result, so its key must not depend on it
+        // either.
         let told = told.replace("\"made\":true", "\"made\":false");
         let key = blake3::hash(told.as_bytes()).to_hex().to_string();
         if key == self.status.page_key && self.status.page.is_some() && page.exists() {
@@ -378,8 +379,8 @@ pub fn make_page(folder: &CaseFolder, status: &mut Status, programs: &Programs) 
     Ok(())
 }
 
-/// Returns the path of the report that a stage left. The report of `tetmesh-check` is a result, so
-/// the folder of reports contains only a copy of it.
+/// Returns the path of the report that a stage wrote, if there is one. The report of
+/// `tetmesh-check` is a result of the case; the folder of reports gets a copy of it.
 fn report_left(folder: &CaseFolder, planned: &Planned, stage: &Stage) -> Option<String> {
     let name = planned.report.clone()?;
     let common = report_name(planned.name());

@@ -40,7 +40,8 @@ const EXCLUSIVE: [(&str, &str, &str); 11] = [
 /// Reason why SIZE excludes the keys that grade or bound the edge length.
 const SIZE_IS_UNIFORM: &str = "SIZE sets one edge length everywhere, without grading or bounds";
 
-/// Pairs of keys: if the user sets the first, a value of the second from the case file is dropped.
+/// Pairs of keys. If the user sets the first key, a value of the second key from the case file is
+/// ignored.
 const DROPPED_WITH: [(&str, &str); 6] = [
     ("LABELS", "INSIDE"),
     ("MATERIALS", "INSIDE"),
@@ -64,7 +65,7 @@ impl Settings {
     }
 
     /// Reads settings like [`Settings::read`], but takes the user's assignments from a row of a
-    /// list. The assignments in `common` apply to all rows, but the row takes precedence.
+    /// list. These assignments take precedence over `common`, which applies to all rows.
     ///
     /// # Errors
     /// If [`Settings::read`] would return an error for these settings.
@@ -96,7 +97,7 @@ impl Settings {
         Ok(self)
     }
 
-    /// Returns the value of a key if the key is set and was not dropped.
+    /// Returns the value of a key, or `None` if the key is unset or was dropped.
     pub fn get(&self, key: &str) -> Option<&str> {
         self.values.get(key).map(|(value, _)| value.as_str())
     }

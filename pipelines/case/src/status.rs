@@ -1,5 +1,5 @@
-//! Reads and writes `NAME.status.json`, the state of a case. The page of the case and the index are
-//! generated from this file (docs/developer/formats.md).
+//! Reads and writes `NAME.status.json`, which records the state of a case. The page of the case and
+//! the index are generated from this file (docs/developer/formats.md).
 
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::output::write_atomically;
@@ -28,7 +28,8 @@ pub enum Verdict {
     Error,
     /// The run was stopped before it finished.
     Interrupted,
-    /// A run is in progress (or was killed: see [`crate::folder::CaseFolder::settle`]).
+    /// A run is in progress or was killed; [`crate::folder::CaseFolder::settle`] corrects the
+    /// status of a killed run.
     Running,
 }
 
@@ -80,7 +81,7 @@ pub struct Input {
     pub path: PathBuf,
     /// Length in bytes; for a folder, the sum over its files.
     pub bytes: u64,
-    /// BLAKE3 hash of the content; for a folder, hash of the names and hashes of its files.
+    /// BLAKE3 hash of the content. For a folder, the hash covers the names and hashes of its files.
     pub hash: String,
     /// Time of the last modification in nanoseconds since 1970; 0 for a folder.
     pub modified: u64,
@@ -124,12 +125,12 @@ pub struct Stage {
     pub seconds: Option<f64>,
     /// The command line, quoted for a shell.
     pub command: Option<String>,
-    /// Name of the report, if there is one. This and all other file names are relative to the
-    /// folder of the case.
+    /// Name of the report, if there is one. This path and the other file names in this struct are
+    /// relative to the folder of the case.
     pub report: Option<String>,
     /// Files that the stage made.
     pub outputs: Vec<String>,
-    /// Files that the stage left for inspection when it failed. No later stage reads them.
+    /// Files of a failed stage that are kept for inspection. No later stage reads them.
     pub kept: Vec<String>,
     /// Warnings of the stage.
     pub warnings: Vec<String>,

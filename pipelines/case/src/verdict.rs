@@ -7,7 +7,8 @@ use crate::status::{Stage, State, Status, Verdict};
 use isoparticles_stage::cli::FIT_BUT_FOR;
 use std::fmt::Write;
 
-/// Returns the verdict on the stages of a status, and a sentence that explains the verdict.
+/// Returns the verdict that follows from the states of the stages, and a sentence that explains the
+/// verdict.
 #[must_use]
 pub fn of(status: &Status) -> (Verdict, String) {
     let stages = &status.stages;
@@ -107,8 +108,8 @@ pub fn closing(folder: &CaseFolder, status: &Status) -> String {
     text
 }
 
-/// Returns the exit code: 0 passed, 1 a check failed, 2 an error, 3 no usable GPU, 130 interrupted
-/// or running.
+/// Returns the exit code: 0 if the case passed, 1 if a check failed, 2 after an error, 3 without a
+/// usable GPU, and 130 if the run was interrupted or is in progress.
 #[must_use]
 pub fn exit_code(status: &Status) -> u8 {
     match status.verdict {

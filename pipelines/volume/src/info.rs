@@ -43,7 +43,8 @@ pub(crate) struct Args {
 }
 
 impl Args {
-    /// Returns the path of the JSON file, or `None` if there is none or the JSON goes to stdout.
+    /// Returns the path of the JSON file, or `None` if no JSON is requested or the JSON goes to
+    /// stdout.
     pub(crate) fn json_file(&self) -> Option<&Path> {
         self.json.as_deref().filter(|path| *path != Path::new("-"))
     }

@@ -24,7 +24,7 @@ impl Case {
     }
 
     /// Creates a case whose voxels are `value(distance, index)`, where `distance` is the distance
-    /// of the voxel from the centre in mm.
+    /// of the voxel from the centre in mm, and `index` is its linear index.
     fn of(value: impl Fn(f64, usize) -> f32) -> Self {
         let mut geometry = Geometry::axis_aligned([36, 34, 18], DVec3::new(1.0, 1.0, 2.0));
         geometry.space = Space::Lps;
@@ -43,8 +43,8 @@ impl Case {
         })
     }
 
-    /// Creates a label map: a ball of label 3 in a shell of label 2, one voxel of label 9, and
-    /// `background` elsewhere.
+    /// Creates a label map: a ball of label 3 inside a shell of label 2, and a single voxel of
+    /// label 9. All other voxels have the value `background`.
     fn labels(background: f32) -> Self {
         Self::of(|radius, n| match radius {
             _ if n == 0 => 9.0,
@@ -144,7 +144,8 @@ fn nan_among_labels_is_remarked() {
 
 #[test]
 fn info_measures_sheared_volumes_in_the_world() {
-    // slices 1 mm apart, shifted along y as in a scan with a gantry tilt of 30 degrees
+    // The slices are 1 mm apart. Each is shifted along y, as in a scan with a gantry tilt of 30
+    // degrees.
     let step = DVec3::new(0.0, 30f64.to_radians().tan(), 1.0);
     let geometry = Geometry {
         spacing: DVec3::new(1.0, 1.0, step.length()),

@@ -9,13 +9,13 @@ Prints a markdown table.
 
 The objects are a ball and a torus with known distances, each as a scalar volume (with a blurred
 edge, as in a scan) and as binary labels. Each method runs in its own process. Times exclude
-reading and writing; memory is the peak memory of the process.
+reading and writing. Memory is the peak memory of the process.
 
-Errors are in voxels, relative to the exact distance: the error of the zero set (linear on grid
-edges, root mean square), the error of F within 2.5 voxels of the surface (root mean square and
-maximum), and the error of F anywhere (maximum). AntiAliasBinary computes distances in only three
-layers, so the last error is not meaningful for it. SignedMaurer treats the centres of the object's
-boundary voxels as the surface.
+Errors are in voxels, relative to the exact distance: the root-mean-square error of the zero set
+(interpolated linearly along grid edges), the root-mean-square and maximum error of F within 2.5
+voxels of the surface, and the maximum error of F anywhere. AntiAliasBinary computes distances in
+only three layers, so its last error is not meaningful. SignedMaurer treats the centres of the
+object's boundary voxels as the surface.
 """
 
 import argparse
@@ -29,7 +29,7 @@ import time
 
 import numpy as np
 
-EDGE = 2.0  # half-width in voxels of the edge of scalar volumes
+EDGE = 2.0  # half-width in voxels of the blurred edge of scalar volumes
 BAND = 2.5  # half-width in voxels of the band around the surface
 
 
@@ -44,7 +44,7 @@ def truth(shape, size):
 
 
 def values(kind, distance):
-    """Returns the input volume for all methods. The object is where the volume exceeds 0.5."""
+    """Returns the input volume for all methods. The object is the region above 0.5."""
     if kind == "labels":
         return (distance < 0).astype(np.uint8)
     return (0.5 * (1 - np.tanh(distance / EDGE))).astype(np.float32)
@@ -59,7 +59,7 @@ def write_nrrd(path, volume):
 
 
 def read_vti(path):
-    """Returns the distances in a distfield file as an array of shape (z, y, x), with the margin."""
+    """Returns the distances in a distfield file, shape (z, y, x), including the margin."""
     with open(path, "rb") as file:
         data = file.read()
     start = data.index(b"<AppendedData")
@@ -74,12 +74,13 @@ def read_vti(path):
 
 
 def compute(method, volume, threads):
-    """Returns the signed distance (voxels) computed by another program, and the time in seconds."""
+    """Returns the signed distance (voxels) computed by another library, and the time in seconds."""
     if method == "scikit-fmm":
         import skfmm
 
         start = time.perf_counter()
-        # level 0.5 is the middle of a blurred edge, or the face between voxels of values 0 and 1
+        # the surface is where the value is 0.5: in the middle of a blurred edge, or on the face
+        # between two voxels of values 0 and 1
         return skfmm.distance(0.5 - volume.astype(np.float64), dx=1.0), time.perf_counter() - start
     import SimpleITK as sitk
 

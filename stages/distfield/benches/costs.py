@@ -1,4 +1,4 @@
-"""Measures time and memory of the stages on phantoms, and fits the rates of `cost.rs`.
+"""Measures the time and memory of the stages on phantoms, and fits the rates of `cost.rs`.
 
     python stages/distfield/benches/costs.py [--bin target/release] [--volumes VOLUME;OPTION ...]
 
@@ -6,7 +6,7 @@ With --volumes, it prints one table row per volume: the predictions of `isoparti
 and, in brackets, the measured values.
 
 Without --volumes, it prints one line per phantom and group of stages: nodes of the padded grid,
-voxel faces at the surface, vertices, processor seconds (user and system) and peak memory. Then it
+voxel faces at the surface, vertices, processor seconds (user and system), and peak memory. It then
 prints the rates that minimise the squared relative errors over the phantoms: seconds per million
 nodes, faces and vertices, and bytes per node, face and vertex plus a constant.
 
@@ -22,7 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-# For each phantom: its options, the option that selects the object, and the options of sizefield.
+# Each entry contains the arguments of `phantom`, the option that selects the object, and the
+# options of `sizefield`.
 PHANTOMS = [
     ("torso --part heart", "--iso=100", ""),
     ("torso --part ribs", "--iso=370", ""),
@@ -32,7 +33,7 @@ PHANTOMS = [
     ("gyroid --size 112 --kind label", "--labels=1", ""),
     ("torus --size 96 --noise 40", "--iso=100", ""),
 ]
-# For each group of stages: whether its cost depends on the number of nodes, faces and vertices (1:
+# Whether the cost of each group of stages depends on the numbers of nodes, faces and vertices (1:
 # yes, 0: no).
 GROUPS = {"fields": (1, 1, 0), "particles": (1, 0, 1), "triangles": (1, 0, 1)}
 
@@ -59,7 +60,7 @@ def predicted(binaries: Path, volume: Path, option: str) -> dict:
 
 
 def run(binaries: Path, folder: Path, volume: Path, option: str, sizes: str) -> tuple[dict, dict[str, list[float]]]:
-    """Returns the prediction and, by group: nodes, faces, vertices, processor seconds, bytes."""
+    """Returns the prediction and the nodes, faces, vertices, seconds and bytes of each group."""
     f, s, seeds, p, mesh = (folder / name for name in ("f.vti", "s.vti", "seeds.bin", "p.bin", "m.vtp"))
     report = folder / "r.json"
     info = predicted(binaries, volume, option)

@@ -1,10 +1,11 @@
-"""Compares the vertex counts of `isoparticles-volume info` with those of meshes of shared volumes.
+"""Compares the vertex counts that `isoparticles-volume info` predicts with those of real meshes.
 
     python stages/distfield/benches/predicted.py [--bin target/release] [--data ../shared/data]
 
-The vertex counts of the meshes come from docs/developer/performance.md (real volumes, method
-restricted). The last lines give, for label maps and for scans, the factor by which to multiply
-GRADATION_LABELS and GRADATION_SCAN of common/survey/src/cost.rs to make the mean log ratio zero.
+The vertex counts of the meshes were measured with the method restricted (2026-11-22); newer counts
+are in docs/developer/performance.md, "Surfaces of both methods". The last two lines give the
+factors by which GRADATION_LABELS and GRADATION_SCAN in common/survey/src/cost.rs must be multiplied
+to make the mean log ratio zero.
 """
 
 import argparse
@@ -14,7 +15,8 @@ import subprocess
 import time
 from pathlib import Path
 
-# For each case: the volume, the option that selects the object, and the vertex count of the mesh.
+# Each entry contains the volume, the option that selects the object, and the vertex count of the
+# mesh.
 CASES = [
     ("mickey_labels", "--labels=2", 1206),
     ("heart_label", "--labels=1", 55317),

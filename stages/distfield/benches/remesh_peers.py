@@ -2,7 +2,7 @@
 
     python remesh_peers.py PROGRAM JOB.npz RESULT.npz
 
-scale.py runs this script with an interpreter that has the packages of peers.lock.
+scale.py runs this script with an interpreter that has the packages in peers.lock.
 
 PROGRAM is botsch (gpytoolbox), cgal (isotropic remeshing, by compas_cgal), mmg (mmgpy), pymeshlab
 (isotropic explicit remeshing), instant-meshes (pyinstantmeshes), acvd (pyacvd), or none, which
@@ -23,30 +23,30 @@ from pathlib import Path
 
 import numpy as np
 
-# Number of iterations, for the programs that have this option.
+# Number of iterations of the programs that have this option.
 ITERATIONS = 10
-# Maximum number of edge lengths to try. The last result is kept.
+# Maximum number of edge lengths to try. If none meets the tolerance, the last result is kept.
 TRIES = 6
 # Relative tolerance of the number of vertices. It corresponds to 1.5 % of the edge length.
 CLOSE = 0.03
 
 
 def botsch(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Remeshes by the method of Botsch and Kobbelt, with ten iterations and projection."""
+    """Remeshes by the method of Botsch and Kobbelt, with ten iterations and with projection."""
     from gpytoolbox import remesh_botsch
 
     return remesh_botsch(points, triangles.astype(np.int32), ITERATIONS, length, True)
 
 
 def cgal(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Remeshes with CGAL's isotropic remeshing and ten iterations."""
+    """Remeshes with ten iterations of CGAL's isotropic remeshing."""
     from compas_cgal.meshing import trimesh_remesh
 
     return trimesh_remesh((points, triangles), length, ITERATIONS)
 
 
 def mmg(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Remeshes with MMGS and a uniform size.
+    """Remeshes with MMGS at a uniform edge length.
 
     The tolerance ``hausd`` is one edge length, because the default refines by curvature. The ridge
     angle is 180 degrees, because blurred labels have no ridges.
@@ -111,7 +111,7 @@ def main() -> None:
         points, triangles, wanted = job["points"].astype(np.float64), job["triangles"], int(job["vertices"])
     corners = points[triangles]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-    # edge length for two equilateral triangles per vertex
+    # edge length of equilateral triangles that fill the area with two triangles per vertex
     length = float(np.sqrt(area / wanted * 2.0 / np.sqrt(3.0)))
     for _ in range(TRIES):
         started = time.monotonic()

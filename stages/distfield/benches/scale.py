@@ -1,34 +1,37 @@
-"""Meshes volumes at several vertex counts (`--scale-for-vertices`, `--vertices`); prints a table.
+"""Meshes volumes at several vertex counts and prints a table of the results.
 
     scale.py @solid.txt @thin.txt [--vertices 1000 5000 20000 75000] [--backend gpu]
-        [--no-distances] [--tetrahedra .venv/bin/tetmesh-check] [--peers .venv-bench/bin/python]
+        [--no-distances] [--tetrahedra .venv/bin/tetmesh-check]
+        [--peers .venv-bench-scale/bin/python]
 
 CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]. @FILE inserts the lines of a file (for
 example solid.txt and thin.txt in this folder), except lines that start with #. $NAME inserts an
-environment variable (DATA is the folder of the real volumes). Run the script with the Python of
-`make env`; with --no-distances any Python 3.11 suffices.
+environment variable (DATA is the folder of the real volumes). Each vertex count is passed to
+distfield as --scale-for-vertices and to sizefield as --vertices. Run the script with the Python of
+`make env`; with --no-distances, any Python 3.11 suffices.
 
-Rows of isoparticles show one run from the volume to the checked surface. "components" is the number
-of components of the mesh and, in brackets, of the voxels before and after smoothing, with the
-numbers of changes. "s" is the time from the volume and, in brackets, from the smoothed field. With
---tetrahedra, tetmesh-check fills the surface with tetrahedra and runs all its default checks; the
-column contains the number of tetrahedra and the exit code.
+A row for isoparticles shows one run from the volume to the checked surface. "components" is the
+number of components of the mesh. The brackets contain the number of components of the voxels before
+and after smoothing, and the number of changes of each kind. "s" is the time from the volume to the
+surface in seconds and, in brackets, from the smoothed field to the surface. With --tetrahedra,
+tetmesh-check fills the surface with tetrahedra and runs all its default checks; the column contains
+the number of tetrahedra and the exit code.
 
-Rows of other remeshers (--programs), with --peers PYTHON (an interpreter with the packages of
-peers.lock, which `make bench-scale` creates): each program remeshes the marching-cubes surface of
-the same smoothed field to the same number of vertices, within 3 %. The seconds cover marching cubes
-and the last try. The angles, ratios and volumes of these meshes are computed here; those of
+Rows for other remeshers (--programs) require --peers PYTHON, an interpreter with the packages in
+peers.lock, which `make bench-scale` creates. Each program remeshes the marching-cubes surface of
+the same smoothed field to the same number of vertices, to within 3 %. The time is that of marching
+cubes and the last try. The angles, ratios and volumes of these meshes are computed here; those of
 isoparticles come from the report. "crossing" is the number of pairs of intersecting triangles. For
 marching cubes and surface nets, the grid determines the number of vertices.
 
-If the options of a case include --scale, all vertex counts use that scale, and distances are
-measured from the zero set of the field at that scale (@remeshers.txt).
+If the options of a case include --scale, as in @remeshers.txt, that scale applies to all vertex
+counts, and distances are measured from the zero set of the field at that scale.
 
 With --as-given, scale and edge length come from the options of the case (@peers.txt: `make
 bench-peers`), and the peers start from the label map: VTK reads it, the mask of the label is
 blurred by a Gaussian with a standard deviation of half the scale, and marching cubes runs at level
-0.5. The seconds then cover the time from the volume to the triangles, with the last try only. The
-seconds of isoparticles include reading and writing, and are followed by the seconds of each stage.
+0.5. The time is then measured from the volume to the triangles and includes only the last try. For
+isoparticles, it includes reading and writing, and is followed by the time of each stage.
 
 "distance" is the distance of vertices and triangle centroids from the surface at scale 0, which
 keeps every voxel centre on its side: mean, 99th percentile and maximum, mm. "lost" is the distance
@@ -59,7 +62,7 @@ class RefusedError(Exception):
 
 @dataclass
 class Case:
-    """A surface in a volume, with the programs, the work folder and the options of the run."""
+    """A surface in a volume, with the programs, the working folder and the options of a run."""
 
     name: str
     volume: str
@@ -91,7 +94,7 @@ class Case:
         return str(self.work / f"{self.name}.{key}.{ending}")
 
     def exact(self) -> pv.ImageData:
-        """Returns the distance field for the options of the case: at scale 0 without --scale."""
+        """Returns the distance field for the case's options, at scale 0 unless they set --scale."""
         path = self.file("exact", "distfield.vti")
         if not Path(path).exists():
             self.run("exact", "distfield", self.volume, *self.distfield, "-o", path)
@@ -101,7 +104,7 @@ class Case:
 
 
 def sample(field: pv.ImageData, points: np.ndarray) -> np.ndarray:
-    """Returns trilinear values (mm) of a distance field at points in the world."""
+    """Interpolates a distance field (mm) trilinearly at points in world coordinates."""
     import numpy as np
     from scipy.ndimage import map_coordinates
 
@@ -112,7 +115,7 @@ def sample(field: pv.ImageData, points: np.ndarray) -> np.ndarray:
 
 
 def exact_surface(field: pv.ImageData) -> np.ndarray:
-    """Returns the vertices of the zero set of a distance field, in the world."""
+    """Returns the vertices of the zero set of a distance field, in world coordinates."""
     import numpy as np
 
     contour = field.contour([0.0], scalars="signed_distance")
@@ -120,7 +123,7 @@ def exact_surface(field: pv.ImageData) -> np.ndarray:
 
 
 def distances(case: Case, surface: str, distfield: str) -> tuple[str, str]:
-    """Returns distances (mm): mesh to surface at scale 0, and this surface to the smoothed one."""
+    """Returns two texts: the columns "distance" and "lost" of the table (mm)."""
     import numpy as np
     import pyvista as pv
 
@@ -134,7 +137,7 @@ def distances(case: Case, surface: str, distfield: str) -> tuple[str, str]:
 
 @dataclass
 class Mesh:
-    """The measurements of a mesh shown in a row."""
+    """Measurements of a mesh for one row of the table."""
 
     vertices: int
     ratio_mean: float
@@ -147,7 +150,7 @@ class Mesh:
 
 
 def measured(points: np.ndarray, triangles: np.ndarray) -> Mesh:
-    """Measures a mesh of another program. The radius ratio is 2 * inradius / circumradius."""
+    """Measures a mesh made by another program. The radius ratio is 2 * inradius / circumradius."""
     import numpy as np
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -256,7 +259,7 @@ def row(case: Case, vertices: int) -> tuple[str, float, int]:
 
 
 def tetrahedra(case: Case, key: str, surface: str, sizefield: str) -> str:
-    """Returns the number of tetrahedra of tetmesh-check for a surface, and its exit code."""
+    """Runs tetmesh-check on a surface; returns its number of tetrahedra and its exit code."""
     if case.tetmesh_check is None:
         return "-"
     volume = case.file(key, "volume.vtu")
@@ -288,7 +291,7 @@ def blurred(case: Case) -> pv.ImageData:
 
 
 def peer_row(case: Case, vertices: int, ours: int, before: float, program: str) -> str:
-    """Returns the row of another remesher for the same field, with `ours` vertices within 3 %."""
+    """Returns the row of another remesher for the same field, with about `ours` vertices."""
     import numpy as np
     import pyvista as pv
 

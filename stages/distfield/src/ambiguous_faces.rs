@@ -3,7 +3,7 @@
 //!
 //! The signs at the nodes do not determine whether these parts are connected. Marching cubes uses
 //! the sign of F at the saddle of the face. [`make_agree`] changes F until it has the same sign as
-//! its source at the saddle. For labels, the source follows the rule in [`crate::labels`].
+//! its source at the saddle. For labels, [`crate::labels`] states which parts the source connects.
 
 use isoparticles_field::marching_cubes::saddle_value;
 use isoparticles_volume::Image;
@@ -22,13 +22,14 @@ pub struct AmbiguousFace {
 }
 
 /// In each pass, the values at the two nodes to be connected are multiplied by this factor, and the
-/// values at the other two nodes are divided by it. For `heart_ct` at 250, the 99th percentile of
-/// the shift of the zero set is 0.0526 voxel with 1.02 and 0.0493 voxel with 1.005.
+/// values at the other two nodes are divided by it. For `heart_ct` at iso value 250, the 99th
+/// percentile of the shift of the zero set is 0.0526 voxel with 1.02 and 0.0493 voxel with 1.005.
 const TIP_FACTOR: f32 = 1.005;
 
-/// Maximum number of passes over the faces. The sign at the saddle depends on the ratio of the
-/// products of opposite values. One pass changes this ratio by a factor of [`TIP_FACTOR`]^4 = 1.02,
-/// and 100 passes by a factor of seven. Faces that share nodes can undo each other's changes.
+/// Maximum number of passes over the faces. The sign at the saddle depends on the ratio of two
+/// products, each of the values at two opposite corners. One pass changes this ratio by a factor of
+/// `TIP_FACTOR^4` = 1.02, and 100 passes by a factor of seven. Faces that share nodes can undo each
+/// other's changes.
 const MOST_PASSES: usize = 100;
 
 /// Returns the ambiguous faces of an implicit function, given by its values at the nodes (negative

@@ -1,7 +1,7 @@
 //! Bit sets over the nodes of a grid, and rank queries on them.
 //!
-//! [`Bits`] stores one bit per node (x fastest) and provides the neighbourhood tests for contacts
-//! and band searches. [`Numbering`] counts the nodes of a set before a given node, so that values
+//! [`Bits`] stores one bit per node (x fastest) and finds the nodes near the surface of the set and
+//! its ambiguous faces. [`Numbering`] counts the nodes of a set before a given node, so that values
 //! at the nodes of the set fit in a compact array.
 
 use rayon::prelude::*;
@@ -58,7 +58,7 @@ impl Bits {
         self.words.iter_mut().zip(&other.words).for_each(|(word, other)| *word |= other);
     }
 
-    /// Returns the union of four copies of the set, each shifted up by one entry of `numbers`.
+    /// Returns the union of four copies of the set, each shifted up by one of the `numbers`.
     /// Shifted nodes must not lie beyond the grid.
     pub fn moved(&self, numbers: [usize; 4]) -> Self {
         // words before the start of the set are empty
@@ -76,8 +76,8 @@ impl Bits {
         Self { words }
     }
 
-    /// Returns the 64 bits that start at node `first`. Words outside the set have the value
-    /// `beyond`.
+    /// Returns the 64 bits that start at node `first`. Words before and after the stored words have
+    /// the value `beyond`.
     fn word(&self, first: isize, beyond: u64) -> u64 {
         let (at, up) = (first.div_euclid(64), first.rem_euclid(64) as u32);
         let word = |at: isize| usize::try_from(at).ok().and_then(|at| self.words.get(at)).copied().unwrap_or(beyond);

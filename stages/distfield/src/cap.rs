@@ -18,8 +18,8 @@ pub struct BorderBox {
 
 impl BorderBox {
     /// Returns the box of an input. `padded` is the grid of the input, extended by `margin` voxels
-    /// on each face. The box is unbounded at faces that are not `closed` (two per axis, low face
-    /// first).
+    /// on each face. `closed` has one entry for the low and one for the high face along each axis;
+    /// the box is unbounded at faces that are not closed.
     pub fn new(padded: &Geometry, margin: usize, closed: [[bool; 2]; 3]) -> Self {
         let first = padded.index_to_grid(DVec3::splat(margin as f64 - 0.5));
         let mut low = first;
@@ -33,7 +33,7 @@ impl BorderBox {
     }
 
     /// Returns the signed distance (mm) and the gradient of the intersection of the object with the
-    /// box. `value` and `gradient` are those of the object at position `grid`.
+    /// box. `value` and `gradient` describe the object at the position `grid`, without the box.
     pub fn intersect(&self, grid: DVec3, value: f64, gradient: DVec3) -> (f64, DVec3) {
         let (below, above) = (self.low - grid, grid - self.high);
         let mut result = (value, gradient);
@@ -56,7 +56,7 @@ impl BorderBox {
     }
 
     /// Returns the maximum of two signed distances, with a circular fillet where both distances
-    /// exceed minus the radius.
+    /// exceed `-radius`.
     fn rounded_maximum(&self, a: (f64, DVec3), b: (f64, DVec3)) -> (f64, DVec3) {
         let (u, v) = (a.0 + self.radius, b.0 + self.radius);
         if u > 0.0 && v > 0.0 {

@@ -1,7 +1,8 @@
 //! Measures the changes due to `--scale`: the volume, the voxel centres that change sides and their
-//! depths, and the parts that vanish, split, merge, lose thin ends or have gaps filled. The input
-//! is the occupancy before smoothing and the level set after smoothing, on one grid. The output is
-//! [`Changes`], with the position of each event. Parts are sets of voxels connected through faces.
+//! depths, the parts that vanish, split, merge or lose thin ends, and the gaps that are filled. The
+//! input is the occupancy before smoothing and the level set after smoothing, on one grid. The
+//! output is [`Changes`], with the position of each event. Parts are sets of voxels connected
+//! through faces.
 
 use crate::bits::Bits;
 use crate::keep::{Keep, parts_of_runs};
@@ -18,10 +19,11 @@ use std::collections::{BTreeMap, BTreeSet};
 const MOST_LISTED: usize = 20;
 
 /// The level at the voxels of removed parts is set to at most minus this value. Near a plane
-/// surface, where the level changes by 1 / (sqrt(2 pi) sigma) per voxel, this corresponds to a
-/// distance of 0.13 standard deviations. With 0.0125, 0.05 and 0.2, the parts and their volume are
-/// the same on `frog_tissue_labels` 13 and `brain_parcellation` 2 at SCALE=3 and `thorax_labels` 1
-/// at SCALE=6 (`make distfield`).
+/// surface, the level changes by 1 / sqrt(2 pi) = 0.4 per standard deviation of the Gaussian, so
+/// this value corresponds to a distance of 0.13 standard deviations. The values 0.0125, 0.05 and
+/// 0.2 give the same parts and volumes for label 13 of `frog_tissue_labels` and label 2 of
+/// `brain_parcellation` at SCALE=3, and for label 1 of `thorax_labels` at SCALE=6 (`make
+/// distfield`).
 const CLEARLY_OUTSIDE: f32 = 0.05;
 
 /// Losses below this fraction of the original volume are treated as specks. It is a twentieth of
@@ -49,9 +51,9 @@ pub enum Kind {
 pub struct Event {
     /// The kind.
     pub kind: Kind,
-    /// Volume in mm^3, by voxel count. Gone, shortened, filled: the lost or filled voxels. Broken:
-    /// the part that was split. Joined: the merged part. For shortened ends and filled gaps, only
-    /// voxels deeper than half the scale are included.
+    /// Volume in mm^3 by voxel count: of the lost or filled voxels, of the part that was split, or
+    /// of the merged part. For shortened ends and filled gaps, only voxels deeper than half the
+    /// scale are included.
     pub volume: f64,
     /// Mean of the voxel centres in world coordinates, mm.
     pub place: [f64; 3],
@@ -79,10 +81,10 @@ pub struct Changes {
     pub voxels_changed: usize,
     /// Distances of these voxel centres from the original surface.
     pub depth: Depth,
-    /// Number of parts before and after; voxels are connected through faces.
+    /// Number of parts before and after smoothing; voxels are connected through faces.
     pub components: [usize; 2],
-    /// Euler characteristic of the solid (components - handles + cavities) before and after; voxels
-    /// are connected through faces.
+    /// Euler characteristic of the solid (components - handles + cavities) before and after
+    /// smoothing; voxels are connected through faces.
     pub euler: [i64; 2],
     /// Number of events of each kind.
     pub counts: BTreeMap<Kind, usize>,
@@ -102,8 +104,8 @@ pub fn remove_crumbs(level: &mut [f32], geometry: &Geometry, smallest: f64) -> R
 }
 
 /// Removes the parts of `level > 0` for which `is_crumb` is true, unless it is true for all parts.
-/// Its arguments are the volume of the part (voxel count, mm^3) and the fraction of the part's
-/// nodes for which `is_own` is true.
+/// The arguments of `is_crumb` are the volume of the part (voxel count, mm^3) and the fraction of
+/// the part's nodes for which `is_own` is true.
 ///
 /// # Errors
 /// If there are too many runs of voxels to label the parts.
@@ -116,7 +118,7 @@ pub fn remove_parts(
     let inside = Runs::of(geometry.size, |n| level[n] > 0.0);
     let part = parts_of_runs(&inside, geometry.size, &[])?;
     let voxel = geometry.spacing.element_product();
-    // for each part, the number of its nodes, and of those for which `is_own` is true
+    // number of nodes of each part, and of its nodes for which `is_own` is true
     let mut counts = vec![[0usize; 2]; part.len()];
     inside.each_in_nodes(|run, nodes| {
         let [all, own] = &mut counts[part[run] as usize];
@@ -197,8 +199,8 @@ fn index(size: [usize; 3], n: usize) -> [usize; 3] {
     [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])]
 }
 
-/// Returns the distance (mm) from the centre of voxel `n` to the nearest voxel on the other side,
-/// measured to the box of that voxel. Searches cubic shells of increasing radius.
+/// Returns the distance (mm) from the centre of voxel `n` to the box of the nearest voxel on the
+/// other side. Searches cubic shells of increasing radius.
 fn depth(old: &Bits, geometry: &Geometry, n: usize) -> f64 {
     let (size, spacing) = (geometry.size, geometry.spacing);
     let (at, side) = (index(size, n), old.holds(n));
@@ -252,7 +254,8 @@ impl Sum {
     }
 }
 
-/// The connected parts of a set, with their sums. Each part is identified by its first run.
+/// The connected parts of a set, with a [`Sum`] for each. The index of its first run identifies a
+/// part.
 struct Parts {
     runs: Runs,
     part: Vec<u32>,
@@ -272,8 +275,8 @@ impl Parts {
     }
 }
 
-/// Returns events for parts that vanished, split or merged, the number of parts before and after,
-/// and the volume of the largest part before (mm^3).
+/// Returns events for parts that vanished, split or merged, the number of parts before and after
+/// smoothing, and the volume (mm^3) of the largest part before smoothing.
 fn compare_parts(old: &Bits, new: &Bits, geometry: &Geometry) -> Result<(Vec<Event>, [usize; 2], f64)> {
     let [_, ny, nz] = geometry.size;
     let (before, after) = (Parts::of(old, geometry.size)?, Parts::of(new, geometry.size)?);

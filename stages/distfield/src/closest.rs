@@ -3,8 +3,8 @@
 //! The computation starts from the nearest surface sample of every node ([`crate::nearest`]).
 //! Within a band around the surface, Newton's method finds the closest point on the zero set.
 //! Farther out, a second-order approximation of the surface at the sample gives the distance. If
-//! the foot of the node is too far from the sample for this approximation, steps along the surface
-//! first find a nearer point.
+//! the foot of the perpendicular from the node is too far from the sample for this approximation,
+//! steps along the surface first find a nearer point.
 
 use crate::bits::Bits;
 use crate::nearest::{NO_SAMPLE, Slab, nearest_samples};
@@ -13,18 +13,19 @@ use glam::{DMat3, DVec3, Mat3, Vec3};
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
-/// Minimum determinant of the Hessian of half the squared distance at a closest point, relative to
-/// that of a plane. For a node at height D and principal curvatures k1 and k2, it is (1 + D k1)(1 +
-/// D k2). It is 0 at a focal point of the surface, where the second-order approximation fails. At
-/// this limit, the distance from the sample to the foot can be 100 times the distance from the node
-/// to the normal line at the sample. Rounding to single precision then changes it by about 1e-5 of
-/// its length. With 0.001 and 0.1, the values within 1.5 voxels of the surface change by at most
-/// 0.003 mm (`make distfield`, `heart_label`, `tooth_ct` at 600, `frog_tissue_labels` 13).
+/// Minimum determinant of the Hessian of half the squared distance at a closest point. For a node
+/// at height D above a surface with principal curvatures k1 and k2, the determinant is
+/// `(1 + D k1) (1 + D k2)`: 1 for a plane, and 0 at a focal point of the surface, where the
+/// second-order approximation fails. At this limit, the distance from the sample to the foot can be
+/// 100 times the distance from the node to the normal line at the sample. Rounding to single
+/// precision then changes the former distance by about 1e-5 of its length. With 0.001 and 0.1, the
+/// values within 1.5 voxels of the surface change by at most 0.003 mm for `heart_label`, `tooth_ct`
+/// at iso value 600 and label 13 of `frog_tissue_labels` (`make distfield`).
 const LEAST_DETERMINANT: f32 = 0.01;
 
-/// Maximum number of patches visited on the way to the closest point. If one of them contains the
-/// foot, it is on average the second (`tests/labels.rs`, `tests/scalar.rs`). Otherwise, the
-/// distance to the nearest point so far is used.
+/// Maximum number of patches visited on the way to the closest point. Where one of them contains
+/// the foot of the node, two patches are visited on average (`tests/labels.rs`, `tests/scalar.rs`).
+/// Otherwise, the distance to the nearest point found is used.
 const MAX_PATCHES: usize = 8;
 
 /// Maximum length of a step from patch to patch, in units of the minimum voxel spacing. A step of
@@ -36,7 +37,7 @@ const LONGEST_SURFACE_STEP: f32 = 2.0;
 /// Maximum distance between a sample and the foot of a node for the second-order approximation, in
 /// units of the minimum voxel spacing. Every cell that the surface crosses contains samples, so
 /// every point of the surface is within a cell diagonal (1.7) of a sample. A foot beyond the limit
-/// usually has a nearer sample.
+/// usually lies nearer to another sample.
 const PATCH_REACH: f64 = 1.5;
 
 const _: () =
@@ -58,10 +59,10 @@ const CAP_MOVES: usize = 3;
 /// Computes the signed distance (mm) from every node to the surface of `source`, negative at the
 /// `inside` nodes. `samples` are dense samples of the surface.
 ///
-/// Within `band` mm, Newton's method finds the closest point. Beyond the band, the distance is that
-/// to the second-order approximation of the surface at the nearest sample. If the nearest sample
-/// lies on the cap, steps along tangent planes replace both methods. Distances are clamped to
-/// `limit` mm, which must be at least `band` and may be infinite.
+/// Within `band` mm, Newton's method finds the closest point. Beyond the band, the result is the
+/// distance to the second-order approximation of the surface at the nearest sample. If the nearest
+/// sample lies on the cap, steps along tangent planes replace both methods. Distances are clamped
+/// to `limit` mm, which must be at least `band` and may be infinite.
 pub fn distance_to_zero_set(
     geometry: Geometry,
     inside: &Bits,
@@ -191,8 +192,9 @@ impl Patch {
     /// not minimise the distance.
     ///
     /// For a node at height D above the tangent plane and at offset t in this plane, the foot on
-    /// the surface z = -u.Su/2 is at u = (I + D S)^-1 t. S maps the tangent plane to itself, so the
-    /// inverse is that of a 2 x 2 matrix (Cayley-Hamilton).
+    /// the surface z = -u.Su/2 is at u = (I + D S)^-1 t, where S is the curvature tensor. S maps
+    /// the tangent plane to itself, so the formula for 2 x 2 matrices gives the inverse
+    /// (Cayley-Hamilton).
     fn foot(&self, to_node: Vec3) -> Option<Vec3> {
         let shape = self.curvature()?;
         let height = to_node.dot(self.normal);

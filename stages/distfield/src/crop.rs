@@ -2,8 +2,9 @@
 //! each face and clipped to the volume. Later steps treat this box as the volume. Only background
 //! lies beyond a face of the box that is not a border of the volume.
 //!
-//! The box contains the voxels that F near the surface depends on. There, F equals the F of the
-//! whole volume to the accuracy given at [`ROOM`](isoparticles_field::spline::ROOM).
+//! The box contains the voxels that F near the surface depends on. Near the surface, F therefore
+//! equals the F of the whole volume to within the accuracy stated at
+//! [`ROOM`](isoparticles_field::spline::ROOM).
 
 use crate::nearest::STRIDE;
 use isoparticles_volume::{LayerLabel, Volume};
@@ -92,7 +93,8 @@ impl VoxelBox {
     }
 }
 
-/// Returns the number of voxels to keep around the inside voxels of a scalar volume.
+/// Returns the number of voxels to keep along each axis around the inside voxels of a scalar
+/// volume.
 pub fn room_of_spline() -> [usize; 3] {
     [isoparticles_field::spline::ROOM; 3]
 }

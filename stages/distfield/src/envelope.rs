@@ -42,7 +42,7 @@ pub(crate) fn spread(geometry: &Geometry, samples: &[Vec3], sample: &mut [u32]) 
     });
 }
 
-/// Squared distance (mm^2) to a sample along a line.
+/// Squared distance (mm^2) to a sample, as a function of the position on a line.
 #[derive(Clone, Copy)]
 struct Parabola {
     number: u32,
@@ -84,7 +84,7 @@ impl Envelope {
         self.column = column;
     }
 
-    /// Replaces the sample numbers on a line with those of the nearest samples on the line.
+    /// Replaces each sample number on a line with the number of the nearest sample on the line.
     fn fill(&mut self, line: &mut [u32], spacing: f64, parabola: impl Fn(u32) -> Parabola) {
         self.all.clear();
         let mut last = NO_SAMPLE;
@@ -125,8 +125,8 @@ impl Envelope {
 }
 
 /// Returns the position on the line beyond which the second parabola is lower than the first. The
-/// centre of the second must not be smaller than that of the first. For equal centres, returns
-/// minus infinity (lower everywhere) or infinity (lower nowhere).
+/// second centre must not be smaller than the first. For equal centres, returns minus infinity
+/// (lower everywhere) or infinity (lower nowhere).
 fn crossing(first: Parabola, second: Parabola) -> f64 {
     if first.centre == second.centre {
         return if second.least < first.least { f64::NEG_INFINITY } else { f64::INFINITY };
@@ -143,7 +143,8 @@ mod tests {
 
     #[test]
     fn every_node_has_the_nearest_sample() {
-        // exact if the samples lie on their nodes; otherwise within twice the offset
+        // the distance is exact if the samples lie on their nodes; otherwise its error is at most
+        // twice the offset
         for (n, count, off) in [(0u64, 1, 0.0), (1, 7, 0.0), (2, 60, 0.0), (3, 60, 0.1)] {
             let geometry = Geometry::axis_aligned([13, 9, 11], DVec3::new(1.0, 0.7, 1.6));
             // at most one sample per node, so that no sample is lost

@@ -1,8 +1,9 @@
 //! Computes F, a signed distance with a pinned zero set, from an implicit function (the source).
 //!
 //! [`redistance`] samples the zero set of the source ([`crate::samples`]), measures the distance
-//! from every node to it ([`crate::closest`]), and changes the result so that its cubic spline
-//! vanishes at the samples ([`crate::fit`]). It then compares the zero sets of F and of the source.
+//! from every node to this zero set ([`crate::closest`]), and changes the distances so that their
+//! cubic spline vanishes at the samples ([`crate::fit`]). It then compares the zero sets of F and
+//! of the source.
 
 use crate::ambiguous_faces::{ambiguous_faces, make_agree};
 use crate::bits::Bits;
@@ -24,10 +25,11 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 /// Tolerance of the pinned zero set: root mean square of F at the samples, in units of the mean
-/// voxel spacing. Remeshers deviate from their input triangles by about ten times as much. Half the
-/// tolerance halves the mean distance between the zero sets and doubles the number of steps: for
-/// the ribcage of `thorax_labels` with `--scale 3`, 0.0004 voxel in 138 steps (1.24 s) instead of
-/// 0.0007 in 60 (0.64 s); for `tooth_ct` at 600, 0.0005 in 117 instead of 0.0009 in 54.
+/// voxel spacing. Remeshers deviate from their input triangles by about ten times as much. With
+/// half the tolerance, the mean distance between the zero sets of F and of its source is about
+/// halved, and the number of steps is about doubled: for the ribcage of `thorax_labels` with
+/// `--scale 3`, 0.0004 voxel after 138 steps (1.24 s) instead of 0.0007 voxel after 60 (0.64 s);
+/// for `tooth_ct` at iso value 600, 0.0005 voxel after 117 steps instead of 0.0009 after 54.
 const PINNED: f64 = 0.001;
 
 /// Maximum number of conjugate-gradient steps for pinning the zero set. Smooth surfaces need about
@@ -36,16 +38,16 @@ const MOST_PIN_STEPS: usize = 160;
 
 /// Half-width of the band in which Newton's method finds the closest points, in units of the mean
 /// voxel spacing. The cardinal cubic spline (one at a node, zero at all others) is below 0.003 in
-/// absolute value beyond 4 nodes. There, its absolute values midway between nodes sum to 0.007
-/// (both sides). Errors of the approximate distances beyond the band therefore move the zero set by
-/// less than 1 % of their size.
+/// absolute value beyond 4 nodes. Its absolute values at the midpoints between these nodes sum to
+/// 0.007 over both sides. Errors of the approximate distances beyond the band therefore move the
+/// zero set by less than 1 % of their size.
 ///
 /// The half-width is at least 1.5 times the maximum spacing, so that the band contains both ends of
 /// every grid edge that crosses the surface.
 const EXACT_BAND: f64 = 4.0;
 
 /// Maximum number of points at which the zero sets of F and of its source are compared. With this
-/// number, 2000 points lie beyond the 99th percentile, and their count has a sampling error of
+/// number, 2000 points lie beyond the 99th percentile, so their number has a sampling error of
 /// about 2 %.
 const CHECKED_POINTS: usize = 200_000;
 
@@ -81,13 +83,13 @@ pub struct Redistanced {
     pub shift: Shift,
     /// Number of nodes whose |F| was raised to the minimum after pinning.
     pub held_nodes: usize,
-    /// Number of ambiguous faces (two parts touching along an edge) at which F connects the parts
-    /// differently from its source.
+    /// Number of ambiguous faces at which F connects the parts that touch there differently from
+    /// its source.
     pub undecided: usize,
     /// Report of the fit that pins the zero set.
     pub fit: FitReport,
-    /// For labels: number of voxel centres on the wrong side of F = 0, excluding those of dropped
-    /// parts.
+    /// For labels: number of voxel centres on the wrong side of F = 0, excluding the voxels of
+    /// dropped parts.
     pub changed: Option<usize>,
 }
 
@@ -95,7 +97,7 @@ pub struct Redistanced {
 #[derive(Clone, Copy)]
 pub struct Demands {
     /// Distance at which F is clamped, in units of the mean voxel spacing. It is raised to the
-    /// half-width of the band if it is smaller.
+    /// half-width of the exact band (`EXACT_BAND`) if it is smaller.
     pub limit: f64,
     /// Tolerance of the pinned zero set: root mean square of F at the samples, in units of the mean
     /// voxel spacing.
@@ -145,7 +147,7 @@ pub fn redistance(
     let mut dropped = dropped_from(&mut nodes)?;
     let mut fitted = fit_field(nodes, source, &least, demands, monitor)?;
     loop {
-        // F may cut necks of the source that are thinner than a voxel; repeat until it cuts off no
+        // F may cut necks of the source that are thinner than a voxel; repeat until F cuts off no
         // part
         let cut_off = dropped_from(&mut fitted.field)?;
         if cut_off.components == 0 {
@@ -239,7 +241,8 @@ struct Measured {
     shift: Shift,
 }
 
-/// Measures the parts and volumes of F, and the distance of its zero set from that of `source`.
+/// Measures the parts and volumes of F, and the distance of its zero set from the zero set of
+/// `source`.
 fn measure(field: &Image<f32>, source: &Source) -> Measured {
     let mesh = marching_cubes(field, 0.0);
     let points = checked_points(&mesh);

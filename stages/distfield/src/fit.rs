@@ -20,13 +20,13 @@ use serde::Serialize;
 use std::ops::Range;
 
 /// Number of slices of cells per parallel task. The samples of a task depend on three more slices
-/// of coefficients, 2 `SLAB` in total, so every second task can run at the same time. With fewer
+/// of coefficients, `2 * SLAB` in total, so every second task can run at the same time. With fewer
 /// slices, these tasks would overlap; with more, a small volume would give too few tasks for all
 /// threads.
 const SLAB: usize = 3;
 
-/// Number of slices of coefficients requested at a time. The prefilter computes at least 8 Mi nodes
-/// at a time: 32 slices of 512^2 nodes, or more slices of a smaller grid.
+/// Number of slices of coefficients requested at a time from the prefilter, which computes at least
+/// 8 Mi nodes at a time: 32 slices of 512^2 nodes, or more slices of a smaller grid.
 const SLICES_AT_A_TIME: usize = 32;
 
 /// Number of samples per partial sum. It is fixed so that sums do not depend on the number of
@@ -38,16 +38,17 @@ const CHUNK: usize = 4096;
 ///
 /// Without damping, F shrinks towards zero where no spline vanishes at all samples, and it changes
 /// sign in the corners of the volume. With 0, 0.001 and 0.002, the maximum distance between the
-/// zero sets is 0.49, 0.041 and 0.026 voxel for an object in the corners of a scan of 36^3 voxels;
-/// the 99th percentile is 0.049, 0.049 and 0.053 voxel for `heart_ct` at 250.
+/// zero sets of F and of its source is 0.49, 0.041 and 0.026 voxel for an object in the corners of
+/// a scan of 36^3 voxels. For `heart_ct` at iso value 250, the 99th percentile of this distance is
+/// 0.049, 0.049 and 0.053 voxel.
 const DAMPING: f64 = 0.001;
 
 /// The fit stops when the norm of the gradient falls below this fraction of its initial value,
 /// because further steps then hardly reduce the misfit. In the fits of `tests/labels.rs` that stop
-/// at this limit, the root mean square of F at the samples is at most 2.3 times the tolerance. With
-/// 0.0001 and 0.001, the fields of `heart_label`, `heart_ct` at 250 and `frog_tissue_labels` 13 are
-/// the same. With 0.01, the mean shift of the zero set of `heart_ct` grows from 0.0044 to 0.0063
-/// voxel (`make distfield`).
+/// at this limit, the root mean square of F at the samples is at most 2.3 times the tolerance. The
+/// values 0.0001 and 0.001 give the same fields for `heart_label`, `heart_ct` at iso value 250 and
+/// label 13 of `frog_tissue_labels`. With 0.01, the mean shift of the zero set of `heart_ct` grows
+/// from 0.0044 to 0.0063 voxel (`make distfield`).
 const GRADIENT_TOLERANCE: f64 = 0.001;
 
 /// A voxel cell that contains samples.
@@ -55,7 +56,7 @@ struct Cell {
     /// Index of the first coefficient in each of the 16 rows of four coefficients that determine F
     /// in the cell.
     rows: [u32; 16],
-    /// Index of the cell's first sample. The cell's samples end at the first sample of the next
+    /// Index of the cell's first sample. The cell's samples end before the first sample of the next
     /// cell.
     first: u32,
 }
@@ -98,7 +99,8 @@ pub struct FitReport {
 
 /// Changes the values of `field` (signed distance, mm) near the surface so that the cubic spline
 /// through them vanishes at `samples`. Stops when the root mean square of F at `samples` is at most
-/// `tolerance` mm, or after `most_steps` steps.
+/// `tolerance` mm, when further steps would hardly reduce it (`GRADIENT_TOLERANCE`), or after
+/// `most_steps` steps.
 pub fn pin_zero_set(field: &mut Image<f32>, samples: Vec<DVec3>, tolerance: f64, most_steps: usize) -> FitReport {
     let number = touched_coefficients(&field.geometry, &samples);
     if number.count == 0 {
@@ -250,7 +252,7 @@ impl Sampling {
         });
     }
 
-    /// Applies the map to one slab: two samples at a time, each in half a register.
+    /// Applies the map to one slab. Processes two samples at a time, each in half a register.
     #[inline(always)]
     fn apply_to_slab<S: Simd>(&self, simd: S, slab: &Slab, coefficients: &[f32], values: &mut [f32]) {
         for (cell, samples) in slab.cells() {
@@ -333,8 +335,8 @@ impl Sampling {
     }
 }
 
-/// Loads four numbers into a register. In this module, no operation is fused and every sum has a
-/// fixed order, so results have the same bits on any instruction set.
+/// Loads four numbers into a register. In this module, multiplications and additions are not fused
+/// and every sum has a fixed order, so results have the same bits on any instruction set.
 #[inline(always)]
 fn four<S: Simd>(simd: S, from: &[f32]) -> f32x4<S> {
     f32x4::from_slice(simd, &from[..4])
@@ -350,7 +352,7 @@ fn twice<S: Simd>(simd: S, own: f32x4<S>) -> f32x8<S> {
     joined(simd, own, own)
 }
 
-/// Fills the four low lanes with one number and the four high lanes with another.
+/// Fills the four low lanes of a register with one number and the four high lanes with another.
 #[inline(always)]
 fn splats<S: Simd>(simd: S, low: f32, high: f32) -> f32x8<S> {
     joined(simd, f32x4::splat(simd, low), f32x4::splat(simd, high))

@@ -3,15 +3,16 @@
 //!
 //! Along each axis, a box filter of fractional width is applied `BOXES` times (Gwosdek, Grewenig,
 //! Bruhn and Weickert, "Theoretical foundations of Gaussian convolution by extended box filtering",
-//! 2011). The result has exactly the variance of the Gaussian. The mirror planes lie half a voxel
-//! beyond the outermost voxel centres. Mirroring preserves constants, and a surface perpendicular
-//! to a face stays perpendicular.
+//! 2011). Together, these filters have exactly the variance of the Gaussian. The mirror planes lie
+//! half a voxel beyond the outermost voxel centres. Mirroring preserves constants and does not tilt
+//! surfaces that are perpendicular to a face.
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-/// Number of box filters per Gaussian. With four, the smoothed step of a half space deviates by at
-/// most 0.007 from that of a Gaussian (`four_boxes_are_nearly_a_gaussian`).
+/// Number of box filters per Gaussian. With four, a step from 0 to 1 that is smoothed by the boxes
+/// deviates by at most 0.007 from the same step smoothed by a Gaussian
+/// (`four_boxes_are_nearly_a_gaussian`).
 const BOXES: usize = 4;
 const _: () = assert!(BOXES.is_multiple_of(2), "each box swaps a line and its room: the result would be in the room");
 
@@ -49,10 +50,11 @@ impl ExtendedBox {
 type Line = Vec<[f64; LANES]>;
 
 /// Smooths the columns in `line` with the widest SIMD instructions available; `room` is workspace.
-/// No operation is fused, so the result is the same on every instruction set.
+/// Multiplications and additions are not fused, so the result is the same on every instruction set.
 ///
-/// The result is zero wherever all values within reach of the filters are zero. Only the remaining
-/// stretches are processed. They are short if the values form a band around a surface.
+/// The result is zero wherever all values within reach of the filters are zero, so only the other
+/// parts of a line are processed. These parts are short if the nonzero values form a band around a
+/// surface.
 fn smooth_lines(line: &mut Line, room: &mut Line, kernel: ExtendedBox) {
     let reach = BOXES * (kernel.reach + 1);
     let is_zero = |at: &[f64; LANES]| at.iter().all(|&value| value == 0.0);
@@ -203,8 +205,8 @@ mod tests {
         for (sigma, gaps) in [(0.4, 3), (2.0, 7), (2.0, 40), (6.0, 90)] {
             let kernel = ExtendedBox::new(sigma);
             let mut line: Line = vec![[0.0; LANES]; 211];
-            // nonzero values, each in a single lane: at the border, adjacent, and within and beyond
-            // each other's reach
+            // each nonzero value is in a single lane; some are at the border, some are adjacent,
+            // and some are within or beyond reach of each other
             for (n, at) in [0, 1, gaps, 2 * gaps + 1, 209 - gaps, 205].into_iter().enumerate() {
                 line[at][n % LANES] = 1.0 + n as f64;
             }
@@ -225,8 +227,7 @@ mod tests {
             smooth(&mut data, size, [3.0, 9.0, 0.4]);
             assert!(data.iter().all(|value| (value - 2.5).abs() < 1e-5));
         }
-        // a step along x that does not depend on y and z still does not depend on them after
-        // smoothing
+        // smoothing leaves a step along x independent of y and z
         let size = [24, 6, 5];
         let mut data: Vec<f32> = (0..720).map(|n| if n % 24 < 11 { 1.0 } else { 0.0 }).collect();
         smooth(&mut data, size, [2.0; 3]);

@@ -65,7 +65,7 @@ impl std::fmt::Display for Keep {
 pub struct Dropped {
     /// Number of dropped parts.
     pub components: usize,
-    /// Total volume of the dropped parts by node count, mm^3.
+    /// Total volume of the dropped parts in mm^3, by node count.
     pub volume: f64,
     /// Volume of the largest dropped part, mm^3.
     pub largest: f64,

@@ -27,9 +27,10 @@ use rayon::prelude::*;
 /// voxel with a standard deviation of 1.5, and 0.065 voxel with 1.3.
 pub(crate) const SIGMA: DVec3 = DVec3::splat(1.5);
 
-/// Number of layers of nodes around the labels that affect the surface. With five layers, F agrees
-/// with the F of the whole volume to within 0.01 voxel (test
-/// `field_of_the_object_box_equals_field_of_the_whole_volume`); with four layers, it does not.
+/// Number of layers of nodes that affect the surface, counted outwards from the labels. With five
+/// layers, F agrees with the F of the whole volume to within 0.01 voxel (test
+/// `field_of_the_object_box_equals_field_of_the_whole_volume`); with four layers, the differences
+/// are larger.
 pub(crate) const LABEL_ROOM: usize = 5;
 
 /// Returns the number of voxels to keep around the labels in addition to the margin.
@@ -37,9 +38,9 @@ pub(crate) fn room_of_labels(margin: usize) -> [usize; 3] {
     [LABEL_ROOM.saturating_sub(margin); 3]
 }
 
-/// Ratio of the clearance of the level set to that of F. The level set satisfies its clearance only
-/// to first order. With a ratio of 1, |F| would have to be raised at thousands of voxel centres of
-/// `heart_label`, which would move the zero set.
+/// Ratio of the clearance required of the level set to the clearance required of F. The level set
+/// satisfies its clearance only to first order. With a ratio of 1, |F| would have to be raised at
+/// thousands of voxel centres of `heart_label`, which would move the zero set.
 const CLEARANCE_FACTOR: f64 = 2.0;
 
 /// Options for computing a surface from labels.
@@ -119,7 +120,7 @@ pub(crate) fn from_mask_with(
     Ok(result)
 }
 
-/// Returns the number of voxel centres on the wrong side of F = 0, excluding those of dropped
+/// Returns the number of voxel centres on the wrong side of F = 0, excluding the voxels of dropped
 /// parts.
 fn changed_voxels(inside: &Bits, result: &Redistanced, margin: usize) -> usize {
     let Redistanced { field, dropped, .. } = result;

@@ -8,12 +8,13 @@
 //! its excess or deficit of volume to the surface within the window. The transfers preserve the
 //! total volume.
 //!
-//! With a clearance, every voxel centre stays on its side of the surface, at a minimum distance. At
-//! voxel centres that violate this condition, sources are added. They are spread over the
-//! neighbouring voxels, so that the surface stays smooth. Contacts are preserved in the same way.
+//! If a clearance is given, every voxel centre stays on its side of the surface, at a minimum
+//! distance. At voxel centres that violate this condition, sources raise or lower the values of the
+//! level set. Each source acts on the neighbouring voxels as well, so that the surface stays
+//! smooth. Contacts are preserved in the same way.
 //!
-//! All lengths are in voxels along each axis. The voxel staircase has the spacing of the grid, so
-//! thick slices need a wider Gaussian in mm.
+//! The standard deviations are in voxels along each axis, because the voxel staircase has the
+//! spacing of the grid. Across thick slices, the Gaussian is therefore wider in mm.
 
 use crate::bits::Bits;
 use crate::gaussian::smooth;
@@ -79,11 +80,12 @@ pub(crate) struct LevelSet {
     pub level: Vec<f32>,
 }
 
-/// Standard deviation of the window, relative to that of the smoothing. Wider windows leave flat
-/// faces less flat near their edges; narrower windows follow the voxel staircase (tests
-/// `flat_faces_and_caps_stay_flat`, `a_binary_ball_becomes_round`). With 1.5, 1.6 and 1.75, a ball
-/// of 20 voxels has a radius error of 0.059, 0.057 and 0.056 voxel (root mean square). The face of
-/// a cube of 20 voxels deviates by up to 0.031, 0.031 and 0.039 voxel.
+/// Ratio of the standard deviation of the window to the standard deviation of the smoothing. Wider
+/// windows leave flat faces less flat near their edges; narrower windows follow the voxel staircase
+/// (tests `flat_faces_and_caps_stay_flat`, `a_binary_ball_becomes_round`). With 1.5, 1.6 and 1.75,
+/// the root-mean-square error of the radius of a ball of radius 20 voxels is 0.059, 0.057 and 0.056
+/// voxel, and the faces of a cube of 20^3 voxels deviate from planes by up to 0.031, 0.031 and
+/// 0.039 voxel.
 const WINDOW: f64 = 1.6;
 
 /// Number of rounds of source and volume corrections. Six rounds preserve the volumes of plates,
@@ -92,20 +94,20 @@ const WINDOW: f64 = 1.6;
 const ROUNDS: usize = 6;
 
 /// Maximum change of the level per round. With the smoothing of labels (a standard deviation of 1.5
-/// voxels), the slope at a plane is 0.266 per voxel, so a plane moves by at most 0.38 voxel per
-/// round. All [`ROUNDS`] together can change the level by 0.6, which exceeds the distance from 1/2
-/// to its bounds.
+/// voxels), the slope of the smoothed occupancy at a plane is 0.266 per voxel, so a plane moves by
+/// at most 0.38 voxel per round. All [`ROUNDS`] together can change the level by 0.6, which exceeds
+/// the distance from 1/2 to its bounds.
 const LONGEST_STEP: f64 = 0.1;
 
-/// Added to the surface density to keep the step finite where there is no surface. For a plane
-/// through the middle of the window, a block of eight voxels has a density of 8 / [`WINDOW`] = 5.
-/// The step at such a plane changes by 0.04 %.
+/// Added to the surface density to keep the step finite where there is no surface. On a plane, the
+/// surface density within the window is `8 / WINDOW` = 5 for a block of eight voxels, so the
+/// constant changes the step there by 0.04 %.
 const LEAST_DENSITY: f64 = 0.002;
 
 /// Minimum slope used to compute distances, relative to the slope at a plane. The actual slope
 /// vanishes in the middle of a thin part and at a contact. At the surface of a layer one voxel
-/// thick, the slope is 1 - exp(-1 / (2 * 1.5^2)) = 0.20 of that at a plane, so the limit does not
-/// apply there.
+/// thick, the relative slope is 1 - exp(-1 / (2 * 1.5^2)) = 0.20, so the limit does not apply
+/// there.
 const LEAST_SLOPE: f64 = 0.15;
 
 /// Value, slopes and second differences along the axes at a voxel. Values are mirrored half a voxel
@@ -238,8 +240,8 @@ impl<'a> Work<'a> {
         work
     }
 
-    /// Returns the mean of the smoothed occupancy, within a window, on the faces between inside and
-    /// outside voxels. Returns 0.5 where the window contains no such faces.
+    /// Returns the mean of the smoothed occupancy on the faces between inside and outside voxels
+    /// within the window of each block, or 0.5 if the window contains no such faces.
     fn first_level(&self) -> Blocks<f32> {
         let Self { occupancy, above, size, .. } = self;
         let [nx, ny, nz] = *size;
@@ -293,7 +295,8 @@ impl<'a> Work<'a> {
             }
         });
         let (least, longest) = (LEAST_DENSITY as f32, LONGEST_STEP as f32);
-        // first the surface density within the window, then the excess divided by this density
+        // `rates` contains the surface density within the window first, and then the excess divided
+        // by this density
         let mut rates = sums.map(|[_, density]| density).smoothed(self.window());
         let blocks = self.transferred.par_iter_mut().zip(&mut rates.values).zip(&sums.values);
         blocks.for_each(|((transferred, rate), [excess, _])| {
@@ -415,14 +418,15 @@ fn share(occupancy: &Occupancy, voxel: usize) -> f32 {
 struct Sources<'a> {
     /// Voxels that have at least one of their 26 neighbours on the other side.
     near: Runs,
-    /// Strength of the source at each of these voxels, non-negative. The source acts towards the
-    /// side of the voxel.
+    /// Strength of the source at each of these voxels, non-negative. A source moves values towards
+    /// the side of its voxel.
     added: Vec<f32>,
     /// Minimum distance of a voxel centre from the surface, mm.
     least: f32,
     contacts: &'a [Contact],
-    /// For voxels on the side of a contact: the rise that brings the value at the contact to its
-    /// minimum; negative if the value exceeds the minimum. Minus infinity at all other voxels.
+    /// For each of these voxels on the prescribed side of a contact, the rise that brings the value
+    /// at the contact to its minimum. It is negative if the value exceeds the minimum, and minus
+    /// infinity for all other voxels.
     short: Vec<f32>,
 }
 
@@ -443,8 +447,8 @@ impl<'a> Sources<'a> {
         LEAST_SLOPE * work.plane_slope() / work.occupancy.geometry.spacing.max_element()
     }
 
-    /// Computes how much the values on the side of a contact must rise so that the value at the
-    /// contact reaches its minimum. Stores, for each voxel, the maximum over its contacts.
+    /// Computes how much the voxels on the prescribed side of a contact must rise so that the value
+    /// at the contact reaches its minimum. Stores, for each voxel, the maximum over its contacts.
     fn look_at_contacts(&mut self, work: &Work) {
         self.short.fill(f32::NEG_INFINITY);
         let wanted = self.least * Self::least_slope(work) as f32;
@@ -549,8 +553,8 @@ impl<'a> Sources<'a> {
         lacking
     }
 
-    /// Moves the values at the remaining violating voxel centres and contacts to the minimum. Also
-    /// corrects centres on the wrong side that no source reaches.
+    /// Moves the values at voxel centres and contacts that still violate the minimum distance to
+    /// the minimum value. Also corrects centres on the wrong side that no source reaches.
     fn hold(&mut self, work: &mut Work) {
         let occupancy = work.occupancy;
         for _ in 0..HOLDS {
@@ -582,8 +586,8 @@ impl<'a> Sources<'a> {
 }
 
 /// Rise of the value at a contact on an edge if the values of the two voxels on its side rise by
-/// one: 0.5 from the mean, 0.4 from the second differences of these two voxels and -0.2 from those
-/// of the other two voxels.
+/// one: 0.5 from the mean, 0.4 from the second differences of these two voxels and -0.2 from the
+/// second differences of the other two voxels.
 const GAIN_AT_CONTACT: f32 = 0.7;
 
 /// Maximum number of passes of [`Sources::hold`]. Several passes are needed because neighbours

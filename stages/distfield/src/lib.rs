@@ -6,9 +6,9 @@
 //! [`scalar`] and [`labels`] define the surface; for labels and with a scale, the surface is a
 //! level set of the smoothed occupancy ([`mask`], [`occupancy`], `level`). [`field`] computes the
 //! distances to the surface ([`samples`], [`nearest`], [`closest`]) and fits the zero set of the
-//! spline to the surface ([`fit`]). It decides ambiguous faces in the same way as the source
-//! ([`ambiguous_faces`]) and closes the object at the border ([`cap`]). [`keep`] drops parts, and
-//! [`topology`] counts the parts of the result. [`materials`] computes one field for each of
+//! spline to the surface ([`fit`]). At ambiguous faces, F connects the same nodes as its source
+//! ([`ambiguous_faces`]). A box closes the object at the border ([`cap`]). [`keep`] drops parts,
+//! and [`topology`] counts the parts of the result. [`materials`] computes one field for each of
 //! several materials. [`run`] contains the program and [`args`] its options. [`input`] rejects
 //! labels for a scan and iso values for a label map.
 

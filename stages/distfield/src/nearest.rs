@@ -23,7 +23,7 @@ pub(crate) const STRIDE: usize = 2;
 /// Nodes farther from the surface than `near` plus this many voxels (of the maximum spacing) take
 /// no samples from other nodes of their own slice. If `near` is the half-width of the exact band of
 /// `crate::field` (4 voxels), the total is twice the half-width. On three volumes, F within this
-/// distance changed by 0.004 voxel (root mean square) when nodes beyond it took no samples from
+/// total distance changes by 0.004 voxel (root mean square) if nodes beyond it take no samples from
 /// their neighbours.
 const FAR_BEYOND: f64 = 4.0;
 
@@ -32,8 +32,8 @@ const FAR_BEYOND: f64 = 4.0;
 const SLAB_NODES: usize = 10 << 20;
 
 /// Minimum number of slices in a slab. With isotropic voxels and a band of 4 voxels, a slab
-/// computes six more slices than it returns: one before and five after its own slices. With eight
-/// slices of its own, the total work is less than doubled.
+/// computes six more slices than it returns: one before and five after its own slices. With at
+/// least eight slices of its own, the total work is less than doubled.
 const LEAST_SLICES: usize = 8;
 
 /// The nearest samples of the nodes in a range of slices.
@@ -71,7 +71,7 @@ pub fn nearest_samples(
     let by_slice = fine.by_slice();
     let [nx, ny, nz] = geometry.size;
     let plane = nx * ny;
-    // a sample propagates from a corner of its cell, which may be a voxel farther away
+    // a sample propagates from a corner of its cell, and this corner may be a voxel farther away
     let ahead = (limit.min(near) / geometry.spacing.z).ceil() as usize + 1;
     let slices = (SLAB_NODES / plane).max(LEAST_SLICES);
     let mut slab = Slab { own: 0..0, first: 0, sample: Vec::new() };
@@ -138,7 +138,7 @@ impl Coarse {
         &self.sample[((nz - 1 - k) * ny + j) * nx..][..nx]
     }
 
-    /// Frees the slices that are not needed by the slices of the fine grid from `k` on.
+    /// Frees the slices that only slices of the fine grid below `k` need.
     fn free_below(&mut self, k: usize) {
         let [nx, ny, nz] = self.geometry.size;
         self.sample.truncate(nz.saturating_sub(k / STRIDE) * nx * ny);
@@ -162,7 +162,7 @@ struct Transform<'a> {
     /// Squared distance (mm^2) beyond which a node's sample does not propagate.
     limit: f32,
     /// Squared distance (mm^2) beyond which a node takes no sample from its own slice. Its sample
-    /// then comes from the coarse grid.
+    /// then comes from the coarse grid or an adjacent slice.
     far: f32,
 }
 
@@ -214,9 +214,9 @@ impl Transform<'_> {
         BySlice { start, numbers }
     }
 
-    /// Replaces a node's sample with that of another node if the latter is nearer. `position`
-    /// returns the position of the node. It is called only if the samples differ, because most
-    /// neighbours have the same sample.
+    /// Replaces a node's sample with the sample of another node if that sample is nearer.
+    /// `position` returns the position of the node. It is called only if the samples differ,
+    /// because most neighbours have the same sample.
     #[inline(always)]
     fn take(&self, position: impl Fn() -> Vec3, own: &mut (u32, f32), other: (u32, f32)) {
         if other.0 == own.0 || other.0 == NO_SAMPLE || other.1 > self.limit {

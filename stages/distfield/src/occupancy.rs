@@ -111,8 +111,8 @@ impl Occupancy {
     }
 }
 
-/// Returns the change of the value across its voxel, summed over the axes. All values are relative
-/// to the iso value; `neighbours` contains two values per axis.
+/// Returns the change of the value across a voxel, summed over the axes. All values are relative to
+/// the iso value; `neighbours` contains the values of the two neighbours along each axis.
 ///
 /// Along an axis with a neighbour beyond the surface, the change is the difference from that
 /// neighbour. Along the other axes, the change is the smaller of the two differences, limited to

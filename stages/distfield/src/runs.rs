@@ -51,8 +51,8 @@ impl Runs {
         })
     }
 
-    /// Builds runs from the spans (first x index, index after the last) that `fill` adds for each
-    /// row.
+    /// Builds runs from the spans that `fill` adds for each row. A span contains the first x index
+    /// and the x index after the last node.
     fn of_rows(size: [usize; 3], fill: impl Fn(usize, &mut Vec<[u32; 2]>) + Sync) -> Self {
         let [_, ny, nz] = size;
         let slice = |k: usize| {

@@ -44,12 +44,12 @@ impl ValueGradient for Source {
     }
 }
 
-/// Slopes up to this value, per mm, are treated as zero. Rounding to double precision alone gives
-/// slopes of 1e-13 where the values of a scan are about 1000.
+/// Slopes up to this value, per mm, are treated as zero. Where the values of a scan are about 1000,
+/// rounding to double precision alone gives slopes of 1e-13.
 pub(crate) const VANISHING_SLOPE: f64 = 1e-12;
 
 /// Returns the value over the slope. If the slope vanishes, returns 1e6 mm, which exceeds the size
-/// of any volume, with the sign of the value; zero is treated as outside.
+/// of any volume, with the sign of the value (positive for zero).
 #[inline(always)]
 pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
     if slope > VANISHING_SLOPE {
@@ -78,15 +78,15 @@ const LONGEST_STEP: f64 = 0.4;
 
 /// A sample is on the surface if its first-order distance |f| / slope is at most this value, in
 /// units of the minimum voxel spacing. It is a thousandth of the tolerance of the pinned zero set
-/// (0.001, `field::PINNED`). Newton's method converges quadratically, so one step gains this
-/// factor.
+/// (0.001, `field::PINNED`). Newton's method converges quadratically, so one more step reduces the
+/// distance by this factor.
 const SURFACE_TOLERANCE: f64 = 1e-6;
 
 /// Maximum distance of a sample from its start on the marching-cubes mesh, in units of the minimum
 /// voxel spacing. The two surfaces of a layer one voxel thick are about one voxel apart, so a
 /// sample that moves farther has probably reached another part of the surface. With 0.5 instead of
 /// 0.75, the maximum shift of the zero set of `heart_label` grows from 0.019 to 0.145 voxel; with
-/// 1.5, it is the same (`make distfield`).
+/// 1.5, the shift is the same as with 0.75 (`make distfield`).
 const MAX_PROJECTION: f64 = 0.75;
 
 const _: () = assert!(LONGEST_STEP < 0.5 && 2.0 * LONGEST_STEP > MAX_PROJECTION, "see MAX_NEWTON_STEPS");

@@ -20,8 +20,8 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Minimum |F| at a node, in units of the minimum voxel spacing. Nodes at which the input equals
-/// the iso value get this value and are outside. It equals the tolerance of the pinned zero set
-/// (`field::PINNED`): at a smaller distance, the side of a node would be arbitrary.
+/// the iso value are outside, with F at this minimum. The minimum equals the tolerance of the
+/// pinned zero set (`field::PINNED`): at a smaller distance, the side of a node would be arbitrary.
 const LEAST_NODE_DISTANCE: f64 = 1e-3;
 
 /// Options for computing F from an isosurface.
@@ -353,12 +353,12 @@ impl Summary {
     }
 }
 
-/// Returns the source index of a coefficient on the padded grid. `i` is the index of the
-/// coefficient minus the margin, and `n` is the size of the input.
+/// Returns the index of the input coefficient that is copied to a coefficient on the padded grid.
+/// `i` is the index of the coefficient minus the margin, and `n` is the size of the input.
 ///
 /// The mirror boundary condition of the spline gives the first coefficient beyond the border. All
 /// further coefficients repeat it, which extends the surface straight. Between voxel centres, the
-/// padded spline equals that of the input.
+/// padded spline equals the spline of the input.
 fn straight(i: isize, n: usize) -> usize {
     let last = n as isize - 1;
     let nearest = if i < 0 {
@@ -383,13 +383,13 @@ impl Padding {
         (self.from)(padded as isize - self.margin as isize, self.size[axis])
     }
 
-    /// Returns the range of source slices needed for the padded slices in `range`.
+    /// Returns the range of input slices needed for the padded slices in `range`.
     fn slices(&self, range: &Range<usize>) -> Range<usize> {
         let sources = || range.clone().map(|k| self.source(2, k));
         sources().min().unwrap_or(0)..sources().max().unwrap_or(0) + 1
     }
 
-    /// Builds the padded slices in `range` from the coefficients of their source slices.
+    /// Builds the padded slices in `range` from the coefficients of the input slices.
     fn pad(&self, slices: &Coefficients, range: &Range<usize>) -> Vec<f32> {
         let [nx, ny, _] = self.size;
         let (px, py) = (nx + 2 * self.margin, ny + 2 * self.margin);

@@ -25,7 +25,8 @@ use std::f64::consts::{LN_2, PI};
 pub struct Scale {
     /// The scale: twice the standard deviation of the Gaussian, mm.
     pub length: f64,
-    /// Whether to keep parts that are too thin for a mesh of the matching edge length.
+    /// Whether to keep parts that are too thin for a mesh of the edge length that matches the
+    /// scale.
     pub keep_thin: bool,
 }
 
@@ -38,24 +39,24 @@ impl Scale {
 }
 
 /// Minimum distance of the level from 0 and from 1. Parts with a lower smoothed occupancy vanish:
-/// balls of radius below 1.2 and tubes of radius below 0.8 standard deviations. A mesh of the
-/// scale's edge length would have about twelve vertices on such a ball, and four vertices around
-/// such a tube.
+/// balls of radius below 1.2 and tubes of radius below 0.8 standard deviations. A mesh of the edge
+/// length that matches the scale would have about twelve vertices on such a ball, and four vertices
+/// around such a tube.
 const LEAST_LEVEL: f64 = 0.3;
 
-/// Minimum distance of the level from 0 and from 1 with `--keep-thin`: tubes of radius below 0.25
-/// and walls thinner than 0.08 standard deviations vanish.
+/// Minimum distance of the level from 0 and from 1 with `--keep-thin`. With this value, tubes of
+/// radius below 0.25 and walls thinner than 0.08 standard deviations vanish.
 const LEAST_LEVEL_THIN: f64 = 0.03;
 
 /// Radius, in units of the scale, of the ball whose volume is the minimum volume of a part. Smaller
-/// parts are dropped. A mesh of the scale's edge length ([`SCALE_OVER_SIZE`]) has about 9 vertices
-/// on such a ball.
+/// parts are dropped. A mesh of the edge length that matches the scale ([`SCALE_OVER_SIZE`]) has
+/// about 9 vertices on such a ball.
 const CRUMB_RADIUS: f64 = 0.5;
 
 /// Ratio of the scale to the edge length of the mesh. On `heart_label` (1.5 mm voxels) with h = 3.5
 /// and 1.75 mm, the mean / minimum radius ratio of the triangles is 0.985 / 0.69 and 0.970 / 0.59
-/// at a ratio of 1, 0.989 / 0.67 and 0.981 / 0.72 at 1.4, and 0.985 / 0.72 and 0.985 / 0.81 at 1.8.
-/// Even at 1.8, 99 % of the voxels that changed sides were at the surface.
+/// with the value 1, 0.989 / 0.67 and 0.981 / 0.72 with 1.4, and 0.985 / 0.72 and 0.985 / 0.81 with
+/// 1.8. Even with 1.8, 99 % of the voxels that change sides are at the surface.
 pub const SCALE_OVER_SIZE: f64 = 1.6;
 
 /// Distance around the object within which the occupancy is smoothed, in standard deviations. At
@@ -166,9 +167,9 @@ fn add(a: [usize; 3], b: [usize; 3]) -> [usize; 3] {
     std::array::from_fn(|axis| a[axis] + b[axis])
 }
 
-/// Minimum standard deviation of the smoothing, in voxels, on a grid that is used to measure an
-/// area. Areas are measured on the coarsest such grid. This standard deviation removes the voxel
-/// steps of labels (`labels::SIGMA`).
+/// Minimum standard deviation of the smoothing, in voxels of the grid on which an area is measured.
+/// Areas are measured on the coarsest grid that satisfies it. This standard deviation removes the
+/// voxel steps of labels (`labels::SIGMA`).
 const COARSE_SIGMA: f64 = 1.5;
 
 /// Minimum number of voxels of a halved grid: grids of more than eight times this number are halved
@@ -180,14 +181,14 @@ const FEWEST_VOXELS: usize = 10_000;
 /// difference between the assumed edge length and the edge length computed from the area.
 ///
 /// The tolerance of 1 % corresponds to 2 % of the number of vertices. An iteration changes the
-/// length by at most a factor of two, so ten iterations cover a factor of 1000. The objects of
-/// `tests/scale.rs` take at most four iterations. After the last iteration, the search returns its
-/// current length.
+/// length by at most a factor of two, so ten iterations cover a factor of 1000 in length. The
+/// objects of `tests/scale.rs` take at most four iterations. After the last iteration, the search
+/// returns its current length.
 const AREA_ROUNDS: (usize, f64) = (10, 0.01);
 
-/// The search ends at edge lengths below this many voxels, which it reaches after six halvings from
-/// one voxel. The standard deviation of the smoothing is then below 0.016 voxel and has no effect.
-/// An object without area at this scale is empty.
+/// The search ends at edge lengths below this many voxels. It reaches them from one voxel by six
+/// halvings. The standard deviation of the smoothing is then below 0.016 voxel, so the smoothing
+/// has no effect. An object without area at this scale is empty.
 const SHORTEST_EDGE: f64 = 0.02;
 
 /// A grid that can be halved in resolution, so that areas at large scales are measured on few

@@ -1,5 +1,5 @@
-//! Resamples sheared volumes (gantry tilt, sform with shear) to orthonormal axes before anything is
-//! measured.
+//! Resamples sheared volumes, for example with a gantry tilt or a NIfTI sform with shear, to
+//! orthonormal axes before anything is measured.
 //!
 //! Space outside the volume is filled with background, which closes the object at the border of the
 //! volume. With an open border, it is filled with the values of the nearest voxels.
@@ -32,7 +32,8 @@ pub fn unshear(volume: Volume, wanted: Wanted<'_>, border: Border, context: &Con
         Wanted::Iso(..) => vec![4],
         _ => volume.layers().map(|voxels| voxels.scalar_type().bytes()).collect(),
     };
-    // between the passes, memory holds two additional copies of one layer
+    // besides the results, memory contains the input and the output of a resampling pass over one
+    // layer
     let bytes = layers.iter().sum::<usize>() + 2 * layers.iter().max().unwrap_or(&0);
     context.check_memory(
         shear.geometry.voxel_count() as f64 * bytes as f64,

@@ -11,10 +11,10 @@ use std::path::Path;
 use std::process::{Command, Output};
 use tempfile::TempDir;
 
-/// Tolerances for the differences of F, in units of the mean voxel spacing: the 99th percentile
-/// within three voxels of the surface, and the maximum within one voxel. Nodes in the groove
-/// between the two balls are equally far from both balls; at one of these nodes, F differs by
-/// 0.022.
+/// Upper limits of the differences of F, in units of the mean voxel spacing: of the 99th percentile
+/// within three voxels of the surface, and of the maximum within one voxel. Nodes in the groove
+/// between the two balls are equally far from both balls; at one of these nodes, the values of F
+/// differ by 0.022 voxel.
 const SAME: (f64, f64) = (0.006, 0.03);
 
 fn distfield(arguments: &[&str]) -> Output {
@@ -139,7 +139,7 @@ fn field_of_the_object_box_equals_field_of_the_whole_volume() {
 #[test]
 fn only_true_borders_of_the_volume_are_capped_or_open() {
     let geometry = oblique([60, 70, 66], DVec3::ONE);
-    // a ball that is cut by the borders at low x and high z
+    // the borders at low x and high z cut this ball
     let centre = DVec3::new(0.0, 30.0, 60.0);
     let labels = folder(&geometry, |p| if p.distance(centre) < 12.3 { 1.0 } else { 0.0 });
     for border in ["cap", "open"] {
@@ -169,8 +169,8 @@ fn only_true_borders_of_the_volume_are_capped_or_open() {
 
 #[test]
 fn noise_beyond_the_box_adds_no_object_at_an_open_border() {
-    // around the balls, values alternate between -400 and just below the iso value, so that the
-    // spline overshoots
+    // outside the balls, values alternate between -400 and just below the iso value, so that the
+    // spline can exceed the iso value where there is no object
     let noisy = |p: DVec3| {
         let alternates = if (p.x + p.y + p.z) as i64 % 2 == 0 { 99.9 } else { -400.0 };
         if two_balls(p) < 0.0 { 300.0 } else { alternates }

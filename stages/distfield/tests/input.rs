@@ -144,7 +144,8 @@ fn nan_among_labels_is_background_and_told() {
 
 #[test]
 fn a_volume_that_is_mostly_lost_is_a_failed_check() {
-    // isolated voxels, too close together to be resolved
+    // isolated voxels so close together that the surface loses most of their volume, which fails
+    // the check
     let rods = Case::new(|radius, n| i16::from(radius < 12.0 && n % 5 == 0 && n / 36 % 4 == 0));
     let run = rods.run(&["--labels", "1"]);
     let told = String::from_utf8_lossy(&run.stderr);

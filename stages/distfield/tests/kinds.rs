@@ -120,8 +120,8 @@ fn dicom(folder: &Path) {
         let elements = [
             string(tags::MODALITY, VR::CS, "CT"),
             string(tags::SERIES_INSTANCE_UID, VR::UI, "1.2.3"),
-            // decimal strings have at most sixteen characters; most programs truncate positions to
-            // this length
+            // a DICOM decimal string has at most sixteen characters; most programs truncate
+            // positions to this length
             string(tags::IMAGE_POSITION_PATIENT, VR::DS, &place.to_array().map(|x| format!("{x:.9}")).join("\\")),
             string(tags::IMAGE_ORIENTATION_PATIENT, VR::DS, &along),
             number(tags::SAMPLES_PER_PIXEL, 1),

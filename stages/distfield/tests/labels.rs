@@ -105,7 +105,7 @@ fn parts_one_voxel_thin_keep_topology_and_half_a_voxel() {
         let thick = thickness(&rod, DVec3::new(9.0, 10.0, 9.0), DVec3::Y);
         assert!(thick > 0.5, "rod {thick} voxel");
 
-        // the surface of a box, one voxel thick, which is a shell with a cavity
+        // the outermost voxels of a box form a shell with a cavity
         let shell = extract(&sampled(size, spacing, |p| (index(p) - DVec3::splat(9.0)).abs().max_element() == 5.0));
         assert_eq!((shell.parts_after.components, shell.parts_after.cavities), (1, 1));
 
@@ -164,7 +164,7 @@ fn parts_that_touch_along_an_edge_are_joined() {
 
 #[test]
 fn contacts_near_the_border_decide_as_in_the_middle() {
-    // wavy layers, one to two voxels thick, of which a random quarter of the voxels is missing
+    // wavy layers, one to two voxels thick, without a random quarter of their voxels
     let wave = |p: DVec3| p.z + 4.0 * (0.5 * p.x).sin() + 4.0 * (0.37 * p.y).sin();
     let is_missing = |p: DVec3| (p.dot(DVec3::new(127.1, 311.7, 74.7)).sin() * 43758.5453).rem_euclid(1.0) < 0.25;
     let mask = sampled([30; 3], DVec3::ONE, |p| wave(p).rem_euclid(7.0) < 1.6 && !is_missing(p));
@@ -182,7 +182,7 @@ fn parts_that_touch_at_a_corner_are_apart() {
     assert_eq!(extract(&mask).parts_after.components, 2);
 }
 
-/// Returns the relative difference between the volume of F and that of the voxels.
+/// Returns the relative difference between the volume of F and the volume of the voxels.
 fn swelling(mask: &Image<bool>) -> f64 {
     let voxels = mask.data.iter().filter(|inside| **inside).count() as f64;
     extract(mask).parts_after.volume / (voxels * mask.geometry.spacing.element_product()) - 1.0
@@ -237,13 +237,13 @@ fn flat_faces_and_caps_stay_flat() {
     };
     let cylinder =
         extract(&sampled([32, 32, 40], DVec3::ONE, |p| (p.truncate() - glam::DVec2::splat(15.5)).length() < 12.0));
-    // maximum over a square region of the face at low z
+    // maximum distance of F = 0 from height `z` over a square region of the face at low z
     let largest = |result: &Redistanced, [first, last]: [i32; 2], z: f64| {
         let places =
             (first..=last).flat_map(|x| (first..=last).map(move |y| DVec3::new(f64::from(x), f64::from(y), z)));
         places.map(|place| crossing(result, place, DVec3::Z).abs()).fold(0.0, f64::max)
     };
-    // the positions nearest to the edges are 5.5 voxels away from the edges
+    // all positions are at least 5.5 voxels from the edges of the cubes
     let faces = [largest(&cube(20.0), [12, 21], 6.5), largest(&cube(40.0), [12, 41], 6.5)];
     let cap = largest(&cylinder, [12, 21], -0.5);
     println!("largest distance from half-way, voxels: faces {:.3} {:.3}, cap {cap:.3}", faces[0], faces[1]);
@@ -287,7 +287,8 @@ fn parts_at_an_open_border_count_only_their_voxels() {
     let block = |p: DVec3, low: [f64; 3], high: [f64; 3]| {
         p.cmpge(DVec3::from_array(low) - 0.5).all() && p.cmplt(DVec3::from_array(high) - 0.5).all()
     };
-    // a part of 64 voxels, and a part of 32 voxels at the face z = 0 that extends into the margin
+    // a part of 64 voxels, and a part of 32 voxels at the face z = 0; the open border extends the
+    // smaller part into the margin
     let mask = sampled([16, 10, 14], DVec3::ONE, |p| {
         block(p, [2.0, 3.0, 7.0], [6.0, 7.0, 11.0]) || block(p, [9.0, 3.0, 0.0], [13.0, 7.0, 2.0])
     });

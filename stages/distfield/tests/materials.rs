@@ -1,5 +1,5 @@
-//! Tests several materials: materials of voxel centres, contacts, areas and volumes, scales, the
-//! output file and the program.
+//! Tests volumes with several materials: the materials of voxel centres, contacts, areas and
+//! volumes, scales, the output file and the program.
 
 mod support;
 
@@ -94,11 +94,12 @@ impl Made {
         }
     }
 
-    /// Checks the midpoints of grid edges, faces and cells: the material with the smallest
-    /// indicator must be that of a corner, and on edges, the two smallest indicators must be those
-    /// of the two ends. Returns the number of edges between two materials, of such edges with a
-    /// third material known nearby, of faces whose corners differ along all four edges, and of such
-    /// faces where the maximum indicators of the two diagonals differ by less than 0.1 voxel.
+    /// Checks the midpoints of grid edges, faces and cells: a corner must have the material with
+    /// the smallest indicator, and on edges, the two smallest indicators must belong to the
+    /// materials of the two ends. Returns the number of edges between two materials, of such edges
+    /// near which the indicator of a third material is stored, of faces whose corners differ along
+    /// all four edges, and of such faces where the maximum indicators of the two diagonals differ
+    /// by less than 0.1 voxel.
     fn keeps_contacts(&self, what: &str) -> [usize; 4] {
         let materials = &self.extracted.materials;
         let geometry = materials.geometry();
@@ -203,7 +204,8 @@ fn every_voxel_centre_keeps_its_material() {
             let made = make(volume([12; 3], &label), border);
             made.keeps_every_voxel(&format!("{what}, {border:?}"));
             let [_, _, open, narrow] = made.keeps_contacts(what);
-            // in a checkerboard, every raise makes further raises necessary
+            // in a checkerboard, every raise makes further raises necessary, so more margins stay
+            // too small
             let most = if what == "a checkerboard" { open / 3 } else { open / 20 };
             assert!(narrow <= most, "{what}: {narrow} of {open}");
             if what == "two that alternate" {
@@ -228,7 +230,7 @@ fn a_thin_layer_stays() {
         _ => 3,
     };
     let made = make(volume([14; 3], layer), Border::Open);
-    // the layer must be at least 0.6 voxel thick on average
+    // lower limit of the volume: the layer is at least 0.6 voxel thick on average
     let thin = 14.0 * 14.0 * 1.0 * 0.8 * 0.6 * 1.3;
     assert!(made.survey.volumes[2] > thin, "{} of {thin}", made.survey.volumes[2]);
     let pairs: Vec<_> = made.survey.interfaces.iter().map(|pair| pair.materials.map(|id| id.0)).collect();
@@ -238,8 +240,8 @@ fn a_thin_layer_stays() {
     }
 }
 
-/// Returns the maximum relative error of the interface areas of two nested balls, and that of the
-/// volume of the inner ball. `spacing` is the voxel spacing, mm.
+/// Returns the maximum relative error of the interface areas of two nested balls, and the relative
+/// error of the volume of the inner ball. `spacing` is the voxel spacing, mm.
 fn nested_errors(spacing: f64) -> (f64, f64) {
     let nodes = (24.0 / spacing) as usize + 1;
     let geometry = Geometry::axis_aligned([nodes; 3], DVec3::splat(spacing));
@@ -287,9 +289,10 @@ fn scaled(volume: Volume, length: f64) -> Made {
     )
 }
 
-/// Returns the root-mean-square deviation (degrees) of the normals of the outer border of
-/// [`sectors`] of size 40 and radius 10.5 from those of a ball. Includes only sectors that
-/// `is_meant` selects, away from their edges. The border must be within 0.4 mm of the ball.
+/// Returns the root-mean-square angle (degrees) between the normals of the outer border of
+/// [`sectors`] (size 40, radius 10.5) and the radial direction. Includes only sectors that
+/// `is_meant` selects, away from their edges. Fails if the border is more than 0.4 mm from the
+/// ball.
 fn roughness(made: &Made, is_meant: impl Fn(u16) -> bool) -> f64 {
     let materials = &made.extracted.materials;
     let centre = materials.geometry().index_to_grid(DVec3::splat(0.5 * 39.0 + 0.13 + MARGIN as f64));
@@ -322,9 +325,9 @@ fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
     // the small block has vanished, and its voxels belong to the outside
     assert_eq!((made.survey.volumes[4], kept.extracted.tallies[4].voxels), (0.0, 8));
     assert!(made.extracted.tallies[4].changes.is_none());
-    // With the scale, the normals of the border are close to those of a ball; without the scale,
-    // voxel steps are visible. The edges of the sectors are rounded, and the border next to the
-    // edges compensates for this.
+    // With the scale, the normals of the border are nearly radial; without the scale, they show
+    // voxel steps. The edges of the sectors are rounded, and the border next to the edges
+    // compensates for this.
     let rough = |made: &Made| roughness(made, |_| true);
     let labels = sectors(40, 10.5).voxels.to_f32();
     let ball = volume([40; 3], |[i, j, k]| u8::from(labels[(k * 40 + j) * 40 + i] > 0.0));
@@ -342,8 +345,8 @@ fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
 
 #[test]
 fn parts_larger_than_their_own_scale_are_kept_beside_coarser_ones() {
-    // two balls of label 2 in label 1, with radii of 7 and 4 mm (268 mm^3 for the smaller); a scale
-    // of 16 mm would drop both
+    // two balls of label 2 in label 1, with radii of 7 and 4 mm (1437 and 268 mm^3); both are below
+    // the minimum volume of a part at a scale of 16 mm
     let balls = volume([44, 40, 30], |at| {
         let p = DVec3::from_array(at.map(|n| n as f64)) * DVec3::new(1.0, 0.8, 1.3);
         let is_in = |x: f64, radius: f64| p.distance(DVec3::new(x, 16.0, 19.5)) < radius;
@@ -408,8 +411,8 @@ fn sizes_of_materials_set_the_scales_of_their_interfaces() {
     let all = scaled(sectors(40, 10.5), 5.0);
     let [first, others] = [roughness(&made, |id| id == 1), roughness(&made, |id| id > 1)];
     let [expected, stepped] = [&all, &make(sectors(40, 10.5), Border::Cap)].map(|made| roughness(made, |id| id == 1));
-    // measured: 1.2 degrees for sector 1 and 4.2 for the others; for sector 1, 0.9 with a scale of
-    // 5 mm for all and 3.3 without a scale
+    // the measured angle is 1.2 degrees for sector 1 and 4.2 degrees for the others; for sector 1,
+    // it is 0.9 degree if all materials have a scale of 5 mm, and 3.3 degrees without a scale
     let found = [first, others, expected, stepped];
     assert!(first < 1.5 * expected && others < 1.5 * stepped, "{found:?}");
     // the three sectors and the outside around them each remain a single part
@@ -419,8 +422,8 @@ fn sizes_of_materials_set_the_scales_of_their_interfaces() {
 
 #[test]
 fn a_scale_preserves_volumes_of_materials_far_from_outside() {
-    // the outside in one corner, and slabs in the rest of the volume, of which two are far from the
-    // outside and touch the border of the volume
+    // the outside fills one corner, and three slabs fill the rest of the volume; two of the slabs
+    // are far from the outside and touch the border of the volume
     let slabs = volume([48, 16, 16], |[i, j, k]| if i < 8 && j < 8 && k < 8 { 0 } else { 1 + (i / 16) as u8 });
     let made = scaled(slabs, 3.0);
     for id in 0..4 {
@@ -434,7 +437,8 @@ fn lost_parts_of_each_material_are_reported_with_their_volume() {
     let folder = tempfile::tempdir().expect("folder");
     let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
     let (input, output, report) = (at("in.nrrd"), at("out.vti"), at("report.json"));
-    // two blocks, and 4 and 24 separate voxels with the labels of the blocks
+    // two blocks, and separate voxels with the labels of the blocks: 4 with label 1 and 24 with
+    // label 2
     let size = [60, 30, 30];
     let is_in = |at: usize, low: usize, high: usize| (low..high).contains(&at);
     let labels = (0..60 * 30 * 30).map(|n: usize| {
@@ -595,7 +599,7 @@ fn materials_file_reads_back_for_any_number_of_threads() {
     assert_eq!(names, ["outside", "left", "right", "rest"]);
     assert_eq!((&file.meta["version"], &file.meta["border"]), (&json!(1), &json!("cap")));
     assert_eq!(file.history.expect("history").inputs.len(), 1);
-    // the displayed material of the nodes agrees with the indicators
+    // the active scalars of the file are the numbers of the materials with the smallest indicators
     let shown = read_volume(Path::new(&output)).expect("the active scalars");
     let numbers = shown.voxels.to_f32();
     let [nx, ny, _] = shown.geometry.size;

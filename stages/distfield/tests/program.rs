@@ -186,7 +186,8 @@ fn bad_input_gives_exit_code_2_a_message_and_no_output() {
 
 #[test]
 fn real_volumes_keep_their_zero_set_and_parts() {
-    // parts of noisy volumes can be connected by necks thinner than a voxel
+    // the last entry is false for a noisy volume, whose parts can be connected by necks thinner
+    // than a voxel
     for (name, option, value, is_plain) in [
         ("tooth_ct.nrrd", "--iso", "600", true),
         ("tooth_ct.nrrd", "--iso", "1000", true),

@@ -50,8 +50,8 @@ fn a_ball_keeps_its_radius_on_any_spacing() {
     for length in [3.0, 8.0, 14.0] {
         let found = smoothed(&inside, length, false);
         let ratio = (volume(&field(&found)) / found.changes.volume_before).cbrt();
-        // a Gaussian at level 1/2 shrinks the radius by (sigma / radius)^2 to first order: 1, 7 and
-        // 22 %
+        // at a constant level of 1/2, the radius would shrink by (sigma / radius)^2 to first order:
+        // by 1, 7 and 22 %
         assert!((ratio - 1.0).abs() < 0.004, "scale {length}: {ratio} of the radius");
         // the radius is correct in all directions
         let level = |share: f64, way: DVec3| trilinear(&found.level, centre + share * radius * way);
@@ -69,8 +69,8 @@ fn a_plane_stays_where_the_volume_cuts_it() {
     let inside = sampled([30, 26, 28], DVec3::new(1.0, 1.2, 0.9), |p| p.z < 12.0);
     let found = smoothed(&inside, 7.0, false);
     assert_eq!(found.changes.voxels_changed, 0);
-    // the level is constant on each plane, even at the faces of the volume, and zero midway between
-    // two voxel centres
+    // the level set is constant in each slice, even at the faces of the volume, and its zero lies
+    // midway between two voxel centres
     for (k, slice) in found.level.data.chunks(30 * 26).enumerate() {
         assert!(slice.iter().all(|value| (value - slice[0]).abs() < 2e-5), "slice {k}");
     }
@@ -125,8 +125,8 @@ fn keep_thin_preserves_a_thin_rod() {
     let kept = smoothed(&inside, 9.0, true);
     assert_eq!(kept.changes.components, [2, 2]);
     assert_eq!(topology(&field(&kept)).components.len(), 2);
-    // The rod keeps at least four fifths of its voxels (measured: 473 of 567). Its ends are
-    // rounded.
+    // The rod keeps at least four fifths of its voxels (measured: 473 of 567); some are lost
+    // because its ends become round.
     let rod = |holds: &dyn Fn(usize) -> bool| (0..inside.data.len()).filter(|&n| n % 64 > 26 && holds(n)).count();
     let (before, after) = (rod(&|n| inside.data[n]), rod(&|n| kept.level.data[n] > 0.0));
     assert!(after.abs_diff(before) * 5 < before, "{before} voxels before, {after} after");
@@ -136,7 +136,8 @@ fn keep_thin_preserves_a_thin_rod() {
 fn a_scalar_ball_keeps_its_radius_at_a_scale() {
     let centre = DVec3::splat(20.2);
     let ball = |p: DVec3| 13.0 - (p - centre).length();
-    // very dark surroundings (very bright with the sign reversed) have no effect
+    // the surroundings are very dark (very bright with the sign reversed), which must have no
+    // effect on the radius
     let values =
         sampled([42; 3], DVec3::ONE, |p| ball(p).clamp(-3.0, 2.0) as f32 * if ball(p) < -2.0 { 1e4 } else { 1.0 });
     for inside in [Inside::Above, Inside::Below] {
@@ -169,8 +170,8 @@ fn edge_length_matches_the_area_of_a_ball() {
 
 #[test]
 fn edge_length_includes_the_cap_area_at_closed_borders() {
-    // half a ball, whose other half lies below the first slice; the border closes the ball half a
-    // voxel below the centres of that slice
+    // the upper half of a ball; a closed border adds a disc half a voxel below the voxel centres of
+    // the first slice
     let half = Occupancy::of_mask(&Mask::from(&sampled([60, 60, 40], DVec3::ONE, |p| {
         (p - DVec3::new(30.0, 30.0, -0.5)).length() < 20.0
     })));

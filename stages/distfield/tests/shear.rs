@@ -8,7 +8,7 @@ use serde_json::Value;
 use std::path::Path;
 use std::process::Command;
 
-/// Number of voxels of the sheared ball of radius 14. Each voxel has a volume of 1 mm^3.
+/// Number of voxels within a radius of 14 voxels in index space. Each voxel has a volume of 1 mm^3.
 const VOXELS: f64 = 11_536.0;
 
 /// Returns a grid of 40^3 voxels of 1 mm^3. The slices are shifted along y, as by a gantry tilt of

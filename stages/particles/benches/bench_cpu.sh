@@ -1,6 +1,6 @@
 #!/bin/sh
 # Measures the time of the particles stage on the CPU (`make bench-particles`) in microseconds per
-# particle and pass, for constant and for graded h. Uses the fields and seeds of bench_gpu.sh.
+# particle and pass, for constant and graded h. Uses the fields and seeds of bench_gpu.sh.
 #
 #   bench_cpu.sh [--bin FOLDER] [--beside PROGRAM] [--work FOLDER] [--contrasts "C ..."]
 #                [--count N] [--passes N] [--threads "N ..."] [--rounds N]
@@ -45,7 +45,7 @@ settle() { awk '/"name": "settle"/ { found = 1 } found && /"seconds"/ { gsub(/[^
 # and after the run (the second line of each output is the total for child processes).
 processor() { awk 'NR % 2 == 0 { split($1, t, /[ms]/); s[++n] = 60 * t[1] + t[2] } END { print s[2] - s[1] }' "$1"; }
 
-# row CONTRAST PROGRAM THREADS: prints a row of the table, with the minimum times of all rounds.
+# row CONTRAST PROGRAM THREADS: prints a row of the table with the minimum times over all rounds.
 row() {
     report=$work/cpu.json times=$work/cpu.times
     for round in $(seq "$rounds"); do

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Measures the particles stage on the GPU and on one CPU thread with the same particles (`make
+# Measures the particles stage on the GPU and on one CPU thread, for the same particles (`make
 # bench-gpu`). Requires the stage programs and `phantom`. On a machine without `phantom`, set --work
 # to a copy of a folder that another machine created with --prepare.
 #
@@ -47,7 +47,7 @@ done
 mkdir -p "$work"
 ribs=$work/ribs.distfield.vti ball=$work/ball.distfield.vti
 
-# fields NAME DISTANCE OPTIONS...: makes the sizing field and the seeds of a run unless they exist.
+# fields NAME DISTANCE OPTIONS...: makes the size field and the seeds of a run unless they exist.
 fields() {
     name=$1 distance=$2
     shift 2
@@ -57,13 +57,13 @@ fields() {
 
 # number FILE KEY: prints the first number stored under KEY in a report.
 number() { sed -n "s/^ *\"$2\": *\"\{0,1\}\([-+.0-9eE]*\).*/\1/p" "$1" | head -n 1; }
-# total FILE: prints the duration of the whole process in seconds (the outermost key `seconds`).
+# total FILE: prints the duration of the whole process in seconds (the outermost `seconds` key).
 total() { sed -n 's/^  "seconds": *\([-+.0-9eE]*\).*/\1/p' "$1" | head -n 1; }
 # settle FILE: prints the duration of the step `settle` in seconds.
 settle() { awk '/"name": "settle"/ { found = 1 } found && /"seconds"/ { gsub(/[^0-9.eE+-]/, "", $2); print $2; exit }' "$1"; }
 
-# graded CONTRAST: makes the sizing field and seeds of a run on the ball with this ratio of maximum
-# to minimum h. Five iterations adjust the minimum h until the predicted count is close to --count.
+# graded CONTRAST: makes the size field and seeds of a run on the ball with this ratio of maximum to
+# minimum h. Adjusts the minimum h in five iterations to bring the predicted count close to --count.
 graded() {
     least=0.3
     [ ! -e "$work/contrast-$1-$count.seeds.bin" ] || return 0

@@ -22,8 +22,8 @@ settle() {
     "$bin/particles" "$case.$name.seeds.bin" --distfield "$case.$name.distfield.vti" --sizefield "$case.$name.sizefield.vti" \
         -o "$case.$name.particles.bin" --levels 1 --log "$case.$name.csv" --report "$case.$name.json" --force "$@" 2>&1 |
         grep -E '^  (particles|  of junctions|passes|settle|device time|device memory|peak memory|energy over ideal|adapter|backend)'
-    # device time per particle and pass, if a GPU was used; held particles are not in the log's
-    # count
+    # prints the device time per particle and pass, if a GPU was used; the log does not count held
+    # particles
     seconds=$(sed -n 's/.*"device_seconds": *\([0-9.eE+-]*\).*/\1/p' "$case.$name.json" | head -n 1)
     [ -z "$seconds" ] || awk -F, -v s="$seconds" 'NR > 1 { n = $3; passes++ }
         END { printf "  us a particle and pass   %.5f\n", 1e6 * s / n / passes }' "$case.$name.csv"

@@ -7,16 +7,16 @@
     quality.py surfaces CASE ... [--jobs N]      table: surfaces of both methods of reconstruct
     quality.py plot CSV PICTURE                  plot of the CSV (needs matplotlib)
 
-CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]. VOLUME is a file, or the arguments with
-which `phantom` makes one:
+CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]. VOLUME is a file, or the arguments of
+`phantom` that make one:
     torus="torus --size 128;--iso 100;--uniform 1.2"    heart="heart.nrrd;--labels 1"
-@FILE inserts the lines of a file that do not start with # (for example phantoms.txt, volumes.txt
-and volumes-large.txt in the folder of this program). $NAME inserts an environment variable.
+@FILE inserts the lines of a file, except those that start with # (for example phantoms.txt,
+volumes.txt and volumes-large.txt in this folder). $NAME inserts an environment variable.
 
-The passes in the output are the total over all levels. Density control is off in the last ten
-passes on the level of h, and in the last three on each coarser level. "raw" refers to the Delaunay
-triangles of the particles before improvement, "full" to the triangles improved by reconstruct.
-Times are device times on a GPU, and otherwise the times of the settling step.
+The number of passes is the total over all levels. Density control is off in the last ten passes at
+the finest level, and in the last three at each coarser level. "raw" refers to the Delaunay
+triangles of the particles before improvement, "full" to the triangles improved by reconstruct. The
+time is the device time on a GPU, and otherwise the time of the settling step.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ RAW = ["--relaxation-sweeps", "0", "--improve-below", "0"]
 
 @dataclass
 class Case:
-    """A surface with its sizing field and seeds, the stage programs and the working folder."""
+    """A surface with its size field and seeds, the stage programs and the working folder."""
 
     name: str
     volume: str
@@ -75,7 +75,7 @@ class Case:
         self.run("seed", self.file("distfield.vti"), self.file("sizefield.vti"), "-o", self.file("seeds.bin"))
 
     def settle(self, *options: str) -> dict[str, Any]:
-        """Settles the seeds and returns counts, time, defect share and the file hash."""
+        """Settles the seeds and returns counts, time, fraction of defects and the file hash."""
         report = self.run(
             "particles", self.file("seeds.bin"), "--distfield", self.file("distfield.vti"), "--sizefield",
             self.file("sizefield.vti"), "-o", self.file("bin"), "--log", self.file("csv"), *options,

@@ -166,11 +166,11 @@ impl Args {
     /// Returns the parameters of a run on a GPU or the CPU, for one object or many materials.
     ///
     /// A GPU uses one level by default: a pass over few particles costs nearly as much as a pass
-    /// over many, and each change of level costs up to a second on the host. On the heart one level
-    /// reaches a raw mean radius ratio of 0.970 in 0.123 s (three levels: 0.962 in 0.127 s), on the
-    /// ribcage 0.972 in 0.193 s (0.967 in 0.309 s; docs/developer/performance.md, "Quality for the
-    /// time"). With many materials the default is also one level, because the held particles are
-    /// spaced for h and do not fit coarser levels.
+    /// over many, and each change of level costs up to a second on the host. On the heart, the mean
+    /// radius ratio before improvement is 0.970 after 0.123 s with one level and 0.962 after 0.127
+    /// s with three. On the ribcage, it is 0.972 after 0.193 s and 0.967 after 0.309 s
+    /// (docs/developer/performance.md, "Quality for the time"). With many materials the default is
+    /// also one level, because the held particles have the spacing h and do not fit coarser levels.
     pub(crate) fn settling(&self, on_gpu: bool, many: bool) -> Parameters {
         let base = if self.as_printed { Parameters::as_printed() } else { Parameters::default() };
         let levels = if on_gpu || many { 1 } else { base.levels };
@@ -202,8 +202,8 @@ impl Args {
     /// Rejects unsupported combinations of options.
     ///
     /// # Errors
-    /// If the ideal energy gives a lattice spacing that lists and steps do not support, or if the
-    /// order by bins is requested without a GPU or with graded bins.
+    /// If the ideal energy gives a lattice spacing that neighbour lists and steps do not support,
+    /// or if the order by bins is requested without a GPU or with graded bins.
     pub(crate) fn check(&self, parameters: &Parameters, on_gpu: bool) -> Result<()> {
         let energy = parameters.ideal_energy;
         let [least, largest] = [LARGEST_SPACING, LEAST_SPACING].map(lattice_energy);
@@ -243,7 +243,7 @@ impl StageArgs for Args {
 
     fn outputs(&self) -> Vec<PathBuf> {
         let mut outputs: Vec<PathBuf> = self.output.clone().into_iter().collect();
-        // a resumed run continues the existing log and checkpoint
+        // a resumed run may replace its own log and checkpoint without --force
         if !self.resume {
             outputs.extend(self.log.clone());
             outputs.extend(self.checkpoint.clone());
@@ -252,7 +252,7 @@ impl StageArgs for Args {
     }
 
     fn parameters(&self) -> Value {
-        // the default levels and order depend on the backend, which is not known yet
+        // the default number of levels and order depend on the backend, which is not known yet
         json!(self.settling(self.backend == Backend::Gpu, false))
     }
 

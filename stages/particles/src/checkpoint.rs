@@ -1,5 +1,5 @@
 //! Checkpoints: the current particles of a run, with the log of all passes so far. [`resume`]
-//! checks that a checkpoint was made with the inputs and parameters of the run.
+//! checks that a checkpoint has the same inputs and parameters as the current run.
 
 use crate::settle::{Engine, Parameters, PassRecord};
 use isoparticles_field::particle_set::{ParticleSet, Strata};

@@ -1,10 +1,10 @@
 //! Coarse-to-fine placement: settles a small number of particles at a multiple of h, splits the
 //! edges between them, and repeats down to h.
 //!
-//! Lattice patches of different orientation meet along lines of vertices of degree five and seven,
-//! and passes remove these lines only slowly. A coarse lattice has few such lines, and a pass over
-//! few particles is cheap. Splitting the edges of a lattice preserves the orientation of its
-//! patches. The fine lattice therefore starts with few defects and needs few passes.
+//! Lattice patches of different orientation meet along lines of particles with five and seven
+//! neighbours. It takes many passes to remove such a line. A coarse lattice has few such lines, and
+//! a pass over few particles is cheap. Splitting the edges of a lattice preserves the orientation
+//! of its patches. The fine lattice therefore starts with few defects and needs few passes.
 
 use crate::constants::{
     FILLER_SEPARATION, INITIAL_LAMBDA, LONGEST_EDGE, PARENT_DISTANCE, PASS_TOLERANCE, SEED_SEPARATION,
@@ -85,8 +85,8 @@ pub(crate) fn settle_levels(
     unreachable!("the last level is that of h")
 }
 
-/// Selects an evenly distributed subset of the seeds with the density of a lattice of edge `scale`
-/// h, and sets their sizes to `scale` times h.
+/// Selects an evenly distributed subset of the seeds with the density of a lattice of edge `scale *
+/// h`, and sets the sizes of the selected seeds to this edge.
 fn thinned(seeds: &ParticleSet, fields: &Fields, scale: f64, parameters: &Parameters) -> ParticleSet {
     let mut order: Vec<u32> = (0..seeds.positions.len() as u32).collect();
     order.par_sort_unstable_by_key(|&i| (bits(parameters.seed, u64::MAX, u64::from(i)), i));
@@ -98,8 +98,9 @@ fn thinned(seeds: &ParticleSet, fields: &Fields, scale: f64, parameters: &Parame
 }
 
 /// Creates the particles of the next level: the coarse particles, one particle at the midpoint of
-/// each edge, and the seeds that are at least [`FILLER_SEPARATION`] from all of these. Omits
-/// midpoints that are closer than [`PARENT_DISTANCE`] to another particle.
+/// each edge, and the seeds that are at least [`FILLER_SEPARATION`] spacings from all other
+/// particles of the level. Omits midpoints that are closer than [`PARENT_DISTANCE`] spacings to
+/// another particle.
 fn split(
     coarse: &ParticleSet,
     seeds: &ParticleSet,
@@ -146,7 +147,8 @@ fn split(
 }
 
 /// Selects particles greedily in the given order. Skips a particle if a selected particle with an
-/// agreeing normal is closer than `room` edge lengths. `most` is the maximum of `room`.
+/// agreeing normal is closer than `room` times the smaller size of the two. `most` is the maximum
+/// of `room`.
 fn take_with_room(
     points: &[DVec3],
     normals: &[DVec3],
@@ -202,8 +204,8 @@ mod tests {
 
     const CENTRE: DVec3 = DVec3::splat(19.5);
 
-    /// Returns a ball of radius 12 with h = 1 and about twice as many seeds as a lattice of edge h
-    /// has particles.
+    /// Returns a ball of radius 12 mm with h = 1 mm and about twice as many seeds as a lattice of
+    /// edge h has particles.
     fn ball() -> (CubicSpline, SizingField, ParticleSet) {
         let geometry = Geometry::axis_aligned([40; 3], DVec3::ONE);
         let mut image = Image::filled(geometry.clone(), 0.0f32);
@@ -244,7 +246,7 @@ mod tests {
         (whole.0, records)
     }
 
-    /// Returns the share of particles with six neighbours.
+    /// Returns the fraction of particles with six neighbours.
     fn regular(set: &ParticleSet) -> f64 {
         let near = NeighbourLists::new(&set.positions, &set.sizes, crate::constants::FIRST_RING, |_, _| true);
         (0..near.len()).filter(|&i| near.of(i).len() == 6).count() as f64 / near.len() as f64
@@ -259,7 +261,7 @@ mod tests {
             let lattice = 4.0 * std::f64::consts::PI * 144.0 * 2.0 / (3f64.sqrt() * scale * scale);
             let ratio = thin.positions.len() as f64 / lattice;
             println!("{ratio} of the lattice at {scale}");
-            // random selection among so few seeds leaves gaps that density control fills
+            // random selection among so few seeds leaves gaps, which density control fills later
             assert!((0.7..1.1).contains(&ratio), "{ratio} of the lattice at {scale}");
             assert!(thin.sizes.iter().all(|&h| h == scale));
         }
@@ -275,7 +277,7 @@ mod tests {
         assert!([4.0, 2.0, 1.0].iter().all(|&scale| records.iter().any(|r| r.scale == scale)));
         let counts = (at_once.positions.len() as f64, by_levels.positions.len() as f64);
         assert!((counts.0 / counts.1 - 1.0).abs() < 0.05, "{counts:?}");
-        // measured: 0.77 on one level, 0.94 on three
+        // measured fraction with six neighbours: 0.77 on one level, 0.94 on three
         let shares = (regular(&at_once), regular(&by_levels));
         println!("six neighbours: {} at once, {} by levels", shares.0, shares.1);
         assert!(shares.1 > shares.0 + 0.03, "{shares:?}");
@@ -297,7 +299,7 @@ mod tests {
     fn coarse_levels_close_with_few_passes() {
         let (surface, sizing, seeds) = ball();
         let fields = Fields { surface: &surface, sizing: &sizing };
-        // both runs are identical up to the closing passes of the first level
+        // all runs are identical up to the closing passes of the first level
         let first_level = |closing_passes: u64| {
             let parameters = Parameters { closing_passes, levels: 2, ..Parameters::default() };
             let mut passes = 0;

@@ -2,9 +2,9 @@
 //!
 //! A particle whose energy is too high (oversampling) is deleted. A particle whose energy is too
 //! low (undersampling) gets a newcomer in the widest gap between its neighbours. Because of the
-//! random bias of Witkin and Heckbert, two neighbours are rarely deleted, or given newcomers, in
-//! the same pass. In addition, each deletion immediately updates the energies of the neighbours.
-//! Without this update, dense seeds would lose far too many particles in one pass.
+//! random bias of Witkin and Heckbert, two neighbours are rarely both deleted, or both given
+//! newcomers, in the same pass. In addition, each deletion immediately updates the energies of the
+//! neighbours. Without this update, one pass would delete far too many particles of dense seeds.
 
 use crate::constants::{INITIAL_LAMBDA, NEWCOMER_DISTANCE, PARENT_DISTANCE, PASS_TOLERANCE};
 use crate::implicit::Implicit;
@@ -16,7 +16,7 @@ use isoparticles_field::neighbours::NeighbourLists;
 use isoparticles_field::random::uniform;
 use rayon::prelude::*;
 
-/// Limits for adding and deleting particles: the ideal energy, and multiples of it.
+/// The ideal energy, and the limits for adding and deleting particles as multiples of it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
     pub ideal_energy: f64,
@@ -65,7 +65,7 @@ pub(crate) fn control<S: Implicit>(
 }
 
 /// Marks particles for deletion in descending order of energy. Subtracts the pair energies of each
-/// deleted particle from the energies of the neighbours.
+/// deleted particle from the energies of its neighbours.
 fn delete(state: &State, energies: &mut [f64], limits: &Limits, seed: u64, pass: u64) -> Vec<bool> {
     let set = &state.set;
     let mut deleted = vec![false; state.len()];
@@ -103,9 +103,9 @@ pub(crate) struct Newcomer {
 /// gap between its neighbours. Returns the newcomers in the order of their parents.
 ///
 /// Two newcomers conflict if their parents are neighbours, or if they are on the same interface and
-/// closer together than [`NEWCOMER_DISTANCE`] spacings. Of conflicting newcomers, at most one is
-/// added per pass. On the CPU the parent with the smallest index wins; on the GPU the parent with
-/// the highest random number wins.
+/// closer together than [`NEWCOMER_DISTANCE`] spacings. Of two conflicting newcomers, at most one
+/// is added per pass. Priority goes to the parent with the smaller index on the CPU, and to the
+/// parent with the higher random number on the GPU.
 fn insert<S: Implicit>(
     state: &mut State,
     fields: &Fields<S>,
@@ -156,7 +156,7 @@ fn insert<S: Implicit>(
 }
 
 /// Proposes a newcomer in the widest gap between the neighbours of particle i. Returns `None` if
-/// `place_in_widest_gap` finds no position or if a listed particle is closer than
+/// `place_in_widest_gap` finds no position or if a neighbour of particle i is closer than
 /// [`NEWCOMER_DISTANCE`] spacings to the newcomer.
 pub(crate) fn propose<S: Implicit>(state: &State, fields: &Fields<S>, deleted: &[bool], i: usize) -> Option<Newcomer> {
     let (position, normal, size) = place_in_widest_gap(state, fields, deleted, i)?;
@@ -174,7 +174,9 @@ pub(crate) fn propose<S: Implicit>(state: &State, fields: &Fields<S>, deleted: &
 
 /// Finds the widest angular gap between the neighbours of particle i that are closer than the
 /// second ring. Projects the point one spacing from the particle, in the middle of this gap, onto
-/// the surface. Returns position, normal and h of the projected point, or `None` if it is rejected.
+/// the surface. Returns position, normal and h of the projected point. Returns `None` if the
+/// projection fails, the normals disagree, or the point is closer than [`PARENT_DISTANCE`] spacings
+/// to particle i.
 fn place_in_widest_gap<S: Implicit>(
     state: &State,
     fields: &Fields<S>,
@@ -222,13 +224,14 @@ mod tests {
     use crate::settle::Parameters;
     use std::collections::HashSet;
 
-    /// Runs density control on scattered particles. Returns the indices of the newcomers and the
-    /// resulting state.
+    /// Runs density control, without deletion, on the seeds of a scene. Returns the indices of the
+    /// newcomers and the resulting state.
     fn controlled(scene: &Scene, pass: u64) -> (Vec<usize>, State) {
         let parameters = Parameters::default();
         let mut state = State::new(scene.seeds.clone(), parameters.normal_agreement);
         state.measure();
-        // without deletion, the distance of newcomers from all particles can be checked
+        // the high limit prevents deletion, so the distance of newcomers from all particles can be
+        // checked
         let limits =
             Limits { ideal_energy: parameters.ideal_energy, add_below: parameters.add_below, delete_above: 1e9 };
         let before: HashSet<_> = state.set.positions.iter().map(|p| p.to_array().map(f64::to_bits)).collect();

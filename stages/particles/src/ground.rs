@@ -1,5 +1,5 @@
-//! Reads the surface of a run (one object or many materials) and rejects seeds and options that do
-//! not match it.
+//! Reads the surface that the particles sample (one object or many materials), and rejects seeds
+//! and options that do not match it.
 
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::error::{Error, Result};

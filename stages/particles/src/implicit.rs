@@ -1,4 +1,5 @@
-//! The implicit surfaces of particles: F = 0 of one object, or the interfaces of many materials.
+//! The implicit surface that the particles sample: F = 0 of one object, or the interfaces of many
+//! materials.
 
 use glam::DVec3;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
@@ -10,7 +11,7 @@ pub trait Implicit: Sync {
     /// Projects `start` onto the zero set of a stratum by Newton steps (Eq. 5). Returns the point
     /// and the gradient there. `limit` is the maximum total displacement in mm, and `tolerance` is
     /// the maximum distance from the zero set in mm. Returns `None` if the projection fails or if
-    /// the point is not on the stratum.
+    /// the point is not on the interface ([`Self::is_real`]).
     fn project(&self, stratum: Option<Stratum>, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)>;
 
     /// Returns whether a point on the zero set of a stratum lies on the interface, that is, whether
@@ -37,7 +38,8 @@ impl Implicit for CubicSpline {
     }
 }
 
-/// The material interfaces: the points where the indicators of two materials are equal and minimal.
+/// The material interfaces: the points where the indicators of two materials are equal and smaller
+/// than all others.
 #[derive(Debug)]
 pub struct Interfaces<'a, I> {
     indicators: &'a I,
@@ -52,8 +54,9 @@ impl<'a, I: Indicators> Interfaces<'a, I> {
     }
 }
 
-/// Returns the two materials of an interface, the higher number first. The difference of their
-/// indicators is negative inside the first, so its gradient points to the second.
+/// Returns the two materials of an interface, the one with the higher number first. Its indicator
+/// minus that of the second is negative inside the first, so the gradient of this difference points
+/// to the second.
 #[inline(always)]
 fn sides(stratum: Option<Stratum>) -> Option<[MaterialId; 2]> {
     match stratum?.materials() {

@@ -1,10 +1,10 @@
 //! One pass of movement: sections 3.2.1 and 3.2.2 and Algorithm 1 of the paper.
 //!
 //! A particle takes a damped Newton step on its energy in the tangent plane of F and is then
-//! projected back onto F = 0 (Eq. 5). The step is accepted if it lowers the energy. Otherwise
-//! lambda is multiplied by ten and the particle tries again. The particles of a block move one
-//! after the other. The blocks of an independent class do not interact and move concurrently. The
-//! pass is therefore the paper's Gauss-Seidel sweep in another order, and its result does not
+//! projected back onto F = 0 (Eq. 5). The step is accepted if it lowers the energy. Otherwise the
+//! damping lambda is multiplied by ten and the particle tries again. The particles of a block move
+//! one after the other. The blocks of an independent class do not interact and move concurrently.
+//! The pass is therefore the paper's Gauss-Seidel sweep in another order, and its result does not
 //! depend on the number of threads.
 
 use crate::constants::{
@@ -126,7 +126,7 @@ fn step<L: Simd, S: Implicit>(simd: L, state: &State, fields: &Fields<S>, near: 
     if jet.energy == 0.0 {
         return result;
     }
-    // Eq. 4 plus the derivative through the particle's own h; the Hessian holds h fixed
+    // Eq. 4 plus the change of the particle's own h with its position; the Hessian is for fixed h
     let along_size = plane.coordinates(fields.sizing.value_gradient(position).1);
     let force = [0, 1].map(|a| jet.gradient[a] + jet.by_size * along_size[a]);
     if (force[0] * force[0] + force[1] * force[1]).sqrt() * size < LEAST_FORCE * jet.energy {
@@ -165,7 +165,8 @@ fn positive_definite(m: [f64; 3]) -> [f64; 3] {
     if half <= EQUAL_EIGENVALUES_F64 * mean.abs() {
         return [l, 0.0, l];
     }
-    // the eigenvector of the larger eigenvalue is (cos t, sin t)
+    // the eigenvector of the larger eigenvalue is (cos t, sin t); `cos2` and `sin2` are the cosine
+    // and sine of 2 t
     let (cos2, sin2) = (0.5 * (a - c) / half, b / half);
     let (middle, spread) = (0.5 * (l + h), 0.5 * (h - l));
     [middle + spread * cos2, spread * sin2, middle - spread * cos2]
@@ -187,8 +188,8 @@ mod tests {
 
     #[test]
     fn unlisted_particles_stay_beyond_the_first_ring() {
-        // twice as many particles as in the lattice, at random positions: this gives the longest
-        // steps
+        // twice as many particles as the lattice of edge h has, at random positions: dense
+        // particles take the longest steps
         let scene = Scene::ball(1600, 1.6);
         let fields = scene.fields();
         let mut state = State::new(scene.seeds.clone(), 0.0);

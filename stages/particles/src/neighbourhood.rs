@@ -1,6 +1,6 @@
 //! The neighbours of one particle in SIMD layout, and the sums of Eq. 1 to 4 over them. For the
-//! tests, `reference.rs` computes the same sums pair by pair, with the tangent instead of a
-//! polynomial.
+//! tests, `reference.rs` computes the same sums pair by pair, with the tangent function instead of
+//! a polynomial.
 
 use crate::constants::FIRST_RING;
 use fearless_simd::{Simd, f64x8, prelude::*};
@@ -63,8 +63,8 @@ struct Block {
     inverse_size: [f64; LANES],
 }
 
-/// Padding for incomplete blocks: outside the support of any particle, and with a finite squared
-/// distance (3e200) in f64.
+/// Padding for incomplete blocks. The point is outside the support of any particle, and its squared
+/// distance (3e200) is finite in f64.
 const PADDING: Block = Block { offset: [[1e100; LANES]; 3], inverse_size: [1.0; LANES] };
 
 /// The neighbours of one particle.
@@ -86,8 +86,8 @@ pub(crate) struct PlaneJet {
 }
 
 impl Neighbourhood {
-    /// Loads the neighbours in `list`, relative to `position`. `record_of` returns the record of a
-    /// particle.
+    /// Loads the neighbours in `list`, with offsets from `position`. `record_of` returns the record
+    /// of a particle.
     #[inline(always)]
     pub(crate) fn gather(&mut self, record_of: impl Fn(usize) -> Record, list: &[u32], position: DVec3) {
         self.blocks.clear();
@@ -174,7 +174,7 @@ impl Neighbourhood {
             let (first, second) = pairs.derivatives();
             let per_area = inverse_reach * inverse_reach;
             let across = first * pairs.reciprocal * per_area;
-            // divided by r^2 = d^2 / per_area
+            // (along - across) / r^2, where r^2 = d^2 / `per_area`
             let stretch = (second * per_area - across) * (pairs.reciprocal * pairs.reciprocal * per_area);
             energy += pairs.energy();
             // offsets point to the neighbour, gradients point away from it
@@ -200,7 +200,7 @@ impl Neighbourhood {
     }
 }
 
-/// Distances of the neighbours in a block.
+/// Result of [`Neighbourhood::distances`].
 struct Distances<S: Simd> {
     offset: [f64x8<S>; 3],
     /// 1/h of the neighbours.
@@ -234,7 +234,7 @@ mod tests {
                 near.gather(|j| state.records[j], state.neighbours.of(i), p);
                 let jet = dispatch!(Level::new(), simd => near.jet(simd, &plane, h));
                 assert!((jet.energy - energy).abs() < 1e-11 * (1.0 + energy), "{i}: {energy} {jet:?}");
-                // the terms of a force largely cancel, so the error is relative to the Hessian
+                // the terms of a force largely cancel, so the tolerance is relative to the Hessian
                 // times h
                 let scale = 1.0 + jet.hessian[0].abs().max(jet.hessian[2].abs()) * h;
                 let along_size = plane.coordinates(fields.sizing.value_gradient(p).1);
@@ -245,7 +245,7 @@ mod tests {
                 for (found, want) in jet.hessian.iter().zip(plane.restrict(&hessian)) {
                     assert!((found - want).abs() < 1e-10 * scale / h, "{i}: {hessian} {jet:?}");
                 }
-                // at a different position, with a different size
+                // compares the energy at a different position and with a different size
                 let random = |stream| uniform(9, stream, i as u64) - 0.5;
                 let moved = 0.4 * h * DVec3::new(random(0), random(1), random(2));
                 let size = h * (1.0 + 0.2 * random(3));

@@ -1,12 +1,12 @@
-//! Reference for the tests: energies and forces computed pair by pair, with the tangent instead of
-//! a polynomial. The tests compare the SIMD sums and the GPU kernels with it.
+//! Reference for the tests of the SIMD sums and of the GPU kernels: energies and forces, summed
+//! pair by pair. The reference uses the tangent function; the tested code uses polynomials.
 
 use crate::state::{Fields, State};
 use glam::{DMat3, DVec3};
 use isoparticles_field::energy::{pair_energy, pair_jet, pair_size_derivative, scaled_distance};
 
 /// Returns the energy, gradient and Hessian of particle i at its position. The gradient includes
-/// the derivative through the particle's own h; the Hessian holds h fixed.
+/// the change of the particle's own h with its position; the Hessian is for fixed h.
 pub(crate) fn energy_jet<S>(state: &State, fields: &Fields<S>, i: usize) -> (f64, DVec3, DMat3) {
     let set = &state.set;
     let (position, size) = (set.positions[i], set.sizes[i]);

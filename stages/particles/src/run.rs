@@ -23,8 +23,8 @@ use serde_json::json;
 use std::cell::Cell;
 use std::path::Path;
 
-/// Maximum memory in bytes per particle on the CPU, excluding the fields. Measured: 190 to 510 for
-/// the phantoms of `stages/distfield/benches/costs.py`.
+/// Maximum memory in bytes per particle on the CPU, excluding the fields. Measured: 190 to 510
+/// bytes per particle for the phantoms of `stages/distfield/benches/costs.py`.
 const BYTES_PER_PARTICLE: f64 = 510.0;
 
 /// Opens the GPU that the options select. Returns `None` if the CPU is to be used.
@@ -161,8 +161,8 @@ struct Files<'a> {
 }
 
 impl<'a> Files<'a> {
-    /// Returns the files of a command line. Returns `None` if they are missing, which the parser
-    /// allows only with --list-adapters.
+    /// Returns the files of a command line. Returns `None` if a file is missing; the parser allows
+    /// this only with --list-adapters.
     fn of(args: &'a Args) -> Option<Self> {
         Some(Self {
             seeds: args.seeds.as_deref()?,
@@ -240,7 +240,7 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
-    /// Returns the name of the engine that is stored in checkpoints.
+    /// Returns the name under which a checkpoint stores the engine.
     fn engine(&self) -> String {
         self.gpu.map_or_else(cpu_engine, |gpu| format!("gpu: {}", gpu.summary().name))
     }

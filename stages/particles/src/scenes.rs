@@ -64,14 +64,15 @@ impl Scene {
         Self { surface, sizing, seeds }
     }
 
-    /// Returns a ball of radius 12 with constant h.
+    /// Returns a ball of radius 12 mm with constant h.
     pub(crate) fn ball(count: u64, h: f64) -> Self {
         Self::new([34; 3], DVec3::ONE, |p| p.length() - 12.0, |_| h, count, |d| 12.0 * d)
     }
 
-    /// Returns four particles on each of eight meridians of a ball, with gaps of h, 2.35 h and h.
-    /// The inner two particles are not in each other's lists. Each proposes a newcomer at distance
-    /// h in the direction of the other, so the two newcomers are only 0.35 h apart.
+    /// Returns a ball with four particles on each of eight meridians, at distances of h, 2.35 h and
+    /// h from one to the next. The inner two particles are not in each other's lists. Each of them
+    /// proposes a newcomer at distance h in the direction of the other, so the two newcomers are
+    /// only 0.35 h apart.
     pub(crate) fn meeting_newcomers() -> Self {
         let mut scene = Self::ball(0, 1.6);
         let centre = 0.5 * scene.surface.geometry().upper_corner();
@@ -91,8 +92,8 @@ impl Scene {
         scene
     }
 
-    /// Returns a torus with a wavy tube, on a grid with anisotropic voxels. h increases from 0.8 to
-    /// 3.2 across the torus.
+    /// Returns a torus whose tube radius varies, on a grid with anisotropic voxels. h increases
+    /// from 0.8 to 3.2 mm across the torus.
     pub(crate) fn bumpy_torus(count: u64) -> Self {
         let f = |p: DVec3| {
             let around = p.y.atan2(p.x);

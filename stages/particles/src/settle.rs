@@ -25,9 +25,9 @@ pub struct Parameters {
     /// Maximum number of passes on the last level, whose edge length is h. If `levels` is 1, this
     /// is the only level.
     pub max_passes: u64,
-    /// Stop when the relative decrease per pass of the share of [`PassRecord::lattice_defects`],
-    /// averaged over [`DEFECT_WINDOW`] passes, is below this value and density control is nearly at
-    /// rest.
+    /// Stop when the fraction of particles that are lattice defects decreases by less than this
+    /// relative amount per pass, averaged over [`DEFECT_WINDOW`] passes, and density control is
+    /// nearly at rest.
     pub defect_tolerance: f64,
     /// If given, replaces the stop test with the paper's test (E_min): stop when the relative
     /// change per pass of the energy per particle, averaged over `energy_window` passes, is below
@@ -36,8 +36,9 @@ pub struct Parameters {
     /// Number of passes over which the energy test averages. With 1 it compares consecutive passes,
     /// as printed.
     pub energy_window: usize,
-    /// Density control is nearly at rest if it adds and deletes at most this share of the particles
-    /// per pass. If the value is 1 or more, the stop tests ignore density control.
+    /// Density control is nearly at rest if the additions and deletions per pass together are at
+    /// most this fraction of the particles. If the value is 1 or more, the stop tests ignore
+    /// density control.
     pub rest_share: f64,
     /// Energy of a particle in the target lattice (E_ideal), 0.554 to 7.84. It determines
     /// [`Parameters::spacing`].
@@ -54,7 +55,7 @@ pub struct Parameters {
     pub closing_passes: u64,
     /// Two particles interact only if the dot product of their normals exceeds this value.
     pub normal_agreement: f64,
-    /// Seed of the random bias of density control.
+    /// Seed of all random numbers of a run.
     pub seed: u64,
     /// Number of levels of coarse-to-fine placement. The first level settles at `2^(levels - 1)`
     /// times h, the last at h.
@@ -97,8 +98,8 @@ impl Default for Parameters {
             max_passes: 150,
             defect_tolerance: DEFECT_TOLERANCE,
             energy_tolerance: None,
-            // measured in docs/developer/method.md (runs A to H), as are the closing passes and the
-            // levels
+            // docs/developer/method.md compares values of the energy window, the closing passes and
+            // the number of levels (runs A to H)
             energy_window: 5,
             rest_share: REST_SHARE,
             ideal_energy: energy::ideal_energy(),
@@ -108,8 +109,8 @@ impl Default for Parameters {
             delete_above: 1.25,
             allow_insert: true,
             closing_passes: 10,
-            // requires normals less than 90 degrees apart, so that the two faces of a thin wall do
-            // not interact
+            // normals must be less than 90 degrees apart, so the two faces of a thin wall do not
+            // interact
             normal_agreement: 0.0,
             seed: 0,
             levels: 3,
@@ -145,7 +146,8 @@ impl Parameters {
 
     /// Returns the edge, in units of h, of the hexagonal lattice in which the energy of a particle
     /// (Eq. 1) is the ideal energy: 1 by default, 0.657 for the printed 3.462. The distances of
-    /// newcomers and the radius of the first ring, which defines lattice defects, scale with it.
+    /// newcomers and the radius of the first ring, which defines lattice defects, scale with this
+    /// edge.
     pub fn spacing(&self) -> f64 {
         energy::lattice_spacing(self.ideal_energy)
     }
@@ -157,7 +159,7 @@ impl Parameters {
     }
 }
 
-/// One line of the log. With many materials, all numbers except `neighbours` exclude the held
+/// One line of the log. With many materials, all statistics except `neighbours` exclude the held
 /// particles of junction points and curves.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PassRecord {
@@ -231,8 +233,8 @@ pub trait Engine {
     /// density.
     fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome>;
 
-    /// Announces the last pass that controls the density. Before that pass an engine may start the
-    /// next pass early.
+    /// Announces the last pass that controls the density. Up to that pass, an engine may start a
+    /// pass before the previous one has been read back.
     fn controls_density_until(&mut self, _pass: u64) {}
 
     /// Returns a copy of the particles.
@@ -243,7 +245,7 @@ pub trait Engine {
         &[]
     }
 
-    /// Returns statistics of the device, if there is one.
+    /// Returns the statistics of the device, if the engine uses one.
     fn device_report(&self) -> Option<DeviceReport> {
         None
     }
@@ -349,8 +351,8 @@ fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64>
     })
 }
 
-/// Returns whether density control adds about as many particles as it deletes while the share of
-/// lattice defects hardly decreases. Compares the mean share over the last [`BALANCE_WINDOW`]
+/// Returns whether density control adds about as many particles as it deletes while the fraction of
+/// lattice defects hardly decreases. Compares the mean fraction over the last [`BALANCE_WINDOW`]
 /// passes with the mean over the same number of preceding passes. `rest_share` limits the mean net
 /// growth per pass over the last window.
 fn is_balanced(records: &[PassRecord], parameters: &Parameters) -> bool {
@@ -426,7 +428,8 @@ mod tests {
     #[test]
     fn additions_and_deletions_in_balance_end_the_run() {
         let parameters = Parameters::default();
-        // each pass adds 1 % of the particles and deletes 1 %, in total ten times `rest_share`
+        // each pass adds 1 % of the particles and deletes 1 %; together this is ten times
+        // `rest_share`
         let in_balance = |defects: &dyn Fn(u64) -> usize, growth: usize| -> Vec<PassRecord> {
             let balanced = |r: PassRecord| PassRecord {
                 deleted: r.inserted - growth,
@@ -436,7 +439,8 @@ mod tests {
             records(defects, 10, 1.0).into_iter().map(balanced).collect()
         };
         assert_eq!(closing_since(&in_balance(&|_| 100, 0), &parameters), Some(2 * BALANCE_WINDOW as u64));
-        // defects still fall by 1 % per pass, or the count still grows by 0.5 % per pass
+        // the run goes on if the defects still fall by 1 % per pass or the count still grows by 0.5
+        // % per pass
         assert_eq!(
             closing_since(&in_balance(&|pass| (1000.0 * 0.99f64.powi(pass as i32)) as usize, 0), &parameters),
             None
@@ -458,8 +462,8 @@ mod tests {
         assert_eq!(closing(&records(|_| 300, 0, 1.0)), Some(11), "the first pass that has a window behind it");
         assert_eq!(closing(&records(|pass| 300 + pass as usize, 0, 1.0)), Some(11));
         assert_eq!(closing(&records(|_| 0, 0, 1.0)), Some(11));
-        // one particle per pass is 0.1 %; three per pass are too many at h but few enough on a
-        // coarse level
+        // one newcomer per pass (0.1 % of the particles) is below the limit of 0.2 % at h; three
+        // are above it, but below the limit of 5 % on a coarse level
         assert_eq!(closing(&records(|_| 300, 1, 1.0)), Some(11));
         assert_eq!(closing(&records(|_| 300, 3, 1.0)), None);
         assert_eq!(closing(&records(|_| 300, 3, 2.0)), Some(11));

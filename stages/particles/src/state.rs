@@ -43,9 +43,10 @@ pub(crate) struct State {
     pub set: ParticleSet,
     /// The stratum of each particle; empty for one object.
     pub strata: Vec<Stratum>,
-    /// Number of held particles, which come first: the particles of junction points and curves;
-    /// zero for one object. Held particles are never moved or deleted, get no newcomers, and are
-    /// excluded from the statistics. Particles on the adjoining interfaces interact with them.
+    /// Number of held particles: the particles of junction points and curves, which come first in
+    /// `set`. Zero for one object. Held particles are never moved or deleted, get no newcomers, and
+    /// are excluded from the statistics of a pass. Particles on the adjoining interfaces interact
+    /// with them.
     pub held: usize,
     /// Minimum dot product of the normals of two interacting particles. If the dot product is
     /// smaller, the particles belong to different parts of the surface.
@@ -79,8 +80,8 @@ impl State {
         Self { spacing, ..self }
     }
 
-    /// Sets the strata of the particles (empty for one object). Those of junction points and curves
-    /// must come first.
+    /// Sets the strata of the particles (empty for one object). Particles of junction points and
+    /// curves must come first.
     pub(crate) fn on(mut self, strata: Vec<Stratum>) -> Self {
         self.held = strata.partition_point(|stratum| stratum.dimension() < 2);
         self.strata = strata;
@@ -175,9 +176,9 @@ impl State {
         held.into_iter().any(|j| positions[i].distance(positions[j]) < radius * sizes[i].min(sizes[j]))
     }
 
-    /// Recomputes the energy of every particle (Eq. 1) and counts lattice defects. Particles next
-    /// to the border of an interface are not counted, because a particle next to a curved border
-    /// need not have six neighbours. Held particles have energy zero.
+    /// Recomputes the energy of every particle (Eq. 1) and counts lattice defects. Particles with a
+    /// held particle in their first ring are not counted, because a particle next to a curved
+    /// border need not have six neighbours. Held particles have energy zero.
     pub(crate) fn measure(&mut self) -> Measures {
         let mut energies = std::mem::take(&mut self.set.energies);
         energies.resize(self.len(), 0.0);
@@ -208,12 +209,12 @@ impl State {
     }
 }
 
-/// Measurements of a pass.
+/// Total energy and number of lattice defects of the particles.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Measures {
     /// Sum of the energies of the particles, added in a fixed order.
     pub energy: f64,
     /// Number of lattice defects: particles that do not have exactly six neighbours in the first
-    /// ring. Held particles and their neighbours are not counted.
+    /// ring. Held particles and particles with a held particle in the first ring are not counted.
     pub lattice_defects: usize,
 }

@@ -22,7 +22,7 @@ use std::process::{Command, Output};
 const CENTRE: DVec3 = DVec3::splat(12.0);
 
 /// Input files: a ball of radius 5 mm inside a ball of radius 8 mm, with seeds for h = 1.2 mm on
-/// both interfaces; the distance field of the outer ball alone.
+/// both interfaces, and the distance field of the outer ball alone.
 struct Files {
     folder: tempfile::TempDir,
 }

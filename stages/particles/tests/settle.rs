@@ -1,4 +1,4 @@
-//! Tests of settling on analytic surfaces: density, evenness, thin walls, repeatability and
+//! Tests of settling on analytic surfaces: density, even spacing, thin walls, repeatability and
 //! resuming.
 
 use glam::DVec3;
@@ -97,7 +97,7 @@ fn a_ball_gets_lattice_spacing_h_from_few_and_many_seeds() {
             assert!(f.abs() < 1e-7, "F = {f}");
             assert!((g.normalize() - n).length() < 1e-9);
         }
-        // the stored energies are those of Eq. 1 at the final positions
+        // the stored energies must equal Eq. 1 at the final positions; one particle is checked
         let i = set.positions.len() / 2;
         let energy: f64 = (0..set.positions.len())
             .filter(|&j| j != i)
@@ -112,7 +112,8 @@ fn a_ball_gets_lattice_spacing_h_from_few_and_many_seeds() {
 
 #[test]
 fn the_two_faces_of_a_thin_shell_do_not_see_each_other() {
-    // wall thickness of 1.5 voxels, h of 2.5 voxels
+    // the wall is 1.5 voxels thick and h is 2.5 voxels, so each face is within the interaction
+    // radius of the other
     let image = sampled(|p| (p.length() - 11.0).abs() - 0.75);
     let surface = CubicSpline::new(&image);
     let sizing = uniform_size(&image, 2.5);
@@ -221,8 +222,8 @@ fn as_many_settle_as_are_predicted() {
         println!("{} settle, {predicted:.1} are predicted", set.positions.len());
         set.positions.len() as f64 / predicted
     };
-    // measured: 0.947, 1.027, 1.023, 0.940, 0.953, 0.954, 0.954; density control stops a few
-    // percent below the ideal energy
+    // measured ratios: 0.947, 1.027, 1.023, 0.940, 0.953, 0.954, 0.954; most are below 1 because
+    // density control stops a few percent below the ideal energy
     for (image, radius, h) in [
         (&ball(12.0), 12.0, &even(1.2) as &dyn Fn(DVec3) -> f64),
         (&ball(12.0), 12.0, &steep(0.15)),
@@ -237,7 +238,7 @@ fn as_many_settle_as_are_predicted() {
     }
 }
 
-/// Returns a ball of radius 12 with constant h, its marching-cubes vertices as seeds, and the
+/// Returns a ball of radius 12 mm with constant h, its marching-cubes vertices as seeds, and the
 /// number of particles in the lattice of edge h.
 fn ball_at_vertices(h: f64) -> (CubicSpline, SizingField, ParticleSet, f64) {
     let image = sampled(|p| p.length() - 12.0);
@@ -261,7 +262,7 @@ fn the_printed_ideal_energy_gets_its_own_lattice() {
     let (surface, sizing, _, lattice) = ball_at_vertices(1.6);
     let fields = Fields { surface: &surface, sizing: &sizing };
     // few seeds, so that most particles are newcomers; too many seeds, so that many are deleted;
-    // one level and three levels
+    // and three levels
     for (count, levels) in [(60, 1), (4000, 1), (816, 3)] {
         let parameters = Parameters { ideal_energy: PRINTED_IDEAL_ENERGY, levels, ..Parameters::default() };
         let start = seeds(&surface, &sizing, count, |d| 12.0 * d);

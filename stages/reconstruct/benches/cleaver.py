@@ -1,6 +1,6 @@
 """Mesh a label image with Cleaver 2 (itk-cleaver), for materials_peers.py.
 
-    python cleaver.py JOB.npz RESULT.npz    # an interpreter with cleaver.lock
+    python cleaver.py JOB.npz RESULT.npz    # an interpreter with the packages in cleaver.lock
 
 JOB contains ``materials`` (numbers from 0, shape (nx, ny, nz)) and ``sampling`` (lattice nodes per
 voxel along an axis). RESULT contains ``points`` (in voxels; 0 is the centre of the first voxel),
@@ -29,7 +29,8 @@ def main() -> None:
     cleaver.Update()
     seconds = time.monotonic() - started
     mesh = cleaver.GetOutput(0)
-    # in Cleaver's coordinates, voxel boundaries have integer coordinates
+    # Cleaver puts voxel boundaries at integer coordinates; here, voxel centres have integer
+    # coordinates
     points = itk.array_from_vector_container(mesh.GetPoints()) - 0.5
     # each cell is stored as its type, its number of points, and its point indices
     tetrahedra = itk.array_from_vector_container(mesh.GetCellsArray()).reshape(-1, 6)[:, 2:]

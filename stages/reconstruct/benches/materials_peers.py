@@ -4,13 +4,13 @@
         [--mesh-3 PROGRAM]
 
 Run it with the Python of `make env` (`make bench-materials-peers` does). VOLUME is a file, or the
-arguments of `phantom` that make one. $NAME stands for an environment variable. Our program runs all
+arguments of `phantom` that make one. $NAME inserts an environment variable. Our programs run all
 stages from labels to tetrahedra. Mesh_3 (mesh_3.cpp in this folder) and Cleaver (cleaver.py) get
-the same labels, padded by one voxel of outside. Their edge length is adjusted in up to four
-attempts, until their number of interface triangles is within a quarter of ours; the time is that of
-the last attempt. "Protected" junctions are the voxel edges along which three or more materials
-meet. The grid determines the triangles of surface nets. tests/check_materials.py, which shares no
-code with any of the programs, measures every mesh.
+the same labels, padded with one layer of background voxels. Their edge length is adjusted in up to
+four attempts, until their number of interface triangles differs from ours by at most a quarter. The
+time is that of the last attempt. In the rows with "protected", Mesh_3 preserves the voxel edges
+along which three or more materials meet. For surface nets, the grid determines the triangles.
+tests/check_materials.py, which shares no code with any of the programs, measures every mesh.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ CLOSE = 0.25
 
 @dataclass
 class Peer:
-    """Mesh that a program makes from the labels."""
+    """A mesh that another program makes from the labels."""
 
     points: np.ndarray
-    """In voxels of the padded grid; 0 is the centre of the first voxel."""
+    """In units of voxels of the padded grid; 0 is the centre of the first voxel."""
     tetrahedra: np.ndarray
     regions: np.ndarray
     seconds: float
@@ -68,7 +68,10 @@ def timed(command: list[str], limit: float) -> float:
 
 
 def interfaces(points: np.ndarray, tetrahedra: np.ndarray, regions: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return triangles between materials, outward from the higher number, and both numbers."""
+    """Return the triangles between materials, and the numbers of the materials on both sides.
+
+    The triangles face outward from the material with the higher number.
+    """
     corners = points[tetrahedra]
     turned = (
         np.einsum(
@@ -123,7 +126,7 @@ def row(name: str, program: str, figures: dict[str, Any] | None, seconds: str, m
 
 @dataclass
 class Case:
-    """A label map, and the options that all its rows share."""
+    """A label map, and the options common to all its rows."""
 
     name: str
     volume: str
@@ -156,7 +159,7 @@ class Case:
         return pv.read(self.file("m.vtp")), pv.read(self.file("m.vtu")), seconds, memory
 
     def labels(self) -> pv.ImageData:
-        """Return the labels as the stages read them."""
+        """Return the label map, as converted by `isoparticles-volume`."""
         path = self.file("labels.vti")
         program = Path(self.arguments.bin) / "isoparticles-volume"
         subprocess.run([program, "convert", self.volume, "-o", path, "--force", "-q"], check=True)
@@ -164,7 +167,7 @@ class Case:
 
 
 def by_cleaver(case: Case, materials: np.ndarray, length: float) -> Peer:
-    """Mesh with Cleaver; its lattice spacing is the edge length, in voxels."""
+    """Mesh with Cleaver, with `length` (in voxels) as the lattice spacing."""
     job, result = case.file("cleaver.job.npz"), case.file("cleaver.npz")
     result.unlink(missing_ok=True)
     np.savez(job, materials=materials, sampling=1.0 / length)
@@ -180,7 +183,7 @@ def by_cleaver(case: Case, materials: np.ndarray, length: float) -> Peer:
 
 
 def junctions_of(materials: np.ndarray) -> list[np.ndarray]:
-    """Return voxel edges at which three or more materials meet, as polylines, in voxels."""
+    """Return the voxel edges where three or more materials meet, as polylines, in voxels."""
     edges: list[tuple[tuple[float, ...], tuple[float, ...]]] = []
     for axis in range(3):
         first, second = (other for other in range(3) if other != axis)
@@ -199,7 +202,7 @@ def junctions_of(materials: np.ndarray) -> list[np.ndarray]:
             near.setdefault(end, []).append(number)
     left = set(range(len(edges)))
     lines = []
-    # trace the lines from end points and crossings first, then the closed lines
+    # trace open lines first, from end points and crossings, and then closed lines
     starts = [point for point, of in near.items() if len(of) != 2] + list(near)
     for start in starts:
         for first_edge in near[start]:

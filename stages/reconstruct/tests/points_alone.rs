@@ -65,7 +65,8 @@ fn a_text_cloud_becomes_a_watertight_surface() {
     for key in ["improve", "refine", "topology"] {
         assert!(results[key].as_str().unwrap().starts_with("skipped"), "{key}: {}", results[key]);
     }
-    // Without --force, an existing output is kept. An explicit minimum radius ratio is checked.
+    // Without --force, the program must not replace an existing output. With --min-radius-ratio 1,
+    // the check of the radius ratio must fail.
     assert_eq!(folder.run(&["cloud.xyz", "--method", "tight-cocone", "-o", "s.vtp"]).0, 2);
     let strict = ["cloud.xyz", "--method", "tight-cocone", "-o", "s.vtp", "--force", "--min-radius-ratio", "1"];
     let (code, said, _) = folder.run(&strict);
@@ -119,7 +120,7 @@ fn particles_need_no_field_and_come_out_in_the_world() {
     assert_eq!(surface.surface.space, Space::Lps);
     assert!(surface.surface.mesh.vertices.iter().all(|p| (p.x - 85.0).abs() < 10.01));
     assert_eq!(surface.history.unwrap().inputs[0].history.as_ref().unwrap().tool, "particles");
-    // The surface can be read back as a point cloud and keeps its space.
+    // The surface can be read as a point cloud. The result must have the same world frame.
     assert_eq!(folder.run(&["s.vtp", "--method", "tight-cocone", "-o", "again.vtp"]).0, 0);
     let again = read_surface(&folder.path("again.vtp")).unwrap();
     assert_eq!(again.surface.space, Space::Lps);

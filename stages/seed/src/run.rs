@@ -1,4 +1,4 @@
-//! The program around [`crate::sampling`] and [`crate::vertices`]: parses the options, reads and
+//! Runs [`crate::sampling`] and [`crate::vertices`] as a program: parses the options, reads and
 //! writes the files, and fills in the report.
 
 use crate::sampling::{BYTES_PER_PARTICLE, COMPONENT_MINIMUM, Summary, seed_surface, seed_vertices};
@@ -177,7 +177,7 @@ fn at_vertices(
     Ok(seed_vertices(&found, surface, sizing, context.seed(), context)?)
 }
 
-/// Predicts the number of particles by integration over F = 0, as a timed step of the report.
+/// Predicts the number of particles by integration over F = 0. The report lists the time taken.
 fn predicted(sizing: &SizingField, surface: &CubicSpline, context: &Context) -> f64 {
     let _step = context.step("predict the count");
     sizing.predicted_count(surface)

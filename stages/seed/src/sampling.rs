@@ -1,6 +1,6 @@
-//! Poisson-disk sampling of the isosurface, with the spacing given by the sizing field. All seeds,
-//! including those at marching-cubes vertices, are then projected onto F = 0, and every component
-//! gets a minimum number of particles.
+//! Seeds the isosurface by Poisson-disk sampling, with the spacing given by the sizing field. All
+//! seeds, including those at marching-cubes vertices, are then projected onto F = 0, and every
+//! component gets a minimum number of particles.
 
 use crate::vertices::Vertices;
 use glam::DVec3;
@@ -16,18 +16,18 @@ use isoparticles_stage::monitor::{Interrupted, Monitor};
 use rayon::prelude::*;
 
 /// Number of candidates per predicted particle. More candidates fill more of the gaps between
-/// disks: 16 instead of 8 raises the count by 7 % at the same radius.
+/// disks: with 16 instead of 8, the number of seeds is 7 % higher at the same radius.
 pub(crate) const OVERSAMPLING: f64 = 8.0;
 /// Memory in bytes per seeded particle, for the candidates, their order and their bins. Measured:
-/// the peak memory grows by 660 bytes per particle from 8,514 to 99,084 particles on one grid
-/// (`make bench-stages`, table in `docs/developer/performance.md`). The constant is twice as large,
-/// because vectors grow by doubling.
+/// between 8,514 and 99,084 particles on the same grid, the peak memory grows by 660 bytes per
+/// particle (`make bench-stages`, table in `docs/developer/performance.md`). The constant is twice
+/// as large, because vectors grow by doubling.
 pub const BYTES_PER_PARTICLE: f64 = 1300.0;
 /// Minimum distance between two seeds in units of h. On a plane, the sampling then reaches 0.94
 /// times the density of the hexagonal lattice of spacing h (`cargo test -p isoparticles-seed
-/// density`). Density control adds the missing particles. The upper bound is 0.777: with this
-/// radius, random disks jam (at a covered fraction of 0.547) exactly when they reach the density of
-/// the lattice, however many candidates there are.
+/// density`). Density control adds the missing particles. The upper bound is 0.777: random disks of
+/// this diameter jam, at a covered fraction of 0.547, exactly at the density of the lattice,
+/// however many candidates there are.
 pub(crate) const DISK_RADIUS: f64 = 0.71;
 /// Maximum distance from a point on a marching-cubes triangle to F = 0, in voxels. Each vertex lies
 /// on a cell edge along which F changes sign, so it is less than one voxel from the surface. The
@@ -49,10 +49,10 @@ pub struct Summary {
     pub underpopulated_components: usize,
     /// Number of seeds dropped because the projection onto F = 0 failed.
     pub not_projected: usize,
-    /// Number of marching-cubes vertices; only for seeds at vertices.
+    /// Number of marching-cubes vertices; `None` for Poisson-disk sampling.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub vertices: Option<usize>,
-    /// Number of marching-cubes cells along each edge of a voxel; only for seeds at vertices.
+    /// Number of marching-cubes cells along each edge of a voxel; `None` for Poisson-disk sampling.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refinement: Option<usize>,
 }
@@ -68,8 +68,8 @@ pub(crate) struct Candidates {
 }
 
 /// Seeds the surface F = 0 by sampling the marching-cubes triangles with the density of `spread`.
-/// The particle sizes come from `sizing`, which differs from `spread` by a constant factor if the
-/// particle count is given (the paper's Table 3). The result depends only on the arguments.
+/// The particle sizes come from `sizing`, which differs from `spread` by a constant factor if
+/// `--count` is given (the paper's Table 3). The result depends only on the arguments.
 ///
 /// # Errors
 /// If the monitor interrupts the run.
@@ -224,8 +224,8 @@ pub(crate) fn sample(
     }
 }
 
-/// Moves one list out of every part and concatenates the results. Only one list is in memory twice
-/// at any time.
+/// Moves one list out of every part and concatenates the parts of this list. While the caller does
+/// this for one list after another, only one of them is in memory twice.
 fn taken<T: Copy + Default + Send + Sync>(
     parts: &mut [Candidates],
     list: impl Fn(&mut Candidates) -> &mut Vec<T>,
@@ -246,8 +246,8 @@ pub(crate) fn eliminate(candidates: &Candidates, seed: u64, crowd: impl Fn(usize
     })
 }
 
-/// Returns about 2 * [`COMPONENT_MINIMUM`] seeds on the triangles in `members`, which form
-/// component `c`.
+/// Returns about twice as many seeds as [`COMPONENT_MINIMUM`] on the triangles in `members`, which
+/// form component `c`.
 pub(crate) fn sample_alone(mesh: &TriangleMesh, members: &[u32], seed: u64, c: u64) -> Vec<(DVec3, DVec3)> {
     let area: f64 = members.iter().map(|&t| 0.5 * centre_and_normal(mesh, t as usize).1.length()).sum();
     let density = 2.0 * COMPONENT_MINIMUM as f64 / area;

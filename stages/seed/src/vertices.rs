@@ -1,5 +1,5 @@
-//! Seeds at the vertices of marching cubes on F (section 3.1 of the paper). They are either all
-//! vertices or a given number of them, as in the synthetic test of Table 3 ("a user defined number
+//! Takes seeds from the vertices of marching cubes on F (section 3.1 of the paper): either all
+//! vertices, or a given number of them as in the synthetic test of Table 3 ("a user defined number
 //! of particles").
 
 use glam::DVec3;
@@ -13,13 +13,13 @@ use rayon::prelude::*;
 
 /// Maximum refinement of the marching-cubes grid, in cells along each edge of a voxel. The grid is
 /// refined until it gives the requested number of vertices. The ribcage of the torso phantom has
-/// 170,480 vertices on its own grid and 684,588 on a grid twice as fine, more than twice the
-/// maximum of Table 3.
+/// 170,480 vertices on the voxel grid and 684,588 on a grid twice as fine, more than twice the
+/// maximum number of seeds in Table 3.
 pub const FINEST: usize = 4;
 
-/// Memory in bytes per node of a refined grid, for the value of the node and its share of vertices
-/// and triangles. Measured with `seed --count 300000` on the same ribcage: 362 MiB for 47.5 million
-/// nodes, 7 bytes per node.
+/// Memory in bytes per node of a refined grid, for the value of the node and for the vertices and
+/// triangles near it. Measured with `seed --count 300000` on the ribcage: 362 MiB for 47.5 million
+/// nodes, which is 8 bytes per node.
 pub(crate) const BYTES_PER_NODE: f64 = 8.0;
 
 /// Marching-cubes vertices that serve as seeds.
@@ -34,9 +34,10 @@ pub struct Vertices {
 }
 
 /// Returns the vertices of marching cubes on the samples of F, in mesh order. If `count` is given,
-/// returns only that many vertices, evenly spread. If there are too few, the spline is resampled on
-/// a grid two, three or [`FINEST`] times as fine, provided that `has_room` accepts the number of
-/// nodes. The result has fewer than `count` points if even the finest grid has too few vertices.
+/// returns only that many vertices, evenly spread. If the voxel grid gives too few, the spline is
+/// resampled on a grid two, three or [`FINEST`] times as fine, provided that `has_room` accepts the
+/// number of nodes. The result has fewer than `count` points if even the finest grid has too few
+/// vertices.
 ///
 /// # Errors
 /// If the monitor interrupts the run, or if `has_room` rejects the nodes of a finer grid.
@@ -142,8 +143,8 @@ mod tests {
             distinct.sort_unstable();
             distinct.dedup();
             assert_eq!(distinct.len(), count, "a vertex was taken twice");
-            // the fractions of points per octant match those of all vertices more closely than a
-            // random selection would
+            // the fraction of the selected vertices in each octant is closer to the fraction of all
+            // vertices there than for a random selection
             let share = |points: &[(DVec3, DVec3)], octant: usize| {
                 let inside = |p: DVec3| (0..3).all(|a| (p[a] > centre[a]) == ((octant >> a) & 1 == 1));
                 points.iter().filter(|(p, _)| inside(*p)).count() as f64 / points.len() as f64

@@ -1,5 +1,5 @@
-//! Tests that every component of F = 0 gets particles from both sources of seeds, even if marching
-//! cubes does not resolve the component.
+//! Tests that every component of F = 0 gets particles, both from Poisson-disk sampling and from
+//! marching-cubes vertices, even if marching cubes does not resolve the component.
 
 use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
@@ -71,7 +71,8 @@ fn marching_cubes_seeds_are_all_vertices_on_the_surface() {
 
 #[test]
 fn two_balls_that_marching_cubes_joins_are_two() {
-    // two adjacent samples lie in different balls, with F > 0 between them
+    // two adjacent samples lie in different balls, so marching cubes joins the balls, although
+    // F > 0 between these samples
     let distance = |p: DVec3| {
         let ball = |x: f64| p.distance(DVec3::new(x, 12.0, 12.0)) - 7.05;
         ball(11.0).min(ball(26.0))

@@ -34,8 +34,8 @@ fn sectors() -> Analytic {
     Analytic::new(vec![negative(ball(CENTRE, 8.0)), sector(0.1), sector(1.1), sector(2.1)], 1.0)
 }
 
-/// Returns two balls of radius 5 mm that meet in a disc of radius 3 mm, which gives a closed
-/// junction curve and three interfaces, and a separate ball of radius 2 mm.
+/// Returns two balls of radius 5 mm and a separate ball of radius 2 mm. The two balls meet in a
+/// disc of radius 3 mm, whose boundary is a closed junction curve of three interfaces.
 fn balls() -> Analytic {
     let way = DVec3::new(2.0, -1.0, 1.5).normalize();
     let half = |way: DVec3| maximum(ball(CENTRE + 4.0 * way, 5.0), half_space(CENTRE, -way));
@@ -101,8 +101,8 @@ fn are_on_their_strata(materials: &Materials, particles: &ParticleSet, strata: &
     assert!(particles.energies.iter().all(|&energy| energy == 0.0));
 }
 
-/// Asserts that the steps along curves are about h long, and that every particle on a curve has two
-/// neighbours.
+/// Asserts that the steps along curves are about h long, and that two steps end at each particle on
+/// a curve and four at each junction point.
 fn curves_are_even(particles: &ParticleSet, strata: &Strata) {
     let mut degrees = vec![0; strata.of.len()];
     for &[a, b] in &strata.segments {

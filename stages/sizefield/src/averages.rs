@@ -1,8 +1,9 @@
-//! Averages vertex values over adjacent triangles, along the surface.
+//! Averages the values at the vertices of a surface over the adjacent triangles.
 //!
-//! In a hexagonal lattice with edge length L, one round gives the vertex itself a weight of 1/3 and
-//! each of its six neighbours 1/9. The variance per tangent direction is (6 / 9) L^2 / 2 = L^2 / 3,
-//! so n rounds act like a Gaussian with a standard deviation of L sqrt(n / 3).
+//! On a hexagonal lattice with edge length L, one round weights the vertex itself by 1/3 and each
+//! of its six neighbours by 1/9. The variance of these weights along any tangent direction is
+//! (6 / 9) L^2 / 2 = L^2 / 3, so n rounds act like a Gaussian with a standard deviation of
+//! L sqrt(n / 3).
 
 use isoparticles_mesh::incidence::Incidence;
 use rayon::prelude::*;

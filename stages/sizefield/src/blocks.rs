@@ -1,33 +1,34 @@
-//! Grades h by marching over the grid in blocks. A block fits into the cache of a core, and blocks
-//! are processed in parallel.
+//! Grades h by marching over the grid in blocks. Each block fits into the cache of a core. The
+//! blocks are processed in parallel.
 //!
-//! With a single queue for the whole grid, the front is evicted from the cache before the next
-//! bucket needs it. Each block therefore has its own queue and processes several buckets at a time.
-//! Changes at the faces of a block are sent to the adjacent blocks (two-scale methods: Chacon and
-//! Vladimirsky 2012). Blocks are coloured in a checkerboard pattern. Blocks of the same colour run
-//! in parallel and do not use each other's values, so the result does not depend on the number of
-//! threads.
+//! A single queue for the whole grid would evict nodes from the cache before the march returns to
+//! them. Each block therefore has its own queue, which sorts the nodes into buckets by value, and
+//! processes several buckets at a time. Changes at the faces of a block are sent to the adjacent
+//! blocks. This is a two-scale method (Chacon and Vladimirsky 2012). The blocks are coloured in a
+//! checkerboard pattern. Blocks of the same colour run in parallel and do not use each other's
+//! values, so the result does not depend on the number of threads.
 
 use crate::scheme::{NodeSet, Scheme, Values};
 use rayon::prelude::*;
 use std::collections::VecDeque;
 
-/// Number of nodes along each axis of a block. With the border, a block has 34^3 values (157 kB),
-/// which fit into a second-level cache of 256 kB. This is also the largest power of two for which
-/// 16-bit indices suffice.
+/// Number of nodes along each axis of a block. A block including its border has 34^3 values (157
+/// kB), which fit into a second-level cache of 256 kB. Indices of 16 bits would not suffice for
+/// blocks of 64^3 nodes.
 const BLOCK_SIDE: usize = 32;
 
 /// Width of a bucket, as a fraction of the allowed change of h between adjacent nodes (minimum over
-/// the axes). A node exceeds the smallest neighbour that it depends on by at least 1 / sqrt(3) of
-/// this change, so this neighbour is always in an earlier bucket. For a sphere in a grid of 128^3
-/// nodes, the march lowers or tests each node 2.95, 3.03, 3.22 and 3.48 times on average at widths
-/// of 0.25, 0.5, 1 and 2.
+/// the axes). A node's value exceeds the smallest value that it depends on by at least 1 / sqrt(3)
+/// of this change, so the node with this smallest value is always in an earlier bucket. Measured
+/// for a sphere in a grid of 128^3 nodes: with widths of 0.25, 0.5, 1 and 2, each node is lowered
+/// or tested 2.95, 3.03, 3.22 and 3.48 times on average.
 const BUCKET_WIDTH: f64 = 0.5;
 const _: () = assert!(3.0 * BUCKET_WIDTH * BUCKET_WIDTH < 1.0, "a bucket is wider than a step along a diagonal");
 
-/// Number of buckets that a block processes before it receives messages from other blocks. In the
-/// same example, 1, 8, 16 and 64 buckets result in 3.00, 3.03, 3.14 and 3.81 tests per node. The
-/// number of parallel turns is inversely proportional to this number.
+/// Number of buckets that a block processes in one turn, before it receives messages from other
+/// blocks. In the measurement for [`BUCKET_WIDTH`], 1, 8, 16 and 64 buckets per turn result in
+/// 3.00, 3.03, 3.14 and 3.81 tests per node. The number of turns is inversely proportional to the
+/// number of buckets.
 const BUCKETS_PER_TURN: u64 = 8;
 
 /// Number of nodes along each axis of a block, including one border node at each end.
@@ -35,7 +36,7 @@ const BORDERED_SIDE: usize = BLOCK_SIDE + 2;
 const _: () =
     assert!(BORDERED_SIDE * BORDERED_SIDE * BORDERED_SIDE <= 1 << 16, "places that are asked for have 16 bits");
 
-/// Index of a node in the block with border, and its value when it was queued.
+/// Index of a node in the bordered block, and its value when it was queued.
 type Queued = (u32, f32);
 
 /// Number of the receiving block, and a node to add to its queue.
@@ -52,7 +53,7 @@ pub(crate) struct Blocks<'a> {
 
 /// A part of the grid: its own nodes, and a border of nodes that belong to adjacent blocks.
 struct Block {
-    /// Index, in the grid with border, of the block's first border node.
+    /// Index, in the bordered grid, of the block's first border node.
     origin: usize,
     /// Number of the block's own nodes along each axis. The indices of these nodes start at 1.
     size: [usize; 3],
@@ -116,7 +117,7 @@ impl<'a> Blocks<'a> {
     }
 
     /// Returns whether the value of any requested node exceeds the lower bound of a bucket. Removes
-    /// the other requested nodes from `asked`, because their values are final.
+    /// the nodes that do not exceed it from `asked`, because their values are final.
     fn is_any_above(&mut self, bucket: u64) -> bool {
         let (scheme, values, reached) = (self.scheme, self.values, self.blocks[0].queue.least(bucket));
         self.blocks.par_iter_mut().for_each(|block| {
@@ -139,7 +140,7 @@ impl<'a> Blocks<'a> {
 }
 
 impl Block {
-    /// Returns the index, in the grid with border, of the node at a position in the block.
+    /// Returns the index in the bordered grid of the node at a position in the bordered block.
     fn node(&self, scheme: &Scheme, [i, j, k]: [usize; 3]) -> usize {
         self.origin + i + j * scheme.strides[1] + k * scheme.strides[2]
     }
@@ -182,7 +183,7 @@ impl Block {
     }
 
     /// Lowers the neighbours of a node that belong to this block. The node is given by its position
-    /// in the block, its index in the grid with border, and its value.
+    /// in the bordered block, its index in the bordered grid, and its value.
     #[inline]
     fn lower_neighbours(
         &mut self,
@@ -236,7 +237,7 @@ impl Block {
     }
 }
 
-/// Returns the index of a position in a block with border.
+/// Returns the index of a position in a bordered block.
 fn index([i, j, k]: [usize; 3]) -> u32 {
     (i + BORDERED_SIDE * (j + BORDERED_SIDE * k)) as u32
 }
@@ -255,8 +256,8 @@ struct Queue {
     /// The initial nodes, in descending order of value.
     sources: Vec<Queued>,
     /// Buckets of the other nodes, starting with bucket number `start`. The first bucket is never
-    /// empty. A node exceeds the node that lowered it by at most one step, so few buckets are in
-    /// use.
+    /// empty. The value of a lowered node exceeds the value of the neighbour that lowered it by at
+    /// most the allowed change, so few buckets are in use.
     buckets: VecDeque<Vec<Queued>>,
     start: u64,
 }

@@ -1,7 +1,8 @@
-//! Measures the surface at dense samples: local feature size, curvature and components.
+//! Samples the surface densely and measures the local feature size and curvature at the samples.
+//! Also determines the component of each sample.
 //!
-//! Local feature size is the distance to the medial axis (Amenta and Bern 1999). It is the basis of
-//! the epsilon-sampling of Meyer, Kirby and Whitaker 2007 (reference 15 of the paper).
+//! Local feature size is the distance to the medial axis (Amenta and Bern 1999). The
+//! epsilon-sampling of Meyer, Kirby and Whitaker 2007 (reference 15 of the paper) is based on it.
 
 use crate::averages::average;
 use crate::connections::Connections;
@@ -20,36 +21,37 @@ use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// Number of averaging rounds that remove ripple from the curvature. A spline through samples of a
-/// steep edge rings, and the ringing affects the second derivatives as much as the shape does.
-/// Measured on a ball of radius 19 voxels with an edge two voxels wide: the maximum curvature is
-/// 2.1 / R without averaging and 1.25 / R with it.
+/// steep edge rings, and the ringing changes the second derivatives by as much as the shape does.
+/// Measured on a ball of radius R = 19 voxels with an edge two voxels wide: the maximum curvature
+/// is 2.1 / R without averaging and 1.25 / R with it.
 pub(crate) const CURVATURE_ROUNDS: usize = 8;
 
-/// Radii of curvature below this many voxels limit the feature size. At such radii, the error from
-/// ripple is small compared with the error from the pruned end of the medial axis behind a tip.
-/// With 2.5, the test `ellipsoid_tip_is_bounded_by_its_curvature` fails. With 10, the minimum
-/// feature size of a noisy torus with a tube of 8 voxels falls from 7.1 to 6.6 voxels.
+/// The radius of curvature limits the feature size where it is below this many voxels. At such
+/// tips, the end of the medial axis is pruned, which causes larger errors than ripple. With 2.5,
+/// the test `ellipsoid_tip_is_bounded_by_its_curvature` fails. With 10, the minimum feature size of
+/// a noisy torus with a tube radius of 8 voxels falls from 7.1 to 6.6 voxels.
 pub(crate) const SHARP: f64 = 5.0;
 
 /// Maximum depth, in voxels, to which samples may lie inside a medial ball. At 0, ripple next to
-/// the touching point would shrink balls to nothing. Larger values reduce the feature size (on a
-/// ball, by 2.5 % at 0.03).
+/// the touching point would shrink balls to nothing. Larger values reduce the feature size: on a
+/// ball, 0.03 reduces it by 2.5 %.
 const BLUR: f64 = 0.01;
 
-/// The same depth for a noisy surface, as a fraction of the height of the noise. It allows for the
-/// noise that remains in the patches. At 0.3, the 5th percentile of the feature size of a noisy
-/// ball of 19 voxels falls from 18 to 7.5 (without pruning of bumps); 1 gives the same result as
-/// 0.6.
+/// Maximum depth to which samples of a noisy surface may lie inside a medial ball, as a fraction of
+/// the height of the noise. It allows for the noise that remains in the patches. Measured on a
+/// noisy ball of radius 19 voxels, without pruning of bumps: at 0.3, the 5th percentile of the
+/// feature size falls from 18 to 7.5 voxels; 1 gives the same result as 0.6.
 const LEFT_OVER: f64 = 0.6;
 
 /// Maximum number of leaves that one nearest-point query visits in the k-d tree of medial points.
 /// The medial points of a ball form a cluster near its centre, so their distances from a sample are
-/// nearly equal. The limit saves time: with 100 and with no limit, the feature sizes of balls,
-/// tori, an ellipsoid and a slab are the same.
+/// nearly equal. The limit saves time. A limit of 100 and no limit give the same feature sizes for
+/// balls, tori, an ellipsoid and a slab.
 const MOST_LEAVES: usize = 400;
 
 /// Maximum distance, in voxels, from a marching-cubes vertex to F = 0. F changes sign on the cell
-/// edge that contains the vertex, so the distance along this edge is less than one voxel.
+/// edge that contains the vertex, so the distance along this edge is less than one voxel. The limit
+/// includes a margin.
 const MAX_PROJECTION: f64 = 1.5;
 
 /// Tolerance of the projection, in voxels. It is small compared with [`BLUR`].
@@ -58,7 +60,7 @@ const PROJECTION_TOLERANCE: f64 = 1e-6;
 /// Interpretation of small bumps on the surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bumps {
-    /// Bumps may be noise in a scalar volume. Detected noise is not treated as shape.
+    /// In a scalar volume, bumps may be noise. Detected noise is not treated as shape.
     MayBeNoise,
     /// Bumps are part of the shape. In a label map, every bump contains a voxel centre.
     AreShape,
@@ -83,8 +85,9 @@ pub struct Features {
     /// Maximum magnitude of the principal curvatures in 1/mm. On noisy parts, it is measured on the
     /// denoised surface. Empty for [`Purpose::OneSize`].
     pub curvature: Vec<f64>,
-    /// Distance in mm to the medial axis, inside or outside. On noisy parts, it is measured from
-    /// the denoised surface. Where the curvature is high, it is at most the radius of curvature.
+    /// Distance in mm to the medial axis inside or outside the object. On noisy parts, it is
+    /// measured from the denoised surface. Where the curvature is high, it is at most the radius of
+    /// curvature.
     pub feature_size: Vec<f64>,
     /// Root mean square height in mm of the noise that is not treated as shape.
     pub noise: Vec<f64>,
@@ -156,9 +159,9 @@ fn projected(vertices: &[DVec3], surface: &CubicSpline, spacing: f64) -> (Vec<DV
     (points, normals, tensors)
 }
 
-/// Returns the maximum principal curvature (1/mm) at each sample: from the patch on noisy parts, 0
-/// next to them, and from F elsewhere. The curvature is not averaged, because averaging would
-/// reduce it at tips.
+/// Returns the maximum magnitude of the principal curvatures (1/mm) at each sample, from the patch
+/// on noisy parts and from F elsewhere. It is 0 next to noisy parts. It is not averaged, because
+/// averaging would reduce it at tips.
 fn sharp_curvature(smoothed: &Smoothed, tensors: &[DMat3], normals: &[DVec3]) -> Vec<f64> {
     (0..normals.len())
         .into_par_iter()
@@ -184,8 +187,9 @@ fn component_areas(points: &[DVec3], triangles: &[[u32; 3]], component: &[u32], 
     areas
 }
 
-/// Returns the maximum principal curvature (1/mm) of the tensors after averaging along the surface:
-/// the tensors of the patches on noisy parts, and those of F elsewhere.
+/// Averages curvature tensors along the surface and returns the maximum magnitude of their
+/// principal curvatures (1/mm). Uses the tensors of the patches on noisy parts, and the tensors of
+/// F elsewhere.
 fn averaged_curvature(
     mut tensors: Vec<DMat3>,
     normals: &[DVec3],
@@ -209,8 +213,8 @@ fn averaged_curvature(
     curvature
 }
 
-/// Returns the distance in mm to the medial axis of the denoised surface. Where the curvature
-/// `sharp` is high, the distance is at most the radius of curvature.
+/// Returns the distance in mm from each sample to the medial axis of the denoised surface. Where
+/// the curvature `sharp` is high, the distance is at most the radius of curvature.
 fn feature_sizes(
     points: &[DVec3],
     normals: &[DVec3],

@@ -1,13 +1,13 @@
 //! Gradation: lowers h until |grad h| <= delta everywhere.
 //!
-//! Meyer et al. (2007) lower h in time steps with an upwind scheme. The steady state of this
-//! scheme, h(x) = min over y of h0(y) + delta |x - y|, solves an Eikonal problem with boundary
-//! values. This module computes it by marching from small h to large h (Sethian 1996) with a bucket
+//! Meyer et al. (2007) lower h in time steps with an upwind scheme. Its steady state is h(x) = min
+//! over y of h0(y) + delta |x - y|, where h0 is the initial field. This function solves an Eikonal
+//! problem. The module computes it by marching from small h to large h (Sethian 1996) with a bucket
 //! queue (Yatziv, Bartesaghi and Sapiro 2006). A node is queued again whenever its value drops, so
 //! the order within a bucket does not matter.
 //!
 //! `blocks.rs` marches over the grid block by block, several buckets at a time. `scheme.rs` solves
-//! the equation at a single node.
+//! |grad h| = delta at a single node.
 
 use crate::blocks::Blocks;
 pub use crate::scheme::NodeSet;
@@ -43,8 +43,8 @@ mod tests {
             let distance = ((DVec3::new(i as f64, j as f64, k as f64) - source) * geometry.spacing).length();
             let want = 2.0 + 0.4 * distance;
             let got = f64::from(h.at(i, j, k));
-            // a point source is the worst case of the first-order scheme, which errs towards larger
-            // values (measured: 4.9 % at the far corner)
+            // the first-order scheme overestimates h, most of all around a point source (measured:
+            // by 4.9 % at the far corner)
             assert!(got >= want - 1e-4 && got < 1.06 * want, "{i} {j} {k}: {got}, not {want}");
         }
     }
@@ -71,7 +71,7 @@ mod tests {
             .collect();
         let is_reached = |n: usize| scheme.strides.iter().any(|s| swept.get(n - s).min(swept.get(n + s)).is_finite());
         let lower = |n: usize| is_reached(n) && scheme.lower(&swept, n).is_some();
-        // both sweeps of a pair visit every node, even if the first sweep changes something
+        // each iteration runs both sweeps, even if the first one changes something
         while nodes.iter().filter(|&&n| lower(n)).count() + nodes.iter().rev().filter(|&&n| lower(n)).count() > 0 {}
         let want = swept.into_data(size);
         let on = |threads: usize| {
@@ -83,7 +83,7 @@ mod tests {
         let alone = on(1);
         assert!(alone == on(4), "the values depend on the number of threads");
         for (n, (&got, &want)) in alone.iter().zip(&want).enumerate() {
-            // both stop when no node would decrease by a millionth of its value
+            // the sweeps and the march stop when no node would decrease by a millionth of its value
             assert!((got / want - 1.0).abs() < 2e-5, "node {n}: {got}, not {want}");
         }
     }
@@ -93,8 +93,8 @@ mod tests {
         let geometry = Geometry::axis_aligned([70, 51, 44], DVec3::new(1.0, 0.8, 1.3));
         let mut h = Image::filled(geometry.clone(), f32::INFINITY);
         let mut asked = NodeSet::new(h.data.len());
-        // sizes in a plane that vary more than delta allows, so that most final values come from
-        // distant nodes
+        // random sizes in a plane, which differ by more than delta allows, so that distant nodes
+        // determine most final values
         for (i, j) in (0..70).flat_map(|i| (0..51).map(move |j| (i, j))) {
             let node = geometry.linear(i, j, 20);
             h.data[node] = (1.0 + 30.0 * uniform(1, 0, (i / 9 + 100 * (j / 7)) as u64)) as f32;

@@ -34,21 +34,21 @@ use region::SizedNode;
 /// Number of averaging rounds that smooth the graded h along the surface. Six rounds act like a
 /// Gaussian with a standard deviation of sqrt(6 / 3) = 1.4 marching-cubes edges ([`averages`]),
 /// about one voxel. Particles settle poorly where h is rough. Measured with 0, 3, 6 and 12 rounds
-/// (`make surface`): for `mickey_labels` 2, the mean radius ratio is 0.979, 0.981, 0.982 and 0.979;
-/// for `tooth_ct` at 600, it is 0.986, 0.987, 0.987 and 0.988, with 57,900, 55,700, 54,300 and
-/// 52,300 vertices.
+/// (`make surface`): for label 2 of `mickey_labels`, the mean radius ratio of the triangles is
+/// 0.979, 0.981, 0.982 and 0.979; for `tooth_ct` at isovalue 600, it is 0.986, 0.987, 0.987 and
+/// 0.988, with 57,900, 55,700, 54,300 and 52,300 vertices.
 const SMOOTHING_ROUNDS: usize = 6;
 
 /// Lower bound on h for small components, as a fraction of the minimum h. It takes effect if
 /// [`MIN_PARTICLES`] would require a smaller h. With the default minimum h of 0.75 voxel, such
-/// components have areas below 32 sqrt(3)/2 (0.25 0.75)^2 = 0.97 of a voxel face, which the data
-/// cannot resolve.
+/// components have areas below `32 * sqrt(3) / 2 * (0.25 * 0.75)^2` = 0.97 times a voxel face,
+/// which the data cannot resolve.
 const SMALLEST_SHARE: f64 = 0.25;
 
 /// Minimum number of particles that h must allow on every component, unless h reaches the bound
-/// [`SMALLEST_SHARE`]. It is the smallest number of vertices of a triangulated sphere that has only
-/// degrees 5 and 6 and no two adjacent vertices of degree 5 (the dual of C60, the smallest
-/// fullerene with isolated pentagons).
+/// [`SMALLEST_SHARE`]. It is the smallest number of vertices of a triangulated sphere in which all
+/// vertices have degree 5 or 6 and no two vertices of degree 5 are adjacent (the dual of C60, the
+/// smallest fullerene with isolated pentagons).
 const MIN_PARTICLES: f64 = 32.0;
 
 /// Parameters of the sizing field. All lengths are in mm.
@@ -62,8 +62,8 @@ pub struct Parameters {
     pub min_size: f64,
     /// Maximum h at the surface.
     pub max_size: f64,
-    /// Maximum distance from a triangle's centre to the surface due to curvature: h0 <= sqrt(6
-    /// deviation R).
+    /// Maximum distance from a triangle's centre to the surface due to curvature. It limits h0 to
+    /// `sqrt(6 * max_deviation * R)`, where R is the radius of curvature.
     pub max_deviation: f64,
     /// Minimum number of particles on each component of the surface.
     pub min_particles: f64,
@@ -96,9 +96,9 @@ fn size_for_area(area: f64, parameters: &Parameters) -> f64 {
     size.max(SMALLEST_SHARE * parameters.min_size)
 }
 
-/// Returns the number of sampled components whose small area lowers h below `min_size`, not
-/// including `scale`, and the smallest such h in mm, including `scale`. Returns `None` if there are
-/// no such components.
+/// Counts the sampled components whose small area lowers h below `min_size` before `scale` is
+/// applied. Returns their number and their smallest h in mm after `scale` is applied, or `None` if
+/// there are no such components.
 pub fn lowered(features: &Features, parameters: &Parameters) -> Option<(usize, f64)> {
     let mut is_sampled = vec![false; features.component_area.len()];
     for &component in &features.component {
@@ -150,9 +150,9 @@ pub(crate) fn graded_field(
     spread(samples, &smooth, parameters, None)
 }
 
-/// For each triangle, limits h at the nodes of the cell that contains its centre to the minimum
-/// size at its corners. The trilinear h in this cell is then at most this size. Grades h from these
-/// nodes to all nodes, or at least to those in `asked`.
+/// For each triangle, limits h at the nodes of the cell around the triangle's centre to the minimum
+/// size at the triangle's corners. The trilinear h in this cell is then at most this size. Then
+/// grades h to all nodes, or at least to those in `asked`.
 fn spread(samples: &Samples<'_>, sizes: &[f64], parameters: &Parameters, asked: Option<&NodeSet>) -> SizingField {
     let geometry = samples.geometry;
     let mut h = Image::filled(geometry.clone(), f32::INFINITY);

@@ -1,6 +1,6 @@
 //! Checks the sizing field before later stages use it. Rejects a constant h that is too large for
-//! the object, and sizes whose particles would not fit into memory. Reports components that are too
-//! small for their h.
+//! the object, and a field with so many particles that they would not fit into memory. Reports
+//! components that are too small for their h.
 
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::topology::Component;
@@ -89,7 +89,8 @@ pub fn check_size(path: &Path, size: f64, area: f64) -> Result<()> {
     ))
 }
 
-/// Rejects sizes whose number of particles would not fit into memory in later stages.
+/// Rejects a sizing field if the `predicted` number of particles would not fit into memory in later
+/// stages. `nodes` is the number of grid nodes.
 ///
 /// # Errors
 /// If there is not enough memory. The message states the required and the available memory.

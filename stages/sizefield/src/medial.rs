@@ -7,14 +7,14 @@
 //! if they meet one of two criteria:
 //!
 //! - The angle between the two touching points, seen from the centre, is small. Such a ball results
-//!   from ripple, or lies at the very end of a branch of the axis. Pruning shortens branches only
-//!   slightly: the feature size at the tip of an ellipsoid is 0.4 % too large.
-//! - The surface has noise ([`crate::noise`]), and the cap of the ball between the two points is
-//!   lower than twice the height of the noise. Such a ball results from a bump in the noise.
+//!   from ripple, or its centre lies at the very end of a branch of the axis. Pruning shortens
+//!   branches only slightly: the feature size at the tip of an ellipsoid is 0.4 % too large.
+//! - The surface has noise ([`crate::noise`]), and the cap of the ball between the touching points
+//!   is lower than twice the height of the noise. Such a ball results from a bump in the noise.
 //!
 //! Two upper bounds on the radius save time: one from the distance field, and one from the sample
 //! that the previous ball touches. All balls that touch a sample on one side are nested, so a
-//! single query that shrinks the ball as it proceeds finds the smallest one.
+//! single query that shrinks the ball as it proceeds finds the smallest ball.
 
 use glam::DVec3;
 use isoparticles_field::sizing::trilinear;
@@ -29,28 +29,28 @@ use rayon::prelude::*;
 /// of 20, 10 and 10 voxels rises from 5.3 to 6.3 voxels.
 pub const MIN_SEPARATION_ANGLE: f64 = 40.0 * std::f64::consts::PI / 180.0;
 
-/// Minimum height of the cap of a ball between the touching points, as a multiple of the noise.
-/// Balls with lower caps are pruned. With 1, the minimum feature size in the test
+/// Minimum height of the cap of a ball between the touching points, as a multiple of the height of
+/// the noise. Balls with lower caps are pruned. With 1, the minimum feature size in the test
 /// `a_half_noisy_ball_has_its_radius_everywhere` falls from 17.4 to 1.3 voxels; 4 gives the same
 /// result as 2.
 const LEAST_CAP: f64 = 2.0;
 
 /// Maximum number of leaves that one query visits in the k-d tree of samples, nearest leaf first.
 /// The limit is needed if a ball fits the whole surface, because all samples are then near its
-/// boundary. Measured with 400 and 100: label 2 of `lungs_label_big` gets 238,911 and 238,902
-/// particles, and a ball in 256^3 voxels takes 4.7 and 3.5 s.
+/// boundary. Measured with 400 and 100: the sizing field of label 2 of `lungs_label_big` predicts
+/// 238,911 and 238,902 particles, and a ball in a volume of 256^3 voxels takes 4.7 and 3.5 s.
 const MOST_LEAVES: usize = 100;
 
-/// Number of consecutive samples that are processed one after another. They are mostly neighbours,
-/// so the search for each ball starts with the sample that the previous ball touches. Only one
-/// search in 64 has no such start.
+/// Number of consecutive samples that one task processes in order. They are mostly neighbours, so
+/// the search for each ball starts with the sample that the previous ball touches. Only the first
+/// search of a task has no such start.
 const RUN: usize = 64;
 
-/// A ball is assumed to contain samples if its radius exceeds the distance at its centre by more
-/// than half a cell diagonal plus this fraction of the maximum spacing (plus the blur). The half
-/// diagonal covers the interpolation error at the tip of a cone; the fraction covers the errors of
-/// the samples. With 0 and with 0.4, the feature sizes of balls, tori, an ellipsoid and a slab are
-/// the same.
+/// A ball is assumed to contain samples if its radius exceeds the interpolated distance at its
+/// centre by more than the sum of half a cell diagonal, this fraction of the maximum spacing, and
+/// the blur. The half diagonal covers the interpolation error at the tip of a cone; the fraction
+/// covers the errors of the samples. Fractions of 0 and 0.4 give the same feature sizes for balls,
+/// tori, an ellipsoid and a slab.
 const SAMPLE_ERROR: f64 = 0.2;
 
 /// The samples of the surface and their distance field.
@@ -162,8 +162,8 @@ impl Surface<'_> {
         if high >= largest || is_full(high).is_none() {
             return largest;
         }
-        // after the first step, the ratio of the radii is 1.5, so three halvings reduce the
-        // interval to 1 / 24 = 4 % of `high`
+        // once the loop has run, `high` is 1.5 times `low`, and three halvings reduce the interval
+        // to 1 / 24 = 4 % of `high`
         for _ in 0..3 {
             let middle = 0.5 * (low + high);
             if is_full(middle) == Some(true) { high = middle } else { low = middle }

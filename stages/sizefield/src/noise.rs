@@ -1,11 +1,11 @@
 //! Distinguishes noise from shape, and computes the denoised surface.
 //!
-//! The criterion is the residual of a least-squares patch ([`crate::patch`]) as a function of its
-//! radius. If the shape is more complex than a quadric, the residual grows with a power of the
-//! radius. If the samples scatter about a quadric, as with intensity noise, the residual hardly
-//! grows. A patch is therefore widened as long as its residual stays nearly the same, so that the
-//! data determines the radius at each sample (as in Lepski 1990). If the residual grows in the
-//! first step, the surface is left unchanged.
+//! The criterion is the residual of a least-squares patch ([`crate::patch`]) as a function of the
+//! radius of the patch. If the shape is more complex than a quadric, the residual grows with a
+//! power of the radius. If the samples scatter about a quadric, as with intensity noise, the
+//! residual hardly grows. A patch is therefore widened as long as its residual stays nearly the
+//! same, so that the data determines the radius at each sample (as in Lepski 1990). If the residual
+//! already grows in the first step, the surface is left unchanged.
 //!
 //! Ripple from sampling, such as the terraces that thick slices leave on a clean surface, also
 //! scatters about a quadric and is treated as noise.
@@ -21,21 +21,22 @@ use rayon::prelude::*;
 const FIRST_RADIUS: f64 = 2.0;
 
 /// Radii in voxels of the wider patches, and the maximum factor by which the residual (root mean
-/// square over nearby samples) may grow from the previous radius. White noise causes bumps about
-/// 1.5 voxels wide on the surface; its measured factors are 1.5 to 1.6, 1.1 and 1.06 to 1.12 (balls
-/// of 11 and 19 voxels, a torus of 8). A torus without noise has factors of 2.3 or more at each
-/// step. The first limit is larger because patches of two voxels partly follow such bumps.
+/// square over nearby samples) may grow from the previous radius. For white noise, which causes
+/// bumps about 1.5 voxels wide on the surface, the measured factors are 1.5 to 1.6, 1.1 and 1.06 to
+/// 1.12 (on balls of radius 11 and 19 voxels and a torus with a tube radius of 8 voxels). A torus
+/// without noise has factors of 2.3 or more at each step. The first limit is larger because patches
+/// of two voxels partly follow such bumps.
 const WIDER: [(f64, f64); 3] = [(3.0, 1.8), (4.0, 1.25), (6.0, 1.2)];
 
-/// Maximum residual (root mean square, in voxels) that is treated as noise: half the residual of
-/// steps one voxel high, 1 / sqrt(12) = 0.29. Larger residuals, such as those of the steps of a
-/// coarse mask, are always treated as shape.
+/// Maximum residual (root mean square, in voxels) that is treated as noise. Steps one voxel high
+/// cause a residual of 1 / sqrt(12) = 0.29; the limit is half of this. Larger residuals, for
+/// example from the steps of a coarse mask, are always treated as shape.
 const LARGEST_NOISE: f64 = 0.15;
 
 /// Residuals are measured at every `RESIDUAL_STRIDE`-th sample. An average over
 /// [`AVERAGING_ROUNDS`] rounds then still covers about 16 residuals: a Gaussian of variance 40 / 3
-/// has an effective area of 4 pi 40 / 3 = 168 squared edges, and each residual represents 12
-/// sqrt(3) / 2 = 10.4 of them.
+/// has an effective area of `4 * pi * 40 / 3` = 168 squared edge lengths, and each residual
+/// represents `12 * sqrt(3) / 2` = 10.4 of them.
 const RESIDUAL_STRIDE: usize = 12;
 
 /// Number of averaging rounds along the surface, for the residuals and for the vote on which
@@ -93,7 +94,7 @@ fn scales(samples: &Samples<'_>, incidence: &Incidence<'_>, voxel: f64) -> Vec<u
     let mut before = residuals(samples, FIRST_RADIUS * voxel, |_| true);
     for (n, (radius, growth)) in WIDER.into_iter().enumerate() {
         let after = residuals(samples, radius * voxel, |i| scale[i] == n);
-        // squares of both residuals, and a weight that is 1 if both exist
+        // the squared residuals for both radii, and a weight of 1 if both exist
         let squares = |pair: (&Option<f64>, &Option<f64>)| match pair {
             (Some(b), Some(a)) => DVec3::new(b * b, a * a, 1.0),
             _ => DVec3::ZERO,
@@ -117,7 +118,7 @@ fn scales(samples: &Samples<'_>, incidence: &Incidence<'_>, voxel: f64) -> Vec<u
 }
 
 /// Decides by a majority vote of the nearby samples whether a sample is noisy. The patch number of
-/// a noisy sample is the rounded mean over the nearby noisy samples.
+/// a noisy sample is the rounded mean of the patch numbers of the nearby noisy samples.
 fn vote(scale: &mut [usize], incidence: &Incidence<'_>) {
     let mut votes: Vec<DVec2> = scale.iter().map(|&s| DVec2::new(s.min(1) as f64, s as f64)).collect();
     average(incidence, &mut votes, DVec2::ZERO, AVERAGING_ROUNDS);
@@ -146,7 +147,7 @@ fn residuals(samples: &Samples<'_>, radius: f64, wanted: impl Fn(usize) -> bool 
     })
 }
 
-/// Calls `at` for every sample, in parallel chunks. Each chunk has its own marks.
+/// Calls `at` for every sample, in parallel chunks. Each chunk has its own [`Marks`].
 fn in_chunks<T: Send>(count: usize, at: impl Fn(usize, &mut Marks) -> T + Sync) -> Vec<T> {
     let starts: Vec<usize> = (0..count).step_by(CHUNK).collect();
     let chunks: Vec<Vec<T>> = starts

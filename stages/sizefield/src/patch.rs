@@ -24,14 +24,14 @@ const UNKNOWNS: usize = 6;
 /// The surface around a sample, to second order.
 #[derive(Clone, Copy, Debug)]
 pub struct Patch {
-    /// Point of the patch above the sample along the mean normal, in mm in the grid frame.
+    /// Intersection of the patch and the mean normal at the sample, in mm in the grid frame.
     pub point: DVec3,
     /// Outward unit normal at the point.
     pub normal: DVec3,
     /// Curvature tensor at the point, in 1/mm. The eigenvalues are 0 (along the normal) and the
     /// principal curvatures, which are positive on a ball.
     pub curvature: DMat3,
-    /// Weighted root mean square distance in mm from the samples to the patch.
+    /// Weighted root mean square distance from the samples to the patch along the mean normal, mm.
     pub residual: f64,
 }
 
@@ -127,8 +127,9 @@ impl Samples<'_> {
     }
 }
 
-/// Returns the basis functions: 1, u, v and the three second-order terms. The factor (r^2 + z^2) /
-/// r^2 on the second-order terms makes the fit of a ball exact, because a ball of curvature k has
+/// Returns the basis functions at the tangent coordinates (u, v) = `at`: 1, u, v and the three
+/// second-order terms. With r^2 = u^2 + v^2 and z = `height`, the second-order terms have the
+/// factor (r^2 + z^2) / r^2. It makes the fit of a ball exact, because a ball of curvature k has
 /// the height z = (r^2 + z^2) k / 2.
 fn basis(at: DVec2, height: f64) -> [f64; UNKNOWNS] {
     let stretch = 1.0 + height * height / at.length_squared().max(1e-6).max(height * height);
@@ -173,8 +174,8 @@ mod tests {
     use super::*;
     use isoparticles_field::random::uniform;
 
-    /// Lifts the points of a planar grid onto a surface, moves them along the normals by `moved`,
-    /// and fits a patch at the central point. Returns the patch and the exact normal.
+    /// Lifts the points of a planar grid onto a surface, moves point n along its normal by
+    /// `moved(n)`, and fits a patch at the central point. Returns the patch and the exact normal.
     fn patch_of(
         radius: f64,
         surface: impl Fn(f64, f64) -> (DVec3, DVec3),
@@ -208,7 +209,7 @@ mod tests {
         }
     }
 
-    /// Returns the maximum error of the curvature relative to the curvature of a ball.
+    /// Returns the maximum error of the curvature tensor in units of a ball's curvature, 1 / r.
     fn off_ball(patch: &Patch, r: f64) -> f64 {
         let (u, v) = patch.normal.any_orthonormal_pair();
         let at = |a: DVec3, b: DVec3| r * a.dot(patch.curvature * b);
@@ -241,7 +242,7 @@ mod tests {
     fn the_residual_is_the_noise_and_a_wide_patch_averages_it() {
         let noise = |n: usize| 0.35 * (uniform(5, 0, n as u64) - 0.5);
         let (patch, normal) = patch_of(6.0, ball(20.0), noise);
-        // uniform noise of this width has a standard deviation of 0.101 mm
+        // uniform noise in an interval 0.35 mm wide has a standard deviation of 0.101 mm
         assert!((patch.residual / 0.101 - 1.0).abs() < 0.15, "{patch:?}");
         assert!(off_ball(&patch, 20.0) < 0.2 && patch.normal.dot(normal) > 0.9998, "{patch:?}");
     }

@@ -1,6 +1,6 @@
-//! User-defined refinement in balls, at the voxels of a mask volume, or at points with sizes
-//! (section 7 of the paper: more particles in regions of interest). Outside a region, h increases
-//! with slope delta.
+//! Refines h where the user requests it: in balls, at the nonzero voxels of a mask volume, or at
+//! points with sizes (section 7 of the paper: more particles in regions of interest). Outside a
+//! region, h increases with slope delta.
 
 use glam::DVec3;
 use isoparticles_mesh::points::read_sized_points;
@@ -20,8 +20,7 @@ pub enum Refinement {
     Ball(Ball),
     /// The nonzero voxels of a volume.
     Mask {
-        /// The volume, which may have a different grid. Its world coordinates determine its
-        /// position.
+        /// The volume, placed by its world coordinates. Its grid may differ from the grid of F.
         file: PathBuf,
         /// Maximum h in the region, mm.
         size: f64,
@@ -229,7 +228,8 @@ mod tests {
         assert!(error.next.contains("the grid covers x 0 to 19, y 0 to 9.5, z 0 to 38 mm"), "{error}");
     }
 
-    /// Tests a mask on a grid that is finer, shifted, and rotated by 90 degrees about z.
+    /// Tests a mask whose grid is finer than the grid of F, shifted, and rotated by 90 degrees
+    /// about z.
     #[test]
     fn a_mask_is_placed_by_its_world_coordinates() {
         let folder = tempfile::tempdir().unwrap();
@@ -255,8 +255,8 @@ mod tests {
             inputs: Vec::new(),
         };
         write_field(&file, FieldKind::Distance, &mask, &serde_json::Value::Null, &history).unwrap();
-        // world extent: x from 12 - 11.5 * 0.4 to 12 - 1.5 * 0.4,
-        // y from 3 + 4.5 * 0.4 to 3 + 14.5 * 0.4, z from 5.4 to 7.4
+        // in world coordinates, the mask extends in x from 12 - 11.5 * 0.4 to 12 - 1.5 * 0.4, in y
+        // from 3 + 4.5 * 0.4 to 3 + 14.5 * 0.4, and in z from 5.4 to 7.4
         let (low, high) = (DVec3::new(7.4, 4.8, 5.4), DVec3::new(11.4, 8.8, 7.4));
         let geometry = Geometry::axis_aligned([20, 20, 20], DVec3::ONE);
         let found = Refinement::Mask { file: file.clone(), size: 0.5 }.nodes(&geometry).unwrap();
@@ -266,7 +266,8 @@ mod tests {
             if p.cmpge(low).all() && p.cmple(high).all() {
                 assert!(is_found, "{p}");
             }
-            // the centre of a mask voxel may lie anywhere in the cell that it refines
+            // a mask voxel refines the whole cell around its centre, so nodes up to 1 mm outside
+            // the mask may be found
             if p.cmplt(low - 1.0).any() || p.cmpgt(high + 1.0).any() {
                 assert!(!is_found, "{p}");
             }

@@ -34,8 +34,8 @@ pub(crate) struct Defaults {
     /// Maximum h in units of the diagonal of the object's bounding box.
     pub(crate) max_size_diagonals: f64,
     /// Maximum deviation in units of the mean voxel spacing. `distfield` keeps the surface of
-    /// labels 0.1 voxel away from voxel centres, so triangles with at most this deviation do not
-    /// cross voxel centres.
+    /// labels 0.1 voxel away from voxel centres, so triangles that deviate by at most 0.1 voxel do
+    /// not cross voxel centres.
     pub(crate) deviation_voxels: f64,
 }
 
@@ -60,8 +60,8 @@ impl Defaults {
 }
 
 /// Maximum radius of medial balls in units of the diagonal of the volume. With the defaults of
-/// every quality level, features above 0.2 diagonals of the object (maximum h / epsilon) do not
-/// change h.
+/// every quality level, feature sizes above 0.2 diagonals of the object (`maximum h / epsilon`) do
+/// not change h.
 const LARGEST_FEATURE_DIAGONALS: f64 = 0.25;
 
 /// Computes the target edge length h (mm) on the grid of a distance field, from local feature size
@@ -296,7 +296,7 @@ struct Measured {
     features: Features,
     /// The constant h in mm, if the options select one.
     one_size: Option<f64>,
-    /// Upper limit in mm of the measured feature sizes.
+    /// Upper limit, in mm, on the measured feature sizes.
     largest: f64,
     /// Whether the surface is smooth at the scale of a voxel: the input is a label map, or was
     /// smoothed (`distfield --scale`).
@@ -312,8 +312,8 @@ fn measure(args: &Args, input: &Input, context: &Context) -> Result<Measured> {
     let image = &input.field.image;
     let largest = LARGEST_FEATURE_DIAGONALS * image.geometry.upper_corner().length();
     let one_size = args.one_size(image, &input.surface);
-    // only features smaller than a constant h matter; no sample lies inside an empty ball, so its
-    // centre is closer than h to a sample only if its radius is below h
+    // only features smaller than a constant h matter; no sample lies inside an empty ball, so the
+    // centre of a ball is closer than h to a sample only if the radius of the ball is below h
     let largest = one_size.map_or(largest, |size| largest.min(size));
     // a constant h must resolve the surface as it is, including noise
     let origin: DistanceMeta = meta::typed(&args.input, &input.field.meta, "distfield")?;
@@ -337,7 +337,7 @@ fn measure(args: &Args, input: &Input, context: &Context) -> Result<Measured> {
 }
 
 /// Computes the sizing field from the measured surface and the options. Also returns the number of
-/// components on which h is below the minimum, and the smallest such h (mm).
+/// components on which h is below the minimum h, and the smallest such h (mm).
 fn sized(
     args: &Args,
     input: &Input,
@@ -369,12 +369,12 @@ fn sized(
 /// Returns the number of particles that the sizing field predicts.
 fn predicted(args: &Args, input: &Input, measured: &Measured, sizing: &SizingField, context: &Context) -> f64 {
     let _step = context.step("predict the count");
-    // a constant h from --vertices is derived from the count
+    // if --vertices determines a constant h, the number of vertices determines the predicted count
     if let Some(vertices) = args.vertices.filter(|_| measured.one_size.is_some()) {
         return predicted_for(vertices as f64);
     }
-    // the count on triangles misses features between the samples, but a smooth surface has none; a
-    // requested number needs the exact count
+    // the sum over triangles misses features between the samples, but a smooth surface has no such
+    // features; --vertices requires the exact count
     if measured.is_smooth && args.vertices.is_none() {
         return sizing.count_on(&measured.features.points, &measured.features.triangles);
     }

@@ -1,4 +1,4 @@
-//! The equation |grad h| = delta at the nodes of a grid, discretized by an upwind scheme.
+//! Solves |grad h| = delta at the nodes of a grid with an upwind scheme.
 //!
 //! [`Values`] stores h at the nodes, with a border of one node on each side. [`Scheme`] lowers h at
 //! one node to the value that the adjacent nodes allow (Godunov scheme; Rouy and Tourin 1992).
@@ -8,8 +8,8 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 /// Minimum relative decrease at which a node is lowered: 8 to 17 ulps of f32 (an ulp is 2^-24 to
 /// 2^-23 of the value). Rounding alone therefore cannot lower a node, and the march ends. The
-/// result deviates from the steady state by less than 2e-5; with a gain of 1e-5, it deviates by
-/// more (test `blocks_come_to_the_steady_state_of_plain_sweeps`).
+/// result deviates from the steady state by less than 2e-5; with a minimum decrease of 1e-5, the
+/// deviation is larger (test `blocks_come_to_the_steady_state_of_plain_sweeps`).
 const LEAST_GAIN: f64 = 1e-6;
 
 /// A set of grid nodes, one bit each.
@@ -66,13 +66,13 @@ impl Values {
         data
     }
 
-    /// Returns a function from the number of a row to the index of its first node in the grid with
-    /// border.
+    /// Returns a function that maps the number of a row to the index of its first node in the
+    /// bordered grid.
     fn row_start([nx, ny]: [usize; 2]) -> impl Fn(usize) -> usize {
         move |row| ((row / ny + 1) * (ny + 2) + row % ny + 1) * (nx + 2) + 1
     }
 
-    /// Returns the value of a node, given its index in the grid with border.
+    /// Returns the value of a node, given its index in the bordered grid.
     #[inline]
     pub(crate) fn get(&self, at: usize) -> f32 {
         f32::from_bits(self.0[at].load(Relaxed))
@@ -100,8 +100,8 @@ impl Scheme {
         Self { strides, rise, weight: rise.map(|rise| 1.0 / (rise * rise)) }
     }
 
-    /// Lowers a node to the value that its neighbours allow, if this value is lower by at least
-    /// [`LEAST_GAIN`]. Returns the new value, or `None` if nothing changes.
+    /// Lowers a node to the value that its neighbours allow, if this decreases its value by at
+    /// least the fraction [`LEAST_GAIN`]. Returns the new value, or `None` if nothing changes.
     #[inline]
     pub(crate) fn lower(&self, h: &Values, at: usize) -> Option<f32> {
         let smaller = |axis: usize| {
@@ -137,8 +137,8 @@ impl Scheme {
         let (mut p, mut q, mut r) = (wa, 0.0, 0.0);
         for (value, weight) in [y, z] {
             let over = value - least;
-            // the left-hand side at this value is below 1; an infinite value gives NaN, which ends
-            // the loop
+            // an axis contributes if the left-hand side at its value is below 1; an infinite value
+            // gives NaN, which ends the loop
             let takes_part = p * over * over - 2.0 * q * over + r < 1.0;
             if !takes_part {
                 break;

@@ -23,8 +23,8 @@ fn nested() -> Analytic {
     Analytic::new(vec![negative(ball(CENTRE, 14.0)), shell, ball(CENTRE, 8.0)], 1.0)
 }
 
-/// Returns the indicators of two quarters and a half of a ball of radius 14 mm, which meet along a
-/// diameter, and of the outside.
+/// Returns the indicators of the outside and of three parts of a ball of radius 14 mm. The parts, a
+/// half and two quarters, meet along a diameter.
 fn wedges() -> Analytic {
     let all = || ball(CENTRE, 14.0);
     let part = |x: DVec3, y: DVec3| maximum(all(), maximum(half_space(CENTRE, x), half_space(CENTRE, y)));
@@ -80,7 +80,7 @@ fn one_size_is_everywhere_and_the_count_is_that_of_the_areas() {
     let expected = 2.0 / 3f64.sqrt() * area / 2.25;
     assert!((meta["predicted_count"].as_f64().expect("a count") / expected - 1.0).abs() < 0.02, "{meta}");
     assert_eq!(meta["components"], 2);
-    // the finished mesh has 0.95 times the predicted count
+    // the finished mesh has 0.95 times as many vertices as predicted
     let (_, meta) = sized(folder.path(), &nested(), &["--vertices", "1000"]);
     let predicted = meta["predicted_count"].as_f64().expect("a count");
     assert!((0.95 * predicted / 1000.0 - 1.0).abs() < 0.002, "{predicted}");
@@ -113,7 +113,8 @@ fn thin_layers_and_small_balls_ask_for_smaller_triangles() {
     let folder = tempfile::tempdir().expect("folder");
     let options = ["--max-deviation", "0", "--min-size", "0.2", "--epsilon", "0.5", "--delta", "0.4"];
     let (h, _) = sized(folder.path(), &nested(), &options);
-    // expected: half of 3 mm, the radius of a ball that fits into the shell, which is 6 mm thick
+    // the shell is 6 mm thick, so a ball of radius 3 mm fits into it, and h is about epsilon = 0.5
+    // times this radius
     for radius in [8.0, 14.0] {
         let (low, high) = on_ball(&h, radius);
         assert!(low > 1.2 && high < 1.9, "{radius}: {low} {high}");

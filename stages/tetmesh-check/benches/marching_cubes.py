@@ -1,12 +1,20 @@
-"""Our surface against others of the same distance field: the same size field, tetrahedralizer and problems.
+"""Compare our surface with other surfaces of the same distance field.
 
-    .venv/bin/python stages/tetmesh-check/benches/marching_cubes.py out/ball out/mickey --work out/bench-marching-cubes
+    .venv/bin/python stages/tetmesh-check/benches/marching_cubes.py out/ball out/mickey
+        --work out/bench-marching-cubes
 
-For each folder with the results of a case (NAME.distfield.vti, NAME.sizefield.vti, NAME.surface.vtp) it fills these surfaces
-with HXT, which leaves their triangles as they are, solves on the tetrahedra, and prints a table in Markdown: ours; marching
-cubes; marching cubes on the field resampled so that there are as many vertices as ours has; and, with ``--remesher PYTHON``
-(an interpreter with benches/requirements.lock), what gpytoolbox's remesh_botsch makes of marching cubes, as many
-vertices, too. Whatever does not come to an end within its time is a row that says so.
+CASE_DIR is a folder with the results of a case: NAME.distfield.vti, NAME.sizefield.vti and
+NAME.surface.vtp. The surfaces of a case are:
+
+- our surface;
+- the surface of marching cubes;
+- the surface of marching cubes on the field, resampled to give about as many vertices as ours;
+- with ``--remesher PYTHON`` (an interpreter with the packages in benches/requirements.lock): the
+  surface of marching cubes, remeshed by gpytoolbox's remesh_botsch to about as many vertices.
+
+HXT fills each surface with tetrahedra for the same size field, without changing its triangles. The
+same problems are then solved on the tetrahedra. The result is a Markdown table. If a program
+exceeds its time limit, its row says so.
 """
 
 from __future__ import annotations
@@ -38,16 +46,18 @@ KINDS = ("particles", "marching-cubes", "marching-cubes-resampled", "remesh_bots
 
 
 def marching_cubes(distfield: Path, target: Path, step: float = 1.0) -> int:
-    """Write the zero set of a distance field as marching cubes sees it (VTK's flying edges), in world coordinates.
+    """Extract the zero set of a distance field by marching cubes (VTK's flying edges).
+
+    Writes the surface in world coordinates.
 
     Parameters
     ----------
     distfield
-        Negative inside.
+        File of the distance field, negative inside.
     target
         A ``.vtp`` file.
     step
-        From one sample to the next, in voxels; the field between is trilinear.
+        Distance between samples, in voxels. The field is interpolated trilinearly.
 
     Returns
     -------
@@ -71,12 +81,12 @@ def marching_cubes(distfield: Path, target: Path, step: float = 1.0) -> int:
 
 
 def vertices_of(surface: Path) -> int:
-    """Count the points of a surface."""
+    """Return the number of points of a surface."""
     return int(read_dataset(surface).n_points)
 
 
 def remesh(python: Path, source: Path, vertices: int, target: Path, seconds: float) -> str | None:
-    """Remesh a surface by ``remesh.py``; returns what went wrong, if anything did.
+    """Remesh a surface with ``remesh.py``. Returns a message if it fails, or else None.
 
     Parameters
     ----------
@@ -85,7 +95,7 @@ def remesh(python: Path, source: Path, vertices: int, target: Path, seconds: flo
     source, target
         ``.vtp`` files.
     vertices
-        How many are wanted.
+        Target number of vertices.
     seconds
         Time limit, s.
     """
@@ -112,18 +122,18 @@ def remesh(python: Path, source: Path, vertices: int, target: Path, seconds: flo
 def fill_and_solve(
     surface: Path, sizefield: Path, work: Path, name: str, parsed: argparse.Namespace
 ) -> dict[str, Any] | None:
-    """Fill one surface and solve on it; returns the report, or nothing where the run left none.
+    """Fill a surface and solve the problems. Returns the report, or None if there is none.
 
     Parameters
     ----------
     surface, sizefield
-        What is filled, and how long the edges are to be.
+        Files of the surface and of the size field.
     work
-        Where the results go.
+        Folder for the results.
     name
-        What they are called.
+        Name of the results.
     parsed
-        The command line of this program, for the time limits.
+        The parsed command line of this program, which contains the time limits.
     """
     report = work / f"{name}.report.json"
     report.unlink(missing_ok=True)
@@ -164,16 +174,16 @@ def _solves(solve: dict[str, Any]) -> list[str]:
 
 
 def row(case: str, kind: str, seconds: float | None, report: dict[str, Any] | str | None) -> str:
-    """Write one line of the table.
+    """Return one row of the table.
 
     Parameters
     ----------
     case, kind
-        Its first two cells.
+        The first two cells.
     seconds
-        How long the surface took from the distance field on, s, if known.
+        Time to make the surface from the distance field, s, if known.
     report
-        What ``tetmesh-check`` wrote, or what went wrong before it.
+        The report of ``tetmesh-check``, or the message of an earlier failure.
     """
     first = f"| {case} | {kind} | {'-' if seconds is None else f'{seconds:.1f}'} |"
     if report is None:
@@ -202,7 +212,7 @@ def row(case: str, kind: str, seconds: float | None, report: dict[str, Any] | st
 
 
 def made_in(folder: Path) -> float | None:
-    """Seconds that the stages took to make our surface from the distance field, if their reports are there."""
+    """Return the time (s) of the stages from the distance field to our surface, if reported."""
     reports = [folder / "reports" / f"{stage}.json" for stage in ("sizefield", "seed", "particles", "reconstruct")]
     if not all(report.is_file() for report in reports):
         return None
@@ -210,14 +220,17 @@ def made_in(folder: Path) -> float | None:
 
 
 def surfaces(folder: Path, parsed: argparse.Namespace) -> dict[str, Callable[[Path], tuple[float | None, str | None]]]:
-    """How to make each surface of a case: a function of its file that returns seconds and what went wrong, if anything.
+    """Return the function that makes each surface of a case.
+
+    Each function takes the path of the surface file. It returns the time (s), if known, and, if it
+    fails, a message.
 
     Parameters
     ----------
     folder
-        The results of the case.
+        Folder with the results of the case.
     parsed
-        The command line of this program.
+        The parsed command line of this program.
     """
     name = folder.name
     distfield, ours = folder / f"{name}.distfield.vti", folder / f"{name}.surface.vtp"
@@ -254,12 +267,15 @@ def surfaces(folder: Path, parsed: argparse.Namespace) -> dict[str, Callable[[Pa
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Fill, solve, print; 2 where our own surface ended in an error, 0 else (what becomes of the others is in the table).
+    """Fill the surfaces, solve the problems and print the table.
+
+    Returns 2 if one of our own surfaces has no report or a report of an error, and 0 otherwise. The
+    table shows the failures of the other surfaces.
 
     Parameters
     ----------
     argv
-        The command line without the program's name; that of the process by default.
+        The command line without the name of the program (default: that of the process).
     """
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cases", metavar="CASE_DIR", type=Path, nargs="+", help="folders with the results of a case")

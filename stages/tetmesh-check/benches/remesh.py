@@ -1,8 +1,12 @@
-"""Remesh a surface by Botsch and Kobbelt's method (2004) as gpytoolbox has it, to a number of vertices.
+"""Remesh a surface to a number of vertices by the method of Botsch and Kobbelt (2004).
 
-    python remesh.py JOB.npz RESULT.npz    # an interpreter that has gpytoolbox; marching_cubes.py calls it
+    python remesh.py JOB.npz RESULT.npz
 
-One edge length everywhere, found by trying, because this remesher takes no size field.
+marching_cubes.py runs this script with an interpreter that has gpytoolbox. The edge length is
+constant, because gpytoolbox's remesher accepts no size field, and is found by iteration.
+
+JOB contains the arrays ``points, triangles, vertices``. RESULT contains ``points, triangles``, the
+``edge_length``, and the ``seconds`` of the last try.
 """
 
 from __future__ import annotations
@@ -15,20 +19,20 @@ import numpy as np
 from gpytoolbox import remesh_botsch
 
 ITERATIONS = 10
-"""Of the remesher; its own default."""
+"""Number of iterations of the remesher, its default."""
 TRIES = 4
-"""Edge lengths tried."""
+"""Maximum number of edge lengths to try."""
 CLOSE = 0.03
-"""How far from the number wanted the vertices may be, as a share of it."""
+"""Relative tolerance of the number of vertices."""
 
 
 def main() -> None:
-    """Remesh: ``points, triangles, vertices`` in, ``points, triangles, edge_length, seconds`` (of the last try) out."""
+    """Try edge lengths and write the result of the last try."""
     with np.load(sys.argv[1]) as job:
         points, triangles, wanted = job["points"], job["triangles"].astype(np.int32), int(job["vertices"])
     corners = points[triangles]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-    # two triangles a vertex, all equilateral
+    # edge length of equilateral triangles that fill the area with two triangles per vertex
     length = float(np.sqrt(area / wanted * 2.0 / np.sqrt(3.0)))
     for _ in range(TRIES):
         started = time.monotonic()

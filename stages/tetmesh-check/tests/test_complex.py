@@ -36,7 +36,8 @@ def test_nested_balls(tmp_path: Path) -> None:
     assert complex_.shells.sheets()[0].tolist() == [[0, -1], [1, 0]]
     names = [entry["name"] for entry in found["interfaces"]]
     assert names == ["body/outside", "heart/body"]
-    # normals of adjacent triangles differ by about the edge length / (radius sqrt(3))
+    # the angle between the normals of adjacent triangles has an RMS of about edge length / (sqrt(3)
+    # radius), in radians
     turn = found["interfaces"][0]["rms_turn_degrees"]
     edge = found["interfaces"][0]["quality"]["edge_length"]["mean"]
     assert turn == pytest.approx(np.degrees(edge / 10.0 / np.sqrt(3.0)), rel=0.1)
@@ -45,7 +46,8 @@ def test_nested_balls(tmp_path: Path) -> None:
 def test_sectors_of_a_ball(tmp_path: Path) -> None:
     complex_ = checked(sectors_of_a_ball(10.0, 3), tmp_path)
     found = describe_complex(complex_)
-    # 2^3 segments on each half of the axis and on each half of the three meridians
+    # after three subdivisions, each half of the axis and each half of the three meridians has 2^3
+    # segments
     assert found["junction_edges"] == 8 * (2 + 6)
     assert found["junction_vertices"] == 2
     assert found["edges_by_triangles"] == {"2": found["edges_by_triangles"]["2"], "3": 64}
@@ -82,8 +84,8 @@ def test_four_regions_of_a_cube_meet_in_a_point(tmp_path: Path) -> None:
     np.testing.assert_allclose(volumes, [16.0, 8.0, 8.0, 32.0])
     assert len(found["interfaces"]) == 4 + 6
     assert by_name(found["interfaces"])["d/a"]["area_mm2"] == pytest.approx(8.0)
-    # the centre, where all four regions meet, and the points of the outer surface where three
-    # regions meet: one at the bottom, and three on the rim of the upper half
+    # Four materials meet at the centre. The outside and three regions meet at one point of the
+    # bottom, and at three points where the plane z = 2 cuts the outer surface.
     assert found["vertices_by_materials"]["4"] == 1 + 1 + 3
     assert found["vertices_by_materials"].keys() == {"2", "3", "4"}
 

@@ -32,7 +32,7 @@ def test_on_a_needle_no_tetrahedron_has_large_angles_and_a_large_scaled_jacobian
     needle = np.array([[0.0, 0.0, 0.0], [1.0, -np.tan(half), 0.0], [1.0, np.tan(half), 0.0]])
     (possible,) = largest_jacobians(needle, np.array([[0, 1, 2]]), 5.0)
     rng = np.random.default_rng(5)
-    # random apexes, and apexes along the edge at which the bound is attained
+    # random apexes, and apexes on the ray along which the bound is attained
     rise = np.arcsin(np.tan(half) / np.tan(np.radians(2.5)))
     best = np.array([np.cos(rise), 0.0, np.sin(rise)])
     apexes = np.concatenate(
@@ -52,7 +52,7 @@ def test_on_a_needle_no_tetrahedron_has_large_angles_and_a_large_scaled_jacobian
     # without a minimum angle, the third edge at the corner may be perpendicular to the triangle
     (free,) = largest_jacobians(needle, np.array([[1, 2, 0]]), 0.0)
     np.testing.assert_allclose(free, np.sqrt(2.0) * np.sin(2.0 * half))
-    # the minimum angle does not limit an equilateral triangle
+    # for an equilateral triangle, the minimum angle does not reduce the bound
     (wide_open,) = largest_jacobians(FLAT, np.array([[0, 1, 2]]), 5.0)
     np.testing.assert_allclose(wide_open, np.sqrt(1.5))
 
@@ -67,7 +67,7 @@ def test_facets_that_meet_at_an_angle_allow_no_larger_one() -> None:
     # with reversed triangles, the wedge is behind them
     turned = forced_sides(points, triangles[:, ::-1].copy(), 12.0)
     np.testing.assert_array_equal(turned.side, [INSIDE, INSIDE])
-    # triangles that meet at large angles force nothing
+    # triangles that meet at a large angle must not be listed
     for degrees in (60.0, 179.0, 180.0, 181.0, 300.0):
         assert len(forced_sides(*with_neighbour(degrees), 12.0).facet) == 0
 
@@ -90,7 +90,8 @@ def test_a_facet_at_a_common_corner_may_reach_in() -> None:
     inwards = np.radians(30.0)
     ahead = np.array([np.cos(inwards), np.sin(inwards), 0.0])
     aside = np.array([-np.sin(inwards), np.cos(inwards), 0.0])
-    # the ridge of a roof with slope X rises from the corner by tan(X) sin(30 degrees) per mm
+    # a roof whose faces have the slope X rises along its ridge by tan(X) sin(30 degrees) per
+    # horizontal mm from the corner
     possible = np.degrees(np.arctan(np.tan(np.radians(5.0)) / np.sin(inwards)))
     rise = np.array([0.0, 0.0, np.tan(np.radians(5.0))])
     tip = np.stack([ahead + rise, ahead + rise + 0.001 * aside + [0.0, 0.0, 1.0]])
@@ -132,7 +133,7 @@ def test_forced_tetrahedra_fail_unless_accepted() -> None:
     assert "--accept-forced" in strict.words
     assert accepting.as_dict()["verdict"] == "warning"
     assert accepting.words.startswith("fit but for 1 accepted tetrahedron: the minimum dihedral angle is ")
-    # a tetrahedron that is not forced by a triangle is not accepted
+    # a poor tetrahedron without a forcing triangle must fail even if forced ones are accepted
     for forced in (None, Forced(~only, ~only)):
         assert judged(forced, True)["min_dihedral"].as_dict()["verdict"] == "fail"
     # its position is listed
@@ -180,7 +181,7 @@ def test_what_the_surface_forces_is_listed_and_fails_unless_accepted(tmp_path: P
     assert [entry["forced"] for entry in volume["regions"]] == [0, 1]
     assert volume["quality"]["min_dihedral"]["min"] == pytest.approx(6.0)
     assert volume["smallest_elsewhere"]["min_dihedral"] >= 6.5
-    # with a limit that all tetrahedra can reach, none is forced
+    # with limits that every tetrahedron can reach, the list of forcing triangles must be empty
     done = run("c.vtp", "-o", "d.vtu", "--report", "d.json", "--solve", "no", "--min-scaled-jacobian", 0.02)
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "d.json").read_text())["results"]["volume"]["forced_by_surface"] == []
@@ -190,8 +191,9 @@ def test_what_the_surface_forces_is_listed_and_fails_unless_accepted(tmp_path: P
 def test_what_a_triangle_forces_by_its_own_angle_is_listed_and_judged_by_what_it_allows(
     tmp_path: Path, run: Run
 ) -> None:
-    # One material is a single tetrahedron on a triangle with an angle of 2.6 degrees. Its third
-    # edge at that corner rises so steeply that the dihedral angle at this edge is 5.3 degrees.
+    # One material is a single tetrahedron on a triangle with an angle of 2.6 degrees. At the corner
+    # with this angle, the third edge of the tetrahedron rises steeply; the dihedral angle at this
+    # edge is 5.3 degrees.
     half, rise = np.radians(1.3), np.arcsin(np.tan(np.radians(1.3)) / np.tan(np.radians(2.65)))
     inner = 2.0 * np.array(
         [

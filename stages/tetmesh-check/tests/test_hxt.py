@@ -48,7 +48,7 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     assert results["volume"]["boundary_triangles"] == {"missing": 0, "added": 0}
     assert results["volume"]["edge_length_over_target"]["median"] == pytest.approx(1.0, abs=0.15)
     assert results["distance_mm"]["boundary_to_surface"]["max"] < 1e-9
-    # the edge lengths follow h, which is four times as large at the centre as at the surface
+    # the edge lengths must follow h, which is four times as large at the centre as at the surface
     centre = np.linalg.norm(points[cells].mean(axis=1), axis=1) < 3.0
     assert np.median(quality.edge_length[centre]) > 2.0 * np.median(quality.edge_length[~centre])
 

@@ -54,7 +54,7 @@ def test_regions_are_found_by_the_triangles_alone() -> None:
 
 def test_the_outside_is_known_from_the_triangles() -> None:
     points, cells, triangles, sides = halves()
-    # add a separate tetrahedron with reversed triangles
+    # add a separate tetrahedron of material 1, with triangles that face inward
     apart = np.arange(4) + len(points)
     faces = apart[[[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]]]
     three = Sides(np.append(sides.inside, [0] * 4), np.append(sides.outside, [1] * 4), sides.table)
@@ -209,7 +209,7 @@ def test_other_programs_find_regions_and_interfaces(tmp_path: Path, run: Run) ->
     for mark, name in enumerate(called, 1):
         on = np.unique(triangles[marks == mark])
         np.testing.assert_array_equal(np.sort(abaqus.point_sets[name.upper()]), on)
-    # the faces of an interface refer to the elements behind it
+    # each face of an interface must refer to an element on the inner side of the interface
     text = (tmp_path / "c.volume.inp").read_text()
     rows = text.split(f"*SURFACE, NAME={called[2].upper()}, TYPE=ELEMENT\n")[1].split("*")[0].split("\n")[:-1]
     corners = {"S1": (0, 1, 2), "S2": (0, 3, 1), "S3": (1, 3, 2), "S4": (2, 3, 0)}
@@ -271,7 +271,7 @@ def test_limits_decide_on_the_exit_code(tmp_path: Path, run: Run) -> None:
     assert done.returncode == 1, done.stderr
     assert (tmp_path / "c.vtu").is_file()
     ran = results_of(tmp_path / "r.json")["tetrahedralizer"]
-    # tetrahedra below a limit do not trigger another attempt
+    # tetrahedra below a limit must not trigger another attempt
     assert [attempt["algorithm"] for attempt in ran["attempts"]] == ["hxt"]
     assert ran["algorithm"] == "hxt"
     assert "exists already" in run(*words).stderr

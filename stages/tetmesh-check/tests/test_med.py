@@ -69,8 +69,8 @@ def test_gmsh_reads_groups_and_the_sense_of_every_element(tmp_path: Path, order:
     at[numbers] = np.reshape(points, (-1, 3))
     names = [mesh.mark_name(mark) for mark in np.unique(mesh.marks).tolist()]
     assert set(groups) == {"region_2", "region_5", *names}
-    # elements with the wrong orientation have negative Jacobians, and mid-edge nodes on the wrong
-    # edges fold curved elements
+    # A wrong orientation of an element would give negative Jacobians. Mid-edge nodes on the wrong
+    # edges would fold the curved elements, with the same effect.
     assert len(jacobians) == len(mesh.tetrahedra)
     assert min(jacobians) > 0.0
     corners, all_nodes = (4, 4) if order == 1 else (4, 10)

@@ -94,8 +94,8 @@ def test_values_are_a_half_at_the_limits_of_the_checks_and_1_at_the_goal() -> No
 
 def test_what_the_checks_still_ask_for_beside_a_forced_side_is_worth_more_than_what_they_do_not() -> None:
     goal = Goal(12.0, 0.05, 5.0)
-    # If at most 3 degrees are possible, the checks require a scaled Jacobian but no angle. At 1
-    # degree, they require neither, and at 9 degrees both.
+    # If the surface limits the dihedral angle to 3 degrees, the checks require a scaled Jacobian
+    # but no angle. With a limit of 1 degree they require neither, and with 9 degrees both.
     assert goal.beside(3.0) == pytest.approx((2.7, 0.05, 0.0, 0.05))
     assert goal.beside(1.0) == pytest.approx((0.9, 0.9 * np.sqrt(2.0) * np.sin(np.radians(1.0)), 0.0, 0.0))
     assert goal.beside(9.0) == pytest.approx((8.1, 0.05, 5.0, 0.05))
@@ -104,8 +104,8 @@ def test_what_the_checks_still_ask_for_beside_a_forced_side_is_worth_more_than_w
     jacobian = float(tetrahedron_quality(points, cells[:1]).scaled_jacobian[0])
     angle = float(tetrahedron_quality(points, cells[:1]).min_dihedral[0])
     regions = np.ones(5, dtype=np.int64)
-    # The triangle allows twice the scaled Jacobian of the tetrahedron. The tetrahedron's value is
-    # between 0.5 and 1, or below 0.5 if the angle fails the check.
+    # The triangle allows twice the scaled Jacobian that the tetrahedron has. The value of the
+    # tetrahedron must be between 0.5 and 1 if its angle passes the check, and below 0.5 otherwise.
     for least, low, high in ((0.9 * angle, 0.5, 1.0), (1.1 * angle, 0.0, 0.5)):
         part = Part(points, cells, regions, {}, Goal(1.2 * angle, 4.0 * jacobian, least), {(0, 1, 2): 2.0 * jacobian})
         assert low < part.value[0] < high
@@ -115,8 +115,8 @@ def test_what_the_checks_still_ask_for_beside_a_forced_side_is_worth_more_than_w
 def test_where_no_worst_becomes_better_what_fails_together_becomes_less(
     eased: float, left: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Four tetrahedra around a short edge of a convex body fail the checks. With a new vertex, each
-    # of them is replaced by two slightly better ones.
+    # Four tetrahedra of a convex body with a short edge fail the checks. Moves that improve the
+    # worst tetrahedron by MARGIN leave two of them. With `_EASED`, a further move leaves one.
     side = [[0.0, 0.0, -0.04], [0.0, 0.0, 0.04], [1.0, -0.6, 0.0], [1.0, 0.6, 0.0]]
     behind = [[1.37, 0.13, -0.03], [0.5, 0.26, -1.28], [1.47, 0.36, 0.5], [1.45, 0.18, -0.32], [1.11, 0.9, -0.35]]
     points = np.array(side + behind)

@@ -218,7 +218,8 @@ def test_nothing_of_an_earlier_run_is_shown(case: Path, tmp_path: Path) -> None:
     stale = {**NOTHING, "state": "stale"}
     failed = {"state": "error", "error": ERROR, "outputs": [], "report": None}
     status = write_status(folder, "a&b", verdict="error", stages={"reconstruct": failed, "tetmesh-check": stale})
-    # the files of the previous run are still in the folder, under their usual names
+    # the files of the previous run are still in the folder under their usual names, but must not be
+    # shown
     assert (folder / "a&b.volume.vtu").is_file()
     elements = made(status, folder / "x.html")
     assert "No mesh: reconstruct" in elements.words

@@ -38,11 +38,13 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     assert points.dtype == np.float64
     volumes = signed_tetrahedron_volumes(points, cells)
     assert volumes.min() > 0
-    # the volume enclosed by the surface, within the 1 % allowed by the check
+    # the tetrahedra must fill the volume enclosed by the surface to within the 1 % that the check
+    # allows
     assert volumes.sum() == pytest.approx(pv.read(tmp_path / "ball.surface.vtp").volume, rel=0.01)
     left = points[cells].mean(axis=1)[:, 0] < 0
-    # The volume of a tetrahedron is proportional to the cube of the edge length. The surface, which
-    # both halves share, keeps the ratio of the counts far below (4 / 1.5)^3.
+    # The volume of a tetrahedron is proportional to the cube of the edge length. The triangles of
+    # the surface have the same size in both halves, so the ratio of the counts stays far below (4 /
+    # 1.5)^3.
     assert left.sum() > 2.0 * (~left).sum()
 
     assert set(grid.cell_data.keys()) == {"radius_ratio", "scaled_jacobian", "min_dihedral", "region"}

@@ -78,7 +78,7 @@ def test_points_are_projected_no_farther_than_they_may(field: DistanceField) -> 
     at = np.array([[9.0, 0.0, 0.0], [0.0, 7.0, 0.0], [0.0, 0.0, 0.0]])
     reached, arrived = field.project(at, np.array([2.0, 2.0, 20.0]))
     assert arrived.tolist() == [True, False, False]
-    # the tolerance is the error of the spline through float32 samples of the distance
+    # the tolerance allows for the error of the spline through float32 samples of the distance
     np.testing.assert_allclose(reached, [[10.0, 0, 0], [0, 7, 0], [0, 0, 0]], atol=1e-4)
 
 
@@ -150,7 +150,7 @@ def test_nodes_that_would_fold_an_element_are_drawn_back(field: DistanceField) -
     assert LEAST_JACOBIAN <= thin.jacobian.min() < 1.0
     mesh = thin.mesh
     assert jacobian_coefficients(mesh.points[mesh.elements]).min() > 0.0
-    # with the full displacement, the element would be folded
+    # with the full displacement of its mid-edge nodes, the element would be folded
     assert mesh.middle is not None
     full, _ = field.project(mesh.points[mesh.middle[0, :3]], np.full(3, 2.0))
     nodes = mesh.points[mesh.elements]
@@ -220,8 +220,9 @@ def test_the_volume_and_a_solution_on_the_ball_converge_at_a_higher_order(tmp_pa
         errors.append(row)
     coarse, fine = np.abs(errors)
     orders = np.log2(coarse / fine)
-    # Measured errors of the volume: linear 3.4 % and 0.86 %, quadratic 0.015 % and 0.0010 %; orders
-    # 1.97 and 3.88. The orders of the integral are 1.99 and 3.98.
+    # Measured errors of the volume on the coarse and the fine mesh: 3.4 % and 0.86 % with linear
+    # elements (order 1.97), 0.015 % and 0.0010 % with quadratic elements (order 3.88). The integral
+    # converges with the orders 1.99 and 3.98.
     np.testing.assert_allclose(orders[:2], 2.0, atol=0.2)
     assert (orders[2:] > 3.5).all()
     assert (fine[2:] < 0.01 * fine[:2]).all()
@@ -249,7 +250,7 @@ def test_exported_files_are_read_back(tmp_path: Path, field: DistanceField) -> N
         export(mesh, tmp_path / "b.volume.vtu", "b", kind)
     for name in ("inp", "msh", "msh2"):
         again = meshio.read(tmp_path / f"b.volume.{name}", "abaqus" if name == "inp" else "gmsh")
-        # msh files group the nodes by entity, so positions are compared
+        # msh files group the nodes by entity, so positions are compared instead of node numbers
         np.testing.assert_allclose(again.points[again.cells_dict["tetra10"]], mesh.points[mesh.elements], rtol=1e-12)
     assert "TYPE=C3D10" in (tmp_path / "b.volume.inp").read_text()
     gmsh = meshio.read(tmp_path / "b.volume.msh2", "gmsh")
@@ -300,7 +301,9 @@ CCX = shutil.which("ccx")
 @NEEDS_HXT
 @pytest.mark.skipif(CCX is None, reason="no CalculiX (Debian, Ubuntu: apt-get install calculix-ccx)")
 def test_calculix_inflates_a_hollow_ball(tmp_path: Path, run: Run) -> None:
-    # Lame: u(a) = p a / E ((1 - 2 nu) a^3 + (1 + nu) b^3 / 2) / (b^3 - a^3)
+    # Lame's solution for the inner radius a, the outer radius b, the inner pressure p, Young's
+    # modulus E and Poisson's ratio nu: u(a) = p a / E ((1 - 2 nu) a^3 + (1 + nu) b^3 / 2) / (b^3 -
+    # a^3)
     inner, outer, modulus, ratio, pressure = 5.0, RADIUS, 1000.0, 0.3, 10.0
     merged(ball(outer, 3), reversed_winding(ball(inner, 2))).save(tmp_path / "b.surface.vtp")
     write_distance(
@@ -329,7 +332,8 @@ def inflate(folder: Path, inner: float, modulus: float, ratio: float, pressure: 
     points, (cells,) = mesh.points, mesh.cells_dict.values()
     radii = np.linalg.norm(points, axis=1)
     wall = np.flatnonzero(np.abs(radii - inner) < 0.2)
-    # faces with three corners on the wall of the cavity (P1 is 1-2-3, P2 1-4-2, P3 2-4-3, P4 3-4-1)
+    # faces with three corners on the wall of the cavity; the corners of CalculiX's faces are 1-2-3
+    # (P1), 1-4-2 (P2), 2-4-3 (P3) and 3-4-1 (P4)
     corners = {1: (0, 1, 2), 2: (0, 3, 1), 3: (1, 3, 2), 4: (2, 3, 0)}
     loaded = [
         f"{cell + 1}, P{face}, {pressure}"

@@ -66,7 +66,7 @@ def test_labels_are_sampled_in_the_world(tmp_path: Path) -> None:
     plain = read_label_volume(halves(tmp_path / "l.nrrd"))
     centres = np.array([[-3.0, 1, 1], [4.0, 2, -2], [-9.9, 0, 0], [2.0, 0, 9.7]])
     np.testing.assert_array_equal(regions_of(centres, plain, [3, 7]), [3, 7, 3, 7])
-    # the stray label is used unless the meshed labels are given
+    # if the meshed labels are not given, the stray label 9 is also used
     np.testing.assert_array_equal(regions_of(centres, plain, None), [3, 7, 3, 9])
 
     # the same voxels in another frame: right-anterior-superior, with the first axis along -y
@@ -416,8 +416,8 @@ def test_points_on_the_rim_of_a_cap_belong_to_the_surface() -> None:
 
 
 def test_the_nearest_triangle_counts_and_not_the_nearest_centre() -> None:
-    # a fine block whose side x = 0 is the cap; in the input surface, this side consists of two
-    # triangles
+    # The side x = 0 of a fine block is the cap. In the input surface, this side consists of only
+    # two triangles.
     points, cells = block((8, 8, 8))
     fine = tetrahedron_boundary(cells).triangles
     on_cap = (points[fine][..., 0] == 0.0).all(axis=1)

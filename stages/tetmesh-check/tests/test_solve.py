@@ -172,7 +172,7 @@ def test_matrices_are_those_of_the_textbook(monkeypatch: pytest.MonkeyPatch, siz
     np.testing.assert_allclose(made, truth[0], rtol=0, atol=1e-13)
     made = assembler.elastic_stiffness(0.0, 1.0).toarray()
     np.testing.assert_allclose(made, vectors, rtol=0, atol=1e-13)
-    # both terms, compared with scikit-fem's vector elements
+    # both terms of the elastic stiffness must equal those of scikit-fem's vector elements
     basis = Basis(MeshTet(points.T, cells.T), ElementVector(ElementTetP1()), intorder=1)
     form = BilinearForm(lambda u, v, _w: 2.0 * 0.7 * ddot(sym_grad(u), sym_grad(v)) + 0.3 * div(u) * div(v))
     np.testing.assert_allclose(
@@ -188,7 +188,8 @@ def test_matrices_of_blocks_are_merged_as_they_come(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(assembly, "_merge", lambda parts: (held.append(len(parts)), merge(parts)))
     points, cells = block((4, 3, 3))
     Assembler(points, cells).matrix(lambda u, v, _w: dot(grad(u), grad(v)))
-    # 72 blocks: at most one partial sum per binary digit, plus the next matrix
+    # with 72 blocks (seven binary digits), at most seven partial sums and the next matrix may exist
+    # at the same time
     assert max(held) <= 8
 
 
@@ -205,7 +206,8 @@ def test_poisson_is_second_order_and_the_best_there_is() -> None:
         points, cells = block((count,) * 3, 24.0 / count)
         figures, converged = poisson(Assembler(points, cells), on_boundary(points, cells), FOREVER)
         assert converged
-        # by Cea's lemma, at most 1 on any mesh, except for quadrature errors
+        # by Cea's lemma, the gradient error of the solution is at most that of the interpolated
+        # exact solution, except for quadrature errors
         assert 0.5 < figures["best_approximation"] < 1.02
         errors.append((figures["relative_l2_error"], figures["relative_h1_error"]))
     orders = np.log2(np.array(errors[0]) / np.array(errors[1]))
@@ -223,7 +225,8 @@ def test_a_hanging_column_stretches_as_it_must(monkeypatch: pytest.MonkeyPatch) 
     assert figures["weight_n"] == pytest.approx(WEIGHT * 80.0)
     assert figures["reaction_n"] == pytest.approx(figures["weight_n"], rel=1e-6)
     assert figures["strain_energy_mj"] == pytest.approx(0.5 * figures["work_of_weight_mj"], rel=1e-6)
-    # the free length is 17 mm: tetrahedra with a vertex in the lower tenth are clamped
+    # Tetrahedra with a vertex in the lower tenth (2 mm) are clamped. They extend to z = 3 mm, so
+    # the free length is 17 mm.
     exact = WEIGHT**2 * 4.0 * 17.0**3 / (3.0 * problems.YOUNG)
     assert 0.97 * exact < figures["work_of_weight_mj"] < exact
     assert figures["max_displacement_mm"] == pytest.approx(WEIGHT * 17.0**2 / (2.0 * problems.YOUNG), rel=0.05)
@@ -283,7 +286,8 @@ def test_conduction_follows_the_membrane_where_the_fibres_are_equal(monkeypatch:
     # tensors are computed once per block and matrix, not once per pair of basis functions
     assert len(tensors) == 2
     low, high = figures["potential_range_mv"]
-    # phi = -sigma_i / (sigma_i + sigma_e) V plus a constant: a quarter of the 100 mV
+    # the potential is -sigma_i / (sigma_i + sigma_e) times the membrane potential plus a constant,
+    # so its range is a quarter of 100 mV
     assert high - low == pytest.approx(25.0, rel=0.02)
 
 
@@ -292,7 +296,8 @@ def test_conduction_in_many_bodies(size: tuple[int, int, int], count: int) -> No
     figures, converged = conduction(Assembler(*copies(block(size), count)), FOREVER)
     assert converged
     assert figures["parts"] == count
-    # if a part is not grounded, the iteration stagnates (after 4 and 2 steps in these cases)
+    # if a part is not grounded, the iteration stagnates (measured: after 4 steps with the first
+    # size, 2 with the second)
     assert figures["multigrid"]["iterations"] <= 20
     assert figures["multigrid"]["condition"] is not None
 
@@ -349,7 +354,8 @@ def test_multigrid_hardly_minds_the_number_of_unknowns() -> None:
         assert converged
         for name, found in iterations.items():
             found.append(figures[name]["iterations"])
-    # measured iterations: 13 and 13 with multigrid, 146 and 290 with Jacobi
+    # measured numbers of iterations on the two blocks: 13 and 13 with multigrid, 146 and 290 with
+    # Jacobi
     assert max(iterations["multigrid"]) <= 20
     assert iterations["multigrid"][1] < 1.5 * iterations["multigrid"][0]
     assert iterations["jacobi"][1] > 1.5 * iterations["jacobi"][0]
@@ -363,7 +369,7 @@ def test_a_mesh_without_points_inside() -> None:
 
 
 def test_a_block_may_have_many_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    # the product of two point numbers needs more than 32 bits
+    # the product of two point numbers does not fit into a signed 32-bit integer
     points, cells = block((2, 2, 2))
     alone = Assembler(points, cells).elastic_stiffness(1.0, 1.0).toarray()
     copies = 2000
@@ -439,7 +445,7 @@ def test_the_solution_of_jacobi_stands_in_for_that_of_multigrid(monkeypatch: pyt
     assert found["relative_l2_error"] == pytest.approx(right["relative_l2_error"], rel=1e-5)
     assert "poisson: multigrid did not converge" in context.warnings[0]
     assert "; poisson, conduction, elasticity with Jacobi's preconditioner only" in checks[0].words
-    # if there is no time for Jacobi's preconditioner, nothing is known about the matrix
+    # without time for Jacobi's preconditioner, the check must not claim that the matrix is singular
     context = Context(CommonArguments(), "", {})
     checks = solve_on(mesh_of(points, cells), SolveSettings(compare_seconds=0.0), context)
     assert [check.passed for check in checks] == [False]

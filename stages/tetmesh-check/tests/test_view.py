@@ -101,7 +101,7 @@ def test_what_the_view_shows(case: Path) -> None:
 def test_the_cut_keeps_the_farther_half(case: Path) -> None:
     points, cells, grid = tetrahedra(case / "a&b.volume.vtu")
     cut = cut_of(grid)
-    # the result is the same if all points count as boundary points
+    # the result must not change if all points count as boundary points
     everywhere = cut_through_the_middle(points, cells, np.ones(len(points), dtype=bool))
     np.testing.assert_array_equal(cut.triangles, everywhere.triangles)
     np.testing.assert_array_equal(cut.owners, everywhere.owners)
@@ -157,7 +157,7 @@ def test_a_script_uses_the_page(page: Path, tmp_path: Path) -> None:
     found = driven(page, tmp_path)
     assert found.get("error") is None
     assert found["state"] == "drawn"
-    # without Ctrl, the wheel scrolls the page and does not zoom
+    # without Ctrl, the wheel must scroll the page and not zoom
     assert found["plainWheel"] == [False, 1.0]
     assert found["ctrlWheel"][0]
     assert found["ctrlWheel"][1] > 1.1
@@ -175,8 +175,8 @@ def test_a_script_uses_the_page(page: Path, tmp_path: Path) -> None:
     assert found["plus"] == pytest.approx(1.2)
     assert found["reset"] == found["start"]
     assert found["dragged"][0] < found["start"][0]
-    # The ball fills the height of the view except for a margin. It covers pi / 4 of a square that
-    # is about half as wide as the view.
+    # The ball fills the height of the view except for a margin, and the view is about twice as wide
+    # as high. The ball therefore covers somewhat less than pi / 8 = 0.39 of the view.
     assert 0.2 < found["covered"] < 0.6
     assert found["clipped"] < 0.85 * found["covered"]
     assert found["clippedAway"] < 0.1

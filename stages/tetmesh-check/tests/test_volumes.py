@@ -123,7 +123,8 @@ def test_surfaces_of_reconstruct_open_elsewhere(ending: str) -> None:
         again = meshio.read(path)
         meshes.append((again.points, again.cells_dict["triangle"]))
     for vertices, faces in meshes:
-        # STL repeats the vertices of every triangle, so corner positions are compared
+        # STL repeats the vertices of every triangle, so corner positions are compared instead of
+        # indices
         found = np.sort(np.asarray(vertices)[faces].reshape(4, 9).round(4), axis=0)
         np.testing.assert_allclose(found, np.sort(points[triangles].reshape(4, 9).round(4), axis=0), atol=2e-4)
 

@@ -1,5 +1,5 @@
-//! Boxes of whole voxels: a plate and a rod one voxel thick, and two boxes that touch along an
-//! edge.
+//! Boxes of whole voxels: a plate, a rod, and two boxes that touch along an edge. The plate and the
+//! rod are one voxel thick.
 
 use crate::scene::{Scene, Truth};
 use glam::DVec3;
@@ -22,7 +22,7 @@ impl Boxes {
         Self::single("plate", grid, [[nx / 5, nx - nx / 5], [ny / 5, ny - ny / 5], [nz / 2, nz / 2 + 1]])
     }
 
-    /// Returns a row of voxels along x with 60 % of the volume's length.
+    /// Returns a rod along x: a row of voxels with 60 % of the volume's length.
     pub fn rod(grid: &Geometry) -> Self {
         let [nx, ny, nz] = grid.size;
         Self::single("rod", grid, [[nx / 5, nx - nx / 5], [ny / 2, ny / 2 + 1], [nz / 2, nz / 2 + 1]])
@@ -69,8 +69,8 @@ impl Boxes {
     }
 }
 
-/// Returns the lower and upper corners (mm, grid frame) of the box of voxels with half-open index
-/// ranges.
+/// Returns the lower and upper corners (mm, grid frame) of a box of whole voxels. `ranges` are the
+/// half-open index ranges of the voxels.
 fn corners(grid: &Geometry, ranges: &[[usize; 2]; 3]) -> (DVec3, DVec3) {
     let bound = |side: usize| DVec3::from_array(ranges.map(|range| range[side] as f64 - 0.5));
     (grid.index_to_grid(bound(0)), grid.index_to_grid(bound(1)))

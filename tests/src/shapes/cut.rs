@@ -1,4 +1,5 @@
-//! Shapes cut by the border of the volume: a cylinder (by two faces) and a gyroid (by all six).
+//! Shapes cut by the border of the volume: a cylinder (cut by two faces of the volume) and a gyroid
+//! (cut by all six).
 
 use crate::scene::{Scene, Truth, off_lattice_centre, shortest_extent};
 use glam::DVec3;
@@ -13,13 +14,13 @@ pub struct Cylinder {
     pub centre: DVec3,
     /// Radius, mm.
     pub radius: f64,
-    /// Length, mm: from half a voxel below the lowest voxel centres to half a voxel above the
-    /// highest.
+    /// Length, mm. The cylinder extends half a voxel beyond the lowest and the highest voxel
+    /// centres.
     pub length: f64,
 }
 
 impl Cylinder {
-    /// Returns a cylinder with a radius of 0.28 times the shortest side.
+    /// Returns a cylinder with a radius of 0.28 times [`shortest_extent`].
     pub fn filling(grid: &Geometry) -> Self {
         Self {
             centre: off_lattice_centre(grid),
@@ -61,7 +62,7 @@ pub struct Gyroid {
 }
 
 impl Gyroid {
-    /// Returns a gyroid with two periods along the shortest side.
+    /// Returns a gyroid whose period is half of [`shortest_extent`].
     pub fn filling(grid: &Geometry) -> Self {
         Self { centre: off_lattice_centre(grid), period: 0.5 * shortest_extent(grid) }
     }
@@ -72,7 +73,8 @@ impl Scene for Gyroid {
         let scale = 2.0 * PI / self.period;
         let p = scale * (position - self.centre);
         let (x, y, z) = (p.x, p.y, p.z);
-        // The gradient with respect to the phase has a magnitude of about 1.5 on the surface.
+        // On the surface, the gradient with respect to the phase has a magnitude of about 1.5.
+        // Dividing by this value gives an approximate distance.
         (x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos()) / (1.5 * scale)
     }
 

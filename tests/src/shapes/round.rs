@@ -17,7 +17,7 @@ pub struct Ball {
 }
 
 impl Ball {
-    /// Returns a shape with a radius of 0.35 times the shortest side.
+    /// Returns a ball with a radius of 0.35 times [`shortest_extent`].
     pub fn filling(grid: &Geometry) -> Self {
         Self { centre: off_lattice_centre(grid), radius: 0.35 * shortest_extent(grid) }
     }
@@ -56,7 +56,7 @@ pub struct Ellipsoid {
 }
 
 impl Ellipsoid {
-    /// Returns an ellipsoid with semi-axes of 0.40, 0.30 and 0.24 times the shortest side.
+    /// Returns an ellipsoid with semi-axes of 0.40, 0.30 and 0.24 times [`shortest_extent`].
     pub fn filling(grid: &Geometry) -> Self {
         let extent = shortest_extent(grid);
         Self { centre: off_lattice_centre(grid), semi_axes: extent * DVec3::new(0.40, 0.30, 0.24) }
@@ -78,9 +78,10 @@ impl Ellipsoid {
 }
 
 impl Scene for Ellipsoid {
-    /// Returns the signed distance to the foot point `q_i = a_i^2 p_i / (t + a_i^2)`, where `t` is
-    /// the largest root of `sum (a_i p_i / (t + a_i^2))^2 = 1`. The sum decreases monotonically in
-    /// the bracket, so bisection always finds the root.
+    /// Returns the signed distance to the foot point `q_i = a_i^2 p_i / (t + a_i^2)`, where `p` is
+    /// the position relative to the centre and `a` are the semi-axes. `t` is the largest root of
+    /// `sum (a_i p_i / (t + a_i^2))^2 = 1`. The sum decreases monotonically in the bracket, so
+    /// bisection always finds the root.
     fn value(&self, position: DVec3) -> f64 {
         let p = (position - self.centre).abs();
         let axes = self.semi_axes;
@@ -90,8 +91,9 @@ impl Scene for Ellipsoid {
         let mut low = -squared.min_element();
         let mut high = axes.max_element() * p.length().max(1e-12);
         if excess(low + 1e-12 * squared.min_element()) <= 0.0 {
-            // This happens only on the medial axis inside the ellipsoid, where p.z is zero. The
-            // formula gives x and y of the foot point, and the ellipsoid's equation gives z.
+            // The bracket contains no root only if the position is on the medial axis inside the
+            // ellipsoid, where p.z is zero. The formula then gives x and y of the foot point, and
+            // the ellipsoid's equation gives z.
             let t = low;
             let mut foot = DVec3::new(squared.x * p.x / (t + squared.x), squared.y * p.y / (t + squared.y), 0.0);
             let rest = 1.0 - (foot / axes).length_squared();
@@ -122,8 +124,8 @@ impl Scene for Ellipsoid {
             components: Some(1),
             genus: Some(0),
             // The medial axis is a flat region in the x-y plane. It ends at the centres of
-            // curvature of the tips of the long axis, c^2 / a from the tips. The poles of the short
-            // axis are at a distance of c from it.
+            // curvature of the tips of the long axis, c^2 / a from the tips. The distance from the
+            // poles of the short axis to this region is c.
             local_feature_size_min: Some(c * c / a),
             local_feature_size_max: Some(c),
             centre_grid: self.centre.to_array(),
@@ -149,7 +151,7 @@ pub struct ThinShell {
 }
 
 impl ThinShell {
-    /// Returns a shape with a radius of 0.35 times the shortest side.
+    /// Returns a shell whose mid-surface has a radius of 0.35 times [`shortest_extent`].
     pub fn filling(grid: &Geometry, thickness: f64) -> Self {
         Self { centre: off_lattice_centre(grid), radius: 0.35 * shortest_extent(grid), thickness }
     }
@@ -195,7 +197,7 @@ pub struct TwoBalls {
 }
 
 impl TwoBalls {
-    /// Returns two balls that together span 0.84 times the shortest side.
+    /// Returns two balls that together span 0.84 times [`shortest_extent`].
     pub fn filling(grid: &Geometry, gap: f64) -> Self {
         let radius = 0.25 * (0.84 * shortest_extent(grid) - gap);
         Self { centre: off_lattice_centre(grid), radius, gap }

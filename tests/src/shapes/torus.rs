@@ -1,5 +1,5 @@
-//! A torus with exact signed distance, and a bumpy torus given by an implicit function, with
-//! figures from quadrature.
+//! A torus with an exact signed distance, and a bumpy torus. The implicit function of the bumpy
+//! torus is not a distance, and its figures come from quadrature.
 
 use crate::scene::{Scene, Truth, off_lattice_centre, shortest_extent};
 use crate::shapes::integrate;
@@ -21,7 +21,7 @@ pub struct Torus {
 }
 
 impl Torus {
-    /// Returns a torus with ring and tube radii of 0.27 and 0.13 times the shortest side.
+    /// Returns a torus with ring and tube radii of 0.27 and 0.13 times [`shortest_extent`].
     pub fn filling(grid: &Geometry) -> Self {
         let extent = shortest_extent(grid);
         Self { centre: off_lattice_centre(grid), ring_radius: 0.27 * extent, tube_radius: 0.13 * extent }
@@ -59,7 +59,7 @@ impl Scene for Torus {
 pub struct BumpyTorus {
     /// The torus without bumps.
     pub torus: Torus,
-    /// Height of the bumps relative to the tube radius.
+    /// Amplitude of the bumps as a fraction of the tube radius.
     pub amplitude: f64,
 }
 

@@ -26,8 +26,8 @@ struct Fissure {
     normal: DVec3,
     through: DVec3,
     half_width: f64,
-    /// Distance of the inner end of the cut from the median plane of the body. The lobes stay
-    /// joined there.
+    /// Distance of the inner end of the cut from the median plane of the body. Between this plane
+    /// and the cut, the lobes stay joined.
     ends_at: f64,
 }
 

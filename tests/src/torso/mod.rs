@@ -2,8 +2,8 @@
 //! heart-like, lung-like and ribcage-like parts.
 //!
 //! The axes follow LPS: x points to the left, y to the back, z to the head. The anatomy is defined
-//! in a reference frame (mm) whose origin is the centre of a box of 347.1 x 166.4 x 228.8 mm. It is
-//! scaled to the given grid.
+//! in a reference frame (mm) whose origin is the centre of a box of 347.1 x 166.4 x 228.8 mm. The
+//! anatomy is scaled to the given grid.
 
 mod heart;
 mod lungs;
@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 
 /// Number of voxels of the paper's volume along each axis.
 pub const PAPER_SIZE: [usize; 3] = [268, 129, 177];
-/// Spacing, mm. It makes the volume as large as a chest: 347.1 x 166.4 x 228.8 mm between the
+/// Voxel spacing, mm. It gives the volume the size of a chest: 347.1 x 166.4 x 228.8 mm between the
 /// outermost voxel centres.
 pub const PAPER_SPACING: f64 = 1.3;
 
@@ -53,8 +53,8 @@ const BLOOD: f64 = 300.0;
 const BONE: f64 = 700.0;
 
 impl Torso {
-    /// Returns the torso scaled to the grid. Its centre is a fraction of a voxel away from the
-    /// lattice points.
+    /// Returns the torso scaled to the grid. Its centre is a fraction of a voxel away from all
+    /// voxel centres.
     pub fn filling(grid: &Geometry, part: Part) -> Self {
         let reference = PAPER_SPACING * DVec3::from_array(PAPER_SIZE.map(|n| n as f64 - 1.0));
         let scale = (grid.upper_corner() / reference).min_element();
@@ -115,8 +115,8 @@ impl Scene for Torso {
     }
 
     /// Returns the plain edge profile for a single part. For the whole torso, returns Hounsfield
-    /// units: the value of the body, blended with the value of each part in turn. Outside the body
-    /// the value is 0, as in a scan with a masked background.
+    /// units: the value of the body tissue, blended with the values of lungs, heart and bones in
+    /// this order. Outside the body, the value is 0, as in a scan with a masked background.
     fn profile(&self, position: DVec3, edge_width: f64) -> f64 {
         if self.part != Part::All {
             return edge_profile(self.value(position), edge_width);

@@ -3,11 +3,11 @@
 use glam::{DMat3, DVec3};
 
 /// Upper limit of approximate distances, in mm of the reference frame. All edge profiles and blends
-/// are narrower, so pieces farther away have no effect and are skipped.
+/// are narrower than this distance, so pieces farther away have no effect and are skipped.
 pub(super) const FAR: f64 = 25.0;
 
 /// Returns the polynomial smooth minimum of two values: the union of two shapes, rounded over a
-/// width of `blend`. It equals the minimum where the values differ by more than `blend`.
+/// width of `blend`. Where the values differ by more than `blend`, the result is the exact minimum.
 pub(super) fn smooth_union(a: f64, b: f64, blend: f64) -> f64 {
     let overlap = (blend - (a - b).abs()).max(0.0) / blend;
     a.min(b) - 0.25 * overlap * overlap * blend
@@ -54,8 +54,8 @@ const RUN: usize = 8;
 #[derive(Clone, Debug)]
 pub(super) struct Tube {
     points: Vec<(DVec3, f64)>,
-    /// Lower and upper corners of the bounding box of each run. A distant run then costs only one
-    /// comparison.
+    /// Lower and upper corners of the bounding box of each group of `RUN` segments. A distant group
+    /// then costs only one comparison.
     boxes: Vec<(DVec3, DVec3)>,
 }
 
@@ -98,7 +98,7 @@ impl Tube {
         Self::new(points)
     }
 
-    /// Returns the approximate signed distance, or `give_up` if the tube is at least that far away.
+    /// Returns the approximate signed distance to the tube, or `give_up` if that value is smaller.
     pub(super) fn value(&self, q: DVec3, give_up: f64) -> f64 {
         let mut best = give_up;
         for (run, (low, high)) in self.boxes.iter().enumerate() {

@@ -12,7 +12,8 @@ pub(super) const COMPONENTS: usize = 9;
 /// hence 13 independent loops.
 pub(super) const GENUS: usize = 13;
 
-/// Width of the blend between a rib and the spine or the sternum, in mm of the reference frame.
+/// Width of the rounded transition between a rib and the spine or the sternum, in mm of the
+/// reference frame.
 const BLEND: f64 = 3.0;
 /// y coordinate at which the ribs leave the spine, in mm of the reference frame.
 const BACK: f64 = 52.0;
@@ -46,8 +47,9 @@ impl Blade {
     }
 }
 
-/// Returns the semi-axes of the elliptic hoop of a rib. Ribs are numbered from 0; fractions denote
-/// hoops between two ribs. Hoops are narrow at the top and widen downwards.
+/// Returns the semi-axes of the elliptic hoop of a rib along x and y, in mm of the reference frame.
+/// Ribs are numbered from 0; a fractional number denotes a hoop between two ribs. Hoops are narrow
+/// at the top and widen downwards.
 fn hoop(rib: f64) -> (f64, f64) {
     let down = 1.0 - rib / 11.0;
     (142.0 * (1.0 - 0.58 * down.powi(3)), 64.0 * (1.0 - 0.45 * down.powi(3)))
@@ -56,8 +58,8 @@ fn hoop(rib: f64) -> (f64, f64) {
 /// Returns a value that is negative inside the cage, except close to the ribs. Near zero, it
 /// approximates the signed distance.
 pub(super) fn cage_interior(q: DVec3) -> f64 {
-    // Find the (fractional) rib whose slanted hoop passes through `q`. The hoop's size depends on
-    // the rib, so this takes a few iterations.
+    // Find the fractional number of the rib whose slanted hoop passes through `q`. The size of the
+    // hoop depends on this number, so the search is iterative.
     let mut rib = (98.0 - q.z) / 15.5;
     for _ in 0..3 {
         let (half_width, half_depth) = hoop(rib.clamp(0.0, 11.0));

@@ -95,7 +95,7 @@ fn blanks_and_quotes_in_names_are_taken_as_they_are() {
     command.arg(format!("SIZEFIELD_OPTIONS=--refine \"mask:{}=1.5\"", volume.display()));
     run(&mut command).expect_success("make surface");
     assert!(folder.join("my results/left lung (2)/left lung (2).surface.vtp").exists());
-    // distfield receives the label names as one argument.
+    // distfield must receive the label names as one argument.
     let ended = case.surface(&["LABELS=left lung,right lung", "VERBOSITY=-q"]);
     assert_eq!(ended.code, Some(2));
     assert!(ended.stdout.contains("--labels 'left lung,right lung'"), "{}", ended.stdout);

@@ -81,7 +81,7 @@ fn what_fails_is_told_and_the_rest_is_made() {
     for name in all.map(|(name, _)| name) {
         assert!(index.contains(&format!("\"name\": \"{name}\"")), "{name} is not in the index: {index}");
     }
-    // SIZE on the command line applies to the row whose SIZE is empty.
+    // The row with an empty SIZE must use SIZE from the command line.
     assert!(case.text("status.json").contains("\"SIZE\": \"2.5\""), "{}", case.text("status.json"));
 
     let before = case.times();

@@ -53,8 +53,8 @@ fn a_list_is_made_by_snakemake() {
     }
     assert!(case.out().join("broken/broken.report.html").exists(), "what failed has a page");
 
-    // The new list changes the size of one row and omits the other rows. The distance field of that
-    // row stays valid.
+    // The new list contains only one row, with another SIZE. The distance field of this row does
+    // not depend on SIZE, so it must be kept.
     let before = times(&case, "a ball");
     let mended = "NAME,INPUT,ISO,SIZE,SCALE\na ball,ball.nrrd,100,3,0\n";
     let run_mended = |list: &str| {

@@ -21,7 +21,7 @@ fn a_failing_first_stage_has_a_page_and_stands_in_the_index() {
     assert!(index.contains("\"verdict\": \"error\""), "{index}");
 }
 
-/// A run that fails leaves no result of an earlier run with the same name (issue 17).
+/// After a failed run, no result of an earlier run with the same name may be left (issue 17).
 #[test]
 fn a_failed_run_leaves_no_result_of_an_earlier_one() {
     let case = Case::new();
@@ -55,13 +55,13 @@ fn a_failed_run_leaves_no_result_of_an_earlier_one() {
     assert!(case.has("surface.vtp") && case.has("volume.vtu") && pictures.exists());
 }
 
-/// A different surface under the same name removes the tetrahedra of the first surface and replaces
-/// the page (issue 17).
+/// A run that makes a different surface under the same name must remove the earlier tetrahedra and
+/// replace the page (issue 17).
 #[test]
 fn a_surface_of_something_else_takes_away_the_tetrahedra() {
     let case = Case::new();
     case.mesh(0, &[]);
-    // If the surface is the same, the tetrahedra and the page are kept.
+    // A run that makes the same surface keeps the tetrahedra and the page.
     case.surface(&PARAMETERS).expect_success("make surface");
     assert!(case.has("volume.vtu") && case.has("report.html"));
     assert_eq!(case.status()["goal"], "surface");
@@ -77,7 +77,7 @@ fn a_surface_of_something_else_takes_away_the_tetrahedra() {
 fn the_output_of_a_failed_check_is_kept_aside() {
     let case = Case::new();
     let programs = case.linked_programs();
-    // A stand-in for sizefield that writes its output and reports a failed check.
+    // This stand-in for sizefield writes its output and exits with the code of a failed check.
     executable(&programs.join("sizefield"), &format!("{TAKES_ALL}echo made > \"$3\"\nexit 1\n"));
     let bin = format!("BIN={}", programs.display());
     let ended = case.surface(&["ISO=100", "VERBOSITY=-q", &bin]);
@@ -92,8 +92,8 @@ fn the_output_of_a_failed_check_is_kept_aside() {
     assert!(!case.has("sizefield.failed.vti"));
 }
 
-/// A program that exits without a report, is killed by a signal, or does not exist causes a
-/// three-part error.
+/// A three-part error must be reported if a program exits without a report, is killed by a signal,
+/// or does not exist.
 #[test]
 #[cfg(unix)]
 fn a_program_that_crashes_is_told_in_three_parts() {
@@ -134,8 +134,8 @@ fn no_stale_mesh_or_page_is_left() {
     assert_eq!(case.status()["verdict"], "passed");
 }
 
-/// The output ends with the verdict, the warnings and the path of the report page. `make verdict`
-/// prints the same lines again.
+/// The output must end with the verdict, the warnings and the path of the report page. `make
+/// verdict` must print the same lines again.
 #[test]
 fn the_last_lines_are_the_verdict() {
     let case = Case::new();
@@ -154,7 +154,7 @@ fn the_last_lines_are_the_verdict() {
     );
 }
 
-/// A killed run leaves the state "running" in the status; the next command reports it as
+/// A killed run leaves the state "running" in the status. The next command must report this run as
 /// interrupted.
 #[test]
 fn a_killed_run_is_told() {
@@ -175,8 +175,8 @@ fn a_killed_run_is_told() {
     assert_eq!(case.status()["verdict"], "passed");
 }
 
-/// A process of a killed run may write an output late, when the next run has already removed old
-/// files. The next run still makes this output, and the status lists it as a result.
+/// A process of a killed run may write an output after the next run has removed old files. The next
+/// run must still make this output and list it as a result in the status.
 #[test]
 #[cfg(unix)]
 fn late_output_of_a_killed_run_is_made_again() {

@@ -120,8 +120,8 @@ impl Case {
         STAGES.iter().map(|(name, _)| *name).filter(|name| before[name] != after[name]).collect()
     }
 
-    /// Creates a folder of links to the programs and returns its path. A test can replace the
-    /// links.
+    /// Creates a folder of links to the programs and returns its path. A test can replace a link
+    /// with a stand-in.
     #[cfg(unix)]
     fn linked_programs(&self) -> PathBuf {
         let programs = self.folder.path().join("bin");
@@ -142,7 +142,7 @@ fn ball(path: &Path) {
 fn make() -> Command {
     let mut command = Command::new("make");
     command.current_dir(root()).arg("NO_BUILD=yes").arg(format!("BIN={}", binaries().display()));
-    // Settings of a make process that runs these tests must not be inherited.
+    // If make runs these tests, its settings must not be inherited.
     for variable in ["MAKEFLAGS", "MFLAGS", "MAKELEVEL", "MAKEOVERRIDES"] {
         command.env_remove(variable);
     }
@@ -189,8 +189,8 @@ impl StandIn {
     }
 }
 
-/// First line of a stand-in for a stage. It accepts all options when the stage is called to check
-/// them.
+/// First line of a stand-in for a stage. When the stage is called only to check its options, this
+/// line accepts them all.
 const TAKES_ALL: &str = "[ \"$1\" = --check-options ] && { echo \"$2\"; exit 0; }\n";
 
 /// Writes an executable shell script.

@@ -41,14 +41,14 @@ fn two_volumes_of_one_name_do_not_replace_each_other() {
     distfield(&second, &[]).expect_error(2, &words);
     assert!(case.out().join("heart/heart.distfield.vti").exists(), "the first one's result stays");
     distfield(&second, &["NAME=heart B"]).expect_success("under a name of its own");
-    // A link to the volume of the case is accepted as the same volume.
+    // A link to the volume of the case must be accepted as the same volume.
     #[cfg(unix)]
     {
         let link = case.folder.path().join("heart.nrrd");
         std::os::unix::fs::symlink(&first, &link).unwrap();
         distfield(&link, &[]).expect_success("by a link");
     }
-    // A phantom is also refused as a different volume.
+    // A phantom must be refused as a different volume.
     let phantom = ["PHANTOM=ball --size 24", "NAME=heart", "ISO=100", "VERBOSITY=-q"];
     run(&mut case.bare("distfield", &phantom)).expect_error(2, &["a phantom", "make clean"]);
     run(&mut case.bare("clean", &["NAME=heart"])).expect_success("make clean");

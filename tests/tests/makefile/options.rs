@@ -69,8 +69,8 @@ fn the_options_of_a_phantom_are_checked_first() {
     phantom("bal --size 24").expect_error(2, &["phantom", "bal"]);
     assert!(!case.out().exists());
     phantom("ball --size 24").expect_success("make distfield");
-    // A new phantom replaces the volume of the earlier run, so LABELS is not checked against that
-    // volume.
+    // The new phantom replaces the scan of the earlier run, so LABELS must not be checked against
+    // that scan.
     let labels = ["PHANTOM=ball --size 24 --kind label", "LABELS=1"];
     run(&mut case.bare("distfield", &labels)).expect_success("labels in place of a scan");
 }
@@ -93,7 +93,8 @@ fn names_of_materials_are_checked_before_any_stage() {
     let told = ["sizefield", "--size bdoy=3: no such material", "outside, body"];
     // The distance field is valid.
     surface(&["MATERIALS=body:1", "SCALE=0", wrong]).expect_error(2, &told);
-    // The distance field is out of date, so the material names come from the options or the volume.
+    // The distance field is out of date, so the material names must come from the options or the
+    // volume.
     surface(&["MATERIALS=body:1", "SCALE=2", wrong]).expect_error(2, &told);
     surface(&["MATERIALS=all", "SCALE=0", wrong]).expect_error(2, &["sizefield", "bdoy", "outside, "]);
     surface(&["MATERIALS=body:7", "SCALE=0"]).expect_error(2, &["distfield", "7"]);

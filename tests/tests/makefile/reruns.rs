@@ -74,7 +74,8 @@ fn a_file_that_an_option_names_is_a_prerequisite() {
     let status = case.status();
     let roles: Vec<_> = status["inputs"].as_array().unwrap().iter().map(|input| input["role"].clone()).collect();
     assert_eq!(roles, ["volume", "named in SIZEFIELD_OPTIONS"]);
-    // The tetrahedra also depend on the volume that provides their labels.
+    // The tetrahedra depend on the volume that provides the labels, so a change to it must cause
+    // new tetrahedra.
     let labels = format!("TETMESH_OPTIONS=--labels-volume='{}'", mask.display());
     case.mesh(0, &[&labels]);
     let made = |case: &Case| case.status()["stages"][5]["made"].clone();
@@ -147,8 +148,8 @@ fn the_files_of_the_tetrahedra_leave_out_other_programs() {
     assert!(!files.contains("convergence.py") && !files.contains("page/"), "{files}");
 }
 
-/// Stopping make during `particles` leaves no particle file. The next run finishes the case with
-/// the same particles as an uninterrupted run.
+/// If make is stopped during `particles`, no particle file is left. The next run must give the same
+/// particles as an uninterrupted run.
 #[test]
 #[cfg(unix)]
 fn a_stopped_run_is_finished_by_the_next() {
@@ -157,7 +158,8 @@ fn a_stopped_run_is_finished_by_the_next() {
     let options = "PARTICLES_OPTIONS=--max-passes 300 --energy-tolerance 0";
     let variables = ["ISO=100", "SIZE=1.2", "VERBOSITY=-q", options];
     let mut command = stopped.command("surface", &variables);
-    // A new process group lets the signal reach make and all its programs, as with Ctrl-C.
+    // As with Ctrl-C, the signal must reach make and all its programs, so they get a process group
+    // of their own.
     command.process_group(0);
     let mut child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("make");
     let checkpoint = stopped.file("checkpoint.bin");

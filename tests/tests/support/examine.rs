@@ -54,7 +54,8 @@ pub fn examine(vertices: &[DVec3], triangles: &[[u32; 3]]) -> Examination {
         volume += tetrahedron;
         moment += tetrahedron * (a + b + c) / 4.0;
         let sides = [a.distance(b), b.distance(c), c.distance(a)];
-        // 2 r / R = 16 A^2 / (perimeter x product of the sides).
+        // With the inradius r, the circumradius R and the area A: 2 r / R = 16 A^2 / (perimeter x
+        // product of the sides).
         ratios.push(4.0 * normal.length_squared() / (sides.iter().sum::<f64>() * sides.iter().product::<f64>()));
     }
     Examination {

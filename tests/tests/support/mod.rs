@@ -21,7 +21,8 @@ pub fn root() -> PathBuf {
 }
 
 /// Returns the folder of the release programs: `ISOPARTICLES_BIN`, if it is set. Otherwise, each
-/// test binary builds the programs once (a fraction of a second if they are up to date).
+/// test binary first builds the programs, which takes a fraction of a second if they are up to
+/// date.
 pub fn binaries() -> &'static Path {
     static BINARIES: OnceLock<PathBuf> = OnceLock::new();
     BINARIES.get_or_init(|| {

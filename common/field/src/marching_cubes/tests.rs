@@ -62,8 +62,8 @@ fn sphere_torus_and_balls_have_their_topology_and_measures() {
     let sphere = marching_cubes(&sampled(size, spacing, |p| p.distance(centre) - 8.0), 0.0);
     assert_eq!(check_closed(&sphere), 2);
     let (area, volume) = measure(&sphere);
-    // the inscribed mesh of a ball with a radius of 13 to 20 voxels has an area and a volume that
-    // are too small by a few times (h/R)^2/8
+    // the inscribed mesh underestimates area and volume by a few times `1 / (8 R^2)`, where R is
+    // the radius, 13 to 20 voxels
     assert!((area / (4.0 * PI * 64.0) - 1.0).abs() < 4e-3, "area {area}");
     assert!((volume / (4.0 / 3.0 * PI * 512.0) - 1.0).abs() < 4e-3, "volume {volume}");
 
@@ -96,7 +96,7 @@ fn triangles_face_the_larger_values() {
 
 #[test]
 fn samples_equal_to_the_iso_value_make_no_degenerate_triangle() {
-    // integer data: every sample on the surface equals the iso value
+    // all samples are integers, so many of them equal the iso value
     let distance = |p: DVec3| (p - DVec3::splat(7.0)).abs().element_sum();
     let mesh = marching_cubes(&sampled([15, 15, 15], DVec3::ONE, distance), 5.0);
     assert_eq!(check_closed(&mesh), 2);
@@ -116,8 +116,8 @@ fn the_table_covers_every_crossed_edge_once() {
 
 #[test]
 fn the_saddle_decides_whether_diagonal_neighbours_are_joined() {
-    // the saddle value is 0.3 v - 0.35 for an outside value v, so it is zero at v = 7/6; the
-    // bilinear interpolant would be zero at v = 1/2
+    // the saddle value is 0.3 v - 0.35 for an outside value v: the diagonal samples are joined at
+    // 1.1 but not at 1.2; the bilinear interpolant would separate them above 1/2
     for (outside, components) in [(1.1, 1), (1.2, 2)] {
         let diagonal = |p: DVec3| {
             let touches = p == DVec3::new(2.0, 2.0, 2.0) || p == DVec3::new(3.0, 3.0, 2.0);

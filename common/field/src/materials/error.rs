@@ -1,6 +1,6 @@
 //! Errors that occur when material indicators are assembled from stored parts.
 
-/// The parts do not fit together.
+/// Reasons why stored parts cannot be assembled.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -39,7 +39,7 @@ pub enum Error {
         "{found} materials of bricks, up to number {largest:?}, but there are {bricks} bricks and {materials} materials"
     )]
     Fill {
-        /// Number of bricks with a fill.
+        /// Number of bricks for which a fill is given.
         found: usize,
         /// Largest material number in the fill.
         largest: Option<u16>,
@@ -56,7 +56,7 @@ pub enum Error {
         /// Maximum number of materials.
         most: usize,
     },
-    /// The grid has too many bricks to number.
+    /// The grid has too many bricks for 32-bit indices.
     #[error("a grid of {size:?} nodes has too many bricks to number")]
     Grid {
         /// Number of nodes of the grid along each axis.

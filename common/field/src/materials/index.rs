@@ -11,13 +11,13 @@ use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Fill of a brick that no material fills. Every material that occurs in such a brick is known
-/// there.
+/// Sentinel for a brick that no material fills. The indicator of every material that occurs in such
+/// a brick is known there.
 const NO_FILL: u16 = u16::MAX;
 
 /// Assumed maximum difference, in voxels, between the two indicators at a position on their
-/// interface. A projection leaves a difference of at most twice its tolerance, which is far
-/// smaller.
+/// interface. A projection leaves a difference of at most twice its tolerance, far below this
+/// value.
 pub const ON_INTERFACE: f64 = 0.01;
 
 /// A material that is known in a brick.
@@ -35,13 +35,13 @@ struct Entry {
 /// brick of 4 x 4 x 4 cells, an index lists the materials known in the brick, and the material, if
 /// any, whose indicator is negative in the whole brick. Memory is proportional to the area of the
 /// interfaces. At an interface, each indicator stores a layer that is 14 coefficients thick on
-/// average, at 4 bytes each.
+/// average. A coefficient takes 4 bytes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Materials {
     geometry: Geometry,
     table: Vec<Material>,
     indicators: Vec<Indicator>,
-    /// First entry of each brick, followed by the end of the last brick.
+    /// Index of the first entry of each brick, followed by the number of entries.
     start: Vec<u32>,
     entries: Vec<Entry>,
     /// Material that fills each brick, or [`NO_FILL`].
@@ -54,8 +54,8 @@ impl Materials {
     /// list.
     ///
     /// # Errors
-    /// If there are no materials, too many materials, too many bricks, or a brick number beyond the
-    /// grid.
+    /// If there are no materials, too many materials or too many bricks, or if a brick lies beyond
+    /// the grid.
     pub fn new(geometry: Geometry, materials: Vec<(Material, Indicator, Vec<u32>)>) -> Result<Self, Error> {
         let count = bricks_along(geometry.size).iter().product::<usize>();
         let mut fill = vec![NO_FILL; count];
@@ -191,17 +191,16 @@ impl Materials {
         &self.entries[self.start[brick] as usize..self.start[brick + 1] as usize]
     }
 
-    /// Returns the coefficients of a material that a stencil uses. If some of them are unknown,
-    /// returns an error that tells whether the position is inside the material.
+    /// Returns the coefficients of a material at the nodes of a stencil. If some of them are
+    /// unknown, the error is true if the position is inside the material.
     #[inline(always)]
     fn gathered(&self, entry: Entry, stencil: &Stencil) -> Result<[f32; 64], bool> {
         let indicator = &self.indicators[usize::from(entry.material)];
         indicator.gather(entry.brick, stencil, self.geometry.size).ok_or(indicator.surrounds())
     }
 
-    /// Returns the stencil of a position and the coefficients of a material that it uses. If some
-    /// of these are unknown, returns an error that tells whether the position is inside the
-    /// material.
+    /// Returns the stencil of a position and the coefficients of a material at its nodes. If some
+    /// coefficients are unknown, the error is true if the position is inside the material.
     #[inline]
     fn of(&self, id: MaterialId, grid: DVec3) -> Result<(Stencil, [f32; 64]), bool> {
         let stencil = Stencil::new(&self.geometry, grid);
@@ -209,8 +208,8 @@ impl Materials {
         self.read(id, brick, &stencil).map(|read| (stencil.gathered(), read))
     }
 
-    /// Returns the coefficients of a material that a stencil in a brick uses. If some of them are
-    /// unknown, returns an error that tells whether the position is inside the material.
+    /// Returns the coefficients of a material at the nodes of a stencil in a brick. If some of them
+    /// are unknown, the error is true if the position is inside the material.
     #[inline(always)]
     fn read(&self, id: MaterialId, brick: usize, stencil: &Stencil) -> Result<[f32; 64], bool> {
         match self.known(brick).iter().find(|entry| entry.material == id.0) {
@@ -250,8 +249,8 @@ impl Indicators for Materials {
         }
     }
 
-    /// Evaluates a single spline, whose coefficients are half the differences between those of the
-    /// two materials.
+    /// Evaluates a single spline. Each of its coefficients is half the difference between the
+    /// coefficients of the two materials.
     #[inline(always)]
     fn difference_gradient(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> (f64, DVec3) {
         let stencil = Stencil::new(&self.geometry, grid);
@@ -277,7 +276,7 @@ impl Indicators for Materials {
         if others.peek().is_none() && !is_filled_by_other {
             return true;
         }
-        // the value of a spline is never below the minimum of its coefficients
+        // a spline value is never below the minimum of the coefficients at the nodes of its stencil
         let own_value = || Some(stencil.clone().gathered().value(&self.read(own[0], brick, &stencil).ok()?));
         let is_far = |limit: f64| {
             others.all(|&entry| match self.gathered(entry, &stencil) {

@@ -20,13 +20,14 @@ pub const CELLS: usize = 4;
 pub const BLOCK: usize = CELLS * CELLS * CELLS;
 
 /// An indicator is always known within this distance of its zero set, in voxels. A brick is known
-/// unless all coefficients from [`CELLS`] nodes before its first node to [`CELLS`] - 1 nodes after
-/// its last node have the same sign. These include all coefficients that cells up to [`CELLS`] - 2
-/// cells away use.
+/// unless all coefficients from `CELLS` nodes before its first node to `CELLS - 1` nodes after its
+/// last node have the same sign. Cells at a distance of up to `CELLS - 2` cells use only these
+/// coefficients.
 pub const KNOWN_VOXELS: usize = 2;
 
-/// Distance in nodes beyond which a sample is assumed not to affect a coefficient. At the next
-/// node, a coefficient changes by sqrt(3) (2 - sqrt(3))^9 = 1.2e-5 of the change in the sample.
+/// Distance in nodes beyond which a sample is assumed not to affect a coefficient. At a distance of
+/// nine nodes, a coefficient changes by sqrt(3) (2 - sqrt(3))^9 = 1.2e-5 of the change in the
+/// sample.
 const CARDINAL_REACH: usize = 8;
 
 /// Maximum number of blocks along an axis that contain affected coefficients.
@@ -41,8 +42,8 @@ fn cardinal_coefficient(nodes: usize) -> f64 {
 }
 
 /// Returns the position of a node on an axis of `nodes` nodes and the positions of its mirror
-/// images within [`CARDINAL_REACH`] of the axis. Splines are mirrored repeatedly at both borders of
-/// the grid.
+/// images within [`CARDINAL_REACH`] of the axis. The samples of a spline are continued by repeated
+/// mirroring at both borders of the grid.
 fn mirrored(node: usize, nodes: usize) -> Vec<isize> {
     let (node, last) = (node as isize, nodes as isize - 1);
     let reach = CARDINAL_REACH as isize;
@@ -107,7 +108,7 @@ pub struct IndicatorParts {
 
 impl Indicator {
     /// Creates an indicator from signed distances (mm, negative inside) at the nodes of a box. The
-    /// box starts at node `first` of a grid of `size` nodes. `surrounds` tells whether all points
+    /// box starts at node `first` of a grid of `size` nodes. `surrounds` is true if all points
     /// beyond the box are inside. Also returns the numbers of the bricks in which the indicator is
     /// negative throughout.
     ///
@@ -166,7 +167,7 @@ impl Indicator {
     /// Assembles an indicator for a grid of `size` nodes from its stored parts.
     ///
     /// # Errors
-    /// If the parts do not fit together.
+    /// If the parts do not match each other or the grid, or if a coefficient is not finite.
     pub fn from_parts(parts: IndicatorParts, size: [usize; 3]) -> Result<Self, Error> {
         let bricks = bricks_along(size);
         let count = bricks.iter().product::<usize>();
@@ -189,7 +190,8 @@ impl Indicator {
         Ok(Self { first, size, surrounds, bricks, blocks, coefficients })
     }
 
-    /// Returns the first node of the box in the shared grid, and the number of nodes of the box.
+    /// Returns the first node of the box in the shared grid, and the number of nodes of the box
+    /// along each axis.
     pub fn extent(&self) -> ([usize; 3], [usize; 3]) {
         (self.first, self.size)
     }
@@ -226,10 +228,10 @@ impl Indicator {
         })
     }
 
-    /// Adds the given changes (mm) to the samples at some nodes of the shared grid of `size` nodes.
-    /// The spline interpolates the new samples; all other samples remain unchanged. The spline
-    /// changes only within a few voxels. Coefficients beyond the box, or in bricks that are not
-    /// known, are not updated.
+    /// Adds changes (mm) to the samples at the given nodes. The shared grid has `size` nodes. The
+    /// spline interpolates the new samples and all other, unchanged samples. It changes only within
+    /// a few voxels of these nodes. Coefficients beyond the box, or in bricks that are not known,
+    /// are not updated.
     pub fn add_at_nodes(&mut self, changes: &[([usize; 3], f64)], size: [usize; 3]) {
         let along = bricks_along(size).map(|n| n + 1);
         let places = places(&self.bricks, bricks_along(size));
@@ -355,7 +357,8 @@ fn numbered(known: &[u32], places: &[u32], bricks: [usize; 3]) -> Vec<[u32; 8]> 
     known.iter().map(|&brick| blocks_of(brick, bricks).map(number)).collect()
 }
 
-/// Signs of the coefficients in cubes of [`CELLS`] nodes per axis of the shared grid.
+/// Signs of the coefficients in cubes of the shared grid. A cube has [`CELLS`] nodes along each
+/// axis.
 struct BrickSigns {
     /// First cube that overlaps the box, and number of cubes that overlap the box, along each axis.
     first: [usize; 3],
@@ -400,7 +403,7 @@ impl BrickSigns {
     fn around(&self, brick: [usize; 3]) -> Option<(bool, bool)> {
         let has_cell = (0..3).all(|a| {
             let (start, end) = (brick[a] * CELLS, (brick[a] + 1) * CELLS);
-            // a grid of one node has a single brick without cells
+            // a grid with one node along the axis has a single brick there, without cells
             start <= self.high[a].saturating_sub(1) && (end > self.low[a] || self.bricks[a] == 1)
         });
         if !has_cell {

@@ -56,7 +56,7 @@ pub const MOST_MATERIALS: usize = u16::MAX as usize;
 pub struct Material {
     /// Name of the material.
     pub name: String,
-    /// Labels of the volume that belong to the material.
+    /// Labels whose voxels make up the material.
     pub labels: Vec<LayerLabel>,
 }
 
@@ -66,8 +66,8 @@ pub struct Material {
 pub const MOST_NEAR: usize = 8;
 
 /// The indicators known at a position, smallest first. Equal indicators are ordered by material
-/// number. A material that fills the surroundings of the position has the value minus infinity if
-/// its indicator is not known there.
+/// number. If a material fills the surroundings of the position but its indicator is not known
+/// there, its value is minus infinity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Near {
     entries: [(MaterialId, f64); MOST_NEAR],
@@ -104,9 +104,9 @@ impl Near {
         self.entries().first().map(|(id, _)| *id)
     }
 
-    /// Returns half the difference of the two smallest indicators in mm, which is a first-order
-    /// estimate of the distance to the nearest interface. It is infinite if fewer than two
-    /// indicators are known.
+    /// Returns a first-order estimate of the distance (mm) to the nearest interface: half the
+    /// difference of the two smallest indicators. It is infinite if fewer than two indicators are
+    /// known.
     pub fn interface_distance(&self) -> f64 {
         match self.entries() {
             [(_, first), (_, second), ..] => 0.5 * (second - first),
@@ -115,18 +115,18 @@ impl Near {
     }
 }
 
-/// Returns the jet of an indicator where it is not known: an infinite value, negative if `inside`
-/// is true, with zero derivatives.
+/// Returns the jet of an indicator at a position where it is not known: an infinite value, negative
+/// if `inside` is true, and zero derivatives.
 pub(crate) fn far(inside: bool) -> Jet {
     let value = if inside { f64::NEG_INFINITY } else { f64::INFINITY };
     Jet { value, gradient: DVec3::ZERO, hessian: DMat3::ZERO }
 }
 
-/// The indicators F_m of a set of materials: signed distances in mm, negative inside, with
-/// derivatives per mm. Positions are in the grid frame, mm. An indicator that is not known at a
-/// position is infinite there, with the correct sign and zero derivatives.
+/// The indicators F_m of a set of materials: signed distances in mm, negative inside. Positions are
+/// in the grid frame, mm. Derivatives are per mm. An indicator that is not known at a position is
+/// infinite there, with the correct sign and zero derivatives.
 ///
-/// The provided methods compute the geometry of strata in the same way for all implementations.
+/// The default methods compute the geometry of strata for any implementation.
 pub trait Indicators: Sync {
     /// Returns the indicators that are known at a position, smallest first.
     fn near(&self, grid: DVec3) -> Near;
@@ -147,7 +147,7 @@ pub trait Indicators: Sync {
         self.near(grid).first().unwrap_or(MaterialId::OUTSIDE)
     }
 
-    /// Returns the difference G_ij of two indicators as a function.
+    /// Returns half the difference of two indicators, G_ij = (F_i - F_j) / 2, as a function.
     fn interface(&self, i: MaterialId, j: MaterialId) -> InterfaceFunction<'_, Self>
     where
         Self: Sized,
@@ -155,8 +155,9 @@ pub trait Indicators: Sync {
         InterfaceFunction { indicators: self, i, j }
     }
 
-    /// Returns G_ij = (F_i - F_j) / 2 in mm, negative where i is nearer, with its gradient and
-    /// Hessian. Its slope is near 1 on an interface, because F_j is about -F_i there.
+    /// Returns G_ij = (F_i - F_j) / 2 in mm, negative where F_i is the smaller, with its gradient
+    /// and Hessian. The slope of G_ij is close to 1 on an interface, because F_j is about -F_i
+    /// there.
     fn difference(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> Jet {
         let (a, b) = (self.jet(i, grid), self.jet(j, grid));
         Jet {
@@ -206,9 +207,9 @@ pub trait Indicators: Sync {
         .map(|(p, ())| p)
     }
 
-    /// Projects `start` like [`Self::project_onto_interface`], and also returns the gradient of
-    /// G_ij at the result. Also returns `None` if the interface is not real there
-    /// ([`Self::is_real_interface`]).
+    /// Projects `start` like [`Self::project_onto_interface`]. Returns the projected position and
+    /// the gradient of G_ij there. Also returns `None` if the interface is not real at this
+    /// position ([`Self::is_real_interface`]).
     #[inline(always)]
     fn place_on_interface(
         &self,
@@ -239,7 +240,8 @@ pub trait Indicators: Sync {
 
     /// Projects `start` onto the junction point of four materials by Newton's method on
     /// G_ij = G_ik = G_il = 0. `limit` and `tolerance` are as in [`Self::project_onto_interface`].
-    /// Also returns `None` if the curves are nearly tangent ([`LEAST_SQUARED_SINE`]).
+    /// Also returns `None` if two interfaces, or a curve and an interface, are nearly tangent
+    /// ([`LEAST_SQUARED_SINE`]).
     fn project_onto_point(&self, own: [MaterialId; 4], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
             let [first, others @ ..] = own.map(|id| self.value_gradient(id, p));

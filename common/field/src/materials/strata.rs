@@ -10,9 +10,9 @@ use glam::{DMat3, DVec3};
 /// by a hundredth of a voxel moves the intersection by a voxel.
 pub const LEAST_SQUARED_SINE: f64 = 1e-4;
 
-/// The difference G_ij = (F_i - F_j) / 2 of two indicators as a function, in mm, negative where i
-/// is nearer. It is zero on the interface of the two materials. The interface is real where no
-/// third material is nearer.
+/// Half the difference of two indicators, G_ij = (F_i - F_j) / 2, as a function. It is in mm,
+/// negative where F_i is the smaller, and zero on the interface of the two materials. The interface
+/// is real where no third indicator is smaller.
 #[derive(Debug)]
 pub struct InterfaceFunction<'a, I: ?Sized> {
     pub(super) indicators: &'a I,
@@ -50,9 +50,9 @@ pub(super) fn half_difference(a: (f64, DVec3), b: (f64, DVec3)) -> (f64, DVec3) 
     (0.5 * (a.0 - b.0), 0.5 * (a.1 - b.1))
 }
 
-/// Takes steps until a step is no longer than `tolerance` (mm). Returns the position and the extra
-/// result of the last step. Returns `None` after [`PROJECTION_STEPS`] steps, if `step` fails, or if
-/// the position moves `limit` (mm) or more from `start`.
+/// Takes steps until the length of a step is at most `tolerance` (mm). Returns the position before
+/// this last step, and the second value of `step` there. Returns `None` after [`PROJECTION_STEPS`]
+/// steps, if `step` fails, or if the position moves `limit` (mm) or more from `start`.
 #[inline(always)]
 pub(super) fn project<T>(
     voxel: f64,
@@ -90,7 +90,7 @@ pub(super) fn interface_step(value: f64, gradient: DVec3) -> Option<DVec3> {
 }
 
 /// Returns the shortest step onto the line where both linearised functions are zero:
-/// `-J^T (J J^T)^-1 G`.
+/// `-J^T (J J^T)^-1 G`. `G` contains the two values, and the rows of `J` are their gradients.
 pub(super) fn curve_step([(u, a), (v, b)]: [(f64, DVec3); 2]) -> Option<DVec3> {
     let (aa, bb, ab) = (a.length_squared(), b.length_squared(), a.dot(b));
     let determinant = aa * bb - ab * ab;
@@ -105,7 +105,8 @@ pub(super) fn point_step(rows: [(f64, DVec3); 3]) -> Option<DVec3> {
     let squares = [a, b, c].map(DVec3::length_squared);
     let jacobian = DMat3::from_cols(a, b, c).transpose();
     let determinant = jacobian.determinant();
-    // the volume of the parallelepiped spanned by the unit normals is the product of two sines
+    // the determinant of the unit normals is the product of two sines: of the angle between two
+    // interfaces, and of the angle between their curve and the third interface
     let least = LEAST_SQUARED_SINE * squares.iter().product::<f64>();
     let crosses = squares.into_iter().all(is_steep) && determinant * determinant > least;
     let values = DVec3::from_array(rows.map(|(value, _)| value));

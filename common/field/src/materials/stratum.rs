@@ -38,7 +38,7 @@ impl Stratum {
     }
 
     /// Returns whether the stratum has two to four different materials in ascending order. File
-    /// readers check this.
+    /// readers use this check.
     pub fn is_valid(&self) -> bool {
         let count = self.count();
         (2..=4).contains(&count) && self.ids[..count].is_sorted_by(|a, b| a < b)
@@ -59,7 +59,8 @@ impl Stratum {
         4 - self.count()
     }
 
-    /// Returns the stratum of the materials of both strata, or `None` if there are more than four.
+    /// Returns the stratum at which the materials of both strata meet, or `None` if these are more
+    /// than four materials.
     pub fn joined(&self, other: &Self) -> Option<Self> {
         let mut ids = self.materials().to_vec();
         ids.extend(other.materials().iter().filter(|&&id| !self.has(id)));

@@ -164,7 +164,8 @@ fn junction_curves_are_met() {
         // the curve is real only within the ball
         assert_eq!(analytic.clearance(p, &own) > 0.0, (p.z - CENTRE.z).abs() < 8.0);
     }
-    // the sampled sectors have a kink on the curve itself
+    // the indicators of the sectors have kinks on the curve, so the error of sampled indicators is
+    // proportional to the spacing
     for (spacing, tolerance) in [(1.0, 0.08), (0.5, 0.04)] {
         let materials = sampled(&analytic, spacing);
         for n in 0..100 {
@@ -203,9 +204,9 @@ fn junction_points_are_met_to_second_order() {
 fn what_is_not_near_is_not_met() {
     let analytic = nested(CENTRE);
     let materials = sampled(&analytic, 0.5);
-    // the indicator of the outside is not known at the centre
+    // the indicator of the outside is not known at the centre, so the projection fails
     assert_eq!(materials.project_onto_interface([IDS[0], IDS[1]], CENTRE, 30.0, 1e-6), None);
-    // the interface is 1 mm from the start
+    // the start is 1 mm from the interface: a limit of 1.2 mm suffices, 0.8 mm does not
     let start = CENTRE + DVec3::X * 10.0;
     assert!(materials.project_onto_interface([IDS[0], IDS[1]], start, 1.2, 1e-6).is_some());
     assert_eq!(materials.project_onto_interface([IDS[0], IDS[1]], start, 0.8, 1e-6), None);
@@ -290,7 +291,7 @@ fn interfaces_are_real_where_their_clearance_is_positive() {
 
 #[test]
 fn what_is_added_at_nodes_is_at_no_other() {
-    // in the middle of the grid, and at its border, where the spline is mirrored
+    // a node in the middle of the grid, and two nodes near its border, where the spline is mirrored
     let at_borders = [(DVec3::new(-1.0, 12.0, 12.0), [1, 14, 16]), (DVec3::new(25.0, 12.0, 12.0), [23, 14, 16])];
     for (centre, node) in [(CENTRE, [16, 12, 12])].into_iter().chain(at_borders) {
         let before = sampled(&nested(centre), 1.0);
@@ -309,8 +310,8 @@ fn what_is_added_at_nodes_is_at_no_other() {
             assert!(found.is_nan() || (found - expected).abs() < 1e-5, "{found} at {other:?}");
         }
         assert!(known > 300, "{known}");
-        // midway between two nodes: the value of the cubic spline that is one at a node and zero at
-        // all other nodes
+        // midway to the next node, the cubic spline that is one at a node and zero at all other
+        // nodes has the value 0.6005
         assert!((change(at(node) + 0.5 * DVec3::Y) / 0.5 - 0.6005).abs() < 1e-4);
         let pairs = materials.indicators().iter().zip(before.indicators()).enumerate();
         assert!(pairs.filter(|(n, _)| *n != id.index()).all(|(_, (now, then))| now == then));
@@ -319,7 +320,8 @@ fn what_is_added_at_nodes_is_at_no_other() {
 
 #[test]
 fn a_sample_is_added_to_on_axes_of_few_nodes() {
-    // with 1 to 9 nodes along x, a sample has many mirror images within reach
+    // with 1 to 9 nodes along x, a sample has many mirror images within reach; adding to it must
+    // give the coefficients of a new spline
     for nodes in 1..10 {
         let geometry = Geometry::axis_aligned([nodes, 9, 9], DVec3::ONE);
         let image = |added: f64| {

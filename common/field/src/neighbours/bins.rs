@@ -18,11 +18,11 @@ const MOST_BINS: f64 = 1024.0;
 /// Position and size of the bins of every level.
 #[derive(Clone, Debug)]
 struct Grid {
-    /// Lowest corner of the first bin, which is the same on every level.
+    /// Lowest corner of the first bin. It is the same on every level.
     origin: DVec3,
-    /// Edge length of the bins of level 0, the level of the largest points.
+    /// Edge length of the bins of level 0, the level of the points with the largest sizes.
     edge: f64,
-    /// Size of the largest point.
+    /// Largest size of a point.
     largest: f64,
     /// Number of levels. The last level also contains all smaller points.
     levels: usize,
@@ -63,8 +63,8 @@ impl Grid {
 
 /// Points in bins, with one grid of bins (level) for each octave of size. The bins of a level are
 /// as wide as the longest reach in its octave, so a query visits at most 27 bins per level. The
-/// points of a level are sorted by bin, x fastest. The three bins of a row that a query visits are
-/// therefore one contiguous run, found by binary search within the row.
+/// points of a level are sorted by bin, x fastest. A query therefore finds the points of three
+/// adjacent bins of a row as one contiguous run, by binary search within the row.
 #[derive(Clone, Debug)]
 pub struct LevelBins {
     reach: f64,

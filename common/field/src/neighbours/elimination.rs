@@ -16,7 +16,7 @@ const SMALLEST_BATCH: usize = 256;
 /// Returns the points that remain after elimination in the given order. Each kept point i removes
 /// every point j that is closer than `reach` times the smaller of the two sizes and for which
 /// `removes(i, j, squared distance)` is true. The searches of a batch run in parallel; removals
-/// within the batch are then resolved in order. The result equals that of a sequential loop.
+/// within the batch are then resolved in order, so the result is the same as in a sequential loop.
 pub fn eliminate(
     points: &[DVec3],
     sizes: &[f64],
@@ -67,7 +67,8 @@ mod tests {
             let mut order: Vec<u32> = (0..count as u32).collect();
             order.sort_by_key(|&i| bits(2, 0, u64::from(i)));
             let reach = 1.7;
-            // some pairs have a shorter reach, and some pairs are exempt
+            // some points are removed only from a shorter distance, and some pairs do not remove
+            // each other
             let removes = |i: usize, j: usize, squared: f64| {
                 let room = if j.is_multiple_of(3) { 0.8 } else { reach };
                 !(i + j).is_multiple_of(7) && squared < (room * sizes[i].min(sizes[j])).powi(2)

@@ -61,8 +61,8 @@ pub(super) struct Tree {
     runs: Vec<Run>,
     /// Box of each run.
     boxes: Vec<Outline>,
-    /// Whether runs, and groups of eight runs, are on average about as small as they would be for
-    /// points on a surface in spatial order.
+    /// Whether the mean extents of runs and of groups of eight runs are within [`MOST_EXTENT`] and
+    /// [`MOST_EXTENT_OF_EIGHT`], as for points on a surface in spatial order.
     pub(super) is_compact: bool,
     /// Boxes by level, from the boxes of the runs up to a level of at most eight boxes.
     levels: Vec<Vec<Boxes>>,
@@ -197,8 +197,8 @@ impl Candidates {
     /// Returns the candidates closer to `p` than the smaller of the two reaches, including `p`
     /// itself, in ascending order.
     ///
-    /// Writes every lane, then overwrites the lanes that are not near. A branch per lane would be
-    /// mispredicted half of the time.
+    /// Every number is written to the list. If its point is not near, the next number overwrites
+    /// it. A branch per point would be mispredicted half of the time.
     #[inline(always)]
     pub(super) fn near<S: Simd>(&mut self, simd: S, p: DVec3, radius: f64) -> &[u32] {
         let mut count = 0;
@@ -219,11 +219,12 @@ impl Candidates {
     }
 }
 
-/// Maximum mean extent of runs, in units of the reach. Runs of particles in spatial order have a
-/// mean extent of 1.7 to 2.1 reaches, half of the limit. Above the limit, the points are first
+/// Maximum mean extent of runs, in units of the reach. For particles in spatial order, the mean
+/// extent is 1.7 to 2.1 reaches, about half of the limit. Above the limit, the points are first
 /// sorted into spatial order.
 const MOST_EXTENT: f64 = 4.0;
 
-/// Maximum mean extent of groups of eight runs, in units of the reach. On a surface, eight runs
-/// have eight times the area of one run and sqrt 8 times its extent: 4 sqrt 8 = 11.3, rounded up.
+/// Maximum mean extent of groups of eight runs, in units of the reach. On a surface, the area of
+/// eight runs is eight times the area of one run, so their extent is sqrt(8) times as large:
+/// 4 sqrt(8) = 11.3, rounded up.
 const MOST_EXTENT_OF_EIGHT: f64 = 12.0;

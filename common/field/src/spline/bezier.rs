@@ -2,7 +2,7 @@
 
 use super::{CubicSpline, mirror};
 
-/// Number of points along each axis.
+/// Number of Bézier points of a cell along each axis.
 pub(crate) const ORDER: usize = 4;
 
 /// The Bézier points of a cell, x fastest. F lies between their minimum and maximum (convex hull

@@ -30,9 +30,9 @@ const POSITIVE: u32 = u32::MAX - 1;
 /// An interpolating cubic B-spline that is stored only within a few voxels of its zero set.
 /// Positions are in the grid frame, derivatives per mm.
 ///
-/// The value of a spline lies within the range of its coefficients, so a brick whose coefficients
-/// have the same sign contains no zero. In a brick that is not stored, the value is 1 or -1 and the
-/// derivatives are zero.
+/// The value of a spline lies within the range of its coefficients, so a brick contains no zero if
+/// all its coefficients have the same sign. In a brick that is not stored, the value is 1 or -1 and
+/// the derivatives are zero.
 #[derive(Clone, Debug)]
 pub struct BrickSpline {
     geometry: Geometry,

@@ -2,8 +2,8 @@
 //! analytic gradient and Hessian.
 //!
 //! The coefficients are computed by the exact recursive prefilter (Unser, Aldroubi and Eden 1993;
-//! pole sqrt(3) - 2, mirror boundary), so F interpolates the samples. Without the prefilter, a ball
-//! of radius R voxels shrinks by 1/(3R) voxel.
+//! pole sqrt(3) - 2, mirror boundary), so F interpolates the samples. Without the prefilter, the
+//! radius R of a ball (in voxels) would shrink by 1/(3R) voxels.
 
 use glam::{DMat3, DVec3};
 use isoparticles_volume::{Geometry, Image};
@@ -21,9 +21,10 @@ pub(crate) use stencil::Stencil;
 use stencil::mirror;
 
 /// Maximum number of Newton steps in a projection. Steps are limited to half a voxel; near F = 0,
-/// each step doubles the number of correct digits. Projections that converge take at most 15 steps
-/// onto strata of the brain crop (see `materials/complex/follow.rs`), and at most 21 steps onto
-/// F = 0 of `trabecular_bone` (tolerance 1e-9 voxel, starts up to a voxel away).
+/// each step doubles the number of correct digits. On the strata of the brain crop in
+/// `materials/complex/follow.rs`, projections that converge take at most 15 steps. On F = 0 of
+/// `trabecular_bone`, they take at most 21 steps, from positions up to a voxel away and with a
+/// tolerance of 1e-9 voxel.
 pub const PROJECTION_STEPS: usize = 25;
 
 /// A projection fails where the squared gradient is at most this value, which corresponds to a
@@ -33,10 +34,10 @@ pub const LEAST_SQUARED_GRADIENT: f64 = 1e-8;
 
 /// Minimum distance in voxels from a surface to a face of the grid. At this distance, the spline
 /// near the surface is almost the same as on a larger grid. The mirror boundary replaces the values
-/// beyond the face. If the mirrored values are off by d, the spline n nodes from the face is off by
-/// less than d sqrt(3) z^(n + 1) / (1 - z), with z = 2 - sqrt(3) (impulse response of the
-/// prefilter, Unser 1999). With n = 7, this is 6e-5 d. If d is ten times the change from voxel to
-/// voxel at the surface, the surface moves by 0.0006 voxel.
+/// beyond the face. If the mirrored values have an error of d, the error of the spline n nodes from
+/// the face is less than d sqrt(3) z^(n + 1) / (1 - z), with z = 2 - sqrt(3) (impulse response of
+/// the prefilter, Unser 1999). With n = 7, this is 6e-5 d. If d is ten times the difference between
+/// adjacent voxels at the surface, the surface moves by 0.0006 voxel.
 pub const ROOM: usize = 8;
 
 /// The interpolating cubic B-spline over a grid. Positions are in the grid frame, derivatives per
@@ -154,8 +155,8 @@ impl CubicSpline {
     }
 }
 
-/// Minimum gradient length used as a divisor. A shorter gradient does not determine a distance; the
-/// limit keeps the estimate finite where F is flat.
+/// Minimum gradient length used as a divisor. It keeps the distance estimate finite where F is flat
+/// and the gradient does not determine a distance.
 pub const LEAST_GRADIENT: f64 = 1e-12;
 
 /// Returns a first-order estimate of the distance in mm from F = 0, given the value and gradient of

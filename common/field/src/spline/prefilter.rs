@@ -13,17 +13,17 @@ const POLE: f64 = -0.267_949_192_431_122_7;
 /// weights below (2 - sqrt(3))^16 = 7e-10, less than single precision resolves.
 const HALO: usize = 16;
 
-/// Minimum number of nodes whose coefficients are computed at a time. Their coefficients take 32
+/// Minimum number of nodes whose coefficients are computed together. Their coefficients take 32
 /// MiB. Smaller images are filtered as a whole.
 const NODES_AT_A_TIME: usize = 8 << 20;
 
-/// Number of rows along x that are filtered together. Eight independent recursions then run in
-/// parallel, and one sample from each row fills a cache line of 64 bytes. Within a row, each sample
-/// depends on the previous one.
+/// Number of rows along x that are filtered together. Within a row, each sample depends on the
+/// previous one, but the eight recursions are independent and run in parallel. Eight samples, one
+/// from each row, fill a cache line of 64 bytes.
 const ROWS_AT_A_TIME: usize = 8;
 
 /// Prefilters an image slice by slice and returns the coefficients of a few slices at a time, so
-/// that those of a large image are never all in memory. The coefficients equal those of
+/// that the coefficients of a large image are never all in memory. They equal the coefficients of
 /// [`super::CubicSpline`] up to single-precision rounding, for any number of threads.
 pub struct SlabFilter {
     size: [usize; 3],
@@ -33,7 +33,7 @@ pub struct SlabFilter {
     held: Coefficients,
 }
 
-/// The coefficients of some slices.
+/// The coefficients of consecutive slices.
 pub struct Coefficients {
     /// The range of slices.
     slices: Range<usize>,
@@ -58,8 +58,8 @@ impl SlabFilter {
 
     /// Returns the coefficients of at least the slices in `range`. Successive ranges must be in
     /// ascending order of their starts. `fill` writes the samples of one slice (x fastest). It is
-    /// called at most once per slice, and only for slices after those of earlier calls of this
-    /// function.
+    /// called at most once per slice. Each call of this function fills only slices after those that
+    /// were filled before.
     pub fn coefficients(&mut self, range: Range<usize>, fill: impl Fn(usize, &mut [f32]) + Sync) -> &Coefficients {
         if self.held.slices.start > range.start || self.held.slices.end < range.end {
             let [nx, ny, nz] = self.size;

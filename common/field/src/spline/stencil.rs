@@ -66,7 +66,7 @@ impl Stencil {
         [self.ix, self.iy, self.iz]
     }
 
-    /// Returns the stencil with indices into the 64 coefficients that it uses, stored contiguously,
+    /// Returns the stencil with indices into a contiguous copy of the 64 coefficients that it uses,
     /// x fastest.
     #[inline]
     pub(crate) fn gathered(mut self) -> Self {

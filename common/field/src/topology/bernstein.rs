@@ -4,7 +4,7 @@
 //! The values of a polynomial lie within the range of its Bernstein coefficients (convex hull
 //! property). Up to a constant factor, its derivatives lie within the range of the differences of
 //! these coefficients. Each halving of a cell divides the distance between the coefficients and the
-//! polynomial by four. Subdivision therefore resolves every cell that is not degenerate.
+//! polynomial by four. Repeated subdivision therefore resolves every cell that is not degenerate.
 
 use crate::spline::CubicSpline;
 use crate::spline::bezier::{BezierPoints, ORDER, ROUNDING, is_of_one_sign, range};
@@ -58,7 +58,7 @@ impl Bernstein {
     }
 
     /// Returns bounds on the derivative of F along each axis, widened by the rounding error.
-    /// Derivatives are per index, up to a factor common to all axes.
+    /// Derivatives are per index step, up to a factor common to all axes.
     fn slopes(&self) -> [(f64, f64); 3] {
         let (low, high) = range(&self.0);
         let slack = low.abs().max(high.abs()) * ROUNDING;
@@ -94,7 +94,7 @@ impl Bernstein {
     /// plane perpendicular to any of the gradients.
     pub(super) fn is_graph(&self) -> bool {
         let least = self.slopes().map(|(low, high)| {
-            // the minimum product of two numbers within the range
+            // the minimum product of two derivatives within the bounds
             if low > 0.0 {
                 low * low
             } else if high < 0.0 {
@@ -115,7 +115,7 @@ mod tests {
     use isoparticles_volume::Geometry;
     use isoparticles_volume::Image;
 
-    /// Returns the spline through noise on a small grid.
+    /// Returns the spline through random samples on a small grid.
     fn noise(seed: u64) -> CubicSpline {
         let geometry = Geometry::axis_aligned([5, 4, 6], DVec3::new(0.7, 1.1, 0.9));
         CubicSpline::new(&Image::sampled(geometry, |p| {

@@ -9,10 +9,10 @@ use glam::DVec3;
 use isoparticles_mesh::buckets::starts_of;
 use rayon::prelude::*;
 
-/// Level to which every uncertain voxel cell is subdivided. A neck, gap or speck of radius r at a
-/// critical point is resolved by cells with an edge length below r / sqrt 3, where F differs little
-/// from its second-order expansion. Cells of a sixteenth of a voxel resolve all features with a
-/// radius of at least 0.108 voxel, almost down to `RESOLUTION` (0.1).
+/// Level to which voxel cells are subdivided while F = 0 in them is uncertain. Where F is close to
+/// its second-order expansion at a critical point, cells with an edge length below r / sqrt 3
+/// resolve a neck, gap or speck of radius r. Cells of a sixteenth of a voxel resolve all features
+/// with a radius of at least 0.108 voxel, almost down to `RESOLUTION` (0.1).
 pub(super) const BASE: u8 = 4;
 
 /// Finest level. Its cells resolve features with a radius above sqrt 3 / 128 = 0.014 voxel, a
@@ -20,10 +20,10 @@ pub(super) const BASE: u8 = 4;
 pub(super) const DEPTH: u8 = 7;
 
 /// Cells are subdivided beyond [`BASE`] while at most this many cells of a voxel are uncertain. If
-/// F = 0 touches itself at a point, the number of uncertain cells is the same at every level: 14
-/// per point (9,237 cells at 662 such points of a noisy scan, at [`BASE`]). The limit allows four
-/// such points. If F = 0 touches itself along a curve, the number doubles with each level, and over
-/// a surface it quadruples; subdivision does not help there.
+/// F = 0 touches itself at a point, the number of uncertain cells is the same at every level. At
+/// [`BASE`], 9,237 cells are uncertain at 662 such points of a noisy scan, 14 per point. The limit
+/// allows four points in a voxel. If F = 0 touches itself along a curve, the number doubles with
+/// each level, and over a surface it quadruples; subdivision does not help there.
 const MOST_UNCERTAIN: usize = 64;
 
 /// Number of finest cells along the edge of a voxel.
@@ -42,7 +42,7 @@ pub(super) enum State {
     Halved(u32),
 }
 
-/// A [`State`] stored in half the memory.
+/// A [`State`], packed into half of its memory.
 #[derive(Clone, Copy)]
 struct Packed(u32);
 
@@ -78,8 +78,8 @@ impl From<Packed> for State {
     }
 }
 
-/// A cell. Its edge length is that of a voxel cell divided by 2^`level`. `at` is its position along
-/// each axis in units of this length.
+/// A cell. Its edge length is `1 / 2^level` of the edge length of a voxel cell. `at` is its
+/// position along each axis in units of its edge length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Cell {
     pub(super) level: u8,
@@ -292,7 +292,7 @@ impl Cells {
         let mut by_level: Vec<Vec<Cell>> = vec![Vec::new(); usize::from(DEPTH)];
         halved.into_iter().for_each(|cell| by_level[usize::from(cell.level)].push(cell));
         let mut all = Vec::new();
-        // octants of voxel cells have no neighbours that are too large
+        // subdivided voxel cells are skipped: their octants have no neighbours that are too large
         for level in (1..DEPTH).rev() {
             let mut active = std::mem::take(&mut by_level[usize::from(level)]);
             while !active.is_empty() {
@@ -315,8 +315,8 @@ impl Cells {
     }
 
     /// Returns the cells around `whole` that must be subdivided. These are cells in which F = 0 is
-    /// a graph. Each touches an octant of `whole` that F = 0 may cross and is more than twice its
-    /// size.
+    /// a graph. Each touches an octant of `whole` that F = 0 may cross, and is more than twice as
+    /// large as this octant.
     fn too_large_beside(&self, whole: Cell) -> Vec<Cell> {
         let mut large = Vec::new();
         let Some(halves) = self.halves(whole, [0; 3]) else { return large };
@@ -363,7 +363,7 @@ pub(super) fn moved(cell: Cell, away: [i64; 3]) -> Option<Cell> {
     Some(Cell { at, ..cell })
 }
 
-/// Returns the offsets of a cell itself and of the 26 cells around it.
+/// Returns the offsets (in cell edges) of a cell itself and of the 26 cells around it.
 pub(super) fn around() -> impl Iterator<Item = [i64; 3]> {
     (0..27).map(|n| [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1])
 }

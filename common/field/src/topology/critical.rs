@@ -22,11 +22,12 @@ use std::cmp::Ordering;
 const NEWTON_STEPS: usize = 30;
 
 /// A search starts in a cell only if the gradient at its middle is shorter than the norm of the
-/// Hessian times this number of voxels. The corners are sqrt(3) / 2 = 0.87 voxel from the middle;
-/// the rest is a margin for the variation of the Hessian within the cell. With 1, 2 and 4, the
-/// search finds 1169, 1183 and 1188 critical points (`cargo run --release -p isoparticles-field
-/// --example topology -- F.vti`, with F of `trabecular_bone` at iso value 80, nodes 70 to 129 along
-/// each axis). The undecided locations are the same in all three cases.
+/// Hessian times this number of voxels. The cell corners are sqrt(3) / 2 = 0.87 voxel from the
+/// middle. The rest of the value is a margin for the variation of the Hessian within the cell. With
+/// 1, 2 and 4, the search finds 1169, 1183 and 1188 critical points
+/// (`cargo run --release -p isoparticles-field --example topology -- F.vti`, with F of
+/// `trabecular_bone` at iso value 80, nodes 70 to 129 along each axis). The undecided locations are
+/// the same in all three cases.
 const FLATNESS_MARGIN: f64 = 2.0;
 
 /// Starting points of the searches in a cell, as fractions of the cell edges: the middle, and one
@@ -61,9 +62,9 @@ pub struct CriticalPoint {
     pub position: DVec3,
     /// F at the critical point, mm.
     pub value: f64,
-    /// For each eigenvector of the Hessian, the vector along it from the critical point to F = 0
-    /// (mm), according to the second-order expansion. It is zero if F = 0 is not reached in that
-    /// direction.
+    /// For each eigenvector of the Hessian, the vector (mm) in its direction from the critical
+    /// point to F = 0, according to the second-order expansion. The vector is zero if F = 0 is not
+    /// reached in that direction.
     pub ways: [DVec3; 3],
     /// Length of the shortest non-zero vector in `ways`, in mm. It approximates the radius of the
     /// neck, gap or speck.
@@ -71,8 +72,8 @@ pub struct CriticalPoint {
 }
 
 impl CriticalPoint {
-    /// Returns whether F = 0 is reached in all directions, as at an extremum within a speck or a
-    /// cavity.
+    /// Returns whether F = 0 is reached along all three eigenvectors, as at an extremum within a
+    /// speck or a cavity.
     pub fn is_enclosed(&self) -> bool {
         self.ways.iter().all(|way| *way != DVec3::ZERO)
     }
@@ -230,7 +231,7 @@ mod tests {
     #[test]
     fn the_neck_of_a_quadric_is_where_it_is() {
         // splines reproduce quadratic functions, and the effect of the grid border has decayed in
-        // the middle
+        // the middle of the grid, so the neck is exact
         let (centre, radii) = (DVec3::new(11.37, 12.21, 11.84), [0.2, 0.3]);
         let turn = DMat3::from_rotation_z(0.4);
         let scene = Scene::new([24; 3], DVec3::ONE, |p| {
@@ -267,7 +268,8 @@ mod tests {
             let is_same = |other: &CriticalPoint| other.position.distance(c.position) < MERGE_DISTANCE;
             assert!(!found[..n].iter().any(is_same), "{c:?} is there twice");
         }
-        // the same points in another order, with slightly shifted copies
+        // the same points in another order, each with slightly shifted copies, must give the same
+        // number of points
         let points: Vec<DVec3> = found.iter().map(|c| c.position).collect();
         let beside = |p: &DVec3| [*p, *p + DVec3::new(1e-9, -1e-9, 2e-9), *p - DVec3::splat(1e-9)];
         let mut many: Vec<DVec3> = points.iter().rev().flat_map(beside).collect();

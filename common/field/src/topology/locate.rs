@@ -1,5 +1,5 @@
 //! Finds the component of F = 0 that contains a given point on F = 0. If necessary, walks on F = 0
-//! from the point to a crossing of this component.
+//! from the point to a crossing, a point of known component at which F = 0 crosses a cell edge.
 //!
 //! The polygons represent F = 0 only up to isotopy. Where several parts of the surface are close
 //! together, F = 0 may bulge into cells whose polygons belong to another part. If all polygons
@@ -11,25 +11,25 @@ use super::surface::Surface;
 use crate::spline::CubicSpline;
 use glam::DVec3;
 
-// Walks are rarely needed and short. In a test with 43,565 points on two fields, halving or
-// doubling any of the constants below except the tolerance does not change the component of any
-// point (for `LEAST_COSINE`, the values are 0.6 and 0.9). No successful walk takes more than 4
-// steps, and no step is shortened. The points are every seventh crossing
-// (`FieldTopology::samples`), displaced by up to half a voxel along each axis and projected onto
-// the surface. The two fields are `trabecular_bone` (see `FLATNESS_MARGIN` in `critical.rs`) and
-// the noise of `tooth_ct` (iso value 404, nodes 5 to 22 along x and y, 20 to 37 along z).
+// Walks are rarely needed and short. In a test with 43,565 points on two fields, no point changes
+// its component if any constant below except the tolerance is halved or doubled (or if
+// `LEAST_COSINE` is 0.6 or 0.9). No successful walk takes more than 4 steps, and no step is
+// shortened. The points are every seventh crossing (`FieldTopology::samples`), displaced by up to
+// half a voxel along each axis and projected onto the surface. The two fields are `trabecular_bone`
+// (see `FLATNESS_MARGIN` in `critical.rs`) and a noisy region of `tooth_ct` (iso value 404, nodes 5
+// to 22 along x and y, 20 to 37 along z).
 
 /// Maximum length of a step of a walk, in edge lengths of the cell in which the step starts. In a
-/// cell where F = 0 is a graph, its normal turns by less than 90 degrees. Over a quarter of the
-/// edge length, at constant curvature, it turns by less than 23 degrees; [`LEAST_COSINE`] allows 37
-/// degrees.
+/// cell where F = 0 is a graph, the normal of F = 0 turns by less than 90 degrees. Over a quarter
+/// of the edge length, at constant curvature, the normal turns by less than 23 degrees;
+/// [`LEAST_COSINE`] allows 37 degrees.
 const LONGEST_STEP: f64 = 0.25;
 
 /// Minimum cosine between the normals at both ends of a step (37 degrees). The chord of such a step
 /// deviates from F = 0 by at most a twelfth of its length. A step with a smaller cosine is halved.
 const LEAST_COSINE: f64 = 0.8;
 
-/// Number of attempts to take a step, each half as long as the one before. The shortest attempt is
+/// Number of attempts to take a step. Each further attempt halves the step. The shortest step is
 /// 2^-5 / 4 = 1/128 of an edge; in a voxel cell, this is the edge length of the finest cells.
 const STEP_ATTEMPTS: usize = 6;
 
@@ -67,8 +67,8 @@ impl Surface {
         components.all(|other| other == first).then_some(first)
     }
 
-    /// Returns the single component of all crossings in a voxel cell and the cells around it.
-    /// Returns `Some(None)` if there are no crossings, and `None` if there are several components.
+    /// Returns the component of all crossings in a voxel cell and the 26 cells around it. Returns
+    /// `Some(None)` if there are no crossings, and `None` if there are several components.
     fn only_component_round(&self, cells: &Cells, voxel: Cell) -> Option<Option<u32>> {
         let mut only = None;
         for (j, k) in (-1..=1).flat_map(|k| (-1..=1).map(move |j| (j, k))) {

@@ -46,9 +46,9 @@ use watch::Watch;
 
 /// Minimum radius, in voxels (geometric mean spacing), of necks, gaps and specks whose topology a
 /// mesh must reproduce. The radius is the distance from the critical point to F = 0, according to
-/// the second-order expansion of F. A neck of this radius has a circumference of 0.63 voxel, so six
-/// edges around it are a tenth of a voxel long. Samples one voxel apart do not determine smaller
-/// features.
+/// the second-order expansion of F. A neck of this radius has a circumference of 0.63 voxel, so
+/// each of six edges around it is a tenth of a voxel long. Samples one voxel apart do not determine
+/// smaller features.
 pub const RESOLUTION: f64 = 0.1;
 
 /// A component of F = 0. Its number is its index in the list of components. The list is ordered by
@@ -56,7 +56,7 @@ pub const RESOLUTION: f64 = 0.1;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Component {
     /// Euler characteristic: 2 for a sphere, 0 for a torus. If the surface ends at the border of
-    /// the volume, this is the value for the part within the volume.
+    /// the volume, only the part within the volume counts.
     pub euler: i64,
     /// A position near the component, in the grid frame, mm.
     pub place: DVec3,
@@ -68,9 +68,9 @@ pub struct Component {
     pub volume: f64,
 }
 
-/// The components of F = 0 in the volume, without critical points. Stages that only count and
-/// distinguish components use this type: it is cheaper than [`FieldTopology`] and has the same
-/// components.
+/// The components of F = 0 in the volume. Stages that only count and distinguish components use
+/// this type. It has the same components as [`FieldTopology`], but is cheaper, because it contains
+/// no critical points.
 pub struct FieldComponents {
     cells: Cells,
     surface: Surface,
@@ -87,13 +87,13 @@ pub struct FieldTopology {
 /// Summary counts of a [`FieldTopology`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TopologySummary {
-    /// Number of components. The signs of F at the corners resolve undecided cells.
+    /// Number of components. In undecided cells, the signs of F at the cell corners decide.
     pub components: usize,
     /// Minimum and maximum possible number of components.
     pub components_between: [usize; 2],
-    /// Euler characteristic. Undecided cells are resolved in the same way.
+    /// Sum of the Euler characteristics of the components, with the same rule for undecided cells.
     pub euler: i64,
-    /// Minimum and maximum possible Euler characteristic.
+    /// Minimum and maximum possible sum of the Euler characteristics.
     pub euler_between: [i64; 2],
     /// The undecided locations.
     pub undecided: Vec<Undecided>,
@@ -147,7 +147,7 @@ impl FieldTopology {
     /// If the monitor interrupts the work.
     pub fn watched(field: &CubicSpline, monitor: &dyn Monitor) -> Result<Self, Interrupted> {
         let watch = Watch::new(monitor, 3 * field.geometry().size[2]);
-        // concurrent, because assembling the surface uses a single thread
+        // these run concurrently, because the assembly of the surface uses a single thread
         let (components, critical_points) =
             rayon::join(|| FieldComponents::watched(field, &watch), || critical::all(field, &watch));
         let (components, critical_points) = (components?, critical_points?);

@@ -1,6 +1,6 @@
 //! Represents the surface as polygons, which are determined by the signs of F at the cell corners.
-//! The corners of the polygons are crossings with cell edges. Components and Euler characteristics
-//! need no triangles.
+//! The corners of the polygons are the crossings of the surface with cell edges. Components and
+//! Euler characteristics follow from the polygons, without triangles.
 //!
 //! Each edge is divided as finely as in the smallest cell that shares it, and each face as finely
 //! as in the smaller of its two cells. All cells therefore use the same crossings, and the polygons
@@ -26,7 +26,7 @@ const SHIFT: u32 = 64 - CACHED_VALUES.trailing_zeros();
 /// lowest of these 27 cells corresponds to bit 0.
 const AROUND: u64 = 0x0000_0777_0777_0777;
 
-/// Bit index in such a block of each cell that [`around`] returns.
+/// For each cell that [`around`] returns, its bit index in such a block.
 const BLOCK_BIT: [u32; 27] = {
     let mut bits = [0; 27];
     let mut n = 0;
@@ -42,7 +42,7 @@ const BLOCK_BIT: [u32; 27] = {
 pub(super) type Crossing = u64;
 
 /// Returns how many crossing numbers are reserved for the edges that start in one slice of voxels.
-/// The range of each slice starts at a multiple of this count.
+/// The numbers of each slice start at a multiple of this count.
 pub(super) fn crossings_in_slice(cells: &Cells) -> u64 {
     let [x, y, _] = corners(cells);
     x * y * FINE * 3 * (u64::from(DEPTH) + 1)
@@ -241,8 +241,8 @@ impl<'a> Reader<'a> {
                 while rest != 0 {
                     let octant = rest.trailing_zeros() as usize;
                     rest &= rest - 1;
-                    // positions are counted from one cell before the block; the block contains only
-                    // the adjacent octants of a neighbouring cell
+                    // position 0 is one cell below the block, which contains only those octants of
+                    // the neighbours that touch `whole`
                     let place = [n % 3, n / 3 % 3, n / 9].map(|way| 2 * way);
                     let place = [0, 1, 2].map(|axis| place[axis] + (octant >> axis & 1));
                     if place.iter().all(|place| (1..=4).contains(place)) {
@@ -304,8 +304,8 @@ impl<'a> Reader<'a> {
             }
             return;
         }
-        // crossings in order along the boundary of the face; the flag tells whether the boundary
-        // enters the object there
+        // crossings in order along the boundary of the face; the flag is true where the boundary
+        // enters the object
         let mut crossings = std::mem::take(&mut self.crossings);
         crossings.clear();
         let shifted = |axis: usize| {
@@ -390,8 +390,8 @@ impl<'a> Reader<'a> {
         halves.is_some()
     }
 
-    /// Returns the bit index in the block of the cell at position `at`, which has the size of the
-    /// current cell.
+    /// Returns the bit index, in the block, of the cell of the current cell's size at position
+    /// `at`.
     fn bit(&self, at: [i64; 3]) -> u32 {
         (0..3).map(|axis| ((at[axis] - self.block[axis]) as u32) << (2 * axis)).sum()
     }

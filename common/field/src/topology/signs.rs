@@ -21,13 +21,13 @@ impl Signs {
 
     /// Returns the voxel cells of a slice whose coefficients do not all have the same sign. The
     /// cells are given by their numbers in the slice (x fastest), in ascending order. The
-    /// coefficients of a cell are those that determine F in it and in the cells up to `around`
-    /// cells away. If they have the same sign, F also has this sign, because F is a weighted mean
-    /// of them (convex hull property).
+    /// coefficients of a cell here include all that determine F in the cell and in the cells up to
+    /// `around` cells away. F is a weighted mean of these coefficients (convex hull property), so
+    /// if they have the same sign, F has this sign.
     pub(crate) fn changes(&self, k: usize, around: usize) -> Vec<usize> {
         let [nx, ny, nz] = self.size;
         let width = self.positive.width();
-        // mirroring at the border uses only coefficients that are already included
+        // at the border, mirrored coefficients are among the coefficients already included
         let reach = |cell: usize, n: usize| cell.saturating_sub(1 + around)..(cell + 3 + around).min(n);
         let over_slices = |bits: &NodeBits| all_of(reach(k, nz), |slice| bits.rows(slice * ny, ny));
         let over_slices = [&self.positive, &self.negative].map(over_slices);

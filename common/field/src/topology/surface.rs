@@ -36,7 +36,7 @@ pub(super) struct Surface {
     pub(super) undecided: Vec<Cell>,
 }
 
-/// Used in place of a component number where there are several components.
+/// Sentinel in place of a component number, for a voxel with several components.
 const SEVERAL: u32 = u32::MAX;
 
 impl Surface {
@@ -210,11 +210,11 @@ fn read(field: &CubicSpline, cells: &Cells, crossed: &[(Cell, State)], all: &mut
 
 /// All crossings in ascending order, grouped by the slices of voxels in which their edges start.
 struct Crossings {
-    /// Crossings of each slice, followed by those on the upper border of the last slice.
+    /// Crossings of each slice, followed by the crossings on the upper border of the last slice.
     by_slice: Vec<Vec<Crossing>>,
     /// Number of crossings before each slice.
     before: Vec<u32>,
-    /// Number of crossing numbers reserved for one slice.
+    /// Count of crossing numbers that are reserved for one slice.
     span: u64,
 }
 
@@ -231,7 +231,8 @@ impl Crossings {
                 seen
             })
             .collect();
-        // a slice contributes its own crossings, and those on the plane shared with the next slice
+        // a slice contributes its own crossings, and the crossings on the plane that it shares with
+        // the next slice
         let by_slice: Vec<Vec<Crossing>> = (0..=seen.len())
             .into_par_iter()
             .map(|k| {
@@ -362,7 +363,8 @@ fn components(positions: &[DVec3], component_of: &[u32], count: usize, slices: &
             components[component].area += area;
             components[component].volume += volume;
         }
-        // a side belongs to two polygons, unless it lies on the border
+        // a side belongs to two polygons; a side on the border belongs to one, so it is counted
+        // again
         own.at_border.iter().for_each(|&crossing| sides[component_of[crossing as usize] as usize] += 1);
     }
     components.iter_mut().zip(sides).for_each(|(own, sides)| own.euler -= sides / 2);

@@ -21,8 +21,8 @@ impl Scene {
         Self { field: CubicSpline::new(&image) }
     }
 
-    /// Returns the Euler characteristics of the components of a triangulation, in ascending order.
-    /// The triangulation uses samples that are `fine` times as dense.
+    /// Triangulates F = 0 by marching cubes with `fine` samples per voxel edge. Returns the Euler
+    /// characteristics of the components, in ascending order.
     fn by_samples(&self, fine: usize) -> Vec<i64> {
         let own = self.field.geometry();
         let size = own.size.map(|n| (n - 1) * fine + 1);
@@ -52,7 +52,7 @@ fn unwatched() -> Watch<'static> {
 
 const CENTRE: DVec3 = DVec3::splat(15.7);
 
-/// A torus with radii 9 and 4.
+/// A torus with a ring radius of 9 mm and a tube radius of 4 mm.
 pub(super) fn torus() -> Scene {
     Scene::new([32; 3], DVec3::ONE, |p| {
         let q = p - CENTRE;
@@ -60,7 +60,7 @@ pub(super) fn torus() -> Scene {
     })
 }
 
-/// Two balls of radius 5, separated by a gap of 2.
+/// Two balls of radius 5 mm, separated by a gap of 2 mm.
 pub(super) fn two_balls() -> Scene {
     Scene::new([32, 24, 24], DVec3::ONE, |p| {
         let centre = |x: f64| DVec3::new(x, 11.6, 11.6);
@@ -68,13 +68,13 @@ pub(super) fn two_balls() -> Scene {
     })
 }
 
-/// A spherical shell with radii 8 and 10.5.
+/// A spherical shell with radii of 8 and 10.5 mm.
 pub(super) fn shell() -> Scene {
     Scene::new([32; 3], DVec3::ONE, |p| (p.distance(CENTRE) - 9.25).abs() - 1.25)
 }
 
-/// A gyroid inside a ball of radius 13. Near the sphere, single inside nodes are attached by necks
-/// thinner than a voxel.
+/// A gyroid inside a ball of radius 13 mm. Near the surface of the ball, single inside nodes are
+/// attached by necks thinner than a voxel.
 pub(super) fn gyroid() -> Scene {
     Scene::new([36; 3], DVec3::ONE, |p| {
         let q = (p - DVec3::splat(17.6)) * 0.45;
@@ -84,7 +84,8 @@ pub(super) fn gyroid() -> Scene {
     })
 }
 
-/// A torus with radii 5 and 4.8. Its hole is 0.4 voxel wide and lies between the nodes.
+/// A torus with a ring radius of 5 mm and a tube radius of 4.8 mm. Its hole is 0.4 voxel wide and
+/// lies between the nodes.
 fn pierced() -> Scene {
     let (ring, tube) = (5.0, 4.8);
     Scene::new([28; 3], DVec3::ONE, |p| {
@@ -104,7 +105,7 @@ fn touching(value: f64) -> Scene {
     let far = |c: &CriticalPoint| c.position.distance(middle);
     let saddles = critical_points(&balls(0.0).field, 0.0);
     let saddle = saddles.into_iter().min_by(|a, b| far(a).total_cmp(&far(b))).expect("a saddle between the balls");
-    // splines reproduce constants
+    // splines reproduce constants, so this shifts F at the saddle to `value`
     balls(saddle.value - value)
 }
 
@@ -189,7 +190,8 @@ fn random_scenes_have_the_topology_of_much_denser_samples() {
     for seed in 0..12 {
         let scene = random(seed);
         let topology = scene.topology();
-        // five samples per voxel edge may miss finer features, but the cells must not
+        // five samples per voxel edge may miss fine features, but the cells must allow the counts
+        // that result
         let (summary, dense) = (topology.summary(), scene.by_samples(5));
         let [least, most] = summary.components_between;
         assert!((least..=most).contains(&dense.len()), "scene {seed}: {summary:?} and {}", dense.len());
@@ -218,7 +220,7 @@ fn what_touches_is_undecided_and_what_nearly_touches_is_not() {
         let [low, high] = summary.euler_between;
         assert!(low <= 2 && high == 4 && high - low <= 4, "{summary:?}");
     }
-    // a neck and a gap, each about a third of a voxel wide
+    // a neck and a gap, each about a third of a voxel wide, are decided
     assert_eq!(euler(&touching(-0.01).topology()), [2]);
     assert_eq!(euler(&touching(0.05).topology()), [2, 2]);
     assert!(touching(-0.01).topology().undecided().is_empty() && touching(0.05).topology().undecided().is_empty());
@@ -236,7 +238,7 @@ fn a_speck_between_the_samples_is_a_component() {
 
 #[test]
 fn a_surface_that_ends_at_the_border_is_counted_as_it_is_there() {
-    // a disk, an annulus along x and a hemisphere
+    // a disk, an open cylinder along x and a hemisphere have Euler characteristics 1, 0 and 1
     let plane = Scene::new([9, 10, 11], DVec3::ONE, |p| p.x - 4.4);
     let tube = Scene::new([12; 3], DVec3::ONE, |p| DVec3::new(0.0, p.y - 5.3, p.z - 5.6).length() - 3.2);
     let dome = Scene::new([12; 3], DVec3::ONE, |p| p.distance(DVec3::new(5.3, 5.6, 0.0)) - 3.2);
@@ -265,10 +267,10 @@ fn neighbouring_crossed_cells_differ_by_at_most_one_level() {
 
 #[test]
 fn a_dome_through_a_face_between_cell_sizes_stays_connected() {
-    // A dome whose top is 0.05 above the middle of a face. Grad F turns in the cell above the face,
-    // which is subdivided. The cell below the face is not subdivided. Only the smaller cells have a
-    // corner at the middle of the face; the larger cell contains a loop around that middle, next to
-    // the base of the dome.
+    // The top of the dome is 0.05 voxel above the middle of a face. Grad F turns in the cell above
+    // the face, so that cell is subdivided. The cell below the face is not. Only the smaller cells
+    // have a corner at the middle of the face; the larger cell contains a loop around that middle,
+    // next to the base of the dome.
     let top = DVec3::new(7.5, 7.5, 7.0);
     let scene = Scene::new([16; 3], DVec3::ONE, |p| {
         let d = p - top;
@@ -287,8 +289,9 @@ fn a_dome_through_a_face_between_cell_sizes_stays_connected() {
     assert_eq!((euler(&scene.topology()), scene.by_samples(5)), (vec![1, 1], vec![1, 1]));
 }
 
-/// A speck of the given radius, optionally with a second surface at a distance of 1.3 voxels.
-/// Splines reproduce cubic functions, and the effect of the grid border has decayed at the speck.
+/// Returns the topology of a speck of the given radius, optionally with a second surface at a
+/// distance of 1.3 voxels. Splines reproduce cubic functions, and the effect of the grid border has
+/// decayed at the speck.
 fn speck(radius: f64, has_interface: bool) -> FieldTopology {
     cubic(radius, if has_interface { 0.3 } else { 0.0 })
 }
@@ -332,7 +335,7 @@ fn a_component_at_the_resolution_may_vanish_or_join_another() {
 fn only_a_closed_speck_may_vanish() {
     let topology = speck(0.5 * RESOLUTION, false);
     assert!(topology.groups().may_vanish(0) && topology.undecided()[0].kind == UndecidedKind::Speck);
-    // a speck that opens into the adjacent surface
+    // a speck that opens into the adjacent surface must not vanish
     let topology = cubic(0.9 * RESOLUTION, 1.78);
     assert_eq!(topology.components().len(), 1);
     assert!(topology.critical_points().iter().any(|c| c.is_enclosed() && c.radius < RESOLUTION));

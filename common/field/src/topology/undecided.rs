@@ -13,14 +13,14 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
-/// A location where the topology of a mesh may differ from that of F.
+/// A location where a mesh need not have the topology of F = 0.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Undecided {
-    /// Position of the critical point of F, the middle of the uncertain cells, or a point near the
-    /// fine component, in the grid frame, mm.
+    /// Position in the grid frame, mm: the critical point of F, the middle of the uncertain cells,
+    /// or a point near the fine component.
     pub place: [f64; 3],
-    /// Size in mm: twice the radius of the neck, gap or speck, or the longest extent along a grid
-    /// axis.
+    /// Size in mm: twice the radius of the neck, gap or speck, or the longest extent of the
+    /// uncertain cells or the fine component along a grid axis.
     pub size: f64,
     /// F at `place`, or at the middle of `bounds` for a fine component, mm.
     pub value: f64,
@@ -186,13 +186,12 @@ impl Default for Changes {
 }
 
 impl Changes {
-    /// Returns the changes that a location allows. `is_joining` tells whether the location joins
+    /// Returns the changes that a location allows. `is_joining` is true if the location joins
     /// components that no earlier location has joined. Replacing two disks with a tube lowers the
     /// Euler characteristic by two. The tube either joins two components or forms a handle.
     fn at(place: &Undecided, is_joining: bool) -> Self {
         let none = [0, 0];
-        // components that earlier locations may join can still be separate, and then this location
-        // joins them
+        // earlier locations need not join the components; if they do not, this location joins them
         let joined = [-i64::from(place.components.len() > 1), -i64::from(is_joining)];
         let joins = Self { removed: 1, counts: vec![joined, none] };
         match place.kind {
@@ -224,7 +223,8 @@ impl Changes {
 }
 
 /// Returns whether a component is thin everywhere, not only at an extremum of F inside it. The
-/// ratio of volume to area is half the thickness for a plate, and less for any other shape.
+/// ratio of volume to area is half the thickness for a plate, and smaller for other shapes of the
+/// same thickness.
 fn is_thin(component: &Component, resolution: f64) -> bool {
     component.volume.abs() < resolution * component.area
 }
@@ -232,7 +232,7 @@ fn is_thin(component: &Component, resolution: f64) -> bool {
 /// Returns the undecided locations. Clusters of cells in which F = 0 is uncertain come first,
 /// ordered by their lowest cells. They are followed by all other critical points whose neck, gap or
 /// speck is finer than [`RESOLUTION`], in the order of `critical`, and by the remaining components
-/// finer than that.
+/// finer than [`RESOLUTION`].
 pub(super) fn places(
     field: &CubicSpline,
     cells: &Cells,
@@ -295,7 +295,8 @@ fn at_fine_component(field: &CubicSpline, cells: &Cells, surface: &Surface, n: u
 }
 
 /// Returns the location at a critical point. Returns `None` for an extremum in a component that is
-/// not thin. A mesh must contain such a component, whichever side of the mesh the extremum is on.
+/// not thin. A mesh must contain such a component, even if the extremum is on the wrong side of the
+/// mesh.
 fn at_critical_point(field: &CubicSpline, cells: &Cells, surface: &Surface, c: &CriticalPoint) -> Option<Undecided> {
     let ways: Vec<DVec3> = c.ways.into_iter().filter(|way| *way != DVec3::ZERO).collect();
     let component = |way: DVec3| {

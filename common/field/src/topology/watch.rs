@@ -3,14 +3,15 @@
 pub(super) use isoparticles_file::monitor::Interrupted;
 use isoparticles_file::monitor::{Counter, Monitor};
 
-/// Progress of a computation that makes several passes over the slices of a volume.
+/// Progress and interruption of a computation that makes several passes over the slices of a
+/// volume.
 pub(super) struct Watch<'a> {
     monitor: &'a dyn Monitor,
     counter: Box<dyn Counter + 'a>,
 }
 
 impl<'a> Watch<'a> {
-    /// Starts a computation. `slices` is the number of slices, summed over all passes.
+    /// Starts the progress counter. `slices` is the number of slices, summed over all passes.
     pub(super) fn new(monitor: &'a dyn Monitor, slices: usize) -> Self {
         Self { monitor, counter: monitor.counter("topology", Some(slices as u64)) }
     }

@@ -34,7 +34,8 @@ fn comments(surface: &Surface, history: &History) -> Vec<String> {
     lines
 }
 
-/// Returns the property names of an array, one per component, with special characters replaced.
+/// Returns the property names of an array, one per component. Underscores replace special
+/// characters.
 fn property_names(array: &DataArray) -> Vec<String> {
     let name: String = array.name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
     match array.components {

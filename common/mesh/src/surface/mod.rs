@@ -23,7 +23,7 @@ use std::path::Path;
 /// Values on the vertices or triangles of a surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DataArray {
-    /// Name that pyvista and ParaView display.
+    /// Name of the array, which pyvista and ParaView display.
     pub name: String,
     /// Number of components per vertex or triangle.
     pub components: usize,
@@ -48,7 +48,7 @@ impl DataArray {
         Self { name: name.to_owned(), components: 3, values: Voxels::F64(values) }
     }
 
-    /// Returns the number of vertices or triangles that have values.
+    /// Returns the number of vertices or triangles for which the array has values.
     pub fn tuples(&self) -> usize {
         self.values.len() / self.components.max(1)
     }
@@ -80,8 +80,8 @@ impl Surface {
     }
 }
 
-/// Points, segments and triangles to display, such as the locations of failed checks, in world
-/// coordinates.
+/// Points, segments and triangles to display, in world coordinates. They show, for example, where a
+/// check failed.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Simplices {
     /// Positions.
@@ -92,8 +92,8 @@ pub struct Simplices {
     pub edges: Vec<[u32; 2]>,
     /// Triangles, as indices into `points`.
     pub triangles: Vec<[u32; 3]>,
-    /// Values on all displayed cells (vertices, then edges, then triangles), such as which check
-    /// failed.
+    /// Values on all displayed cells (vertices, then edges, then triangles), such as the number of
+    /// the failed check.
     pub cell_data: Vec<DataArray>,
 }
 

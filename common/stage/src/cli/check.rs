@@ -3,7 +3,7 @@
 //!
 //! isoparticles-case runs this check for every stage of a case before it removes any file or starts
 //! any stage. Like `--command-line`, `--check-options` is not a regular option. The exit code is 0
-//! if the command line is accepted. Otherwise, it is the exit code of the refused run.
+//! if the command line is accepted. Otherwise, it is the exit code that a run would return.
 
 use super::{Outcome, exit_code};
 use crate::error::{Error, Result};

@@ -40,7 +40,7 @@ struct State {
     closing: Vec<(String, String)>,
 }
 
-/// Times a step until it is dropped.
+/// Guard that times a step. The step ends when the guard is dropped.
 #[must_use = "the step ends when this is dropped"]
 pub struct Step<'a> {
     context: &'a Context,
@@ -75,7 +75,7 @@ impl Context {
         self
     }
 
-    /// Creates a context that prints nothing, for use as a library and in tests.
+    /// Creates a context that prints nothing, for library use and for tests.
     pub fn silent(tool: &'static str) -> Self {
         let common = CommonArgs { quiet: true, seed: 1, ..CommonArgs::default() };
         Self::new(tool, tool.to_owned(), common, Value::Null)
@@ -201,7 +201,7 @@ impl Context {
     }
 
     /// Prints the closing table, writes the report and prints the error, if any. If the report
-    /// cannot be written, a successful run becomes an error.
+    /// cannot be written, the result of a successful run is replaced by an error.
     pub(super) fn close(&self, result: Result<Outcome>) -> Result<Outcome> {
         if result.is_ok() {
             self.info(self.closing_table());

@@ -31,8 +31,8 @@ pub const FILES: &str = "Files";
 pub const METHOD: &str = "Method";
 /// Help heading of the options that affect only the checks.
 pub const CHECKS: &str = "Checks";
-/// Prefix of a warning about elements that violate a limit but are accepted by the user. The
-/// verdict of the case repeats such warnings.
+/// Prefix of a warning about elements that violate a limit but are accepted with `ACCEPT_FORCED`.
+/// The verdict of the case repeats such warnings.
 pub const FIT_BUT_FOR: &str = "fit but for ";
 
 /// How to show progress.
@@ -135,7 +135,7 @@ pub fn exit_code(result: &Result<Outcome>) -> u8 {
     }
 }
 
-/// Stack size of each thread in bytes, equal to that of the main thread on Linux.
+/// Stack size of each thread in bytes: the size that the main thread has on Linux.
 const STACK_BYTES: usize = 8 << 20;
 
 /// Runs a stage program. Parses the command line, sets up threads and signals, checks the outputs,

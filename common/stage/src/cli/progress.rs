@@ -1,5 +1,4 @@
-//! Progress on stderr: a percentage if the total is known, and otherwise the message and the
-//! elapsed time.
+//! Progress on stderr: a percentage if the total is known, a message, and the elapsed time.
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use std::io::Write;

@@ -19,7 +19,7 @@ pub(super) struct Report<'a> {
 }
 
 impl Report<'_> {
-    /// Writes the report. The outcome of the run may be an error.
+    /// Writes the report of a run, which may have failed.
     pub(super) fn write(&self, path: &Path) -> Result<()> {
         let text = serde_json::to_string_pretty(&self.json()).map_err(|error| {
             Error::input(

@@ -42,7 +42,7 @@ pub fn bytes(text: &str) -> Result<u64, String> {
 }
 
 /// Formats a number with up to four significant digits, without trailing zeros. Uses an exponent
-/// for absolute values below 0.001 and for those of at least 1e7.
+/// for absolute values that are below 0.001 or at least 1e7.
 pub fn significant(value: f64) -> String {
     let rounded = format!("{value:.3e}").parse().unwrap_or(value);
     if rounded == 0.0 || !rounded.is_finite() || (1e-3..1e7).contains(&rounded.abs()) {

@@ -94,8 +94,8 @@ mod tests {
         bytes
     }
 
-    /// Found by fuzzing (1): an OB element of undefined length that is not pixel data. dicom-rs
-    /// parses the contents of its items as elements.
+    /// Found by fuzzing (case 1): an OB element of undefined length that is not pixel data.
+    /// dicom-rs parses the contents of its items as elements, so the check must follow them too.
     #[test]
     fn elements_in_items_of_bytes_lie_within_as_well() {
         let says = |length: u32| {
@@ -108,8 +108,8 @@ mod tests {
         assert!(!says(0xff00_0058) && says(0));
     }
 
-    /// Found by fuzzing (3): the transfer syntax UID ends with several null bytes. dicom-rs ignores
-    /// them.
+    /// Found by fuzzing (case 3): the transfer syntax UID ends with several null bytes. dicom-rs
+    /// ignores them, so the check must ignore them too.
     #[test]
     fn elements_are_read_as_dicom_rs_reads_them() {
         let says = |length: u32| {
@@ -118,12 +118,12 @@ mod tests {
             elements.extend([b' '; 0x4353]);
             lies_within(&dicom(b"1.2.840.10008.1.2\0\0\0", &elements))
         };
-        // with explicit VRs, these four bytes would be parsed as the VR `CS` and a length of 2
+        // with explicit VRs, the first length would be parsed as the VR `CS` and a length of 2
         assert!(!says(0x0002_5343) && says(0x4352));
     }
 
-    /// Found by fuzzing (4): an element inside an item that the lazy reader cannot parse. The full
-    /// reader interprets it as an element of 2 GiB.
+    /// Found by fuzzing (case 4): an element inside an item that the lazy reader cannot parse. The
+    /// full reader interprets it as an element of 2 GiB, so the file must be rejected.
     #[test]
     fn what_cannot_be_followed_does_not_lie_within() {
         assert!(!lies_within(include_bytes!("../../tests/data/found/4.dcm")));

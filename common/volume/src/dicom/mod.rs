@@ -25,8 +25,8 @@ pub(crate) fn is_dicom(start: &[u8]) -> bool {
     source::missing(start).is_some()
 }
 
-/// Reads the series of a folder that `wanted` selects. If `wanted` is `None`, there must be exactly
-/// one series of slices.
+/// Reads the series that `wanted` selects from a folder. If `wanted` is `None`, there must be
+/// exactly one series of slices.
 pub(crate) fn read_folder(folder: &Path, wanted: Option<&str>) -> Result<Volume> {
     let files = dicom_files(folder)?;
     let (mut pictures, mut no_images) = (Vec::new(), Vec::new());

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 /// product of perpendicular ones, and to the relative difference between vectors that should be
 /// equal. Directions are decimal strings, which some programs round to four decimals. Rounding
 /// changes a unit vector by at most sqrt(3) * 5e-5 = 8.7e-5, so the tolerance is more than 5 times
-/// the error of two vectors.
+/// the combined error of two vectors.
 pub(super) const DIRECTION_TOLERANCE: f64 = 1e-3;
 
 /// UID of the RLE transfer syntax, which [`rle`] decodes.
@@ -228,7 +228,8 @@ impl Pixels {
         }
     }
 
-    /// Describes how values are computed from stored numbers. Returns `None` if they are identical.
+    /// Describes how values are computed from stored numbers. Returns `None` if the values equal
+    /// the stored numbers.
     pub(super) fn remark(&self) -> Option<String> {
         (self.slope != 1.0 || self.intercept != 0.0).then(|| {
             format!("values are computed as stored value * {} + {}, as given in the slices", self.slope, self.intercept)

@@ -100,7 +100,7 @@ fn slope_intercept_sign_and_overlay_bits() {
         for elements in &mut slices {
             texts(elements, VR::DS, &[(tags::RESCALE_SLOPE, slope), (tags::RESCALE_INTERCEPT, intercept)]);
             numbers(elements, &[(tags::PIXEL_REPRESENTATION, signed)]);
-            // the four highest bits contain an overlay, not pixel data
+            // the four highest bits contain an overlay, which must not affect the values
             let pixels = [0xf000u16, 0x0001, 0x0fff, 0x0800, 0x07ff, 0x1002];
             elements.insert(tags::PIXEL_DATA, (VR::OW, PrimitiveValue::U16(pixels.as_slice().into())));
         }
@@ -188,7 +188,7 @@ fn series_that_are_not_volumes_do_not_prevent_reading() {
     }
     let error = read_volume_with(folder.path(), &ReadOptions { series: Some("300") }).expect_err("a segmentation");
     assert!(error.to_string().contains("contains 19 frames"), "{error}");
-    // a single slice, such as a localizer in the same folder, is not a stack
+    // a single slice, such as a localizer, is not a stack, so the choice remains unambiguous
     let mut slices = stack();
     let mut localizer = slices[0].clone();
     texts(&mut localizer, VR::UI, &[(tags::SERIES_INSTANCE_UID, "1.2.4")]);
@@ -199,7 +199,7 @@ fn series_that_are_not_volumes_do_not_prevent_reading() {
 #[test]
 fn files_without_preamble_or_file_group_are_read() {
     let expected = read_volume(folder_of(&stack()).path()).expect("a volume");
-    // remove the preamble; the preamble and the letters DICM; all of these and the file meta group
+    // remove the preamble, then also the letters DICM, then also the file meta group
     for kept in ["DICM", "group", "data set"] {
         let folder = folder_of(&stack());
         for n in 0..3 {
@@ -286,7 +286,7 @@ fn a_file_cut_short_anywhere_is_an_error() {
     let folder = folder_of(&stack());
     let path = folder.path().join("slice1.dcm");
     let whole = std::fs::read(&path).expect("bytes");
-    // files shorter than the preamble and the letters DICM are not detected as DICOM
+    // a file cut within the preamble or the letters DICM is not detected as DICOM
     for length in source::START..whole.len() {
         std::fs::write(&path, &whole[..length]).expect("cut");
         let error = read_volume(folder.path()).expect_err("cut short");

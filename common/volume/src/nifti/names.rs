@@ -104,7 +104,7 @@ mod tests {
         let bytes = [vec![1, 0, 0, 0], extension(&damaged, Endian::Little)].concat();
         assert!(names(&bytes, Endian::Little, &mut remarks).is_empty());
         assert_eq!(remarks.len(), 1, "{remarks:?}");
-        // lengths that are too short for the header or exceed the data
+        // extensions shorter than their own length and code, or longer than the data, are ignored
         for length in [0u32, 7, 4_000_000_000] {
             let bytes = [&[1, 0, 0, 0][..], &length.to_le_bytes(), &[0; 12]].concat();
             assert!(names(&bytes, Endian::Little, &mut remarks).is_empty());

@@ -15,7 +15,7 @@ pub(super) struct Grid {
     pub(super) geometry: Geometry,
     /// Remarks on assumptions made because information is missing.
     pub(super) remarks: Vec<String>,
-    /// The axis along which the layers of a segmentation are stored, if it has several.
+    /// The axis along which the layers of a segmentation are stored, if there are several layers.
     pub(super) layer_axis: Option<usize>,
 }
 
@@ -61,7 +61,7 @@ pub(super) fn grid(path: &Path, header: &Header, is_segmentation: bool) -> Resul
 /// Words that stand for an undefined unit, in the singular.
 const NO_UNIT: [&str; 6] = ["none", "unknown", "?", "???", "pixel", "voxel"];
 
-/// Returns the length in mm of the unit of each world axis. `space units` applies to `space
+/// Returns the unit of length along each world axis, in mm. `space units` applies to `space
 /// directions`, and `units` applies to `spacings`. If the applicable field is missing, the other
 /// one is used.
 fn unit_lengths(

@@ -17,9 +17,9 @@ fn number_of(key: &str) -> Option<u64> {
     key.strip_prefix("Segment")?.strip_suffix("_Name")?.parse().ok()
 }
 
-/// Returns the segments of a file with `layers` layers, sorted by segment number. Files written
-/// before Slicer 4.11 contain neither label values nor layer numbers; each segment has label 1 in a
-/// layer of its own.
+/// Returns the segments of a file with `layers` layers, sorted by segment number. Files from
+/// versions of 3D Slicer before 4.11 contain neither label values nor layer numbers; each of their
+/// segments has label 1 in a layer of its own.
 pub(super) fn segments(path: &Path, header: &Header, layers: usize) -> Result<Vec<Segment>> {
     let mut numbers: Vec<u64> = header.pairs.keys().filter_map(|key| number_of(key)).collect();
     numbers.sort_unstable();

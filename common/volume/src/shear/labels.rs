@@ -3,18 +3,18 @@
 //! A new voxel lies between two old voxels of its row. If both have the same label, the new voxel
 //! gets that label. If the labels differ, choosing the nearer one would shift each row by up to
 //! half a voxel and roughen every surface. This rounding is used only where a label is one voxel
-//! long in its row. Elsewhere, for each slice and pair of labels, the voxels are sorted by the
-//! labels in their neighbourhood. The first ones get the first label; linear interpolation
-//! determines their number.
+//! long in its row. Elsewhere, the new voxels between the same two labels in a slice are sorted by
+//! a score, which compares the weights of the two labels in the neighbourhood. The voxels with the
+//! highest scores get the first label; linear interpolation determines their number.
 
 use super::{Pass, Shear};
 use crate::voxels::Voxels;
 use rayon::prelude::*;
 
 /// Weights along each axis for the score of a voxel: a binomial filter of five voxels. Measured on
-/// masks of balls of 14 and 8 mm, with 1 mm voxels sheared by 30 degrees: the surface F = 0 of
-/// `distfield --labels 1` has root-mean-square deviations of 0.064 and 0.076 mm. Rounding gives
-/// 0.158 and 0.164 mm, and unsheared grids give 0.052 mm.
+/// masks of balls of radius 14 and 8 mm, with 1 mm voxels sheared by 30 degrees: the
+/// root-mean-square error of the radius of F = 0 (`distfield --labels 1`) is 0.064 and 0.076 mm.
+/// With rounding, it is 0.158 and 0.164 mm; on unsheared grids, 0.052 mm.
 const VOTE: [f64; 5] = [0.0625, 0.25, 0.375, 0.25, 0.0625];
 
 /// Number of voxels that the filter covers on each side of its centre.
@@ -26,9 +26,9 @@ struct Undecided<T> {
     at: usize,
     /// The two labels, the one with the lower key first.
     pair: [T; 2],
-    /// Total weight of the first label minus that of the second one in the neighbourhood.
+    /// Weight of the first label in the neighbourhood minus the weight of the second label there.
     score: f64,
-    /// Fraction of the first label according to linear interpolation.
+    /// Weight of the first label in linear interpolation.
     share: f64,
 }
 
@@ -80,8 +80,7 @@ impl<T: Label> OldLabels<'_, T> {
         }
     }
 
-    /// Returns the total weight of label `a` minus that of label `b` in the neighbourhood of a new
-    /// voxel.
+    /// Returns the weight of label `a` around a new voxel minus the weight of label `b` there.
     fn vote(&self, [a, b]: [T; 2], n: usize, row: usize, k: usize) -> f64 {
         let side = |label: T| f64::from(u8::from(label == a)) - f64::from(u8::from(label == b));
         let mut sum = 0.0;
@@ -129,8 +128,8 @@ impl Pass {
 }
 
 /// Assigns the first label of each pair to the voxels with the highest scores, and the second label
-/// to the other voxels. The number of voxels that get the first label is the sum of all shares,
-/// rounded.
+/// to the other voxels. For each pair, the number of voxels that get the first label is the rounded
+/// sum of `share`.
 fn share_out<T: Label>(slice: &mut [T], mut open: Vec<Undecided<T>>) {
     let key = |open: &Undecided<T>| open.pair.map(Label::key);
     open.sort_by(|a, b| key(a).cmp(&key(b)).then(b.score.total_cmp(&a.score)).then(a.at.cmp(&b.at)));

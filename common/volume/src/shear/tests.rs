@@ -3,8 +3,8 @@ use crate::geometry::Space;
 use crate::image::Image;
 use std::collections::BTreeMap;
 
-/// Creates a grid that is rotated in the world frame. Its z axis is tilted towards y by `lean`. Its
-/// y and z axes are tilted towards x by `others`.
+/// Creates a grid that is rotated in the world frame. `lean` is the slope of its z axis towards y;
+/// `others` are the slopes of its y and z axes towards x.
 fn sheared(size: [usize; 3], lean: f64, others: [f64; 2]) -> Geometry {
     let turn = DMat3::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 0.7);
     let steps = [DVec3::X, DVec3::new(others[0], 1.0, 0.0), DVec3::new(others[1], lean, 1.0)];
@@ -70,7 +70,7 @@ fn the_new_grid_is_orthonormal_and_covers_the_old_one() {
 
 #[test]
 fn labels_keep_their_voxels_and_roundness() {
-    // a ball in index coordinates, which is an ellipsoid of 11,536 voxels of 1 mm^3 in the world
+    // a ball in index coordinates, whose 11,536 voxels of 1 mm^3 form an ellipsoid in the world
     // frame
     let old = sheared([40, 40, 40], TILT, [0.0, 0.0]);
     let ball = |index: DVec3| index.distance_squared(DVec3::splat(19.5)) <= 196.0;
@@ -80,7 +80,7 @@ fn labels_keep_their_voxels_and_roundness() {
     let moved = shear.move_labels(&Voxels::U8(mask), Some(0));
     assert_eq!(counts(&moved)[&1], 11_536);
     let Voxels::U8(moved) = moved else { panic!("another type") };
-    // 126 voxels are on the wrong side of the ellipsoid's surface; rounding gives 310
+    // measured: 126 voxels are on the wrong side of the ellipsoid's surface; with rounding, 310
     let right = sampled(&shear.geometry, |world| u8::from(ball(old.grid_to_index(old.world_to_grid(world)))));
     let wrong = moved.iter().zip(&right).filter(|(a, b)| a != b).count();
     assert!(wrong < 150, "{wrong} voxels differ");
@@ -90,7 +90,8 @@ fn labels_keep_their_voxels_and_roundness() {
 fn labels_of_every_layer_and_thin_parts_stay() {
     let old = sheared([30, 26, 24], -0.8, [0.45, 0.3]);
     let centre = middle(&old);
-    // shells and a core with different labels, a single voxel, and a line with one voxel per slice
+    // shells and a core, which must nearly keep their voxel counts; a single voxel and a line with
+    // one voxel per slice, which must keep theirs exactly
     let label = |world: DVec3| [-5i16, 300, 7, 0][((world.distance(centre) / 3.0) as usize).min(3)];
     let mut labels = sampled(&old, label);
     labels[old.linear(3, 3, 2)] = 42;

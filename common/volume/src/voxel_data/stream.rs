@@ -29,7 +29,7 @@ impl<R: BufRead> Stream<R> {
         }
     }
 
-    /// Returns whether more data follows. If not, the checksum has been verified.
+    /// Returns whether more data follows. If not, the decoder has verified the checksum.
     pub(crate) fn has_more(&mut self) -> io::Result<bool> {
         Ok(self.read(&mut [0])? > 0)
     }

@@ -29,8 +29,7 @@ fn write(path: &Path, lines: &str, data: &[u8]) {
 fn a_negative_skip_counts_from_the_end_of_decoded_data() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("v.nrrd");
-    // the voxels follow a header in another format, as in an .nhdr file that refers to a .nii.gz
-    // file
+    // the voxels follow a header in another format, as when an .nhdr file refers to a .nii.gz file
     let before = [&[9; 352][..], &VALUES].concat();
     let behind = [&before[..], &[7; 3]].concat();
     let halves = [gzip(&before[..100]), gzip(&before[100..])].concat();
@@ -86,7 +85,7 @@ fn more_data_than_voxels_and_damage_are_refused() {
         let error = read_volume(&path).expect_err(encoding);
         assert!(error.to_string().contains("after the last voxel"), "{encoding}: {error}");
     }
-    // a wrong checksum is reported as an error, not treated as the end of the data
+    // a wrong checksum must be reported as an error, not treated as the end of the data
     let mut damaged = gzip(&VALUES);
     let end = damaged.len() - 6;
     damaged[end] ^= 1;

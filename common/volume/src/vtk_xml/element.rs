@@ -225,15 +225,16 @@ impl VtkFile {
     }
 }
 
-/// Position of the appended data in the file, and whether the data is encoded in base64.
+/// Position of the appended data in the file, and whether the data is encoded in base64. `None` if
+/// the file has no appended data.
 type Appended = Option<(u64, bool)>;
 
 /// Reads the XML up to the appended data. Returns the XML, and the position and encoding of the
 /// data.
 fn read_head(path: &Path, reader: &mut impl BufRead) -> Result<(Vec<u8>, Appended)> {
     const TAG: &[u8] = b"<AppendedData";
-    // If the data is appended, the XML has about 100 bytes per array. Longer XML contains the array
-    // values themselves, and parsing it creates a second copy of them.
+    // If the data is appended, the XML has about 100 bytes per array. XML above this length
+    // therefore contains the array values themselves, and parsing it creates a second copy of them.
     const SHORT_XML: usize = 64 << 20;
     let mut head = Vec::new();
     let mut searched = 0usize;

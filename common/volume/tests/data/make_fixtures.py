@@ -230,7 +230,7 @@ def make_nifti():
     (folder / "scaled.nii.gz").write_bytes(gzip.compress(bytes(scaled), mtime=0))
     by_itk("nifti/scaled.nii.gz", check_values=False)
     # SimpleITK returns 64-bit numbers; this project converts scaled 16-bit integers to 32-bit
-    # numbers.
+    # floating-point numbers.
     entry = expected["volumes"]["nifti/scaled.nii.gz"]
     assert entry["values"] == [str(float(v)) for v in (voxels("int16") * 0.5 - 2.0).flatten(order="F")]
     entry["type"] = "float32"
@@ -286,7 +286,7 @@ def make_vti():
                         writer.SetHeaderTypeToUInt64()
                     else:
                         writer.SetHeaderTypeToUInt32()
-                    # This splits the array into several blocks, the last of which is shorter.
+                    # This block size splits the array into several blocks; the last one is shorter.
                     writer.SetBlockSize(40)
                     writer.Write()
                     told(file, name)

@@ -4,11 +4,11 @@
 //! of one voxel in a thin layer, the materials on both sides recede, so the indicator of the layer
 //! can be the smallest between them. The mesh then contains a film that the labels do not contain,
 //! and lacks the junction curve around the hole. Where the indicator of the layer is only slightly
-//! larger, a tube a tenth of a voxel wide connects two such holes. The indicators are therefore
-//! checked at the midpoints of grid edges, faces and cells whose corners belong to several
-//! materials:
+//! larger than the smallest one, a tube a tenth of a voxel wide connects two such holes. The
+//! indicators are therefore checked at the midpoints of grid edges, faces and cells whose corners
+//! belong to several materials:
 //!
-//! - At the midpoint, no material other than those of the corners may have the smallest indicator,
+//! - At the midpoint, no material that is absent from the corners may have the smallest indicator,
 //!   or nearly the smallest. On an edge, both corner materials must have smaller indicators than
 //!   all others.
 //! - If the corners of a face differ along all four edges, the corners of either diagonal may
@@ -28,14 +28,14 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Minimum margin at a midpoint between an indicator and those that must be smaller, in units of
-/// the mean voxel spacing: without and with a scale. With a scale, mesh edges are longer, and
+/// Minimum margin by which an indicator must exceed smaller indicators at a midpoint, in units of
+/// the mean voxel spacing, without and with a scale. With a scale, mesh edges are longer, and
 /// details between nodes matter less.
 ///
 /// For `thorax_labels` with `--scale-for-size 6` (h = 6 mm), two segments of junction curves are
-/// missing with 0.2 and none with 0.4. At 3 mm, the minimum radius ratio is 0.31 with 0.2 and 0.42
-/// with 0.4. With default sizes and without a scale: on `frog_tissue_labels`, 0.2, 0.3 and 0.4 give
-/// 0, 1 and 1 triangles forced by curves and a minimum radius ratio of 0.51, 0.23 and 0.16; on
+/// missing with 0.2 and none with 0.4. With h = 3 mm, the minimum radius ratio is 0.31 with 0.2 and
+/// 0.42 with 0.4. With default sizes and without a scale: on `frog_tissue_labels`, 0.2, 0.3 and 0.4
+/// give 0, 1 and 1 triangles forced by curves and a minimum radius ratio of 0.51, 0.23 and 0.16; on
 /// `brain_parcellation`, 0.2 and 0.3 give 13 and 15 such triangles.
 const CLEARANCE: [f64; 2] = [0.2, 0.4];
 
@@ -49,7 +49,7 @@ const TIE: f64 = 0.004;
 /// Target margin of a raise, relative to the required margin. A raise that increases its indicator
 /// at one midpoint decreases it at the next midpoint by 0.13 / 0.6 = 22 % of that amount (see
 /// [`MOST_ROUNDS`]). The excess of 25 % compensates for about one such loss. With 1, 1.25 and 1.5,
-/// 1137, 43 and 51 contacts of `frog_tissue_labels` have less than the required margin (`near` of
+/// 1137, 43 and 51 contacts of `frog_tissue_labels` have less than the required margin (`near` in
 /// the report of `make distfield MATERIALS=all`).
 const AIM: f64 = 1.25;
 
@@ -57,7 +57,7 @@ const AIM: f64 = 1.25;
 /// can feed back indefinitely, and a steeper indicator moves interfaces towards nodes. If an
 /// interface lies midway between two nodes one voxel apart, its indicators differ by 1 and -1 voxel
 /// at the nodes. A raise of 1 changes these differences to 2 and -1, so the interface moves to a
-/// third of the edge. With 0.5, 1 and 2, `frog_tissue_labels` loses 17, 0 and 0 contacts (`left` of
+/// third of the edge. With 0.5, 1 and 2, `frog_tissue_labels` loses 17, 0 and 0 contacts (`left` in
 /// the report of `make distfield MATERIALS=all`).
 const MOST_RAISE: f64 = 1.0;
 
@@ -70,15 +70,15 @@ const HALF_WAY: f64 = 0.6005;
 const REACH: usize = 4;
 
 /// Maximum number of rounds of raises. A raise lowers its own indicator between the next two nodes
-/// by 13 % of the raise (the undershoot of the spline there), and raises the values that other
-/// indicators are compared with. Real volumes take six to thirteen rounds.
+/// by 13 % of the raise (the undershoot of the spline there), and increases the values that other
+/// indicators must exceed. Real volumes take six to thirteen rounds.
 const MOST_ROUNDS: usize = 40;
 
 /// Report of the contacts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct ContactReport {
-    /// Number of pairs (midpoint, material) whose margin was too small before the raises. The
-    /// material is none of those at the corners.
+    /// Number of pairs of a midpoint and a material of none of its corners whose margin was too
+    /// small before the raises.
     pub crossed: usize,
     /// Number of open decisions whose margin was too small before the raises.
     pub undecided: usize,
@@ -187,7 +187,7 @@ struct Lack {
     corners: Vec<[usize; 3]>,
     /// Required raise in mm at each of these corners.
     raise: f64,
-    /// Whether the margin is that of an open decision.
+    /// Whether the margin belongs to an open decision.
     is_undecided: bool,
     /// Whether the indicator is smaller than an indicator that it must exceed.
     is_lost: bool,

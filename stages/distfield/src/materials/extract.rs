@@ -25,11 +25,11 @@ use rayon::prelude::*;
 /// Accuracy required of each indicator.
 ///
 /// Distances are needed up to 7 voxels: an indicator is stored for two to three voxels around its
-/// zero set, and its bricks extend four cells farther. The tolerance is half that of a single
-/// object, because the deviations of two indicators add up at their interface. Fewer
+/// zero set, and its bricks extend four cells farther. The tolerance is half the tolerance for a
+/// single object, because the deviations of two indicators add up at their interface. Fewer
 /// conjugate-gradient steps than for a single object suffice, because an interface lies between the
-/// zero sets of its two indicators. `brain_parcellation` takes 165 s of processor time with 160
-/// steps, as for a single object, and 89 s with 40 steps.
+/// zero sets of its two indicators. The indicators of `brain_parcellation` take 165 s of processor
+/// time with 160 steps, as for a single object, and 89 s with 40 steps.
 const DEMANDS: Demands = Demands { limit: 7.0, pinned: 0.0005, pin_steps: 40 };
 
 /// Options for computing indicators from labels.
@@ -47,14 +47,14 @@ pub struct MaterialOptions {
 pub struct Tally {
     /// Number of voxels of the material.
     pub voxels: usize,
-    /// Components, cavities and volume: first of the voxels of the material, then of the region
-    /// where its indicator is negative, before contacts are corrected. For the outside, they are
-    /// those of its complement.
+    /// Components, cavities and volume of the voxels of the material, and of the region where its
+    /// indicator is negative before contacts are corrected. For the outside, both describe its
+    /// complement.
     pub parts: [Parts; 2],
     /// Number of voxel centres where the indicator has the wrong sign.
     pub changed: usize,
-    /// Number of ambiguous faces (two parts touching along an edge) where the indicator connects
-    /// the parts differently from its level set.
+    /// Number of ambiguous faces at which the indicator connects the parts that touch there
+    /// differently from its level set.
     pub undecided: usize,
     /// Changes due to the scale; `None` without a scale, or if the whole material vanishes.
     pub changes: Option<Changes>,

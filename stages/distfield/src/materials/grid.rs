@@ -1,5 +1,5 @@
-//! Stores the material of every voxel, and determines that of nodes beyond the border of the
-//! volume.
+//! Stores the material of every voxel, and determines the material of nodes beyond the border of
+//! the volume.
 
 use super::choice::Chosen;
 use crate::mask::Mask;

@@ -69,7 +69,7 @@ pub fn remove_islands(grid: &mut LabelGrid, table: &mut Vec<Material>, least: us
 fn remove_outermost(grid: &mut LabelGrid, least: usize, found: &mut BTreeMap<u16, Islands>) -> bool {
     let (runs, start) = runs(grid);
     let [nx, ny, _] = grid.geometry.size;
-    // only the preceding rows along y and z, so that each pair of rows is visited once
+    // returns only the preceding rows along y and z, so that each pair of rows is visited once
     let neighbours =
         |row: usize| [(!row.is_multiple_of(ny)).then(|| row - 1), row.checked_sub(ny)].into_iter().flatten();
     let mut sets = DisjointSets::new(runs.len());
@@ -187,8 +187,9 @@ mod tests {
 
     #[test]
     fn islands_go_to_the_material_with_the_most_shared_faces() {
-        // single voxels: one of material 1 in the outside, one of 2 in 1, and three of the outside
-        // (in 1, between 1 and 2, and at the end of the last row)
+        // the islands are single voxels: one of material 1 in the outside, one of material 2 in
+        // material 1, and three of the outside (in material 1, between materials 1 and 2, and at
+        // the end of the last row)
         let (mut given, mut table) = grid(&["...1....", "111.1122", "12111.22", "1111111."]);
         let found = remove_islands(&mut given, &mut table, 3);
         let (expected, _) = grid(&["........", "11111122", "11111122", "11111111"]);

@@ -15,7 +15,8 @@ pub struct Scales {
     given: Given,
     /// The minimum scale of pairs with an edge length, mm.
     smallest: f64,
-    /// Whether to keep parts that are too thin for a mesh of the matching edge length.
+    /// Whether to keep parts that are too thin for a mesh of the edge length that matches the
+    /// scale.
     pub(super) keep_thin: bool,
 }
 
@@ -36,8 +37,8 @@ impl Scales {
     }
 
     /// Returns the scale (mm) of the interface of two materials, given by the smaller of their edge
-    /// lengths. Edge lengths of pairs have no effect, because each material would then have to be
-    /// compared with all others at every scale.
+    /// lengths. Edge lengths of pairs have no effect, because they would require comparing each
+    /// material with all others at every scale.
     pub(super) fn of_pair(&self, a: u16, b: u16) -> f64 {
         let own = [a, b].map(|id| self.own(MaterialId(id)));
         own.into_iter().flatten().min_by(f64::total_cmp).unwrap_or(self.base)

@@ -75,9 +75,9 @@ struct Sums {
 ///
 /// The area of an interface is a sum over the grid edges that it crosses. Each edge contributes the
 /// area of its dual face times |n_a|, where n_a is the component of the unit normal along the edge.
-/// An element dA of the interface covers an area |n_a| dA of the faces perpendicular to axis a, and
-/// the squares of n_a sum to one. The volume of a material is the volume enclosed by the surface
-/// where its indicator equals the smallest of all other indicators.
+/// The dual faces perpendicular to axis a cover |n_a| dA of an element dA, which therefore
+/// contributes n_a^2 dA, and the squares of n_a sum to one. The volume of a material is the volume
+/// enclosed by the surface where its indicator equals the smallest of all other indicators.
 ///
 /// # Errors
 /// If the run is interrupted.
@@ -131,7 +131,7 @@ pub fn survey(
 
 /// Returns the material of each node and the distance (mm) from the nearest interface, at most
 /// [`distance_limit`]. Also returns, for each slice, the number of counted nodes of each material
-/// where the indicator of another material is smaller.
+/// where another material has the smaller indicator.
 fn survey_nodes(
     indicators: &impl Indicators,
     geometry: &Geometry,
@@ -303,7 +303,8 @@ impl Sums {
         let start = geometry.index_to_grid(DVec3::from_array(at.map(|n| n as f64)));
         let value = |p: DVec3| indicators.difference_gradient(i, j, p).0;
         let (low, high) = (value(start), value(start + step));
-        // zero of the linearly interpolated difference; the midpoint if an indicator is not known
+        // position of the zero of the linearly interpolated difference, or the midpoint if an
+        // indicator is not known
         let share = if low < 0.0 && high > 0.0 && (high - low).is_finite() { low / (low - high) } else { 0.5 };
         let (_, gradient) = indicators.difference_gradient(i, j, start + step * share);
         let face = geometry.spacing.element_product() / geometry.spacing[axis];

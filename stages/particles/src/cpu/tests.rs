@@ -1,4 +1,5 @@
-//! Tests with many materials on known shapes: positions, counts and forces of the particles.
+//! Tests with many materials on known shapes: positions and number of particles, and forces on
+//! them.
 
 use super::scenes::{Body, CENTRE, RADIUS, corners, nested, sectors, stratum};
 use super::*;
@@ -76,9 +77,9 @@ fn interfaces_are_filled_to_their_borders() {
 }
 
 /// On a plane with a straight border, the first rows contain as many particles as the border and
-/// are 0.866 h apart. Lattice defects displace 2 to 3 % of the particles in the first row (one
-/// particle in every second run) by more than 0.12 of the row distance. The test therefore averages
-/// over several seeds.
+/// are 0.866 h apart. Lattice defects displace 2 to 3 % of the particles in the first row by more
+/// than 0.12 of the row distance: about one particle in every second run. The test therefore
+/// averages over several seeds.
 #[test]
 fn rows_along_a_straight_border_are_those_of_the_lattice() {
     let body = sectors(1.0, 700);
@@ -151,7 +152,8 @@ fn forces_on_materials_are_derivatives_of_the_energy() {
         for way in [plane.u, plane.v] {
             let step = 1e-6 * way;
             let difference = (energy_of(&body.seeds, i, p + step) - energy_of(&body.seeds, i, p - step)) / 2e-6;
-            // a difference quotient cannot resolve the energies of pairs closer than a tenth of h
+            // skips particles with a very close neighbour, whose energy a difference quotient
+            // cannot resolve
             if here < 5.0 {
                 assert!((gradient.dot(way) - difference).abs() < 1e-4 * (1.0 + here), "{i}: {gradient} {difference}");
             }
@@ -198,7 +200,7 @@ fn newcomers_keep_their_distance_on_their_interface() {
 fn particles_off_their_interface_are_removed() {
     let mut body = sectors(1.0, 700);
     let count = body.seeds.1.of.len();
-    // two points outside the ball
+    // two points outside the ball, where there is no interface
     let on = body.seeds.1.of[count - 1];
     for p in [CENTRE + RADIUS * 1.2 * DVec3::X, CENTRE + RADIUS * 1.2 * DVec3::Y] {
         let (set, strata) = &mut body.seeds;

@@ -8,8 +8,8 @@ use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Sizes of the memory blocks that wgpu requests from the driver: from 16 to 256 MiB on the device,
-/// and half as much on the host. With wgpu's default sizes, the first access to host memory takes a
-/// tenth of the run time.
+/// and half as much on the host. With wgpu's default sizes, a tenth of the run time is spent on the
+/// first access to host memory.
 const MEMORY_BLOCKS: wgpu::MemoryHints =
     wgpu::MemoryHints::Manual { suballocated_device_memory_block_size: 16 << 20..256 << 20 };
 
@@ -54,7 +54,7 @@ pub struct AdapterChoice {
     /// Part of the adapter's name, case-insensitive. Without a name the first GPU is selected, and
     /// discrete GPUs are preferred. Software renderers are selected only by name.
     pub name: Option<String>,
-    /// Disables subgroup operations (to test for faulty drivers).
+    /// Disables subgroup operations (to find out whether a driver implements them incorrectly).
     pub no_subgroups: bool,
     /// Number of lanes per particle if subgroup operations are used: 8, 16 or 32.
     pub team: Option<u32>,
@@ -76,7 +76,8 @@ pub struct Gpu {
     /// True if timestamp queries are enabled.
     pub(crate) timestamps: bool,
     summary: AdapterSummary,
-    /// First uncaptured error of the device; the loss of the device counts as an error.
+    /// Message of the first uncaptured error of the device; the loss of the device counts as an
+    /// error.
     failure: Arc<Mutex<Option<String>>>,
     /// Compiled kernels: for one or several slabs, and for one object or many materials.
     kernels: Mutex<[Option<Arc<Kernels>>; 4]>,
@@ -85,7 +86,7 @@ pub struct Gpu {
 fn instance() -> wgpu::Instance {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
     // Validation of indirect dispatches is disabled: the kernels keep the dispatch sizes within the
-    // limits, and each validation would cost an extra pass.
+    // limits, and each validation would cost an extra compute pass.
     descriptor.flags = wgpu::InstanceFlags::ALLOW_UNDERLYING_NONCOMPLIANT_ADAPTER;
     wgpu::Instance::new(descriptor)
 }
@@ -165,7 +166,7 @@ fn select<'a>(all: &'a [wgpu::Adapter], choice: &AdapterChoice) -> Result<&'a wg
 }
 
 /// Opens the device of an adapter with the given features and the adapter's limits. `failure`
-/// receives the first uncaptured error or the loss of the device.
+/// receives the message of the first uncaptured error; the loss of the device counts as an error.
 fn request_device(
     adapter: &wgpu::Adapter,
     features: wgpu::Features,
@@ -202,7 +203,7 @@ impl Gpu {
     /// Opens the selected adapter.
     ///
     /// # Errors
-    /// If no adapter matches or if it cannot be opened; the exit code is 3.
+    /// If no adapter matches or if the adapter cannot be opened. The exit code is then 3.
     pub fn open(choice: &AdapterChoice) -> Result<Self> {
         let instance = instance();
         let all = found(&instance);

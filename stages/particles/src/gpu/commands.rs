@@ -1,6 +1,6 @@
-//! Encodes the commands of a pass into one command buffer. When profiling, the device writes a
-//! timestamp before and after each kernel. For few particles, encoding on the host takes as long as
-//! execution on the device, so the next pass is encoded while the device works.
+//! Encodes the commands of a pass into one command buffer. With profiling enabled, the device
+//! writes a timestamp before and after each kernel. For few particles, encoding on the host takes
+//! as long as execution on the device, so the next pass is encoded while the device works.
 
 use super::adapter::Gpu;
 use super::constants::GROUPS_PER_ROW;
@@ -38,7 +38,7 @@ pub(crate) struct Profile {
     pub times: BTreeMap<&'static str, (f64, u64)>,
 }
 
-/// Maximum number of dispatches with timestamps per pass; additional dispatches are not measured. A
+/// Maximum number of dispatches with timestamps per pass; additional dispatches are not timed. A
 /// pass has at most 70 dispatches ([`steps`](super::schedule::steps) with density control and 32
 /// classes).
 const MOST_TIMED_DISPATCHES: u32 = 128;
@@ -71,6 +71,7 @@ pub(crate) fn encode(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], pro
                 let timestamp_writes =
                     profile.queries.as_ref().filter(|_| timed.len() < MOST_TIMED_DISPATCHES as usize).map(|q| {
                         // timestamps apply to whole compute passes, so each kernel gets its own
+                        // compute pass
                         pass = None;
                         let at = 2 * timed.len() as u32;
                         timed.push(kernel);
@@ -113,7 +114,7 @@ fn dispatch(pass: &mut wgpu::ComputePass<'_>, command: &Command<'_>) {
     }
 }
 
-/// Submits encoded commands. Returns the submission to wait for and the kernels whose timestamps
+/// Submits encoded commands. Returns the index of the submission and the kernels whose timestamps
 /// [`Profile::collect`] reads.
 pub(crate) fn submit(gpu: &Gpu, encoded: Encoded) -> (wgpu::SubmissionIndex, Vec<&'static str>) {
     (gpu.queue.submit([encoded.buffer]), encoded.timed)

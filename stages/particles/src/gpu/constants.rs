@@ -33,14 +33,14 @@ pub(crate) const CLASSES: u32 = 32;
 /// Marks a particle without a class.
 pub(crate) const UNCLASSED: u32 = u32::MAX;
 
-/// Distance, in bins along each axis, between bins of the same colour. Two other bins lie between
-/// them, so their neighbourhoods of 3 x 3 x 3 bins are disjoint. All data that the particles of a
-/// bin read or write must lie in its neighbourhood; see [`BIN_REACH`].
+/// Distance, in bins along each axis, between bins of the same colour. Two bins of other colours
+/// lie between them, so their neighbourhoods of 3 x 3 x 3 bins are disjoint. A moving particle must
+/// read and write only data in the neighbourhood of its bin; see [`BIN_REACH`].
 pub(crate) const COLOUR_STRIDE: u32 = 3;
 
 /// Minimum edge of a bin, in units of the largest h of its level: the reach of the neighbour lists.
-/// The list members of the particles of a bin are therefore in that bin or in an adjacent bin. With
-/// the paper's bin edge, max(h), interactions reach two bins away.
+/// The members of a particle's list are therefore in the bin of the particle or in an adjacent bin.
+/// With the paper's bin edge, max(h), they can be two bins away.
 pub(crate) const BIN_REACH: f64 = SUPPORT * (1.0 + SKIN);
 
 const _: () = assert!(
@@ -80,19 +80,19 @@ const CHECKS_GO_ON: u32 = 2;
 /// neighbours, so its rounding error is a few ulps.
 const LEAST_DECREASE: f64 = 1e-6;
 /// The kernels treat the two eigenvalues of a Hessian as equal if each differs from their mean by
-/// at most this fraction of it. At this limit the rounding error of the eigenvectors in f32 is
-/// about 1.2e-7 / 1e-6 = 0.1 radians.
+/// at most this fraction of the mean. At this limit the rounding error of the eigenvectors in f32
+/// is about 1.2e-7 / 1e-6 = 0.1 radians.
 const EQUAL_EIGENVALUES_F32: f64 = 1e-6;
 
-/// Index of the word with the energy, as the bits of an f32. The host reads these words after each
-/// pass.
+/// Index, in the buffer `words`, of the word with the total energy (the bits of an f32). The host
+/// reads this buffer after each pass.
 pub(crate) const WORD_ENERGY: usize = 0;
 /// Index of the word with the number of particles that took a step.
 pub(crate) const WORD_MOVED: usize = 1;
 /// Index of the word with the number of attempted steps.
 pub(crate) const WORD_TRIES: usize = 2;
-/// Index of the word with the maximum displacement since the lists were built, in units of h, as
-/// bits of an f32.
+/// Index of the word with the maximum displacement of a particle since the lists were built, in
+/// units of its h (the bits of an f32).
 pub(crate) const WORD_LONGEST_WAY: usize = 3;
 /// Index of the word with the total length of all lists.
 pub(crate) const WORD_LISTED: usize = 4;
@@ -109,16 +109,16 @@ pub(crate) const WORD_CLASSES: usize = 9;
 /// Number of words.
 pub(crate) const WORDS: usize = 10;
 
-/// Stands in for the number of particles after the previous pass if the host does not know it yet.
+/// Passed to the device instead of the number of particles if the host does not know it yet.
 pub(crate) const COUNT_ON_DEVICE: u32 = u32::MAX;
 
 /// Number of particles whose neighbour lists are interleaved: the subgroup size of most adapters.
 pub(crate) const LIST_TILE: u32 = 32;
 
 /// Initial capacity of each neighbour list. In the lattice a list has 18 members (three rings are
-/// within `SUPPORT (1 + SKIN)`), and no list for the seeds of `make bench-gpu` has more than 32. If
-/// a list is longer (very dense particles, junctions of many interfaces), the capacity of all lists
-/// is increased and the pass is repeated.
+/// within `SUPPORT (1 + SKIN)`), and with the seeds of `make bench-gpu` no list has more than 32.
+/// If a list is longer (very dense particles, junctions of many interfaces), the capacity of all
+/// lists is increased and the pass is repeated.
 pub(crate) const FIRST_LIST_ROOM: u32 = 32;
 
 /// Value of a constant together with its WGSL type.

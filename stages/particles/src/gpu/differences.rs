@@ -1,32 +1,34 @@
 //! Multi-material data on the device: half differences of indicators, G = (F_high - F_low) / 2,
 //! where `high` is the material with the higher number. A difference is stored for every pair of
 //! materials whose interface has particles, in all bricks where both indicators are stored. Where a
-//! third material may be equally close, the difference between the third material and `high` is
-//! also stored.
+//! third material may be equally close (its indicator equally small), the difference between the
+//! third material and `high` is also stored.
 //!
 //! A particle therefore reads one coefficient per node, as with a single object. Two look-ups find
 //! the coefficients: the entry of the brick, and a record of the eight blocks of coefficients that
-//! the cells of the brick read. The result applies to the whole brick of 4 x 4 x 4 cells. For most
-//! cells, the record rules out that a third material is closer. Storing the two indicators of an
-//! interface instead would need twice the memory.
+//! the cells of the brick read. The entry and the record apply to the whole brick of 4 x 4 x 4
+//! cells. For most cells, the record rules out that a third material is closer. Storing both
+//! indicators of an interface instead of their difference would need twice the memory.
 //!
 //! The index consists of groups of four words:
 //!
 //! - Group 0: index of the first stratum, and three unused words.
 //! - From [`INDEX_BRICKS`]: one entry for each brick of the grid, with x varying fastest. An entry
-//!   contains two pairs. The interface closest to the brick centre comes first. A pair consists of
-//!   the number of an interface (or [`NO_INTERFACE`]) and the index of its record. If the brick has
-//!   more than two interfaces, the second pair is [`MORE_INTERFACES`] and the index of the next
-//!   entry.
+//!   contains two pairs, the pair of the interface closest to the brick centre first. A pair
+//!   consists of the number of an interface (or [`NO_INTERFACE`]) and the index of its record. If
+//!   the brick has more than two interfaces, the second pair is [`MORE_INTERFACES`] and the index
+//!   of the next entry.
 //! - The additional entries of bricks with more than two interfaces.
-//! - Records of four groups each. Groups 0 and 1: the blocks, with x varying fastest. Group 2: two
-//!   bit masks of two words each for the 64 cells of the brick. The first marks the cells where
-//!   both indicators are stored, the second the cells where a third material may be equally close.
-//!   Group 3: index of the first check, number of checks or [`NEVER_REAL`], and two unused words.
-//! - Checks: index of the record of the difference between a third material and `high` (positive
-//!   where the interface exists); whether the stored difference has the opposite sign; mask of the
-//!   cells where the third material may be equally close. If the indicator of the third material is
-//!   not stored in a cell of the mask, the cell lies inside that material.
+//! - Records of four groups each. Groups 0 and 1: the indices of the eight blocks, with x varying
+//!   fastest. Group 2: two bit masks of two words each for the 64 cells of the brick. The first
+//!   mask marks the cells where both indicators are stored, the second the cells where a third
+//!   material may be equally close. Group 3: index of the first check, number of checks or
+//!   [`NEVER_REAL`], and two unused words.
+//! - Checks of one group each. Word 0: index of the record of the difference between a third
+//!   material and `high`. The interface exists where this difference is positive. Word 1: 1 if the
+//!   difference is stored with the opposite sign, otherwise 0. Words 2 and 3: bit mask of the cells
+//!   where the third material may be equally close. If the indicator of the third material is not
+//!   stored in a cell of the mask, the cell lies inside that material.
 //! - Strata: the four materials of each stratum, padded with 65535.
 
 use isoparticles_field::materials::{
@@ -40,8 +42,8 @@ pub(crate) const INDEX_BRICKS: usize = 1;
 const NO_INTERFACE: u32 = u32::MAX;
 /// Marks a pair that links to the next entry.
 pub(crate) const MORE_INTERFACES: u32 = u32::MAX - 1;
-/// Stored instead of the number of checks if a third material fills the brick: no point of the
-/// brick lies on the interface.
+/// Stored instead of the number of checks if a third material fills the brick, so that no point of
+/// the brick lies on the interface.
 pub(crate) const NEVER_REAL: u32 = u32::MAX;
 
 /// Marks a brick that no material fills. Also pads the materials of strata.
@@ -77,7 +79,7 @@ impl Pair {
     }
 }
 
-/// Check for one third material in a brick that contains an interface.
+/// Test of one third material in a brick that may contain an interface.
 struct Check {
     pair: Pair,
     is_negative: bool,
@@ -156,7 +158,7 @@ impl Differences {
     }
 }
 
-/// Returns the interfaces whose two materials are both stored in a brick. The interface closest to
+/// Returns the interfaces for which both indicators are stored in a brick. The interface closest to
 /// the centre of the brick comes first.
 fn entries_of(materials: &Materials, interfaces: &[Stratum], brick: usize) -> Vec<Entry> {
     let known = materials.known_in(brick);
@@ -191,8 +193,8 @@ fn entries_of(materials: &Materials, interfaces: &[Stratum], brick: usize) -> Ve
 
 /// Returns one bit for each cell of a brick, set if a third material may be as close there as the
 /// two materials of an interface. On the interface both indicators equal their mean. The test
-/// therefore uses the coefficients of the third indicator minus this mean; a spline is nowhere
-/// below the minimum of its coefficients.
+/// therefore uses the coefficients of the third indicator minus those of this mean; a spline is
+/// nowhere below the minimum of its coefficients.
 fn near_cells(materials: &Materials, pair: &Pair, (third, number): (MaterialId, usize)) -> u64 {
     let indicator = &materials.indicators()[usize::from(third.0)];
     let [low, high] = pair.indicators(materials);
@@ -249,8 +251,8 @@ fn known_cells(materials: &Materials, pair: &Pair) -> u64 {
         .fold(u64::MAX, |bits, indicator| bits & cells_within(materials, indicator, pair.brick))
 }
 
-/// Blocks of the difference of one pair of materials: the two source blocks of each block, and the
-/// blocks that each brick reads.
+/// Blocks of the difference of one pair of materials: for each block, the blocks of the two
+/// indicators from which it is computed, and for each brick, the blocks that it reads.
 type Part = (Vec<[u32; 2]>, Vec<[u32; 8]>);
 
 /// Returns the coefficients of the differences in blocks, and the eight blocks that the cells of

@@ -1,14 +1,14 @@
 //! Avoids an error message of Mesa's Vulkan layer device_select. The layer asks the display server
-//! which adapter drives the display, and puts that adapter first. On a server without a display,
-//! its Wayland library prints `error: XDG_RUNTIME_DIR is invalid or not set` to stderr. This
-//! program sorts the adapters itself and does not need the layer.
+//! which adapter drives the display, and puts that adapter first. On a machine without a display,
+//! the Wayland library that the layer uses prints `error: XDG_RUNTIME_DIR is invalid or not set` to
+//! stderr. This program sorts the adapters itself and does not need the layer.
 
 /// If `XDG_RUNTIME_DIR` is not an absolute path, restarts this program in the same process, with
 /// the same arguments and without the layer device_select. An environment variable disables the
 /// layer, and a running process cannot safely set such a variable for itself.
 ///
 /// Does nothing if the user controls the layer (`MESA_VK_DEVICE_SELECT`, `NODEVICE_SELECT`) or if
-/// the restart fails. The message then appears, but it is harmless.
+/// the restart fails. The message may then appear, but it is harmless.
 pub fn leave_alone() {
     #[cfg(target_os = "linux")]
     {

@@ -51,7 +51,7 @@ pub struct GpuEngine<'a> {
     pub(super) gpu: &'a Gpu,
     pub(super) kernels: Arc<Kernels>,
     pub(super) memory: Memory,
-    /// Bind groups by label, round and first alias.
+    /// Bind groups of the steps, by label, round and first aliased buffer.
     pub(super) groups: HashMap<(&'static str, u32, &'static str), wgpu::BindGroup>,
     /// Staging buffers for the words of a pass, indexed by the set of listed buffers that the pass
     /// reads.
@@ -74,8 +74,8 @@ pub struct GpuEngine<'a> {
     pub(super) set: usize,
     /// True if a particle has moved so far that the lists must be rebuilt.
     pub(super) stale: bool,
-    /// Number of classes that a pass dispatches. Each class costs a dispatch, so this is only
-    /// slightly more than the number in use.
+    /// Number of classes that a pass dispatches. Each class costs a dispatch, so this number only
+    /// slightly exceeds the number of classes in use.
     pub(super) classes: u32,
     /// Absolute change in the number of particles during the last pass.
     pub(super) changed: u32,
@@ -87,7 +87,7 @@ pub struct GpuEngine<'a> {
     /// The next pass, if it was submitted early.
     pub(super) submitted: Option<SubmittedPass>,
     started: Instant,
-    /// Times so far. [`GpuEngine::report`] fills in the other fields.
+    /// Times measured so far. [`GpuEngine::report`] fills in the other fields.
     pub(super) spent: DeviceReport,
 }
 
@@ -192,8 +192,8 @@ impl<'a> GpuEngine<'a> {
     }
 
     /// Creates all buffers whose size depends on the number of particles, for `rows` particles. The
-    /// `listed_*` buffers can hold twice as many: a pass adds at most one newcomer per particle, so
-    /// density control cannot overflow them.
+    /// `listed_*` buffers have twice this capacity: a pass adds at most one newcomer per particle,
+    /// so density control cannot overflow them.
     fn make_room(&mut self, rows: u32) -> Result<()> {
         let none = wgpu::BufferUsages::empty();
         for name in ["place", "normal", "place_at_listing", "newcomer_place", "newcomer_normal"] {

@@ -25,12 +25,12 @@ impl Kernels {
     /// Compiles every kernel. The device reports compilation errors separately.
     pub(crate) fn new(device: &wgpu::Device, variant: Variant) -> Self {
         let all: Vec<_> = sources().collect();
-        // in parallel, because drivers take long to compile
+        // in parallel, because compilation in the driver is slow
         let kernels = all.par_iter().map(|s| (s.name, kernel(device, s.name, s.compose(variant)))).collect();
         Self { kernels }
     }
 
-    /// Returns the pipeline of a kernel.
+    /// Returns the pipeline and bindings of a kernel.
     pub(crate) fn get(&self, name: &str) -> &Kernel {
         &self.kernels[name]
     }

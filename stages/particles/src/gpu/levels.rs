@@ -1,10 +1,10 @@
 //! Levels of bins, one for each octave of h. The levels are computed once per run from the fields
 //! near the surface. They do not depend on the particles, so a resumed run has the same levels.
 //!
-//! A particle belongs to the last level k for which `largest / 2^k` is at least its h. The bin edge
-//! of a level is the maximum reach of the neighbour lists of its particles, [`BIN_REACH`] largest /
-//! 2^k. A query therefore visits at most 27 bins per level. A single level corresponds to the
-//! paper's global bin edge.
+//! A particle belongs to the last level k for which `largest / 2^k` is at least its h, where
+//! `largest` is the maximum h. The bin edge of level k is the maximum reach of the neighbour lists
+//! of its particles, [`BIN_REACH`] times `largest / 2^k`. A query therefore visits at most 27 bins
+//! per level. A single level corresponds to the paper's global bin edge.
 
 use super::constants::{BIN_REACH, MOST_LEVELS};
 use crate::state::Fields;
@@ -13,13 +13,13 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// Maximum number of bins in a level. If more would be needed, the bins are made wider, which gives
-/// the same results. A bin has a count and a start, 8 bytes, so a level needs at most 32 MB.
+/// Maximum number of bins in a level. If a level would need more, its bins are made wider; the
+/// results are the same. The count and start of a bin take 8 bytes, so a level takes at most 32 MB.
 const MOST_BINS: f64 = 4e6;
 
 /// Returns the voxel whose centre is the origin of device positions. It is near the middle of the
 /// grid, so that f32 positions have the best resolution. Because the origin is the centre of a
-/// voxel, the fraction within a cell is exact.
+/// voxel, the fractional position within a cell loses no precision.
 pub(crate) fn centre_voxel(geometry: &Geometry) -> UVec3 {
     UVec3::from_array(geometry.size.map(|n| n as u32 / 2))
 }
@@ -136,7 +136,7 @@ impl BinLevels {
 }
 
 /// Returns the ranges of h and of position over the voxels with |F| <= `band` mm. Uses the spline
-/// coefficients instead of F; the difference is a small fraction of a voxel.
+/// coefficients in place of the values of F, from which they differ by a small fraction of a voxel.
 fn near_surface(fields: &Fields, band: f64) -> Range {
     let geometry = fields.surface.geometry();
     let [nx, ny, _] = geometry.size;

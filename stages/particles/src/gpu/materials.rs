@@ -41,8 +41,8 @@ impl<'a> DeviceSurface<'a> {
 /// Data stored with the normal of each particle: the damping and, with many materials, the stratum.
 ///
 /// With many materials, both are packed into one number: 16 times the index of the stratum, plus
-/// log10(damping / 0.001) or, for a held particle, [`HELD_CODE`]. The first indices are those of
-/// the interfaces, in ascending order. They are followed by one index for each held particle.
+/// log10(damping / 0.001) or, for a held particle, [`HELD_CODE`]. The interfaces have the lowest
+/// indices, in ascending order. Each held particle has an index of its own after these.
 #[derive(Debug, Default)]
 pub(super) struct Carried {
     /// Strata by index; empty for one object.

@@ -86,9 +86,9 @@ impl Memory {
 /// batch the function waits for the device, so that wgpu can reuse the staging memory. The copy
 /// therefore needs at most 6 MiB of staging memory, whatever the number of values.
 ///
-/// Measured on an H200 with labels 2 and 3 of `lungs_label_big` (360,000 particles), step `settle`:
-/// pieces of 128, 256, 512, 1024 and 4096 KiB take 0.32, 0.29, 0.26, 0.26 and 0.28 s; batches of 1,
-/// 4, 12 and 48 pieces take 0.41, 0.28, 0.26 and 0.26 s.
+/// Measured on an H200 with labels 2 and 3 of `lungs_label_big` (360,000 particles): the step
+/// `settle` takes 0.32, 0.29, 0.26, 0.26 and 0.28 s with pieces of 128, 256, 512, 1024 and 4096
+/// KiB, and 0.41, 0.28, 0.26 and 0.26 s with batches of 1, 4, 12 and 48 pieces.
 pub(crate) fn upload<T: bytemuck::NoUninit + Sync>(gpu: &Gpu, buffer: &wgpu::Buffer, values: &[T]) -> Result<()> {
     const PIECE_BYTES: usize = 1 << 19;
     const BATCH: usize = 12;

@@ -5,7 +5,8 @@
 //! words per pass. Each kernel is named after its file. The twin of a kernel is the CPU code that
 //! performs the same computation. The twins are in the crate `isoparticles_field` (lists in
 //! `neighbours`, energy in `energy`, fields in `spline` and `sizing`) and in the parent folder
-//! (movement and density control). Both backends share the constants.
+//! (movement and density control). Both backends share the constants in `constants.rs` of the
+//! parent folder.
 
 mod adapter;
 mod commands;

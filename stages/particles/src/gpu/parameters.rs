@@ -1,5 +1,6 @@
 //! Uniform blocks of the kernels as bytes: named words in the order of the WGSL structs
-//! (`shaders/shared/parameters.wgsl`). The tests compare the layouts with those that naga computes.
+//! (`shaders/shared/parameters.wgsl`). The tests compare each layout with the layout that naga
+//! computes.
 
 use super::constants::{MOST_LEVELS, SUM_BLOCK};
 use super::levels::{BinLevels, centre_voxel};
@@ -129,8 +130,8 @@ pub(crate) fn scan_block(length: u32) -> Block {
         .whole("unused_2", [0])
 }
 
-/// Returns the number of blocks of a prefix sum over `length` elements. The result of the prefix
-/// sum has one more element.
+/// Returns the number of blocks of a prefix sum over `length` elements. The prefix sum has one
+/// element more than its input.
 pub(crate) fn scan_blocks(length: u32) -> u32 {
     (length + 1).div_ceil(SUM_BLOCK)
 }

@@ -5,8 +5,8 @@
 //! therefore be submitted before the host has read the result of the previous pass, so the device
 //! does not idle. The number of particles stays on the device (`shaders/begin_pass.wgsl`). A pass
 //! submitted early is discarded if the run ends, if lists or classes of the previous pass
-//! overflowed, or if there are more particles than the pass can process. In these cases its input
-//! is unchanged.
+//! overflowed, or if there are more particles than the pass can process. Its input is unchanged in
+//! all these cases.
 
 use super::commands::{Command, Encoded, encode, submit};
 use super::constants::{
@@ -27,9 +27,9 @@ use std::time::Instant;
 
 /// Number of classes dispatched in addition to the classes in use. Where particles are dense, the
 /// number in use varies from pass to pass, and a pass that needs more classes must be repeated.
-/// Measured with 0, 2 and 4 (heart of docs/developer/method.md, also with `seed --from
-/// marching-cubes`; `--backend gpu --adapter llvmpipe --max-passes 60`): no pass is repeated
-/// because of too few classes. Each additional class costs an empty dispatch.
+/// Measured on the heart of docs/developer/method.md with `--backend gpu --adapter llvmpipe
+/// --max-passes 60`, also with `seed --from marching-cubes`: with 0, 2 and 4 additional classes, no
+/// pass is repeated because of too few classes. Each additional class costs an empty dispatch.
 const CLASSES_TO_SPARE: u32 = 2;
 
 impl GpuEngine<'_> {
@@ -138,8 +138,8 @@ impl GpuEngine<'_> {
         // timestamp queries support only one pass at a time
         if next.density && self.submitted.is_none() && self.changed <= self.count / 16 && !self.gpu.timestamps {
             let one_after = after(next, now.pass + 1);
-            // commands encoded one pass ago may have less spare capacity than new ones; half is
-            // enough
+            // commands encoded one pass ago may have less spare capacity than new ones; half of the
+            // spare capacity is enough
             let least = self.count.midpoint(self.room_ahead());
             let commands = self.commands(next, least, self.room_ahead());
             self.submitted = Some(self.submit_pass(now.pass + 1, commands, COUNT_ON_DEVICE, now.plan)?);

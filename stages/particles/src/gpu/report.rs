@@ -24,8 +24,8 @@ pub struct DeviceReport {
     /// Part of `device_seconds` during which the host encodes and submits passes while the device
     /// is idle.
     pub encode_seconds: f64,
-    /// Part of `device_seconds` during which the host waits for passes. While the device works, the
-    /// host also prepares the next pass; none of these parts includes that time.
+    /// Part of `device_seconds` during which the host waits for passes. The host also prepares the
+    /// next pass while the device works. That time is in none of these parts.
     pub wait_seconds: f64,
     /// Part of `device_seconds` during which the particles are downloaded.
     pub readback_seconds: f64,
@@ -42,8 +42,8 @@ pub struct DeviceReport {
 }
 
 impl DeviceReport {
-    /// Combines the report of this level with that of the earlier levels: adds the times and takes
-    /// the maximum of the memory.
+    /// Combines the report of this level with the report of the earlier levels: adds the times and
+    /// takes the maximum of the memory sizes.
     pub(crate) fn after(mut self, before: Self) -> Self {
         self.device_seconds += before.device_seconds;
         self.upload_seconds += before.upload_seconds;

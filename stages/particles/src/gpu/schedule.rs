@@ -7,16 +7,16 @@ use crate::settle::Order;
 use glam::UVec3;
 
 /// Number of rounds that assign classes. A particle without a class does not move until the lists
-/// are rebuilt. Measured with 3, 4, 6, 8 and 12 rounds (heart of docs/developer/method.md,
-/// `--backend gpu --adapter llvmpipe --max-passes 60`): the results with 6, 8 and 12 are identical,
-/// so rounds after the sixth change nothing. `tests/lists.rs` requires that 99.5 % of the particles
-/// have a class, and 80 % where the particles are too dense.
+/// are rebuilt. Measured with 3, 4, 6, 8 and 12 rounds on the heart of docs/developer/method.md
+/// (`--backend gpu --adapter llvmpipe --max-passes 60`): the results with 6, 8 and 12 are
+/// identical, so rounds after the sixth change nothing. `tests/lists.rs` requires that 99.5 % of
+/// the particles have a class, and 80 % where the particles are too dense.
 const CLASS_ROUNDS: u32 = 6;
 /// Number of deletion rounds per pass. A comment in `shaders/density_delete.wgsl` compares the
-/// rounds with the order on the CPU. Measured like [`CLASS_ROUNDS`]: with the default seeds, 3 and
-/// 5 rounds give identical results. With seeds from marching cubes (`seed --from marching-cubes`),
-/// which are too dense, 1, 2, 3 and 4 rounds leave 6235, 4815, 4761 and 4747 particles after 60
-/// passes.
+/// rounds with the deletion order on the CPU. Measured on the same heart as [`CLASS_ROUNDS`]: with
+/// the default seeds, 3 and 5 rounds give identical results. With seeds from marching cubes (`seed
+/// --from marching-cubes`), which are too dense, 1, 2, 3 and 4 rounds leave 6235, 4815, 4761 and
+/// 4747 particles after 60 passes.
 const DELETION_ROUNDS: u32 = 3;
 
 /// Number of bin colours.
@@ -67,7 +67,7 @@ impl Step {
     }
 }
 
-/// Parts of a pass.
+/// The optional parts of a pass, and its buffers and classes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Plan {
     /// Sorts the particles and rebuilds lists and classes.

@@ -11,9 +11,9 @@ use std::collections::BTreeSet;
 
 /// Maximum step along a curve in units of h. The number of steps is the length of the curve in
 /// units of h, rounded. With two or more steps, a step is at most 1.25 h long. A single step could
-/// be 1.5 h long; if it exceeds this limit, it is divided into two steps of at least 0.65 h. Every
-/// point of a step must be closer than [`DISK_RADIUS`] to one of its ends, so that particles on
-/// interfaces keep their distance from the curve.
+/// be 1.5 h long; if it is longer than this limit, it is divided into two steps of at least 0.65 h.
+/// Every point of a step must be closer than [`DISK_RADIUS`] times h to one end of the step, so
+/// that particles on interfaces keep their distance from the curve.
 const LONGEST_STEP: f64 = 1.3;
 const _: () = assert!(LONGEST_STEP > 1.25 && LONGEST_STEP < 2.0 * DISK_RADIUS, "a step has a wrong length");
 
@@ -22,7 +22,8 @@ const _: () = assert!(LONGEST_STEP > 1.25 && LONGEST_STEP < 2.0 * DISK_RADIUS, "
 /// resolve its shape.
 const TINY_VOXELS: f64 = 2.0;
 
-/// Minimum number of steps of any other closed curve: a polygon has at least three sides.
+/// Minimum number of steps of any other closed curve, and of a curve that starts and ends at the
+/// same junction point: a polygon has at least three sides.
 const RING: usize = 3;
 
 /// Distance in voxels below which two particles are considered coincident: half the distance below
@@ -30,12 +31,14 @@ const RING: usize = 3;
 /// that have no counterpart in the true strata.
 const DUPLICATE_DISTANCE: f64 = 0.5 * SAME_JUNCTION;
 
-/// Maximum distance of a projection from a chain onto its curve, in voxels: the limit that the
-/// complex applies to the vertices of the chain (`LONGEST_PROJECTION` in `complex/chains.rs`).
+/// Maximum distance, in voxels, between a point of a chain and its projection onto the curve. It
+/// equals the limit that the complex applies to the vertices of chains (`LONGEST_PROJECTION` in
+/// `complex/chains.rs`).
 const MAX_PROJECTION: f64 = 1.0;
 
-/// Tolerance of the projection, in voxels, the same as in the complex: about one ulp of a spline
-/// coefficient, an f32 whose magnitude is about one voxel near the zero set (2^-23 = 1.2e-7).
+/// Tolerance of the projection, in voxels, the same as in the complex. The spline coefficients are
+/// f32 numbers with a magnitude of about one voxel near the zero set, where an ulp is 2^-23 =
+/// 1.2e-7 voxel.
 const TOLERANCE: f64 = 1e-7;
 
 /// Particles at junction points, in the order of the complex, followed by particles on curves.

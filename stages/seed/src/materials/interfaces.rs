@@ -14,12 +14,12 @@ use isoparticles_mesh::TriangleMesh;
 use rayon::prelude::*;
 
 /// Minimum distance, in units of h, from a particle on an interface to the particles on the border
-/// of the interface: the same as between two particles on the interface.
+/// of the interface: the same as the minimum distance between two particles on the interface.
 const BORDER_DISTANCE: f64 = DISK_RADIUS;
 
-/// Area in square voxels below which a component with a border gets no particle. A disc of this
-/// area has a diameter of 0.25 voxel and a circumference of 0.8 voxel. The complex itself drops
-/// closed curves shorter than 0.5 voxel (`SPECK` in `complex/chains.rs`).
+/// Area, in squared voxel lengths, below which a component with a border gets no extra particle. A
+/// disc of this area has a diameter of 0.25 voxel and a circumference of 0.8 voxel. The complex
+/// itself drops closed curves shorter than 0.5 voxel (`SPECK` in `complex/chains.rs`).
 const SPECK_AREA: f64 = 0.05;
 
 /// The particles on interfaces.
@@ -41,7 +41,7 @@ pub struct InterfaceParticles {
     pub crowded: usize,
     /// Number of components that have no particle even after resampling.
     pub bare: usize,
-    /// Number of components that were skipped because their area is below `SPECK_AREA`.
+    /// Number of components without particles whose area is below `SPECK_AREA`.
     pub specks: usize,
     /// Number of points that were skipped because the projection failed or a third material is
     /// nearer.
@@ -55,8 +55,8 @@ struct Placed {
     component: u32,
 }
 
-/// Places particles on the interfaces of a complex, at a distance from the particles at points and
-/// on curves.
+/// Places particles on the interfaces of a complex, at a minimum distance from the particles at
+/// junction points and on curves.
 pub fn seed_interfaces<I: Indicators>(
     indicators: &I,
     complex: &Complex,
@@ -124,8 +124,8 @@ impl Components {
         Self { mesh, of_triangle, members, is_closed, interface }
     }
 
-    /// Samples all components with the density of `spread`, at a distance from the particles on
-    /// their borders. A sample is `None` if it cannot be projected onto its interface.
+    /// Samples all components with the density of `spread`, at a minimum distance from the
+    /// particles on their borders. A sample is `None` if it cannot be projected onto its interface.
     fn sampled<I: Indicators>(
         &self,
         indicators: &I,
@@ -181,7 +181,7 @@ fn met<I: Indicators>(indicators: &I, interface: Stratum, point: DVec3, normal: 
 }
 
 /// The particles at points and on curves, from which particles on interfaces keep a distance of at
-/// least [`BORDER_DISTANCE`].
+/// least [`BORDER_DISTANCE`] times h.
 struct Border<'a> {
     curves: &'a Curves,
     sizes: Vec<f64>,
@@ -195,8 +195,8 @@ impl<'a> Border<'a> {
         Self { curves, sizes, bins }
     }
 
-    /// Returns the candidates that are at least [`BORDER_DISTANCE`] away from the particles on the
-    /// border of their interface.
+    /// Returns the candidates that are at least [`BORDER_DISTANCE`] times h away from the particles
+    /// on the border of their interface.
     fn beyond(&self, all: Candidates, interface_of: &[Stratum]) -> Candidates {
         let is_beyond = |i: usize| {
             let (p, h, interface) = (all.points[i], all.sizes[i], &interface_of[all.component[i] as usize]);

@@ -37,7 +37,7 @@ pub struct Summary {
     /// Number of seeds dropped because the projection onto their stratum failed or because another
     /// material is nearer at the projected point.
     pub not_projected: usize,
-    /// Number of interface components that were skipped because they are far smaller than a voxel
+    /// Number of interface components without particles because they are far smaller than a voxel
     /// face.
     pub specks: usize,
     /// Number of interface components that have no particle because every projection failed.

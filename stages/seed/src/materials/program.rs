@@ -1,4 +1,4 @@
-//! The program around [`super::seed_strata`]: reads and writes the files, and fills in the report.
+//! Runs [`super::seed_strata`] as a program: reads and writes the files, and fills in the report.
 
 use super::seed_strata;
 use crate::run::{Args, From, check_prediction};

@@ -16,35 +16,35 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::{Add, Mul};
 
-/// Minimum distance in voxels from a third material at which the curvature of an interface is used.
-/// Closer to a third material, the indicators have kinks, which the spline rounds. The second
-/// derivative of a cubic spline through a kink decays by a factor of 0.27 (2 - sqrt(3)) per voxel.
-/// At this distance, it is 0.46 times the change of slope per voxel; at the kink, 1.73 times.
+/// Minimum clearance in voxels at which the curvature of an interface is used. Near a third
+/// material, the indicators have kinks, which the spline rounds. The second derivative of a cubic
+/// spline through a kink is 1.73 times the change of slope per voxel at the kink. It decays by a
+/// factor of 0.27 (2 - sqrt(3)) per voxel, to 0.46 at a distance of one voxel.
 const CURVATURE_CLEARANCE: f64 = 1.0;
 
-/// A layer is treated as a wedge between two interfaces that meet, not as a thin layer, if their
-/// junction curve is closer than this many times the thickness. Such wedges have angles above
-/// atan(1/2) = 27 degrees. With 1, 2 and 4, `make sizefield MATERIALS=all` predicts 1,063,700,
-/// 1,063,100 and 1,062,700 particles for `frog_tissue_labels`.
+/// A layer is treated as a wedge, not as a thin layer, if its two interfaces meet at a junction
+/// curve that is closer than this many times the thickness. Such wedges have angles above atan(1/2)
+/// = 27 degrees. With 1, 2 and 4, `make sizefield MATERIALS=all` predicts 1,063,700, 1,063,100 and
+/// 1,062,700 particles for `frog_tissue_labels`.
 const WEDGE_LENGTH: f64 = 2.0;
 
-/// Minimum step, in voxels, of a ray across a material; also the first step away from an interface.
+/// Minimum step, in voxels, of a ray across a material; also the length of its first step.
 /// Thicknesses are overestimated by at most about this step. With the defaults of every quality
-/// level, h depends only on thicknesses of at least 3 voxels (2 minimum h / epsilon), so the error
-/// of h is at most 3 %.
+/// level, h depends only on thicknesses of at least 3 voxels (`2 * minimum h / epsilon`), so the
+/// error of h is at most 3 %.
 const LEAST_STEP: f64 = 0.1;
 
 /// Length of a step as a fraction of the estimated distance to the nearest interface. A step
-/// crosses no interface if the estimate is too large by less than a quarter (1 / 0.8). Marching
-/// overestimates distances by less than 6 % (test `steady_state_is_a_cone_of_slope_delta`);
-/// distances of the indicators are accurate to first order.
+/// crosses no interface if the estimate is less than 1 / 0.8 = 1.25 times the true distance.
+/// Marching overestimates distances by less than 6 % (test
+/// `steady_state_is_a_cone_of_slope_delta`); the indicators give distances to first order.
 const STEP_SHARE: f64 = 0.8;
 
 /// Measurements at the vertices of a complex.
 #[derive(Clone, Debug, Default)]
 pub(super) struct StrataFeatures {
-    /// Maximum magnitude of the principal curvatures in 1/mm, averaged along the interface.
-    /// Vertices near a third material are treated as flat.
+    /// Maximum magnitude of the principal curvatures in 1/mm, averaged along the interface. Before
+    /// averaging, it is set to 0 near a third material.
     pub(super) curvature: Vec<f64>,
     /// Half the thickness in mm of the thinner adjacent material. Where the curvature is high, at
     /// most the radius of curvature. Infinite at junctions, and where the thickness exceeds the
@@ -155,8 +155,8 @@ impl<'a, I: Indicators> Ways<'a, I> {
         sides.into_iter().map(thickness).fold(f64::INFINITY, f64::min)
     }
 
-    /// Returns the length in mm of the ray across the material `across`, and the material behind
-    /// it. Returns `None` if the ray exceeds the limit or leaves the grid.
+    /// Marches a ray across the material `across`. Returns the length of the ray in mm and the
+    /// material at its end, or `None` if the ray exceeds the limit or leaves the grid.
     fn way_across(&self, place: DVec3, way: DVec3, across: MaterialId) -> Option<(f64, MaterialId)> {
         let voxel = self.indicators.voxel();
         let corner = self.free.geometry.upper_corner();

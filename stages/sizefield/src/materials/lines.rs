@@ -4,9 +4,9 @@ use glam::DVec3;
 use isoparticles_field::materials::complex::{Complex, End};
 
 /// Minimum distance in voxels from a vertex to the two other vertices that define its circle of
-/// curvature. With the defaults of every quality level, smaller radii do not change h, because
-/// minimum h / epsilon is at least 1.5 voxels. A circle of this radius still has points at this
-/// distance.
+/// curvature. A circle whose radius equals this distance still has points at this distance. With
+/// the defaults of every quality level, smaller radii do not change h, because
+/// `minimum h / epsilon` is at least 1.5 voxels.
 const CHORD: f64 = 1.5;
 
 /// Minimum number of edges of a curve between two junction points. With a single edge, two curves
@@ -17,9 +17,9 @@ const OPEN_STEPS: f64 = 2.0;
 /// lattice, six equilateral triangles around a vertex.
 const CLOSED_STEPS: f64 = 6.0;
 
-/// Returns the edge length for a radius of curvature (mm). The criteria are the same as for
-/// interfaces: at most `epsilon` times the radius, and a chord that deviates from the curve by at
-/// most `max_deviation`. A chord of length h deviates by h^2 / (8 R).
+/// Returns the maximum edge length (mm) at a radius of curvature (mm). As on interfaces, an edge is
+/// at most `epsilon` times the radius and deviates from the curve by at most `max_deviation`. A
+/// chord of length h deviates by `h^2 / (8 * radius)`.
 fn by_radius(radius: f64, epsilon: f64, max_deviation: f64) -> f64 {
     (epsilon * radius).min((8.0 * max_deviation * radius).sqrt())
 }

@@ -1,8 +1,9 @@
 //! Computes the target edge length h for several materials on one grid.
 //!
 //! As for one object, h depends on the shape. On interfaces, it depends on the curvature and on the
-//! thickness of the layers on both sides; on junction curves, on the curvature and length. Layers
-//! are always thin where interfaces meet at a junction curve, so these wedges are ignored.
+//! thickness of the layers on both sides. On junction curves, it depends on the curvature and
+//! length of the curve. Layers are always thin where interfaces meet at a junction curve, so these
+//! wedges are ignored.
 
 mod features;
 mod lines;

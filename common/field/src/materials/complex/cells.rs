@@ -1,16 +1,16 @@
 //! Marching tetrahedra in one block of grid cells: computes interface triangles and the vertices of
-//! junction curves and junction points. Edges that pass through a material that neither end has are
-//! bisected first. Vertices with the same name in neighbouring blocks are merged later.
+//! junction curves and junction points. An edge that passes through a material found at neither of
+//! its ends is bisected first. Vertices with the same name in neighbouring blocks are merged later.
 
 use super::lattice::{Lattice, LatticePoint, Piece, TETRAHEDRA, UNIT, half_way, number, pieces, rank};
 use crate::materials::{Indicators, MaterialId, Near, Stratum};
 use glam::{DVec3, DVec4};
 use std::collections::BTreeMap;
 
-/// An edge between nodes of the same material is assumed to cross no interface if the interface
-/// distances of its ends sum to more than this multiple of its length. A factor of one suffices for
-/// indicators of slope one; 1.25 also covers slopes of up to 1.25. On the brain crop of
-/// `follow.rs`, the complex has 509,294 vertices with a factor of 1, and 509,297 with 1.25 and 2.
+/// An edge between nodes of the same material is assumed to cross no interface if the sum of the
+/// interface distances at its ends exceeds this multiple of its length. A factor of 1 suffices for
+/// indicators of slope 1; 1.25 also covers slopes of up to 1.25. The complex of the brain crop (see
+/// `follow.rs`) has 509,294 vertices with a factor of 1, and 509,297 with 1.25 and 2.
 const CLEAR_DISTANCE: f64 = 1.25;
 
 /// A vertex of the complex.
@@ -31,8 +31,8 @@ pub struct Triangle {
     pub interface: Stratum,
 }
 
-/// Identifies a vertex by the numbers of the nodes at the corners of its simplex, in ascending
-/// order. If there are fewer than four corners, the name is padded with the largest number.
+/// Identifies a vertex by the lattice edge, face or tetrahedron that contains it: the numbers of
+/// the two, three or four corner nodes, in ascending order, padded with `u128::MAX`.
 pub(super) type Name = [u128; 4];
 
 /// The result for one block. Triangle corners are indices into the vertices of this block.
@@ -67,11 +67,13 @@ struct Block<'a, I: ?Sized> {
     /// First grid node; `size` is the number of grid nodes along each axis.
     first: [usize; 3],
     size: [usize; 3],
-    /// Samples: first those of the grid nodes in order, `None` if not sampled yet, then those of
-    /// the nodes between grid nodes. `between` contains the index of each node between grid nodes.
+    /// Samples at the grid nodes in order (`None` if not sampled yet), followed by samples at the
+    /// nodes between them. `between` maps the number of a node between grid nodes to its index in
+    /// `known`.
     known: Vec<Option<NodeSample>>,
     between: BTreeMap<u128, usize>,
-    /// Cached results of `is_halved` for edges between grid nodes, by lower node and direction.
+    /// Cached results of `is_halved` for edges between grid nodes, indexed by lower node and
+    /// direction.
     halved: Vec<Option<bool>>,
 }
 
@@ -113,8 +115,8 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
         self.known[node.known].as_ref()
     }
 
-    /// Returns whether an edge must be bisected because it passes through a material that neither
-    /// end has.
+    /// Returns whether an edge must be bisected because it passes through a material found at
+    /// neither end.
     fn is_halved(&mut self, a: Node, b: Node) -> bool {
         if half_way(a.place, b.place).is_none() {
             return false;
@@ -131,7 +133,7 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
         told
     }
 
-    /// Returns whether a sample on the edge lies in a material that neither end has. The sample is
+    /// Returns whether a sample on the edge lies in a material found at neither end. The sample is
     /// taken where the indicators of the two end materials, interpolated linearly, are equal. If
     /// both ends have the same material, it is taken at the midpoint.
     fn passes_another(&self, a: Node, b: Node) -> bool {
@@ -151,8 +153,8 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
     }
 }
 
-/// Returns the weights of two nodes at the point between them where the indicators of two
-/// materials, interpolated linearly, are equal. The weights are 0.5 each if an indicator is
+/// Returns the interpolation weights of two nodes for the point between them where the indicators
+/// of two materials, interpolated linearly, are equal. The weights are 0.5 each if an indicator is
 /// unknown.
 fn equal_between(nodes: [&NodeSample; 2], of: [MaterialId; 2]) -> [f64; 2] {
     let [from, to] = nodes.map(|node| value(&node.near, of[1]) - value(&node.near, of[0]));
@@ -198,7 +200,7 @@ struct Found {
 }
 
 impl Found {
-    /// Adds the pieces in one grid cell.
+    /// Adds the pieces of strata in one grid cell.
     fn cell<I: Indicators + ?Sized>(&mut self, block: &mut Block<'_, I>, cell: [usize; 3]) {
         let corner = |c: u8| std::array::from_fn(|a| UNIT * (cell[a] as u32 + u32::from(c >> a & 1)));
         let corners: [Node; 8] = std::array::from_fn(|c| block.node(corner(c as u8)));
@@ -215,8 +217,8 @@ impl Found {
         }
     }
 
-    /// Adds the pieces in a tetrahedron. If edges must be bisected, bisects the edge with the
-    /// highest [`rank`] and recurses into both halves.
+    /// Adds the pieces of strata in a tetrahedron. If edges must be bisected, bisects the edge with
+    /// the highest [`rank`] and recurses into both halves.
     fn tetrahedron<I: Indicators + ?Sized>(&mut self, block: &mut Block<'_, I>, nodes: [Node; 4]) {
         let mut longest = None;
         for (a, b) in (0..4).flat_map(|a| (a + 1..4).map(move |b| (a, b))) {
@@ -249,7 +251,8 @@ impl Found {
         });
     }
 
-    /// Adds a vertex. Returns its name and its position (grid frame, mm).
+    /// Adds the vertex in the simplex of the corners selected by the bits of `own`. Returns its
+    /// name and its position (grid frame, mm).
     fn vertex<I: Indicators + ?Sized>(&mut self, block: &Block<'_, I>, corners: &Corners, own: u8) -> (Name, DVec3) {
         let (name, position) = (corners.name(own), corners.position(block, own));
         if let Some(stratum) = corners.stratum(own) {
@@ -356,7 +359,7 @@ impl Corners {
             return a.position * first + b.position * second;
         }
         // for each further material and each corner: the indicator of the material at the corner
-        // minus that of the first material
+        // minus the indicator of the first material there
         let mut rows = [[0.0; 4]; 3];
         for (c, known) in known[..count].iter().enumerate() {
             let first = value(&known.near, chosen[0].own);
@@ -379,7 +382,7 @@ impl Corners {
     }
 }
 
-/// Returns the four-dimensional vector perpendicular to three others, computed from their minors.
+/// Returns a four-dimensional vector perpendicular to three others, computed from their minors.
 fn normal_to(rows: [[f64; 4]; 3]) -> [f64; 4] {
     std::array::from_fn(|left| {
         let minor = rows.map(|row| {

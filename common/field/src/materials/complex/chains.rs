@@ -14,13 +14,14 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Maximum distance in voxels between a lattice vertex and its projection onto a curve or point:
-/// the edge length of a grid cell. On the brain crop of `follow.rs`, 1,279, 260 and 226 vertices
-/// are not projected with 0.5, 1 and 2. The chains are the same in all three cases.
+/// the edge length of a grid cell. With limits of 0.5, 1 and 2, the projection of 1,279, 260 and
+/// 226 vertices of the brain crop (see `follow.rs`) fails. The chains are the same in all three
+/// cases.
 const LONGEST_PROJECTION: f64 = 1.0;
 
 /// Junction points of the same four materials are merged if a chain shorter than this length, in
-/// voxels, joins them. Such points are one junction point that was found twice. Moreover, a chain a
-/// third as long as the minimum h (0.75 voxel) is too short for particles.
+/// voxels, joins them. Such points are one junction point that was found twice. Moreover, this
+/// length is a third of the minimum h (0.75 voxel), too short for particles.
 const MERGED_WITHIN: f64 = 0.25;
 
 /// Closed curves shorter than this length, in voxels, are dropped. A circle of this circumference
@@ -75,16 +76,16 @@ pub struct JunctionPoint {
 /// Result of projecting a vertex onto its stratum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Met {
-    /// Projected, and no other material is nearer at the new position.
+    /// Projected, and no other indicator is smaller at the new position.
     Yes,
-    /// Projected, but another material is nearer at the new position.
+    /// Projected, but another indicator is smaller at the new position.
     NotClear,
     /// Not projected.
     No,
 }
 
 /// Finds the chains and junction points of `indicators`, starting from the lattice vertices in
-/// `complex`. `corner` is the last corner of the grid in mm.
+/// `complex`. `corner` is the upper corner of the grid in mm.
 pub(super) fn trace<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I, corner: DVec3) {
     let met = project(complex, indicators, corner);
     let mut starts: BTreeMap<Stratum, Vec<DVec3>> = BTreeMap::new();
@@ -342,8 +343,8 @@ impl StepIndex {
         Self::along(path, is_along).for_each(|[a, b]| bins.add(a.midpoint(b), (chain, [a, b])));
     }
 
-    /// Returns the existing chain that a path follows in the same direction. Each end of the path
-    /// is ignored over a length of [`MERGED_WITHIN`] or a third of the path, whichever is less.
+    /// Returns the existing chain that a path follows in the same direction. At each end, a part of
+    /// the path is ignored: [`MERGED_WITHIN`] or a third of the path, whichever is shorter.
     fn chain_along(&self, curve: Stratum, path: &[DVec3], is_along: bool) -> Option<u32> {
         let bins = self.steps.get(&curve)?;
         let length: f64 = path.windows(2).map(|step| step[0].distance(step[1])).sum();

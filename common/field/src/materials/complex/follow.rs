@@ -6,17 +6,17 @@ use crate::materials::{Indicators, MaterialId, Stratum};
 use glam::DVec3;
 
 // Sensitivity of the constants below, measured on two label crops with `distfield --material all`
-// and `Complex::new`: `brain_parcellation` (nodes x 60 to 111, y and z 100 to 151; 4,195
-// chains) and `frog_tissue_labels` (x 220 to 283, y 200 to 263, z 50 to 109; 403 chains). The
-// numbers of chains, closed chains, junction points and lost curves do not change with
+// and `Complex::new`: `brain_parcellation` (nodes x 60 to 111, y and z 100 to 151; 4,195 chains)
+// and `frog_tissue_labels` (x 220 to 283, y 200 to 263, z 50 to 109; 403 chains). The numbers of
+// chains, closed chains, junction points and lost curves are the same with each of these values:
 //
-// - `LEAST_COSINE` 0.6 and 0.9, `LARGEST_CORRECTION` 0.25 and 0.7, `PASSING_DISTANCE` 0.1 and 0.5
-//   on both crops,
-// - `LONGEST_STEP` 0.1 and 0.4, `SHORTEST_STEP` 0.0005 and 0.002, `EQUAL_CLEARANCE` 0.0002 and
-//   0.01, `END_TOLERANCE` 0.003 and 0.03 on the frog crop.
+// - on both crops, `LEAST_COSINE` of 0.6 and 0.9, `LARGEST_CORRECTION` of 0.25 and 0.7, and
+//   `PASSING_DISTANCE` of 0.1 and 0.5;
+// - on the frog crop, `LONGEST_STEP` of 0.1 and 0.4, `SHORTEST_STEP` of 0.0005 and 0.002,
+//   `EQUAL_CLEARANCE` of 0.0002 and 0.01, and `END_TOLERANCE` of 0.003 and 0.03.
 
 /// Junction points closer than this distance, in voxels, count as one point. Labels determine the
-/// position of a junction only to a fraction of a voxel, which is a much larger distance. Where
+/// position of a junction only to within a fraction of a voxel, far more than this distance. Where
 /// more than four materials meet, the clearance at this distance decides which curves leave the
 /// point.
 pub const SAME_JUNCTION: f64 = 0.02;
@@ -48,19 +48,19 @@ const LARGEST_CORRECTION: f64 = 0.5;
 /// A step passes a position if the distance between them is at most this fraction of the step
 /// length. The arc deviates from the step by at most a twelfth of the step length
 /// ([`LEAST_COSINE`]). The constant is three times as large, because a position may have been
-/// projected onto the curve separately. For the longest step, the distance is 0.05 voxel.
+/// projected onto the curve separately. For the longest step, this limit is 0.05 voxel.
 pub(super) const PASSING_DISTANCE: f64 = 0.25;
 
 /// Where a curve cannot be followed further, a fourth material counts as equally near if the
-/// clearance, in voxels, is below this value. Indicators have slope one, so the clearance changes
-/// by at most twice the distance. The curve ends within [`SHORTEST_STEP`] of the junction point.
+/// clearance, in voxels, is below this value. Indicators have slope 1, so the clearance changes by
+/// at most 2 d over a distance d. The curve ends within [`SHORTEST_STEP`] of the junction point.
 const EQUAL_CLEARANCE: f64 = 2.0 * SHORTEST_STEP;
 
 /// A path counts as having reached a position if it ends within this distance of the position, in
 /// voxels. Two paths that reach the same position then end within [`SAME_JUNCTION`] of each other.
 const END_TOLERANCE: f64 = 0.5 * SAME_JUNCTION;
 
-/// Maximum number of steps in one direction. At the maximum step length, they cover 100,000 voxels,
+/// Maximum number of steps in one direction. So many steps of maximum length cover 100,000 voxels,
 /// and their positions take 12 MiB. A longer curve counts as lost. The longest curve of the two
 /// crops takes 812 steps.
 const MOST_STEPS: usize = 1 << 19;
@@ -69,15 +69,15 @@ const MOST_STEPS: usize = 1 << 19;
 /// which is an f32 with a magnitude of about one voxel near the zero set (2^-23 = 1.2e-7).
 pub(super) const TOLERANCE: f64 = 1e-7;
 
-/// A stratum exists at a position unless the indicator of another material is smaller than its own
-/// indicators by more than this tolerance, in voxels. It is ten times [`TOLERANCE`], to cover the
+/// A stratum exists at a position unless another indicator is smaller than the indicators of the
+/// stratum by more than this tolerance, in voxels. It is ten times [`TOLERANCE`], to cover the
 /// differences that a projection leaves between the indicators of the stratum.
 pub(super) const UNDERCUT: f64 = 1e-6;
 
-/// Maximum number of alternating projections onto the border of the grid and onto the curve, for a
-/// position beyond the border. Each pair of projections multiplies the error by the squared cosine
-/// of the angle between border and curve. At 45 degrees, twelve pairs reduce the longest step of
-/// 0.2 voxel to 5e-5 voxel. The result is then clamped to the grid.
+/// Maximum number of pairs of projections, onto the border of the grid and onto the curve, for a
+/// position beyond the border. Each pair multiplies the error by the squared cosine of the angle
+/// between border and curve. At 45 degrees, twelve pairs reduce an error of 0.2 voxel (the longest
+/// step) to 5e-5 voxel. The result is then clamped to the grid.
 const TURNS_AT_BORDER: usize = 12;
 
 /// The reason why a curve ends.
@@ -97,7 +97,7 @@ pub(super) enum Stop {
 }
 
 /// Returns at least three positions along a closed junction curve, starting with `from`. Returns
-/// `None` if the curve does not return to `from`.
+/// `None` if the curve does not return to `from`. `corner` is the upper corner of the grid in mm.
 pub fn way_round<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
@@ -112,10 +112,10 @@ pub fn way_round<I: Indicators + ?Sized>(
 }
 
 /// Returns paths along a junction curve from one position on it to another, including both
-/// positions. `corner` is the last corner of the grid. There is at most one path for each
+/// positions. `corner` is the upper corner of the grid in mm. There is at most one path for each
 /// direction. The paths are sorted by length. A search stops when its path reaches the length
-/// `longest` (mm). A path may cross parts where another material is nearer by less than
-/// [`SAME_JUNCTION`], because positions a step apart do not resolve such parts.
+/// `longest` (mm). A path may cross parts of the curve where another indicator is smaller by less
+/// than [`SAME_JUNCTION`], because positions a step apart do not resolve such parts.
 pub fn ways_along<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
@@ -183,11 +183,11 @@ pub fn way_from<I: Indicators + ?Sized>(
 /// Follows the junction curves of three materials.
 pub(super) struct Follower<'a, I: ?Sized> {
     pub(super) indicators: &'a I,
-    /// Last corner of the grid in mm.
+    /// Upper corner of the grid in mm.
     pub(super) corner: DVec3,
     pub(super) own: [MaterialId; 3],
     /// Maximum amount, in voxels, by which the indicator of another material may be smaller than
-    /// those of the three materials.
+    /// the indicators of the three materials.
     pub(super) undercut: f64,
 }
 
@@ -224,14 +224,14 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         last(forth, 0).distance(last(back, starts.len() - 1)) < END_TOLERANCE * self.indicators.voxel()
     }
 
-    /// Returns whether no other material is nearer by more than `undercut` at a position on a
+    /// Returns whether no other indicator is smaller by more than `undercut` at a position on a
     /// curve.
     pub(super) fn is_real(&self, place: DVec3) -> bool {
         self.indicators.clearance(place, &self.own) >= -self.undercut * self.indicators.voxel()
     }
 
     /// Returns the position one step further along the curve. Returns `None` if the projection
-    /// fails or the curve turns too much.
+    /// fails, the curve turns too much, or the step advances too little.
     fn ahead(&self, place: DVec3, tangent: DVec3, sign: f64, step: f64) -> Option<DVec3> {
         let limit = LARGEST_CORRECTION * step;
         let tolerance = TOLERANCE * self.indicators.voxel();
@@ -241,7 +241,7 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
     }
 
     /// Returns whether the curve is real at a distance of [`SAME_JUNCTION`] from a junction point,
-    /// along its tangent or against it.
+    /// in the direction of its tangent (`is_along`) or against it.
     pub(super) fn leaves(&self, point: DVec3, is_along: bool) -> bool {
         let (step, sign) = (SAME_JUNCTION * self.indicators.voxel(), if is_along { 1.0 } else { -1.0 });
         let next = self.ahead(point, sign * self.tangent(point), sign, step);
@@ -355,7 +355,7 @@ pub(super) fn is_passed(place: DVec3, a: DVec3, b: DVec3) -> bool {
     distance_from_step(place, a, b) <= PASSING_DISTANCE * a.distance(b)
 }
 
-/// Returns the distance in mm from a position to a step.
+/// Returns the distance in mm from a position to the step from `a` to `b`.
 pub(super) fn distance_from_step(place: DVec3, a: DVec3, b: DVec3) -> f64 {
     let (way, squared) = (b - a, a.distance_squared(b));
     let share = if squared > 0.0 { ((place - a).dot(way) / squared).clamp(0.0, 1.0) } else { 0.0 };

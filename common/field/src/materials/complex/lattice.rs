@@ -1,5 +1,5 @@
-//! The tetrahedral lattice between the nodes of a grid, and the pieces of strata in a tetrahedron,
-//! which depend on the materials at its corners.
+//! The tetrahedral lattice between the nodes of a grid. The materials at the corners of a
+//! tetrahedron determine the pieces of strata in it.
 
 use crate::materials::MaterialId;
 use glam::DVec3;
@@ -31,7 +31,7 @@ pub(super) fn number(place: LatticePoint) -> u128 {
     z << 64 | y << 32 | x
 }
 
-/// Returns the midpoint of two lattice positions if it is a whole number of steps along each axis.
+/// Returns the midpoint of two lattice positions if its coordinates are whole numbers of steps.
 pub(super) fn half_way(a: LatticePoint, b: LatticePoint) -> Option<LatticePoint> {
     let is_even = (0..3).all(|axis| a[axis].abs_diff(b[axis]).is_multiple_of(2));
     is_even.then(|| std::array::from_fn(|axis| a[axis].midpoint(b[axis])))
@@ -46,8 +46,9 @@ pub(super) fn rank(a: LatticePoint, b: LatticePoint) -> (u32, [u128; 2]) {
     (squared, [a.min(b), a.max(b)])
 }
 
-/// Corner offsets (bits of x, y, z) of Kuhn's tetrahedra. Each tetrahedron is a path along three
-/// edges from the lowest node of a cell to the highest. The tetrahedra of neighbouring cells match.
+/// Corner offsets (bits of x, y, z) of Kuhn's tetrahedra. The corners of each tetrahedron form a
+/// path along three cell edges from the lowest node of the cell to the highest. The faces of the
+/// tetrahedra match across neighbouring cells.
 pub(super) const TETRAHEDRA: [[u8; 4]; 6] =
     [[0, 1, 3, 7], [0, 1, 5, 7], [0, 2, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 4, 6, 7]];
 
@@ -63,8 +64,8 @@ pub(super) enum Piece {
     Curve { ends: [u8; 2] },
 }
 
-/// Calls `hear` with each piece of a tetrahedron. The materials at the corners of the tetrahedron
-/// determine the pieces (Nielson and Franke 1997).
+/// Calls `hear` with each piece of a stratum in a tetrahedron whose corners have the materials `of`
+/// (Nielson and Franke 1997).
 pub(super) fn pieces(of: [MaterialId; 4], mut hear: impl FnMut(Piece)) {
     let bit = |corner: usize| 1u8 << corner;
     let same = |a: usize, b: usize| of[a] == of[b];

@@ -8,8 +8,8 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Number of triangles that each task sums sequentially. A fixed number makes the sum independent
-/// of the number of threads.
+/// Number of triangles whose predicted counts one task adds up. A fixed number makes the total
+/// independent of the number of threads.
 const CHUNK: usize = 1 << 14;
 
 /// Number of interface particles that one particle on a junction curve replaces. The curve particle
@@ -66,9 +66,9 @@ impl Complex {
         lengths
     }
 
-    /// Predicts the number of particles that settle on all strata. It is the number of particles in
-    /// a hexagonal lattice on the interfaces ([`SizingField::lattice_density`]), minus those that
-    /// curve particles replace, plus the particles on curves and points.
+    /// Predicts the number of particles that settle on all strata. The prediction is the number of
+    /// particles in a hexagonal lattice on the interfaces ([`SizingField::lattice_density`]), minus
+    /// the particles that curve particles replace, plus the particles on curves and points.
     pub fn predicted_count(&self, sizing: &SizingField) -> f64 {
         let on_triangle = |triangle: &Triangle| {
             let doubled = self.doubled(triangle);
@@ -83,7 +83,8 @@ impl Complex {
         (sums.iter().sum::<f64>() + (1.0 - SAVED_ON_CURVES) * along).max(0.0) + self.points.len() as f64
     }
 
-    /// Returns the normal of a triangle in mm^2. Its length is twice the area of the triangle.
+    /// Returns the normal vector of a triangle. Its length is twice the area of the triangle, in
+    /// mm^2.
     fn doubled(&self, triangle: &Triangle) -> DVec3 {
         let [a, b, c] = self.corners(triangle);
         (b - a).cross(c - a)

@@ -3,14 +3,14 @@
 //!
 //! The method is marching tetrahedra for many materials (Nielson and Franke, Computing the
 //! Separating Surface for Segmented Data, IEEE Visualization 1997). Each cell is cut into Kuhn's
-//! six tetrahedra, which match those of the neighbouring cells. The materials at the corners of a
-//! tetrahedron determine its pieces. An edge whose ends have different materials crosses their
-//! interface once, a face with three different materials crosses their curve once, and a
-//! tetrahedron with four contains one junction point. The complex is therefore closed for any
-//! indicators: interfaces end at curves, and curves end at points. Newton's method moves the
-//! vertices of curves and points onto the true strata. Interface vertices lie where the indicators,
-//! interpolated linearly between the corners, are equal; they are not moved, and their error is of
-//! second order in the spacing.
+//! six tetrahedra, whose faces match across neighbouring cells. The materials at the corners of a
+//! tetrahedron determine the pieces of strata in it. An edge whose ends have different materials
+//! crosses their interface once, a face with three different materials crosses their curve once,
+//! and a tetrahedron with four different materials contains one junction point. The complex is
+//! therefore closed for any indicators: interfaces end at curves, and curves end at points.
+//! Newton's method moves the vertices of curves and points onto the true strata. Interface vertices
+//! lie where the indicators, interpolated linearly between the corners, are equal; they are not
+//! moved, and their error is of second order in the spacing.
 
 mod cells;
 mod chains;
@@ -32,20 +32,21 @@ use lattice::Lattice;
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Counts of lattice vertices and curves that were found, projected, dropped or merged.
+/// Counts of the curves, junction points and lattice vertices that were found, projected, merged or
+/// dropped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Tally {
     /// Junction points found on the lattice.
     pub points: usize,
     /// Lattice junction points that Newton's method could not project.
     pub points_not_projected: usize,
-    /// Lattice junction points projected to a position where a fifth material is nearer.
+    /// Lattice junction points projected to a position where a fifth indicator is smaller.
     pub points_not_clear: usize,
     /// Vertices of junction curves found on the lattice.
     pub curve_vertices: usize,
     /// Lattice curve vertices that could not be projected onto their curve.
     pub curve_vertices_not_projected: usize,
-    /// Lattice curve vertices projected to a position where a fourth material is nearer.
+    /// Lattice curve vertices projected to a position where a fourth indicator is smaller.
     pub curve_vertices_not_clear: usize,
     /// Curve ends beyond which the curve could not be followed.
     pub curves_lost: usize,
@@ -84,8 +85,8 @@ impl Complex {
         Self::of_bricks(materials, materials.geometry(), &materials.bricks_of_many())
     }
 
-    /// Computes the complex of any indicators on a grid. `bricks` are boxes of cells that contain
-    /// all strata, given by their first cell and the number of cells along each axis.
+    /// Computes the complex of any indicators on a grid. `bricks` are boxes of cells that together
+    /// contain all strata. Each is given by its first cell and its number of cells along each axis.
     pub fn of_bricks<I: Indicators + ?Sized>(
         indicators: &I,
         geometry: &Geometry,

@@ -158,12 +158,12 @@ fn three_sectors_of_a_ball_have_four_curves_and_two_points() {
     };
     let (coarse, fine) = (errors(&exact(&analytic, 1.0)), errors(&exact(&analytic, 0.5)));
     assert!(coarse[0] < 1e-6 && fine[0] < 1e-6, "points {coarse:?} {fine:?}");
-    // the step length along curves does not depend on the lattice
+    // the step length along curves does not depend on the spacing, so both errors are alike
     assert!(coarse[1] < 1e-4 && fine[1] < 1e-4, "lengths {coarse:?} {fine:?}");
-    // triangles next to curves may fold slightly
+    // triangles next to curves may fold slightly, so second-order convergence is not required
     assert!(coarse[2] < 2.5e-3 && fine[2] < 2e-3, "areas {coarse:?} {fine:?}");
-    // each sampled indicator is a signed distance with kinks that the spline rounds off; the
-    // positions converge with the spacing
+    // the indicators are signed distances with kinks that the splines round off, so the errors are
+    // proportional to the spacing
     let of_samples = |spacing: f64| errors(&Complex::new(&sampled(&sectors(CENTRE), spacing)));
     let (coarse, fine) = (of_samples(1.0), of_samples(0.5));
     assert!(coarse.iter().zip([0.4, 0.05, 0.05]).all(|(error, most)| *error < most), "sampled: {coarse:?}");
@@ -205,7 +205,7 @@ fn touching_balls_and_a_lens_have_one_closed_curve() {
             }
             (complex.length(&complex.chains[0]) / (2.0 * PI * radius) - 1.0).abs()
         };
-        // the step length along the curve does not depend on the lattice
+        // the step length along the curve does not depend on the spacing, so both errors are alike
         let (coarse, fine) = (error(1.0), error(0.5));
         assert!(coarse < 2.5e-4 && fine < 2.5e-4, "{coarse} {fine}");
     }
@@ -247,7 +247,7 @@ fn threads_make_no_difference() {
 #[test]
 fn a_junction_point_of_curves_that_all_but_coincide_is_met_once() {
     // four quarters around an axis; two opposite quarters grow along it so slowly that, a voxel
-    // away, all four indicators are equal to within a fiftieth of a voxel
+    // from the junction point, all four indicators are equal to within a fiftieth of a voxel
     let along = DVec3::new(0.2, 0.1, 1.0).normalize();
     let (across, other) = along.any_orthonormal_pair();
     let quarter = |n: u32| {

@@ -122,7 +122,7 @@ fn undersampled(energy: f32, i: usize) -> Option<bool> {
     both(beyond(lack, bar), beyond(random_uniform(1, i) * lack, bar))
 }
 
-/// Returns a torus with graded h and more random particles than in the lattice.
+/// Returns a torus with graded h and more particles, at random positions, than its lattice has.
 fn too_many() -> Scene {
     Scene::bumpy_torus(2100)
 }
@@ -157,7 +157,8 @@ fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
         assert!(now <= was * (1.0 + 1e-4), "{i}: energy {was} -> {now}");
     }
     assert!(members > 40 && moved * 10 > members * 9, "{moved} of {members} moved");
-    // if two energies are nearly equal, a step may be accepted on only one of the two backends
+    // if the energies before and after a step are nearly equal, only one of the two backends may
+    // accept the step
     assert!(alike * 100 >= members * 98, "{alike} of {members} went where the CPU sends them");
 }
 
@@ -253,7 +254,8 @@ fn rounds_of_deletion_are_those_of_the_twin() {
 #[test]
 fn newcomers_are_those_of_the_twin_and_everybody_finds_a_place() {
     let Some(gpu) = any_gpu("insertion", AdapterChoice::default()) else { return };
-    // far fewer particles than in the lattice, so that some newcomers are close to each other
+    // far fewer particles than their lattices have, so that many propose newcomers, some of them
+    // close to each other
     let tori = (120..420).step_by(60).map(Scene::bumpy_torus);
     let balls = (40..400).step_by(20).map(|n| Scene::ball(n, 1.6));
     let by_distance: usize =
@@ -293,7 +295,8 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
         differ += usize::from(!alike);
     }
     assert!(made > 10, "{made} newcomers: too few for a test");
-    // two gaps may be equally wide in f32, and a distance may nearly equal the minimum distance
+    // 1 % may differ: two gaps may be equally wide in f32, and a distance may nearly equal the
+    // minimum distance
     assert!(differ * 100 <= made, "{differ} of {made} proposals differ");
 
     rig.run("insert_choose", 0);
@@ -343,7 +346,7 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
 #[test]
 fn totals_are_those_of_the_particles() {
     let Some(gpu) = any_gpu("totals", AdapterChoice::default()) else { return };
-    // one particle, one block, and an odd number of blocks
+    // one particle, up to one block, and an odd number of blocks
     for count in [1, 2048, 4500] {
         let mut rig = Rig::new(&gpu, &Scene::ball(count, 0.9));
         let energies: Vec<f32> = rig.take("energies", rig.count());

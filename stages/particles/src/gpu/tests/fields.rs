@@ -1,4 +1,4 @@
-//! Compares F, h, energies and their derivatives on the device with those on the CPU.
+//! Tests that F, h, the energies and their derivatives are the same on the device and on the CPU.
 
 use super::any_gpu;
 use crate::gpu::adapter::{AdapterChoice, Gpu};
@@ -107,7 +107,7 @@ fn energies_and_forces_are_those_of_the_cpu() {
             worst[0] = worst[0].max((f64::from(found[0][3]) - energy).abs() / scale);
             worst[0] = worst[0].max((f64::from(found[1][3]) - energy).abs() / scale);
             worst[0] = worst[0].max((f64::from(energies[i]) - energy).abs() / scale);
-            // the terms of a force largely cancel, so the error is relative to the sum of their
+            // the terms of a force largely cancel, so the tolerance is relative to the sum of their
             // magnitudes, which is about the Hessian times h
             let size = curvature[0].abs().max(curvature[2].abs()) * state.set.sizes[i] + 1e-9;
             worst[1] = worst[1].max((vector(found[0]) - force).length() / size);

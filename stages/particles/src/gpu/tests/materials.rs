@@ -1,5 +1,5 @@
-//! Tests of many materials on the device: the counts match those on the CPU, the particles are on
-//! their interfaces, and every run gives the same result.
+//! Tests of many materials on the device: the particle counts are close to the CPU's, the particles
+//! are on their interfaces, and every run gives the same result.
 
 use super::any_gpu;
 use crate::cpu::scenes::{Body, corners, nested, sectors};
@@ -146,7 +146,7 @@ fn differences_and_their_reality_are_those_of_the_cpu() {
     }
 }
 
-/// Returns the output of `probe_fields` for the particles as uploaded.
+/// Returns the output of `probe_fields` for the uploaded particles, in their original order.
 fn probe_listed(gpu: &Gpu, engine: &mut GpuEngine<'_>) -> Vec<[f32; 4]> {
     let bytes = 48 * u64::from(engine.count);
     engine.memory.make(gpu, "probed", bytes, wgpu::BufferUsages::empty()).unwrap();

@@ -1,5 +1,5 @@
-//! Tests of the whole backend: the lattice matches that of the CPU, and every run gives the same
-//! bytes, even after a resume.
+//! Tests of the whole backend: the CPU and the GPU give similar lattices, and every GPU run gives
+//! the same bytes, even after a resume.
 
 use super::any_gpu;
 use crate::cpu::settle;
@@ -36,7 +36,7 @@ fn the_lattice_is_that_of_the_cpu() {
     };
     let parameters = Parameters { max_passes: 25, seed: 5, ..first.clone() };
     for (mut scene, what) in [(Scene::ball(1500, 1.2), "ball"), (Scene::bumpy_torus(1300), "graded torus")] {
-        // the first run makes the seeds about as even as those of the seed stage, which reduces
+        // a first run makes the seeds about as even as the output of the seed stage, to reduce
         // random variation
         scene.seeds = settle(&scene.seeds, None, &scene.fields(), &first, |_, _| Ok(())).unwrap().0;
         let on_cpu = settle(&scene.seeds, None, &scene.fields(), &parameters, |_, _| Ok(())).unwrap();
@@ -123,7 +123,7 @@ fn passes_before_their_turn_are_no_different() {
         let mut in_turn = GpuEngine::new(&gpu, &fields, &scene.seeds, &parameters).unwrap();
         ahead.controls_density_until(13);
         for pass in 1..=16 {
-            // density control ends earlier than announced
+            // density control ends after pass 9, earlier than announced
             let density = pass <= 9;
             let [a, b] = [&mut ahead, &mut in_turn].map(|engine| engine.pass(pass, density).unwrap());
             assert_eq!(format!("{a:?}"), format!("{b:?}"), "pass {pass} from {count}");

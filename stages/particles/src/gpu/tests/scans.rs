@@ -158,7 +158,8 @@ fn energies_and_totals_of_more_than_65535_workgroups() {
     let places: Vec<[f32; 4]> =
         (0..count).map(|i| [if i % 2 == 0 { 0.0 } else { distance(i / 2) }, 0.0, 0.0, 0.5]).collect();
     let last = count - 1;
-    // each list has a capacity of four members, so the lists are stored one after the other
+    // each list has a capacity of four members, one group, so the lists are stored one after the
+    // other
     let lengths: Vec<u32> = (0..count).map(|i| u32::from(i < last)).collect();
     let lists: Vec<[u32; 4]> = (0..count.next_multiple_of(LIST_TILE)).map(|i| [i ^ 1; 4]).collect();
     let geometry = Geometry::axis_aligned([9; 3], DVec3::ONE);
@@ -168,7 +169,7 @@ fn energies_and_totals_of_more_than_65535_workgroups() {
     rig.put("now", &words(&pass_block(1, count, true)));
     rig.put("place", &places);
     rig.put("place_at_listing", &places);
-    // with one object, no kernel reads the carried values
+    // with one object, no kernel uses the carried values, so one element is enough
     rig.put("normal", &[[0.0f32; 4]]);
     rig.put("list_lengths", &lengths);
     rig.put("lists", &lists);

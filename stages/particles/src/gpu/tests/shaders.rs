@@ -1,5 +1,5 @@
-//! Tests without an adapter: every source is valid WGSL, and layouts, bindings and constants agree
-//! with those that naga computes.
+//! Tests without an adapter: every source is valid WGSL, and its layouts, bindings and constants
+//! are the same in Rust and in naga.
 
 use crate::gpu::constants::{Value, constants};
 use crate::gpu::levels::BinLevels;
@@ -79,7 +79,7 @@ fn the_bindings_are_those_that_naga_sees() {
     }
 }
 
-/// Compares the members of a block with those of the struct `name` in a kernel.
+/// Compares the members of a block with the members of the struct `name` in a kernel.
 fn same_layout(kernel: &str, name: &str, block: &Block) {
     let source = sources().find(|s| s.name == kernel).unwrap();
     let module = module(&source.compose(VARIANTS[0]), kernel);
