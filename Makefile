@@ -102,73 +102,75 @@ define HELP
 Volumes in, simulation-ready meshes out.
 
   make demo                                    build everything and mesh a phantom, up to the tetrahedra
-  make doctor                                  list what this machine lacks, and how to get it
+  make doctor                                  list the missing requirements and how to install them
   make info INPUT=v.nrrd                       describe a volume and suggest options
-  make mesh INPUT=v.nrrd ISO=300               mesh where the scalar is above 300 (INSIDE=below: below)
+  make mesh INPUT=v.nrrd ISO=300               mesh the region above 300 (INSIDE=below: the region below)
   make mesh INPUT=v.nrrd LABELS=1,2            mesh the union of labels 1 and 2
   make mesh INPUT=v.nrrd MATERIALS=all         mesh all labels together, with shared interfaces
                                                (MATERIALS=lungs:2,rest:1+3 selects and names them)
   make CASE=heart                              mesh the case of pipelines/heart.mk
   make -j2 CASES="heart mickey" cases          mesh several cases in parallel
-  make batch LIST=cases.csv                    mesh every row of a list: one column per parameter, one row per case;
+  make batch LIST=cases.csv                    mesh the cases of a list: one column per parameter, one row per case;
                                                continues after failures and resumes where it was stopped
                                                (TIME_LIMIT=2h per case; GOAL=surface)
   make cluster LIST=cases.csv PROFILE=slurm    the same list, each stage as a Slurm job;
                                                PROFILE=local: several cases in parallel on this machine
   make surface ...                             stop at the triangles; distfield, sizefield, seed, particles stop earlier
-  make verdict CASE=heart                      print the outcome: verdict, warnings, the page
-  make page CASE=heart                         make its page again
+  make verdict CASE=heart                      print the outcome: verdict, warnings, path of the page
+  make page CASE=heart                         regenerate its page
   make index                                   make a page about all cases in OUT (also part of make cases)
-  make clean CASE=heart                        remove its folder of results (or NAME=...)
-  make wheel                                   target/wheel/isoparticles-*.whl: pip install it, then `isoparticles help`
-  make completions                             target/share: completions for bash, zsh and fish, and man pages
-  make test                                    format, lints, documentation, tests
-  make docs                                    the documentation site, target/docs/index.html (Sphinx)
+  make clean CASE=heart                        remove its results folder (or give NAME=...)
+  make wheel                                   build target/wheel/isoparticles-*.whl; pip install it, then run
+                                               `isoparticles help`
+  make completions                             write completions for bash, zsh and fish, and man pages, to target/share
+  make test                                    check format, lints and documentation, and run all tests
+  make docs                                    build the documentation site, target/docs/index.html (Sphinx)
   make fuzz                                    fuzz every file reader for FUZZ_SECONDS=60 each, FUZZ_JOBS=1 in parallel
                                                (nightly Rust, cargo-fuzz)
-  make deny                                    licences and advisories of the linked crates (cargo-deny, cargo-audit)
-  make bench-stages                            time and memory of every stage on the torso phantom
-  make bench-particles                         the particles stage on the CPU, by contrast of h and threads
-                                               (BENCH_OPTIONS=...)
-  make bench-gpu                               the particles stage on the GPU against one CPU thread (BENCH_OPTIONS=...)
-  make bench-delaunay                          the Delaunay triangulation against CGAL's
+  make deny                                    check licences and advisories of the linked crates (cargo-deny, cargo-audit)
+  make bench-stages                            measure time and memory of every stage on the torso phantom
+  make bench-particles                         time the particles stage on the CPU for several size contrasts and
+                                               thread counts (BENCH_OPTIONS=...)
+  make bench-gpu                               compare the particles stage on the GPU with one CPU thread (BENCH_OPTIONS=...)
+  make bench-delaunay                          compare the Delaunay triangulation with CGAL's
                                                (BENCH_OPTIONS=...; needs libcgal-dev)
-  make bench-convergence                       error of a known solution on the ball, from coarse to fine tetrahedra
-  make bench-marching-cubes                    tetrahedra in our surfaces against marching cubes and a remesher
-                                               (COMPARED=...)
-  make bench-kills N=100                       kills at random moments of a small chain; the next run must give the
+  make bench-convergence                       measure the error for a known solution on the ball at several edge lengths
+  make bench-marching-cubes                    compare tetrahedra in our surfaces with those in surfaces of marching cubes
+                                               and of a remesher (COMPARED=...)
+  make bench-kills N=100                       kill runs of a small case at random moments; the next run must give the
                                                same files
-  make bench-batch                             a batch of 50 phantoms, real volumes and broken rows, interrupted and
-                                               run again
-  make bench-solvers                           a known problem, solved by every installed finite-element program
-                                               on its own file format
-  make bench-paper                             the paper's Tables 1 to 4 as rows of docs/results/paper.json
+  make bench-batch                             run, interrupt and resume a batch of 50 phantoms, real volumes and
+                                               invalid rows
+  make bench-solvers                           solve a known problem with every installed finite-element program,
+                                               from its own file format
+  make bench-paper                             measure the paper's Tables 1 to 4, as rows of docs/results/paper.json
                                                (BENCH_OPTIONS=--quick, for example)
-  make bench-growth                            time and memory of every stage by voxels, particles, cores and
+  make bench-growth                            measure time and memory of every stage by voxels, particles, cores and
                                                materials, as rows of docs/results/growth.json
-  make results-page                            docs/results.md and its pictures, from these rows
-  make notebook                                run docs/notebooks/volume-to-solve.ipynb into OUT/notebook
-  make bench-remeshers                         every packaged remesher against ours at several numbers of vertices
+  make results-page                            make docs/results.md and its pictures from these rows
+  make notebook                                run docs/notebooks/volume-to-solve.ipynb, with results in OUT/notebook
+  make bench-remeshers                         compare every packaged remesher with ours at several vertex counts
                                                (REMESHER_CASES=... REMESHER_VERTICES=...)
-  make bench-materials-peers                   many materials against CGAL's Mesh_3, Cleaver and surface nets
-                                               (MATERIALS_CASES=...; g++, libcgal-dev)
-  make bench-scale                             coarse meshes of real volumes against two remeshers
+  make bench-materials-peers                   compare meshes of many materials with those of CGAL's Mesh_3, Cleaver and
+                                               surface nets (MATERIALS_CASES=...; g++, libcgal-dev)
+  make bench-scale                             compare coarse meshes of real volumes with those of two remeshers
                                                (SCALE_CASES=... SCALE_VERTICES=...)
 
-Parameters of a case; they take precedence over the case file, and unset ones keep the default of the stage:
+Parameters of a case. They take precedence over the case file; unset parameters have the default of the stage:
   NAME=...      name of the results [the volume's]       OUT=...       folder of the results [out]
-  EPSILON=...   h = epsilon x local feature size         DELTA=...     maximum gradient of h
-  SIZE=...      one edge length everywhere, mm           MIN_SIZE=...  MAX_SIZE=...  bounds of h, mm
+  EPSILON=...   ratio of h to local feature size         DELTA=...     maximum gradient of h
+  SIZE=...      constant edge length, mm                 MIN_SIZE=...  MAX_SIZE=...  bounds of h, mm
   VERTICES=...  number of vertices, instead of a size    QUALITY=...   coarse, medium or fine
-  SCALE=...     smooth away smaller features, mm         BORDER=...    cap or open
-  SEED=...      seed of the random numbers               BACKEND=...   auto, gpu or cpu
+  SCALE=...     smooth away features below this, mm      BORDER=...    cap or open
+  SEED=...      seed for random numbers                  BACKEND=...   auto, gpu or cpu
   COUNT=...     number of particles to seed              PHANTOM=...   shape to mesh instead of INPUT: "ball --size 32"
-  SERIES=...    the series to mesh, if a folder of DICOM files holds several
+  SERIES=...    series to mesh, if a folder of DICOM files contains several
   THREADS=...   CPU threads [all]                        MAX_MEMORY=.. maximum memory of a stage
-  TET_ORDER=2   also quadratic tetrahedra, with their mid-edge nodes on the surface
-  ACCEPT_FORCED=yes  accept elements that the surface of many materials forces below a limit; the verdict counts them
-  HXT=no        without Gmsh: large surfaces take hours
-  VERBOSITY=... -q, -v or -vv                            DATA=...      folder of the volumes of pipelines/ [../shared/data]
+  TET_ORDER=2   also write quadratic tetrahedra; mid-edge nodes of surface edges lie on F = 0
+  ACCEPT_FORCED=yes  accept elements below a limit where the surface of many materials allows no better ones;
+                the verdict counts them
+  HXT=no        do not use Gmsh; large surfaces then take hours
+  VERBOSITY=... -q, -v or -vv                            DATA=...      folder of the volumes for pipelines/ [../shared/data]
   DISTFIELD_OPTIONS="..."  SIZEFIELD_OPTIONS="..."  PARTICLES_OPTIONS="..."  RECONSTRUCT_OPTIONS="..."  TETMESH_OPTIONS="..."
                 more options of a stage, such as DISTFIELD_OPTIONS="--keep largest"; docs/commands.md lists them
 Results: OUT/NAME/NAME.{distfield.vti,sizefield.vti,seeds.bin,particles.bin,surface.vtp,volume.vtu,report.json},

@@ -3,7 +3,7 @@
 project = "isoparticles"
 project_copyright = "the isoparticles developers"
 extensions = ["myst_parser"]
-# results.md is generated from the template in results/; notebooks are read in Jupyter
+# results/ contains the template of results.md; notebooks are meant for Jupyter
 exclude_patterns = ["results", "notebooks"]
 html_theme = "furo"
 html_title = "isoparticles"

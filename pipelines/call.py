@@ -1,8 +1,8 @@
-"""Run one command of a row: that of a stage, `info` or `page`. The Snakefile calls this program.
+"""Run one command of a row: a stage, `info` or `page`. The Snakefile calls this program.
 
     call.py ROWS.jsonl NAME WHAT [KEY=VALUE | --OPTION]...
 
-The command replaces this process, so exit codes and signals are those of the command.
+The command replaces this process, so it receives the signals and returns the exit code.
 """
 
 import json

@@ -1,14 +1,14 @@
 // Writes the parameters that the other kernels of a pass read. The host may submit a pass before it
-// has read the result of the previous pass. In that case only the device knows the number of
-// particles. This kernel sets the number to 0 if the previous pass must be repeated, or if it left
-// more particles than this pass has room for. This pass then leaves its input unchanged.
+// has read the result of the previous pass. The number of particles is then read on the device. The
+// kernel sets it to 0 if the previous pass must be repeated or left more particles than this pass
+// can process. This pass then leaves its input unchanged.
 
 struct Planned {
     number: u32,
-    // Number of particles, or COUNT_ON_DEVICE if only the device knows it.
+    // Number of particles, or COUNT_ON_DEVICE if the kernel must read it from `words`.
     count: u32,
     allow_insert: u32,
-    // Maximum number of particles for which this pass has room.
+    // Maximum number of particles that this pass can process.
     room: u32,
     // Capacity of each neighbour list, and number of classes that the previous pass dispatched.
     list_room: u32,
@@ -18,7 +18,7 @@ struct Planned {
 }
 
 @group(0) @binding(2) var<uniform> planned: Planned;
-// The buffers `now` and `scan_keep`, which the other kernels read.
+// `begun` and `begun_scan` are the buffers `now` and `scan_keep`, which the other kernels read.
 @group(0) @binding(3) var<storage, read_write> begun: array<u32>;
 @group(0) @binding(4) var<storage, read_write> begun_scan: array<u32>;
 @group(0) @binding(15) var<storage, read> words: array<u32>;

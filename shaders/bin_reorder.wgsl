@@ -1,7 +1,6 @@
 // Counting sort into bins, step 3: copies the particles into sorted order. Within a bin, held
-// particles come first. Held particles and other particles each keep their previous order. The
-// result does not depend on the order of the atomic operations in step 2, so a resumed run is
-// reproducible.
+// particles come first; otherwise the previous order is kept. The result does not depend on the
+// order of the atomic operations in step 2, so a resumed run is reproducible.
 
 @group(0) @binding(2) var<storage, read> listed_place: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> bin_of: array<u32>;
@@ -41,6 +40,6 @@ fn bin_reorder(
     place[to] = listed_place[i];
     place_at_listing[to] = listed_place[i];
     normal[to] = listed_normal[i];
-    // a particle without a class does not move, so its outcome stays 0
+    // reset here, because the move kernels skip particles without a class
     outcome[to] = 0u;
 }

@@ -1,5 +1,5 @@
 // Counting sort into bins, step 2: writes the indices of the particles bin by bin. The order within
-// a bin is arbitrary. This step also resets the counts to zero for the next sort.
+// a bin is arbitrary. This step also decrements the counts to zero for the next sort.
 
 @group(0) @binding(3) var<storage, read> bin_of: array<u32>;
 @group(0) @binding(4) var<storage, read_write> bin_counts: array<atomic<u32>>;

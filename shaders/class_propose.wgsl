@@ -1,7 +1,7 @@
 // Class assignment, first half of a round: each particle without a class proposes a class that none
 // of its neighbours has. The class is chosen at random from the free classes among the first
 // sixteen. If all sixteen are taken, it is chosen from the next three free classes. The higher
-// classes therefore stay mostly empty, so fewer classes need a dispatch.
+// classes therefore stay mostly empty, and fewer classes need a dispatch.
 
 @group(0) @binding(3) var<storage, read> classes: array<u32>;
 @group(0) @binding(4) var<storage, read_write> proposed_classes: array<u32>;

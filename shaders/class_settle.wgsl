@@ -1,6 +1,6 @@
 // Class assignment, second half of a round: if neighbours propose the same class, the neighbour
-// with the highest priority gets it. A particle without a class after the last round does not move
-// until the lists are rebuilt.
+// with the highest priority gets it. A particle that has no class after the last round does not
+// move until the lists are rebuilt.
 
 @group(0) @binding(3) var<storage, read_write> classes: array<u32>;
 @group(0) @binding(4) var<storage, read> proposed_classes: array<u32>;

@@ -13,7 +13,7 @@ fn class_starts_kernel() {
     for (var c = 0u; c < CLASSES; c++) {
         let count = class_counts[c];
         class_starts[c] = start;
-        // class_scatter uses this entry as the next free slot
+        // class_scatter uses this entry as the index of the next free slot
         class_counts[c] = start;
         start += count;
         used = select(used, c + 1u, count > 0u);

@@ -1,9 +1,9 @@
 // Density control, one round of deletion: among oversampled particles that interact, the particle
 // with the highest energy is deleted. The CPU deletes particles one by one in descending order of
-// energy. A few rounds with updated energies give the same result if few particles exceed the
-// limit. If the seeds are several times too dense, large groups of oversampled particles interact,
-// and each round deletes only one particle of such a group. A GPU pass then deletes far fewer
-// particles than a CPU pass.
+// energy. A few rounds with updated energies give the same result if few particles are oversampled.
+// If the seeds are several times too dense, large groups of oversampled particles interact, and
+// each round deletes only one particle of such a group. A GPU pass then deletes far fewer particles
+// than a CPU pass.
 //
 // Twin: `delete` in stages/particles/src/density.rs
 

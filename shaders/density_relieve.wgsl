@@ -1,5 +1,5 @@
-// Density control, after each round of deletion: subtracts, from the energy of each remaining
-// particle, its pair energies with the neighbours deleted in the round.
+// Density control, after each round of deletion: subtracts the pair energies of the particles
+// deleted in the round from the energies of their remaining neighbours.
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(12) var<storage, read_write> energies: array<f32>;

@@ -7,7 +7,7 @@
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;
 @group(0) @binding(12) var<storage, read_write> energies: array<f32>;
-// 0 if the particle is kept, n if it was deleted in round n.
+// Mark of each particle: 0 if it is kept, n if it was deleted in round n.
 @group(0) @binding(13) var<storage, read_write> marks: array<u32>;
 // Last round that deleted a neighbour of the particle; 0 if there is none.
 @group(0) @binding(14) var<storage, read_write> touched: array<u32>;

@@ -20,9 +20,10 @@ fn beats(j: u32, i: u32) -> bool {
 }
 
 // Returns whether the newcomer of i is too close to a newcomer of higher priority. The parents are
-// in the bins of their positions at the time of the sort. Since then, a parent of size h has moved
-// by at most (REBUILD_MOVE + FARTHEST_MOVE) h. A newcomer is within two lattice spacings of its
-// parent, because it starts one spacing away and is projected by at most one more spacing.
+// in the bins of their positions at the time of the sort. Since then, a parent with target edge
+// length h has moved by at most (REBUILD_MOVE + FARTHEST_MOVE) h. A newcomer is within two lattice
+// spacings of its parent: it starts one spacing away, and the projection displaces it by at most
+// one spacing.
 fn is_too_near(i: u32) -> bool {
     let own = newcomer_place[i];
     let facing = newcomer_normal[i];

@@ -1,7 +1,7 @@
-// Density control, insertion: each undersampled particle proposes a newcomer. The candidate is
-// placed one lattice spacing away, in the middle of the widest gap between neighbours, and
-// projected onto the surface. It is rejected if the projection fails, if its normal differs too
-// much from that of the particle, or if it is too close to another particle.
+// Density control, insertion: each undersampled particle proposes a newcomer. The newcomer is
+// placed one lattice spacing from the particle, in the middle of the widest gap between neighbours,
+// and projected onto the surface. It is rejected if the projection fails, if its normal differs too
+// much from the particle's normal, or if it is too close to another particle.
 //
 // Twin: `propose`, `place_in_widest_gap` in stages/particles/src/density.rs
 
@@ -25,9 +25,9 @@ fn angle_of(own: vec4<f32>, plane: Plane, j: u32) -> f32 {
     return atan2(dot(plane.v, offset), dot(plane.u, offset));
 }
 
-// Returns the direction of the middle of the widest gap. The lanes of the team share the loop over
-// the neighbours. If several gaps are equally wide, the gap after the first neighbour in the list
-// is used.
+// Returns the direction of the middle of the widest gap between neighbours. The lanes of the team
+// share the loop over the neighbours. Of several equally wide gaps, the function uses the gap that
+// starts at the neighbour with the lowest list index.
 fn widest_gap(own: vec4<f32>, plane: Plane, list: List, lane: u32) -> f32 {
     var lowest = TAU;
     for (var k = lane; k < list.length; k += TEAM) {
@@ -41,7 +41,7 @@ fn widest_gap(own: vec4<f32>, plane: Plane, list: List, lane: u32) -> f32 {
         if angle > TAU {
             continue;
         }
-        // the next neighbour counter-clockwise; among equal angles, the next in the list
+        // angle of the next neighbour counter-clockwise; at equal angles, of the next in the list
         var next = lowest + TAU;
         for (var m = 0u; m < list.length; m++) {
             let other = angle_of(own, plane, member(list, m));
@@ -109,7 +109,8 @@ fn insert_propose(
         }
     }
     workgroupBarrier();
-    // few particles are undersampled, so most lanes would be idle with one invocation per particle
+    // a team processes each undersampled particle; these are few, so with one invocation per
+    // particle most lanes would be idle
     let count = atomicLoad(&lacking_count);
     for (var k = local / TEAM; k < count; k += TEAMS) {
         propose(lacking[k], local % TEAM);

@@ -4,9 +4,9 @@
 //
 // Every third bin along each axis has the same colour, so there are 27 colours. Workgroups do not
 // conflict: neighbour lists reach no farther than one bin edge, so a workgroup writes the particles
-// of one bin and reads only those of this bin and the 26 adjacent bins. Two bins of one colour are
-// separated by two other bins, so two workgroups never access the same bin. This also holds when
-// particles have moved, because bins and lists do not change until the next sort.
+// of one bin and reads only particles of this bin and of the 26 adjacent bins. Two bins of one
+// colour are separated by two other bins, so two workgroups never access the same bin. This remains
+// true when particles have moved, because bins and lists do not change until the next sort.
 
 @group(0) @binding(5) var<storage, read> bin_starts: array<u32>;
 
@@ -28,7 +28,7 @@ fn move_bins(
     let end = bin_starts[bin + 1u];
     for (var i = bin_starts[bin]; i < end; i++) {
         move_particle(i, lane);
-        // the next particle reads the new position of this particle
+        // makes the new position visible to the step of the next particle
         storageBarrier();
     }
 }

@@ -1,4 +1,4 @@
-// Exclusive prefix sum, kernel 3 of 3: adds the start value of each block to all numbers in the
+// Exclusive prefix sum, kernel 3 of 3: adds the start value of each block to all elements of the
 // block.
 
 @group(0) @binding(3) var<storage, read_write> scan_output: array<u32>;

@@ -1,5 +1,5 @@
 // Exclusive prefix sum, kernel 1 of 3: computes the prefix sum within each block of SUM_BLOCK
-// numbers. The output has one element more than the input; the last element is the total.
+// elements. The output has one element more than the input; the last element is the total.
 
 @group(0) @binding(2) var<storage, read> scan_input: array<u32>;
 @group(0) @binding(3) var<storage, read_write> scan_output: array<u32>;

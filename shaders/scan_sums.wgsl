@@ -1,5 +1,5 @@
 // Exclusive prefix sum, kernel 2 of 3: a single workgroup computes the start value of each block,
-// which is the sum of all previous blocks.
+// which is the sum over all previous blocks.
 
 @group(0) @binding(4) var<storage, read_write> scan_sums: array<u32>;
 

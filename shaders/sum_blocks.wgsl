@@ -1,4 +1,4 @@
-// Totals of a pass, step 1: sums over each block of SUM_BLOCK particles.
+// Totals of a pass, step 1: computes the totals of each block of SUM_BLOCK particles.
 
 @group(0) @binding(3) var<storage, read> energies: array<f32>;
 @group(0) @binding(4) var<storage, read> outcome: array<u32>;

@@ -276,8 +276,8 @@ def look(surface: pv.PolyData, labels: pv.ImageData, volume: pv.UnstructuredGrid
         np.asarray(surface.cell_data[f"material_{side}"]).astype(np.int64) for side in ("inside", "outside")
     )
     in_voxels = into_voxels(points, labels)
-    # The coordinates of a left-handed grid mirror the triangles. Reversing the vertex order
-    # restores the orientation.
+    # Conversion to the coordinates of a left-handed grid mirrors the triangles. Reversing the
+    # vertex order restores their orientation.
     corners = in_voxels[triangles]
     if np.linalg.det(np.asarray(labels.direction_matrix).reshape(3, 3)) < 0:
         corners = corners[:, ::-1]

@@ -68,8 +68,8 @@ def run(
 
 def serial(first: float, last: float, few: int, many: int) -> str:
     """Return the serial percentage of the work on one thread, from Amdahl's law."""
-    # With the serial fraction s, Amdahl's law is t(n) = t(1) (s + (1 - s) / n). The ratio t(many) /
-    # t(few) does not depend on t(1) and gives s.
+    # Amdahl's law for the serial fraction s is t(n) = t(1) (s + (1 - s) / n). The ratio of t(many)
+    # to t(few) eliminates t(1) and determines s.
     ratio = last / first if first > 0.0 else 1.0
     share = (ratio / few - 1.0 / many) / ((1.0 - 1.0 / many) - ratio * (1.0 - 1.0 / few))
     return f"{100.0 * min(max(share, 0.0), 1.0):.0f}"

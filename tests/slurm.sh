@@ -1,9 +1,9 @@
 #!/bin/sh
 # Starts or stops a single-node Slurm cluster on this machine, to test `make cluster PROFILE=slurm`.
 # The script runs Debian's slurmctld and slurmd directly and keeps all their files in one folder.
-# The only exception is a link to slurm.conf in /run/slurm/conf. Jobs of the executor do not inherit
-# SLURM_CONF, so Slurm looks for its configuration there. The script starts no system service and
-# does not change /etc.
+# The only exception is a link to slurm.conf in /run/slurm/conf. Jobs that Snakemake's executor
+# submits do not inherit SLURM_CONF, so Slurm looks for its configuration there. The script starts
+# no system service and does not change /etc.
 #
 #   apt-get install --no-install-recommends slurm-wlm munge
 #   tests/slurm.sh start FOLDER      as root

@@ -1,11 +1,12 @@
 // In a multi-material run, normal.w stores 16 s + c, where s is the index of the particle's
 // stratum. The code c is log10(damping / 0.001), or HELD_CODE for a held particle. The value is an
 // integer below 2^24, so f32 represents it exactly. The material interfaces have the lowest
-// indices. Each held particle has an index of its own after these.
+// indices. Each held particle has a separate index, above the indices of the interfaces.
 //
 // Twin: `rebuild_lists` in stages/particles/src/state.rs
 
-// Built by stages/particles/src/gpu/differences.rs, which documents the layout.
+// Index of strata and coefficients. stages/particles/src/gpu/differences.rs builds it and documents
+// its layout.
 @group(0) @binding(28) var<storage, read> materials_index: array<vec4<u32>>;
 
 fn damping_of(carried: f32) -> f32 {

@@ -1,6 +1,7 @@
 // Finds the voxel-grid cell that contains a position and interpolates h trilinearly. Device
 // positions are in mm, relative to the centre of voxel parameters.centre. Because the origin is a
-// voxel centre, the fractional position within a cell loses no precision.
+// voxel centre, conversion to a grid index adds an integer and does not round the fractional
+// position within a cell.
 //
 // Twin: `SizingField`, `value_gradient` in common/field/src/sizing.rs
 

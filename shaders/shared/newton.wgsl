@@ -3,7 +3,7 @@
 // Twin: `positive_definite`, `damped_newton` in stages/particles/src/movement.rs
 
 // Replaces the eigenvalues of a symmetric 2 x 2 matrix (entries uu, uv, vv) with their magnitudes
-// and bounds them away from zero. The Newton step is then a descent direction.
+// and bounds them away from zero. The Newton step then points in a descent direction.
 fn positive_definite(m: vec3<f32>) -> vec3<f32> {
     let middle_of = 0.5 * (m.x + m.z);
     let half_gap = 0.5 * (m.x - m.z);

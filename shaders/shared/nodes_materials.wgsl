@@ -1,8 +1,8 @@
 // Coefficients of G = (F_i - F_j) / 2 at the grid nodes, for the interface of materials i > j. The
-// differences are stored in blocks of 4 x 4 x 4 coefficients. For each brick of 4 x 4 x 4 cells, an
-// index contains records that locate the blocks (stages/particles/src/gpu/differences.rs documents
-// the layout). A look-up takes two dependent reads, so a record stays loaded as long as the cells
-// are in the same brick. A projection rarely leaves the brick in which it starts.
+// differences are stored in blocks of 4 x 4 x 4 coefficients. The index contains, for each brick of
+// 4 x 4 x 4 cells, records that locate the blocks (stages/particles/src/gpu/differences.rs
+// documents the layout). Finding a record takes two dependent reads, so a record stays loaded until
+// a cell in another brick is needed. A projection rarely leaves the brick in which it starts.
 //
 // Twin: `gather` in common/field/src/materials/indicator.rs
 // Twin: `is_real_interface` in common/field/src/materials/index.rs
@@ -16,7 +16,7 @@ var<private> open_start: vec3<u32>;
 // none).
 var<private> open_interface: u32;
 var<private> open_next: u32;
-// The index of the loaded record, and the first three of its four groups.
+// The index of the loaded record, and the first three of its four vectors.
 var<private> open_at: u32;
 var<private> open_low: vec4<u32>;
 var<private> open_high: vec4<u32>;
@@ -37,9 +37,8 @@ fn open_record(at: u32) {
     open_cells = materials_index[at + 2u];
 }
 
-// Selects the chosen interface from an entry, which refers to up to two interfaces. If the entry
-// does not contain it, selects the first interface of the entry. Returns the index of the selected
-// record.
+// Looks up the chosen interface in an entry, which refers to at most two interfaces. If the entry
+// does not refer to it, takes the first interface of the entry. Returns the index of the record.
 fn take_entry(entry: vec4<u32>) -> u32 {
     let is_second = entry.z == chosen;
     open_interface = select(entry.x, entry.z, is_second);
@@ -98,15 +97,15 @@ fn node_coefficient(at: vec3<i32>) -> f32 {
     return coefficient_at(64u * block + 16u * (node.z & 3u) + 4u * (node.y & 3u) + (node.x & 3u));
 }
 
-// Remaining checks of third materials at a point on the interface: the index of the next check, and
-// the end of the range.
+// Remaining checks for third materials at a point on the interface: the index of the next check,
+// and the end of the range of checks.
 var<private> next_check: u32;
 var<private> end_of_checks: u32;
-// True if the difference for the open check is stored with the opposite sign.
+// True if the difference for the current check is stored with the opposite sign.
 var<private> is_negative: bool;
 
-// Prepares the checks of a cell. Returns CHECKS_FAIL if a third material fills the brick, otherwise
-// CHECKS_PASS.
+// Prepares the checks for third materials in a cell. Returns CHECKS_FAIL if a third material fills
+// the brick, otherwise CHECKS_PASS.
 fn begin_checks(cell: Cell) -> u32 {
     next_check = 0u;
     end_of_checks = 0u;
@@ -122,8 +121,9 @@ fn begin_checks(cell: Cell) -> u32 {
     return CHECKS_PASS;
 }
 
-// Replaces the open record with the record for the next third material that may be equally close in
-// the cell. Returns CHECKS_PASS if there is none.
+// Loads the record for the next third material that may be equally close in the cell, and returns
+// CHECKS_GO_ON. Returns CHECKS_PASS if there is none, and CHECKS_FAIL if the material fills the
+// cell.
 fn open_check(cell: Cell) -> u32 {
     let base = vec3<u32>(cell.base);
     while next_check < end_of_checks {
@@ -132,8 +132,7 @@ fn open_check(cell: Cell) -> u32 {
         if is_of(check.zw, base) {
             open_record(check.x);
             if !is_of(open_cells.xy, base) {
-                // a third material that is listed but has no difference stored here fills the whole
-                // cell
+                // a third material whose difference is not stored for the cell fills the cell
                 return CHECKS_FAIL;
             }
             is_negative = check.y != 0u;

@@ -1,4 +1,4 @@
-// Parameters of the run that every kernel can read: grid, levels of bins, limits.
+// Parameters of the run that every kernel can read: the grid, the levels of bins, and limits.
 // stages/particles/src/gpu/parameters.rs sets them, and its tests compare this layout with the
 // layout that naga computes.
 

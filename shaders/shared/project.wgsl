@@ -27,10 +27,10 @@ fn projection_motion(field: vec4<f32>) -> vec3<f32> {
     return motion * select(1.0, parameters.projection_step / distance, distance > parameters.projection_step);
 }
 
-// Projects `start` by at most `limit` mm. With many materials, the end point is rejected if a third
-// material is at least as close as the two materials of the interface. The differences from third
-// materials are evaluated in the same loop as the Newton steps, because a second copy of
-// `surface_at` would cost registers in every step.
+// Projects `start`. The projection fails if it displaces the point by more than `limit` mm. With
+// many materials, the end point is rejected if a third material is at least as close as the two
+// materials of the interface. The differences from third materials are evaluated in the same loop
+// as the Newton steps, because a second copy of `surface_at` would cost registers in every step.
 fn project(start: vec3<f32>, limit: f32, lane: u32) -> Projected {
     var there = Projected(start, false, vec3(0.0), 0.0);
     var is_there = false;

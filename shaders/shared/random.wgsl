@@ -18,7 +18,7 @@ fn random_uniform(stream: u32, counter: u32) -> f32 {
 }
 
 // Returns the stream of a given kind for the current pass n: 4n for deletion, 4n + 1 for insertion,
-// and 4n + 2 for the priority of newcomers. Class assignment uses the streams from 2^31.
+// and 4n + 2 for the priority of newcomers. Class assignment uses streams 2^31 and above.
 fn stream_of(kind: u32) -> u32 {
     return 4u * now.number + kind;
 }

@@ -1,5 +1,5 @@
-// Index of a round, class or colour, which distinguishes the dispatches of the same kernel in a
-// pass.
+// Index of the round, class or colour, depending on the kernel. It distinguishes the dispatches of
+// one kernel in a pass.
 
 struct Round {
     number: u32,

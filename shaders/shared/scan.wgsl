@@ -1,5 +1,5 @@
-// Parameters of a prefix sum. An invocation processes SUM_ELEMENTS numbers, and a workgroup
-// processes a block of SUM_GROUP * SUM_ELEMENTS numbers.
+// Parameters of a prefix sum. An invocation processes SUM_ELEMENTS elements, and a workgroup
+// processes a block of SUM_GROUP * SUM_ELEMENTS elements.
 
 struct Scan {
     // Length of the input. The output has one more element.

@@ -23,7 +23,7 @@ fn mirrored(i: i32, n: i32) -> i32 {
 
 // Returns the contribution of taps (x, y, z) and (x, y, z + 1) to the gradient per voxel (xyz) and
 // to the value (w); `plane` is x + 4 y. The sum over taps is unrolled by hand, because naga adds a
-// counter to every loop and drivers then neither unroll the loop nor issue its loads together.
+// counter to every loop; drivers then neither unroll the loop nor issue its loads together.
 fn two_taps(cell: Cell, plane: u32, z: u32) -> vec4<f32> {
     let step = vec3(plane & 3u, plane >> 2u, z);
     let size = vec3<i32>(parameters.grid_size);

@@ -7,16 +7,16 @@
 
 struct Jet {
     energy: f32,
-    // Gradient per mm in the tangent plane, including the change of the particle's own h with its
-    // position.
+    // Gradient per mm in the tangent plane. It includes the effect of the change in the particle's
+    // own h with position.
     gradient: vec2<f32>,
     // Hessian per mm squared for fixed h: entries uu, uv, vv.
     hessian: vec3<f32>,
 }
 
 // The first three neighbours of a lane as (position, h). A missing neighbour is placed far away.
-// Most lists have at most 24 members, three for each lane of a team of eight. These three are
-// loaded only once, although every attempted step reads them.
+// Most lists have at most 24 members, three for each lane of a team of eight. They are loaded once
+// and used by every attempted step.
 struct Nearest {
     a: vec4<f32>,
     b: vec4<f32>,

@@ -16,8 +16,8 @@ fn team_sum(value: vec4<f32>, lane: u32) -> vec4<f32> {
     return sum;
 }
 
-// Returns the value with the largest x among the lanes of the team. If several values have the
-// largest x, the one with the smallest y is returned. Every lane gets the same result.
+// Returns the value with the largest x among the lanes of the team. Ties go to the smallest y.
+// Every lane gets the same result.
 fn team_best(value: vec4<f32>, lane: u32) -> vec4<f32> {
     workgroupBarrier();
     team_scratch[lane] = value;

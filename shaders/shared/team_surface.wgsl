@@ -1,5 +1,5 @@
-// Evaluates F with a team of lanes. The 64 taps are distributed over the lanes, without a loop (the
-// comment of two_taps gives the reason).
+// Evaluates F with a team of lanes. The lanes share the 64 taps. The sum is unrolled for the reason
+// given at two_taps.
 
 // Returns the gradient of F per mm (xyz) and F in mm (w).
 fn surface_at(position: vec3<f32>, lane: u32) -> vec4<f32> {

@@ -2,7 +2,7 @@
 
 struct Totals {
     energy: f32,
-    // Maximum distance that a particle has moved since the lists were built, in units of its h.
+    // Maximum displacement of a particle since the lists were built, in units of its h.
     longest_way: f32,
     moved: u32,
     tries: u32,

@@ -1,5 +1,5 @@
-// Test kernel: evaluates F (or G, the difference for the particle's interface) and h with their
-// gradients at each particle, and reports whether projecting the particle succeeds. One team
+// Test kernel: evaluates F (or the half difference G of the particle's interface), h and their
+// gradients at each particle, and reports whether the projection of the particle succeeds. One team
 // processes each particle.
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;

@@ -67,7 +67,8 @@ hxt_lock=$here/requirements-hxt.lock
 hxt_packages="libgl1 libglu1-mesa libxrender1 libxcursor1 libxft2 libxinerama1 libxfixes3 libfontconfig1 libgomp1"
 stamp=$venv/.tetmesh-check-stamp
 
-# Prints how this user can install Debian packages: "" (as root), "sudo -n" or "no".
+# Prints the command prefix with which this user can install Debian packages: "" for root, "sudo
+# -n", or "no" if it is impossible or not permitted.
 privilege() {
     if ! command -v apt-get >/dev/null 2>&1 || [ "$system_packages" = no ] || [ "$check_only" = yes ]; then
         echo no
@@ -169,7 +170,7 @@ is_ready() {
 }
 
 # lock HOW : locks file descriptor 9 until this shell exits. Returns 1 if another process holds the
-# lock and HOW is "try". Succeeds on file systems without locks.
+# lock and HOW is "try". On file systems that do not support locks, it succeeds without a lock.
 lock() {
     "$python" -c 'import fcntl, sys
 try:
@@ -248,7 +249,7 @@ if [ "$with_hxt" = yes ]; then
     say "installing HXT: Gmsh, GPL-2.0-or-later (40 MB; --without-hxt leaves it out)"
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input --no-deps --only-binary :all: --require-hashes \
         -r "$hxt_lock" || say "pip could not install Gmsh; see the message above"
-    # system libraries are of use only if the Python package is installed
+    # the system libraries help only if Gmsh's Python package is installed
     if ! reason=$(can_hxt) && has_modules "$venv/bin/python" gmsh; then
         # shellcheck disable=SC2086 # a list of names
         install_packages $hxt_packages || true

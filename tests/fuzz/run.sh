@@ -62,7 +62,7 @@ pack() {
     cp tests/fuzz/run.sh tests/fuzz/words.dict "$1/"
     for reader in $(sed -n 's/^    reader("\([a-z_]*\)".*/\1/p' tests/src/readers.rs); do
         mkdir -p "$1/seeds/$reader"
-        # The slices of a series are concatenated into one file.
+        # An input of the DICOM reader is one file: the concatenated slices of a series.
         if [ "$reader" = dicom ]; then
             for series in common/volume/tests/data/dicom/*; do cat "$series"/*.dcm >"$1/seeds/dicom/${series##*/}.dcm"; done
         fi
@@ -79,7 +79,8 @@ fuzz() {
     end=$(($(date +%s) + seconds))
     : >"$work/logs/$1"
     while left=$((end - $(date +%s))) && [ "$left" -gt 0 ]; do
-        # Temporary files are in /dev/shm, if it is writable. Each process runs one thread.
+        # The reader gets each input as a temporary file, which is in memory (/dev/shm) if possible.
+        # It runs on one thread.
         status=0
         READER=$1 TMPDIR=$scratch/$1 RAYON_NUM_THREADS=1 "$program/readers" "$work/corpus/$1" "$program/seeds/$1" -dict="$program/words.dict" \
             -max_total_time="$left" -max_len=$most -timeout=10 -rss_limit_mb=2048 -print_final_stats=1 \

@@ -1,4 +1,4 @@
-//! The `phantom` program: writes an analytic volume and its exact figures for tests, demos and
+//! The `phantom` program: writes an analytic volume, and its exact properties, for tests, demos and
 //! benchmarks.
 
 use clap::Parser;
@@ -12,7 +12,7 @@ use isoparticles_volume::{Geometry, Space};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Write an analytic volume (NRRD) and, on request, the exact figures of its surface (JSON).
+/// Write an analytic volume (NRRD) and, optionally, the exact properties of its surface (JSON).
 ///
 /// Example: phantom torus -o torus.nrrd --size 64 --spacing 1,1,1.5 --truth torus.json
 #[derive(Debug, Parser)]
@@ -24,8 +24,8 @@ struct Arguments {
     /// File to write (NRRD, gzip).
     #[arg(short, long)]
     output: PathBuf,
-    /// Write the exact figures (area, volume, genus, components, local feature size, iso value) to
-    /// this JSON file.
+    /// Write the exact properties of the surface (area, volume, genus, components, local feature
+    /// size, iso value) to this JSON file.
     #[arg(long, value_name = "FILE.json")]
     truth: Option<PathBuf>,
     /// Number of voxels: one number for a cube, or three separated by commas [default: 64; torso
@@ -35,13 +35,14 @@ struct Arguments {
     /// Voxel spacing, mm: one number, or three separated by commas [default: 1; torso 1.3].
     #[arg(long, value_parser = parse_spacing)]
     spacing: Option<[f64; 3]>,
-    /// Scalar volume (smooth edge, Hounsfield-like) or label map.
+    /// Scalar volume (smooth edges, values similar to Hounsfield units) or label map.
     #[arg(long, value_enum, default_value_t = Kind::Scalar)]
     kind: Kind,
     /// Voxel type of scalar volumes.
     #[arg(long = "type", value_enum, default_value_t = Type::Int16)]
     voxel_type: Type,
-    /// Standard deviation of Gaussian noise, in scalar units (inside and outside differ by 400).
+    /// Standard deviation of the Gaussian noise, in scalar units (inside and outside differ by
+    /// 400).
     #[arg(long, default_value_t = 0.0, value_name = "SIGMA")]
     noise: f64,
     /// Wall thickness of `thin-shell`, mm [default: 2.5 voxels].
@@ -53,43 +54,45 @@ struct Arguments {
     /// Part of `torso`.
     #[arg(long, value_enum, default_value_t = torso::Part::All)]
     part: torso::Part,
-    /// Rotate the grid about the world's x, then y, then z axis: three angles in degrees, separated
-    /// by commas.
+    /// Rotate the grid about the x, then the y, then the z axis of the world: three angles in
+    /// degrees, separated by commas.
     #[arg(long, value_parser = parse_three, value_name = "X,Y,Z", allow_hyphen_values = true)]
     rotate: Option<[f64; 3]>,
     /// Mirror the first grid axis in the world, so that the three axes are left-handed.
     #[arg(long)]
     left_handed: bool,
-    /// World position of the first voxel's centre, mm (LPS, also with --space RAS).
+    /// World position of the first voxel's centre, mm (in LPS, even with --space RAS).
     #[arg(long, value_parser = parse_three, value_name = "X,Y,Z", allow_hyphen_values = true)]
     origin: Option<[f64; 3]>,
-    /// World frame named in the file; the numbers in the file follow it.
+    /// World frame specified in the file; the origin and the directions in the file are in this
+    /// frame.
     #[arg(long, value_enum, default_value_t = FileSpace::Lps)]
     space: FileSpace,
-    /// Seed of the noise.
+    /// Seed for the noise.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Write raw instead of gzip.
+    /// Write the voxels uncompressed instead of with gzip.
     #[arg(long)]
     raw: bool,
-    /// Replace files that exist.
+    /// Overwrite existing files.
     #[arg(long)]
     force: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Kind {
-    /// Scalars with a smooth edge around the iso value 100, or the iso value in the truth file.
+    /// Scalars with smooth edges; the iso value of the surface is 100, except for the torso (see
+    /// --truth).
     Scalar,
-    /// Labels: 0 outside, 1 inside; the torso has four tissues.
+    /// Labels: 0 outside, 1 inside; the torso has labels for four tissues.
     Label,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Type {
-    /// 16-bit integers, as from a scanner.
+    /// 16-bit integers, as in a scan.
     Int16,
-    /// 32-bit floating point.
+    /// 32-bit floating-point numbers.
     Float,
 }
 
@@ -163,7 +166,8 @@ fn voxels(arguments: &Arguments, scene: &dyn Scene, geometry: &Geometry) -> Voxe
     }
 }
 
-/// Returns the exact figures of the scene, including those that depend on the kind of volume.
+/// Returns the exact properties of the scene, including the iso value or labels, which depend on
+/// the kind of volume.
 fn truth(arguments: &Arguments, scene: &dyn Scene, geometry: &Geometry) -> Truth {
     let mut truth = scene.truth();
     truth.centre_world = geometry.grid_to_world(DVec3::from_array(truth.centre_grid)).to_array();

@@ -19,8 +19,8 @@ pub trait Scene: Sync {
         u8::from(self.value(position) < 0.0)
     }
 
-    /// Returns the edge profile at a position, for an edge of the given width (mm): 0 outside, 1
-    /// inside, 0.5 on the surface.
+    /// Returns the value of the edge profile at a position, for an edge of the given width (mm): 0
+    /// far outside, 0.5 on the surface, 1 deep inside.
     fn profile(&self, position: DVec3, edge_width: f64) -> f64 {
         edge_profile(self.value(position), edge_width)
     }
@@ -31,7 +31,7 @@ pub trait Scene: Sync {
         (-100.0, 300.0)
     }
 
-    /// Returns the exact figures of the surface.
+    /// Returns the exact properties of the surface.
     fn truth(&self) -> Truth;
 }
 
@@ -41,13 +41,13 @@ pub fn edge_profile(signed_distance: f64, edge_width: f64) -> f64 {
     0.5 * (1.0 - (signed_distance / edge_width).tanh())
 }
 
-/// Exact figures of a scene's surface. A figure is `None` if it is not available in closed form or
-/// by quadrature.
+/// Exact properties of a scene's surface. A property is `None` if it is known neither in closed
+/// form nor by quadrature.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Truth {
     /// Name of the shape.
     pub shape: String,
-    /// How the figures are obtained, in one sentence.
+    /// How the properties are obtained, in one sentence.
     pub method: String,
     /// Iso value of the surface in the scalar volume.
     pub iso: Option<f64>,
@@ -94,13 +94,13 @@ pub enum Shape {
     TwoBalls,
     /// A gyroid that fills the volume and is cut by all six borders.
     Gyroid,
-    /// A cylinder along z, cut by the lower and the upper border.
+    /// A cylinder along z, cut by the lower and upper borders.
     Cylinder,
     /// A plate one voxel thick.
     Plate,
     /// A rod one voxel wide.
     Rod,
-    /// Two boxes that touch along one voxel edge (not manifold as a set of voxels).
+    /// Two boxes that touch along one voxel edge (non-manifold as a set of voxels).
     TouchingBoxes,
     /// A chest with heart-like, lung-like and ribcage-like parts.
     Torso,

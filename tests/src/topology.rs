@@ -1,13 +1,13 @@
 //! Computes the digital topology of a set of voxels: the components, cavities and Euler
-//! characteristic of the cubical complex. This module shares no code with the meshing, so tests can
-//! compare meshes with its results.
+//! characteristic of the cubical complex. This module shares no code with the meshing stages, so
+//! tests can compare meshes with its results.
 //!
 //! For a solid with `b0` components, `b2` cavities and `b1` handles, `euler = b0 - b1 + b2`. The
 //! genera of all its `b0 + b2` surfaces sum to `b1`.
 
 use isoparticles_volume::Image;
 
-/// Topology of a union of closed voxels, which is connected across faces, edges and corners.
+/// Topology of a union of closed voxels. Voxels are connected across faces, edges and corners.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Topology {
     /// Connected components of the object.

@@ -8,7 +8,7 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
 /// Width of the edge profile in units of the mean voxel spacing. The profile rises from 10 to 90 %
-/// within ln 9 = 2.2 widths, which are 2.75 voxels.
+/// within ln 9 = 2.2 widths, or 2.75 voxels.
 pub const EDGE_WIDTH_VOXELS: f64 = 1.25;
 
 /// Stream number of the counter-based random numbers for the noise. Its bytes spell "noise!".
@@ -77,8 +77,8 @@ mod tests {
         let count = differences.len() as f64;
         let mean = differences.iter().sum::<f64>() / count;
         let deviation = (differences.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / count).sqrt();
-        // The tolerances are four standard errors for 13,824 random numbers: 0.7 for the mean and
-        // 0.5 for the standard deviation.
+        // The tolerances, 0.7 for the mean and 0.5 for the standard deviation, are four standard
+        // errors for 13,824 random numbers with a standard deviation of 20.
         assert!(mean.abs() < 0.7, "mean {mean}");
         assert!((deviation - 20.0).abs() < 0.5, "deviation {deviation}");
     }

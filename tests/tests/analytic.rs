@@ -1,4 +1,4 @@
-//! Compares the results of all stages with the exact figures of phantoms: area, volume, genus,
+//! Compares the results of all stages with the exact properties of phantoms: area, volume, genus,
 //! components, distance to the true surface, and local feature size.
 
 mod support;
@@ -40,8 +40,8 @@ fn mesh_with(shape: Shape, geometry: &Geometry, kind: Kind, wishes: &Wishes) -> 
     Meshed { truth, examined, vertices: surface.vertices }
 }
 
-/// Asserts that the mesh is closed and has the right topology and good triangles, and that area and
-/// volume are within 1 % of the exact figures.
+/// Asserts that the mesh is closed and has the right topology and good triangles, and that its area
+/// and volume are within 1 % of the exact values.
 #[track_caller]
 fn assert_as_stated(shape: Shape, meshed: &Meshed) {
     let (examined, truth) = (&meshed.examined, &meshed.truth);
@@ -54,7 +54,7 @@ fn assert_as_stated(shape: Shape, meshed: &Meshed) {
         let relative = found / stated - 1.0;
         assert!(relative.abs() < 0.01, "{shape:?}: {name} {found} is off {stated} by {:.2} %", 100.0 * relative);
     }
-    // The same limits apply to meshes of organs, which are at least as difficult as phantoms.
+    // Meshes of organs, which are at least as hard to mesh as phantoms, have the same limits.
     assert!(examined.mean_radius_ratio >= 0.95, "{shape:?}: {examined:?}");
     assert!(examined.smallest_radius_ratio >= 0.30, "{shape:?}: {examined:?}");
 }
@@ -191,7 +191,7 @@ fn one_voxel_thin_labels_keep_their_topology() {
 /// Tests the local feature size in an image blurred like a scan. The spline through a blurred edge
 /// has ripples of a few thousandths of a voxel. Measured minimum and median, divided by the exact
 /// value: 0.988 and 0.995 for the ball, 0.966 and 0.987 for the torus, 1.005 and 0.999 for two
-/// balls. For the ellipsoid, the ratio of the minima, at its tips, is 1.016.
+/// balls. On the ellipsoid, the measured minimum, at the tips, is 1.016 times the exact minimum.
 #[test]
 fn local_feature_size_stands_the_ripple_of_an_edge() {
     for (shape, n) in [(Shape::Ball, 56), (Shape::Torus, 64), (Shape::TwoBalls, 56), (Shape::Ellipsoid, 64)] {
@@ -307,10 +307,10 @@ fn noisy_sizes(shape: Shape, n: usize, noise: f64) -> [f64; 4] {
     [figure(feature, "min"), figure(feature, "median"), figure(size, "min"), figure(size, "median")]
 }
 
-/// Noise of 5 % of the edge height produces bumps of 0.1 voxel (root mean square) on the surface
-/// and must change the medians by at most 10 %. Measured changes for the ball, the torus and two
-/// balls: -5, -4 and -7 % (local feature size); -4, 0 and -3 % (h). If the noise were treated as
-/// part of the shape, the minimum local feature size of each shape would be 1.3 voxels.
+/// Noise with a standard deviation of 5 % of the edge height produces bumps of 0.1 voxel (root mean
+/// square) on the surface. The medians may change by at most 10 %. Measured changes for the ball,
+/// the torus and two balls: -5, -4 and -7 % (local feature size); -4, 0 and -3 % (h). If the noise
+/// were treated as part of the shape, the minimum local feature size would be 1.3 voxels.
 #[test]
 fn local_feature_size_and_h_stand_noise() {
     for (shape, n) in [(Shape::Ball, 56), (Shape::Torus, 64), (Shape::TwoBalls, 56)] {

@@ -1,5 +1,5 @@
-//! Tests the stages that read files of other stages. They must refuse files of the wrong kind,
-//! damaged files, fields of another volume and impossible parameters. The module also tests
+//! Tests the stages that read files written by other stages. They must refuse files of the wrong
+//! kind, damaged files, fields of another volume and impossible parameters. The module also tests
 //! interrupted and resumed runs.
 
 mod support;
@@ -29,8 +29,8 @@ fn good() -> &'static Files {
         .1
 }
 
-/// Returns the name, the arguments (with valid inputs) and the name of the output for each of four
-/// stages.
+/// Returns, for each stage from `sizefield` to `reconstruct`, its name, its arguments with valid
+/// inputs, and the file name of its output.
 fn commands(files: &Files) -> [(&'static str, Vec<OsString>, &'static str); 4] {
     let fields = arguments!["--distfield", &files.distfield, "--sizefield", &files.sizefield];
     let with_fields = |first: &Path| {

@@ -1,4 +1,4 @@
-//! Tests invalid input of `distfield`, which reads the user's files. The program must exit with
+//! Tests `distfield`, which reads the user's files, with invalid input. The program must exit with
 //! code 2, print a three-part error and leave no file behind.
 
 mod support;
@@ -250,7 +250,7 @@ fn a_folder_that_is_not_there_is_refused() {
 #[cfg(target_os = "linux")]
 fn an_unwritable_folder_and_a_full_disk_are_told() {
     let case = Case::phantom(Kind::Scalar);
-    // /proc represents a folder in which not even root can create files, and /dev/full a full disk.
+    // Not even root can create files in /proc. Writing to /dev/full fails as on a full disk.
     for output in ["/proc/out.vti", "/dev/full"] {
         stage("distfield", command(&case.input, Path::new(output), &["--iso", "100"])).expect_error(2, &[output]);
         assert_eq!(listing(case.folder.path()), ["volume.nrrd"]);

@@ -26,7 +26,7 @@ fn adapter(test: &str) -> Option<String> {
     name
 }
 
-/// Makes a small case with target edge length `h` (mm), with the particles settled on the CPU.
+/// Meshes a small bumpy torus with target edge length `h` (mm). The particles settle on the CPU.
 fn torus(folder: &Path, h: f64) -> Files {
     let volume = folder.join("torus.nrrd");
     write_phantom(&volume, Shape::BumpyTorus, &Geometry::axis_aligned([36; 3], DVec3::ONE), Kind::Scalar);

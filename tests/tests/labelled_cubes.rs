@@ -8,7 +8,7 @@ use isoparticles_tests::nrrd::{self, FileSpace, Voxels};
 use isoparticles_volume::Geometry;
 use support::chain::{self, Wishes};
 
-/// Meshes `count`^3 cubes of `width`^3 voxels, each with a separate label. Returns the number of
+/// Meshes `count`^3 cubes of `width`^3 voxels, each with its own label. Returns the number of
 /// transactions that the optimiser tried.
 fn tried(count: usize, width: usize) -> u64 {
     let folder = tempfile::tempdir().expect("folder");

@@ -1,6 +1,6 @@
-//! Tests limits that stages check before they start: an edge length larger than the object, and
-//! memory above the maximum. The error must state the edge length or the memory, and no file may be
-//! left behind.
+//! Tests that stages refuse to start if the edge length is too large for the object, or if the work
+//! needs more memory than the limit. The error must state the edge length or the memory, and no
+//! file may be left behind.
 
 mod support;
 
@@ -40,7 +40,7 @@ fn a_size_above_the_object_is_refused_with_a_better_one() {
     let too_large = arguments![&files.distfield, "--uniform", "500"];
     refused(folder.path(), "sizefield", too_large, "new.vti", &["h = 500 mm is too large", "gives about 100 vertices"]);
 
-    // seed must also refuse a sizing field that was edited so that h is too large.
+    // seed must also refuse a size field that was edited so that h is too large.
     let field = read_field(&files.sizefield, FieldKind::Sizing).expect("a size field");
     let large = folder.path().join("large.vti");
     let image = Image::filled(field.image.geometry.clone(), 500.0);

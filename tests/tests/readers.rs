@@ -160,8 +160,8 @@ proptest! {
     }
 }
 
-/// Runs the readers on `tests/data/found/NUMBER.READER`, the inputs for which fuzzing found faults.
-/// There is one file per fault.
+/// Runs the readers on `tests/data/found/NUMBER.READER`, the inputs with which fuzzing exposed
+/// faults. There is one file per fault.
 #[test]
 fn what_was_found_stays_found() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/found");

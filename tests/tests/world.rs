@@ -12,9 +12,8 @@ use support::chain::{self, Wishes};
 use support::examine::examine;
 use support::{Kind, write_phantom_with};
 
-/// Meshes an ellipsoid and compares every vertex with the true surface, positioned according to the
-/// file header. The three axes of the ellipsoid have different lengths, so swapped axes are
-/// detected.
+/// Meshes an ellipsoid. Every vertex must lie on the true surface, which the file header places in
+/// the world. The three axes of the ellipsoid have different lengths, so swapped axes are detected.
 fn lands_where_the_header_says(left_handed: bool, space: FileSpace) {
     let mut directions = DMat3::from_rotation_z(0.5) * DMat3::from_rotation_y(-0.3) * DMat3::from_rotation_x(0.8);
     if left_handed {
@@ -38,8 +37,8 @@ fn lands_where_the_header_says(left_handed: bool, space: FileSpace) {
     let to_grid = directions.transpose();
     let farthest = surface.vertices.iter().map(|world| scene.value(to_grid * (*world - geometry.origin)).abs());
     let farthest = farthest.fold(0.0, f64::max);
-    // The measured distance is at most 0.02 mm at voxel spacings of 0.7 to 1.5 mm. It is caused by
-    // the spline through the samples of the blurred edge.
+    // The measured distance is at most 0.02 mm at voxel spacings of 0.7 to 1.5 mm. It is the error
+    // of the spline through the samples of the blurred edge.
     assert!(farthest < 0.06, "a vertex is {farthest} mm from where it should be");
 
     let examined = examine(&surface.vertices, &surface.triangles);

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Times this Delaunay triangulation and CGAL's on the same points in one run, and prints a table
+# Times the Delaunay triangulations of this crate and of CGAL on the same points, and prints a table
 # (`make bench-delaunay`). Only this script needs g++, CGAL and TBB (Debian: apt-get install g++
 # libcgal-dev libtbb-dev).
 #
@@ -7,19 +7,20 @@
 #              [--passes N] [--repeat N] [--threads N] [--no-degenerate] [--no-parallel]
 #
 # --bin            folder of the stage programs and of bench_delaunay   [target/release]
-# --work           folder for points and programs; points are reused     [out/bench-delaunay]
+# --work           folder for intermediate files, which are reused      [out/bench-delaunay]
 # --sizes          uniform target edge lengths in mm for particles settled on the ribcage of the
 #                  torso phantom
 #                  [1.482 0.663 0.332: about 100, 500 and 2,000 thousand particles]
-# --particles      files of settled particles on other surfaces         [none]
+# --particles      further files of settled particles to triangulate    [none]
 # --passes         maximum number of passes of `particles`              [12]
-# --repeat         number of runs of each program; the fastest counts   [3]
+# --repeat         number of runs of each program; the fastest is shown [3]
 # --threads        number of threads of the parallel runs               [all]
 # --no-degenerate  skip the cospherical points, the grid and the random cube
 # --no-parallel    skip the runs on several threads
 #
 # Times exclude file reading. CPU time is summed over all threads. Bytes are the increase in peak
-# memory. Ratios are this triangulation's figures divided by CGAL's for the same number of threads.
+# memory. Ratios are the figures of this crate divided by the figures of CGAL for the same number of
+# threads.
 set -eu
 
 bin=${BIN:-target/release}

@@ -85,8 +85,8 @@ fn memory(key: &str) -> u64 {
 /// Returns 0 if the time is unknown.
 fn processor_seconds() -> f64 {
     let status = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    // The program name is in parentheses and may contain spaces. User and system time are the 12th
-    // and 13th fields after it, in ticks of 0.01 s.
+    // The program name in this file is in parentheses and may contain spaces. The 12th and 13th
+    // fields after the name are the user and system time in ticks of 0.01 s.
     let after = status.rsplit(')').next().unwrap_or_default();
     after.split_whitespace().skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / 100.0
 }

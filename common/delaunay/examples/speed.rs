@@ -4,8 +4,8 @@
 //! cargo run --release -p isoparticles-delaunay --example speed [POINTS]
 //! ```
 //!
-//! Prints one line per point set and checks nothing. Each set has 100,000 points by default. Large
-//! sets use all cores. Set `RAYON_NUM_THREADS=1` to measure one thread.
+//! Prints one line per point set. Each set has 100,000 points by default. Large sets are
+//! triangulated on all cores. Set `RAYON_NUM_THREADS=1` to measure one thread.
 
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;

@@ -1,6 +1,6 @@
 //! Computes the exact signs of the orientation and in-sphere determinants in integer arithmetic.
-//! The module decides inputs that the floating-point filters cannot decide, such as cospherical and
-//! coplanar points.
+//! This module handles the inputs that the floating-point filters cannot decide, such as
+//! cospherical and coplanar points.
 //!
 //! Every double is an integer times a power of two. In units of the lowest set bit of all
 //! coordinates, the coordinate differences of nearby points therefore have few bits. They fit in 62
@@ -11,13 +11,14 @@
 
 use glam::DVec3;
 
-/// Maximum number of bits of a coordinate difference, excluding the sign. The orientation, a sum of
-/// 6 products of 3 differences, then has 3 * 62 + log2(6) < 189 bits. The in-sphere determinant, a
-/// sum of 72 products of 5 differences, has 5 * 62 + log2(72) < 317 bits.
+/// Maximum number of bits of a coordinate difference, excluding the sign. The orientation
+/// determinant, a sum of 6 products of 3 differences, then has 3 * 62 + log2(6) < 189 bits. The
+/// in-sphere determinant, a sum of 72 products of 5 differences, has 5 * 62 + log2(72) < 317 bits.
 const DIFFERENCE_BITS: u32 = 62;
 
-/// Maximum number of bits per difference for which the in-sphere determinant fits in an `i64`: it
-/// has at most 5 * 11 + log2(72) < 62 bits. Differences of grid points are usually this small.
+/// Maximum number of bits per difference for which the in-sphere determinant fits in an `i64`: the
+/// determinant then has at most 5 * 11 + log2(72) < 62 bits. Differences of grid points are usually
+/// this small.
 const SMALL_BITS: u32 = 11;
 
 type Difference = [i64; 3];
@@ -250,8 +251,8 @@ mod tests {
 
     #[test]
     fn the_largest_differences_do_not_overflow() {
-        // corners of a box with an edge of 2^62 - 1024 units; a random bit shifts each coordinate
-        // by one unit at the lower end, or by 512 units at the upper end
+        // corners of a box with an edge of 2^62 - 1024 units; a random bit decides whether 1 unit
+        // (at the lower end) or 512 units (at the upper end) are added to each coordinate
         let edge = 2f64.powi(62);
         for n in 0..4000u64 {
             let points: [DVec3; 5] = std::array::from_fn(|k| {

@@ -14,9 +14,9 @@ const UNKNOWN: u8 = 0;
 const IN_CONFLICT: u8 = 1;
 const KEPT: u8 = 2;
 
-/// Neighbour entries at or above this value mark a cut: the neighbour belongs to another region.
-/// The outermost cut has the largest value. At most `Cutting::depth` (3) cuts are nested, so 256
-/// markers are more than enough.
+/// Smallest neighbour entry that marks a cut. The neighbour across a cut belongs to another region.
+/// The marker of the outermost cut has the largest value. At most `Cutting::depth` (3) cuts are
+/// nested, so 256 markers are more than enough.
 const ELSEWHERE: u32 = u32::MAX - 255;
 
 /// A cut, identified by its depth (0 for the outermost cut). As an error, it means that the
@@ -39,8 +39,7 @@ impl Beyond {
 
 type Reached<T> = std::result::Result<T, Beyond>;
 
-/// Entry facet of the first tetrahedron of a walk. The walk enters this tetrahedron through none of
-/// its facets.
+/// Sentinel for the entry facet of the first tetrahedron of a walk, where the walk starts.
 const NOWHERE: usize = 4;
 
 /// Maximum number of tetrahedra before an insertion. Indices have 30 bits, because neighbour
@@ -71,14 +70,14 @@ pub(super) struct Workspace {
     kept: Vec<u32>,
     walls: Vec<Wall>,
     created: Vec<u32>,
-    /// `numbered` plus the local number of each cavity vertex, stored at index v + 1 for vertex v
+    /// `numbered` plus the local index of each cavity vertex, stored at index v + 1 for vertex v
     /// and at index 0 for the vertex at infinity. Smaller values are left over from earlier
     /// insertions.
     numbers: Vec<u32>,
     numbered: u32,
-    /// For each directed edge (an ordered pair of local numbers), the facet that contains it.
+    /// For each directed edge (an ordered pair of local indices), the facet that contains it.
     table: Vec<u32>,
-    /// The edges and their facets as a sortable list. For large cavities, it replaces the table.
+    /// The edges with their facets, to be sorted. This list replaces the table for large cavities.
     edges: Vec<(u32, u32, u32)>,
 }
 
@@ -180,8 +179,8 @@ impl Sites<'_> {
     }
 
     /// Returns the rank of a vertex in the symbolic perturbation: a hash of the caller's index. The
-    /// odd factor keeps the ranks distinct. If ranks increased along a surface or grid, cospherical
-    /// points would be connected by fans of long tetrahedra.
+    /// hash multiplies by an odd number, so the ranks are distinct. If ranks increased along a
+    /// surface or grid, cospherical points would be connected by fans of long tetrahedra.
     fn rank(&self, v: u32) -> u32 {
         let index = if self.named.is_empty() { v } else { self.named[v as usize] };
         index.wrapping_mul(0x9e37_79b9)
@@ -201,7 +200,7 @@ impl Sites<'_> {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Cells {
     pub(super) tetrahedra: Vec<Tetrahedron>,
-    /// Numbers of removed tetrahedra, available for reuse.
+    /// Indices of removed tetrahedra, available for reuse.
     pub(super) free: Vec<u32>,
     /// Tetrahedron where the next walk starts.
     pub(super) last: u32,
@@ -221,7 +220,7 @@ impl Cells {
         self.work.states.reserve(more);
     }
 
-    /// Appends the tetrahedra of `others`. Their numbers increase by the number of slots of `self`.
+    /// Appends the tetrahedra of `others`. Their indices increase by the number of slots of `self`.
     /// Reserves memory for `spare` further tetrahedra. Facets on a cut remain marked.
     pub(super) fn joined_by(mut self, mut others: Self, spare: usize) -> Self {
         let offset = self.tetrahedra.len() as u32;
@@ -243,7 +242,7 @@ impl Cells {
 
     /// Creates the first tetrahedron and its four ghosts.
     pub(super) fn start(&mut self, simplex: [u32; 4]) {
-        // the ghost at facet i has number i + 1, and the facet has index 0 in the ghost
+        // the ghost at facet i has index i + 1, and the facet has index 0 in the ghost
         self.tetrahedra.push(Tetrahedron { vertices: simplex, neighbours: [1, 2, 3, 4].map(|ghost| ghost << 2) });
         for (i, facet) in FACETS.iter().enumerate() {
             // Seen from outside, the facet is counter-clockwise. Swapping two vertices and putting
@@ -301,11 +300,11 @@ impl Cells {
         }
     }
 
-    /// Returns whether a tetrahedron is in conflict with a vertex: the circumsphere of the
-    /// tetrahedron contains the vertex. A ghost is in conflict if the vertex lies in the open
-    /// half-space beyond its hull triangle. If the vertex lies in the plane of that triangle, the
-    /// circumsphere of the finite neighbour decides. Returns an error if that neighbour lies beyond
-    /// a cut.
+    /// Returns whether a tetrahedron is in conflict with a vertex, that is, whether the
+    /// circumsphere of the tetrahedron contains the vertex. A ghost is in conflict if the vertex
+    /// lies in the open half-space beyond its hull triangle. If the vertex lies in the plane of
+    /// that triangle, the circumsphere of the finite neighbour decides. Returns an error if that
+    /// neighbour lies beyond a cut.
     #[inline]
     fn conflicts(&self, sites: Sites<'_>, t: u32, v: u32, point: DVec3) -> Reached<bool> {
         let vertices = &self.tetrahedra[t as usize].vertices;
@@ -389,7 +388,7 @@ impl Cells {
     }
 
     /// Connects the walls of the cavity to the vertex and links the new tetrahedra to each other.
-    /// Reuses the numbers of the removed tetrahedra.
+    /// Reuses the indices of the removed tetrahedra.
     fn fill(&mut self, v: u32, vertices: usize, work: &mut Workspace) {
         work.created.clear();
         let mut vacant = work.conflict.iter().copied();

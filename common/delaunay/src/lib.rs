@@ -9,7 +9,7 @@
 //! triangulation does not depend on the insertion order. Coplanar point sets are rejected, because
 //! they have no tetrahedra.
 //!
-//! The same points give the same tetrahedra with the same numbers on any number of threads. For
+//! The same points give the same tetrahedra with the same indices on any number of threads. For
 //! half a million surface points, this crate is about as fast as CGAL (`make bench-delaunay`).
 //!
 //! ```
@@ -55,22 +55,23 @@ use regions::Cutting;
 /// Index of the vertex at infinity, which belongs to every ghost tetrahedron.
 pub const INFINITE: u32 = u32::MAX;
 
-/// Marks a removed tetrahedron: its first vertex has this value.
+/// First vertex of every removed tetrahedron, as a marker.
 const DEAD: u32 = u32::MAX - 1;
 
 /// Maximum absolute value of a coordinate. The in-sphere determinant is a polynomial of degree 5,
 /// so its terms are at most of the order of 1e250. The largest double is 1.8e308.
 const LARGEST_COORDINATE: f64 = 1e50;
 
-/// Coordinates closer to zero than this are set to zero, so that the exact predicates never
-/// underflow. Nonzero differences of coordinates are at least 2^-53 times this value. Products of
-/// five differences are at least 1.7e-280, above the smallest normal double, 2.2e-308.
+/// Minimum absolute value of a nonzero coordinate. Smaller values are set to zero, so that the
+/// exact predicates never underflow. Nonzero differences between coordinates are at least 2^-53
+/// times this constant. Products of five differences are at least 1.7e-280, above the smallest
+/// normal double, 2.2e-308.
 const SMALLEST_COORDINATE: f64 = 1e-40;
 
 #[derive(Clone, Copy, Debug)]
 struct Tetrahedron {
     vertices: [u32; 4],
-    /// Entry i describes the neighbour across the facet opposite vertex i: the number of the
+    /// Entry i describes the neighbour across the facet opposite vertex i: the index of the
     /// neighbour times 4, plus the index of the facet in the neighbour.
     neighbours: [u32; 4],
 }
@@ -109,7 +110,7 @@ pub struct Delaunay {
 
 impl Delaunay {
     /// Triangulates points (in any unit), using all cores for large sets. The same points give the
-    /// same tetrahedra with the same numbers on any number of threads.
+    /// same tetrahedra with the same indices on any number of threads.
     ///
     /// # Errors
     /// If there are fewer than four distinct points, if all points lie in one plane, if a
@@ -155,19 +156,19 @@ impl Delaunay {
         self.vertex_count
     }
 
-    /// Returns the first point with the same coordinates as `point`, or `None` if `point` is the
-    /// first. Duplicates do not belong to any tetrahedron.
+    /// Returns the first point with the same coordinates as `point`, or `None` if `point` itself is
+    /// the first. Duplicates do not belong to any tetrahedron.
     pub fn duplicate_of(&self, point: u32) -> Option<u32> {
         let first = self.first[point as usize];
         (first != point).then_some(first)
     }
 
-    /// Returns one more than the largest tetrahedron number. Smaller numbers may be unused.
+    /// Returns one more than the largest tetrahedron index. Smaller indices may be unused.
     pub fn slot_count(&self) -> usize {
         self.cells.tetrahedra.len()
     }
 
-    /// Returns whether the tetrahedron with this number exists and has not been removed.
+    /// Returns whether a tetrahedron has not been removed.
     pub fn is_alive(&self, tetrahedron: u32) -> bool {
         self.cells.tetrahedra[tetrahedron as usize].vertices[0] != DEAD
     }
@@ -177,22 +178,22 @@ impl Delaunay {
         self.cells.tetrahedra[tetrahedron as usize].vertices.contains(&INFINITE)
     }
 
-    /// Returns all tetrahedra as (number, vertices). Finite tetrahedra have positive volume. A
-    /// ghost contains [`INFINITE`]. If this vertex is replaced with any point beyond the hull
-    /// triangle, the volume is also positive.
+    /// Returns all tetrahedra as (index, vertices). Finite tetrahedra have positive volume. A ghost
+    /// contains [`INFINITE`]. If this vertex is replaced with any point beyond the hull triangle,
+    /// the volume is also positive.
     pub fn tetrahedra(&self) -> impl Iterator<Item = (u32, [u32; 4])> + '_ {
         let all = self.cells.tetrahedra.iter().enumerate();
         all.filter(|(_, t)| t.vertices[0] != DEAD).map(|(i, t)| (i as u32, t.vertices))
     }
 
-    /// Returns all tetrahedra as (number, vertices), like [`Delaunay::tetrahedra`], as a parallel
-    /// iterator.
+    /// Returns all tetrahedra as (index, vertices), like [`Delaunay::tetrahedra`], but as a
+    /// parallel iterator.
     pub fn par_tetrahedra(&self) -> impl ParallelIterator<Item = (u32, [u32; 4])> + '_ {
         let all = self.cells.tetrahedra.par_iter().enumerate();
         all.filter(|(_, t)| t.vertices[0] != DEAD).map(|(i, t)| (i as u32, t.vertices))
     }
 
-    /// Returns the finite tetrahedra as (number, vertices).
+    /// Returns the finite tetrahedra as (index, vertices).
     pub fn finite_tetrahedra(&self) -> impl Iterator<Item = (u32, [u32; 4])> + '_ {
         self.tetrahedra().filter(|(_, vertices)| !vertices.contains(&INFINITE))
     }
@@ -222,7 +223,7 @@ impl Delaunay {
 
     /// Returns the circumcentre of a tetrahedron, or `None` for a ghost or a removed tetrahedron,
     /// or if the centre is not finite. The result is accurate even for a thin tetrahedron, because
-    /// the computation uses coordinates relative to one vertex, and [`predicates::volume`].
+    /// the computation uses [`predicates::volume`] and coordinates relative to one vertex.
     pub fn circumcentre(&self, tetrahedron: u32) -> Option<DVec3> {
         let v = self.vertices(tetrahedron);
         if v.contains(&INFINITE) || v[0] == DEAD {
@@ -283,7 +284,7 @@ impl Delaunay {
     }
 
     /// Returns the tetrahedra that the last insertion created, including ghosts. They may reuse the
-    /// numbers of removed tetrahedra.
+    /// indices of removed tetrahedra.
     pub fn created(&self) -> &[u32] {
         self.cells.work.created()
     }

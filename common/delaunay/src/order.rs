@@ -9,10 +9,10 @@ use rayon::prelude::*;
 /// Points in the same Hilbert cell are ordered by their coordinates.
 const BITS_PER_AXIS: u32 = 20;
 
-/// Sets with fewer distinct points are inserted in a single round. For larger sets, the first round
-/// has about 125 to 1000 points. The step `triangulate` of `reconstruct` takes 0.28 s for label 2
-/// of `thorax_labels` (84,000 particles) with limits of 250, 1000 and 4000, and 0.34 s with a
-/// single round.
+/// Minimum number of distinct points for which several rounds are used. The first round then has
+/// about 125 to 1000 points. For label 2 of `thorax_labels` (84,000 particles), the step
+/// `triangulate` of `reconstruct` takes 0.28 s if this limit is 250, 1000 or 4000, and 0.34 s with
+/// a single round.
 const FEWEST_FOR_ROUNDS: usize = 1000;
 
 /// The insertion order of a set of points.
@@ -86,7 +86,7 @@ pub(super) fn insertion_order(points: &[DVec3]) -> Order {
 /// (Steele, Lea and Flood 2014).
 fn well_mixed(index: u32) -> u64 {
     // The offset is arbitrary. A different offset changes the insertion order and therefore the
-    // numbers of the tetrahedra.
+    // numbering of the tetrahedra.
     let x = 0x134a_bdb5_a05c_6011_u64.wrapping_add(u64::from(index));
     let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);

@@ -26,8 +26,8 @@ fn coordinates(p: DVec3) -> Coord3D<f64> {
 }
 
 /// Returns a number with the exact sign of (b - a) x (c - a) . (d - a). The sign is positive if b,
-/// c, d are counter-clockwise as seen from the side of their plane opposite a (VTK's vertex order).
-/// Only the sign is meaningful; use [`volume`] for the value.
+/// c, d are counter-clockwise as seen from the side of their plane that does not contain a (VTK's
+/// vertex order). Only the sign is meaningful; use [`volume`] for the value.
 #[inline]
 pub fn orientation(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     let (u, v, w) = (b - a, c - a, d - a);
@@ -53,7 +53,7 @@ fn orientation_of_flat(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
 }
 
 /// Returns a number with the exact sign of the in-sphere determinant. The sign is positive if e
-/// lies inside the sphere through the positively oriented tetrahedron a, b, c, d. The result is
+/// lies inside the circumsphere of the positively oriented tetrahedron a, b, c, d. The result is
 /// zero if e lies on the sphere.
 #[inline]
 pub fn in_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
@@ -95,11 +95,12 @@ fn in_sphere_near_zero(determinant: f64, [a, b, c, d, e]: [DVec3; 5]) -> f64 {
     exact::in_sphere_sign(&[a, b, c, d, e]).unwrap_or_else(expansion)
 }
 
-/// Returns whether `points[4]` lies inside the sphere through the positively oriented
-/// `points[0..4]`, and breaks ties by rank. Each point of the paraboloid (x, y, z, x^2 + y^2 + z^2)
-/// is lifted by an infinitesimal amount; a larger rank means an infinitely larger lift. The lift of
-/// a point is always the same, so all results are consistent with one regular triangulation. Its
-/// cells are never flat, and its cavities are star-shaped. Points and ranks must be distinct.
+/// Returns whether `points[4]` lies inside the circumsphere of the positively oriented tetrahedron
+/// `points[0..4]`, and breaks ties by rank. Each point is raised above the paraboloid
+/// `(x, y, z, x^2 + y^2 + z^2)` by an infinitesimal amount; a larger rank means an infinitely
+/// larger amount. The amount depends only on the rank, so all results are consistent with one
+/// regular triangulation. The cells of this triangulation are never flat, and its cavities are
+/// star-shaped. Points and ranks must be distinct.
 #[inline]
 pub fn in_sphere_perturbed(points: &[DVec3; 5], ranks: impl FnOnce() -> [u32; 5]) -> bool {
     let [a, b, c, d, e] = *points;
@@ -115,7 +116,7 @@ fn break_tie(points: &[DVec3; 5], ranks: [u32; 5]) -> bool {
         // the point with the next lower rank; the first point usually decides
         let below = (0..5).filter(|&i| largest.is_none_or(|above| ranks[i] < ranks[above]));
         largest = below.max_by_key(|&i| ranks[i]);
-        // Lifting a vertex raises the hyperplane through the lifted vertices at e in proportion to
+        // If a vertex is raised, the hyperplane through the vertices rises at e in proportion to
         // the barycentric coordinate of e for that vertex. The result has the sign of that
         // coordinate.
         let sign = match largest {
@@ -162,7 +163,7 @@ mod tests {
 
     #[test]
     fn the_filter_never_contradicts_the_exact_predicates() {
-        // points slightly off degenerate positions would reveal a wrong bound
+        // at points slightly off degenerate positions, a wrong error bound would give wrong signs
         for n in 0..20_000u64 {
             let q = |k: u64| {
                 let coarse = (point(1, 5 * n + k) * 4.0).floor();
@@ -176,8 +177,9 @@ mod tests {
         }
     }
 
-    /// The test must be symmetric for two neighbours: e is in conflict with the tetrahedron abcd if
-    /// and only if d is in conflict with the tetrahedron with vertices a, b, c and e.
+    /// The test must be symmetric for two adjacent tetrahedra: e is in conflict with the
+    /// tetrahedron abcd if and only if d is in conflict with the tetrahedron with vertices a, b, c
+    /// and e.
     #[test]
     fn perturbed_test_is_symmetric() {
         let mut ties = 0;

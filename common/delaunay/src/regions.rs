@@ -2,10 +2,10 @@
 //! Each region has its own tetrahedra, and a single thread inserts the points of the region. A
 //! point whose cavity would extend into another region is postponed until the two regions are
 //! merged. Tetrahedra next to another region are therefore never removed, and merging only
-//! renumbers the tetrahedra of one region. The coarse rounds come first, so most cavities are small
-//! by the time a round is cut.
+//! renumbers the tetrahedra of one region. The small rounds come first, so most cavities are small
+//! by the time the triangulation is cut.
 //!
-//! The cuts do not depend on the number of threads, and neither do the tetrahedron numbers.
+//! The cuts do not depend on the number of threads, and neither do the tetrahedron indices.
 
 use super::insert::{Beyond, Cells, Sites};
 use super::{DEAD, INFINITE, Tetrahedron};
@@ -15,28 +15,28 @@ use glam::DVec3;
 /// Limits of the recursive division into regions.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cutting {
-    /// A region is cut only if at least this many points must be inserted into it.
+    /// Minimum number of points to insert into a region for the region to be cut.
     pub(super) points: usize,
     /// Maximum number of nested cuts.
     pub(super) depth: u32,
 }
 
 impl Cutting {
-    /// Time to triangulate 377,000 particles of a ribcage while the topology of F is computed
-    /// concurrently: on 16 cores, 1.32, 1.04, 0.77 and 0.74 s with 2, 4, 8 and 16 regions (`points`
-    /// is 200,000 for 2 regions and 20,000 for 16); on one core, 3.3 s with 2 regions and 3.5 s
-    /// with 8.
+    /// Default limits, which give at most 8 regions. On 16 cores, triangulating 377,000 particles
+    /// of a ribcage while the topology of F is computed takes 1.32, 1.04, 0.77 and 0.74 s with 2,
+    /// 4, 8 and 16 regions (`points` is 200,000 for 2 regions and 20,000 for 16). On one core, it
+    /// takes 3.3 s with 2 regions and 3.5 s with 8.
     pub(super) const USUAL: Self = Self { points: 20_000, depth: 3 };
 }
 
 /// Minimum fraction of the points on each side of a cut. The cut is at the median, so each side has
 /// about half of the points unless many points have the same coordinate. If one side has a smaller
-/// fraction, a cut saves at most a tenth of the time, and the region is not cut.
+/// fraction, the region is not cut, because a cut would save at most a tenth of the time.
 const LEAST_SHARE_OF_SIDE: f64 = 0.1;
 
-/// Maximum number of sampled points whose median determines the plane of a cut. Among all points,
-/// the rank of the median of 10,000 sampled points has a standard error of 0.5 / sqrt(10,000), or
-/// half a per cent of the number of points.
+/// Maximum number of sampled points whose median determines the plane of a cut. The median of
+/// 10,000 sampled points has a rank among all points with a standard error of 0.5 / sqrt(10,000),
+/// or half a per cent, of the number of points.
 const MEDIAN_SAMPLE: usize = 10_000;
 
 /// Triangulates points that are given in insertion order. `rounds` contains the end index of each
@@ -64,7 +64,7 @@ pub(super) fn triangulate(
 struct Inserted {
     /// Postponed points, each with the cut that must be removed before the point can be inserted.
     put_off: Vec<(u32, Beyond)>,
-    /// New number of each tetrahedron that existed before the insertion. `None` if the numbers are
+    /// New index of each tetrahedron that existed before the insertion. `None` if the indices are
     /// unchanged.
     renumbered: Option<Vec<u32>>,
 }
@@ -73,7 +73,7 @@ struct Inserted {
 /// region.
 struct Outer<'a> {
     whole: &'a Cells,
-    /// For each tetrahedron of `whole`, its region and number after the cut.
+    /// For each tetrahedron of `whole`, its region and its index in that region.
     places: &'a [Slot],
     /// Side of the cut on which the region lies: 0 below the plane, 1 above.
     side: usize,
@@ -84,12 +84,13 @@ struct Outer<'a> {
 }
 
 impl Outer<'_> {
-    /// Returns the start of the next walk in each enclosing triangulation, innermost first.
+    /// Returns the tetrahedron at which the next walk starts in each enclosing triangulation,
+    /// innermost first.
     fn starts(&self) -> Vec<u32> {
         std::iter::successors(Some(self), |outer| outer.up).map(|outer| outer.whole.last).collect()
     }
 
-    /// Finds the tetrahedron that contained a point at the time of the cut, and returns its number
+    /// Finds the tetrahedron that contained a point at the time of the cut, and returns its index
     /// in the region. Returns an error if the tetrahedron is in another region; the point must then
     /// be postponed.
     fn find(&self, sites: Sites<'_>, point: DVec3, starts: &mut [u32]) -> Result<u32, Beyond> {
@@ -133,8 +134,8 @@ fn insert_all(
     let [(low, _), (high, _)] = regions;
     let all: Vec<(u32, Beyond)> = done.iter().flat_map(|inserted| &inserted.put_off).copied().collect();
     let offset = low.tetrahedra.len() as u32;
-    // maps the number that a tetrahedron had in its region at the time of the cut to its number
-    // after merging
+    // maps the index of a tetrahedron in its region at the time of the cut to its index after
+    // merging
     let number = |side: usize, number: u32| {
         let number = done[side].renumbered.as_ref().map_or(number, |new| new[number as usize]);
         if side == 0 { number } else { number + offset }
@@ -181,12 +182,12 @@ fn insert_in_order(
     Ok(put_off)
 }
 
-/// Position of a tetrahedron after a cut: its number in the region times 2, plus the side.
+/// Position of a tetrahedron after a cut: its index in the region times 2, plus the side.
 #[derive(Clone, Copy)]
 struct Slot(u32);
 
 impl Slot {
-    /// Value for an unused tetrahedron number.
+    /// Value for an unused tetrahedron index.
     const NONE: Self = Self(u32::MAX);
 
     fn new(side: usize, number: u32) -> Self {
@@ -206,16 +207,16 @@ impl Slot {
 struct Cut {
     /// The tetrahedra of each half, and the points to insert into it.
     regions: [(Cells, Vec<u32>); 2],
-    /// For each tetrahedron before the cut, its half and number after the cut.
+    /// For each tetrahedron before the cut, its half and its index in that half.
     places: Vec<Slot>,
     /// The facets on the cut, as (tetrahedron * 4 + facet index) on both sides.
     seams: Vec<[u32; 2]>,
 }
 
 impl Cut {
-    /// Cuts a region perpendicular to the longest extent of the points to insert, at their median.
-    /// Returns `None` if one side would have less than [`LEAST_SHARE_OF_SIDE`] of the points, or no
-    /// tetrahedra.
+    /// Cuts a region perpendicular to the axis along which the points to insert extend farthest, at
+    /// their median coordinate. Returns `None` if one side would have less than
+    /// [`LEAST_SHARE_OF_SIDE`] of the points, or no tetrahedra.
     fn new(cells: &Cells, sites: Sites<'_>, members: &[u32], depth: Beyond) -> Option<Self> {
         let at = |v: u32| sites.points[v as usize];
         let mut sample: Vec<DVec3> =

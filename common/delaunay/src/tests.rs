@@ -46,8 +46,9 @@ fn torus(count: u64) -> Vec<DVec3> {
         .collect()
 }
 
-/// Checks that neighbours are mutual, cells have positive volume, and every vertex is present. With
-/// the vertex at infinity, the triangulation must have the Euler characteristic of the 3-sphere.
+/// Checks that neighbour links are mutual, cells have positive volume, and every vertex is present.
+/// With the vertex at infinity, the triangulation must have the Euler characteristic of the
+/// 3-sphere.
 fn check_structure(d: &Delaunay) {
     let mut seen = HashSet::new();
     let (mut edges, mut facets, mut cells) = (HashSet::new(), HashSet::new(), 0);
@@ -214,7 +215,7 @@ fn later_insertions_give_the_triangulation_of_the_whole() {
     }
 }
 
-/// Limits that cut even small point sets into many regions.
+/// Limits that divide even small triangulations into many regions.
 const FINELY: Cutting = Cutting { points: 40, depth: 6 };
 
 #[test]
@@ -305,7 +306,7 @@ fn scales_from_tiny_to_huge() {
 #[test]
 fn circumcentre_of_a_thin_cell_is_at_its_distance() {
     // four points near the unit circle in the plane z = 0; the last one is displaced by `far`. The
-    // centre must have the same distance from all four.
+    // circumcentre must have the same distance from all four.
     let p = |angle: f64, z: f64| DVec3::new(angle.cos(), angle.sin(), z);
     for far in [1e-3, 1e-6, 1e-9] {
         let corners = [p(0.0, 0.0), p(1.0, 0.0), p(2.5, 0.0), p(4.0, 0.0) * (1.0 + far) + DVec3::Z * far];
@@ -319,8 +320,9 @@ fn circumcentre_of_a_thin_cell_is_at_its_distance() {
 
 #[test]
 fn circumcentre_of_a_flat_cell_is_far_away_in_any_unit() {
-    // The corners form quadrilaterals in a tilted plane. The volume of each tetrahedron comes only
-    // from rounding of the coordinates and is below the error bound of the orientation filter.
+    // The corners form quadrilaterals in a tilted plane. The volume of each tetrahedron results
+    // only from the rounding of the coordinates and is below the error bound of the orientation
+    // filter.
     let (u, v) = (DVec3::new(0.9, 0.2, -0.3).normalize(), DVec3::new(0.1, 0.7, 0.6));
     let mut undecided = 0;
     for k in 0..200u64 {

@@ -4,18 +4,19 @@
 //! The mesh vertices are moved onto the surface. The normals at both ends of an edge give the
 //! height of the surface above the midpoint of the edge. The surface is assumed to be quadratic
 //! over each triangle, so the heights at its three edges give the volume between triangle and
-//! surface. An edge is divided if the surface curves too much over it. The decision depends only on
-//! the edge, so adjacent triangles agree and the mesh remains closed. Parts of the surface that are
-//! missing from the mesh are ignored.
+//! surface. An edge is divided if the surface rises too high above it (`LARGEST_BEND`). The
+//! decision depends only on the edge, so adjacent triangles agree and the mesh remains closed.
+//! Parts of the surface that are missing from the mesh are ignored.
 
 use fearless_simd::{Level, dispatch};
 use glam::DVec3;
 use isoparticles_mesh::{TriangleMesh, components};
 use rayon::prelude::*;
 
-/// An edge is divided if the height of the surface above its midpoint exceeds this fraction of the
-/// edge length. With 0.1, the computed volume of a ball with a radius of 0.9 voxels has an error of
-/// 0.07 %; with 0.13, the error is 0.11 % (test `balls_and_rods_have_their_volumes`).
+/// Maximum height of the surface above the midpoint of an edge, as a fraction of the edge length.
+/// An edge with a larger fraction is divided. With 0.1, the computed volume of a ball with a radius
+/// of 0.9 voxels has an error of 0.07 %; with 0.13, the error is 0.11 % (test
+/// `balls_and_rods_have_their_volumes`).
 const LARGEST_BEND: f64 = 0.1;
 
 /// Coefficient of the correction term for a triangle with corners on a sphere, derived from the
@@ -31,20 +32,19 @@ const SPHERE_TERM: f64 = 10.7;
 const DIVISIONS: u32 = 3;
 
 /// Maximum number of Newton steps in a projection. Three steps of the maximum length
-/// ([`LONGEST_STEP`]) reach the surface from a distance of up to 0.9 times `near`; the fourth step
-/// is short. A point that does not converge is not moved.
+/// ([`LONGEST_STEP`]) cover 0.9 times `near`, the expected maximum distance of a vertex from the
+/// surface; the fourth step is short. A point that does not converge is not moved.
 const NEWTON_STEPS: usize = 4;
-/// Maximum length of a Newton step, as a fraction of `near`, the maximum expected distance of a
-/// vertex from the surface. Short steps keep a vertex from jumping to another part of the surface.
+/// Maximum length of a Newton step, as a fraction of `near`. Short steps keep a vertex from jumping
+/// to another part of the surface.
 const LONGEST_STEP: f64 = 0.3;
 
-/// A projection has converged once a step is shorter than this fraction of the maximum step length.
-/// Newton's method squares the error, so the remaining distance is about 1e-4 voxels if `near` is
-/// one voxel.
+/// Step length, as a fraction of the maximum, below which a projection has converged. Newton's
+/// method squares the error, so the remaining distance is about 1e-4 voxels if `near` is one voxel.
 const TOLERANCE: f64 = 0.03;
 
 /// Number of vertices or triangles per parallel task. A mesh of a million triangles gives hundreds
-/// of tasks, and a task takes far longer than its scheduling.
+/// of tasks, and each task takes far longer than scheduling it.
 const CHUNK: usize = 1024;
 
 /// Returns the volumes (mm^3) enclosed by the zero set of an implicit function (negative inside).

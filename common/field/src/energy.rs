@@ -115,7 +115,7 @@ pub fn pair_jet(offset: DVec3, size_i: f64, size_j: f64) -> (f64, DVec3, DMat3) 
 /// mm). The derivative is zero if the second particle is smaller.
 ///
 /// Eq. 3 holds the sizes fixed, but h changes when a particle moves. Without this term, the energy
-/// test rejects more than half of the steps where h varies.
+/// test of `particles` rejects more than half of the steps where h varies.
 pub fn pair_size_derivative(distance: f64, size_i: f64, size_j: f64) -> f64 {
     let d = scaled_distance(distance, size_i, size_j);
     if size_i > size_j || d >= 1.0 { 0.0 } else { -pair_energy_derivatives(d).1 * d / size_i }
@@ -129,9 +129,10 @@ pub fn pair_size_derivative(distance: f64, size_i: f64, size_j: f64) -> f64 {
 /// within 4e-13 of Q; it was fitted to `x cot x / (1 - s)` at Chebyshev points with 40-digit
 /// arithmetic.
 ///
-/// The tests bound the errors: 4e-13 (1 + E) for the energy, a relative error of 8e-13 for the
-/// first derivative, and 1.2e-12 for the second, which is cubic in the cotangent. Multiplications
-/// and additions are not fused, so every instruction set gives the same bits.
+/// The tests check that the error of the energy E is below 4e-13 (1 + E), and that the relative
+/// error is below 8e-13 for the first derivative and below 1.2e-12 for the second, which is cubic
+/// in the cotangent. Multiplications and additions are not fused, so every instruction set gives
+/// the same bits.
 #[derive(Clone, Copy, Debug)]
 pub struct Pairs<S: Simd> {
     /// Scaled distance d (Eq. 2), at least [`LEAST_SCALED_DISTANCE`] and at most one. At d = 1 the

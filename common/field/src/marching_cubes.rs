@@ -27,13 +27,13 @@ pub(crate) const NODE_CLEARANCE: f64 = 1e-3;
 /// after its last one, which adds an eighth to the cost of numbering.
 const SLICES_PER_TASK: usize = 8;
 
-/// Returns the surface that separates the samples below `iso` (inside) from all others, in the grid
-/// frame (mm).
+/// Returns the surface that separates the samples below `iso` (inside) from all other samples, in
+/// the grid frame (mm).
 ///
 /// Triangles are counter-clockwise when seen from the side of the larger values. Values equal to
-/// `iso` and NaNs count as outside. The mesh is closed unless inside samples lie on the border of
-/// the image, where the mesh ends. Its edges and vertices are manifold. The order of vertices and
-/// triangles does not depend on the number of threads.
+/// `iso` and NaNs count as outside. The mesh is closed, except where inside samples lie on the
+/// border of the image. Its edges and vertices are manifold. The order of vertices and triangles
+/// does not depend on the number of threads.
 pub fn marching_cubes(image: &Image<f32>, iso: f32) -> TriangleMesh {
     let [nx, ny, nz] = image.geometry.size;
     if nx < 2 || ny < 2 || nz < 2 {
@@ -75,7 +75,7 @@ struct Part {
     centres: Vec<DVec3>,
 }
 
-/// Numbers of the vertices on the three grid edges that start at each node of a slice, x fastest.
+/// Indices of the vertices on the three grid edges that start at each node of a slice, x fastest.
 /// Entries for edges without a crossing are arbitrary.
 struct SliceNumbers {
     on_edge: Vec<[u32; 3]>,
@@ -83,7 +83,7 @@ struct SliceNumbers {
 
 impl Grid<'_> {
     /// Calls `visit(i, j, axis)` for each crossed grid edge that starts in slice `k`, in the order
-    /// of the vertex numbers.
+    /// of the vertex indices.
     fn each_crossing(&self, k: usize, mut visit: impl FnMut(usize, usize, usize)) {
         let [nx, ny, nz] = self.image.geometry.size;
         for j in 0..ny {
@@ -213,9 +213,10 @@ pub fn saddle_value(image: &Image<f32>, diagonal: [usize; 2], other: [usize; 2])
     bilinear - 4.0 * MIDPOINT_BEND * (u * (1.0 - u) * along_u + v * (1.0 - v) * along_v)
 }
 
-/// The value at the midpoint of two nodes is their mean minus this factor times the mean of their
-/// second differences. With 0.2, each of the two nodes has the weight 0.6, as in the cubic spline.
-/// The next node on either side has the weight -0.1, compared with -0.13 in the spline.
+/// Factor of the second-order correction of the value at the midpoint of two nodes: the value is
+/// their mean minus this factor times the mean of their second differences. With 0.2, each of the
+/// two nodes has the weight 0.6, as in the cubic spline. The next node on either side has the
+/// weight -0.1, compared with -0.13 in the spline.
 pub const MIDPOINT_BEND: f64 = 0.2;
 
 /// Returns the second difference at a node along the axis with the given stride. It is zero on the
@@ -280,10 +281,11 @@ enum Piece {
 
 /// The contour for one pattern of inside corners.
 struct Case {
-    /// Faces whose only inside corners are the first and the third. Face n corresponds to bit n of
-    /// a variant.
+    /// Faces whose only inside corners are the first and the third. Bit n of a variant number
+    /// belongs to face n.
     ambiguous: Vec<[u8; 4]>,
-    /// The contour for each set of ambiguous faces whose inside corners are joined.
+    /// The contour of each variant, that is, for each choice of the ambiguous faces whose inside
+    /// corners are joined.
     variants: Vec<Vec<Piece>>,
 }
 

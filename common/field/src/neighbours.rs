@@ -24,8 +24,8 @@ use tree::{Candidates, LANES, Tree};
 const WIDENING: f64 = 1e-9;
 
 /// Number of points per block of [`NeighbourLists::independent_blocks`]. The points of a block and
-/// their neighbours take some tens of KiB, which fits into the L1 or L2 cache of a core. A few
-/// thousand points give enough blocks for all cores.
+/// their neighbours take tens of KiB, so they fit into the L1 or L2 cache of a core. A few thousand
+/// points give enough blocks for all cores.
 pub const BLOCK: usize = 128;
 
 /// Number of points whose lists are created and stored together. A few thousand points give enough
@@ -184,8 +184,8 @@ impl NeighbourLists {
     }
 }
 
-/// Appends the lists of the points in `range`. The range must start at the first point of a run of
-/// the tree.
+/// Appends the lists of the points in `range`. The range must start at the first point of one of
+/// the tree's runs of eight points.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "a closure's body, so that it is compiled for each instruction set")]
 fn append_lists<S: Simd>(

@@ -11,7 +11,7 @@ pub(crate) const WORD: usize = u64::BITS as usize;
 /// bits.
 const LANES: usize = 16;
 
-/// The side of a level on which values are marked.
+/// The side of a level on which the marked values lie.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Side {
     Below,
@@ -46,7 +46,7 @@ impl NodeBits {
         self.width
     }
 
-    /// Returns the words of a row. The row at indices j and k has the number `j + ny * k`.
+    /// Returns the words of a row. The row at indices j and k is row `j + ny * k`.
     pub(crate) fn row(&self, row: usize) -> &[u64] {
         self.rows(row, 1)
     }

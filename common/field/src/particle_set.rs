@@ -34,8 +34,8 @@ pub struct ParticleSet {
 pub struct Strata {
     /// Stratum of each particle.
     pub of: Vec<Stratum>,
-    /// Pairs of consecutive particles on a junction curve, including its ends (junction points, or
-    /// particles on the border of the volume). A closed curve of one particle has no pair; a closed
-    /// curve of two particles has two pairs.
+    /// Pairs of consecutive particles on a junction curve. They include the ends of the curve,
+    /// which are junction points or particles on the border of the volume. A closed curve of one
+    /// particle has no pair; a closed curve of two particles has two pairs.
     pub segments: Vec<[u32; 2]>,
 }

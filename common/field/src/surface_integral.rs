@@ -5,9 +5,8 @@
 //! surface with area A and unit normal n is crossed `A |n_a| / s` times on average. The sum of
 //! `s |n_a|` over the crossings with lines along all three axes therefore has the mean
 //! `A (n_x^2 + n_y^2 + n_z^2) = A`. Along a line within a cell, the spline is a cubic polynomial,
-//! and all its roots are found. The integral therefore includes folds and specks between the nodes.
-//! Marching cubes misses these features, which make up a tenth of the area of F = 0 in a noisy
-//! volume.
+//! and all its roots are found. The integral therefore includes folds and specks between the nodes,
+//! which marching cubes misses. In a noisy volume, they make up a tenth of the area of F = 0.
 
 use crate::spline::CubicSpline;
 use crate::spline::bezier::{BezierPoints, ORDER};
@@ -15,11 +14,11 @@ use crate::topology::Signs;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// `LINES` x `LINES` lines parallel to each axis pass through a cell. With 2, 3, 5 and 9, the
-/// computed area of F = 0 is 63,412, 63,250, 63,242 and 63,224 mm^2 for `heart_label`
-/// (`distfield --labels all`). It is 8.836, 8.775, 8.799 and 8.807 mm^2 for `trabecular_bone`
-/// (measured as for `FLATNESS_MARGIN` in `topology/critical.rs`). The areas with 3 and 9 agree to
-/// within 0.4 %.
+/// Number of lines along each edge of a cell face: `LINES` x `LINES` lines parallel to each axis
+/// pass through a cell. With 2, 3, 5 and 9, the computed area of F = 0 is 63,412, 63,250, 63,242
+/// and 63,224 mm^2 for `heart_label` (`distfield --labels all`). It is 8.836, 8.775, 8.799 and
+/// 8.807 mm^2 for `trabecular_bone` (measured as for `FLATNESS_MARGIN` in `topology/critical.rs`).
+/// The areas with 3 and 9 agree to within 0.4 %.
 const LINES: usize = 3;
 
 /// Maximum number of bisections of a line within a cell. The shortest intervals are 2^-12 = 2.4e-4
@@ -212,12 +211,13 @@ mod tests {
         assert_eq!(integrate(&spline([12; 3], DVec3::ONE, |p| p.z + 1.0), |_, _| 1.0), 0.0);
     }
 
-    /// Two parts of F = 0 lie less than a voxel apart between the nodes. Marching cubes detects
-    /// neither part.
+    /// Two parts of F = 0 cross the same layer of cells. All samples are positive, so marching
+    /// cubes detects neither part.
     #[test]
     fn what_lies_between_the_nodes_counts() {
         let mut image = Image::filled(Geometry::axis_aligned([9, 9, 10], DVec3::ONE), 1.0f32);
-        // along z the spline is negative between the two middle nodes
+        // along z, the spline is negative between the two middle nodes, although all samples are
+        // positive
         for (n, value) in image.data.iter_mut().enumerate() {
             *value = [20.0, 10.0, 5.0, 2.0, 0.1, 0.1, 2.0, 5.0, 10.0, 20.0][n / 81];
         }

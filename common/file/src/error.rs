@@ -1,4 +1,4 @@
-//! File access errors, with a reason and a remedy for the user.
+//! File access errors. Each error contains a reason and a remedy for the user.
 
 use std::io;
 use std::path::{Path, PathBuf};

@@ -1,8 +1,8 @@
 //! The history stored in every output file: the program, its parameters and its input files. The
 //! history of an input file includes the histories of its own inputs.
 //!
-//! Identical runs produce identical histories, because a history contains no times, folders, thread
-//! counts or output names.
+//! Identical runs produce identical histories, because a history contains no times, folder names,
+//! thread counts or output names.
 
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -15,8 +15,8 @@ pub struct History {
     pub tool: String,
     /// Version of the stage program.
     pub version: String,
-    /// Command line of the program, with paths reduced to file names and without options that do
-    /// not affect the result.
+    /// Command line of the program, with paths reduced to file names and output paths replaced with
+    /// `OUTPUT`. Options that do not affect the result are omitted.
     pub command_line: String,
     /// All parameters in effect, including defaults and the seed.
     pub parameters: serde_json::Value,

@@ -2,9 +2,9 @@
 //! code of the stage programs (`isoparticles-stage`).
 //!
 //! [`output`] writes files atomically: it writes to a temporary file and then renames it.
-//! [`history`] records how a file was made. [`limit`] rejects data that does not fit in memory
-//! before memory is allocated for it. [`monitor`] reports the progress of long computations and
-//! stops them on request.
+//! [`history`] records how a file was made. [`limit`] rejects data that does not fit in the free
+//! memory, before memory is allocated for it. [`monitor`] reports the progress of long computations
+//! and stops them on request.
 //!
 //! ```
 //! use isoparticles_file::{history::hash_file, output::write_atomically};

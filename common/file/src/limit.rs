@@ -1,4 +1,4 @@
-//! Rejects data that does not fit in memory before memory is allocated for it.
+//! Checks whether data fits in the free memory, before memory is allocated for it.
 
 use crate::error::{Error, Result};
 use crate::memory::available_memory;
@@ -8,7 +8,7 @@ use std::path::Path;
 /// if the amount of free memory is unknown.
 ///
 /// # Errors
-/// If less than `bytes` bytes of memory are free.
+/// If fewer than `bytes` bytes of memory are free.
 pub fn check_memory(path: &Path, bytes: u64) -> Result<()> {
     match available_memory() {
         Some(available) if bytes > available => {

@@ -1,5 +1,5 @@
-//! The interface through which algorithms report progress and check for stop requests. It makes
-//! them independent of the program that runs them.
+//! The interface through which algorithms report progress and check for stop requests. The
+//! algorithms therefore do not depend on the program that runs them.
 
 /// The computation was interrupted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -30,13 +30,13 @@ pub trait Monitor: Sync {
     fn counter<'a>(&'a self, label: &str, total: Option<u64>) -> Box<dyn Counter + 'a>;
 }
 
-/// Guard of a phase of the computation. The phase ends when the guard is dropped.
+/// A running phase of a computation. The phase ends when this guard is dropped.
 pub trait Phase {}
 
 /// Counts completed work.
 pub trait Counter: Sync {
-    /// Increases the count by `amount`. The call is cheap, but should be made per slice or chunk
-    /// rather than per voxel.
+    /// Increases the count by `amount`. Loops call this function once per slice or chunk, not once
+    /// per voxel.
     fn add(&self, amount: u64);
 }
 

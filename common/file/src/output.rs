@@ -9,7 +9,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// The temporary files that currently exist. They are deleted after a second interrupt.
+/// Paths of the temporary files that currently exist. A second interrupt deletes the files.
 static TEMPORARIES: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 /// Checks that an output file can be written.

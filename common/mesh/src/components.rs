@@ -90,7 +90,7 @@ pub fn of_vertices(count: usize, triangles: &[[u32; 3]]) -> (Vec<u32>, usize) {
         if number[v] == NO_COMPONENT {
             continue;
         }
-        // the root is the smallest member, so it has been numbered already
+        // the root is the smallest member, so it is either `v` itself or already numbered
         let root = sets.find(v as u32) as usize;
         if root == v {
             number[v] = components;
@@ -115,7 +115,7 @@ mod tests {
 
     #[test]
     fn components_of_many_are_those_of_one_set_after_the_other() {
-        // strips with different numbers of triangles, in random order
+        // triangle strips of different lengths, with the triangles in random order
         let count = 60_000u32;
         let mut triangles: Vec<[u32; 3]> =
             (0..count - 2).filter(|n| n % 997 < 900 && n % 31 < 29).map(|n| [n, n + 1, n + 2]).collect();

@@ -1,6 +1,6 @@
 //! The triangles at each vertex, and the edges, fans and Euler characteristics derived from them.
-//! The refinement rebuilds the lists in every round, so they are built by counting, which is faster
-//! than sorting.
+//! Iterative algorithms rebuild these lists often, so they are built by a counting sort, which is
+//! faster than a comparison sort.
 
 use crate::buckets::{Buckets, TASK_ITEMS};
 use rayon::prelude::*;
@@ -12,7 +12,7 @@ const TASK_VERTICES: usize = TASK_ITEMS / 2;
 #[derive(Default)]
 pub struct FanWork {
     /// For each triangle side that ends at the vertex: the other end of the side, and the position
-    /// of the triangle in the list of the vertex.
+    /// of the triangle in the result of [`Incidence::of`].
     ends: Vec<(u32, u32)>,
     /// Fan number of each triangle at the vertex.
     fan: Vec<u32>,
@@ -30,7 +30,7 @@ impl<'a> Incidence<'a> {
     /// Indexes the triangles. All vertex indices must be below `vertex_count`.
     pub fn new(triangles: &'a [[u32; 3]], vertex_count: usize) -> Self {
         let Buckets { starts, items } = Buckets::new(triangles.as_flattened(), vertex_count);
-        // each item is a corner with the number `3 * triangle + corner index`
+        // each item identifies a corner by `3 * triangle + position in the triangle`
         let at_vertex = items.into_par_iter().map(|corner| corner / 3).collect();
         Self { triangles, starts, at_vertex }
     }

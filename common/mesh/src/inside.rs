@@ -1,7 +1,7 @@
 //! Finds the grid nodes inside a closed mesh, and the nodes where the mesh and F disagree.
 //!
 //! The method counts crossings along the grid lines parallel to x. Where a line crosses a triangle,
-//! all nodes beyond the crossing change sides. Grid lines are shifted symbolically to
+//! all nodes beyond the crossing change sides. The grid line at `(y, z)` is shifted symbolically to
 //! `(y + e, z + e^2)`, where e is infinitesimal, so a crossing at a shared vertex or edge counts
 //! only once. All signs come from exact predicates. For each triangle, only the grid lines near its
 //! yz projection are tested.
@@ -109,8 +109,8 @@ fn moved_turn(a: Coord<f64>, b: Coord<f64>, p: Coord<f64>) -> i8 {
     }
 }
 
-/// Returns the index of the first node beyond the plane of a triangle, in the row at (y, z) = `at`.
-/// The row must cross the triangle.
+/// Returns the index of the first node beyond the plane of a triangle, in the row whose (y, z)
+/// position is `at`. The row must cross the triangle.
 fn first_beyond(corners: [DVec3; 3], side: i8, at: Coord<f64>, geometry: &Geometry) -> usize {
     let spacing = geometry.spacing.x;
     let count = geometry.size[0];

@@ -2,8 +2,8 @@
 //! `orient3d`).
 //!
 //! Triangles are closed sets, so touching triangles intersect. Two triangles without a common
-//! vertex must be disjoint. Two triangles with one common vertex may meet only there. Two triangles
-//! with a common edge must not overlap in a plane. No triangle may occur twice.
+//! vertex must be disjoint. Two triangles with one common vertex may meet only there. Two coplanar
+//! triangles with a common edge must not overlap. No triangle may occur twice.
 
 use super::TriangleMesh;
 use crate::spatial::{Bounds, BoxTree};
@@ -70,7 +70,7 @@ fn clearly_apart(t: [DVec3; 3], other: [DVec3; 3], points: &[DVec3]) -> bool {
     let length = u.length() + v.length();
     let far = other.iter().map(|p| p.distance(t[0])).fold(0.0, f64::max);
     let plane = |direction: DVec3, size: f64| {
-        // Rounding errors are below 1e-14 times `size * far`. The exact test decides closer cases.
+        // Rounding errors are below `1e-14 * size * far`. The exact test decides all other cases.
         let margin = 1e-10 * size * far;
         let side = |p: &DVec3| (*p - t[0]).dot(direction);
         (points.iter().all(|p| side(p) < -margin), points.iter().all(|p| side(p) > margin))
@@ -252,8 +252,8 @@ mod tests {
             triangles: vec![[0, 1, 2], [4, 0, 3]],
         };
         assert!(self_intersections(&mesh(v(-1.0, 0.0, 0.0), v(0.0, -1.0, 0.5))).is_empty());
-        // the edge opposite the common vertex passes through the other triangle, or beyond it; the
-        // triangles intersect in both cases
+        // The edge opposite the common vertex first passes through the other triangle and then
+        // beyond it. The triangles intersect in both cases.
         assert_eq!(self_intersections(&mesh(v(0.2, 0.2, -1.0), v(0.2, 0.2, 1.0))), [[0, 1]]);
         assert_eq!(self_intersections(&mesh(v(2.0, 2.0, -1.0), v(2.0, 2.0, 1.0))), [[0, 1]]);
         // coplanar triangles: side by side, and overlapping
@@ -292,10 +292,10 @@ mod tests {
         assert!(found.windows(2).all(|w| w[0] < w[1]));
     }
 
-    /// Returns whether two triangles intersect, using the separating-axis test, which is exact in
-    /// integers. Two triangles are disjoint if and only if their projections onto some axis are
-    /// disjoint. It is enough to test the face normals, the cross products of two edges, and the
-    /// in-plane edge normals.
+    /// Applies the separating-axis test, which is exact for integers, to two triangles. Returns
+    /// whether they intersect. Two triangles are disjoint if and only if their projections onto
+    /// some axis are disjoint. It is enough to test the face normals, the cross products of two
+    /// edges, and the in-plane edge normals.
     fn reference_meet(p: [[i64; 3]; 3], q: [[i64; 3]; 3]) -> bool {
         let sub = |a: [i64; 3], b: [i64; 3]| std::array::from_fn::<i128, 3, _>(|i| i128::from(a[i]) - i128::from(b[i]));
         let cross = |a: [i128; 3], b: [i128; 3]| {

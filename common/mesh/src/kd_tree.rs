@@ -2,19 +2,20 @@
 //! the bounding box of its points.
 //!
 //! The points are reordered into an implicit median tree. For each point, the tree therefore stores
-//! only its position, its index and about ten bytes of boxes. It supports any number of equal
-//! coordinates, which are common because points often lie on grid planes. The boxes exclude the
-//! empty space around surface points, so a ball that touches a surface intersects few boxes.
+//! only its position, its index and, on average, about ten bytes of boxes. Any number of points may
+//! have equal coordinates, which is common because points often lie on grid planes. The boxes
+//! exclude the empty space around surface points, so a ball that touches a surface intersects few
+//! boxes.
 
 use crate::spatial::Bounds;
 use glam::DVec3;
 use std::ops::Range;
 
-/// Maximum number of points in a leaf. Callers that limit the number of visited leaves rely on this
-/// size. With 3, 6, 12, 24 and 48 points per leaf, a search for the nearest of 300,000 points on a
-/// bumpy sphere takes 8.0, 7.6, 6.2, 5.4 and 4.0 us. The query positions are at most 5 % of the
-/// radius away from the sphere (medians of three runs with `rustc -O` on a busy machine with 2
-/// cores, 2026-11-27).
+/// Maximum number of points in a leaf. With 3, 6, 12, 24 and 48 points per leaf, a search for the
+/// nearest of 300,000 points on a bumpy sphere takes 8.0, 7.6, 6.2, 5.4 and 4.0 us. The query
+/// positions are at most 5 % of the radius away from the sphere (medians of three runs with
+/// `rustc -O` on a busy machine with 2 cores, 2026-11-27). Larger leaves are faster, but callers
+/// that limit the number of visited leaves rely on a size of 12.
 const LEAF_POINTS: usize = 12;
 
 /// A k-d tree over a fixed set of points.

@@ -186,7 +186,7 @@ impl PlyScalar {
         }
     }
 
-    /// Converts a number from its little-endian bytes, which are padded with zeros.
+    /// Decodes a number from its little-endian bytes, which are padded to eight with zeros.
     fn value(self, little: [u8; 8]) -> f64 {
         let whole = u64::from_le_bytes(little);
         match self {
@@ -302,11 +302,11 @@ enum Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
-    /// Skips to the records of element number `at`. Returns an error if the data is shorter than
-    /// the header declares.
+    /// Skips to the records of the element with index `at`. Returns an error if the data is shorter
+    /// than the header declares.
     fn new(header: &PlyHeader, at: usize, data: &'a [u8]) -> std::result::Result<Self, String> {
         let is_text = header.encoding == Encoding::Ascii;
-        // in text, every number except the last takes at least two bytes
+        // in text, every number takes at least a digit and a separator; the last needs no separator
         let width =
             |e: &PlyElement| e.properties.iter().map(|(_, s)| if is_text { 2 } else { s.bytes() }).sum::<usize>();
         let size = |e: &PlyElement| e.count.checked_mul(width(e));

@@ -12,10 +12,10 @@ use serde::Serialize;
 /// intervals of 0.02.
 pub const HISTOGRAM_BINS: usize = 50;
 
-/// A triangle is degenerate if its area is at most this fraction of the mean area. After rounding
-/// to `f64`, the area of three collinear points, relative to an equilateral triangle, is up to
-/// 1.5e-13 at a distance of 1,000 edge lengths from the origin, and up to 2.3e-12 at 10,000 (maxima
-/// over 200,000 random triples in NumPy).
+/// Maximum area of a degenerate triangle, as a fraction of the mean area. Three collinear points
+/// that are rounded to `f64` span up to 1.5e-13 of the area of an equilateral triangle at a
+/// distance of 1,000 edge lengths from the origin, and up to 2.3e-12 at 10,000 (maxima over 200,000
+/// random triples in NumPy).
 pub const ZERO_AREA_SHARE: f64 = 1e-12;
 
 /// Computes the radius ratio 2r/R of a triangle: `8 A^2 / (s l)`, where A is the area, s is half

@@ -51,8 +51,8 @@ pub fn icosphere(radius: f64, levels: usize) -> TriangleMesh {
     TriangleMesh { vertices, triangles }
 }
 
-/// Creates a torus around the z axis with `around` x `across` vertices (both at least 3). The
-/// triangles face outward.
+/// Creates a torus around the z axis with `around` vertices along the ring and `across` vertices
+/// around the tube (at least 3 each). The triangles face outward.
 pub fn torus(ring_radius: f64, tube_radius: f64, around: usize, across: usize) -> TriangleMesh {
     let (around, across) = (around.max(3), across.max(3));
     let mut mesh = TriangleMesh::default();

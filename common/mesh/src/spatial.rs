@@ -1,9 +1,9 @@
 //! Spatial search: a tree that finds the intersecting pairs of axis-aligned boxes, and cubic bins
 //! for points that are added and removed.
 //!
-//! The boxes are sorted along a Morton curve and grouped in eights, level by level, because SIMD
-//! instructions test eight boxes at once. The tree and the order of the results depend only on the
-//! input, not on the number of threads.
+//! The boxes are sorted along a Morton curve. Each level of the tree groups the boxes of the level
+//! below in eights, because SIMD instructions test eight boxes at once. The tree and the order of
+//! the results depend only on the input, not on the number of threads.
 
 use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
 use glam::DVec3;
@@ -60,7 +60,7 @@ impl Bounds {
     }
 }
 
-/// Number of boxes that one SIMD operation tests: eight `f64` fill a register of AVX-512.
+/// Number of boxes that one SIMD operation tests: eight `f64` values fill an AVX-512 register.
 const LANES: usize = 8;
 
 /// Minimum number of boxes per task. Fewer boxes are processed on one thread: sorting this many
@@ -263,8 +263,8 @@ impl<T: PartialEq> Bins<T> {
         self.bins.entry(bin).or_default().retain(|other| other != value);
     }
 
-    /// Returns the values in the bin of a point and in the 26 adjacent bins, in a fixed order. They
-    /// include all values whose points are closer to `p` than the side length.
+    /// Returns the values in the bin of a point and in the 26 adjacent bins, in a fixed order.
+    /// These include all values whose points are less than one side length away from `p`.
     pub fn near(&self, p: DVec3) -> impl Iterator<Item = &T> {
         let at = self.bin(p);
         let around = (0..27).map(move |n| [at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1]);

@@ -1,7 +1,7 @@
-//! Topology of a triangle mesh. Checks whether every edge lies in exactly two triangles with
-//! opposite orientation, and whether every vertex has one fan of triangles. Finds the components,
-//! Euler characteristics and genus, and lists the vertices, edges and triangles that violate a
-//! condition.
+//! Topology of a triangle mesh. Checks whether every edge lies in exactly two triangles that
+//! traverse it in opposite directions, and whether every vertex has one fan of triangles. Finds the
+//! components, Euler characteristics and genus, and lists the vertices, edges and triangles that
+//! violate a condition.
 
 use super::TriangleMesh;
 use crate::components::{self, DisjointSets, NO_COMPONENT};
@@ -93,7 +93,7 @@ pub fn analyse(mesh: &TriangleMesh) -> Topology {
 
 /// Counts the edges, and lists the edges that violate a condition. Marks the components of these
 /// edges in `faulty`. Returns disjoint sets of triangle corners: two corners at a vertex are in the
-/// same set if a chain of triangles connects them across edges at the vertex.
+/// same set if a chain of triangles that share edges at the vertex connects them.
 fn examine_edges(mesh: &TriangleMesh, topology: &mut Topology, faulty: &mut [bool]) -> DisjointSets {
     let mut fans = DisjointSets::new(3 * mesh.triangles.len());
     for group in sorted_sides(mesh).chunk_by(|a, b| a.key == b.key) {
@@ -123,8 +123,8 @@ fn examine_edges(mesh: &TriangleMesh, topology: &mut Topology, faulty: &mut [boo
 }
 
 /// Lists the vertices without triangles and the vertices with more than one fan. Marks the
-/// components with more than one fan at a vertex in `faulty`. The number of fans at a vertex is the
-/// number of sets of its corners.
+/// components with more than one fan at a vertex in `faulty`. Each set of corners at a vertex is
+/// one fan.
 fn examine_vertices(mesh: &TriangleMesh, mut fans: DisjointSets, topology: &mut Topology, faulty: &mut [bool]) {
     let mut fan_count = vec![0u32; mesh.vertices.len()];
     for corner in 0..3 * mesh.triangles.len() as u32 {

@@ -145,7 +145,7 @@ pub fn check_same_grid(first: (&Path, &Geometry), second: (&Path, &Geometry)) ->
     ))
 }
 
-/// Creates the error for a file with several materials in a stage that needs a single object.
+/// Creates the error for a stage that needs a single object but was given several materials.
 fn not_one_object(path: &Path, expected: FieldKind) -> Error {
     Error::of_file(
         path,

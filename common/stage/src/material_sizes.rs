@@ -90,7 +90,7 @@ impl Given {
     }
 
     /// Returns the edge length in mm of an interface. If no length is set for the interface,
-    /// returns the smaller length of its two materials.
+    /// returns the smallest length that is set for its two materials.
     pub fn of(&self, interface: &Stratum) -> Option<f64> {
         let smallest = |sizes: &mut dyn Iterator<Item = f64>| sizes.min_by(f64::total_cmp);
         let own = smallest(&mut self.interfaces.iter().filter(|(other, _)| other == interface).map(|(_, size)| *size));

@@ -1,10 +1,10 @@
 //! Reads and writes the VTK image files in which stages exchange the indicators of several
 //! materials.
 //!
-//! The point data, for ParaView and pyvista, contains the material of each node and the node's
-//! distance from the nearest interface. The field data contains a table of the materials, and the
-//! material that fills each brick. It also contains the bricks and coefficients of the indicators,
-//! concatenated in the order of the table. The format preserves indicators bit for bit.
+//! The point data, for ParaView and pyvista, contains the material of each node and an estimate of
+//! its distance from the nearest interface. The field data contains a table of the materials, and
+//! the material that fills each brick. It also contains the bricks and coefficients of the
+//! indicators, concatenated in the order of the table. The format preserves indicators bit for bit.
 
 use crate::error::{Error, Result};
 use crate::output::write_atomically;

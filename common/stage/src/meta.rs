@@ -1,8 +1,8 @@
 //! Typed and versioned metadata that stages store in their files, in addition to the data.
 //!
-//! Each struct is the `meta` of one file type. Later stages use the named fields. `notes` contains
-//! information for users and is not used by the stages. Files written by other programs have no
-//! metadata, and files without a version lack some fields, so every field is optional.
+//! Each struct defines the `meta` of one file type. Later stages use the named fields. `notes`
+//! contains information for users and is not used by the stages. Files written by other programs
+//! have no metadata, and files without a version lack some fields, so every field is optional.
 
 use crate::error::{Error, Result};
 use isoparticles_field::materials::Material;
@@ -104,10 +104,10 @@ pub struct MaterialsMeta {
     /// Treatment of the materials at the border of the volume.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub border: Option<Border>,
-    /// Number of grid nodes added beyond each face of the volume.
+    /// Number of layers of grid nodes added beyond each face of the volume.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub margin: Option<usize>,
-    /// Upper bound of the point array `interface_distance` in mm.
+    /// Upper bound in mm of the values in the point array `interface_distance`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distance_limit: Option<f64>,
     /// Largest length scale of the smoothing in mm. `None` if every voxel centre stays in its
@@ -160,7 +160,8 @@ pub struct SurfaceMeta {
     pub notes: Map<String, Value>,
 }
 
-/// Converts the `meta` of a file to its type. Returns the default if `meta` is null.
+/// Converts the `meta` of a file to the struct for its file type. Returns the default if `meta` is
+/// null.
 ///
 /// # Errors
 /// If the metadata has the wrong type or a newer version.

@@ -4,7 +4,8 @@
 //! The container is little-endian: magic (8 bytes), kind (u32), format version (u32), length of the
 //! payload (u64), BLAKE3 hash of the payload (32 bytes), payload. The payload contains the particle
 //! set, the metadata and history as JSON strings, and the extra bytes of checkpoints, in bincode
-//! with fixed-width little-endian integers. In version 2 (several materials), the strata follow.
+//! with fixed-width little-endian integers. In version 2 (several materials), the strata follow the
+//! extra bytes.
 
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
@@ -92,8 +93,8 @@ struct PayloadOut<'a> {
     extra: &'a [u8],
 }
 
-/// The payload as it is decoded. Strings are decoded as bytes, which have the same encoding. For a
-/// string, bincode would allocate the declared length before checking the amount of data.
+/// The decoded payload. Strings are decoded as byte vectors, which have the same encoding. For a
+/// string, bincode would allocate the declared length before it checks the amount of data.
 #[derive(Deserialize)]
 struct PayloadIn {
     particles: ParticleSet,
@@ -301,8 +302,8 @@ fn check_particles(set: &ParticleSet) -> std::result::Result<(), &'static str> {
     Ok(())
 }
 
-/// Checks the properties that all stages require: one stratum per particle, strata of lower
-/// dimension first, and segments whose ends lie on junction curves or points.
+/// Checks the properties that all stages require: one valid stratum per particle, particles in
+/// ascending order of stratum dimension, and segments whose ends lie on junction curves or points.
 fn check_strata(strata: &Strata, count: usize) -> std::result::Result<(), &'static str> {
     if strata.of.len() != count {
         return Err("its numbers of strata and particles differ");

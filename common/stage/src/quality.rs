@@ -8,7 +8,7 @@ pub enum Quality {
     Coarse,
     /// As fine as the data supports.
     Medium,
-    /// About three times as many triangles as medium, smoother than the data.
+    /// About three times as many triangles as medium, finer than the data supports.
     Fine,
 }
 
@@ -24,8 +24,8 @@ impl Quality {
     }
 
     /// Returns the minimum h in units of the mean voxel spacing. Triangles with edges shorter than
-    /// 0.75 voxels capture no further detail of the data. Compared with 0.75, a minimum of 1.5
-    /// gives a quarter as many triangles, and a minimum of 0.5 gives 2.25 times as many.
+    /// 0.75 voxels capture no further detail of the data. A minimum of 1.5 gives a quarter as many
+    /// triangles as 0.75, and a minimum of 0.5 gives 2.25 times as many.
     #[must_use]
     pub fn smallest_size_voxels(self) -> f64 {
         match self {

@@ -1,7 +1,7 @@
 //! Tests the shared parts of all stage programs with a small program: exit codes, atomic outputs,
 //! the report, reproducible bytes, and the response to signals.
 //!
-//! This test does not use the default harness, because its own executable also serves as that
+//! This test does not use the default harness, because its executable also serves as the small
 //! program.
 
 use isoparticles_stage::cli::check::Known;
@@ -16,7 +16,7 @@ use std::time::Duration;
 /// Environment variable that makes this executable run as the small program.
 const CHILD: &str = "ISOPARTICLES_STAGE_FRAME_CHILD";
 
-/// Tries the frame of a stage.
+/// Tests the code that all stages share.
 #[derive(clap::Parser)]
 #[command(name = "trial", version)]
 struct Args {
@@ -161,7 +161,7 @@ fn exit_codes_and_files() {
     let help = start(&["--help"], folder.path());
     assert_eq!(help.status.code(), Some(0));
     let help = String::from_utf8_lossy(&help.stdout).into_owned();
-    assert!(help.starts_with("Tries the frame of a stage"), "{help}");
+    assert!(help.starts_with("Tests the code that all stages share"), "{help}");
     for option in [
         "--verbose",
         "--quiet",
@@ -266,7 +266,7 @@ fn the_report() {
 #[cfg(unix)]
 fn a_signal_leaves_nothing_half_written() {
     use std::io::{BufRead, BufReader};
-    // "deaf" never checks the flag, so only the second signal ends the program
+    // in mode "deaf", the program never checks for interrupts, so only the second signal ends it
     for (mode, signals) in
         [("wait", &["INT"][..]), ("wait", &["TERM"]), ("endless", &["INT"]), ("deaf", &["INT", "TERM"])]
     {

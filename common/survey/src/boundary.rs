@@ -8,8 +8,8 @@
 //!
 //! A ball is centred at each sampled face. The fraction of its volume inside the object gives the
 //! mean curvature H (integral invariant of Pottmann et al. 2007: fraction = 1/2 - 3/16 r H), and
-//! the centroid of this part gives the normal. Walks along the normal in both directions measure
-//! the thickness of the object and of the adjacent gap.
+//! the centroid of the part inside gives the normal. Walks along the normal in both directions
+//! measure the thickness of the object and of the adjacent gap.
 
 use crate::classes::{Classes, OUTSIDE};
 use glam::DVec3;
@@ -26,8 +26,8 @@ pub const BALL: f64 = 2.0;
 /// thickness. With two steps per voxel, the walk does not skip a layer one voxel thick.
 const WALK_STEP: f64 = 0.5;
 
-/// Maximum length of a walk along the normal in units of the mean spacing. At this thickness, h is
-/// limited to 0.20 x 30 = 6 voxels (`EDGE_OVER_THICKNESS` in `cost.rs`). The vertex density is
+/// Maximum length of a walk along the normal in units of the mean spacing. A part 30 voxels thick
+/// limits h to 0.20 x 30 = 6 voxels (`EDGE_OVER_THICKNESS` in `cost.rs`). The vertex density is
 /// proportional to 1 / h^2, so thicker parts have at most (0.75 / 6)^2 = 1/64 of the density at the
 /// minimum h. Their exact thickness hardly affects the vertex count.
 const WALK_LENGTH: f64 = 30.0;
@@ -82,7 +82,7 @@ impl Boundary {
         self.weight * face_area(geometry, place.axis) / 1.5
     }
 
-    /// Returns the diagonal of the bounding box of the sampled faces, in mm.
+    /// Returns the length of the diagonal of the bounding box of the sampled faces, in mm.
     pub fn diagonal(&self) -> f64 {
         self.extent().length()
     }
@@ -140,7 +140,7 @@ pub fn boundaries(classes: &Classes<'_>, wanted: usize) -> Vec<Boundary> {
 }
 
 /// Calls `found` for each face between a voxel of slice `k` and the next voxel along an axis, and
-/// for each face of the slice at the border of the volume.
+/// for each face of the slice at a lower border of the volume.
 fn each_face(classes: &Classes<'_>, k: usize, mut found: impl FnMut(Face)) {
     let [nx, ny, nz] = classes.geometry.size;
     let row = |j: usize, k: usize| {

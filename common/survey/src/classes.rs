@@ -84,7 +84,7 @@ pub struct Classes<'a> {
     pub count: usize,
 }
 
-/// One layer: its voxels, and the rule that maps values to classes.
+/// A layer: its voxels, and the rule that maps their values to classes.
 #[derive(Clone, Debug)]
 struct Layer<'a> {
     voxels: &'a Voxels,

@@ -16,7 +16,8 @@ use serde::Serialize;
 /// over this constant, [`EDGE_OVER_THICKNESS`], [`STAIRCASE`] and [`BALL`]. The search minimised
 /// the scatter of the ratio of predicted to actual vertex count over fourteen surfaces. The
 /// remaining scatter is a factor of 1.3. `stages/distfield/benches/predicted.py` lists the
-/// surfaces, compares the counts and prints corrections for the gradation factors below.
+/// surfaces, compares the counts and prints corrections for [`GRADATION_LABELS`] and
+/// [`GRADATION_SCAN`].
 const EDGE_OVER_RADIUS: f64 = 0.30;
 
 /// Ratio of the edge length to the thickness, from the same search as [`EDGE_OVER_RADIUS`].
@@ -68,17 +69,17 @@ struct Rates {
     bytes: &'static [[f64; 4]],
 }
 
-/// Measured with `python stages/distfield/benches/costs.py` on seven phantoms, on two cores of an
-/// EPYC that also ran other work. The predicted memory differs from the measured memory by at most
-/// about a fifth, and the predicted time by at most about a third. The two exceptions are the
-/// `particles` stage on the noise phantom (11.3 s measured, 4.3 s predicted, because all passes
-/// run) and on the coarse ball.
+/// Cost rates of the four groups of stages, measured on seven phantoms with
+/// `python stages/distfield/benches/costs.py`, on two cores of an EPYC that also ran other work.
+/// The predicted memory is within about a fifth of the measured memory, and the predicted time
+/// within about a third of the measured time. The two exceptions are the time of `particles` on the
+/// noise phantom (11.3 s measured, 4.3 s predicted, because the stage runs all its passes) and on
+/// the coarse ball.
 ///
-/// - `fields`: the peak is that of `distfield`, which depends on the nodes, or that of `sizefield`,
-///   which also depends on the vertices. `sizefield` needs 12 bytes per node for F, its
-///   coefficients and h, and 820 to 1,160 bytes per vertex on eight shared volumes (`costs.py
-///   --volumes`; 551 on `heart_ct`).
-/// - `triangles`: the bytes per vertex are those measured on `thorax_ct_native_u8`.
+/// - `fields`: the two entries for memory belong to `distfield` and `sizefield`. `sizefield` needs
+///   12 bytes per node for F, its coefficients and h, and 820 to 1,160 bytes per vertex on eight
+///   shared volumes (`costs.py --volumes`; 551 on `heart_ct`).
+/// - `triangles`: the bytes per vertex were measured on `thorax_ct_native_u8`.
 /// - `tetrahedra`: the elapsed time for the torso is 11.7 s with the lungs (36,514 vertices) and
 ///   19.5 s with the ribs (99,084 vertices). The memory is 896 MiB for `heart` (55,626 vertices)
 ///   and 2,050 MiB for `ribs` (292,825 vertices; `docs/developer/performance.md`, "Real volumes").

@@ -3,8 +3,8 @@
 //! A label map consists of regions of constant value, so the value rarely changes twice in a row
 //! along an axis. In a scan, noise and blurred edges make the value differ from voxel to voxel,
 //! even if large parts are saturated or padded. The number of distinct values is a weaker
-//! criterion: an 8-bit scan has up to 256, and a parcellation can have more. A scan with few levels
-//! also has regions of constant value, but neighbouring regions have consecutive levels.
+//! criterion: an 8-bit scan has up to 256, and a parcellation can have more. A scan with few grey
+//! levels also has regions of constant value, but neighbouring regions have consecutive levels.
 
 use crate::survey::{Survey, UNCLEAR};
 use serde::Serialize;
@@ -31,11 +31,11 @@ impl std::fmt::Display for Kind {
 /// Possible values of the option `--kind`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum KindChoice {
-    /// The kind is determined from the values.
+    /// Detect the kind from the voxel values.
     Auto,
-    /// A scan: measured values.
+    /// Scan: measured values.
     Scan,
-    /// A label map: numbers of materials.
+    /// Label map: each value is the number of a material.
     Labels,
 }
 
@@ -62,10 +62,10 @@ pub struct Judgement {
     pub reason: String,
 }
 
-/// Minimum share of jumps that are steps (`steps` / `jumps`) in a scan with few levels, where
-/// neighbouring regions have consecutive levels. The share is at least 0.54 for scans quantized to
-/// 8 to 128 levels, and at most 0.3 for label maps with more than 8 labels (`isoparticles-volume
-/// info VOLUME --json -`).
+/// Minimum fraction of jumps that are steps (`steps / jumps`) in a scan with few grey levels, where
+/// neighbouring regions have consecutive levels. The fraction is at least 0.54 for scans quantized
+/// to 8 to 128 levels, and at most 0.3 for label maps with more than 8 labels
+/// (`isoparticles-volume info VOLUME --json -`).
 const STEPS_ABOVE: f64 = 0.5;
 
 /// Minimum number of distinct values for the test with [`STEPS_ABOVE`]. Label maps with fewer
@@ -78,7 +78,7 @@ const FEWEST_LEVELS: usize = 8;
 /// be a scan that was upsampled by repeating voxels.
 const MOST_CERTAIN_LABELS: usize = 1000;
 
-/// Minimum number of jumps for the kind to be certain. The share of double jumps among 100
+/// Minimum number of jumps for the kind to be certain. The fraction of double jumps among 100
 /// independent jumps has a standard deviation of at most sqrt(0.25 / 100) = 0.05. The range
 /// [`UNCLEAR`] is nine times as wide.
 const FEWEST_JUMPS: usize = 100;
@@ -141,12 +141,12 @@ mod tests {
         judge(&Survey::of(&Voxels::I16(image.data), &geometry), 0)
     }
 
-    /// Returns the distance from a point near the centre of the volume, in voxels.
+    /// Returns the distance of `p` from a point near the centre of the volume, in voxels.
     fn radius(p: DVec3) -> f64 {
         p.distance(DVec3::new(23.3, 21.6, 19.8))
     }
 
-    /// Returns a random number with mean 0 and standard deviation 1.
+    /// Returns the n-th of a sequence of random numbers with mean 0 and standard deviation 1.
     fn noise(n: u64) -> f64 {
         (0..4).map(|stream| uniform(3, stream, n) - 0.5).sum::<f64>() * 3f64.sqrt()
     }

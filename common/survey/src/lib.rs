@@ -64,7 +64,7 @@ const LABEL_FACES: std::ops::RangeInclusive<usize> = 100..=2000;
 pub struct Wishes {
     /// Labels whose union is the object.
     pub labels: Option<Vec<LayerLabel>>,
-    /// Iso value of the object, and which side of it is inside.
+    /// Iso value of the object, and the side on which the object lies.
     pub iso: Option<(f64, Inside)>,
     /// Kind of the volume, which overrides the automatic detection.
     pub kind: Option<Kind>,

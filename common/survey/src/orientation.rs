@@ -17,8 +17,7 @@ pub struct Orientation {
     pub oblique_degrees: f64,
     /// Whether the transformation from grid to world includes a reflection.
     pub left_handed: bool,
-    /// Whether the angle between any two grid axes deviates from 90 degrees by more than 0.1
-    /// degrees.
+    /// Whether two grid axes form an angle that deviates from 90 degrees by more than 0.1 degrees.
     pub sheared: bool,
 }
 

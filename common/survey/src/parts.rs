@@ -4,7 +4,7 @@ use crate::classes::{Classes, OUTSIDE};
 use isoparticles_mesh::components::DisjointSets;
 use serde::Serialize;
 
-/// Maximum number of runs along x, which take 288 MiB at 18 bytes per run. A volume with more runs
+/// Maximum number of runs along x. At 18 bytes per run, they take 288 MiB. A volume with more runs
 /// is mostly noise, so its parts are specks.
 const MOST_RUNS: usize = 1 << 24;
 

@@ -156,7 +156,8 @@ fn missing_error(missing: &[Item], volume: &Volume, present: &[LayerLabel]) -> E
     no_voxel(&told.join(", "), volume, present)
 }
 
-/// Returns the error for selected labels that no voxel has. The message refers to them as `labels`.
+/// Returns the error for selected labels that no voxel has. `labels` is the text that names them in
+/// the message.
 pub fn no_voxel(labels: &str, volume: &Volume, present: &[LayerLabel]) -> Error {
     Error::input(
         format!("no voxel has the label {labels}"),

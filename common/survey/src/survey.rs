@@ -18,11 +18,11 @@ const MOST_BINS: usize = 256;
 /// the task, which has at most [`MOST_DISTINCT`] entries.
 const CHUNK: usize = 1 << 20;
 
-/// Range in which the share of double jumps (`double_jumps` / `jumps`) does not distinguish scans
-/// from label maps. A lower share indicates a label map, and a higher share a scan. Among the
-/// shared volumes, the share is at most 0.28 for label maps (`brain_parcellation`) and at least
+/// Range in which the fraction of double jumps (`double_jumps / jumps`) does not distinguish scans
+/// from label maps. A lower fraction indicates a label map, and a higher one a scan. Among the
+/// shared volumes, the fraction is at most 0.28 for label maps (`brain_parcellation`) and at least
 /// 0.91 for scans (`thorax_ct_native_u8`). It is 0.30 to 0.83 for scans quantized to 8 to 64
-/// levels. The shares were measured with `isoparticles-volume info VOLUME --json -`.
+/// levels. The fractions were measured with `isoparticles-volume info VOLUME --json -`.
 pub const UNCLEAR: std::ops::Range<f64> = 0.29..0.75;
 
 /// Statistics of the voxels.
@@ -46,8 +46,8 @@ pub struct Survey {
     /// Number of double jumps. A double jump is a jump whose first two values also differ.
     pub double_jumps: usize,
     /// Number of steps. A step is a jump between two values such that no voxel has a value between
-    /// them. Steps are counted only if the share of double jumps is in [`UNCLEAR`]; otherwise, this
-    /// is 0.
+    /// them. Steps are counted only if the fraction of double jumps is in [`UNCLEAR`]; otherwise,
+    /// this is 0.
     pub steps: usize,
     /// Histogram of the finite values.
     pub histogram: Histogram,
@@ -81,13 +81,13 @@ impl Survey {
         Some(values.len() + usize::from(!has_zero))
     }
 
-    /// Returns the share of jumps that are double jumps. It is near 1 if every voxel differs from
-    /// its neighbours, and near 0 for regions of constant value.
+    /// Returns the fraction of jumps that are double jumps. It is near 1 if every voxel differs
+    /// from its neighbours, and near 0 for regions of constant value.
     pub fn double_share(&self) -> f64 {
         self.double_jumps as f64 / self.jumps.max(1) as f64
     }
 
-    /// Returns the share of jumps that are steps. It is near 1 for a scan with few levels.
+    /// Returns the fraction of jumps that are steps. It is near 1 for a scan with few grey levels.
     pub fn step_share(&self) -> f64 {
         self.steps as f64 / self.jumps.max(1) as f64
     }
@@ -241,7 +241,7 @@ fn each_triple<T>(values: &[T], [nx, ny, _]: [usize; 3], k: usize, mut visit: im
     }
 }
 
-/// Counts the triples whose second and third voxels have values that are consecutive in `counted`.
+/// Counts the triples whose second and third values are consecutive in `counted`.
 fn steps<T: Cell>(values: &[T], size: [usize; 3], counted: &[(i64, usize)]) -> usize {
     let rank =
         |value: T| value.whole().and_then(|value| counted.binary_search_by_key(&value, |(value, _)| *value).ok());

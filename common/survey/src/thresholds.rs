@@ -10,7 +10,7 @@ use serde::Serialize;
 pub struct IsoValue {
     /// The value.
     pub iso: f64,
-    /// The side of the iso value that is inside the object.
+    /// The side of the iso value on which the object lies.
     #[serde(serialize_with = "side")]
     pub inside: Inside,
     /// Reason for the proposal, in words.
@@ -24,22 +24,23 @@ fn side<S: serde::Serializer>(inside: &Inside, serializer: S) -> Result<S::Ok, S
     })
 }
 
-/// A scan in Hounsfield units contains values below this threshold. Air is at -1000 by definition;
+/// Upper bound of the minimum value of a scan in Hounsfield units. Air is at -1000 by definition;
 /// the margin allows for noise and for voxels that are only partly air.
 const AIR: f64 = -800.0;
 
-/// A scan in Hounsfield units contains values above this threshold, which is the iso value of bone
-/// in [`LEVELS`].
+/// Lower bound of the maximum value of a scan in Hounsfield units: the iso value of bone in
+/// [`LEVELS`].
 const BONE: f64 = 200.0;
 
-/// Range of values in scans, rounded outwards to hundreds. Padding can be as low as -3024 (GE:
-/// -2000, 3D Slicer: -3024), air is at -1024 or above, and metal reaches 3071 with 12 bits. The
+/// Range of values in CT scans, rounded outwards to hundreds. Padding can be as low as -3024 (GE:
+/// -2000, 3D Slicer: -3024), air is at -1024 or above, and metal reaches 3071 in 12-bit scans. The
 /// minimum of a scan in Hounsfield units lies in this range.
 const SCANNER_RANGE: [f64; 2] = [-3100.0, 3100.0];
 
-/// Minimum share of voxels with values in [`SCANNER_RANGE`] in a scan in Hounsfield units. A few
-/// metal voxels can exceed the range. `isoparticles-volume info VOLUME --json -` gives shares of
-/// 0.99994 for `heart_ct` and 1 for `thorax_ct`.
+/// Minimum fraction of the voxels of a scan in Hounsfield units with values in [`SCANNER_RANGE`]. A
+/// few metal voxels can exceed the range. In the histograms of
+/// `isoparticles-volume info VOLUME --json -`, the fraction is 0.99994 for `heart_ct` and 1 for
+/// `thorax_ct`.
 const LEAST_SHARE_IN_RANGE: f64 = 0.99;
 
 /// Iso values for CT: textbook values halfway between the tissues that they separate.
@@ -50,10 +51,10 @@ const LEVELS: [(f64, Inside, &str); 4] = [
     (700.0, Inside::Above, "Hounsfield: compact bone and teeth"),
 ];
 
-/// If the fullest bin of the histogram contains more than this share of the voxels, it is treated
-/// as padding or saturation, and Otsu's thresholds ignore it. According to `isoparticles-volume
-/// info VOLUME --json -`, the fullest bin contains 0.05 to 0.10 of the voxels of `heart_ct`,
-/// `trabecular_bone` and `tooth_ct`, and 0.55 of those of `thorax_ct`, whose background is
+/// Maximum fraction of the voxels that a bin of the histogram may contain. A fuller bin is treated
+/// as padding or saturation, and Otsu's thresholds ignore it. According to
+/// `isoparticles-volume info VOLUME --json -`, the fullest bin contains 0.05 to 0.10 of the voxels
+/// in `heart_ct`, `trabecular_bone` and `tooth_ct`, but 0.55 in `thorax_ct`, whose background is
 /// constant. The limit is about the geometric mean of 0.10 and 0.55.
 const PADDING_SHARE: f64 = 0.25;
 
@@ -123,7 +124,7 @@ impl Histogram {
         (rest, padding.map(|bin| self.low + bin as f64 * self.width))
     }
 
-    /// Returns, for each bin, the number of values in all lower bins and the sum of the bin numbers
+    /// Returns, for each bin, the number of values in all lower bins and the sum of the bin indices
     /// of these values.
     fn sums(&self) -> Vec<[f64; 2]> {
         let mut sums = vec![[0.0, 0.0]];
@@ -135,8 +136,9 @@ impl Histogram {
     }
 }
 
-/// Returns the squared sum of the bin numbers divided by the number of values, for the bins `a..b`.
-/// Summed over all classes, this is the between-class variance up to constants (Otsu 1979).
+/// Returns the squared sum of the bin indices of the values in the bins `a..b`, divided by the
+/// number of these values. Summed over all classes, this is the between-class variance up to
+/// constants (Otsu 1979).
 fn weight(sums: &[[f64; 2]], a: usize, b: usize) -> f64 {
     let (count, sum) = (sums[b][0] - sums[a][0], sums[b][1] - sums[a][1]);
     if count > 0.0 { sum * sum / count } else { f64::NEG_INFINITY }

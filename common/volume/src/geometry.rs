@@ -107,8 +107,8 @@ impl Geometry {
         self.spacing.min_element()
     }
 
-    /// Returns the geometric mean of the spacings in mm. In this project, lengths in voxels are
-    /// multiples of this mean.
+    /// Returns the geometric mean of the spacings in mm. In this project, a length of one voxel
+    /// means this length.
     pub fn mean_spacing(&self) -> f64 {
         (self.spacing.x * self.spacing.y * self.spacing.z).cbrt()
     }

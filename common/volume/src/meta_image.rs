@@ -22,8 +22,8 @@ use std::path::Path;
 /// Maximum number of dimensions. The arrays of MetaIO's class `MetaObject` have ten entries.
 const MOST_DIMENSIONS: usize = 10;
 
-/// The fields that a header can start with. ITK always writes `ObjectType` first; other programs
-/// may omit it.
+/// Names of the fields that can start a header. ITK always writes `ObjectType` first; other
+/// programs may omit it.
 const FIRST_FIELDS: [&str; 3] = ["ObjectType", "NDims", "Comment"];
 
 /// Returns whether a file that starts with these bytes is a MetaImage.

@@ -226,8 +226,8 @@ fn pixel_spacing(header: &NiftiHeader) -> DVec3 {
     DVec3::new(header.pixdim[1].into(), header.pixdim[2].into(), header.pixdim[3].into())
 }
 
-/// Returns the sform as the vectors between neighbouring voxels, the origin and the space.
-/// Coordinates are RAS.
+/// Returns the sform as the vectors between neighbouring voxels, the origin and the space. The
+/// coordinates are RAS; the caller converts them to LPS.
 fn sform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     let row = |row: [f32; 4]| row.map(f64::from);
     let (x, y, z) = (row(header.srow_x), row(header.srow_y), row(header.srow_z));
@@ -235,8 +235,8 @@ fn sform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     (DMat3::from_cols(column(0), column(1), column(2)), column(3), Space::Lps)
 }
 
-/// Returns the qform as the vectors between neighbouring voxels, the origin and the space.
-/// Coordinates are RAS.
+/// Returns the qform as the vectors between neighbouring voxels, the origin and the space. The
+/// coordinates are RAS; the caller converts them to LPS.
 fn qform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     let vector = DVec3::new(header.quatern_b.into(), header.quatern_c.into(), header.quatern_d.into());
     // The first component of the quaternion is not stored. The norm of the other three may exceed

@@ -9,7 +9,8 @@ use std::io::Read;
 use std::path::Path;
 
 /// Number of bytes used to detect the format. DICOM needs the first 132 bytes. The XML declaration
-/// and the `VTKFile` tag written by VTK have up to 151 bytes, and a comment may precede the tag.
+/// and the `VTKFile` tag that VTK writes have up to 151 bytes in total; a comment may precede the
+/// tag.
 const START_BYTES: u64 = 512;
 
 /// Options for reading a volume.

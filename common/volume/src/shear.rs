@@ -16,9 +16,9 @@ use crate::voxels::Voxels;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-/// A shear is ignored if it shifts the far end of the volume by less than this number of voxels.
-/// Such a shear can result from rounded directions in the header: an error of 1e-4 shifts the 500th
-/// voxel by 0.05 voxel.
+/// Upper limit, in voxels, of the shifts at the far end of the volume that are ignored. Such shifts
+/// can result from rounded directions in the header: an error of 1e-4 shifts the 500th voxel by
+/// 0.05 voxels.
 const IGNORED_SHIFT: f64 = 0.1;
 
 /// A transformation from a sheared grid to an orthonormal grid that covers it.
@@ -26,7 +26,7 @@ const IGNORED_SHIFT: f64 = 0.1;
 pub struct Shear {
     /// The orthonormal grid.
     pub geometry: Geometry,
-    /// Maximum deviation from a right angle between any two of the old axes, in degrees.
+    /// Maximum deviation of the angle between two old axes from 90 degrees, in degrees.
     pub degrees: f64,
     passes: Vec<Pass>,
 }
@@ -164,8 +164,8 @@ fn snapped(shift: f64) -> f64 {
 
 /// Returns the weights of voxels -1, 0, 1 and 2 for interpolation at a position t between voxels 0
 /// and 1. The kernel is the cubic convolution of Keys (1981) with a = -1/2, which is exact for
-/// polynomials of second degree. Measured on a scan of a ball of radius 14 mm with a point spread
-/// of 0.8 mm and 1 mm voxels sheared by 30 degrees: F = 0 encloses 11,454 mm^3. With linear
+/// polynomials of second degree. For a synthetic scan of a ball of radius 14 mm, with a point
+/// spread of 0.8 mm and 1 mm voxels sheared by 30 degrees, F = 0 encloses 11,454 mm^3. With linear
 /// interpolation, it encloses 11,446 mm^3; on an unsheared grid, 11,456 mm^3.
 fn keys(t: f64) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);

@@ -99,7 +99,8 @@ impl Volume {
         }
     }
 
-    /// Returns a label with the layer that contains it. If there is none, takes the first layer.
+    /// Returns a label with the layer that contains it. Uses the first layer if no layer contains
+    /// the label.
     ///
     /// # Errors
     /// If several layers contain the label, or if the volume has several layers and a value is not
@@ -125,7 +126,7 @@ impl Volume {
         }
     }
 
-    /// Returns a mask of the voxels that have one of the given labels in the corresponding layer.
+    /// Returns a mask of the voxels that have any of the given labels in the layer of that label.
     pub fn label_mask(&self, labels: &[LayerLabel]) -> Vec<bool> {
         let of_layer =
             |layer: usize| -> Vec<i64> { labels.iter().filter(|at| at.layer == layer).map(|at| at.label).collect() };

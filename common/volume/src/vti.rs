@@ -30,7 +30,7 @@ pub fn open_image(document: &mut Document<'_>, geometry: &Geometry) {
     document.open("ImageData", &attributes);
 }
 
-/// Returns the value of the `Extent` attribute for the only piece of an image.
+/// Returns the `Extent` attribute of a piece that contains the whole image.
 pub fn piece_extent(geometry: &Geometry) -> String {
     let [nx, ny, nz] = geometry.size.map(|n| n.saturating_sub(1));
     format!("0 {nx} 0 {ny} 0 {nz}")
@@ -226,8 +226,8 @@ mod tests {
             let volume = read_volume(&path).expect("read");
             assert_eq!(volume.voxels, Voxels::U8((1..13).collect()));
             assert_eq!((volume.geometry.size, volume.geometry.spacing), ([2, 3, 2], DVec3::new(2.0, 1.0, 4.0)));
-            // the first point is one step along x from the origin, and the x axis points along
-            // world y
+            // The first cell centre is 1.5 steps along x and half a step along y and z from the
+            // origin. The x axis points along world y, and the y axis along world -x.
             assert!(volume.geometry.origin.abs_diff_eq(DVec3::new(9.5, 3.0, 2.0), 1e-12), "{}", volume.geometry.origin);
             assert!(volume.remarks[0].contains("cell data"), "{:?}", volume.remarks);
         }

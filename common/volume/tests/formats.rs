@@ -53,8 +53,8 @@ fn other_programs_see_the_same_voxels_in_the_same_places() {
         let texts: Vec<String> = serde_json::from_value(told["values"].clone()).expect("texts");
         assert!(same_values(&volume.voxels, &texts), "{file}: {:?}", volume.voxels);
         let places: [[f64; 3]; 4] = serde_json::from_value(told["positions"].clone()).expect("positions");
-        // NIfTI stores the geometry in 32-bit numbers, and VTK stores the origin to about as many
-        // digits.
+        // NIfTI stores the geometry as 32-bit floats. VTK writes the origin with about the same
+        // precision.
         let tolerance = if file.starts_with("nrrd") { 1e-10 } else { 1e-5 };
         for (ours, theirs) in positions(&volume).iter().zip(places) {
             let theirs = DVec3::from_array(theirs);
@@ -73,8 +73,7 @@ fn segments_have_names_and_layers() {
     let two = read("two_layers.seg.nrrd");
     assert_eq!((two.layer_count(), two.segments.len()), (2, 3));
     assert_eq!(two.segment_named("vessel").expect("there"), LayerLabel { layer: 1, label: 1 });
-    // In NumPy's order (z fastest), the second layer, rotated left by five voxels, is the first
-    // one.
+    // The second layer is the first one, rotated right by five voxels in NumPy's order (z fastest).
     let in_numpy =
         |mask: Vec<bool>| -> Vec<bool> { (0..24).map(|n| mask[(n % 2) * 12 + (n / 2 % 4) * 3 + n / 8]).collect() };
     let lung = in_numpy(one.label_mask(&[LayerLabel { layer: 0, label: 1 }]));

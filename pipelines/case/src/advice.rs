@@ -13,8 +13,8 @@ struct Table {
     terms: Vec<Entry>,
 }
 
-/// An entry of the table: the advice for messages that contain `words`, or the text that replaces
-/// the placeholder `words` in an advice.
+/// An entry of the table. `text` is the advice for messages that contain `words`, or, for a term,
+/// the text that replaces the placeholder `words` in the advice.
 #[derive(Deserialize)]
 struct Entry {
     words: String,
@@ -36,8 +36,8 @@ impl Entry {
 }
 
 /// Returns the advice for a failed check of a case with these parameters, or `None` if the message
-/// itself contains the advice. For an unknown message, the advice refers to the troubleshooting
-/// page.
+/// of the check already contains advice. For an unknown message, the advice refers to the
+/// troubleshooting page.
 pub(crate) fn advice_for(check: &str, parameters: &BTreeMap<String, String>) -> Option<String> {
     find(check, parameters, |_| true)
 }

@@ -28,7 +28,7 @@ pub(crate) const LOGS: &str = ".batch";
 /// First character of comment lines.
 const COMMENT: char = '#';
 
-/// Keys that apply to the whole batch and therefore cannot be columns.
+/// Keys that cannot be columns, because they apply to the whole batch.
 const BATCH_KEYS: [&str; 3] = ["CASE", "OUT", "VERBOSITY"];
 
 /// A list of cases, and how to run it.
@@ -38,8 +38,8 @@ pub struct Batch<'a> {
     pub list: &'a Path,
     /// `KEY=VALUE` settings for all rows. The cells of a row take precedence.
     pub common: &'a [String],
-    /// Other variable names of the caller. They are candidates for the correction of a misspelled
-    /// key.
+    /// Other variable names of the caller. The message about a misspelled key may suggest one of
+    /// them.
     pub known: &'a [String],
     /// Goal of each case, such as `mesh` or `surface`.
     pub goal: &'a str,
@@ -109,7 +109,7 @@ pub struct Ending {
 }
 
 impl Ending {
-    /// Returns the initial outcome of a row, before any program has run.
+    /// Returns the outcome of a row for which no program has run yet.
     pub(crate) fn of_nothing(row: &Row) -> Self {
         Self {
             name: row.name.clone(),
@@ -137,7 +137,7 @@ impl Batch<'_> {
     ///
     /// # Errors
     /// If the list is unreadable, a column is not a key, two rows have the same name, or the
-    /// summary or a log cannot be written. The first three errors occur before any row runs.
+    /// summary or a log cannot be written. Errors in the list are reported before any row runs.
     pub fn make(&self, programs: &Programs) -> Result<Vec<Ending>> {
         let settings = Settings::read(&[], self.common, None, self.known)?;
         let out = out(&settings);
@@ -175,7 +175,8 @@ impl Batch<'_> {
         index::write(&out, refused, programs)
     }
 
-    /// Reads the list and has each stage check the options of each row. Returns the rows.
+    /// Reads the list, and checks the options of each row by running the stages with
+    /// `--check-options`.
     pub(crate) fn checked(&self, programs: &Programs) -> Result<Vec<Row>> {
         let mut rows = self.read()?;
         let goal = stage_of_goal(self.goal).unwrap_or_default();
@@ -319,7 +320,7 @@ impl Batch<'_> {
         Ok(ending)
     }
 
-    /// Returns the arguments with which this program runs a row up to `goal`.
+    /// Returns the arguments of this program for a run of a row up to `goal`.
     pub(crate) fn arguments(&self, goal: &str, row: &Row, programs: &Programs) -> Vec<OsString> {
         let mut arguments: Vec<OsString> = vec![goal.into()];
         arguments.extend(row.cells.iter().map(OsString::from));
@@ -367,7 +368,7 @@ pub fn exit_code(endings: &[Ending]) -> u8 {
     u8::from(!endings.iter().all(Ending::is_fit))
 }
 
-/// Returns the summary that closes the terminal output.
+/// Returns the closing summary for the terminal.
 #[must_use]
 pub fn closing(endings: &[Ending]) -> String {
     let fit = endings.iter().filter(|ending| ending.is_fit()).count();
@@ -448,7 +449,7 @@ pub(crate) fn write_summary(path: &Path, endings: &[Ending]) -> Result<()> {
 mod tests {
     use super::*;
 
-    /// Returns the line number and name of each row of a list, or the error.
+    /// Returns the line number and the name of each row of a list, or the error in the list.
     fn lines(list: &str) -> Result<Vec<(u64, String)>> {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("cases.csv");

@@ -12,9 +12,9 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Checks the command lines of the stages that are about to run. If the run cannot remove an
-/// earlier result, an error in the content of the volume is ignored here. The run then reports this
-/// error on the page of the case.
+/// Checks the command lines of the stages that are about to run. If the case has no earlier results
+/// that the run would remove, errors in the content of the volume are ignored here; the run reports
+/// them on the page of the case.
 ///
 /// # Errors
 /// If a stage rejects its command line.
@@ -43,8 +43,8 @@ fn materials_made(folder: &CaseFolder) -> Option<Vec<String>> {
     table.iter().map(|material| material["name"].as_str().map(str::to_owned)).collect()
 }
 
-/// Results of the checks with `--check-options`, cached by program, arguments and known facts. Most
-/// cases of a list have the same options, so the cache avoids most calls.
+/// Cache of the results of `--check-options`, by program, arguments and known facts. Most cases of
+/// a list have the same options, so most calls are avoided.
 #[derive(Default)]
 pub struct Answers(BTreeMap<(PathBuf, Vec<OsString>, String), Result<Known>>);
 
@@ -56,7 +56,7 @@ impl Answers {
     /// If a stage rejects its options, or the settings do not allow the goal.
     pub fn check(&mut self, case: &Case, goal: &str, programs: &Programs) -> Result<()> {
         case.check_goal(goal)?;
-        // With a fixed folder, equal options give equal command lines.
+        // The same folder for all cases, so that equal options give equal command lines.
         let folder = CaseFolder::new(Path::new("OUT"), "NAME");
         let mut known = Known::default();
         for stage in STAGES.iter().map(|stage| stage.stage) {
@@ -78,8 +78,8 @@ impl Answers {
     }
 }
 
-/// Runs one stage with `--check-options`. Returns the known facts about the case, including those
-/// that this stage adds for the next stage.
+/// Runs one stage with `--check-options`. Returns the known facts about the case for the next
+/// stage, including facts that this stage adds.
 fn ask(stage: &str, program: &Path, arguments: &[OsString], known: &Known) -> Result<Known> {
     let mut words = vec![CHECK_OPTIONS.into(), serde_json::json!(known).to_string().into()];
     words.extend_from_slice(arguments);

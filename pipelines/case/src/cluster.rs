@@ -20,7 +20,8 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Folder in OUT for the scheduler's files and the logs of the stages. No case can have this name.
+/// Folder in OUT for the scheduler's files and the logs of the stages. Names of cases cannot start
+/// with a dot.
 pub const FOLDER: &str = ".cluster";
 
 /// A row of the list in the form that the scheduler reads.
@@ -28,14 +29,14 @@ pub const FOLDER: &str = ".cluster";
 struct ListedRow {
     name: String,
     line: u64,
-    /// Settings of the row, including settings from the command line.
+    /// Settings of the row, and settings of the command line that the row does not override.
     settings: BTreeMap<String, String>,
     /// Command that predicts the cost of the mesh; `None` for a phantom or a missing volume.
     info: Option<Vec<String>>,
     /// Error of a row that cannot start.
     error: Option<Problem>,
     stages: Vec<ListedStage>,
-    /// Command that generates the page about the case.
+    /// Command that generates the page of the case.
     page: Option<Vec<String>>,
     /// Working directory of all commands.
     folder: PathBuf,
@@ -137,8 +138,7 @@ fn forget_marks(case: &Case, out: &Path, stages: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// Returns whether the result of a stage is intact and was made with the current settings of the
-/// row.
+/// Returns whether the result of a stage is unchanged and was made with the current settings.
 fn holds(status: &Status, case: &Case, stage: &str) -> bool {
     let made = status.stage(stage).is_some_and(|it| it.state == State::Done && case.folder.is_intact(it));
     let then: Vec<String> = status.parameters.iter().map(|(key, value)| format!("{key}={value}")).collect();
@@ -252,15 +252,15 @@ fn is_of(status: &Status, case: &Case) -> bool {
         Volume::Phantom => true,
         Volume::At(path) => match (status.volume(), path.canonicalize()) {
             (Some(volume), Ok(path)) => volume.path == path,
-            // A run that was stopped immediately records no volume.
+            // The status of a run that was stopped at once contains no volume.
             (volume, _) => volume.is_none(),
         },
     };
     status.parameters == case.settings.parameters() && same_volume
 }
 
-/// Copies the outcome from a status. `stopped` is the first stage without a valid result, if there
-/// is one.
+/// Copies the outcome from a status to `ending`. `stopped` is the first stage without a valid
+/// result, if any.
 fn tell(ending: &mut Ending, status: &Status, stopped: Option<&str>) {
     ending.seconds = status.stages.iter().filter_map(|stage| stage.seconds).sum();
     ending.verdict = batch::word(status.verdict);
@@ -284,8 +284,8 @@ fn tell(ending: &mut Ending, status: &Status, stopped: Option<&str>) {
     }
 }
 
-/// Returns the status of a case if the checks of `stage` failed with the current settings, and
-/// `None` otherwise. Another run of the stage would fail in the same way.
+/// Returns the status of a case if a check of `stage` failed with the current settings, so that the
+/// stage would fail again. Otherwise, returns `None`.
 ///
 /// # Errors
 /// If the corrected status of a killed run cannot be written.

@@ -6,7 +6,7 @@ use isoparticles_stage::error::{Error, Result};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-/// A folder that holds the results of one case.
+/// A folder that contains the results of one case.
 #[derive(Debug)]
 pub struct CaseFolder {
     /// Path of the folder, OUT/NAME.
@@ -21,13 +21,13 @@ pub struct CaseFolder {
 pub struct Belongings {
     /// Name of the stage.
     pub stage: &'static str,
-    /// Ending of the output file, NAME.ENDING.
+    /// Suffix of the output file, NAME.SUFFIX.
     pub output: &'static str,
     /// The files named NAME.STEM or NAME.STEM.* belong to the stage.
     pub stems: &'static [&'static str],
     /// Subfolders of the case's folder that belong to the stage.
     pub folders: &'static [&'static str],
-    /// Suffixes of the results that are kept under an additional `.failed` if a check fails.
+    /// Suffixes of the results that are kept, with `.failed` in their names, if a check fails.
     pub set_aside: &'static [&'static str],
     /// Suffixes of the files that explain a failure. These files keep their names.
     pub explains: &'static [&'static str],
@@ -97,7 +97,7 @@ pub const STAGES: [Belongings; 7] = [
 pub const CHECKPOINT: &str = "checkpoint.bin";
 /// Suffix of the report of `tetmesh-check`, which is also a result of the case.
 pub const REPORT: &str = "report.json";
-/// Ending of the page about the case.
+/// Suffix of the page of the case.
 pub const PAGE: &str = "report.html";
 /// Folder of the stages' reports.
 pub const REPORTS: &str = "reports";
@@ -123,7 +123,7 @@ pub fn belongings(stage: &str) -> &'static Belongings {
 #[derive(Debug)]
 pub struct Lock {
     _file: File,
-    /// True if the file system supports locks. In this case, no other run can hold the same lock.
+    /// Whether the file system supports locks, so that no other run can hold the same lock.
     certain: bool,
 }
 
@@ -134,13 +134,13 @@ impl CaseFolder {
         Self { path: out.join(name), name: name.to_owned() }
     }
 
-    /// Returns the name of the case's file with the suffix `ending`.
+    /// Returns the name of the file of the case that has the suffix `ending`.
     #[must_use]
     pub fn file_name(&self, ending: &str) -> String {
         format!("{}.{ending}", self.name)
     }
 
-    /// Returns the path of the case's file with the suffix `ending`.
+    /// Returns the path of the file of the case that has the suffix `ending`.
     #[must_use]
     pub fn file(&self, ending: &str) -> PathBuf {
         self.path.join(self.file_name(ending))
@@ -152,8 +152,8 @@ impl CaseFolder {
         self.file("status.json")
     }
 
-    /// Creates the folder, acquires the lock and removes unfinished files of killed programs. The
-    /// removal is safe because only the holder of the lock writes to the folder.
+    /// Creates the folder, acquires the lock and removes unfinished files of killed programs. This
+    /// is safe because only the run with the lock writes to the folder.
     ///
     /// # Errors
     /// If the folder cannot be created, or another run is using it.
@@ -216,8 +216,8 @@ impl CaseFolder {
         Ok(Some(status))
     }
 
-    /// Returns the sorted names of the files that belong to a stage, including files in its
-    /// subfolders.
+    /// Returns the names of the files that belong to a stage, including files in its subfolders, in
+    /// sorted order.
     #[must_use]
     pub fn files_of(&self, stage: &Belongings) -> Vec<String> {
         let mut files: Vec<String> = self.listing("").into_iter().filter(|name| self.owns(stage, name)).collect();
@@ -251,9 +251,9 @@ impl CaseFolder {
     }
 
     /// Removes the report and the files that a stage made, except files with the suffixes in
-    /// `keep`. The files of a stage are the files with its fixed names and the files listed in the
-    /// status. If the stage was interrupted or killed, all files with its stems are included. Other
-    /// files belong to the user and are left in place.
+    /// `keep`. These are the files with its fixed names and the files listed in the status; if the
+    /// stage was interrupted or killed, all files with its stems. Other files belong to the user
+    /// and are left in place.
     ///
     /// # Errors
     /// If a file cannot be removed.
@@ -323,7 +323,8 @@ impl CaseFolder {
         Ok(kept)
     }
 
-    /// Returns the size and modification time of each file, by name, to detect later changes.
+    /// Returns the size and modification time of each file, by name, so that later changes can be
+    /// detected.
     #[must_use]
     pub fn identities(&self, names: &[String]) -> std::collections::BTreeMap<String, Identity> {
         names.iter().filter_map(|name| Some((name.clone(), Identity::of(&self.path.join(name))?))).collect()

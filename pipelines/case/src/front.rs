@@ -12,10 +12,10 @@ use std::path::Path;
 const STAGES: [(&str, &str); 6] = [
     ("distfield", "Compute the signed distance field F of a volume"),
     ("sizefield", "Compute the target edge length h from F"),
-    ("seed", "Place the first particles from F and h"),
+    ("seed", "Place the initial particles from F and h"),
     ("particles", "Move the particles until they settle"),
-    ("reconstruct", "Make and check the triangles from the particles and F"),
-    ("tetmesh-check", "Fill the triangles with tetrahedra, check them and solve test problems"),
+    ("reconstruct", "Connect the particles to form a triangle mesh, and check it"),
+    ("tetmesh-check", "Fill the surface with tetrahedra, check them and solve test problems"),
 ];
 
 /// Reads a description of the command line of a stage, as written by `STAGE --command-line`.
@@ -36,29 +36,33 @@ pub fn stage(path: &Path) -> Result<CommandLine> {
 }
 
 /// Returns the command line of `isoparticles` for completions and man pages. It includes all
-/// options of the stages in `known`. The other stages accept any arguments.
+/// options of the stages in `known`, and accepts any arguments after the other stages.
 #[must_use]
 pub fn command(known: &[CommandLine]) -> Command {
     let options = || KEYS.iter().filter(|key| !["CASE", "INPUT"].contains(&key.name)).map(option);
     let of_volume = |name: &'static str, about: &'static str| {
-        let volume = Arg::new("VOLUME").value_hint(ValueHint::AnyPath).help("The volume, or a folder of DICOM slices");
+        let volume = Arg::new("VOLUME").value_hint(ValueHint::AnyPath).help("Volume file, or folder of DICOM slices");
         Command::new(name).about(about).arg(volume).args(options())
     };
     let of_name = |name: &'static str, about: &'static str| {
-        let results = Arg::new("RESULTS").value_name("NAME").help("The name of the results");
+        let results = Arg::new("RESULTS").value_name("NAME").help("Name of the results");
         Command::new(name).about(about).arg(results).args(options())
     };
     let list = Arg::new("LIST.csv")
         .value_hint(ValueHint::FilePath)
-        .help("The list: one column per parameter, one row per case");
+        .help("CSV file with one column per parameter and one row per case");
     let limit = Arg::new("time-limit")
         .long("time-limit")
         .value_name("TIME")
-        .help("Time limit of each case, such as 90s, 30m or 2h");
-    let goal = Arg::new("goal")
-        .long("goal")
-        .help("Goal up to which each case is made")
-        .value_parser(PossibleValuesParser::new(["distfield", "sizefield", "seed", "particles", "surface", "mesh"]));
+        .help("Time limit for each case, such as 90s, 30m or 2h");
+    let goal = Arg::new("goal").long("goal").help("Goal of each case").value_parser(PossibleValuesParser::new([
+        "distfield",
+        "sizefield",
+        "seed",
+        "particles",
+        "surface",
+        "mesh",
+    ]));
     let stages = STAGES.map(|(name, about)| {
         if let Some(known) = known.iter().find(|known| known.name == name) {
             return known.command().about(about);
@@ -67,7 +71,7 @@ pub fn command(known: &[CommandLine]) -> Command {
         Command::new(name).about(about).arg(more.help("See `isoparticles STAGE --help`"))
     });
     let convert = Command::new("convert").about("Write a volume as a VTK image (.vti)").args([
-        Arg::new("VOLUME").value_hint(ValueHint::AnyPath).help("The volume, or a folder of DICOM slices"),
+        Arg::new("VOLUME").value_hint(ValueHint::AnyPath).help("Volume file, or folder of DICOM slices"),
         Arg::new("output").short('o').long("output").value_name("V.vti").value_hint(ValueHint::FilePath),
     ]);
     Command::new("isoparticles")
@@ -77,14 +81,19 @@ pub fn command(known: &[CommandLine]) -> Command {
         .disable_help_subcommand(true)
         .subcommand(of_volume("info", "Describe a volume and suggest options"))
         .subcommand(convert)
-        .subcommand(of_volume("mesh", "Mesh a volume with tetrahedra, and make its page"))
+        .subcommand(of_volume("mesh", "Mesh a volume with tetrahedra and write a report page"))
         .subcommand(of_volume("surface", "Mesh only the surface of a volume"))
         .subcommand(of_name("verdict", "Print the outcome of a case"))
-        .subcommand(of_name("page", "Make the page of a case again"))
-        .subcommand(of_name("clean", "Remove the folder of results"))
+        .subcommand(of_name("page", "Regenerate the page of a case"))
+        .subcommand(of_name("clean", "Remove the results folder of a case"))
         .subcommand(of_name("demo", "Mesh a phantom"))
-        .subcommand(Command::new("index").about("Make a page about all cases").args(options()))
-        .subcommand(Command::new("batch").about("Mesh every row of a list").args([list, limit, goal]).args(options()))
+        .subcommand(Command::new("index").about("Write an index page of all cases").args(options()))
+        .subcommand(
+            Command::new("batch")
+                .about("Mesh the case in each row of a list")
+                .args([list, limit, goal])
+                .args(options()),
+        )
         .subcommands(stages)
         .subcommand(Command::new("help").about("List all goals and options"))
 }

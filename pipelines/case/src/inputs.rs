@@ -8,15 +8,15 @@ use isoparticles_volume::data_files;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// Role of the data files that a detached header names.
+/// Role, in the status, of data files that a detached header names.
 const VOLUME_DATA: &str = "data of the volume";
 
-/// Options of a stage that take the path of an output.
+/// Options of the stages whose value is the path of an output.
 const OUTPUT_OPTIONS: [&str; 8] =
     ["-o", "--output", "--report", "--log", "--checkpoint", "--pictures", "--json", "--truth"];
 
-/// Returns the current state of the volume and its data files. If `before` lists a file with the
-/// same size and modification time, its hash is reused.
+/// Returns the path, size, modification time and hash of the volume and of its data files. If
+/// `before` lists a file with the same size and modification time, its hash is reused.
 ///
 /// # Errors
 /// If a file cannot be read.
@@ -93,8 +93,8 @@ fn files_in_words(words: &[String]) -> Vec<PathBuf> {
     found
 }
 
-/// Returns every part of a word that starts and ends at a separator or at an end of the word,
-/// including the word itself.
+/// Returns every part of a word between two separators, where both ends of the word count as
+/// separators. The word itself is one of these parts.
 fn parts(word: &str) -> impl Iterator<Item = &str> {
     let cut = |c: char| matches!(c, '=' | ':' | ',');
     let starts = std::iter::once(0).chain(word.match_indices(cut).map(|(at, separator)| at + separator.len()));
@@ -168,7 +168,7 @@ fn hash_folder(folder: &Path) -> std::io::Result<(u64, String)> {
     Ok((bytes, hasher.finalize().to_hex().to_string()))
 }
 
-/// Returns the hash of the files of a program, in hexadecimal. An unreadable file counts as empty.
+/// Returns a hash of the files of a program, in hexadecimal. An unreadable file counts as empty.
 pub(crate) fn hash_program(files: &[PathBuf]) -> String {
     let mut hasher = blake3::Hasher::new();
     for file in files {

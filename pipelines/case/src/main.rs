@@ -18,11 +18,11 @@ use std::process::ExitCode;
 ///
 /// Goals: distfield, sizefield, seed, particles, surface and mesh run the stages up to the named
 /// result. The other goals are page, verdict, info, clean, index, and keys, which lists the
-/// settings, one key per line. batch makes every row of a list. For a scheduler, rows prints the
-/// commands of a list, one line of JSON per row, and summary collects the outcomes and writes the
-/// index. Exit codes: 0 the result was made and every check passed; 1 the result was made, but a
-/// check failed; 2 bad usage or input; 3 no usable GPU; 130 interrupted. The exit code of a batch
-/// is 1 if any row did not end with 0.
+/// settings, one key per line. batch makes the case in each row of a list. For a scheduler, rows
+/// prints the commands of a list, one line of JSON per row, and summary collects the outcomes and
+/// writes the index. Exit codes: 0 if the result was made and every check passed; 1 if the result
+/// was made, but a check failed; 2 for invalid usage or input; 3 if there is no usable GPU; 130 if
+/// interrupted. The exit code of a batch is 1 if the exit code of any row is not 0.
 ///
 /// Example: isoparticles-case mesh INPUT=heart.nrrd LABELS=1 SIZE=2.5
 #[derive(Debug, Parser)]
@@ -30,43 +30,45 @@ use std::process::ExitCode;
 struct Arguments {
     /// Goal, such as mesh, page or batch.
     goal: String,
-    /// Settings of the user.
+    /// Settings given by the user.
     #[arg(value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Name of the case file that the --preset values come from.
+    /// Name of the case file from which the --preset values come.
     #[arg(long, value_name = "NAME")]
     case_file: Option<String>,
-    /// Settings of the case file. Settings of the user take precedence.
+    /// Settings from the case file. Settings given by the user take precedence.
     #[arg(long, value_name = "KEY=VALUE", allow_hyphen_values = true)]
     preset: Vec<String>,
-    /// Other variable names of the caller, for "did you mean" suggestions.
+    /// Names of other variables of the caller, for "did you mean" suggestions.
     #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ' ')]
     known: Vec<String>,
-    /// List of a batch: a CSV file with one column per key. INPUT is relative to the list's folder.
-    /// Settings on the command line apply to rows that do not set them.
+    /// List of the cases in a batch: a CSV file with one column per key and one row per case. INPUT
+    /// is relative to the folder of the list. Settings on the command line apply to rows that do
+    /// not set them.
     #[arg(long, value_name = "FILE.csv")]
     list: Option<PathBuf>,
-    /// Goal up to which a batch makes each case.
+    /// Goal of each case in a batch.
     #[arg(long, value_name = "GOAL", default_value = "mesh")]
     as_far_as: String,
-    /// Time limit of each case of a batch, such as 90s, 30m or 2h. A case that exceeds it is
-    /// stopped; the next batch resumes the case.
+    /// Time limit for each case in a batch, such as 90s, 30m or 2h. A case that exceeds it is
+    /// stopped; the next run of the batch resumes it.
     #[arg(long, value_name = "TIME")]
     time_limit: Option<String>,
-    /// Folder of the stage programs.
+    /// Folder that contains the stage programs.
     #[arg(long, value_name = "DIR", default_value = "target/release")]
     bin: PathBuf,
-    /// Retry: skip a stage whose checks have failed, because it would fail again.
+    /// Do not repeat a stage whose checks failed before with the same settings, because they would
+    /// fail again.
     #[arg(long)]
     retry: bool,
-    /// Path of the program tetmesh-check. Its page and index programs must be in the same folder.
+    /// Path of the tetmesh-check program. Its page and index programs must be in the same folder.
     #[arg(long, value_name = "PROGRAM", default_value = ".venv/bin/tetmesh-check")]
     tetmesh_check: PathBuf,
-    /// Files that tetmesh-check consists of, if the program file does not contain everything. If
+    /// Files that make up tetmesh-check, if the program file does not contain all of its code. If
     /// their content changes, the tetrahedra are made again.
     #[arg(long, value_name = "FILE", num_args = 0..)]
     tetmesh_files: Vec<PathBuf>,
-    /// Files that the page program consists of. If their content changes, the page is made again.
+    /// Files that make up the page program. If their content changes, the page is made again.
     #[arg(long, value_name = "FILE", num_args = 0..)]
     page_files: Vec<PathBuf>,
 }

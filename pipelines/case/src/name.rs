@@ -3,8 +3,8 @@
 use isoparticles_stage::error::{Error, Result};
 use std::path::Path;
 
-/// File name suffixes that are not part of the name of the results. Longer suffixes come first,
-/// because the first match is removed.
+/// File name suffixes that are not part of the name of the results. The first match is removed, so
+/// `.seg.nrrd` comes before `.nrrd`.
 const ENDINGS: [&str; 9] = [".seg.nrrd", ".nii.gz", ".nrrd", ".nhdr", ".nii", ".mha", ".mhd", ".vti", ".dcm"];
 
 /// Returns the name of a volume's results: the file or folder name without a known suffix.
@@ -12,7 +12,7 @@ const ENDINGS: [&str; 9] = [".seg.nrrd", ".nii.gz", ".nrrd", ".nhdr", ".nii", ".
 /// # Errors
 /// If the remaining name is not a valid folder name.
 pub fn of_volume(path: &Path) -> Result<String> {
-    // `..` and `.` have no file name until they are resolved.
+    // A path such as `..` or `.` has no file name until it is resolved.
     let path = if path.file_name().is_some() { path.to_path_buf() } else { path.canonicalize().unwrap_or_default() };
     let file = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let lower = file.to_ascii_lowercase();

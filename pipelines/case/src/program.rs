@@ -16,9 +16,9 @@ pub fn front() -> String {
     std::env::var("ISOPARTICLES_FRONT").unwrap_or_else(|_| "make".to_owned())
 }
 
-/// Time that a program has to write its last checkpoint after an interrupt. The checkpoint of a
-/// million particles occupies at least 72 MB: nine numbers of 8 bytes per particle. At 10 MB/s, it
-/// is written in 7 s.
+/// Time that a program has to write its last checkpoint after an interrupt. A checkpoint of a
+/// million particles takes at least 72 MB (nine 8-byte numbers per particle). Writing it at 10 MB/s
+/// takes 7 s.
 const GRACE_PERIOD: Duration = Duration::from_secs(60);
 /// Interval at which a program with a time limit is polled. Polling adds at most 0.05 s to the
 /// measured time of a row, which is printed with a resolution of 0.1 s.
@@ -29,12 +29,12 @@ static RUNNING: AtomicU32 = AtomicU32::new(0);
 static REQUESTED: AtomicBool = AtomicBool::new(false);
 static INSTALL: Once = Once::new();
 
-/// Installs a handler for SIGINT, SIGTERM and SIGHUP. The handler interrupts the running program,
-/// and this program exits afterwards.
+/// Installs a handler for SIGINT, SIGTERM and SIGHUP. The handler records a stop request and
+/// interrupts the running program.
 pub fn listen() {
     INSTALL.call_once(|| {
-        // If no handler can be installed, a signal ends this program immediately. The next run then
-        // reports that this run was killed.
+        // Without a handler, a signal ends this program immediately. The next run then reports that
+        // this run was killed.
         let _ = ctrlc::set_handler(|| {
             REQUESTED.store(true, Ordering::SeqCst);
             interrupt(RUNNING.load(Ordering::SeqCst));
@@ -48,7 +48,7 @@ pub fn stop_requested() -> bool {
     REQUESTED.load(Ordering::SeqCst)
 }
 
-/// Clears the stop request. The remaining work then runs until the next stop request.
+/// Clears the stop request, so that the work after a stop, such as generating the page, can run.
 pub fn note_stop() {
     REQUESTED.store(false, Ordering::SeqCst);
 }
@@ -73,8 +73,8 @@ pub fn run(program: &Path, arguments: &[OsString]) -> Result<Ended> {
 }
 
 /// Runs a program to completion with its output written to a file. Returns how the program ended,
-/// and whether the time limit was exceeded. At the limit, the program is interrupted; it is
-/// interrupted again after a minute, and killed after another minute.
+/// and whether it exceeded the time limit. At the limit, the program is interrupted; after a
+/// minute, it is interrupted again; after another minute, it is killed.
 ///
 /// # Errors
 /// If the program cannot be started.
@@ -113,8 +113,8 @@ fn run_command(mut command: Command, limit: Option<Duration>) -> Result<(Ended, 
     command.stdin(std::process::Stdio::null());
     #[cfg(unix)]
     {
-        // In a separate process group, the program receives Ctrl-C only from this process, and only
-        // once. A second signal would end it without its last checkpoint.
+        // In its own process group, the program does not receive Ctrl-C from the terminal, only one
+        // signal from this process. A second signal would end it without its last checkpoint.
         use std::os::unix::process::CommandExt;
         command.process_group(0);
     }

@@ -14,7 +14,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// A case as described by its settings. Its files have not been read yet.
+/// A case as described by its settings. None of its files has been read yet.
 #[derive(Debug)]
 pub struct Case {
     /// Folder of the results.
@@ -290,9 +290,9 @@ impl<'a> Run<'a> {
         self.status.stages[position] = stage.clone();
         self.write()?;
         say(&command);
-        // Files that exist at this point belong to the user and are left in place. The exceptions
-        // are files with the stage's fixed names: the checkpoint and the log from which a stopped
-        // run resumes, and files that a stage of a killed run wrote late.
+        // Files that exist at this point belong to the user and are left in place, except files
+        // with the stage's fixed names. These are the checkpoint and the log from which a stopped
+        // run resumes, and files that a stage wrote after its run was killed.
         let mut others = folder.files_of(planned.belongings);
         others.retain(|name| !folder.is_usual(planned.belongings, name));
         let started = Instant::now();
@@ -341,8 +341,8 @@ impl<'a> Run<'a> {
         let page = folder.file(PAGE);
         let told = (&self.status.verdict, &self.status.stages, &self.status.parameters, &self.status.inputs);
         let told = serde_json::to_string(&told).unwrap_or_default() + &hash_program(&programs.page_files);
-        // The page does not depend on which run made a result, so its key must not depend on it
-        // either.
+        // The page is the same whether this run or an earlier run made a result, so the key must be
+        // the same too.
         let told = told.replace("\"made\":true", "\"made\":false");
         let key = blake3::hash(told.as_bytes()).to_hex().to_string();
         if key == self.status.page_key && self.status.page.is_some() && page.exists() {
@@ -353,8 +353,8 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Generates the page of a case if the page program is installed, and writes the status, which
-/// contains the file name of the page.
+/// Generates the page of a case if the page program is installed, and writes the status with the
+/// file name of the page.
 ///
 /// # Errors
 /// If the status cannot be written, or an old page cannot be removed.
@@ -477,7 +477,7 @@ pub fn stage_of_goal(goal: &str) -> Option<&'static str> {
     }
 }
 
-/// Returns the goal whose last stage is `stage`, as the user writes it.
+/// Returns the name of the goal whose last stage is `stage`.
 pub(crate) fn goal_of_stage(stage: &str) -> &str {
     match stage {
         "tetmesh-check" => "mesh",

@@ -19,7 +19,7 @@ pub enum Source {
 pub struct Settings {
     values: BTreeMap<&'static str, (String, Source)>,
     case_file: Option<String>,
-    /// Description of the source of the user's settings, for messages.
+    /// Where the user's settings come from, as messages describe it.
     by_user: String,
 }
 
@@ -102,7 +102,7 @@ impl Settings {
         self.values.get(key).map(|(value, _)| value.as_str())
     }
 
-    /// Returns the words of a value that is a list of options.
+    /// Splits a value that is a list of options into words, as a shell does.
     pub fn words(&self, key: &str) -> Vec<String> {
         // `keys::check` has verified the quotes.
         self.get(key).and_then(shlex::split).unwrap_or_default()
@@ -123,7 +123,7 @@ impl Settings {
         self.values.get(key).map(|(_, by)| *by)
     }
 
-    /// Describes the source of a setting for messages.
+    /// Describes, for messages, where a setting comes from.
     fn hand(&self, by: Source) -> String {
         match (by, &self.case_file) {
             (Source::User, _) => self.by_user.clone(),

@@ -81,7 +81,7 @@ pub struct Input {
     pub path: PathBuf,
     /// Length in bytes; for a folder, the sum over its files.
     pub bytes: u64,
-    /// BLAKE3 hash of the content. For a folder, the hash covers the names and hashes of its files.
+    /// BLAKE3 hash of the content; for a folder, of the names and hashes of its files.
     pub hash: String,
     /// Time of the last modification in nanoseconds since 1970; 0 for a folder.
     pub modified: u64,
@@ -187,7 +187,7 @@ pub struct Status {
     pub parameters: BTreeMap<String, String>,
     /// The stages in order; `phantom` comes first if the volume is a phantom.
     pub stages: Vec<Stage>,
-    /// File name of the page about the case, if there is one.
+    /// File name of the page of the case, if there is one.
     pub page: Option<String>,
     /// Hash of everything that the page depends on.
     pub page_key: String,

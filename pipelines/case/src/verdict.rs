@@ -94,7 +94,7 @@ pub fn closing(folder: &CaseFolder, status: &Status) -> String {
     for stage in &status.stages {
         for warning in &stage.warnings {
             line("warning", &format!("{}: {warning}", stage.stage));
-            // The warnings of the other stages already contain advice.
+            // Warnings of all other stages already contain advice.
             let advice = known_advice(warning, &status.parameters).filter(|_| stage.stage == "tetmesh-check");
             if let Some(advice) = advice {
                 line("what to do", &advice);

@@ -8,8 +8,8 @@ use std::path::PathBuf;
 
 /// Write a volume as a VTK image file
 ///
-/// The voxels keep their type. The image has the world coordinates of the meshes (LPS for
-/// anatomical volumes) and contains the names of the labels.
+/// The voxels keep their type. The image has the same world coordinates as the meshes (LPS for
+/// anatomical volumes) and contains the label names.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]

@@ -14,9 +14,10 @@ use std::path::{Path, PathBuf};
 
 /// Describe a volume, and predict the cost of a mesh
 ///
-/// Prints size, orientation, kind (scan or labels), values, labels with their volumes, and proposed
-/// iso values. Predicts vertices, time and memory for the object of --iso or --labels; without
-/// these options, for the union of all labels or for each proposed iso value.
+/// Prints the size, orientation, kind (scan or labels), values, labels with their volumes, and
+/// proposed iso values. Predicts the number of vertices, the time and the memory for the object
+/// selected by --iso or --labels; without these options, for the union of all labels or for each
+/// proposed iso value.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
@@ -24,18 +25,18 @@ pub(crate) struct Args {
     /// Write the description as JSON to this file; `-` writes it to stdout instead of the text
     #[arg(long, value_name = "FILE.json|-", help_heading = FILES)]
     json: Option<PathBuf>,
-    /// Iso value of the object, in the unit of the volume; the object lies above the iso value, or
-    /// below it with --inside below
+    /// Iso value of the surface, in the unit of the voxel values; the object lies above it or, with
+    /// --inside below, below it
     #[arg(long, value_name = "V", allow_negative_numbers = true, conflicts_with = "labels", help_heading = METHOD)]
     iso: Option<f64>,
-    /// Side of the iso value that contains the object
+    /// Side of the iso value on which the object lies
     #[arg(long, value_enum, value_name = "SIDE", default_value_t = Inside::Above, help_heading = METHOD)]
     inside: Inside,
     /// Labels whose union is the object, separated by commas or spaces: numbers, ranges such as
     /// 2..5, all (every label except 0), or names from the file
     #[arg(long, value_name = "A,B", allow_hyphen_values = true, help_heading = METHOD)]
     labels: Option<Selection>,
-    /// Kind of the volume; auto detects the kind from the values
+    /// Kind of volume; auto detects the kind from the voxel values
     #[arg(long, value_enum, value_name = "KIND", default_value_t = KindChoice::Auto, help_heading = METHOD)]
     kind: KindChoice,
     #[command(flatten)]
@@ -43,7 +44,7 @@ pub(crate) struct Args {
 }
 
 impl Args {
-    /// Returns the path of the JSON file, or `None` if no JSON is requested or the JSON goes to
+    /// Returns the path of the JSON file, or `None` if no JSON is requested or it is written to
     /// stdout.
     pub(crate) fn json_file(&self) -> Option<&Path> {
         self.json.as_deref().filter(|path| *path != Path::new("-"))

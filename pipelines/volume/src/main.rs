@@ -16,8 +16,8 @@ use std::process::ExitCode;
 #[command(
     name = "isoparticles-volume",
     version,
-    after_help = "Example: what the volume is, and what a mesh of it costs\n  isoparticles-volume info lungs_label.nrrd\n\
-                  Example: the voxels for another program\n  isoparticles-volume convert ct.nii.gz -o ct.vti"
+    after_help = "Example: describe a volume and predict the cost of a mesh\n  isoparticles-volume info lungs_label.nrrd\n\
+                  Example: convert a volume for another program\n  isoparticles-volume convert ct.nii.gz -o ct.vti"
 )]
 struct Args {
     #[command(subcommand)]
@@ -37,7 +37,7 @@ struct Input {
     /// .mhd), VTK image (.vti), or a folder of DICOM slices
     #[arg(value_name = "VOLUME", help_heading = FILES)]
     path: PathBuf,
-    /// Series to read if the folder contains several: description, number or UID of the series
+    /// Series to read if the folder contains several, given by its description, number or UID
     #[arg(long, value_name = "NAME", help_heading = FILES)]
     series: Option<String>,
 }

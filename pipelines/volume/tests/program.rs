@@ -144,8 +144,8 @@ fn nan_among_labels_is_remarked() {
 
 #[test]
 fn info_measures_sheared_volumes_in_the_world() {
-    // The slices are 1 mm apart. Each is shifted along y, as in a scan with a gantry tilt of 30
-    // degrees.
+    // The slices are 1 mm apart. Each is shifted along y relative to the previous one, as in a scan
+    // with a gantry tilt of 30 degrees.
     let step = DVec3::new(0.0, 30f64.to_radians().tan(), 1.0);
     let geometry = Geometry {
         spacing: DVec3::new(1.0, 1.0, step.length()),

@@ -33,8 +33,8 @@ PHANTOMS = [
     ("gyroid --size 112 --kind label", "--labels=1", ""),
     ("torus --size 96 --noise 40", "--iso=100", ""),
 ]
-# Whether the cost of each group of stages depends on the numbers of nodes, faces and vertices (1:
-# yes, 0: no).
+# For each group of stages: whether its cost depends on the number of nodes, of faces and of
+# vertices (1: yes, 0: no).
 GROUPS = {"fields": (1, 1, 0), "particles": (1, 0, 1), "triangles": (1, 0, 1)}
 
 

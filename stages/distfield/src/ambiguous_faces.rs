@@ -2,8 +2,9 @@
 //! corners are not. At such a face, two parts of the object touch only along a voxel edge.
 //!
 //! The signs at the nodes do not determine whether these parts are connected. Marching cubes uses
-//! the sign of F at the saddle of the face. [`make_agree`] changes F until it has the same sign as
-//! its source at the saddle. For labels, [`crate::labels`] states which parts the source connects.
+//! the sign of F at the saddle of the face. [`make_agree`] changes F until its saddle has the same
+//! sign as the saddle of the source. For labels, [`crate::labels`] states which parts the source
+//! connects.
 
 use isoparticles_field::marching_cubes::saddle_value;
 use isoparticles_volume::Image;
@@ -21,13 +22,13 @@ pub struct AmbiguousFace {
     pub joined: bool,
 }
 
-/// In each pass, the values at the two nodes to be connected are multiplied by this factor, and the
-/// values at the other two nodes are divided by it. For `heart_ct` at iso value 250, the 99th
-/// percentile of the shift of the zero set is 0.0526 voxel with 1.02 and 0.0493 voxel with 1.005.
+/// Factor by which each pass multiplies the values at the two nodes to be connected and divides the
+/// values at the other two nodes. For `heart_ct` at iso value 250, the 99th percentile of the shift
+/// of the zero set is 0.0526 voxel with a factor of 1.02 and 0.0493 voxel with 1.005.
 const TIP_FACTOR: f32 = 1.005;
 
-/// Maximum number of passes over the faces. The sign at the saddle depends on the ratio of two
-/// products, each of the values at two opposite corners. One pass changes this ratio by a factor of
+/// Maximum number of passes over the faces. The sign at the saddle depends on the ratio of the two
+/// products of the values at opposite corners. One pass changes this ratio by a factor of
 /// `TIP_FACTOR^4` = 1.02, and 100 passes by a factor of seven. Faces that share nodes can undo each
 /// other's changes.
 const MOST_PASSES: usize = 100;

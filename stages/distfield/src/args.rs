@@ -10,33 +10,35 @@ use isoparticles_survey::selection::Selection;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
-/// Computes the signed distance field F (mm) of an object, from a volume and an iso value or labels
+/// Computes the signed distance field F (mm) of an object, given by a volume and an iso value or
+/// labels
 ///
 /// F is the implicit function of section 3.1 of the paper (Kim, Chen and Hansen 2012). The output
 /// contains samples of the signed distance to the surface, negative inside; F is the cubic B-spline
-/// that interpolates these samples. For a scalar volume, the surface is where the cubic B-spline
-/// through the voxels equals the iso value. For labels, it is a smooth surface that preserves the
-/// local volume and, without a scale, keeps every voxel centre on its side. The grid has the
-/// spacing of the input. It covers the object (or the whole volume with --grid volume) and --margin
-/// more voxels on each face.
+/// that interpolates these samples. For a scalar volume, the surface is the set of points at which
+/// the cubic B-spline through the voxels equals the iso value. For labels, it is a smooth surface
+/// that preserves the local volume and, without a scale, keeps every voxel centre on its side. The
+/// grid has the spacing of the input. It covers the object (with --grid volume, the whole volume)
+/// and --margin additional voxels on each face.
 #[derive(Clone, Debug, clap::Parser)]
 #[command(
     name = "distfield",
     version,
-    after_help = "Example: the tooth of a CT, integer iso values being fine\n  distfield tooth_ct.nrrd -o tooth.distfield.vti --iso 600\nExample: both lungs of a label map as one object\n  distfield lungs_label.nrrd -o lungs.distfield.vti --labels 2,3\nExample: every label of a volume as a material of its own\n  distfield brain_parcellation.nrrd -o brain.materials.vti --material all"
+    after_help = "Example: the tooth in a CT scan (the iso value may be an integer)\n  distfield tooth_ct.nrrd -o tooth.distfield.vti --iso 600\nExample: both lungs of a label map as one object\n  distfield lungs_label.nrrd -o lungs.distfield.vti --labels 2,3\nExample: every label of a volume as a separate material\n  distfield brain_parcellation.nrrd -o brain.materials.vti --material all"
 )]
 pub struct Args {
     /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha,
     /// .mhd), VTK image (.vti), or a folder of DICOM slices
     #[arg(value_name = "IN.nrrd", help_heading = FILES)]
     pub input: PathBuf,
-    /// Series to read if the folder contains several: description, number or UID of the series
+    /// Series to read if the folder contains several, given by its description, number or UID
     #[arg(long, value_name = "NAME", help_heading = FILES)]
     pub series: Option<String>,
-    /// VTK image file to write: the distance field F in mm, or one field per --material
+    /// VTK image file to write: the distance field F (mm) or, with --material, one field for each
+    /// material
     #[arg(short, long, value_name = "F.vti", help_heading = FILES)]
     pub output: PathBuf,
-    /// Iso value of the surface, in the unit of the volume, between its minimum and maximum
+    /// Iso value of the surface, in the unit of the voxel values, between their minimum and maximum
     #[arg(
         long,
         value_name = "V",
@@ -46,17 +48,18 @@ pub struct Args {
         help_heading = METHOD
     )]
     pub iso: Option<f64>,
-    /// Side of the iso value that contains the object; for example, below for the lungs in a CT
+    /// Side of the iso value on which the object lies; for example, below for the lungs in a CT
+    /// scan
     #[arg(long, value_enum, value_name = "SIDE", default_value_t = Inside::Above, help_heading = METHOD)]
     pub inside: Inside,
     /// Labels whose union is the object, separated by commas or spaces: numbers, ranges such as
     /// 2..5 (only labels that occur), all (every label except 0), or names from the file
     #[arg(long, value_name = "A,B", allow_hyphen_values = true, help_heading = METHOD)]
     pub labels: Option<Selection>,
-    /// Define a material by its labels, such as lung=2+3; may be given several times. NAME alone
-    /// means the label of that name in the file. all makes one material of each label except 0 that
-    /// no other --material specifies. Other labels belong to the material "outside". The output
-    /// contains one field for each material, including the outside
+    /// Define a material by its labels, such as lung=2+3; may be repeated. NAME alone selects the
+    /// label of that name in the file. The word all defines one material for each label except 0
+    /// that no other --material contains. The remaining labels form the material "outside". The
+    /// output contains one field for each material, including the outside
     #[arg(
         long,
         value_name = "NAME=A+B",
@@ -65,35 +68,36 @@ pub struct Args {
         help_heading = METHOD
     )]
     pub material: Vec<MaterialChoice>,
-    /// With --material: reassign each component of fewer voxels than this, including components of
-    /// the outside, to the material that shares the most faces with it; 1 changes nothing. Changes
-    /// are reported
+    /// With --material: reassign each connected component with fewer voxels than this, including
+    /// components of the outside, to the material with which it shares the most voxel faces; 1
+    /// changes nothing. Reassignments are reported
     #[arg(long, value_name = "VOXELS", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..), requires = "material", help_heading = METHOD)]
     pub smallest_island: u32,
-    /// Kind of the volume. auto detects the kind from the values, and rejects labels for a scan and
-    /// an iso value for a label map; give scan or labels if the detection is wrong
+    /// Kind of volume. auto detects the kind from the voxel values, and rejects labels for a scan
+    /// and an iso value for a label map; use scan or labels if the detection is wrong
     #[arg(long, value_enum, value_name = "KIND", default_value_t = KindChoice::Auto, help_heading = METHOD)]
     pub kind: KindChoice,
     /// Treatment of the object at the border of the volume: cap closes the object half a voxel
-    /// beyond the outermost voxel centres, with edges rounded by half a voxel; open continues the
-    /// surface straight, so that it leaves the volume
+    /// beyond the outermost voxel centres, with edges rounded by half a voxel; open extends the
+    /// surface straight out of the volume
     #[arg(long, value_enum, value_name = "HOW", default_value_t = Border::Cap, help_heading = METHOD)]
     pub border: Border,
-    /// Extent of the grid: object is the bounding box of the object, enlarged by the voxels that F
-    /// near the surface depends on; volume is the whole volume. The surface and its world
+    /// Extent of the grid: object is the bounding box of the object, enlarged by the voxels on
+    /// which F depends near the surface; volume is the whole volume. The surface and its world
     /// coordinates are the same for both
     #[arg(long, value_enum, value_name = "WHICH", default_value_t = Grid::Object, help_heading = METHOD)]
     pub grid: Grid,
-    /// Parts of the object to keep: all, only the largest, or those of at least VOLUME mm^3.
-    /// Dropped parts are reported; cavities do not change
+    /// Connected parts of the object to keep: all, only the largest, or those with a volume of at
+    /// least VOLUME mm^3. Removed parts are reported; cavities are unaffected
     #[arg(long, value_name = "all|largest|VOLUME", default_value_t = Keep::All, help_heading = METHOD)]
     pub keep: Keep,
-    /// Number of voxels added on each face of the grid, 3 to 64, as room for F around the surface
+    /// Number of additional voxels on each face of the grid, 3 to 64, as room for F around the
+    /// surface
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(3..=64), help_heading = METHOD)]
     pub margin: u16,
-    /// Labels without a scale: minimum distance of the surface from every voxel centre, in units of
-    /// the minimum voxel spacing, 0.01 to 0.15. The distance leaves room for the triangles, which
-    /// deviate from the curved surface
+    /// Labels without a scale: minimum distance between the surface and every voxel centre, in
+    /// units of the minimum voxel spacing, 0.01 to 0.15. The distance leaves room for the deviation
+    /// of the triangles from the curved surface
     #[arg(long, value_name = "VOXELS", default_value_t = 0.05, value_parser = clearance_in_range, help_heading = METHOD)]
     pub clearance: f64,
     /// The options of the scale.
@@ -111,9 +115,9 @@ fn clearance_in_range(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Maximum clearance, in units of the minimum voxel spacing. The level set keeps twice this
-/// distance, 0.3. In a layer one voxel thick, the distance must stay below 0.5, which is the
-/// distance of the layer's surfaces from its voxel centres.
+/// Maximum clearance, in units of the minimum voxel spacing. The level set is computed with twice
+/// this clearance, 0.3 (`CLEARANCE_FACTOR`). In a layer one voxel thick, this must be less than
+/// 0.5, the distance from the voxel centres to the surfaces of the layer.
 const MOST_CLEARANCE: f64 = 0.15;
 
 impl Args {

@@ -136,7 +136,7 @@ fn ones(words: &[u64]) -> usize {
 /// bytes. The counts add an eighth to the memory of the words.
 const BLOCK: usize = 8;
 
-/// Maps the nodes of a set to consecutive numbers, in ascending order.
+/// Assigns consecutive indices to the nodes of a set, in ascending order.
 pub struct Numbering {
     bits: Bits,
     /// Number of nodes of the set before each block of [`BLOCK`] words.
@@ -158,7 +158,7 @@ impl Numbering {
     }
 
     /// Returns the number of nodes of the set before `node`. For a node of the set, this is its
-    /// number.
+    /// index.
     pub fn number(&self, node: usize) -> usize {
         let word = node / 64;
         if word == self.bits.words.len() {
@@ -169,12 +169,12 @@ impl Numbering {
         self.before[block] + ones(&self.bits.words[block * BLOCK..word]) + below.count_ones() as usize
     }
 
-    /// Returns the number of a node, or `None` if the node is not in the set.
+    /// Returns the index of a node, or `None` if the node is not in the set.
     pub fn find(&self, node: usize) -> Option<usize> {
         self.bits.holds(node).then(|| self.number(node))
     }
 
-    /// Calls `visit(node, number)` for the nodes of the set in a range, in ascending order.
+    /// Calls `visit(node, index)` for the nodes of the set in a range, in ascending order.
     pub fn each(&self, range: Range<usize>, mut visit: impl FnMut(usize, usize)) {
         if range.is_empty() {
             return;

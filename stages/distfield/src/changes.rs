@@ -1,8 +1,7 @@
-//! Measures the changes due to `--scale`: the volume, the voxel centres that change sides and their
-//! depths, the parts that vanish, split, merge or lose thin ends, and the gaps that are filled. The
-//! input is the occupancy before smoothing and the level set after smoothing, on one grid. The
-//! output is [`Changes`], with the position of each event. Parts are sets of voxels connected
-//! through faces.
+//! Measures the changes due to `--scale`: the voxel centres that change sides and their depths, the
+//! parts that vanish, split, merge or lose thin ends, and the gaps that are filled. The input is
+//! the occupancy before smoothing and the level set after smoothing, on one grid. The output is
+//! [`Changes`], with the position of each event. Parts are sets of voxels connected through faces.
 
 use crate::bits::Bits;
 use crate::keep::{Keep, parts_of_runs};
@@ -18,7 +17,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Maximum number of events of each kind listed in the report. All events are counted.
 const MOST_LISTED: usize = 20;
 
-/// The level at the voxels of removed parts is set to at most minus this value. Near a plane
+/// Minimum absolute value of the (negative) level at the voxels of removed parts. Near a plane
 /// surface, the level changes by 1 / sqrt(2 pi) = 0.4 per standard deviation of the Gaussian, so
 /// this value corresponds to a distance of 0.13 standard deviations. The values 0.0125, 0.05 and
 /// 0.2 give the same parts and volumes for label 13 of `frog_tissue_labels` and label 2 of
@@ -26,7 +25,7 @@ const MOST_LISTED: usize = 20;
 /// distfield`).
 const CLEARLY_OUTSIDE: f32 = 0.05;
 
-/// Losses below this fraction of the original volume are treated as specks. It is a twentieth of
+/// Fraction of the original volume below which losses are treated as specks. It is a twentieth of
 /// the volume change above which a warning is printed (`SCALED_VOLUME_LIMITS`).
 pub const SPECK_SHARE: f64 = 1e-3;
 
@@ -55,7 +54,7 @@ pub struct Event {
     /// of the merged part. For shortened ends and filled gaps, only voxels deeper than half the
     /// scale are included.
     pub volume: f64,
-    /// Mean of the voxel centres in world coordinates, mm.
+    /// Mean position of the centres of these voxels in world coordinates, mm.
     pub place: [f64; 3],
     /// Number of pieces of a broken part, or of parts that merged; otherwise 1.
     pub pieces: usize,
@@ -118,7 +117,7 @@ pub fn remove_parts(
     let inside = Runs::of(geometry.size, |n| level[n] > 0.0);
     let part = parts_of_runs(&inside, geometry.size, &[])?;
     let voxel = geometry.spacing.element_product();
-    // number of nodes of each part, and of its nodes for which `is_own` is true
+    // for each part, the number of nodes and the number of nodes for which `is_own` is true
     let mut counts = vec![[0usize; 2]; part.len()];
     inside.each_in_nodes(|run, nodes| {
         let [all, own] = &mut counts[part[run] as usize];
@@ -254,8 +253,8 @@ impl Sum {
     }
 }
 
-/// The connected parts of a set, with a [`Sum`] for each. The index of its first run identifies a
-/// part.
+/// The connected parts of a set, with a [`Sum`] for each. Each part is identified by the index of
+/// its first run.
 struct Parts {
     runs: Runs,
     part: Vec<u32>,

@@ -24,33 +24,34 @@ use std::f64::consts::PI;
 /// Options that set how much detail of the data the surface keeps.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct ScaleArgs {
-    /// Smooth away details smaller than this length, mm. The Gaussian has a standard deviation of
-    /// half this length, and the local volume is preserved. With 0, every voxel centre of a label
-    /// map keeps its side, and a scalar volume keeps its isosurface. Changes are reported [default:
-    /// 0]
+    /// Smooth away details smaller than this length, mm. The smoothing is Gaussian with a standard
+    /// deviation of half this length, and preserves the local volume. With 0, every voxel centre of
+    /// a label map stays on its side of the surface, and a scalar volume keeps its isosurface.
+    /// Changes to the object are reported [default: 0]
     #[arg(long, value_name = "MM", value_parser = not_negative, help_heading = METHOD)]
     pub scale: Option<f64>,
-    /// Choose the scale for a mesh of this edge length, mm: 1.6 times the edge length (labels: at
-    /// least 2.7 voxels) if the edge length exceeds 0.75 voxel (voxel steps would show), otherwise
-    /// 0
+    /// Choose the scale for a mesh with this edge length, mm: 1.6 times the edge length (for
+    /// labels, at least 2.7 voxels) if the edge length exceeds 0.75 voxel, because voxel steps
+    /// would be visible; otherwise 0
     #[arg(long, value_name = "MM", value_parser = positive, conflicts_with = "scale", help_heading = METHOD)]
     pub scale_for_size: Option<f64>,
     /// Choose the scale for a mesh with this number of vertices
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), conflicts_with_all = ["scale", "scale_for_size"],
         help_heading = METHOD)]
     pub scale_for_vertices: Option<u64>,
-    /// Choose the scale for the minimum h of `sizefield --quality`: `coarse` (1.5 voxels) gives a
-    /// scale above 0; `medium` and `fine` give 0
+    /// Choose the scale for the minimum h that `sizefield --quality` sets: `coarse` (1.5 voxels)
+    /// gives a scale above 0; `medium` and `fine` give 0
     #[arg(long, value_enum, value_name = "HOW", conflicts_with_all = ["scale", "scale_for_size", "scale_for_vertices"], help_heading = METHOD)]
     pub quality: Option<Quality>,
     /// Several materials only: edge length of the mesh on all interfaces of a material, mm, as for
-    /// `sizefield --size`. The scale there is 1.6 times this length. Other interfaces have the
-    /// scale of the options above, or 2.7 voxels. If every edge length is at most 0.75 voxel, there
-    /// is no scale. Lengths of pairs (NAME/NAME=H) set no scale. May be given several times
+    /// `sizefield --size`; may be repeated. The scale of these interfaces is 1.6 times this length.
+    /// Other interfaces have the scale of the options above, or 2.7 voxels. If every edge length is
+    /// at most 0.75 voxel, there is no scale. Edge lengths of pairs (NAME/NAME=H) do not affect the
+    /// scale
     #[arg(long, value_name = "NAME=H|NAME/NAME=H", conflicts_with = "scale", requires = "material", help_heading = METHOD)]
     pub size: Vec<GivenSize>,
-    /// Keep parts and gaps that are too thin for a mesh of the scale's edge length; such parts and
-    /// gaps need a smaller h
+    /// Keep parts and gaps that are too thin for a mesh with the edge length of the scale; these
+    /// parts and gaps require a smaller h
     #[arg(long, help_heading = METHOD)]
     pub keep_thin: bool,
 }

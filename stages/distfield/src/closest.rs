@@ -14,17 +14,18 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
 /// Minimum determinant of the Hessian of half the squared distance at a closest point. For a node
-/// at height D above a surface with principal curvatures k1 and k2, the determinant is
+/// at height D above a surface with the principal curvatures k1 and k2, this is
 /// `(1 + D k1) (1 + D k2)`: 1 for a plane, and 0 at a focal point of the surface, where the
 /// second-order approximation fails. At this limit, the distance from the sample to the foot can be
 /// 100 times the distance from the node to the normal line at the sample. Rounding to single
-/// precision then changes the former distance by about 1e-5 of its length. With 0.001 and 0.1, the
-/// values within 1.5 voxels of the surface change by at most 0.003 mm for `heart_label`, `tooth_ct`
-/// at iso value 600 and label 13 of `frog_tissue_labels` (`make distfield`).
+/// precision then changes the former distance by about 1e-5 of its length. With limits of 0.001 and
+/// 0.1, the distances within 1.5 voxels of the surface change by at most 0.003 mm for
+/// `heart_label`, `tooth_ct` at iso value 600 and label 13 of `frog_tissue_labels`
+/// (`make distfield`).
 const LEAST_DETERMINANT: f32 = 0.01;
 
-/// Maximum number of patches visited on the way to the closest point. Where one of them contains
-/// the foot of the node, two patches are visited on average (`tests/labels.rs`, `tests/scalar.rs`).
+/// Maximum number of patches visited on the way to the closest point. If one of them contains the
+/// foot of the node, two patches are visited on average (`tests/labels.rs`, `tests/scalar.rs`).
 /// Otherwise, the distance to the nearest point found is used.
 const MAX_PATCHES: usize = 8;
 
@@ -44,12 +45,12 @@ const _: () =
     assert!(LONGEST_SURFACE_STEP as f64 > PATCH_REACH, "a step to a foot beyond the patch would be cut within it");
 
 /// Maximum number of Newton steps per node. In the tests listed at [`MAX_PATCHES`], the method
-/// takes 2.7 steps on average where it converges. It fails to converge at less than 2 % of the
-/// nodes, which then use the distance to their sample.
+/// takes 2.7 steps on average where it converges. It does not converge at less than 2 % of the
+/// nodes; the distance to the sample is used there.
 const MAX_NEWTON_STEPS: usize = 8;
 
-/// Newton's method stops after a step of at most this length, in units of the minimum voxel
-/// spacing. The remaining error is of the order of this length squared.
+/// Length of the step after which Newton's method stops, in units of the minimum voxel spacing. The
+/// remaining error is of the order of this length squared.
 const LAST_STEP: f64 = 1e-3;
 
 /// Maximum number of moves along the cap. One move reaches the foot on a flat cap; further moves

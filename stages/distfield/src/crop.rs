@@ -1,6 +1,6 @@
 //! Determines the box of voxels on which F is computed: the bounding box of the object, enlarged on
-//! each face and clipped to the volume. Later steps treat this box as the volume. Only background
-//! lies beyond a face of the box that is not a border of the volume.
+//! each face and clipped to the volume. Later steps treat this box as the volume. Beyond a face of
+//! the box that is not a border of the volume, there is only background.
 //!
 //! The box contains the voxels that F near the surface depends on. Near the surface, F therefore
 //! equals the F of the whole volume to within the accuracy stated at
@@ -13,7 +13,7 @@ use rayon::prelude::*;
 /// The grid on which F is computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Grid {
-    /// The bounding box of the object, with room around it.
+    /// The bounding box of the object, enlarged by the voxels on which F depends.
     #[default]
     Object,
     /// The whole volume.
@@ -34,8 +34,9 @@ pub struct VoxelBox {
 }
 
 impl VoxelBox {
-    /// Returns the bounding box of the voxels that `row` reports. `row` maps a row number,
-    /// `j + size[1] * k`, to its first and last x index, if any.
+    /// Returns the bounding box of the voxels that `row` reports. `row` maps a row index,
+    /// `j + size[1] * k`, to the first and last x index of these voxels in the row, if there are
+    /// any.
     pub fn of_rows(size: [usize; 3], row: impl Fn(usize) -> Option<(usize, usize)> + Sync) -> Option<Self> {
         let [_, ny, nz] = size;
         let rows = (0..ny * nz).into_par_iter().with_min_len(ny).filter_map(|at| {

@@ -12,11 +12,11 @@ use rayon::prelude::*;
 /// Sample number of a node without a sample.
 pub const NO_SAMPLE: u32 = u32::MAX;
 
-/// Replaces the sample number of every node (x fastest) with the number of the nearest sample
-/// stored at any node. If no node has a sample, all numbers stay [`NO_SAMPLE`]. Samples are in the
-/// grid frame (mm).
+/// Replaces the sample index of every node (x fastest) with the index of the nearest sample stored
+/// at any node. If no node has a sample, all indices stay [`NO_SAMPLE`]. Samples are in the grid
+/// frame (mm).
 ///
-/// The result is exact if every sample lies on the node that stores its number. Otherwise, a nearer
+/// The result is exact if every sample lies on the node that stores its index. Otherwise, a nearer
 /// sample can be missed; the error is of the order of the distance from a sample to its node.
 pub(crate) fn spread(geometry: &Geometry, samples: &[Vec3], sample: &mut [u32]) {
     let [nx, ny, _] = geometry.size;
@@ -53,8 +53,8 @@ struct Parabola {
 }
 
 impl Parabola {
-    /// Returns the parabola along the first of the three axes. `at` is the position (mm) of the
-    /// line on the other two axes.
+    /// Returns the parabola along the first of the three axes. `at` contains the coordinates (mm)
+    /// of the line along the other two axes.
     fn new(samples: &[Vec3], number: u32, [along, u, v]: [usize; 3], at: [f64; 2]) -> Self {
         let position = samples[number as usize].as_dvec3();
         Self { number, centre: position[along], least: (position[u] - at[0]).powi(2) + (position[v] - at[1]).powi(2) }
@@ -66,7 +66,8 @@ impl Parabola {
 struct Envelope {
     column: Vec<u32>,
     all: Vec<Parabola>,
-    /// The parabolas of the lower envelope, each with the position (mm) where its part begins.
+    /// The parabolas of the lower envelope, each with the position (mm) from which it is the
+    /// lowest.
     lowest: Vec<(Parabola, f64)>,
 }
 
@@ -84,7 +85,7 @@ impl Envelope {
         self.column = column;
     }
 
-    /// Replaces each sample number on a line with the number of the nearest sample on the line.
+    /// Replaces each sample index on a line with the index of the nearest sample on the line.
     fn fill(&mut self, line: &mut [u32], spacing: f64, parabola: impl Fn(u32) -> Parabola) {
         self.all.clear();
         let mut last = NO_SAMPLE;
@@ -147,7 +148,7 @@ mod tests {
         // twice the offset
         for (n, count, off) in [(0u64, 1, 0.0), (1, 7, 0.0), (2, 60, 0.0), (3, 60, 0.1)] {
             let geometry = Geometry::axis_aligned([13, 9, 11], DVec3::new(1.0, 0.7, 1.6));
-            // at most one sample per node, so that no sample is lost
+            // place at most one sample at each node, so that no sample is lost
             let mut sample = vec![NO_SAMPLE; geometry.voxel_count()];
             let mut samples = Vec::new();
             for s in 0..count {

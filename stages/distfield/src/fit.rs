@@ -37,18 +37,18 @@ const CHUNK: usize = 4096;
 /// normal matrix of the samples.
 ///
 /// Without damping, F shrinks towards zero where no spline vanishes at all samples, and it changes
-/// sign in the corners of the volume. With 0, 0.001 and 0.002, the maximum distance between the
-/// zero sets of F and of its source is 0.49, 0.041 and 0.026 voxel for an object in the corners of
-/// a scan of 36^3 voxels. For `heart_ct` at iso value 250, the 99th percentile of this distance is
-/// 0.049, 0.049 and 0.053 voxel.
+/// sign in the corners of the volume. With a weight of 0, 0.001 and 0.002, the maximum distance
+/// between the zero sets of F and of its source is 0.49, 0.041 and 0.026 voxel for an object in the
+/// corners of a scan of 36^3 voxels. For `heart_ct` at iso value 250, the 99th percentile of this
+/// distance is 0.049, 0.049 and 0.053 voxel.
 const DAMPING: f64 = 0.001;
 
-/// The fit stops when the norm of the gradient falls below this fraction of its initial value,
-/// because further steps then hardly reduce the misfit. In the fits of `tests/labels.rs` that stop
-/// at this limit, the root mean square of F at the samples is at most 2.3 times the tolerance. The
-/// values 0.0001 and 0.001 give the same fields for `heart_label`, `heart_ct` at iso value 250 and
-/// label 13 of `frog_tissue_labels`. With 0.01, the mean shift of the zero set of `heart_ct` grows
-/// from 0.0044 to 0.0063 voxel (`make distfield`).
+/// Ratio of the gradient norm to its initial value below which the fit stops, because further steps
+/// hardly reduce the misfit. In the fits of `tests/labels.rs` that stop at this limit, the root
+/// mean square of F at the samples is at most 2.3 times the tolerance. The values 0.0001 and 0.001
+/// give the same fields for `heart_label`, `heart_ct` at iso value 250 and label 13 of
+/// `frog_tissue_labels`. With 0.01, the mean shift of the zero set of `heart_ct` grows from 0.0044
+/// to 0.0063 voxel (`make distfield`).
 const GRADIENT_TOLERANCE: f64 = 0.001;
 
 /// A voxel cell that contains samples.
@@ -118,8 +118,8 @@ pub fn pin_zero_set(field: &mut Image<f32>, samples: Vec<DVec3>, tolerance: f64,
     let root_mean_square = |r: &[f32]| (dot(r, r) / r.len() as f64).sqrt();
     let before = root_mean_square(&residual);
 
-    // Preconditioner: the diagonal plus its mean. With the diagonal alone, coefficients with little
-    // weight could change freely.
+    // Preconditioner: the diagonal plus its mean. With the diagonal alone, coefficients that hardly
+    // affect the samples could change freely.
     let mut scale = vec![0.0; sampling.unknowns];
     sampling.apply_transposed(&vec![1.0; residual.len()], &mut scale, true);
     let mean = (scale.iter().map(|&s| f64::from(s)).sum::<f64>() / scale.len() as f64) as f32;
@@ -162,7 +162,7 @@ fn cell(geometry: &Geometry, sample: DVec3) -> Option<(usize, DVec3)> {
     inner.then(|| (geometry.linear(base.x as usize, base.y as usize, base.z as usize), index - base))
 }
 
-/// Numbers the coefficients that the samples depend on.
+/// Assigns indices to the coefficients that the samples depend on.
 fn touched_coefficients(geometry: &Geometry, samples: &[DVec3]) -> Numbering {
     let [nx, ny, _] = geometry.size;
     let corners = samples.par_chunks(CHUNK).map(|samples| {
@@ -278,9 +278,9 @@ impl Sampling {
         }
     }
 
-    /// Applies the transpose of [`Sampling::apply`], or of its matrix with all entries squared.
-    /// Processes the even slabs before the odd slabs, so that parallel tasks never write the same
-    /// coefficient.
+    /// Applies the transpose of the map. If `squared` is true, all entries of its matrix are
+    /// squared. Processes the even slabs before the odd slabs, so that parallel tasks never write
+    /// the same coefficient.
     fn apply_transposed(&self, values: &[f32], coefficients: &mut [f32], squared: bool) {
         coefficients.par_chunks_mut(CHUNK).for_each(|part| part.fill(0.0));
         for parity in 0..2 {
@@ -358,7 +358,7 @@ fn splats<S: Simd>(simd: S, low: f32, high: f32) -> f32x8<S> {
     joined(simd, f32x4::splat(simd, low), f32x4::splat(simd, high))
 }
 
-/// Computes the spline coefficients of a field at the numbered nodes.
+/// Computes the spline coefficients of a field at the nodes in `number`.
 fn gather(field: &Image<f32>, number: &Numbering) -> Vec<f32> {
     let [nx, ny, nz] = field.geometry.size;
     let plane = nx * ny;
@@ -375,7 +375,7 @@ fn gather(field: &Image<f32>, number: &Numbering) -> Vec<f32> {
     compact
 }
 
-/// Adds the effect of changed spline coefficients to the values of the field.
+/// Adds to the field the node values of the spline whose coefficients are `change`.
 fn add_change(field: &mut Image<f32>, number: &Numbering, change: &[f32]) {
     let [nx, ny, nz] = field.geometry.size;
     let node_weight = |offset: isize| if offset == 0 { 4.0 / 6.0 } else { 1.0 / 6.0 };

@@ -227,7 +227,7 @@ mod tests {
             smooth(&mut data, size, [3.0, 9.0, 0.4]);
             assert!(data.iter().all(|value| (value - 2.5).abs() < 1e-5));
         }
-        // smoothing leaves a step along x independent of y and z
+        // after smoothing, a step along x is still independent of y and z
         let size = [24, 6, 5];
         let mut data: Vec<f32> = (0..720).map(|n| if n % 24 < 11 { 1.0 } else { 0.0 }).collect();
         smooth(&mut data, size, [2.0; 3]);

@@ -93,7 +93,7 @@ impl Dropped {
 
 /// Moves the nodes of dropped parts to the outside (`nodes` is negative inside). With an open
 /// border, parts extend into the outermost `margin` layers of nodes on each face. The volumes of
-/// the parts exclude these nodes.
+/// the parts exclude these layers.
 ///
 /// # Errors
 /// If no part is large enough, or if there are too many runs of nodes to label the parts.

@@ -96,12 +96,12 @@ const ROUNDS: usize = 6;
 /// Maximum change of the level per round. With the smoothing of labels (a standard deviation of 1.5
 /// voxels), the slope of the smoothed occupancy at a plane is 0.266 per voxel, so a plane moves by
 /// at most 0.38 voxel per round. All [`ROUNDS`] together can change the level by 0.6, which exceeds
-/// the distance from 1/2 to its bounds.
+/// the distance from 1/2 to either bound.
 const LONGEST_STEP: f64 = 0.1;
 
-/// Added to the surface density to keep the step finite where there is no surface. On a plane, the
-/// surface density within the window is `8 / WINDOW` = 5 for a block of eight voxels, so the
-/// constant changes the step there by 0.04 %.
+/// Constant added to the surface density to keep the step finite where there is no surface. On a
+/// plane, the surface density within the window is `8 / WINDOW` = 5 for a block of eight voxels, so
+/// this value changes the step there by 0.04 %.
 const LEAST_DENSITY: f64 = 0.002;
 
 /// Minimum slope used to compute distances, relative to the slope at a plane. The actual slope
@@ -110,8 +110,8 @@ const LEAST_DENSITY: f64 = 0.002;
 /// there.
 const LEAST_SLOPE: f64 = 0.15;
 
-/// Value, slopes and second differences along the axes at a voxel. Values are mirrored half a voxel
-/// beyond the outermost voxel centres of the grid.
+/// Value of the level set at a voxel, with its slopes and second differences along the axes. Values
+/// are mirrored half a voxel beyond the outermost voxel centres of the grid.
 #[derive(Clone, Copy)]
 struct Shape {
     own: f32,
@@ -295,8 +295,8 @@ impl<'a> Work<'a> {
             }
         });
         let (least, longest) = (LEAST_DENSITY as f32, LONGEST_STEP as f32);
-        // `rates` contains the surface density within the window first, and then the excess divided
-        // by this density
+        // `rates` first contains the surface density within the window, then the excess divided by
+        // this density
         let mut rates = sums.map(|[_, density]| density).smoothed(self.window());
         let blocks = self.transferred.par_iter_mut().zip(&mut rates.values).zip(&sums.values);
         blocks.for_each(|((transferred, rate), [excess, _])| {
@@ -379,8 +379,8 @@ impl Blocks<[f32; 2]> {
 }
 
 impl Blocks<f32> {
-    /// Smooths the values by a Gaussian with standard deviations `sigma`, in voxels. The sums over
-    /// blocks already contribute a variance of 0.25.
+    /// Smooths the values by a Gaussian with standard deviations `sigma`, in voxels. Summing over
+    /// blocks already contributes a variance of 0.25.
     fn smoothed(mut self, sigma: DVec3) -> Self {
         let sigma = sigma.to_array().map(|sigma| 0.5 * (sigma * sigma - 0.25).max(0.25).sqrt());
         smooth(&mut self.values, blocks_along(self.voxels), sigma);
@@ -418,13 +418,13 @@ fn share(occupancy: &Occupancy, voxel: usize) -> f32 {
 struct Sources<'a> {
     /// Voxels that have at least one of their 26 neighbours on the other side.
     near: Runs,
-    /// Strength of the source at each of these voxels, non-negative. A source moves values towards
+    /// Strength of the source at each voxel of `near`, non-negative. A source moves values towards
     /// the side of its voxel.
     added: Vec<f32>,
     /// Minimum distance of a voxel centre from the surface, mm.
     least: f32,
     contacts: &'a [Contact],
-    /// For each of these voxels on the prescribed side of a contact, the rise that brings the value
+    /// For each voxel of `near` on the prescribed side of a contact, the rise that brings the value
     /// at the contact to its minimum. It is negative if the value exceeds the minimum, and minus
     /// infinity for all other voxels.
     short: Vec<f32>,
@@ -472,10 +472,10 @@ impl<'a> Sources<'a> {
         }
     }
 
-    /// Calls `each(number, voxel, lack)` for the near voxels of slice `k`. `number` counts these
-    /// voxels within the slice. `lack` is the value at the minimum distance minus the actual value,
-    /// or the rise that a contact requires if this is larger. It is positive if the actual value is
-    /// too small.
+    /// Calls `each(number, voxel, lack)` for each voxel of `near` in slice `k`; `number` is its
+    /// index among these voxels. `lack` is the value required by the minimum distance minus the
+    /// actual value, or the rise that a contact requires if this is larger. If it is positive, the
+    /// value is too small.
     fn each_lack(&self, work: &Work, k: usize, mut each: impl FnMut(usize, usize, f32)) {
         let [nx, ny, _] = work.size;
         let spacing = work.occupancy.geometry.spacing;
@@ -513,7 +513,7 @@ impl<'a> Sources<'a> {
             .map(|(k, added)| {
                 let mut changes = Vec::new();
                 own.each_lack(work, k, |number, n, lack| {
-                    // rise of this voxel due to unit sources at all violating voxels
+                    // rise of this voxel due to unit sources at all voxels in `lacking`
                     let gain: f32 = near_pairs(n, work.size)
                         .filter(|&(near, _)| lacking.holds(near))
                         .map(|(_, weight)| weight)
@@ -553,8 +553,8 @@ impl<'a> Sources<'a> {
         lacking
     }
 
-    /// Moves the values at voxel centres and contacts that still violate the minimum distance to
-    /// the minimum value. Also corrects centres on the wrong side that no source reaches.
+    /// Corrects the values of voxels whose centres or contacts still violate the minimum distance.
+    /// Also corrects voxels on the wrong side that no source reaches.
     fn hold(&mut self, work: &mut Work) {
         let occupancy = work.occupancy;
         for _ in 0..HOLDS {
@@ -644,9 +644,9 @@ fn spread(sources: &[(usize, f32)], k: usize, [nx, ny, nz]: [usize; 3], slice: &
 }
 
 /// Finds the contacts of a mask. Inside parts are connected at a contact unless `gives_way` is true
-/// for the two outside voxels at the edge. A voxel corner shared by several contacts also becomes a
-/// contact if they are all on the same side. Without these corners, only a row of separate bridges
-/// would connect the parts.
+/// for the two outside voxels there. A voxel corner shared by several contacts also becomes a
+/// contact if they all have the same prescribed side. Without these corners, only a row of separate
+/// bridges would connect the parts.
 pub(crate) fn contacts(mask: &Mask, gives_way: impl Fn([usize; 2]) -> bool + Sync) -> Vec<Contact> {
     let size = mask.geometry.size;
     let [nx, ny, nz] = size;

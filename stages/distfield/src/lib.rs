@@ -54,6 +54,6 @@ pub use scalar::{ScalarOptions, from_scalar};
 pub enum Border {
     /// Close the object half a voxel beyond the outermost voxel centres.
     Cap,
-    /// Continue the surface straight, so that it leaves the volume.
+    /// Extend the surface straight out of the volume.
     Open,
 }

@@ -20,14 +20,14 @@ use std::ops::Range;
 /// eighth of the nodes.
 pub(crate) const STRIDE: usize = 2;
 
-/// Nodes farther from the surface than `near` plus this many voxels (of the maximum spacing) take
-/// no samples from other nodes of their own slice. If `near` is the half-width of the exact band of
-/// `crate::field` (4 voxels), the total is twice the half-width. On three volumes, F within this
-/// total distance changes by 0.004 voxel (root mean square) if nodes beyond it take no samples from
-/// their neighbours.
+/// Distance beyond `near`, in units of the maximum spacing, from which nodes take no samples from
+/// other nodes of their own slice. If `near` is the half-width of the exact band of `crate::field`
+/// (4 voxels), the total distance from the surface is twice the half-width. On three volumes, F
+/// within this total distance changes by 0.004 voxel (root mean square) if nodes beyond it take no
+/// samples from their neighbours.
 const FAR_BEYOND: f64 = 4.0;
 
-/// Approximate number of nodes of a slab. It bounds the memory: the sample numbers of a slab take
+/// Approximate number of nodes of a slab. It bounds the memory: the sample indices of a slab take
 /// 40 MiB. Smaller grids form a single slab.
 const SLAB_NODES: usize = 10 << 20;
 
@@ -42,7 +42,7 @@ pub struct Slab {
     pub own: Range<usize>,
     /// Index of the first slice in `sample`: one before `own`, if there is one.
     pub first: usize,
-    /// Sample numbers of the nodes (x fastest), or [`NO_SAMPLE`], from slice `first` to a few
+    /// Sample indices of the nodes (x fastest), or [`NO_SAMPLE`], from slice `first` to a few
     /// slices beyond `own`.
     pub sample: Vec<u32>,
 }
@@ -71,7 +71,7 @@ pub fn nearest_samples(
     let by_slice = fine.by_slice();
     let [nx, ny, nz] = geometry.size;
     let plane = nx * ny;
-    // a sample propagates from a corner of its cell, and this corner may be a voxel farther away
+    // a sample propagates from a corner of its cell, which may be a voxel farther from the node
     let ahead = (limit.min(near) / geometry.spacing.z).ceil() as usize + 1;
     let slices = (SLAB_NODES / plane).max(LEAST_SLICES);
     let mut slab = Slab { own: 0..0, first: 0, sample: Vec::new() };
@@ -111,7 +111,7 @@ impl Slab {
 
 /// Nearest samples of nodes (x fastest), with their squared distances.
 struct Nearest<'a> {
-    /// Number of the sample, or [`NO_SAMPLE`].
+    /// Index of the sample, or [`NO_SAMPLE`].
     sample: &'a mut [u32],
     /// Squared distance, mm^2; infinite where there is no sample.
     squared: &'a mut [f32],
@@ -138,7 +138,7 @@ impl Coarse {
         &self.sample[((nz - 1 - k) * ny + j) * nx..][..nx]
     }
 
-    /// Frees the slices that only slices of the fine grid below `k` need.
+    /// Frees the coarse slices that are needed only for fine slices below `k`.
     fn free_below(&mut self, k: usize) {
         let [nx, ny, nz] = self.geometry.size;
         self.sample.truncate(nz.saturating_sub(k / STRIDE) * nx * ny);
@@ -146,7 +146,7 @@ impl Coarse {
     }
 }
 
-/// Sample numbers sorted by slice of the grid.
+/// Sample indices sorted by slice of the grid.
 struct BySlice {
     start: Vec<usize>,
     numbers: Vec<u32>,
@@ -196,8 +196,8 @@ impl Transform<'_> {
         [0, 1, 2].map(|a| index[a].max(0.0) as usize)
     }
 
-    /// Sorts the sample numbers by the slice of their cell, ascending within a slice. Samples
-    /// beyond the last slice are assigned to the last slice.
+    /// Sorts the sample indices by the slice of the cell that contains the sample, in ascending
+    /// order within a slice. Samples beyond the last slice are assigned to the last slice.
     fn by_slice(&self) -> BySlice {
         let nz = self.geometry.size[2];
         let slice = |sample: Vec3| self.cell(sample)[2].min(nz - 1);

@@ -9,8 +9,8 @@ use isoparticles_stage::meta::DistanceMeta;
 use isoparticles_volume::Geometry;
 use serde_json::json;
 
-/// Maximum number of surfaces of F whose volumes are listed in the file and in the report. It only
-/// bounds the length of the list.
+/// Maximum number of surfaces of F whose volumes are listed in the file and in the report. The
+/// value only bounds the length of the list.
 pub(crate) const LISTED_SURFACES: usize = 100;
 
 /// Limits of the distance between the zero sets of F and of its source, in voxels: mean and 99th
@@ -19,13 +19,12 @@ pub(crate) const LISTED_SURFACES: usize = 100;
 /// `real_volumes_keep_their_zero_set_and_parts`).
 const SHIFT_LIMITS: (f64, f64) = (0.03, 0.15);
 
-/// Limits of the relative change of the volume: a warning is printed above the first, and a check
-/// fails above the second. The volume of layers one voxel thick changes by up to 8 %, that of
-/// layers two voxels thick by up to 3 % (test `thin_layers_and_rods_keep_their_volume`), and that
-/// of specks of single voxels by up to 20 %.
+/// Limits of the relative change in volume: a warning is printed above the first, and a check fails
+/// above the second. The change is up to 8 % for layers one voxel thick, 3 % for layers two voxels
+/// thick (test `thin_layers_and_rods_keep_their_volume`) and 20 % for specks of single voxels.
 pub(crate) const VOLUME_LIMITS: (f64, f64) = (0.05, 0.25);
 
-/// Limits of the relative change of the volume with a scale above 0, where smoothing preserves the
+/// Limits of the relative change in volume with a scale above 0, where smoothing preserves the
 /// volume. For meshes of solid organs with 1,000 vertices, the volume changes by up to 2 %. A mesh
 /// whose volume changes by 10 % does not represent the object: for ribs and trabecular bone at a
 /// few thousand vertices, the volume changes by 20 to 42 %.
@@ -33,7 +32,7 @@ pub(crate) const SCALED_VOLUME_LIMITS: (f64, f64) = (0.02, 0.1);
 
 const _: () = assert!(10.0 * SPECK_SHARE < SCALED_VOLUME_LIMITS.0, "lost specks alone must not cause a warning");
 
-/// Reports the number of grid nodes of F and of the whole volume.
+/// Reports the size, in nodes, of the grids of F and of the whole volume.
 pub(crate) fn tell_grid(whole: &Geometry, made: &Geometry, context: &Context) {
     let told = |[nx, ny, nz]: [usize; 3]| format!("{nx} x {ny} x {nz}");
     if whole.size == made.size {
@@ -56,8 +55,8 @@ fn volume_change(result: &Redistanced, meta: &DistanceMeta) -> Option<f64> {
     Some(result.parts_after.volume / voxels - 1.0)
 }
 
-/// Reports F: parts, volume, and the distance of its zero set from that of the input. Warns if this
-/// distance exceeds [`SHIFT_LIMITS`].
+/// Reports F: parts, volume, and the distance between the zero sets of F and of the input. Warns if
+/// this distance exceeds [`SHIFT_LIMITS`].
 pub(crate) fn describe(result: &Redistanced, meta: &DistanceMeta, context: &Context) {
     let (before, after) = (result.parts_before, result.parts_after);
     let dropped = &result.dropped;
@@ -107,9 +106,8 @@ pub(crate) fn describe(result: &Redistanced, meta: &DistanceMeta, context: &Cont
 }
 
 /// Checks that components, cavities and the sides of voxel centres are preserved. Label surfaces
-/// without a scale guarantee this, so a difference is a failed check. Other surfaces can fold
-/// within a voxel, where the number of parts depends on rounding. A difference is then only a
-/// warning.
+/// without a scale guarantee this, so a difference fails the check. Other surfaces can fold within
+/// a voxel, where the number of parts depends on rounding. A difference then only causes a warning.
 pub(crate) fn failed_checks(result: &Redistanced, meta: &DistanceMeta, context: &Context) -> Vec<String> {
     let (before, after) = (result.parts_before, result.parts_after);
     let mut failed = Vec::new();
@@ -137,8 +135,8 @@ pub(crate) fn failed_checks(result: &Redistanced, meta: &DistanceMeta, context: 
     failed
 }
 
-/// Compares the change of the volume with its limits. Returns a failed check above the second limit
-/// and prints a warning above the first.
+/// Compares the change in volume with its limits. Returns the message of the failed check if the
+/// change exceeds the second limit. Prints a warning if it exceeds only the first.
 pub(crate) fn check_volume(result: &Redistanced, meta: &DistanceMeta, context: &Context) -> Option<String> {
     let change = volume_change(result, meta)?;
     let (limits, reason) = if meta.is_scaled() {

@@ -44,12 +44,12 @@ impl ValueGradient for Source {
     }
 }
 
-/// Slopes up to this value, per mm, are treated as zero. Where the values of a scan are about 1000,
+/// Maximum slope, per mm, that is treated as zero. Where the values of a scan are about 1000,
 /// rounding to double precision alone gives slopes of 1e-13.
 pub(crate) const VANISHING_SLOPE: f64 = 1e-12;
 
-/// Returns the value over the slope. If the slope vanishes, returns 1e6 mm, which exceeds the size
-/// of any volume, with the sign of the value (positive for zero).
+/// Returns the value divided by the slope. If the slope vanishes, returns 1e6 mm, which exceeds the
+/// size of any volume, with the sign of the value (positive for zero).
 #[inline(always)]
 pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
     if slope > VANISHING_SLOPE {
@@ -76,10 +76,10 @@ const MAX_NEWTON_STEPS: usize = 12;
 /// changes sign.
 const LONGEST_STEP: f64 = 0.4;
 
-/// A sample is on the surface if its first-order distance |f| / slope is at most this value, in
-/// units of the minimum voxel spacing. It is a thousandth of the tolerance of the pinned zero set
-/// (0.001, `field::PINNED`). Newton's method converges quadratically, so one more step reduces the
-/// distance by this factor.
+/// Maximum first-order distance |f| / slope of a sample from the surface, in units of the minimum
+/// voxel spacing. It is a thousandth of the tolerance of the pinned zero set (0.001,
+/// `field::PINNED`). Newton's method converges quadratically, so this accuracy takes only one more
+/// step than 0.001.
 const SURFACE_TOLERANCE: f64 = 1e-6;
 
 /// Maximum distance of a sample from its start on the marching-cubes mesh, in units of the minimum

@@ -2,8 +2,8 @@
 //! interpolates the input equals the iso value.
 //!
 //! [`from_voxels`] checks the voxels and the iso value, evaluates the spline on the padded grid,
-//! closes the object at the border ([`crate::cap`]) and computes F ([`redistance`]). The level sets
-//! of labels and of `--scale` use the same code (`from_level`).
+//! closes the object at the border ([`crate::cap`]) and computes F ([`redistance`]). Level sets
+//! computed from labels or with `--scale` use the same code (`from_level`).
 
 use crate::cap::BorderBox;
 use crate::crop::{CutFaces, VoxelBox};
@@ -69,8 +69,8 @@ pub fn from_voxels(
 
 /// Computes F from a level set sampled at voxels. Values are positive inside and may be positive
 /// everywhere. `padding` is the number of nodes that the samples already have beyond each face: 0
-/// or the margin. Voxel centres keep a distance of at least `clearance`, in units of the minimum
-/// voxel spacing.
+/// or the margin. The distance of the surface from voxel centres is at least `clearance`, in units
+/// of the minimum voxel spacing.
 ///
 /// # Errors
 /// If there is no surface, no part is kept, or the run is interrupted.
@@ -258,7 +258,7 @@ impl Input {
             let size = [px, py, layer.slices.len()];
             let slab = CubicSpline::from_coefficients(Geometry { size, ..padded.clone() }, coefficients);
             self.fill_nodes(&mut nodes, &layer, &slab, to_add, cap.as_ref());
-            // the filter no longer needs the slices of these nodes
+            // the filter no longer needs the voxels of the nodes that are already set
             let rest = self.geometry.size[2].saturating_sub(layer.own.end.saturating_sub(to_add));
             self.voxels.truncate(rest * self.slice_size());
         }

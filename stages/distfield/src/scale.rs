@@ -1,7 +1,7 @@
 //! Implements `--scale`: a surface with as much detail as a coarse mesh can represent.
 //!
 //! The occupancy of each voxel is smoothed by a Gaussian with a standard deviation of half the
-//! scale. Where the surface is curved or the object is thin, the level set of 1/2 is displaced:
+//! scale. Where the surface is curved or the object is thin, the level set at 1/2 is displaced:
 //! balls shrink, and small parts and thin walls vanish. The level therefore varies in space so that
 //! the volume within a window is preserved (`level.rs`). Parts that survive the smoothing keep
 //! their volume, and tubes and walls keep their thickness. All other parts vanish;
@@ -39,9 +39,9 @@ impl Scale {
 }
 
 /// Minimum distance of the level from 0 and from 1. Parts with a lower smoothed occupancy vanish:
-/// balls of radius below 1.2 and tubes of radius below 0.8 standard deviations. A mesh of the edge
-/// length that matches the scale would have about twelve vertices on such a ball, and four vertices
-/// around such a tube.
+/// balls of radius below 1.2 and tubes of radius below 0.8 standard deviations of the Gaussian. A
+/// mesh of the edge length that matches the scale would have about twelve vertices on such a ball,
+/// and four vertices around such a tube.
 const LEAST_LEVEL: f64 = 0.3;
 
 /// Minimum distance of the level from 0 and from 1 with `--keep-thin`. With this value, tubes of
@@ -55,8 +55,8 @@ const CRUMB_RADIUS: f64 = 0.5;
 
 /// Ratio of the scale to the edge length of the mesh. On `heart_label` (1.5 mm voxels) with h = 3.5
 /// and 1.75 mm, the mean / minimum radius ratio of the triangles is 0.985 / 0.69 and 0.970 / 0.59
-/// with the value 1, 0.989 / 0.67 and 0.981 / 0.72 with 1.4, and 0.985 / 0.72 and 0.985 / 0.81 with
-/// 1.8. Even with 1.8, 99 % of the voxels that change sides are at the surface.
+/// with a ratio of 1, 0.989 / 0.67 and 0.981 / 0.72 with 1.4, and 0.985 / 0.72 and 0.985 / 0.81
+/// with 1.8. Even with 1.8, 99 % of the voxels that change sides are at the surface.
 pub const SCALE_OVER_SIZE: f64 = 1.6;
 
 /// Distance around the object within which the occupancy is smoothed, in standard deviations. At
@@ -65,7 +65,7 @@ const SMOOTHING_REACH: f64 = 3.0;
 
 /// The smoothed object.
 pub struct Scaled {
-    /// Zero on the surface of the smoothed object, positive inside.
+    /// Level set of the smoothed object: zero on the surface, positive inside.
     pub level: Image<f32>,
     /// Faces of the grid of `level` that are cuts through the original grid.
     pub cut: CutFaces,
@@ -186,7 +186,7 @@ const FEWEST_VOXELS: usize = 10_000;
 /// returns its current length.
 const AREA_ROUNDS: (usize, f64) = (10, 0.01);
 
-/// The search ends at edge lengths below this many voxels. It reaches them from one voxel by six
+/// Edge length, in voxels, below which the search ends. It is reached from one voxel by six
 /// halvings. The standard deviation of the smoothing is then below 0.016 voxel, so the smoothing
 /// has no effect. An object without area at this scale is empty.
 const SHORTEST_EDGE: f64 = 0.02;

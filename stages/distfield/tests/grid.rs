@@ -1,5 +1,5 @@
 //! Compares `--grid object` with `--grid volume`: near the surface, the field is the same at the
-//! same position in the world, and only borders of the volume are treated as borders.
+//! same world position, and only borders of the volume are treated as borders.
 
 use glam::{DMat3, DVec3};
 use isoparticles_field::materials::Indicators;
@@ -11,10 +11,9 @@ use std::path::Path;
 use std::process::{Command, Output};
 use tempfile::TempDir;
 
-/// Upper limits of the differences of F, in units of the mean voxel spacing: of the 99th percentile
-/// within three voxels of the surface, and of the maximum within one voxel. Nodes in the groove
-/// between the two balls are equally far from both balls; at one of these nodes, the values of F
-/// differ by 0.022 voxel.
+/// Limits of the difference in F, in units of the mean voxel spacing: 99th percentile within three
+/// voxels of the surface, and maximum within one voxel. Nodes in the groove between the two balls
+/// are equally far from both balls; at one of these nodes, the values of F differ by 0.022 voxel.
 const SAME: (f64, f64) = (0.006, 0.03);
 
 fn distfield(arguments: &[&str]) -> Output {

@@ -144,8 +144,8 @@ fn nan_among_labels_is_background_and_told() {
 
 #[test]
 fn a_volume_that_is_mostly_lost_is_a_failed_check() {
-    // isolated voxels so close together that the surface loses most of their volume, which fails
-    // the check
+    // these isolated voxels are so close together that most of their volume is lost, so the check
+    // of the volume must fail
     let rods = Case::new(|radius, n| i16::from(radius < 12.0 && n % 5 == 0 && n / 36 % 4 == 0));
     let run = rods.run(&["--labels", "1"]);
     let told = String::from_utf8_lossy(&run.stderr);

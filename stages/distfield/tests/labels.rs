@@ -288,7 +288,7 @@ fn parts_at_an_open_border_count_only_their_voxels() {
         p.cmpge(DVec3::from_array(low) - 0.5).all() && p.cmplt(DVec3::from_array(high) - 0.5).all()
     };
     // a part of 64 voxels, and a part of 32 voxels at the face z = 0; the open border extends the
-    // smaller part into the margin
+    // smaller part into the margin, which must not count
     let mask = sampled([16, 10, 14], DVec3::ONE, |p| {
         block(p, [2.0, 3.0, 7.0], [6.0, 7.0, 11.0]) || block(p, [9.0, 3.0, 0.0], [13.0, 7.0, 2.0])
     });

@@ -97,9 +97,9 @@ impl Made {
     /// Checks the midpoints of grid edges, faces and cells: a corner must have the material with
     /// the smallest indicator, and on edges, the two smallest indicators must belong to the
     /// materials of the two ends. Returns the number of edges between two materials, of such edges
-    /// near which the indicator of a third material is stored, of faces whose corners differ along
-    /// all four edges, and of such faces where the maximum indicators of the two diagonals differ
-    /// by less than 0.1 voxel.
+    /// near which the indicator of a third material is stored, of faces on which the ends of every
+    /// edge have different materials, and of such faces where the maximum indicators of the two
+    /// diagonals differ by less than 0.1 voxel.
     fn keeps_contacts(&self, what: &str) -> [usize; 4] {
         let materials = &self.extracted.materials;
         let geometry = materials.geometry();
@@ -345,8 +345,8 @@ fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
 
 #[test]
 fn parts_larger_than_their_own_scale_are_kept_beside_coarser_ones() {
-    // two balls of label 2 in label 1, with radii of 7 and 4 mm (1437 and 268 mm^3); both are below
-    // the minimum volume of a part at a scale of 16 mm
+    // two balls of label 2 in label 1, with radii of 7 and 4 mm (1437 and 268 mm^3); at a scale of
+    // 16 mm, both would be removed as too small, but label 2 has a shorter scale
     let balls = volume([44, 40, 30], |at| {
         let p = DVec3::from_array(at.map(|n| n as f64)) * DVec3::new(1.0, 0.8, 1.3);
         let is_in = |x: f64, radius: f64| p.distance(DVec3::new(x, 16.0, 19.5)) < radius;
@@ -377,7 +377,7 @@ fn a_volume_of_islands_only_is_outside_at_a_scale() {
 
 #[test]
 fn specks_do_not_fill_gaps_between_materials_at_a_scale() {
-    // single voxels of label 5 on the axis where the three sectors meet
+    // single voxels of label 5 on the axis where the three sectors meet; they must not grow
     let with_specks = || {
         let labels = sectors(40, 10.5).voxels.to_f32();
         volume([40; 3], |[i, j, k]| {

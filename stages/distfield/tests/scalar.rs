@@ -357,7 +357,7 @@ fn an_ellipsoid_has_slope_one_off_the_medial_axis() {
     check_far_field(&Shape { name: "ellipsoid", size: 64, distance: &distance, axis: &axis }, &image, 0.5, Border::Cap);
 }
 
-/// Wave number of the coarse gyroid, per voxel. It is also the maximum curvature of the gyroid.
+/// Wave number of [`gyroid`], per voxel. It is also the maximum curvature of its surface.
 const WAVE: f64 = 0.05;
 
 /// Returns the value of a gyroid, positive inside, and its gradient.

@@ -45,7 +45,8 @@ settle() { awk '/"name": "settle"/ { found = 1 } found && /"seconds"/ { gsub(/[^
 # and after the run (the second line of each output is the total for child processes).
 processor() { awk 'NR % 2 == 0 { split($1, t, /[ms]/); s[++n] = 60 * t[1] + t[2] } END { print s[2] - s[1] }' "$1"; }
 
-# row CONTRAST PROGRAM THREADS: prints a row of the table with the minimum times over all rounds.
+# row CONTRAST PROGRAM THREADS: runs all rounds and prints a row of the table with the minimum
+# times.
 row() {
     report=$work/cpu.json times=$work/cpu.times
     for round in $(seq "$rounds"); do

@@ -1,7 +1,7 @@
 #!/bin/sh
-# Measures the particles stage on the GPU and on one CPU thread, for the same particles (`make
-# bench-gpu`). Requires the stage programs and `phantom`. On a machine without `phantom`, set --work
-# to a copy of a folder that another machine created with --prepare.
+# Times the particles stage on the GPU and on one CPU thread, starting from the same seeds
+# (`make bench-gpu`). Requires the stage programs and `phantom`. On a machine without `phantom`, set
+# --work to a copy of a folder that another machine created with --prepare.
 #
 #   bench_gpu.sh [--bin FOLDER] [--work FOLDER] [--prepare] [--adapter NAME] [--no-cpu]
 #                [--sizes "H ..."] [--contrasts "C ..."] [--count N] [--passes N] [--options "..."]
@@ -62,8 +62,9 @@ total() { sed -n 's/^  "seconds": *\([-+.0-9eE]*\).*/\1/p' "$1" | head -n 1; }
 # settle FILE: prints the duration of the step `settle` in seconds.
 settle() { awk '/"name": "settle"/ { found = 1 } found && /"seconds"/ { gsub(/[^0-9.eE+-]/, "", $2); print $2; exit }' "$1"; }
 
-# graded CONTRAST: makes the size field and seeds of a run on the ball with this ratio of maximum to
-# minimum h. Adjusts the minimum h in five iterations to bring the predicted count close to --count.
+# graded CONTRAST: makes the size field and seeds of a run on the ball. CONTRAST is the ratio of
+# maximum to minimum h. Adjusts the minimum h in five iterations to bring the predicted count close
+# to --count.
 graded() {
     least=0.3
     [ ! -e "$work/contrast-$1-$count.seeds.bin" ] || return 0
@@ -73,7 +74,7 @@ graded() {
             most=$(awk -v a="$least" -v c="$1" 'BEGIN { print a * c }')
             sizing="--epsilon 1000 --max-deviation 0 --min-size $most --max-size $most --refine ball:$pole,25=$least"
         fi
-        # shellcheck disable=SC2086 # options are split on purpose
+        # shellcheck disable=SC2086 # word splitting is intended
         "$bin/sizefield" "$ball" -o "$work/contrast-$1-$count.sizefield.vti" $sizing -q --report "$work/contrast-$1-$count.json"
         predicted=$(number "$work/contrast-$1-$count.json" predicted_count)
         least=$(awk -v a="$least" -v p="$predicted" -v n="$count" 'BEGIN { print a * sqrt(p / n) }')
@@ -86,7 +87,7 @@ row() {
     name=$1 distance=$2
     common="$work/$name.seeds.bin --distfield $distance --sizefield $work/$name.sizefield.vti --force --progress none -q"
     common="$common --max-passes $passes --energy-tolerance 0 --levels 1"
-    # shellcheck disable=SC2086 # options are split on purpose
+    # shellcheck disable=SC2086 # word splitting is intended
     "$bin/particles" $common -o "$work/$name.gpu.bin" --backend gpu ${adapter:+--adapter "$adapter"} $options \
         --report "$work/$name.gpu.json"
     report=$work/$name.gpu.json

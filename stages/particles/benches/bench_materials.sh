@@ -1,12 +1,13 @@
 #!/bin/sh
-# Measures the particles stage on many materials and, for comparison, on one object (the union of
-# the same labels) with about the same number of particles.
+# Times the particles stage on many materials and, for comparison, on one object (the union of the
+# same labels) with about as many particles.
 #
 #   bench_materials.sh VOLUME H [OPTIONS OF particles...]
 #
-# H is the edge length on the interfaces in mm. Environment: BIN=target/release,
-# WORK=out/bench-materials. Prints the time and memory reported by `particles`, and the GPU time per
-# particle and pass in microseconds.
+# H is the edge length on the interfaces in mm. The environment variables BIN (default
+# target/release) and WORK (default out/bench-materials) select the folders of the programs and of
+# the files. Prints the time and memory reported by `particles`, and the GPU time per particle and
+# pass in microseconds.
 set -eu
 volume=$1 size=$2
 shift 2
@@ -22,8 +23,8 @@ settle() {
     "$bin/particles" "$case.$name.seeds.bin" --distfield "$case.$name.distfield.vti" --sizefield "$case.$name.sizefield.vti" \
         -o "$case.$name.particles.bin" --levels 1 --log "$case.$name.csv" --report "$case.$name.json" --force "$@" 2>&1 |
         grep -E '^  (particles|  of junctions|passes|settle|device time|device memory|peak memory|energy over ideal|adapter|backend)'
-    # prints the device time per particle and pass, if a GPU was used; the log does not count held
-    # particles
+    # if a GPU was used, prints the device time per pass and particle; the counts in the log exclude
+    # held particles
     seconds=$(sed -n 's/.*"device_seconds": *\([0-9.eE+-]*\).*/\1/p' "$case.$name.json" | head -n 1)
     [ -z "$seconds" ] || awk -F, -v s="$seconds" 'NR > 1 { n = $3; passes++ }
         END { printf "  us a particle and pass   %.5f\n", 1e6 * s / n / passes }' "$case.$name.csv"

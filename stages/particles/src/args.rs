@@ -20,13 +20,13 @@ use std::path::PathBuf;
 pub enum Backend {
     /// The first GPU that is not a software renderer, or the CPU if there is none.
     Auto,
-    /// A GPU. Without a GPU the program ends with exit code 3.
+    /// A GPU; the exit code is 3 if there is none.
     Gpu,
     /// All CPU cores (see --threads).
     Cpu,
 }
 
-/// Settles particles on F = 0 until they form a near-hexagonal lattice of local spacing h
+/// Moves particles on F = 0 until they settle into a nearly hexagonal lattice with local spacing h
 #[derive(Debug, Parser)]
 #[command(
     name = "particles",
@@ -35,44 +35,45 @@ pub enum Backend {
         particles --list-adapters",
     after_help = "Example:\n  particles heart.seeds.bin --distfield heart.distfield.vti --sizefield heart.sizefield.vti \\\n      \
         -o heart.particles.bin --log heart.passes.csv\n\n\
-        Paper: section 3, Eq. 1 to 5 and Algorithm 1. --as-printed settles as its text says, but for misprints (docs/developer/method.md); its \
-        ideal energy 3.462, six times the ideal distance, asks for a lattice of 0.657 h with 2.3 times the particles."
+        Paper: section 3, Eq. 1 to 5 and Algorithm 1. --as-printed follows the text of the paper, except for misprints (docs/developer/method.md). The \
+        printed ideal energy, 3.462, is six times the ideal distance; it gives a lattice of 0.657 h with 2.3 times as many particles."
 )]
 pub struct Args {
     /// Seeds written by the seed stage
     #[arg(value_name = "seeds.bin", help_heading = FILES, required_unless_present = "list_adapters")]
     pub(crate) seeds: Option<PathBuf>,
-    /// Distance field F that the seeds were made from, or the indicators of many materials
+    /// Distance field F from which the seeds were made, or the indicators of several materials
     #[arg(long, value_name = "F.vti", help_heading = FILES, required_unless_present = "list_adapters")]
     pub(crate) distfield: Option<PathBuf>,
-    /// Sizing field h on the same grid
+    /// Size field h on the same grid
     #[arg(long, value_name = "S.vti", help_heading = FILES, required_unless_present = "list_adapters")]
     pub(crate) sizefield: Option<PathBuf>,
     /// Particle file to write
     #[arg(short, long, value_name = "P.bin", help_heading = FILES, required_unless_present = "list_adapters")]
     pub(crate) output: Option<PathBuf>,
-    /// Write one line per pass to this file: energy, count, inserted, deleted, lattice defects,
-    /// time, level and more. The format is JSON lines if the name ends in .jsonl, otherwise CSV
+    /// Write one line per pass to this file: energy, number of particles, insertions, deletions,
+    /// lattice defects, time, level and more. The format is JSON Lines if the name ends in .jsonl,
+    /// otherwise CSV
     #[arg(long, value_name = "FILE", help_heading = FILES)]
     pub(crate) log: Option<PathBuf>,
     /// Write a checkpoint to this file every --checkpoint-interval passes
     #[arg(long, value_name = "FILE", help_heading = FILES)]
     pub(crate) checkpoint: Option<PathBuf>,
-    /// Continue from the checkpoint if it exists; the result equals that of an uninterrupted run,
-    /// byte for byte
+    /// Continue from the checkpoint if it exists; the result is byte-identical to that of an
+    /// uninterrupted run
     #[arg(long, requires = "checkpoint", help_heading = FILES)]
     pub(crate) resume: bool,
     /// Number of passes between checkpoints; a multiple of 10
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = interval, help_heading = FILES)]
     pub(crate) checkpoint_interval: u64,
-    /// Device that moves the particles; gpu ends with exit code 3 if there is no GPU
+    /// Device that moves the particles; with gpu, the exit code is 3 if there is no GPU
     #[arg(long, value_enum, default_value_t = Backend::Auto, help_heading = METHOD)]
     pub(crate) backend: Backend,
-    /// GPU to use, specified by a part of its name, case-insensitive (see --list-adapters).
-    /// Software renderers are used only if specified
+    /// GPU to use, selected by a case-insensitive part of its name (see --list-adapters). Software
+    /// renderers are used only if selected by this option
     #[arg(long, value_name = "NAME", help_heading = METHOD)]
     pub(crate) adapter: Option<String>,
-    /// Print the adapters of this machine on stdout and exit
+    /// Print the GPU adapters of this machine to stdout and exit
     #[arg(long, help_heading = METHOD)]
     pub(crate) list_adapters: bool,
     /// Measure the time of each GPU kernel with timestamp queries and include it in the report and
@@ -85,22 +86,22 @@ pub struct Args {
     /// Number of lanes per particle
     #[arg(long, hide = true, value_parser = clap::builder::PossibleValuesParser::new(["8", "16", "32"]))]
     pub(crate) team: Option<String>,
-    /// Use the method as printed in the paper: options that are not given take the values marked
+    /// Use the method as printed in the paper: options that are not given have the values marked
     /// "printed" below. The CPU does not support the printed --order bins
     #[arg(long, help_heading = METHOD)]
     as_printed: bool,
     #[arg(long, value_enum, help_heading = METHOD,
-        help = told("Bins of the GPU's neighbour search: same result but for the order of sums", |p| name(p.binning)))]
+        help = told("Bins of the neighbour search on a GPU; the results differ only in the order of summation", |p| name(p.binning)))]
     binning: Option<Binning>,
     #[arg(long, value_enum, help_heading = METHOD,
-        help = told("Order in which the GPU moves the particles of a pass; bins asks for uniform bins", |p| name(p.order)))]
+        help = told("Order in which a GPU moves the particles of a pass; bins requires uniform bins", |p| name(p.order)))]
     order: Option<Order>,
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = METHOD,
-        help = told("Most passes on the last level, that of h", |p| p.max_passes))]
+        help = told("Maximum number of passes on the last level, whose edge length is h", |p| p.max_passes))]
     max_passes: Option<u64>,
-    /// Number of levels, 1 to 4: settle at 2^(N - 1) times h first, split the edges, and repeat
-    /// down to h; with 1, settle only at h [default: 3 on the CPU, 1 on a GPU and for many
-    /// materials; printed: 1]
+    /// Number of levels, 1 to 4: settle at 2^(N - 1) times h first, then split the edges and settle
+    /// again, down to h; with 1, settle only at h [default: 3 on the CPU, 1 on a GPU and for
+    /// several materials; printed: 1]
     #[arg(long, value_name = "N", help_heading = METHOD, value_parser = clap::value_parser!(u32).range(1..=4))]
     pub(crate) levels: Option<u32>,
     /// Maximum number of passes on each level except the last
@@ -108,35 +109,35 @@ pub struct Args {
         value_parser = clap::value_parser!(u64).range(1..))]
     coarse_passes: u64,
     #[arg(long, value_name = "SHARE", value_parser = share, help_heading = METHOD, alias = "fault-tolerance",
-        help = told("Stop when lattice defects (particles without exactly six neighbours) get fewer by less than this share a pass and \
-            density control is nearly at rest, 0 to 1", |p| p.energy_tolerance.map_or(p.defect_tolerance.to_string(), |_| "none".to_owned())))]
+        help = told("Stop when the number of lattice defects (particles without exactly six neighbours) decreases by less than this \
+            fraction per pass and density control is nearly at rest, 0 to 1", |p| p.energy_tolerance.map_or(p.defect_tolerance.to_string(), |_| "none".to_owned())))]
     defect_tolerance: Option<f64>,
     #[arg(long, value_name = "SHARE", value_parser = share, help_heading = METHOD, conflicts_with = "defect_tolerance",
-        help = told("Stop by the paper's test instead: when the mean energy changes by less than this share a pass, 0 to 1 (its E_min; \
-            0 runs all passes)", |p| p.energy_tolerance.map_or("none".to_owned(), |e| e.to_string())))]
+        help = told("Use the paper's stop test (E_min) instead: stop when the mean energy changes by less than this fraction per pass, \
+            0 to 1; 0 runs all passes", |p| p.energy_tolerance.map_or("none".to_owned(), |e| e.to_string())))]
     energy_tolerance: Option<f64>,
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), help_heading = METHOD,
-        help = told("Passes over which the paper's test averages that change; 1: from one pass to the next", |p| p.energy_window))]
+        help = told("Number of passes over which the paper's stop test averages this change; 1 compares consecutive passes", |p| p.energy_window))]
     energy_window: Option<u16>,
     #[arg(long, value_name = "SHARE", value_parser = share, help_heading = METHOD,
-        help = told("The stop tests wait until density control adds and deletes no more than this share of the particles a pass, 0 to 1; \
-            1: they do not wait", |p| p.rest_share))]
+        help = told("Apply the stop tests only when density control adds and deletes at most this fraction of the particles per pass, \
+            0 to 1; with 1, they always apply", |p| p.rest_share))]
     rest_share: Option<f64>,
     #[arg(long, value_name = "N", help_heading = METHOD,
-        help = told(&format!("Passes without density control at the end, so that the last newcomers settle; on levels before the last no more than {COARSE_CLOSING_PASSES}"),
+        help = told(&format!("Number of passes without density control at the end, in which the last added particles settle; at most {COARSE_CLOSING_PASSES} on levels before the last"),
             |p| p.closing_passes))]
     closing_passes: Option<u64>,
     #[arg(long, value_name = "E", value_parser = positive, help_heading = METHOD,
-        help = told("Energy that density control aims at, 0.554 to 7.84; by default that of the hexagonal lattice of edge h by Eq. 1. Another one \
-            asks for a lattice of another edge, and newcomers are placed to fit it", |p| (1e4 * p.ideal_energy).round() / 1e4))]
+        help = told("Target energy of a particle for density control, 0.554 to 7.84. The default is the energy (Eq. 1) in a hexagonal lattice \
+            with edge h; other values give a lattice with a different edge, and added particles are placed accordingly", |p| (1e4 * p.ideal_energy).round() / 1e4))]
     ideal_energy: Option<f64>,
     #[arg(long, value_name = "SHARE", value_parser = share, help_heading = METHOD,
-        help = told("Add a particle where the energy is below this share of the ideal one, 0 to 1", |p| p.add_below))]
+        help = told("Add a particle where the energy is below this fraction of the ideal energy, 0 to 1", |p| p.add_below))]
     add_below: Option<f64>,
     #[arg(long, value_name = "RATIO", value_parser = above_one, help_heading = METHOD,
-        help = told("Delete a particle whose energy is above this multiple of the ideal one, above 1", |p| p.delete_above))]
+        help = told("Delete a particle whose energy exceeds this multiple of the ideal energy, above 1", |p| p.delete_above))]
     delete_above: Option<f64>,
-    /// Never add particles, and use a single level (the synthetic test of Table 3)
+    /// Never add particles, and use a single level (as in the paper's synthetic test, Table 3)
     #[arg(long, help_heading = METHOD)]
     no_insert: bool,
     #[command(flatten)]
@@ -169,7 +170,7 @@ impl Args {
     /// over many, and each change of level costs up to a second on the host. On the heart, the mean
     /// radius ratio before improvement is 0.970 after 0.123 s with one level and 0.962 after 0.127
     /// s with three. On the ribcage, it is 0.972 after 0.193 s and 0.967 after 0.309 s
-    /// (docs/developer/performance.md, "Quality for the time"). With many materials the default is
+    /// (docs/developer/performance.md, "Quality for the time"). The default for many materials is
     /// also one level, because the held particles have the spacing h and do not fit coarser levels.
     pub(crate) fn settling(&self, on_gpu: bool, many: bool) -> Parameters {
         let base = if self.as_printed { Parameters::as_printed() } else { Parameters::default() };
@@ -177,7 +178,7 @@ impl Args {
         // the CPU moves blocks of particles and does not support the printed order by bins
         let order = self.order.unwrap_or(if on_gpu { base.order } else { Order::Classes });
         let binning = if order == Order::Bins { Binning::Uniform } else { base.binning };
-        // an explicit defect tolerance replaces the printed energy test
+        // an explicit defect tolerance disables the printed energy test
         let printed_test = base.energy_tolerance.filter(|_| self.defect_tolerance.is_none());
         Parameters {
             max_passes: self.max_passes.unwrap_or(base.max_passes),
@@ -202,8 +203,8 @@ impl Args {
     /// Rejects unsupported combinations of options.
     ///
     /// # Errors
-    /// If the ideal energy gives a lattice spacing that neighbour lists and steps do not support,
-    /// or if the order by bins is requested without a GPU or with graded bins.
+    /// If the lattice spacing of the ideal energy is outside the range that neighbour lists and
+    /// steps support, or if the order by bins is requested without a GPU or with graded bins.
     pub(crate) fn check(&self, parameters: &Parameters, on_gpu: bool) -> Result<()> {
         let energy = parameters.ideal_energy;
         let [least, largest] = [LARGEST_SPACING, LEAST_SPACING].map(lattice_energy);

@@ -1,4 +1,4 @@
-//! Checkpoints: the current particles of a run, with the log of all passes so far. [`resume`]
+//! Checkpoints: the current particles of a run and the records of all passes so far. [`resume`]
 //! checks that a checkpoint has the same inputs and parameters as the current run.
 
 use crate::settle::{Engine, Parameters, PassRecord};
@@ -17,7 +17,7 @@ use std::path::Path;
 pub(crate) struct Progress {
     /// Parameters of the run.
     pub parameters: Parameters,
-    /// Hashes of seeds, distance field and sizing field.
+    /// Hashes of the seeds, the distance field and the size field.
     pub inputs: [String; 3],
     /// Records of all passes so far.
     pub records: Vec<PassRecord>,
@@ -57,8 +57,8 @@ pub(crate) fn keep(
 }
 
 /// Reads a checkpoint and checks that it belongs to this run. Returns the particles, their strata
-/// (only for many materials) and the records of the log. Warns if the checkpoint was made on
-/// another device.
+/// (only for many materials) and the records of the log. Warns if the checkpoint was made with
+/// another engine.
 pub(crate) fn resume(
     path: &Path,
     parameters: &Parameters,

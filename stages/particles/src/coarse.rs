@@ -2,7 +2,7 @@
 //! edges between them, and repeats down to h.
 //!
 //! Lattice patches of different orientation meet along lines of particles with five and seven
-//! neighbours. It takes many passes to remove such a line. A coarse lattice has few such lines, and
+//! neighbours. Removing such a line takes many passes. A coarse lattice has few of these lines, and
 //! a pass over few particles is cheap. Splitting the edges of a lattice preserves the orientation
 //! of its patches. The fine lattice therefore starts with few defects and needs few passes.
 
@@ -261,7 +261,8 @@ mod tests {
             let lattice = 4.0 * std::f64::consts::PI * 144.0 * 2.0 / (3f64.sqrt() * scale * scale);
             let ratio = thin.positions.len() as f64 / lattice;
             println!("{ratio} of the lattice at {scale}");
-            // random selection among so few seeds leaves gaps, which density control fills later
+            // random selection from so few seeds leaves gaps, so the ratio may be below 1; density
+            // control fills the gaps later
             assert!((0.7..1.1).contains(&ratio), "{ratio} of the lattice at {scale}");
             assert!(thin.sizes.iter().all(|&h| h == scale));
         }
@@ -277,7 +278,7 @@ mod tests {
         assert!([4.0, 2.0, 1.0].iter().all(|&scale| records.iter().any(|r| r.scale == scale)));
         let counts = (at_once.positions.len() as f64, by_levels.positions.len() as f64);
         assert!((counts.0 / counts.1 - 1.0).abs() < 0.05, "{counts:?}");
-        // measured fraction with six neighbours: 0.77 on one level, 0.94 on three
+        // measured fractions of particles with six neighbours: 0.77 with one level, 0.94 with three
         let shares = (regular(&at_once), regular(&by_levels));
         println!("six neighbours: {} at once, {} by levels", shares.0, shares.1);
         assert!(shares.1 > shares.0 + 0.03, "{shares:?}");
@@ -299,7 +300,8 @@ mod tests {
     fn coarse_levels_close_with_few_passes() {
         let (surface, sizing, seeds) = ball();
         let fields = Fields { surface: &surface, sizing: &sizing };
-        // all runs are identical up to the closing passes of the first level
+        // runs with different numbers of closing passes are identical up to the closing passes of
+        // the first level
         let first_level = |closing_passes: u64| {
             let parameters = Parameters { closing_passes, levels: 2, ..Parameters::default() };
             let mut passes = 0;

@@ -5,9 +5,9 @@
 //!
 //! A particle interacts only with members of its neighbour list. The lists also define the
 //! independent classes (of particles on the GPU, of blocks of particles on the CPU). Particles that
-//! move concurrently are never in each other's lists. None of them therefore reads data that
-//! another writes, whatever the step length. The step length determines how close two particles can
-//! come while neither is in the other's list.
+//! move concurrently are never in each other's lists. Whatever the step length, none of them
+//! therefore reads data that another one writes. The step length determines how close two particles
+//! can come while neither is in the other's list.
 //!
 //! On the GPU, the lists reach `SUPPORT (1 + SKIN)` times the smaller h of the two particles. They
 //! are rebuilt before a pass if a particle has moved by more than [`REBUILD_MOVE`] h since they
@@ -23,18 +23,18 @@
 //! move of each particle ([`CPU_LIST_REACH`], 2.052 h). Density control requires new lists in every
 //! pass anyway, and shorter lists are faster to build and to read.
 //!
-//! The bound must exceed 1 h, the distance between lattice neighbours. Then an unlisted pair cannot
-//! collide, cannot have more energy than two lattice neighbours, and is in the lists of the next
-//! pass. The bound is pessimistic: it assumes that the two particles move straight towards each
-//! other and that the projection moves each particle as far as its step does. On a surface that is
-//! nearly flat at the scale of h, the projection adds almost nothing. There the bound is 2.252 - 2
-//! (0.1 + 0.25) = 1.55 h, and the energy of an unlisted pair (Eq. 1 at d = 0.896) is at most 0.2 %
-//! of the energy of a lattice particle.
+//! The bound must exceed 1 h, the distance between lattice neighbours. Then two unlisted particles
+//! cannot collide or have more energy than two lattice neighbours. If they interact, the lists of
+//! the next pass contain them. The bound is pessimistic: it assumes that the two particles move
+//! straight towards each other and that the projection adds as much displacement as the step. On a
+//! surface that is nearly flat at the scale of h, the projection adds almost nothing. There the
+//! bound is 2.252 - 2 (0.1 + 0.25) = 1.55 h, and the energy of an unlisted pair (Eq. 1 at d =
+//! 0.896) is at most 0.2 % of the energy of a lattice particle.
 //!
-//! If the gradient of h has magnitude g (mm per mm), the particle with the larger h moves by up to
-//! the same fractions of its own h. The bound is then `SUPPORT (1 + SKIN) (1 - 0.6 g) - 1.2` times
-//! the smaller h (0.65 at g = 0.3). On the CPU the factor is `2.052 (1 - 0.5 g) - 1` (0.74 at g =
-//! 0.3).
+//! If the gradient of h has magnitude g (mm per mm), the same fractions of the larger h limit the
+//! displacement of the particle with the larger h. The bound is then
+//! `SUPPORT (1 + SKIN) (1 - 0.6 g) - 1.2` times the smaller h (0.65 at g = 0.3). On the CPU the
+//! factor is `2.052 (1 - 0.5 g) - 1` (0.74 at g = 0.3).
 //!
 //! # Lattices with another spacing
 //!
@@ -52,16 +52,16 @@ use isoparticles_field::energy::SUPPORT;
 /// [`REBUILD_MOVE`], 0.2 h, which is less than `SUPPORT * SKIN` = 0.52 h.
 pub(crate) const SKIN: f64 = 0.3;
 
-/// The GPU's lists are rebuilt once any particle has moved by this fraction of its h since the last
-/// rebuild. Upper bound: half of `SUPPORT * SKIN`, 0.26.
+/// Displacement of a particle since the last rebuild of the GPU's lists, as a fraction of its h,
+/// beyond which the lists are rebuilt. It must be less than half of `SUPPORT * SKIN`, 0.26.
 pub(crate) const REBUILD_MOVE: f64 = 0.1;
 
 /// Maximum step length in the tangent plane per pass, as a fraction of h (the paper's bound is h).
 /// With this value, [`UNSEEN_DISTANCE`] stays above 1.
 pub(crate) const LONGEST_STEP: f64 = 0.25;
 
-/// Maximum distance that a particle moves per pass, as a fraction of h: the projection may add as
-/// much as [`LONGEST_STEP`].
+/// Maximum displacement of a particle per pass, as a fraction of h: the projection may add as much
+/// as the step, [`LONGEST_STEP`].
 pub(crate) const FARTHEST_MOVE: f64 = 2.0 * LONGEST_STEP;
 
 /// Minimum distance, in units of h, between two particles that are not in each other's lists, after
@@ -86,8 +86,8 @@ const _: () = assert!(
 pub(crate) const LARGEST_SPACING: f64 = UNSEEN_DISTANCE;
 
 /// Minimum lattice spacing in units of h (ideal energy 7.84): a pass must not move a particle past
-/// its neighbour. A GPU's list has 18.4 / spacing^2 members, 74 at this spacing. There are only 32
-/// classes, so in denser lattices many particles would not move.
+/// its neighbour. On a GPU, a neighbour list has `18.4 / spacing^2` members, 74 at this spacing.
+/// There are only 32 classes, so in denser lattices many particles would not move.
 pub(crate) const LEAST_SPACING: f64 = FARTHEST_MOVE;
 
 /// Radius in lattice spacings that separates the first from the second ring of the hexagonal
@@ -102,11 +102,13 @@ pub(crate) const LATTICE_NEIGHBOURS: u32 = 6;
 /// paper compares its method, also uses 0.1.
 pub const INITIAL_LAMBDA: f64 = 0.1;
 
-/// Minimum damping. It multiplies diag(H) by 1.001, so the step is nearly an undamped Newton step.
+/// Minimum damping. With it, diag(H) is multiplied by 1.001, so the step is nearly an undamped
+/// Newton step.
 pub(crate) const LEAST_LAMBDA: f64 = 1e-3;
 
-/// A particle whose damping reaches this limit does not move in the pass: its step would be 1e-4 of
-/// a Newton step. Seven rejected attempts raise the damping from its minimum to this limit.
+/// Maximum damping. A particle whose damping reaches it does not move in the pass: its step would
+/// be 1e-4 of a Newton step. Seven rejected attempts raise the damping from its minimum to its
+/// maximum.
 pub(crate) const LARGEST_LAMBDA: f64 = 1e4;
 
 /// Factor that multiplies the damping after a rejected attempt (Algorithm 1).
@@ -122,9 +124,9 @@ pub(crate) const LAMBDA_FALL: f64 = 0.1;
 /// 12.9, 13.7 and 15.1 % of the particles remain lattice defects.
 pub(crate) const EIGENVALUE_FLOOR: f64 = 0.05;
 
-/// The CPU treats the two eigenvalues of a Hessian as equal if each differs from their mean by at
-/// most this fraction of the mean. At this limit the rounding error of the eigenvectors is about
-/// 2e-16 / 1e-12 = 2e-4 radians.
+/// Maximum difference between an eigenvalue of a 2 x 2 Hessian and the mean of both, as a fraction
+/// of the mean, at which the CPU treats the two as equal. At this difference the rounding error of
+/// the eigenvectors is about 2e-16 / 1e-12 = 2e-4 radians.
 pub(crate) const EQUAL_EIGENVALUES_F64: f64 = 1e-12;
 
 /// Minimum force times h, as a fraction of the energy. Below it, a particle on the CPU does not
@@ -132,8 +134,8 @@ pub(crate) const EQUAL_EIGENVALUES_F64: f64 = 1e-12;
 /// which f64 cannot resolve.
 pub(crate) const LEAST_FORCE: f64 = 1e-12;
 
-/// The projection may displace a point by at most the step length plus this fraction of h. A step
-/// is accepted only if it ends within [`FARTHEST_MOVE`] h of the particle. By the triangle
+/// Maximum displacement by the projection, in addition to the step length, as a fraction of h. A
+/// step is accepted only if it ends within [`FARTHEST_MOVE`] h of the particle. By the triangle
 /// inequality, this limit rejects no step that would otherwise be accepted.
 pub(crate) const PROJECTION_REACH: f64 = FARTHEST_MOVE;
 
@@ -171,17 +173,18 @@ pub(crate) const NEWCOMER_DISTANCE: f64 = 0.45;
 pub(crate) const PARENT_DISTANCE: f64 = 0.6;
 
 /// Number of passes over which the stop test averages the change in lattice defects. The number of
-/// defects fluctuates from pass to pass, and with a short window a fluctuation can end the run too
+/// defects fluctuates from pass to pass, so with a short window a fluctuation can end the run too
 /// early. Measured on the surfaces described at `REST_SHARE` with one level: with windows of 1, 2,
 /// 5, 10 and 20 passes, the heart stops at pass 24, 33, 35, 50 and 50 with 28.6, 25.7, 25.5, 23.0
-/// and 23.0 % defects, and the torus at pass 25, 57, 77, 79 and 96 with 26.1, 17.2, 14.1, 14.1 and
-/// 12.3 %.
+/// and 23.0 % lattice defects. The torus stops at pass 25, 57, 77, 79 and 96 with 26.1, 17.2, 14.1,
+/// 14.1 and 12.3 %.
 pub const DEFECT_WINDOW: usize = 10;
 
 /// Default of [`Parameters::defect_tolerance`](crate::Parameters::defect_tolerance). Measured on
 /// the surfaces described at [`REST_SHARE`]: at 0.00375, 0.0075, 0.015 and 0.03, the heart takes
 /// 87, 85, 69 and 69 passes, and 18.5, 18.3, 18.6 and 20.9 % of its particles remain lattice
-/// defects. The torus takes 89, 88, 86 and 57 passes, and 4.7, 4.9, 5.3 and 7.9 % remain.
+/// defects. The torus takes 89, 88, 86 and 57 passes, and 4.7, 4.9, 5.3 and 7.9 % of its particles
+/// remain lattice defects.
 pub(crate) const DEFECT_TOLERANCE: f64 = 7.5e-3;
 
 /// Default of [`Parameters::rest_share`](crate::Parameters::rest_share). Measured with the options
@@ -201,10 +204,10 @@ pub(crate) const REST_SHARE: f64 = 2e-3;
 pub(crate) const BALANCE_WINDOW: usize = 14;
 
 /// Minimum of [`Parameters::rest_share`](crate::Parameters::rest_share) on levels before the last.
-/// Their density control need not come to rest, because the next level controls the density again.
-/// Measured on the surfaces described at [`REST_SHARE`]: at 0.002, 0.01, 0.05 and 0.2, the heart
-/// takes 96, 85, 85 and 66 passes over all levels, and 19.7, 18.3, 18.3 and 20.7 % of its particles
-/// remain lattice defects. The torus takes 88 or 89 passes.
+/// On these levels density control need not come to rest, because the next level controls the
+/// density again. Measured on the surfaces described at [`REST_SHARE`]: at 0.002, 0.01, 0.05 and
+/// 0.2, the heart takes 96, 85, 85 and 66 passes over all levels, and 19.7, 18.3, 18.3 and 20.7 %
+/// of its particles remain lattice defects. The torus takes 88 or 89 passes.
 pub(crate) const COARSE_REST_SHARE: f64 = 5e-2;
 
 /// Maximum number of passes without density control at the end of a level before the last. The next
@@ -220,17 +223,16 @@ pub(crate) const COARSE_CLOSING_PASSES: u64 = 3;
 pub const REORDER_INTERVAL: u64 = 10;
 
 /// Minimum distance between the seeds of the coarsest level, in lattice spacings. With this value,
-/// about as many seeds remain as there are particles in the hexagonal lattice. Random sequential
-/// selection with minimum distance r keeps 0.70 / r^2 points per unit area. The lattice of edge h
-/// has 1.155 / h^2 points per unit area, and 0.70 / 0.776^2 = 1.16.
+/// about as many seeds remain as the hexagonal lattice has particles. Random sequential selection
+/// with minimum distance r keeps `0.70 / r^2` points per unit area. The lattice of edge h has
+/// `1.155 / h^2` points per unit area, and 0.70 / 0.776^2 = 1.16.
 pub(crate) const SEED_SEPARATION: f64 = 0.776;
 
 /// Minimum distance, in lattice spacings, of an added seed from all particles when the edges of a
 /// level are split. Only parts of the surface that are too small for the coarser lattice get such
-/// seeds: 31 on the heart and 3 on the torus described at [`REST_SHARE`]. Measured with 0.7, 0.8,
-/// 0.9 and 1: the heart ends with 4791, 4751, 4757 and 4731 particles (predicted 4847) and 18.1,
-/// 16.6, 18.3 and 20.2 % lattice defects, and the torus with 17,455, 17,445, 17,411 and 17,415
-/// particles.
+/// seeds: the heart described at [`REST_SHARE`] gets 31, the torus 3. Measured with 0.7, 0.8, 0.9
+/// and 1: the heart ends with 4791, 4751, 4757 and 4731 particles (predicted 4847) and 18.1, 16.6,
+/// 18.3 and 20.2 % lattice defects, and the torus with 17,455, 17,445, 17,411 and 17,415 particles.
 pub(crate) const FILLER_SEPARATION: f64 = 0.9;
 
 /// Maximum length, in lattice spacings, of an edge that is split. It exceeds sqrt(2), the diagonal

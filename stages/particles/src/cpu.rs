@@ -20,7 +20,7 @@ mod tests;
 
 /// Settles particles on the CPU with the threads of the current rayon pool. `resumed` contains the
 /// records of the passes already run and the particles after them. `observe` receives each new
-/// record, can read the particles, and can end the run by returning an error.
+/// record, can read the particles, and can end the run with an error.
 pub fn settle(
     seeds: &ParticleSet,
     resumed: Option<(ParticleSet, &[PassRecord])>,
@@ -37,7 +37,7 @@ pub type OnStrata = (ParticleSet, Strata);
 
 /// Settles multi-material particles on their interfaces. Works like [`settle`], but on a single
 /// level. The particles of junction points and curves come first; they are held and do not move.
-/// Particles that are not on their interface are removed at the start and at the end.
+/// Particles that do not lie on their interface are removed at the start and at the end.
 pub fn settle_interfaces<I: Indicators>(
     seeds: &OnStrata,
     resumed: Option<(OnStrata, &[PassRecord])>,
@@ -116,8 +116,8 @@ impl<S: Implicit> Engine for CpuEngine<'_, S> {
     fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome> {
         let (state, parameters) = (&mut self.state, &self.parameters);
         if pass % REORDER_INTERVAL == 1 {
-            // checkpoints are written only just before a sort, so a resumed run starts in this
-            // order too
+            // checkpoints are written only just before a sort, so a resumed run starts with the
+            // particles in the same order
             state.sort_spatially();
         }
         state.rebuild();

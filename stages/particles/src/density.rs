@@ -1,8 +1,8 @@
 //! Density control (section 3.3 of the paper).
 //!
 //! A particle whose energy is too high (oversampling) is deleted. A particle whose energy is too
-//! low (undersampling) gets a newcomer in the widest gap between its neighbours. Because of the
-//! random bias of Witkin and Heckbert, two neighbours are rarely both deleted, or both given
+//! low (undersampling) gets a newcomer in the widest gap between its neighbours. The random bias of
+//! Witkin and Heckbert makes it unlikely that two neighbours are both deleted, or both get
 //! newcomers, in the same pass. In addition, each deletion immediately updates the energies of the
 //! neighbours. Without this update, one pass would delete far too many particles of dense seeds.
 
@@ -174,7 +174,7 @@ pub(crate) fn propose<S: Implicit>(state: &State, fields: &Fields<S>, deleted: &
 
 /// Finds the widest angular gap between the neighbours of particle i that are closer than the
 /// second ring. Projects the point one spacing from the particle, in the middle of this gap, onto
-/// the surface. Returns position, normal and h of the projected point. Returns `None` if the
+/// the surface. Returns the position, normal and h of the projected point. Returns `None` if the
 /// projection fails, the normals disagree, or the point is closer than [`PARENT_DISTANCE`] spacings
 /// to particle i.
 fn place_in_widest_gap<S: Implicit>(
@@ -230,8 +230,8 @@ mod tests {
         let parameters = Parameters::default();
         let mut state = State::new(scene.seeds.clone(), parameters.normal_agreement);
         state.measure();
-        // the high limit prevents deletion, so the distance of newcomers from all particles can be
-        // checked
+        // the high limit prevents deletion, so that the tests can check the distance of each
+        // newcomer from every particle
         let limits =
             Limits { ideal_energy: parameters.ideal_energy, add_below: parameters.add_below, delete_above: 1e9 };
         let before: HashSet<_> = state.set.positions.iter().map(|p| p.to_array().map(f64::to_bits)).collect();

@@ -5,8 +5,8 @@ use glam::DVec3;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::CubicSpline;
 
-/// Zero sets on which particles lie. One object has a single zero set, and its particles have no
-/// stratum. With many materials the stratum selects the interface.
+/// The zero sets on which particles lie. One object has a single zero set, and its particles have
+/// no stratum. With many materials the stratum selects the interface.
 pub trait Implicit: Sync {
     /// Projects `start` onto the zero set of a stratum by Newton steps (Eq. 5). Returns the point
     /// and the gradient there. `limit` is the maximum total displacement in mm, and `tolerance` is
@@ -54,9 +54,9 @@ impl<'a, I: Indicators> Interfaces<'a, I> {
     }
 }
 
-/// Returns the two materials of an interface, the one with the higher number first. Its indicator
-/// minus that of the second is negative inside the first, so the gradient of this difference points
-/// to the second.
+/// Returns the two materials of an interface, the one with the higher number first. The first
+/// indicator minus the second is negative inside the first material, so the gradient of this
+/// difference points to the second.
 #[inline(always)]
 fn sides(stratum: Option<Stratum>) -> Option<[MaterialId; 2]> {
     match stratum?.materials() {

@@ -1,4 +1,4 @@
-//! The log of a run: one line per pass, as CSV or JSON lines.
+//! The log of a run: one line per pass, as CSV or JSON Lines.
 
 use crate::settle::PassRecord;
 use isoparticles_stage::error::{Error, Result};
@@ -14,7 +14,7 @@ pub(crate) struct Log {
 }
 
 impl Log {
-    /// Creates a log and writes the records of the passes already run. The format is JSON lines if
+    /// Creates a log and writes the records of the passes already run. The format is JSON Lines if
     /// the name ends in `.jsonl`, otherwise CSV.
     pub(crate) fn create(path: &Path, records: &[PassRecord]) -> Result<Self> {
         let file = File::create(path).map_err(|e| failed(path, &e))?;

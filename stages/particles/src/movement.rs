@@ -126,7 +126,8 @@ fn step<L: Simd, S: Implicit>(simd: L, state: &State, fields: &Fields<S>, near: 
     if jet.energy == 0.0 {
         return result;
     }
-    // Eq. 4 plus the change of the particle's own h with its position; the Hessian is for fixed h
+    // Eq. 4 plus the term for the change in the particle's own h with position; the Hessian is for
+    // fixed h
     let along_size = plane.coordinates(fields.sizing.value_gradient(position).1);
     let force = [0, 1].map(|a| jet.gradient[a] + jet.by_size * along_size[a]);
     if (force[0] * force[0] + force[1] * force[1]).sqrt() * size < LEAST_FORCE * jet.energy {
@@ -149,12 +150,12 @@ fn step<L: Simd, S: Implicit>(simd: L, state: &State, fields: &Fields<S>, near: 
         }
         lambda *= LAMBDA_GROWTH;
     }
-    // Algorithm 1: lambda is reset to its value before the pass
+    // no attempt was accepted; lambda keeps its value from before the pass, as in Algorithm 1
     result
 }
 
 /// Replaces the eigenvalues of a symmetric 2 x 2 matrix (entries uu, uv, vv) with their magnitudes,
-/// bounded away from zero. The Newton step is then a descent step.
+/// bounded away from zero. The Newton step then points in a descent direction.
 #[inline(always)]
 fn positive_definite(m: [f64; 3]) -> [f64; 3] {
     let [a, b, c] = m;

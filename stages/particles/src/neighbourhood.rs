@@ -63,8 +63,8 @@ struct Block {
     inverse_size: [f64; LANES],
 }
 
-/// Padding for incomplete blocks. The point is outside the support of any particle, and its squared
-/// distance (3e200) is finite in f64.
+/// Padding for incomplete blocks: a neighbour outside the support of every particle. Its squared
+/// distance, 3e200, is finite in f64.
 const PADDING: Block = Block { offset: [[1e100; LANES]; 3], inverse_size: [1.0; LANES] };
 
 /// The neighbours of one particle.
@@ -116,8 +116,8 @@ impl Neighbourhood {
     }
 
     /// Returns the squared scaled distances (Eq. 2) from the particle to the neighbours in a block,
-    /// and intermediate values. `moved` is the particle's displacement since `gather`, and
-    /// `inverse_size` is its 1/h.
+    /// along with the intermediate values that the callers use. `moved` is the particle's
+    /// displacement since `gather`, and `inverse_size` is its 1/h.
     #[inline(always)]
     fn distances<S: Simd>(simd: S, block: &Block, moved: DVec3, inverse_size: f64) -> Distances<S> {
         let along = |axis: usize| f64x8::simd_from(simd, block.offset[axis]) - moved[axis];
@@ -174,10 +174,11 @@ impl Neighbourhood {
             let (first, second) = pairs.derivatives();
             let per_area = inverse_reach * inverse_reach;
             let across = first * pairs.reciprocal * per_area;
-            // (along - across) / r^2, where r^2 = d^2 / `per_area`
+            // (along - across) / r^2, where r^2 = d^2 / `per_area` and d is the scaled distance
             let stretch = (second * per_area - across) * (pairs.reciprocal * pairs.reciprocal * per_area);
             energy += pairs.energy();
-            // offsets point to the neighbour, gradients point away from it
+            // the gradient uses the vector from the neighbour to the particle, which is minus the
+            // offset
             gu -= across * u;
             gv -= across * v;
             let (su, sv) = (stretch * u, stretch * v);
@@ -185,8 +186,8 @@ impl Neighbourhood {
             uv += su * v;
             vv += sv * v;
             isotropic += across;
-            // d depends on the smaller h, which is the particle's own h unless the neighbour's h is
-            // smaller
+            // d depends on the smaller h, so a pair contributes only if the neighbour's h is at
+            // least the particle's own h
             let own = theirs.simd_le(1.0 / size);
             by_size -= own.select(first * pairs.scaled, zero);
         }

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use isoparticles_field::energy::{pair_energy, pair_jet, pair_size_derivative, scaled_distance};
 
 /// Returns the energy, gradient and Hessian of particle i at its position. The gradient includes
-/// the change of the particle's own h with its position; the Hessian is for fixed h.
+/// the effect of the change in the particle's own h with position; the Hessian is for fixed h.
 pub(crate) fn energy_jet<S>(state: &State, fields: &Fields<S>, i: usize) -> (f64, DVec3, DMat3) {
     let set = &state.set;
     let (position, size) = (set.positions[i], set.sizes[i]);

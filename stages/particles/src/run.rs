@@ -1,5 +1,5 @@
-//! The program around [`crate::settle`]: reads the input files, settles the particles, and writes
-//! the log, checkpoints and results. The options are in `args.rs`.
+//! Runs the program: reads the input files, settles the particles, and writes the log, checkpoints
+//! and results. The options are in `args.rs`.
 
 use crate::args::{Args, Backend};
 use crate::checkpoint::{Progress, cpu_engine, keep, resume};
@@ -61,7 +61,7 @@ fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
 struct Engines<'a> {
     gpu: Option<&'a Gpu>,
     parameters: &'a Parameters,
-    /// True if the CPU may be used when the engine cannot be created on the GPU.
+    /// True if the CPU is used when the engine cannot be created on the GPU.
     may_fall_back: bool,
     fell_back: Cell<bool>,
     context: &'a Context,
@@ -161,8 +161,8 @@ struct Files<'a> {
 }
 
 impl<'a> Files<'a> {
-    /// Returns the files of a command line. Returns `None` if a file is missing; the parser allows
-    /// this only with --list-adapters.
+    /// Returns the paths on the command line, or `None` if one is missing. The parser allows this
+    /// only with --list-adapters.
     fn of(args: &'a Args) -> Option<Self> {
         Some(Self {
             seeds: args.seeds.as_deref()?,
@@ -179,7 +179,7 @@ struct Inputs {
     seeds: OnStrata,
     ground: Ground,
     sizing: SizingField,
-    /// Hashes of seeds, distance field and sizing field.
+    /// Hashes of the seeds, the distance field and the size field.
     hashes: [String; 3],
 }
 
@@ -218,7 +218,8 @@ impl Inputs {
     }
 }
 
-/// Particles, strata and records of the passes already run, read from a checkpoint.
+/// Contents of a checkpoint: the particles, their strata, and the records of the passes already
+/// run.
 type Resumed = (ParticleSet, Option<Strata>, Vec<PassRecord>);
 
 /// Result of settling.
@@ -240,7 +241,7 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
-    /// Returns the name under which a checkpoint stores the engine.
+    /// Returns the engine name that a checkpoint stores.
     fn engine(&self) -> String {
         self.gpu.map_or_else(cpu_engine, |gpu| format!("gpu: {}", gpu.summary().name))
     }

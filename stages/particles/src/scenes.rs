@@ -8,7 +8,7 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_volume::{Geometry, Image};
 
-/// A surface with its sizing field and seeds.
+/// A surface with its size field and seeds.
 pub(crate) struct Scene {
     pub surface: CubicSpline,
     pub sizing: SizingField,
@@ -20,9 +20,9 @@ impl Scene {
         Fields { surface: &self.surface, sizing: &self.sizing }
     }
 
-    /// Creates a scene. `f` and `h` are functions of the position relative to the centre of the
-    /// grid, on which they are sampled. The seeds are up to `count` points projected onto F = 0;
-    /// `start` maps a random direction to the point that is projected.
+    /// Creates a scene. Samples `f` and `h`, functions of the position relative to the grid centre,
+    /// on the grid. The seeds are up to `count` points projected onto F = 0; `start` maps a random
+    /// direction to the point that is projected.
     pub(crate) fn new(
         size: [usize; 3],
         spacing: DVec3,
@@ -69,10 +69,10 @@ impl Scene {
         Self::new([34; 3], DVec3::ONE, |p| p.length() - 12.0, |_| h, count, |d| 12.0 * d)
     }
 
-    /// Returns a ball with four particles on each of eight meridians, at distances of h, 2.35 h and
-    /// h from one to the next. The inner two particles are not in each other's lists. Each of them
-    /// proposes a newcomer at distance h in the direction of the other, so the two newcomers are
-    /// only 0.35 h apart.
+    /// Returns a ball with four particles on each of eight meridians. The distances between
+    /// consecutive particles are h, 2.35 h and h. The inner two particles are not in each other's
+    /// lists. Each of them proposes a newcomer at distance h in the direction of the other, so the
+    /// two newcomers are only 0.35 h apart.
     pub(crate) fn meeting_newcomers() -> Self {
         let mut scene = Self::ball(0, 1.6);
         let centre = 0.5 * scene.surface.geometry().upper_corner();

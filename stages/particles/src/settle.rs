@@ -36,8 +36,8 @@ pub struct Parameters {
     /// Number of passes over which the energy test averages. With 1 it compares consecutive passes,
     /// as printed.
     pub energy_window: usize,
-    /// Density control is nearly at rest if the additions and deletions per pass together are at
-    /// most this fraction of the particles. If the value is 1 or more, the stop tests ignore
+    /// Maximum number of additions and deletions per pass, as a fraction of the particles, for
+    /// density control to count as nearly at rest. If the value is 1 or more, the stop tests ignore
     /// density control.
     pub rest_share: f64,
     /// Energy of a particle in the target lattice (E_ideal), 0.554 to 7.84. It determines
@@ -50,8 +50,8 @@ pub struct Parameters {
     /// True if particles may be added. The paper's synthetic test (Table 3) does not add particles.
     /// If false, there is only one level.
     pub allow_insert: bool,
-    /// Number of passes without density control at the end, in which the last newcomers settle. On
-    /// levels before the last there are at most three such passes.
+    /// Number of passes without density control at the end, during which the last newcomers settle.
+    /// On levels before the last there are at most three such passes.
     pub closing_passes: u64,
     /// Two particles interact only if the dot product of their normals exceeds this value.
     pub normal_agreement: f64,
@@ -75,7 +75,8 @@ pub enum Binning {
     /// One level of bins for each octave of h
     #[default]
     Graded,
-    /// One level for all particles, with the bin width required by the largest h (as in the paper)
+    /// One level of bins for all particles, with the bin width that the maximum h requires (as in
+    /// the paper)
     Uniform,
 }
 
@@ -83,11 +84,11 @@ pub enum Binning {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Order {
-    /// Independent classes of particles (no two members interact), one class after the other
+    /// Classes of particles that do not interact with each other, one class at a time
     #[default]
     Classes,
-    /// Bins in 27 colours, one colour after the other; the particles of a bin move one after the
-    /// other (as in the paper; requires uniform bins)
+    /// Bins in 27 colours, one colour at a time; the particles of a bin move one after another (as
+    /// in the paper; requires uniform bins)
     Bins,
 }
 
@@ -103,8 +104,8 @@ impl Default for Parameters {
             energy_window: 5,
             rest_share: REST_SHARE,
             ideal_energy: energy::ideal_energy(),
-            // the printed 0.75 and 1.35 leave larger gaps: on the heart the energy reaches 0.92 of
-            // the ideal energy instead of 0.94 (runs B and C)
+            // the printed 0.75 and 1.35 leave larger gaps: on the heart of method.md, the energy
+            // reaches 0.92 of the ideal energy instead of 0.94 (runs B and C)
             add_below: 0.8,
             delete_above: 1.25,
             allow_insert: true,
@@ -234,7 +235,7 @@ pub trait Engine {
     fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome>;
 
     /// Announces the last pass that controls the density. Up to that pass, an engine may start a
-    /// pass before the previous one has been read back.
+    /// pass before it has read the result of the previous pass.
     fn controls_density_until(&mut self, _pass: u64) {}
 
     /// Returns a copy of the particles.
@@ -275,8 +276,8 @@ pub fn settle_with<S: Implicit>(
     Ok((state.set, summary))
 }
 
-/// Works like [`settle_with`], but on one of several levels. `resumed` contains the records of the
-/// passes already run on this level.
+/// Works like [`settle_with`], but settles on one of several levels. `resumed` contains the records
+/// of the passes already run on this level.
 pub(crate) fn settle_level<S: Implicit>(
     engine: &mut dyn Engine,
     fields: &Fields<S>,
@@ -333,7 +334,7 @@ fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64>
     let window = if parameters.energy_tolerance.is_some() { parameters.energy_window.max(1) } else { DEFECT_WINDOW };
     (window..records.len()).find_map(|last| {
         let (old, new) = (&records[last - window], &records[last]);
-        // values per particle: a change of the count alone must not look like an improvement
+        // values per particle: a change in the count alone must not look like an improvement
         let before_control = |r: &PassRecord| (r.count + r.deleted - r.inserted).max(1) as f64;
         let change = |quantity: &dyn Fn(&PassRecord) -> f64| {
             let (old, new) = (quantity(old) / before_control(old), quantity(new) / before_control(new));
@@ -455,15 +456,16 @@ mod tests {
         let parameters = Parameters::default();
         let closing = |records: &[PassRecord]| closing_since(records, &parameters);
         // the defects fall by 1 % per pass until pass 20 and then stay constant; at pass 22, the
-        // mean decrease over the window of ten passes is still 0.8 % per pass
+        // mean decrease over the window of ten passes is still 0.8 % per pass, above the tolerance
+        // of 0.75 %
         let falling = |pass: u64| (900.0 * 0.99f64.powi(pass.min(20) as i32)) as usize;
         assert_eq!(closing(&records(falling, 0, 1.0)), Some(23));
         assert_eq!(closing(&records(|pass| 900 - 9 * pass as usize, 0, 1.0)), None);
         assert_eq!(closing(&records(|_| 300, 0, 1.0)), Some(11), "the first pass that has a window behind it");
         assert_eq!(closing(&records(|pass| 300 + pass as usize, 0, 1.0)), Some(11));
         assert_eq!(closing(&records(|_| 0, 0, 1.0)), Some(11));
-        // one newcomer per pass (0.1 % of the particles) is below the limit of 0.2 % at h; three
-        // are above it, but below the limit of 5 % on a coarse level
+        // one newcomer per pass (0.1 % of the particles) is below the limit of 0.2 % on the last
+        // level; three are above it, but below the limit of 5 % on a coarse level
         assert_eq!(closing(&records(|_| 300, 1, 1.0)), Some(11));
         assert_eq!(closing(&records(|_| 300, 3, 1.0)), None);
         assert_eq!(closing(&records(|_| 300, 3, 2.0)), Some(11));

@@ -1,5 +1,5 @@
-//! State of the particles while they move: positions and the values that depend on them, neighbour
-//! lists, and classes of blocks that can move concurrently.
+//! State of the particles while they move: positions and values derived from them, neighbour lists,
+//! and classes of blocks that can move concurrently.
 
 use crate::constants::{CPU_LIST_REACH, FIRST_RING, LATTICE_NEIGHBOURS};
 use crate::implicit::Implicit;
@@ -13,7 +13,7 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use rayon::prelude::*;
 
-/// The implicit function and the sizing field of a run.
+/// The implicit function and the size field of a run.
 pub struct Fields<'a, S = CubicSpline> {
     /// The implicit function F, or the interfaces of many materials.
     pub surface: &'a S,
@@ -49,7 +49,7 @@ pub(crate) struct State {
     /// with them.
     pub held: usize,
     /// Minimum dot product of the normals of two interacting particles. If the dot product is
-    /// smaller, the particles belong to different parts of the surface.
+    /// smaller, the particles are assumed to be on different parts of the surface.
     pub normal_agreement: f64,
     /// Edge of the target lattice in units of h ([`crate::Parameters::spacing`]).
     pub spacing: f64,
@@ -61,7 +61,7 @@ pub(crate) struct State {
 }
 
 impl State {
-    /// Creates the state of particles of one object: sorts them spatially and builds the lists.
+    /// Creates a state for one object: sorts the particles spatially and builds lists and classes.
     #[cfg(test)]
     pub(crate) fn new(set: ParticleSet, normal_agreement: f64) -> Self {
         Self::unlisted(set, normal_agreement).in_order()
@@ -145,7 +145,8 @@ impl State {
 
     /// Rebuilds only the lists, which is enough to compute energies. Particles interact if their
     /// normals agree. With many materials, two particles must also be on the same interface. A held
-    /// particle interacts with all particles on the adjoining interfaces, whatever their normals.
+    /// particle interacts with all particles on the adjoining interfaces, regardless of their
+    /// normals.
     pub(crate) fn rebuild_lists(&mut self) {
         let normals = &self.set.normals;
         let agreement = self.normal_agreement;

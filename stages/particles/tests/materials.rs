@@ -1,4 +1,4 @@
-//! Runs the program on multi-material files: results, resuming, and rejected inputs.
+//! Tests of the program on multi-material files: results, resuming, and rejected inputs.
 
 use glam::DVec3;
 use isoparticles_field::materials::{

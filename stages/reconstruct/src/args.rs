@@ -11,74 +11,76 @@ use isoparticles_stage::meta::{Border, DistanceMeta};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// Connects settled particles to a closed triangle mesh
+/// Connects settled particles to form a closed triangle mesh
 ///
-/// The program computes the Delaunay triangulation of the particles and decides for each
-/// tetrahedron whether it is inside or outside. The surface consists of the triangles between
-/// inside and outside, so it is closed.
+/// The program computes the Delaunay triangulation of the particles and classifies each tetrahedron
+/// as inside or outside. The surface consists of the triangles between inside and outside
+/// tetrahedra, so it is closed.
 ///
-/// --method restricted decides by the sign of F at the circumcentre. It adds points where the
-/// surface is not manifold, deviates from F = 0, or differs from F = 0 in its components.
+/// --method restricted classifies by the sign of F at the circumcentre. It adds points where the
+/// surface is not manifold, deviates from F = 0, or does not have the same components as F = 0.
 ///
-/// --method tight-cocone (the method of the paper) decides by the shape of the Voronoi cells. It
-/// needs no distance field, so it also meshes point clouds of other programs.
+/// --method tight-cocone (the method of the paper) classifies by the shape of the Voronoi cells. It
+/// does not need a distance field, so it can also mesh point clouds from other programs.
 ///
-/// With a distance field, local moves then improve the worst triangles. At the end, the program
-/// checks topology, self-intersections, distance to F = 0 and the shape of the triangles. The mesh
-/// is in world coordinates (mm). Its triangles are counter-clockwise as seen from outside.
+/// With a distance field, local moves then improve the worst triangles. Finally, the program checks
+/// the topology, self-intersections, the distance to F = 0 and the shape of the triangles. The mesh
+/// is in world coordinates (mm). Its triangles are counter-clockwise when viewed from outside.
 #[derive(Clone, Debug, clap::Parser)]
 #[command(
     name = "reconstruct",
     version,
-    after_help = "Exit code 1: the mesh was written, but a check failed. NAME.offending.vtp beside it contains the simplices behind the failed check.\nExample:\n  reconstruct tooth.particles.bin --distfield tooth.distfield.vti -o tooth.surface.vtp --report tooth.json\n  reconstruct scan.ply --method tight-cocone -o scan.surface.vtp"
+    after_help = "Exit code 1: the mesh was written, but a check failed. NAME.offending.vtp, in the same folder, contains the simplices that caused the failure.\nExample:\n  reconstruct tooth.particles.bin --distfield tooth.distfield.vti -o tooth.surface.vtp --report tooth.json\n  reconstruct scan.ply --method tight-cocone -o scan.surface.vtp"
 )]
 pub struct Args {
-    /// Particles to connect, from `particles` or `seed`. --method tight-cocone also reads point
-    /// clouds, with or without normals: .ply, .vtp, or .xyz (lines `x y z` or `x y z nx ny nz`)
+    /// Particles to connect, written by `particles` or `seed`. --method tight-cocone also reads
+    /// point clouds, with or without normals: .ply, .vtp, or .xyz (lines `x y z` or `x y z nx ny
+    /// nz`)
     #[arg(value_name = "P.bin", help_heading = FILES)]
     pub particles: PathBuf,
-    /// Distance field F of the particles, mm. --method restricted needs it. Without it, vertices
+    /// Distance field F of the particles, mm; required by --method restricted. Without it, vertices
     /// are not projected, and triangles are neither improved nor compared with F = 0
     #[arg(long, value_name = "F.vti", help_heading = FILES)]
     pub distfield: Option<PathBuf>,
-    /// Size field h on the grid of F, mm [default: the h that is stored with each particle]
+    /// Size field h on the grid of F, mm [default: the h stored with each particle]
     #[arg(long, value_name = "S.vti", requires = "distfield", help_heading = FILES)]
     pub sizefield: Option<PathBuf>,
-    /// Surface to write: .vtp with all data, or .ply, .stl, .obj, .vtk
+    /// Surface file to write: .vtp with all data, or .ply, .stl, .obj or .vtk
     #[arg(short, long, value_name = "SURFACE", help_heading = FILES)]
     pub output: PathBuf,
-    /// Many materials: also write the closed surface of each material to this folder, as NAME with
-    /// the extension of the output. Its normals point outward. Touching materials share vertices
+    /// Several materials: also write the closed surface of each material to this folder, in a file
+    /// named after the material, with the extension of the output. Normals point outward. Adjacent
+    /// materials share vertices
     #[arg(long, value_name = "FOLDER", requires = "distfield", help_heading = FILES)]
     pub each: Option<PathBuf>,
     /// Method that connects the particles
     #[arg(long, value_enum, value_name = "METHOD", default_value_t = Method::Restricted, help_heading = METHOD)]
     pub method: Method,
     /// Maximum distance of a triangle's centroid from F = 0, mm, above 0. Points are added at
-    /// triangles beyond it [default: a quarter of h or of a voxel, whichever is larger]
+    /// triangles that exceed it [default: a quarter of h or of a voxel, whichever is larger]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     pub max_deviation: Option<f64>,
     /// Maximum number of rounds that add points, 0 to 100. Each round compares the whole surface
-    /// with F. The limit applies separately to grid nodes on the wrong side, and to each step of
-    /// Tight Cocone that needs more points
+    /// with F. The limit applies separately to points added for grid nodes on the wrong side, and
+    /// to each step of Tight Cocone that needs more points
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u16).range(0..=100), help_heading = METHOD)]
     pub max_rounds: u16,
-    /// Improve triangles below this radius ratio by local moves, 0 to 1. The ratio is 2 r / R,
-    /// which is 1 for an equilateral triangle. Together with --relaxation-sweeps 0, the value 0
-    /// leaves the triangulation unchanged
+    /// Improve triangles below this radius ratio by local moves, 0 to 1. The radius ratio is twice
+    /// the inradius divided by the circumradius, which is 1 for an equilateral triangle. Together
+    /// with --relaxation-sweeps 0, the value 0 leaves the triangulation unchanged
     #[arg(long, value_name = "RATIO", default_value_t = 0.9, value_parser = share, help_heading = METHOD)]
     pub improve_below: f64,
-    /// Sweeps over the whole mesh before --improve-below applies, 0 to 20. They move vertices along
-    /// F = 0 and flip edges where this improves the triangles. Meshes of a few thousand vertices
-    /// get more sweeps, as long as these help
+    /// Number of sweeps over the whole mesh before --improve-below applies, 0 to 20. Sweeps move
+    /// vertices along F = 0 and flip edges where this improves the triangles. Meshes with a few
+    /// thousand vertices receive additional sweeps as long as these help
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(0..=20), help_heading = METHOD)]
     pub relaxation_sweeps: u16,
     /// Minimum radius ratio of a triangle, 0 to 1 [default: 0.3 with a distance field; none
     /// without]
     #[arg(long, value_name = "RATIO", value_parser = share, help_heading = CHECKS)]
     pub min_radius_ratio: Option<f64>,
-    /// Many materials: accept triangles below --min-radius-ratio where junction curves allow no
-    /// better ones. The verdict counts them
+    /// Several materials: accept triangles below --min-radius-ratio where junction curves allow no
+    /// better ones. The verdict states their number
     #[arg(long, help_heading = CHECKS)]
     pub accept_forced: bool,
     /// Maximum distance of a vertex from F = 0, in voxels (geometric mean of the spacing), above 0

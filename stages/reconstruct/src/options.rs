@@ -9,8 +9,8 @@ pub enum Method {
     /// Delaunay triangulation restricted by the sign of F, refined until it has the topology of the
     /// isosurface
     Restricted,
-    /// Tight Cocone (Dey and Goswami 2003): by the shape of the Voronoi cells, from points alone;
-    /// with a distance field, from more points where these are too few
+    /// Tight Cocone (Dey and Goswami 2003): uses only the points and the shape of their Voronoi
+    /// cells; with a distance field, points are added where there are too few
     TightCocone,
 }
 

@@ -21,27 +21,27 @@ use std::path::PathBuf;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum From {
-    /// Random positions at the density of the sizing field.
+    /// Random positions at the density that the size field specifies.
     PoissonDisk,
-    /// All vertices of marching cubes over the distance field, as in the paper; density control
-    /// deletes the surplus.
+    /// All marching-cubes vertices of the distance field, as in the paper; density control deletes
+    /// surplus particles.
     MarchingCubes,
 }
 
 /// Places the initial particles on every component of the isosurface F = 0, at approximately the
-/// density of the sizing field
+/// density that the size field specifies
 #[derive(Debug, Parser)]
 #[command(
     name = "seed",
     version,
     after_help = "Example:\n  seed heart.distfield.vti heart.sizefield.vti -o heart.seeds.bin\n\n\
-        Paper: section 3.1 and Eq. 5. Its seeds are --from marching-cubes; with --count those of its synthetic test (Table 3)."
+        Paper: section 3.1 and Eq. 5. The paper seeds as with --from marching-cubes; adding --count gives the seeds of its synthetic test (Table 3)."
 )]
 pub struct Args {
-    /// Distance field, or indicators of several materials, made by distfield
+    /// Distance field, or indicators of several materials, written by distfield
     #[arg(value_name = "F.vti", help_heading = FILES)]
     pub(crate) distfield: PathBuf,
-    /// Sizing field on the same grid, made by sizefield
+    /// Size field on the same grid, written by sizefield
     #[arg(value_name = "S.vti", help_heading = FILES)]
     pub(crate) sizefield: PathBuf,
     /// Particle file to write
@@ -50,10 +50,9 @@ pub struct Args {
     /// Source of the seeds (one object only)
     #[arg(long, value_enum, default_value_t = From::PoissonDisk, help_heading = METHOD)]
     pub(crate) from: From,
-    /// Number of particles to seed, 4 or more, instead of the number that the sizing field
-    /// requires; approximate, because each component gets some particles. With --from
-    /// marching-cubes the number is exact: evenly spread vertices are used, from a finer grid if
-    /// there are too few
+    /// Number of particles to seed, 4 or more, instead of the number that the size field requires;
+    /// approximate, because each component receives some particles. With --from marching-cubes, the
+    /// number is exact: evenly spread vertices are used, from a finer grid if there are too few
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), help_heading = METHOD)]
     pub(crate) count: Option<u64>,
     #[command(flatten)]
@@ -177,7 +176,7 @@ fn at_vertices(
     Ok(seed_vertices(&found, surface, sizing, context.seed(), context)?)
 }
 
-/// Predicts the number of particles by integration over F = 0. The report lists the time taken.
+/// Predicts the number of particles by integration over F = 0, as a step timed in the report.
 fn predicted(sizing: &SizingField, surface: &CubicSpline, context: &Context) -> f64 {
     let _step = context.step("predict the count");
     sizing.predicted_count(surface)

@@ -18,16 +18,16 @@ use rayon::prelude::*;
 /// Number of candidates per predicted particle. More candidates fill more of the gaps between
 /// disks: with 16 instead of 8, the number of seeds is 7 % higher at the same radius.
 pub(crate) const OVERSAMPLING: f64 = 8.0;
-/// Memory in bytes per seeded particle, for the candidates, their order and their bins. Measured:
-/// between 8,514 and 99,084 particles on the same grid, the peak memory grows by 660 bytes per
-/// particle (`make bench-stages`, table in `docs/developer/performance.md`). The constant is twice
-/// as large, because vectors grow by doubling.
+/// Memory in bytes per seeded particle, including its candidates, their order and their bins.
+/// Measured: between 8,514 and 99,084 particles on the same grid, the peak memory grows by 660
+/// bytes per particle (`make bench-stages`, table in `docs/developer/performance.md`). The constant
+/// is twice as large, because vectors grow by doubling.
 pub const BYTES_PER_PARTICLE: f64 = 1300.0;
 /// Minimum distance between two seeds in units of h. On a plane, the sampling then reaches 0.94
 /// times the density of the hexagonal lattice of spacing h (`cargo test -p isoparticles-seed
-/// density`). Density control adds the missing particles. The upper bound is 0.777: random disks of
-/// this diameter jam, at a covered fraction of 0.547, exactly at the density of the lattice,
-/// however many candidates there are.
+/// density`). Density control adds the missing particles. Above 0.777, no number of candidates
+/// reaches the density of the lattice: random disks jam at a covered fraction of 0.547, and at this
+/// diameter, the lattice covers the same fraction.
 pub(crate) const DISK_RADIUS: f64 = 0.71;
 /// Maximum distance from a point on a marching-cubes triangle to F = 0, in voxels. Each vertex lies
 /// on a cell edge along which F changes sign, so it is less than one voxel from the surface. The
@@ -224,8 +224,8 @@ pub(crate) fn sample(
     }
 }
 
-/// Moves one list out of every part and concatenates the parts of this list. While the caller does
-/// this for one list after another, only one of them is in memory twice.
+/// Moves one list out of every part and concatenates the pieces. A caller that does this for one
+/// list at a time has only one list in memory twice.
 fn taken<T: Copy + Default + Send + Sync>(
     parts: &mut [Candidates],
     list: impl Fn(&mut Candidates) -> &mut Vec<T>,
@@ -246,8 +246,8 @@ pub(crate) fn eliminate(candidates: &Candidates, seed: u64, crowd: impl Fn(usize
     })
 }
 
-/// Returns about twice as many seeds as [`COMPONENT_MINIMUM`] on the triangles in `members`, which
-/// form component `c`.
+/// Returns seeds on the triangles in `members`, which form component `c`: about twice
+/// [`COMPONENT_MINIMUM`].
 pub(crate) fn sample_alone(mesh: &TriangleMesh, members: &[u32], seed: u64, c: u64) -> Vec<(DVec3, DVec3)> {
     let area: f64 = members.iter().map(|&t| 0.5 * centre_and_normal(mesh, t as usize).1.length()).sum();
     let density = 2.0 * COMPONENT_MINIMUM as f64 / area;

@@ -12,9 +12,9 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
 /// Maximum refinement of the marching-cubes grid, in cells along each edge of a voxel. The grid is
-/// refined until it gives the requested number of vertices. The ribcage of the torso phantom has
-/// 170,480 vertices on the voxel grid and 684,588 on a grid twice as fine, more than twice the
-/// maximum number of seeds in Table 3.
+/// refined until it gives the requested number of vertices. The seeds in Table 3 need a refinement
+/// of at most 2: the ribcage of the torso phantom has 170,480 vertices on the voxel grid and
+/// 684,588 on a grid twice as fine, more than twice the largest number of seeds in the table.
 pub const FINEST: usize = 4;
 
 /// Memory in bytes per node of a refined grid, for the value of the node and for the vertices and
@@ -143,8 +143,8 @@ mod tests {
             distinct.sort_unstable();
             distinct.dedup();
             assert_eq!(distinct.len(), count, "a vertex was taken twice");
-            // the fraction of the selected vertices in each octant is closer to the fraction of all
-            // vertices there than for a random selection
+            // the fraction of selected vertices in each octant deviates less from the fraction of
+            // all vertices than with a random selection
             let share = |points: &[(DVec3, DVec3)], octant: usize| {
                 let inside = |p: DVec3| (0..3).all(|a| (p[a] > centre[a]) == ((octant >> a) & 1 == 1));
                 points.iter().filter(|(p, _)| inside(*p)).count() as f64 / points.len() as f64

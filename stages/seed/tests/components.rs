@@ -1,5 +1,5 @@
-//! Tests that every component of F = 0 gets particles, both from Poisson-disk sampling and from
-//! marching-cubes vertices, even if marching cubes does not resolve the component.
+//! Tests that every component of F = 0 gets particles, even one that marching cubes does not
+//! resolve. Seeds come from Poisson-disk sampling or from marching-cubes vertices.
 
 use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;

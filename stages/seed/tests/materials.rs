@@ -20,8 +20,8 @@ use std::process::Command;
 const CENTRE: DVec3 = DVec3::new(12.1, 11.8, 12.3);
 const H: f64 = 1.2;
 
-/// Returns a ball of radius 8 mm divided into three sectors. It has two junction points, four
-/// junction curves between them, and six interfaces.
+/// Returns the indicators of three sectors of a ball of radius 8 mm. The ball has two junction
+/// points, four junction curves between them, and six interfaces.
 fn sectors() -> Analytic {
     let normal = |turns: f64| {
         let angle = turns * std::f64::consts::TAU;
@@ -34,8 +34,9 @@ fn sectors() -> Analytic {
     Analytic::new(vec![negative(ball(CENTRE, 8.0)), sector(0.1), sector(1.1), sector(2.1)], 1.0)
 }
 
-/// Returns two balls of radius 5 mm and a separate ball of radius 2 mm. The two balls meet in a
-/// disc of radius 3 mm, whose boundary is a closed junction curve of three interfaces.
+/// Returns the indicators of two balls of radius 5 mm and a separate ball of radius 2 mm. The two
+/// balls meet in a disc of radius 3 mm, whose boundary is a closed junction curve of three
+/// interfaces.
 fn balls() -> Analytic {
     let way = DVec3::new(2.0, -1.0, 1.5).normalize();
     let half = |way: DVec3| maximum(ball(CENTRE + 4.0 * way, 5.0), half_space(CENTRE, -way));

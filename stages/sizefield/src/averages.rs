@@ -1,7 +1,7 @@
-//! Averages the values at the vertices of a surface over the adjacent triangles.
+//! Smooths values at the vertices of a surface by averaging over the adjacent triangles.
 //!
-//! On a hexagonal lattice with edge length L, one round weights the vertex itself by 1/3 and each
-//! of its six neighbours by 1/9. The variance of these weights along any tangent direction is
+//! On a hexagonal lattice with edge length L, one round gives a vertex the weight 1/3 and each of
+//! its six neighbours the weight 1/9. The variance of these weights along any tangent direction is
 //! (6 / 9) L^2 / 2 = L^2 / 3, so n rounds act like a Gaussian with a standard deviation of
 //! L sqrt(n / 3).
 
@@ -39,7 +39,7 @@ mod tests {
 
     #[test]
     fn a_value_becomes_the_mean_of_the_triangles_at_it() {
-        // two triangles with a common edge, and a vertex without triangles
+        // two triangles with a common edge; vertex 4 has no triangle, so it keeps its value
         let triangles = [[0, 1, 2], [2, 1, 3]];
         let mut values = [3.0, 0.0, 6.0, 9.0, 7.0];
         let surface = Incidence::new(&triangles, 5);

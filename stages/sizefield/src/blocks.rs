@@ -1,34 +1,33 @@
 //! Grades h by marching over the grid in blocks. Each block fits into the cache of a core. The
 //! blocks are processed in parallel.
 //!
-//! A single queue for the whole grid would evict nodes from the cache before the march returns to
-//! them. Each block therefore has its own queue, which sorts the nodes into buckets by value, and
-//! processes several buckets at a time. Changes at the faces of a block are sent to the adjacent
-//! blocks. This is a two-scale method (Chacon and Vladimirsky 2012). The blocks are coloured in a
-//! checkerboard pattern. Blocks of the same colour run in parallel and do not use each other's
-//! values, so the result does not depend on the number of threads.
+//! With a single queue for the whole grid, nodes would be evicted from the cache before the march
+//! returns to them. Each block therefore has its own queue, which sorts the nodes into buckets by
+//! value, and processes several buckets at a time. Changes at the faces of a block are sent to the
+//! adjacent blocks. This is a two-scale method (Chacon and Vladimirsky 2012). The blocks are
+//! coloured in a checkerboard pattern. Blocks of the same colour run in parallel and do not use
+//! each other's values, so the result does not depend on the number of threads.
 
 use crate::scheme::{NodeSet, Scheme, Values};
 use rayon::prelude::*;
 use std::collections::VecDeque;
 
 /// Number of nodes along each axis of a block. A block including its border has 34^3 values (157
-/// kB), which fit into a second-level cache of 256 kB. Indices of 16 bits would not suffice for
-/// blocks of 64^3 nodes.
+/// kB), which fit into a second-level cache of 256 kB. Blocks of 64^3 nodes would need more than 16
+/// bits per node index.
 const BLOCK_SIDE: usize = 32;
 
 /// Width of a bucket, as a fraction of the allowed change of h between adjacent nodes (minimum over
 /// the axes). A node's value exceeds the smallest value that it depends on by at least 1 / sqrt(3)
-/// of this change, so the node with this smallest value is always in an earlier bucket. Measured
-/// for a sphere in a grid of 128^3 nodes: with widths of 0.25, 0.5, 1 and 2, each node is lowered
-/// or tested 2.95, 3.03, 3.22 and 3.48 times on average.
+/// of this change, so the node with this smallest value is always in an earlier bucket. For a
+/// sphere in a grid of 128^3 nodes, the march tests each node 2.95, 3.03, 3.22 and 3.48 times on
+/// average with widths of 0.25, 0.5, 1 and 2.
 const BUCKET_WIDTH: f64 = 0.5;
 const _: () = assert!(3.0 * BUCKET_WIDTH * BUCKET_WIDTH < 1.0, "a bucket is wider than a step along a diagonal");
 
 /// Number of buckets that a block processes in one turn, before it receives messages from other
-/// blocks. In the measurement for [`BUCKET_WIDTH`], 1, 8, 16 and 64 buckets per turn result in
-/// 3.00, 3.03, 3.14 and 3.81 tests per node. The number of turns is inversely proportional to the
-/// number of buckets.
+/// blocks. For the sphere described at [`BUCKET_WIDTH`], 1, 8, 16 and 64 buckets per turn result in
+/// 3.00, 3.03, 3.14 and 3.81 tests per node. More buckets per turn mean fewer turns.
 const BUCKETS_PER_TURN: u64 = 8;
 
 /// Number of nodes along each axis of a block, including one border node at each end.
@@ -39,7 +38,7 @@ const _: () =
 /// Index of a node in the bordered block, and its value when it was queued.
 type Queued = (u32, f32);
 
-/// Number of the receiving block, and a node to add to its queue.
+/// Index of the receiving block, and a node to add to its queue.
 type Message = (usize, Queued);
 
 /// The blocks of a grid.
@@ -55,13 +54,14 @@ pub(crate) struct Blocks<'a> {
 struct Block {
     /// Index, in the bordered grid, of the block's first border node.
     origin: usize,
-    /// Number of the block's own nodes along each axis. The indices of these nodes start at 1.
+    /// Number of the block's own nodes along each axis. Their positions in the bordered block start
+    /// at 1.
     size: [usize; 3],
-    /// Numbers of the blocks before and after this block along each axis.
+    /// Indices of the previous and the next block along each axis; `None` at the edge of the grid.
     beside: [[Option<usize>; 2]; 3],
     /// Colour in the checkerboard pattern, 0 or 1.
     colour: usize,
-    /// Indices of the block's requested nodes that may still be lowered.
+    /// Requested nodes that may still be lowered, as indices in the bordered block.
     asked: Vec<u16>,
     queue: Queue,
 }
@@ -100,8 +100,8 @@ impl<'a> Blocks<'a> {
         Self { scheme, values, blocks, ends: asked.is_some() }
     }
 
-    /// Marches until all requested nodes have their final values. Without a request, marches until
-    /// all nodes have them.
+    /// Marches until all requested nodes have their final values, or until all nodes do if none are
+    /// requested.
     pub(crate) fn march(mut self) {
         // enter the thread pool once instead of once per turn
         rayon::scope(|_| {
@@ -117,7 +117,7 @@ impl<'a> Blocks<'a> {
     }
 
     /// Returns whether the value of any requested node exceeds the lower bound of a bucket. Removes
-    /// the nodes that do not exceed it from `asked`, because their values are final.
+    /// the other nodes from `asked`, because their values are final.
     fn is_any_above(&mut self, bucket: u64) -> bool {
         let (scheme, values, reached) = (self.scheme, self.values, self.blocks[0].queue.least(bucket));
         self.blocks.par_iter_mut().for_each(|block| {
@@ -128,7 +128,7 @@ impl<'a> Blocks<'a> {
         self.blocks.iter().any(|block| !block.asked.is_empty())
     }
 
-    /// Processes the buckets before `end` in all blocks of one colour.
+    /// Processes the buckets before `end` in all blocks of one colour, and delivers their messages.
     fn turn(&mut self, colour: usize, end: u64) {
         let (scheme, values) = (self.scheme, self.values);
         let of_colour = self.blocks.par_iter_mut().filter(|block| block.colour == colour);
@@ -140,7 +140,7 @@ impl<'a> Blocks<'a> {
 }
 
 impl Block {
-    /// Returns the index in the bordered grid of the node at a position in the bordered block.
+    /// Converts a position in the bordered block to an index in the bordered grid.
     fn node(&self, scheme: &Scheme, [i, j, k]: [usize; 3]) -> usize {
         self.origin + i + j * scheme.strides[1] + k * scheme.strides[2]
     }
@@ -255,9 +255,9 @@ struct Queue {
     rate: f64,
     /// The initial nodes, in descending order of value.
     sources: Vec<Queued>,
-    /// Buckets of the other nodes, starting with bucket number `start`. The first bucket is never
-    /// empty. The value of a lowered node exceeds the value of the neighbour that lowered it by at
-    /// most the allowed change, so few buckets are in use.
+    /// Buckets of the nodes queued later, starting with bucket number `start`. The first of these
+    /// buckets is never empty. The value of a lowered node exceeds the value of the neighbour that
+    /// lowered it by at most the allowed change, so few buckets are in use.
     buckets: VecDeque<Vec<Queued>>,
     start: u64,
 }

@@ -8,7 +8,8 @@ pub struct Connections {
 }
 
 impl Connections {
-    /// Finds the neighbours of each of `samples` samples along the edges of the triangles.
+    /// Finds the neighbours of each sample along the edges of the triangles. `samples` is the
+    /// number of samples.
     pub fn new(samples: usize, triangles: &[[u32; 3]]) -> Self {
         // the two triangles at an edge traverse it in opposite directions, so storing one direction
         // per triangle gives every neighbour once; a boundary edge of an open surface is stored in

@@ -21,13 +21,13 @@ use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// Number of averaging rounds that remove ripple from the curvature. A spline through samples of a
-/// steep edge rings, and the ringing changes the second derivatives by as much as the shape does.
-/// Measured on a ball of radius R = 19 voxels with an edge two voxels wide: the maximum curvature
-/// is 2.1 / R without averaging and 1.25 / R with it.
+/// steep intensity edge rings, and the ringing can double the curvature: for a ball of radius R =
+/// 19 voxels with an edge two voxels wide, the maximum curvature is 2.1 / R without averaging and
+/// 1.25 / R with it.
 pub(crate) const CURVATURE_ROUNDS: usize = 8;
 
-/// The radius of curvature limits the feature size where it is below this many voxels. At such
-/// tips, the end of the medial axis is pruned, which causes larger errors than ripple. With 2.5,
+/// Maximum radius of curvature, in voxels, that limits the feature size. At tips this sharp,
+/// pruning the end of the medial axis causes larger errors than ripple in the curvature. With 2.5,
 /// the test `ellipsoid_tip_is_bounded_by_its_curvature` fails. With 10, the minimum feature size of
 /// a noisy torus with a tube radius of 8 voxels falls from 7.1 to 6.6 voxels.
 pub(crate) const SHARP: f64 = 5.0;
@@ -38,15 +38,15 @@ pub(crate) const SHARP: f64 = 5.0;
 const BLUR: f64 = 0.01;
 
 /// Maximum depth to which samples of a noisy surface may lie inside a medial ball, as a fraction of
-/// the height of the noise. It allows for the noise that remains in the patches. Measured on a
-/// noisy ball of radius 19 voxels, without pruning of bumps: at 0.3, the 5th percentile of the
-/// feature size falls from 18 to 7.5 voxels; 1 gives the same result as 0.6.
+/// the height of the noise. It allows for the noise that remains in the patches. On a noisy ball of
+/// radius 19 voxels, with the pruning of balls under bumps disabled, the 5th percentile of the
+/// feature size is 7.5 voxels at 0.3, and 18 voxels at 0.6 and 1.
 const LEFT_OVER: f64 = 0.6;
 
 /// Maximum number of leaves that one nearest-point query visits in the k-d tree of medial points.
-/// The medial points of a ball form a cluster near its centre, so their distances from a sample are
-/// nearly equal. The limit saves time. A limit of 100 and no limit give the same feature sizes for
-/// balls, tori, an ellipsoid and a slab.
+/// The limit saves time on a ball, whose medial points cluster near the centre, at nearly equal
+/// distances from each sample. A limit of 100 and no limit give the same feature sizes for balls,
+/// tori, an ellipsoid and a slab.
 const MOST_LEAVES: usize = 400;
 
 /// Maximum distance, in voxels, from a marching-cubes vertex to F = 0. F changes sign on the cell
@@ -160,8 +160,8 @@ fn projected(vertices: &[DVec3], surface: &CubicSpline, spacing: f64) -> (Vec<DV
 }
 
 /// Returns the maximum magnitude of the principal curvatures (1/mm) at each sample, from the patch
-/// on noisy parts and from F elsewhere. It is 0 next to noisy parts. It is not averaged, because
-/// averaging would reduce it at tips.
+/// on noisy parts, 0 next to them, and from F elsewhere. It is not averaged, because averaging
+/// would reduce it at tips.
 fn sharp_curvature(smoothed: &Smoothed, tensors: &[DMat3], normals: &[DVec3]) -> Vec<f64> {
     (0..normals.len())
         .into_par_iter()

@@ -1,10 +1,10 @@
 //! Gradation: lowers h until |grad h| <= delta everywhere.
 //!
-//! Meyer et al. (2007) lower h in time steps with an upwind scheme. Its steady state is h(x) = min
-//! over y of h0(y) + delta |x - y|, where h0 is the initial field. This function solves an Eikonal
-//! problem. The module computes it by marching from small h to large h (Sethian 1996) with a bucket
-//! queue (Yatziv, Bartesaghi and Sapiro 2006). A node is queued again whenever its value drops, so
-//! the order within a bucket does not matter.
+//! Meyer et al. (2007) lower h in time steps with an upwind scheme. The steady state is `h(x) = min
+//! over y of (h0(y) + delta |x - y|)`, where h0 is the initial field. It solves an Eikonal
+//! equation, so this module computes it by marching from small h to large h (Sethian 1996) with a
+//! bucket queue (Yatziv, Bartesaghi and Sapiro 2006). A node is queued again whenever its value
+//! drops, so the order within a bucket does not matter.
 //!
 //! `blocks.rs` marches over the grid block by block, several buckets at a time. `scheme.rs` solves
 //! |grad h| = delta at a single node.
@@ -14,9 +14,9 @@ pub use crate::scheme::NodeSet;
 use crate::scheme::{Scheme, Values};
 use isoparticles_volume::Image;
 
-/// Lowers h to the steady state and replaces infinite values. If `asked` is given, only the nodes
-/// in it are guaranteed to reach the steady state; other nodes may remain above it or infinite. The
-/// result does not depend on the number of threads.
+/// Lowers h to the steady state. h may be infinite where it is not given. If `asked` is given, only
+/// the nodes in it are guaranteed to reach the steady state; other nodes may remain above it or
+/// infinite. The result does not depend on the number of threads.
 pub fn limit_gradient(h: &mut Image<f32>, delta: f64, asked: Option<&NodeSet>) {
     let size = h.geometry.size;
     let scheme = Scheme::new(size, (h.geometry.spacing * delta).to_array());
@@ -83,7 +83,7 @@ mod tests {
         let alone = on(1);
         assert!(alone == on(4), "the values depend on the number of threads");
         for (n, (&got, &want)) in alone.iter().zip(&want).enumerate() {
-            // the sweeps and the march stop when no node would decrease by a millionth of its value
+            // both methods skip decreases below 1e-6 of the value, so their results differ slightly
             assert!((got / want - 1.0).abs() < 2e-5, "node {n}: {got}, not {want}");
         }
     }
@@ -93,8 +93,8 @@ mod tests {
         let geometry = Geometry::axis_aligned([70, 51, 44], DVec3::new(1.0, 0.8, 1.3));
         let mut h = Image::filled(geometry.clone(), f32::INFINITY);
         let mut asked = NodeSet::new(h.data.len());
-        // random sizes in a plane, which differ by more than delta allows, so that distant nodes
-        // determine most final values
+        // random sizes in a plane; they differ by more than delta allows, so distant nodes
+        // determine most of the final values
         for (i, j) in (0..70).flat_map(|i| (0..51).map(move |j| (i, j))) {
             let node = geometry.linear(i, j, 20);
             h.data[node] = (1.0 + 30.0 * uniform(1, 0, (i / 9 + 100 * (j / 7)) as u64)) as f32;

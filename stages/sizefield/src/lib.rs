@@ -35,14 +35,14 @@ use region::SizedNode;
 /// Gaussian with a standard deviation of sqrt(6 / 3) = 1.4 marching-cubes edges ([`averages`]),
 /// about one voxel. Particles settle poorly where h is rough. Measured with 0, 3, 6 and 12 rounds
 /// (`make surface`): for label 2 of `mickey_labels`, the mean radius ratio of the triangles is
-/// 0.979, 0.981, 0.982 and 0.979; for `tooth_ct` at isovalue 600, it is 0.986, 0.987, 0.987 and
+/// 0.979, 0.981, 0.982 and 0.979; for `tooth_ct` at iso value 600, it is 0.986, 0.987, 0.987 and
 /// 0.988, with 57,900, 55,700, 54,300 and 52,300 vertices.
 const SMOOTHING_ROUNDS: usize = 6;
 
 /// Lower bound on h for small components, as a fraction of the minimum h. It takes effect if
 /// [`MIN_PARTICLES`] would require a smaller h. With the default minimum h of 0.75 voxel, such
-/// components have areas below `32 * sqrt(3) / 2 * (0.25 * 0.75)^2` = 0.97 times a voxel face,
-/// which the data cannot resolve.
+/// components have areas below `32 * sqrt(3) / 2 * (0.25 * 0.75)^2` = 0.97 voxel faces, which the
+/// data cannot resolve.
 const SMALLEST_SHARE: f64 = 0.25;
 
 /// Minimum number of particles that h must allow on every component, unless h reaches the bound
@@ -96,9 +96,9 @@ fn size_for_area(area: f64, parameters: &Parameters) -> f64 {
     size.max(SMALLEST_SHARE * parameters.min_size)
 }
 
-/// Counts the sampled components whose small area lowers h below `min_size` before `scale` is
-/// applied. Returns their number and their smallest h in mm after `scale` is applied, or `None` if
-/// there are no such components.
+/// Returns the number of sampled components whose minimum number of particles lowers h below
+/// `min_size`, and the smallest h on them in mm, multiplied by `scale`. Returns `None` if there are
+/// no such components.
 pub fn lowered(features: &Features, parameters: &Parameters) -> Option<(usize, f64)> {
     let mut is_sampled = vec![false; features.component_area.len()];
     for &component in &features.component {
@@ -152,7 +152,7 @@ pub(crate) fn graded_field(
 
 /// For each triangle, limits h at the nodes of the cell around the triangle's centre to the minimum
 /// size at the triangle's corners. The trilinear h in this cell is then at most this size. Then
-/// grades h to all nodes, or at least to those in `asked`.
+/// limits the gradient of h at all nodes, or at least at those in `asked`.
 fn spread(samples: &Samples<'_>, sizes: &[f64], parameters: &Parameters, asked: Option<&NodeSet>) -> SizingField {
     let geometry = samples.geometry;
     let mut h = Image::filled(geometry.clone(), f32::INFINITY);

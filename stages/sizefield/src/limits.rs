@@ -114,7 +114,7 @@ mod tests {
 
     #[test]
     fn a_small_component_without_samples_is_reported() {
-        // a ball, and a small component that lies between grid nodes
+        // a ball, and a component so small that it lies between grid nodes and has no samples
         let geometry = Geometry::axis_aligned([32, 24, 24], DVec3::ONE);
         let (ball, speck) = (DVec3::new(9.0, 12.0, 12.0), DVec3::new(24.5, 12.45, 12.52));
         let distance = |p: DVec3| (p.distance(ball) - 6.0).min(0.4 * (p.distance_squared(speck) - 0.3)) as f32;

@@ -14,7 +14,7 @@
 //!
 //! Two upper bounds on the radius save time: one from the distance field, and one from the sample
 //! that the previous ball touches. All balls that touch a sample on one side are nested, so a
-//! single query that shrinks the ball as it proceeds finds the smallest ball.
+//! single query that shrinks the ball as it proceeds finds the largest empty ball.
 
 use glam::DVec3;
 use isoparticles_field::sizing::trilinear;
@@ -41,16 +41,16 @@ const LEAST_CAP: f64 = 2.0;
 /// 238,911 and 238,902 particles, and a ball in a volume of 256^3 voxels takes 4.7 and 3.5 s.
 const MOST_LEAVES: usize = 100;
 
-/// Number of consecutive samples that one task processes in order. They are mostly neighbours, so
-/// the search for each ball starts with the sample that the previous ball touches. Only the first
-/// search of a task has no such start.
+/// Number of consecutive samples that one task processes in order. Consecutive samples are mostly
+/// neighbours, so each search starts with the sample that the previous ball on the same side
+/// touches. The first searches of a task have no such start.
 const RUN: usize = 64;
 
-/// A ball is assumed to contain samples if its radius exceeds the interpolated distance at its
-/// centre by more than the sum of half a cell diagonal, this fraction of the maximum spacing, and
-/// the blur. The half diagonal covers the interpolation error at the tip of a cone; the fraction
-/// covers the errors of the samples. Fractions of 0 and 0.4 give the same feature sizes for balls,
-/// tori, an ellipsoid and a slab.
+/// Allowance for errors of the samples, as a fraction of the maximum spacing. A ball is assumed to
+/// contain samples if its radius exceeds the interpolated distance at its centre by more than the
+/// sum of this allowance, half a cell diagonal and the blur. Half a diagonal covers the
+/// interpolation error at the tip of a cone. Fractions of 0 and 0.4 give the same feature sizes for
+/// balls, tori, an ellipsoid and a slab.
 const SAMPLE_ERROR: f64 = 0.2;
 
 /// The samples of the surface and their distance field.
@@ -104,7 +104,7 @@ impl Surface<'_> {
         hint: Option<usize>,
     ) -> Option<(f64, usize)> {
         let (p, blur) = (self.points[i], self.blur[i]);
-        // radius r of the ball with q at depth d:
+        // a ball of radius r contains q at depth d if
         // |q - p|^2 - 2 r direction . (q - p) + r^2 = (r - d)^2
         let fitting = |at: DVec3| {
             let offset = at - p;
@@ -126,7 +126,7 @@ impl Surface<'_> {
             ball.0 = self.upper_bound(i, direction, largest);
         }
         tree.each_within(place(ball.0), MOST_LEAVES, &mut |q, at| shrink(&mut ball, q as usize, at));
-        // the ball that exactly touches the limiting sample
+        // radius of the ball whose boundary contains the limiting sample
         let touched = |q: usize| {
             let offset = self.points[q] - p;
             (0.5 * offset.length_squared() / direction.dot(offset), q)

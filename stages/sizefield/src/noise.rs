@@ -33,10 +33,10 @@ const WIDER: [(f64, f64); 3] = [(3.0, 1.8), (4.0, 1.25), (6.0, 1.2)];
 /// example from the steps of a coarse mask, are always treated as shape.
 const LARGEST_NOISE: f64 = 0.15;
 
-/// Residuals are measured at every `RESIDUAL_STRIDE`-th sample. An average over
-/// [`AVERAGING_ROUNDS`] rounds then still covers about 16 residuals: a Gaussian of variance 40 / 3
-/// has an effective area of `4 * pi * 40 / 3` = 168 squared edge lengths, and each residual
-/// represents `12 * sqrt(3) / 2` = 10.4 of them.
+/// Stride between the samples at which residuals are measured. An average over [`AVERAGING_ROUNDS`]
+/// rounds still covers about 16 residuals: a Gaussian of variance 40 / 3 has an effective area of
+/// `4 * pi * 40 / 3` = 168 squared edge lengths, and each residual represents `12 * sqrt(3) / 2` =
+/// 10.4 of them.
 const RESIDUAL_STRIDE: usize = 12;
 
 /// Number of averaging rounds along the surface, for the residuals and for the vote on which
@@ -81,13 +81,13 @@ impl Smoothed {
 
     /// Returns the result for a surface without noise.
     pub fn none(samples: usize) -> Self {
-        // in parallel, because the first access to the memory of the patches is slow
+        // in parallel, because the first write to newly allocated memory is slow
         Self { patches: (0..samples).into_par_iter().map(|_| None).collect(), noise: vec![0.0; samples] }
     }
 }
 
-/// Returns, for each sample, the number of the widest patch whose residual is noise. Number 1 is
-/// the first patch in [`WIDER`]; 0 means that the sample has no noise.
+/// Returns, for each sample, the index of the widest patch whose residual is noise. Index 1 is the
+/// first patch in [`WIDER`]; 0 means that the sample has no noise.
 fn scales(samples: &Samples<'_>, incidence: &Incidence<'_>, voxel: f64) -> Vec<usize> {
     let limit = LARGEST_NOISE * voxel;
     let mut scale = vec![0; samples.points.len()];
@@ -117,8 +117,8 @@ fn scales(samples: &Samples<'_>, incidence: &Incidence<'_>, voxel: f64) -> Vec<u
     scale
 }
 
-/// Decides by a majority vote of the nearby samples whether a sample is noisy. The patch number of
-/// a noisy sample is the rounded mean of the patch numbers of the nearby noisy samples.
+/// Decides by a majority vote of the nearby samples whether a sample is noisy. The patch index of a
+/// noisy sample becomes the rounded mean over the nearby noisy samples.
 fn vote(scale: &mut [usize], incidence: &Incidence<'_>) {
     let mut votes: Vec<DVec2> = scale.iter().map(|&s| DVec2::new(s.min(1) as f64, s as f64)).collect();
     average(incidence, &mut votes, DVec2::ZERO, AVERAGING_ROUNDS);

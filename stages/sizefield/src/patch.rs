@@ -7,10 +7,10 @@
 use crate::connections::Connections;
 use glam::{DMat3, DVec2, DVec3};
 
-/// Minimum cosine of the angle between the normals of a sample and of the central sample. Samples
-/// with larger angles are assumed to belong to another part of the surface. On a ball, the angle is
-/// 60 degrees if the chord equals the radius, so the radius of a patch can be as large as the
-/// radius of curvature.
+/// Minimum cosine of the angle between the normal of a sample and the normal of the central sample.
+/// Samples with larger angles are assumed to belong to another part of the surface. On a ball, the
+/// angle is 60 degrees if the chord equals the radius, so the radius of a patch can be as large as
+/// the radius of curvature.
 const LEAST_COSINE: f64 = 0.5;
 
 /// Minimum number of samples of a patch: three more than the number of unknowns, so that the
@@ -24,7 +24,8 @@ const UNKNOWNS: usize = 6;
 /// The surface around a sample, to second order.
 #[derive(Clone, Copy, Debug)]
 pub struct Patch {
-    /// Intersection of the patch and the mean normal at the sample, in mm in the grid frame.
+    /// Point of the patch on the line through the sample along the mean normal, in mm in the grid
+    /// frame.
     pub point: DVec3,
     /// Outward unit normal at the point.
     pub normal: DVec3,
@@ -128,9 +129,9 @@ impl Samples<'_> {
 }
 
 /// Returns the basis functions at the tangent coordinates (u, v) = `at`: 1, u, v and the three
-/// second-order terms. With r^2 = u^2 + v^2 and z = `height`, the second-order terms have the
-/// factor (r^2 + z^2) / r^2. It makes the fit of a ball exact, because a ball of curvature k has
-/// the height z = (r^2 + z^2) k / 2.
+/// second-order terms. With r^2 = u^2 + v^2 and z = `height`, the second-order terms are multiplied
+/// by (r^2 + z^2) / r^2. This factor makes the fit of a ball exact: a ball of curvature k has the
+/// height z = (r^2 + z^2) k / 2.
 fn basis(at: DVec2, height: f64) -> [f64; UNKNOWNS] {
     let stretch = 1.0 + height * height / at.length_squared().max(1e-6).max(height * height);
     [1.0, at.x, at.y, 0.5 * stretch * at.x * at.x, stretch * at.x * at.y, 0.5 * stretch * at.y * at.y]
@@ -209,7 +210,8 @@ mod tests {
         }
     }
 
-    /// Returns the maximum error of the curvature tensor in units of a ball's curvature, 1 / r.
+    /// Returns the maximum error of the curvature tensor relative to 1 / r, the curvature of the
+    /// ball.
     fn off_ball(patch: &Patch, r: f64) -> f64 {
         let (u, v) = patch.normal.any_orthonormal_pair();
         let at = |a: DVec3, b: DVec3| r * a.dot(patch.curvature * b);

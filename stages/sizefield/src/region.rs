@@ -122,7 +122,7 @@ impl Refinement {
     }
 }
 
-/// Describes the box of a grid in world coordinates.
+/// Returns the extent of a grid in world coordinates, as text.
 fn extent_told(geometry: &Geometry) -> String {
     let [low, high] = geometry.world_box([DVec3::ZERO, geometry.upper_corner()]);
     let range = |a: usize| format!("{} {} to {}", ["x", "y", "z"][a], significant(low[a]), significant(high[a]));
@@ -176,8 +176,8 @@ impl Ball {
         let reach = self.radius.max(geometry.spacing.length());
         let low = geometry.grid_to_index(centre - reach).ceil();
         let high = geometry.grid_to_index(centre + reach).floor();
-        // positions before the first node are clamped to 0, so the range is empty for a ball that
-        // lies before the first node
+        // both ends are clamped to 0, so the range is empty for a ball that lies before the first
+        // node
         let range = move |a: usize| low[a].max(0.0) as usize..((high[a] + 1.0).max(0.0) as usize).min(geometry.size[a]);
         let along = move |j, k| range(0).map(move |i| [i, j, k]);
         let grid = range(2).flat_map(move |k| range(1).flat_map(move |j| along(j, k)));

@@ -60,73 +60,74 @@ impl Defaults {
 }
 
 /// Maximum radius of medial balls in units of the diagonal of the volume. With the defaults of
-/// every quality level, feature sizes above 0.2 diagonals of the object (`maximum h / epsilon`) do
-/// not change h.
+/// every quality level, feature sizes above 0.2 times the object's diagonal (`maximum h / epsilon`)
+/// do not change h.
 const LARGEST_FEATURE_DIAGONALS: f64 = 0.25;
 
-/// Computes the target edge length h (mm) on the grid of a distance field, from local feature size
-/// and curvature
+/// Computes the target edge length h (mm) on the grid of a distance field from the local feature
+/// size and the curvature
 #[derive(Debug, Parser)]
 #[command(
     name = "sizefield",
     version,
-    after_help = "Example:\n  sizefield heart.distfield.vti -o heart.sizefield.vti --epsilon 0.4 --delta 0.3 \\\n      --refine ball:10,-20,35,8=0.5\nExample: half the usual edge length where a mask is set\n  sizefield heart.distfield.vti -o heart.sizefield.vti --refine mask:valve.nrrd=0.4\n\n\
-        Paper: h of section 3.1; epsilon and delta as in Table 4."
+    after_help = "Example:\n  sizefield heart.distfield.vti -o heart.sizefield.vti --epsilon 0.4 --delta 0.3 \\\n      --refine ball:10,-20,35,8=0.5\nExample: an edge length of at most 0.4 mm inside a mask\n  sizefield heart.distfield.vti -o heart.sizefield.vti --refine mask:valve.nrrd=0.4\n\n\
+        Paper: h as in section 3.1; epsilon and delta as in Table 4."
 )]
 pub struct Args {
-    /// Distance field, or indicators of several materials, made by distfield
+    /// Distance field, or indicators of several materials, written by distfield
     #[arg(value_name = "F.vti", help_heading = FILES)]
     pub(crate) input: PathBuf,
-    /// Sizing field to write: an image of h in mm, which may be edited or replaced by another image
+    /// Size field to write: an image of h (mm), which may be edited or replaced with another image
     #[arg(short, long, value_name = "S.vti", help_heading = FILES)]
     pub(crate) output: PathBuf,
-    /// Set the defaults of the next five options. coarse gives about a quarter of the triangles,
-    /// fine about three times as many; medium matches the resolution of the data [default: medium]
+    /// Set the defaults of the next five options. medium matches the resolution of the data; in
+    /// comparison, coarse gives about a quarter as many triangles and fine about three times as
+    /// many [default: medium]
     #[arg(long, value_enum, value_name = "HOW", help_heading = METHOD)]
     pub(crate) quality: Option<Quality>,
-    /// Ratio of edge length to local feature size, above 0 (the paper's epsilon); smaller is finer
-    /// [default: 0.5; coarse 1, fine 0.25]
+    /// Ratio of edge length to local feature size, above 0 (the paper's epsilon); smaller values
+    /// give a finer mesh [default: 0.5; coarse 1, fine 0.25]
     #[arg(long, value_name = "RATIO", value_parser = positive, help_heading = METHOD)]
     pub(crate) epsilon: Option<f64>,
-    /// Maximum change of h per mm of distance, above 0 (the paper's delta); smaller grades more
-    /// gently [default: 0.4; fine 0.3]
+    /// Maximum change of h per mm of distance, above 0 (the paper's delta); smaller values give a
+    /// more gradual size transition [default: 0.4; fine 0.3]
     #[arg(long, value_name = "SLOPE", value_parser = positive, help_heading = METHOD)]
     pub(crate) delta: Option<f64>,
-    /// Minimum h, in mm [default: 0.75 of the mean voxel spacing; coarse 1.5, fine 0.5]
+    /// Minimum h, mm [default: 0.75 times the mean voxel spacing; coarse 1.5, fine 0.5]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     pub(crate) min_size: Option<f64>,
-    /// Maximum h at the surface, in mm [default: 0.1 of the diagonal of the object's bounding box;
+    /// Maximum h at the surface, mm [default: 0.1 times the diagonal of the object's bounding box;
     /// coarse 0.2, fine 0.05]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     pub(crate) max_size: Option<f64>,
-    /// Maximum distance in mm from a triangle's centre to the surface due to curvature, which
-    /// bounds h; 0 for no bound [default: 0.1 of the mean voxel spacing; coarse 0.4, fine 0.04]
+    /// Limit h so that the centre of a triangle is at most this far from the curved surface, mm; 0
+    /// for no limit [default: 0.1 times the mean voxel spacing; coarse 0.4, fine 0.04]
     #[arg(long, value_name = "MM", value_parser = not_negative, help_heading = METHOD)]
     pub(crate) max_deviation: Option<f64>,
-    /// Multiply h from all of the above options by this factor, above 0, before it is graded; 2
-    /// gives about a quarter of the triangles
+    /// Multiply the h that results from the options above by this factor, above 0, before grading;
+    /// 2 gives about a quarter as many triangles
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive, help_heading = METHOD)]
     pub(crate) scale: f64,
     /// Several materials only: set h (mm) on all interfaces of a material, or on the interface of
-    /// two materials, instead of h from the shape. If more than one size applies, the size of a
-    /// pair takes precedence, then the smaller h. The result is graded by delta. May be given
-    /// several times
+    /// two materials, instead of deriving it from the shape; may be repeated. If several sizes
+    /// apply, the size of a pair takes precedence over sizes of materials, and a smaller size over
+    /// a larger one. The result is graded by delta
     #[arg(long, value_name = "NAME=H|NAME/NAME=H", help_heading = METHOD)]
     pub(crate) size: Vec<GivenSize>,
-    /// Use the same h everywhere, in mm, instead of all of the above; with several materials, on
+    /// Use this h everywhere, mm, instead of the options above; with several materials, on all
     /// interfaces without a --size
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD,
         conflicts_with_all = ["quality", "epsilon", "delta", "min_size", "max_size", "max_deviation", "scale"])]
     pub(crate) uniform: Option<f64>,
-    /// Choose h so that the settled surface has about this number of vertices (within 5 %), 4 or
-    /// more: a constant h or, with any of the options above, the h of these options times one
-    /// factor. Small parts or grading may give more vertices
+    /// Choose h so that the settled surface has about this number of vertices (to within 5 %), 4 or
+    /// more. h is constant or, with any of the options above, the h of these options multiplied by
+    /// one factor. Small parts or grading may result in more vertices
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), conflicts_with_all = ["uniform", "scale", "size"], help_heading = METHOD)]
     pub(crate) vertices: Option<u64>,
-    /// Limit h to H (mm) within RADIUS of a point, or where the voxels of a mask volume (on any
-    /// grid) are not zero, or to the point array `h` at the points of a .vtp or .vtu file. All in
-    /// world coordinates, mm; h grows from there by delta. May be given several times, and may go
-    /// below --min-size
+    /// Limit h to H (mm) within RADIUS of a point or in the nonzero voxels of a mask volume (on any
+    /// grid), or to the values of the point array `h` at the points of a .vtp or .vtu file; may be
+    /// repeated. All positions and lengths are in world coordinates, mm. Outside the refined
+    /// regions, h grows by at most delta per mm. The limit may be below --min-size
     #[arg(long, value_name = "ball:X,Y,Z,RADIUS=H|mask:FILE=H|points:FILE", help_heading = METHOD)]
     pub(crate) refine: Vec<Refinement>,
     #[command(flatten)]
@@ -373,8 +374,8 @@ fn predicted(args: &Args, input: &Input, measured: &Measured, sizing: &SizingFie
     if let Some(vertices) = args.vertices.filter(|_| measured.one_size.is_some()) {
         return predicted_for(vertices as f64);
     }
-    // the sum over triangles misses features between the samples, but a smooth surface has no such
-    // features; --vertices requires the exact count
+    // the sum over triangles misses features that lie between the samples; a smooth surface has
+    // none, but --vertices requires the exact count
     if measured.is_smooth && args.vertices.is_none() {
         return sizing.count_on(&measured.features.points, &measured.features.triangles);
     }

@@ -66,7 +66,7 @@ impl Values {
         data
     }
 
-    /// Returns a function that maps the number of a row to the index of its first node in the
+    /// Returns a function that maps the index of a row to the index of its first node in the
     /// bordered grid.
     fn row_start([nx, ny]: [usize; 2]) -> impl Fn(usize) -> usize {
         move |row| ((row / ny + 1) * (ny + 2) + row % ny + 1) * (nx + 2) + 1
@@ -123,8 +123,9 @@ impl Scheme {
         })
     }
 
-    /// Solves sum over axes of (max(u - a, 0) / rise)^2 = 1 for u, where a is the value given for
-    /// the axis. At least one of these values must be finite.
+    /// Returns the value u at which the sum of `(max(u - a, 0) / rise)^2` over the axes is 1, where
+    /// a is the smaller neighbour value along the axis. At least one of these values must be
+    /// finite.
     #[inline]
     fn upwind(&self, [x, y, z]: [f64; 3]) -> f64 {
         let ordered = |a: (f64, f64), b: (f64, f64)| if b.0 < a.0 { (b, a) } else { (a, b) };

@@ -106,8 +106,8 @@ fn slab() {
 
 #[test]
 fn ellipsoid_tip_is_bounded_by_its_curvature() {
-    // approximate distance from an ellipsoid with semi-axes of 16, 8 and 8; the radius of curvature
-    // at the tips is b^2 / a = 4
+    // approximate distance from an ellipsoid with semi-axes a = 16, b = 8 and c = 8 mm; the radius
+    // of curvature at the tips is b^2 / a = 4 mm
     let image = sampled(56, |p| {
         let (q, r) = (p / DVec3::new(16.0, 8.0, 8.0), p / DVec3::new(256.0, 64.0, 64.0));
         q.length() * (q.length() - 1.0) / r.length().max(1e-3)
@@ -218,8 +218,8 @@ fn a_region_is_refined_and_h_grows_from_it_by_delta() {
     assert!((far / 3.0 - 1.0).abs() < 0.03, "{far}");
 }
 
-/// If all samples have the same size, all nodes around the surface get this size, even if the march
-/// stops before it reaches them.
+/// If all samples have the same size, h has this size at every sample, although the first march
+/// stops as soon as the nodes around the samples are final.
 #[test]
 fn h_is_set_wherever_it_is_read_at_the_surface() {
     for (spacing, delta) in

@@ -32,7 +32,7 @@ def main() -> None:
         points, triangles, wanted = job["points"], job["triangles"].astype(np.int32), int(job["vertices"])
     corners = points[triangles]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-    # edge length of equilateral triangles that fill the area with two triangles per vertex
+    # edge length of equilateral triangles that tile the area, with two triangles per vertex
     length = float(np.sqrt(area / wanted * 2.0 / np.sqrt(3.0)))
     for _ in range(TRIES):
         started = time.monotonic()

@@ -64,7 +64,7 @@ def test_facets_that_meet_at_an_angle_allow_no_larger_one() -> None:
     np.testing.assert_array_equal(found.side, [OUTSIDE, OUTSIDE])
     np.testing.assert_allclose(found.bound, 8.0, atol=1e-3)
     assert len(forced_sides(points, triangles, 7.9).facet) == 0
-    # with reversed triangles, the wedge is behind them
+    # with reversed triangles, the wedge is on their inner side
     turned = forced_sides(points, triangles[:, ::-1].copy(), 12.0)
     np.testing.assert_array_equal(turned.side, [INSIDE, INSIDE])
     # triangles that meet at a large angle must not be listed

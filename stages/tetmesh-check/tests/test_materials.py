@@ -83,7 +83,7 @@ def test_what_does_not_fit_is_counted() -> None:
     assert lost.missing + lost.added == 4
     # if a tetrahedron is duplicated, its faces belong to more than two tetrahedra
     assert conform(np.concatenate([cells, cells[:1]]), triangles, sides).crowded > 0
-    # if a triangle between the halves is missing, they form one region of undecided material
+    # if a triangle between the halves is missing, they merge into one region of undecided material
     between = np.flatnonzero(sides.outside == 1)[0]
     kept = np.arange(len(triangles)) != between
     assert conform(cells, triangles[kept], sides.of(kept)).undecided == len(cells)
@@ -132,8 +132,8 @@ def test_regions_share_their_triangles(tmp_path: Path, run: Run, name: str) -> N
     table = json.loads(text_of(grid, "materials") or "")
     assert [entry["name"] for entry in table] == ["outside", *made.names]
 
-    # every triangle is a face between its two materials, and every face between regions is a
-    # triangle
+    # every surface triangle is a face between its two materials, and every face between regions is
+    # a surface triangle
     faces = np.sort(
         np.concatenate([cells[:, list(face)] for face in ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))]), axis=1
     )

@@ -56,7 +56,7 @@ def test_what_lies_between_regions_is_not_crossed() -> None:
     part = Part(points, cells, np.array([2, 1, 1, 1, 1]), {}, GOAL)
     (worst,) = part.bad()
     assert not part.mend(worst)
-    # on a forced side, the goal is limited to what is possible
+    # on a forced side, the goal is limited by the maximum possible value
     bound = float(tetrahedron_quality(points, cells[:1]).min_dihedral[0])
     regions = np.ones(5, dtype=np.int64)
     assert Part(points, cells, regions, {((0, 1, 2), 1): bound}, GOAL).bad() == []
@@ -95,7 +95,7 @@ def test_values_are_a_half_at_the_limits_of_the_checks_and_1_at_the_goal() -> No
 def test_what_the_checks_still_ask_for_beside_a_forced_side_is_worth_more_than_what_they_do_not() -> None:
     goal = Goal(12.0, 0.05, 5.0)
     # If the surface limits the dihedral angle to 3 degrees, the checks require a scaled Jacobian
-    # but no angle. With a limit of 1 degree they require neither, and with 9 degrees both.
+    # but no angle. With a bound of 1 degree they require neither, and with 9 degrees both.
     assert goal.beside(3.0) == pytest.approx((2.7, 0.05, 0.0, 0.05))
     assert goal.beside(1.0) == pytest.approx((0.9, 0.9 * np.sqrt(2.0) * np.sin(np.radians(1.0)), 0.0, 0.0))
     assert goal.beside(9.0) == pytest.approx((8.1, 0.05, 5.0, 0.05))
@@ -104,8 +104,8 @@ def test_what_the_checks_still_ask_for_beside_a_forced_side_is_worth_more_than_w
     jacobian = float(tetrahedron_quality(points, cells[:1]).scaled_jacobian[0])
     angle = float(tetrahedron_quality(points, cells[:1]).min_dihedral[0])
     regions = np.ones(5, dtype=np.int64)
-    # The triangle allows twice the scaled Jacobian that the tetrahedron has. The value of the
-    # tetrahedron must be between 0.5 and 1 if its angle passes the check, and below 0.5 otherwise.
+    # The triangle permits twice the scaled Jacobian of the tetrahedron. `value` is 0.5 at the
+    # limits and 1 at the goals, so it must exceed 0.5 only if the angle passes the check.
     for least, low, high in ((0.9 * angle, 0.5, 1.0), (1.1 * angle, 0.0, 0.5)):
         part = Part(points, cells, regions, {}, Goal(1.2 * angle, 4.0 * jacobian, least), {(0, 1, 2): 2.0 * jacobian})
         assert low < part.value[0] < high

@@ -42,9 +42,9 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     # allows
     assert volumes.sum() == pytest.approx(pv.read(tmp_path / "ball.surface.vtp").volume, rel=0.01)
     left = points[cells].mean(axis=1)[:, 0] < 0
-    # The volume of a tetrahedron is proportional to the cube of the edge length. The triangles of
-    # the surface have the same size in both halves, so the ratio of the counts stays far below (4 /
-    # 1.5)^3.
+    # The volume of a tetrahedron is proportional to the cube of the edge length. The surface
+    # triangles have the same size in both halves, so the ratio of the numbers of tetrahedra stays
+    # far below (4 / 1.5)^3.
     assert left.sum() > 2.0 * (~left).sum()
 
     assert set(grid.cell_data.keys()) == {"radius_ratio", "scaled_jacobian", "min_dihedral", "region"}

@@ -84,8 +84,8 @@ def dihedral_angles(corner: np.ndarray) -> list[float]:
 
 
 def test_dihedral_angles_against_the_definition() -> None:
-    # the Verdict library is no reference, because its minimum angle is the acute angle between the
-    # planes
+    # the Verdict library cannot serve as a reference, because its minimum angle is the acute angle
+    # between the planes
     points, cells = random_tetrahedra(100)
     quality = tetrahedron_quality(points, cells)
     truth = np.array([dihedral_angles(points[cell]) for cell in cells])

@@ -164,7 +164,7 @@ def test_matrices_are_those_of_the_textbook(monkeypatch: pytest.MonkeyPatch, siz
         gradients = np.linalg.inv(np.c_[np.ones(4), points[cell]])[1:].T
         volume = np.linalg.det(np.c_[np.ones(4), points[cell]]) / 6.0
         truth[0][np.ix_(cell, cell)] += abs(volume) * gradients @ gradients.T
-        # div u div v: unknown 3 i + k is component k at point i
+        # the matrix of div u div v, where unknown 3 i + k is component k of u at point i
         place = (3 * cell[:, None] + np.arange(3)).ravel()
         vectors[np.ix_(place, place)] += abs(volume) * np.outer(gradients.ravel(), gradients.ravel())
     assembler = Assembler(points, cells)
@@ -296,8 +296,8 @@ def test_conduction_in_many_bodies(size: tuple[int, int, int], count: int) -> No
     figures, converged = conduction(Assembler(*copies(block(size), count)), FOREVER)
     assert converged
     assert figures["parts"] == count
-    # if a part is not grounded, the iteration stagnates (measured: after 4 steps with the first
-    # size, 2 with the second)
+    # if a part is not grounded, the iteration stagnates: measured after 4 steps for blocks of the
+    # first size, and after 2 steps for the second size
     assert figures["multigrid"]["iterations"] <= 20
     assert figures["multigrid"]["condition"] is not None
 
@@ -369,7 +369,7 @@ def test_a_mesh_without_points_inside() -> None:
 
 
 def test_a_block_may_have_many_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    # the product of two point numbers does not fit into a signed 32-bit integer
+    # the product of two point indices does not fit into a signed 32-bit integer
     points, cells = block((2, 2, 2))
     alone = Assembler(points, cells).elastic_stiffness(1.0, 1.0).toarray()
     copies = 2000
@@ -445,7 +445,7 @@ def test_the_solution_of_jacobi_stands_in_for_that_of_multigrid(monkeypatch: pyt
     assert found["relative_l2_error"] == pytest.approx(right["relative_l2_error"], rel=1e-5)
     assert "poisson: multigrid did not converge" in context.warnings[0]
     assert "; poisson, conduction, elasticity with Jacobi's preconditioner only" in checks[0].words
-    # without time for Jacobi's preconditioner, the check must not claim that the matrix is singular
+    # if no time is left for Jacobi's preconditioner, the check must not call the matrix singular
     context = Context(CommonArguments(), "", {})
     checks = solve_on(mesh_of(points, cells), SolveSettings(compare_seconds=0.0), context)
     assert [check.passed for check in checks] == [False]

@@ -22,7 +22,7 @@ impl Boxes {
         Self::single("plate", grid, [[nx / 5, nx - nx / 5], [ny / 5, ny - ny / 5], [nz / 2, nz / 2 + 1]])
     }
 
-    /// Returns a rod along x: a row of voxels with 60 % of the volume's length.
+    /// Returns a rod along x: a row of voxels, 60 % as long as the volume.
     pub fn rod(grid: &Geometry) -> Self {
         let [nx, ny, nz] = grid.size;
         Self::single("rod", grid, [[nx / 5, nx - nx / 5], [ny / 2, ny / 2 + 1], [nz / 2, nz / 2 + 1]])

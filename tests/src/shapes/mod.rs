@@ -1,4 +1,4 @@
-//! Shapes whose exact figures follow from a closed form or a quadrature.
+//! Shapes whose exact properties are known in closed form or by quadrature.
 
 pub mod boxes;
 pub mod cut;

@@ -1,5 +1,5 @@
-//! A torus with an exact signed distance, and a bumpy torus. The implicit function of the bumpy
-//! torus is not a distance, and its figures come from quadrature.
+//! A torus with an exact signed distance, and a bumpy torus whose implicit function is not a
+//! distance. The area and volume of the bumpy torus are computed by quadrature.
 
 use crate::scene::{Scene, Truth, off_lattice_centre, shortest_extent};
 use crate::shapes::integrate;
@@ -64,7 +64,7 @@ pub struct BumpyTorus {
 }
 
 impl BumpyTorus {
-    /// Returns the torus of [`Torus::filling`] with bumps 15 % of the tube radius high.
+    /// Returns [`Torus::filling`] with bumps whose amplitude is 15 % of the tube radius.
     pub fn filling(grid: &Geometry) -> Self {
         Self { torus: Torus::filling(grid), amplitude: 0.15 }
     }
@@ -80,7 +80,8 @@ impl BumpyTorus {
         let tube_u = -5.0 * bump * (5.0 * u).sin() * (3.0 * v).cos();
         let tube_v = -3.0 * bump * (5.0 * u).cos() * (3.0 * v).sin();
         let (sin_v, cos_v) = v.sin_cos();
-        // The derivatives along v and along u, in the frame (radial, around the axis, z).
+        // The derivatives of the position with respect to v and u, in cylindrical components
+        // (radial, azimuthal, axial).
         let along_v = DVec3::new(tube_v * cos_v - tube * sin_v, 0.0, tube_v * sin_v + tube * cos_v);
         let along_u = DVec3::new(tube_u * cos_v, self.torus.ring_radius + tube * cos_v, tube_u * sin_v);
         along_u.cross(along_v).length()

@@ -85,8 +85,8 @@ impl Torso {
     }
 
     fn body_value(&self, q: DVec3) -> f64 {
-        // A superellipse with semi-axes of 168 and 80.5 mm, cut off at the lower and upper borders
-        // as in a chest scan.
+        // A superelliptic cylinder along z with semi-axes of 168 and 80.5 mm. The lower and upper
+        // borders of the volume cut it off, as in a chest scan.
         let p = (q / DVec3::new(168.0, 80.5, 1.0)).abs();
         let level = (p.x.powi(3) + p.y.powi(3)).cbrt();
         self.scale * 80.5 * (level - 1.0)

@@ -17,7 +17,7 @@ pub(super) const GENUS: usize = 13;
 const BLEND: f64 = 3.0;
 /// y coordinate at which the ribs leave the spine, in mm of the reference frame.
 const BACK: f64 = 52.0;
-/// Distance from the centre line of a rib to the interior of the cage, in mm of the reference
+/// Distance between the centre line of a rib and the interior of the cage, in mm of the reference
 /// frame.
 const CLEARANCE: f64 = 9.0;
 
@@ -55,8 +55,8 @@ fn hoop(rib: f64) -> (f64, f64) {
     (142.0 * (1.0 - 0.58 * down.powi(3)), 64.0 * (1.0 - 0.45 * down.powi(3)))
 }
 
-/// Returns a value that is negative inside the cage, except close to the ribs. Near zero, it
-/// approximates the signed distance.
+/// Returns an approximate signed distance to the boundary of the cage interior, which is
+/// [`CLEARANCE`] inside the centre lines of the ribs. It is accurate only near zero.
 pub(super) fn cage_interior(q: DVec3) -> f64 {
     // Find the fractional number of the rib whose slanted hoop passes through `q`. The size of the
     // hoop depends on this number, so the search is iterative.

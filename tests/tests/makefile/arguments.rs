@@ -43,8 +43,8 @@ fn help_lists_every_variable_of_a_case() {
     }
 }
 
-/// A misspelled key such as `SZIE=8` must not be ignored, and `SIZE=-1` needs a clear message
-/// (issue 17).
+/// A misspelled key such as `SZIE=8` must not be ignored, and the message for `SIZE=-1` must name
+/// the variable (issue 17).
 #[test]
 fn slips_and_values_out_of_range_are_refused_before_any_work() {
     let case = Case::new();

@@ -28,7 +28,7 @@ fn the_index_is_written_although_a_case_fails() {
     run(&mut command("index")).expect_success("make index");
 }
 
-/// A case that runs in parallel with another case must give the same result as alone.
+/// A case must give the same result in parallel with another case as when it runs alone.
 #[test]
 fn two_cases_at_once() {
     let folder = tempfile::tempdir().expect("folder");

@@ -49,7 +49,7 @@ fn a_failed_run_leaves_no_result_of_an_earlier_one() {
     {
         assert!(listed.contains(&format!("\"{name}\"")), "{name} is not in the status: {listed}");
     }
-    // The next run succeeds as if nothing had happened.
+    // The next run with valid parameters must succeed and make all results again.
     case.mesh(0, &[]);
     assert_eq!(case.status()["verdict"], "passed");
     assert!(case.has("surface.vtp") && case.has("volume.vtu") && pictures.exists());
@@ -112,7 +112,7 @@ fn a_program_that_crashes_is_told_in_three_parts() {
     assert_eq!(case.states()["seed"], "error", "nothing was begun");
 }
 
-/// No matter how the last stage ends, no file of an earlier run can be mistaken for its result.
+/// However the last stage ends, no file of an earlier run may be left that looks like its result.
 #[test]
 fn no_stale_mesh_or_page_is_left() {
     let case = Case::new();

@@ -150,8 +150,8 @@ fn make() -> Command {
 }
 
 /// Stand-ins for tetmesh-check and its page and index programs. The stand-in for tetmesh-check
-/// exits with the code set by `end_with`. Each page is a copy of the status files that it is made
-/// from.
+/// exits with the code set by `end_with`. The page is a copy of the status file, and the index is
+/// the concatenation of all status files.
 struct StandIn {
     folder: tempfile::TempDir,
 }

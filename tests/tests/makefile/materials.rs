@@ -39,7 +39,8 @@ fn materials_become_one_mesh_that_keeps_every_voxel() {
     write_halves(&volume);
     let mut command = make();
     command.args(["mesh", "MATERIALS=left:1,right:2,rest:3", "SIZE=1.2", "SCALE=0", "VERBOSITY=-q"]);
-    // Edges longer than a voxel have a chord error, which the clearance allows for.
+    // The chord error of edges longer than a voxel could cut off voxel centres near the surface.
+    // The clearance keeps the surface far enough from them.
     command.arg("DISTFIELD_OPTIONS=--clearance 0.1");
     command.arg("TETMESH_OPTIONS=--source left --conductivity right=0.2");
     command.arg(format!("INPUT={}", volume.display())).arg(format!("OUT={}", folder.path().display()));

@@ -3,7 +3,7 @@
 use super::support::run;
 use super::{Case, ball};
 
-/// `patient.001.nrrd` and `patient.002.nrrd` have separate results folders (issue 17).
+/// `patient.001.nrrd` and `patient.002.nrrd` must get separate results folders (issue 17).
 #[test]
 fn only_known_endings_are_taken_off() {
     let case = Case::new();

@@ -22,7 +22,7 @@ fn one_parameter_reruns_exactly_the_stages_that_depend_on_it() {
     let reseeded = ["ISO=100", "SIZE=2.5", "BACKEND=cpu", "SEED=3"];
     assert_eq!(case.reran(&reseeded), ["seed", "particles", "reconstruct"]);
     let resized = ["ISO=100", "SIZE=2.4", "BACKEND=cpu", "SEED=3"];
-    // SIZE is above the voxel spacing, so the scale of distfield depends on it.
+    // SIZE is above 0.75 voxel, so distfield derives its scale from it.
     assert_eq!(case.reran(&resized), ["distfield", "sizefield", "seed", "particles", "reconstruct"]);
     let graded = ["ISO=100", "SCALE=0", "EPSILON=0.4", "MAX_SIZE=3", "BACKEND=cpu", "SEED=3"];
     assert_eq!(case.reran(&graded).first(), Some(&"distfield"));

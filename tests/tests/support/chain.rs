@@ -37,7 +37,7 @@ impl Files {
     }
 }
 
-/// Options of the stages that differ from the defaults.
+/// Additional command-line options of each stage.
 #[derive(Clone, Debug, Default)]
 pub struct Wishes {
     /// Options of `distfield`, which must include the iso value, the labels or the materials.

@@ -107,8 +107,8 @@ pub enum Kind {
     Label,
 }
 
-/// Writes a phantom and returns its exact figures. The object is above the iso value 100 or has
-/// label 1.
+/// Writes a phantom and returns its exact properties. Voxels of the object have values above 100,
+/// or the label 1.
 pub fn write_phantom(path: &Path, shape: Shape, geometry: &Geometry, kind: Kind) -> Truth {
     write_phantom_with(path, shape, geometry, kind, FileSpace::Lps, &Options::for_grid(geometry))
 }

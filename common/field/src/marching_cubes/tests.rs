@@ -62,8 +62,8 @@ fn sphere_torus_and_balls_have_their_topology_and_measures() {
     let sphere = marching_cubes(&sampled(size, spacing, |p| p.distance(centre) - 8.0), 0.0);
     assert_eq!(check_closed(&sphere), 2);
     let (area, volume) = measure(&sphere);
-    // the inscribed mesh underestimates area and volume by a few times `1 / (8 R^2)`, where R is
-    // the radius, 13 to 20 voxels
+    // the inscribed mesh underestimates area and volume by a fraction of a few times `1 / (8 R^2)`,
+    // where the radius R is 13 to 20 voxels
     assert!((area / (4.0 * PI * 64.0) - 1.0).abs() < 4e-3, "area {area}");
     assert!((volume / (4.0 / 3.0 * PI * 512.0) - 1.0).abs() < 4e-3, "volume {volume}");
 
@@ -116,8 +116,8 @@ fn the_table_covers_every_crossed_edge_once() {
 
 #[test]
 fn the_saddle_decides_whether_diagonal_neighbours_are_joined() {
-    // the saddle value is 0.3 v - 0.35 for an outside value v: the diagonal samples are joined at
-    // 1.1 but not at 1.2; the bilinear interpolant would separate them above 1/2
+    // for an outside value v, the saddle value is 0.3 v - 0.35, so the diagonal samples are joined
+    // for v = 1.1 but not for v = 1.2; the bilinear interpolant would separate them for v > 1/2
     for (outside, components) in [(1.1, 1), (1.2, 2)] {
         let diagonal = |p: DVec3| {
             let touches = p == DVec3::new(2.0, 2.0, 2.0) || p == DVec3::new(3.0, 3.0, 2.0);

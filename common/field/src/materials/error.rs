@@ -14,7 +14,8 @@ pub enum Error {
         /// Number of nodes of the grid along each axis.
         grid: [usize; 3],
     },
-    /// Brick numbers are not in ascending order, or exceed the number of bricks.
+    /// The brick indices are not in ascending order, or one of them is not below the number of
+    /// bricks.
     #[error("the brick numbers are not ascending, or exceed the {count} bricks of the grid")]
     Bricks {
         /// Number of bricks of the grid.

@@ -16,15 +16,15 @@ use std::collections::BTreeMap;
 const NO_FILL: u16 = u16::MAX;
 
 /// Assumed maximum difference, in voxels, between the two indicators at a position on their
-/// interface. A projection leaves a difference of at most twice its tolerance, far below this
-/// value.
+/// interface. A projection onto the interface leaves at most twice its tolerance, which is far
+/// smaller.
 pub const ON_INTERFACE: f64 = 0.01;
 
 /// A material that is known in a brick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Entry {
     material: u16,
-    /// Number of the brick among the bricks of the material's indicator.
+    /// Index of the brick among the known bricks of the material's indicator.
     brick: u32,
 }
 
@@ -178,7 +178,7 @@ impl Materials {
         self.indicators.iter().map(Indicator::bytes).sum::<usize>() + index
     }
 
-    /// Returns the number of the brick that contains the cell of a stencil.
+    /// Returns the index of the brick that contains the cell of a stencil.
     #[inline(always)]
     fn brick(&self, stencil: &Stencil) -> usize {
         let [i, j, k] = stencil.cell().map(|n| n / CELLS);
@@ -192,7 +192,7 @@ impl Materials {
     }
 
     /// Returns the coefficients of a material at the nodes of a stencil. If some of them are
-    /// unknown, the error is true if the position is inside the material.
+    /// unknown, returns as an error whether the position is inside the material.
     #[inline(always)]
     fn gathered(&self, entry: Entry, stencil: &Stencil) -> Result<[f32; 64], bool> {
         let indicator = &self.indicators[usize::from(entry.material)];
@@ -200,7 +200,7 @@ impl Materials {
     }
 
     /// Returns the stencil of a position and the coefficients of a material at its nodes. If some
-    /// coefficients are unknown, the error is true if the position is inside the material.
+    /// coefficients are unknown, returns as an error whether the position is inside the material.
     #[inline]
     fn of(&self, id: MaterialId, grid: DVec3) -> Result<(Stencil, [f32; 64]), bool> {
         let stencil = Stencil::new(&self.geometry, grid);
@@ -209,7 +209,7 @@ impl Materials {
     }
 
     /// Returns the coefficients of a material at the nodes of a stencil in a brick. If some of them
-    /// are unknown, the error is true if the position is inside the material.
+    /// are unknown, returns as an error whether the position is inside the material.
     #[inline(always)]
     fn read(&self, id: MaterialId, brick: usize, stencil: &Stencil) -> Result<[f32; 64], bool> {
         match self.known(brick).iter().find(|entry| entry.material == id.0) {
@@ -249,8 +249,8 @@ impl Indicators for Materials {
         }
     }
 
-    /// Evaluates a single spline. Each of its coefficients is half the difference between the
-    /// coefficients of the two materials.
+    /// Evaluates the difference as a single spline, whose coefficients are half the differences
+    /// between the coefficients of the two materials.
     #[inline(always)]
     fn difference_gradient(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> (f64, DVec3) {
         let stencil = Stencil::new(&self.geometry, grid);

@@ -19,10 +19,10 @@ pub const CELLS: usize = 4;
 /// Number of coefficients per block.
 pub const BLOCK: usize = CELLS * CELLS * CELLS;
 
-/// An indicator is always known within this distance of its zero set, in voxels. A brick is known
-/// unless all coefficients from `CELLS` nodes before its first node to `CELLS - 1` nodes after its
-/// last node have the same sign. Cells at a distance of up to `CELLS - 2` cells use only these
-/// coefficients.
+/// Distance from the zero set, in voxels, within which an indicator is always known. A brick is
+/// known unless all coefficients from `CELLS` nodes before its first node to `CELLS - 1` nodes
+/// after its last node have the same sign. Cells that are up to `CELLS - 2` cells away from the
+/// brick use only these coefficients.
 pub const KNOWN_VOXELS: usize = 2;
 
 /// Distance in nodes beyond which a sample is assumed not to affect a coefficient. At a distance of
@@ -83,7 +83,7 @@ pub struct Indicator {
     size: [usize; 3],
     /// Whether all points beyond the box are inside the material.
     surrounds: bool,
-    /// Numbers of the known bricks, in ascending order.
+    /// Indices of the known bricks in the shared grid, in ascending order.
     bricks: Vec<u32>,
     /// Indices, among the stored blocks, of the eight blocks that each known brick uses.
     blocks: Vec<[u32; 8]>,
@@ -100,7 +100,7 @@ pub struct IndicatorParts {
     pub size: [usize; 3],
     /// Whether all points beyond the box are inside the material.
     pub surrounds: bool,
-    /// Numbers of the known bricks (x fastest), in ascending order.
+    /// Indices of the known bricks in the shared grid (x fastest), in ascending order.
     pub bricks: Vec<u32>,
     /// Coefficients, 64 per block.
     pub coefficients: Vec<f32>,
@@ -109,7 +109,7 @@ pub struct IndicatorParts {
 impl Indicator {
     /// Creates an indicator from signed distances (mm, negative inside) at the nodes of a box. The
     /// box starts at node `first` of a grid of `size` nodes. `surrounds` is true if all points
-    /// beyond the box are inside. Also returns the numbers of the bricks in which the indicator is
+    /// beyond the box are inside. Also returns the indices of the bricks in which the indicator is
     /// negative throughout.
     ///
     /// # Panics
@@ -201,7 +201,7 @@ impl Indicator {
         self.surrounds
     }
 
-    /// Returns the numbers of the known bricks (x fastest), in ascending order.
+    /// Returns the indices of the known bricks in the shared grid (x fastest), in ascending order.
     pub fn bricks(&self) -> &[u32] {
         &self.bricks
     }

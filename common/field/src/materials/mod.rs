@@ -33,7 +33,7 @@ use glam::{DMat3, DVec3};
 use isoparticles_volume::LayerLabel;
 use serde::{Deserialize, Serialize};
 
-/// Number of a material in the table of materials; 0 is the outside.
+/// Index of a material in the table of materials; 0 is the outside.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct MaterialId(pub u16);
 

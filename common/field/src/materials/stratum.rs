@@ -59,8 +59,8 @@ impl Stratum {
         4 - self.count()
     }
 
-    /// Returns the stratum at which the materials of both strata meet, or `None` if these are more
-    /// than four materials.
+    /// Returns the stratum at which the materials of both strata meet, or `None` if there are more
+    /// than four of them.
     pub fn joined(&self, other: &Self) -> Option<Self> {
         let mut ids = self.materials().to_vec();
         ids.extend(other.materials().iter().filter(|&&id| !self.has(id)));

@@ -304,7 +304,7 @@ fn what_is_added_at_nodes_is_at_no_other() {
         for n in 0..729 {
             let other = [(node[0] + n % 9).saturating_sub(4).min(24), node[1] + n / 9 % 9 - 4, node[2] + n / 81 - 4];
             let expected = if other == node { 0.5 } else { 0.0 };
-            // if the indicator is not known, the difference of two infinities is NaN
+            // where the indicator is not known, the change is the difference of two infinities: NaN
             let found = change(at(other));
             known += usize::from(!found.is_nan());
             assert!(found.is_nan() || (found - expected).abs() < 1e-5, "{found} at {other:?}");

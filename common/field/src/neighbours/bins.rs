@@ -24,7 +24,7 @@ struct Grid {
     edge: f64,
     /// Largest size of a point.
     largest: f64,
-    /// Number of levels. The last level also contains all smaller points.
+    /// Number of levels. The last level also contains all points of smaller sizes.
     levels: usize,
     /// Number of bins of level 0 along each axis.
     bins: IVec3,

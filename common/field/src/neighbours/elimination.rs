@@ -67,8 +67,8 @@ mod tests {
             let mut order: Vec<u32> = (0..count as u32).collect();
             order.sort_by_key(|&i| bits(2, 0, u64::from(i)));
             let reach = 1.7;
-            // some points are removed only from a shorter distance, and some pairs do not remove
-            // each other
+            // some points are removed only within a smaller distance, and the points of some pairs
+            // do not remove each other
             let removes = |i: usize, j: usize, squared: f64| {
                 let room = if j.is_multiple_of(3) { 0.8 } else { reach };
                 !(i + j).is_multiple_of(7) && squared < (room * sizes[i].min(sizes[j])).powi(2)

@@ -61,7 +61,7 @@ pub(super) struct Tree {
     runs: Vec<Run>,
     /// Box of each run.
     boxes: Vec<Outline>,
-    /// Whether the mean extents of runs and of groups of eight runs are within [`MOST_EXTENT`] and
+    /// Whether the mean extents of runs and of groups of eight runs are at most [`MOST_EXTENT`] and
     /// [`MOST_EXTENT_OF_EIGHT`], as for points on a surface in spatial order.
     pub(super) is_compact: bool,
     /// Boxes by level, from the boxes of the runs up to a level of at most eight boxes.
@@ -164,7 +164,7 @@ pub(super) struct Candidates {
     runs: Vec<Run>,
     /// Runs of the tree that may be near, and scratch space for the search.
     near: [Vec<u32>; 2],
-    /// Numbers of the points near the query point, with room for eight more.
+    /// Indices of the points near the query point, with room for eight more.
     found: Vec<u32>,
 }
 
@@ -197,8 +197,8 @@ impl Candidates {
     /// Returns the candidates closer to `p` than the smaller of the two reaches, including `p`
     /// itself, in ascending order.
     ///
-    /// Every number is written to the list. If its point is not near, the next number overwrites
-    /// it. A branch per point would be mispredicted half of the time.
+    /// The index of every candidate is written to the list. If the candidate is not near, the next
+    /// index overwrites its index. A branch per candidate would be mispredicted half of the time.
     #[inline(always)]
     pub(super) fn near<S: Simd>(&mut self, simd: S, p: DVec3, radius: f64) -> &[u32] {
         let mut count = 0;

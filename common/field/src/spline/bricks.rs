@@ -36,7 +36,8 @@ const POSITIVE: u32 = u32::MAX - 1;
 #[derive(Clone, Debug)]
 pub struct BrickSpline {
     geometry: Geometry,
-    /// Number of each brick, x fastest, or one of the sentinels [`NEGATIVE`] and [`POSITIVE`].
+    /// For each brick of the grid (x fastest), its index among the stored bricks, or one of the
+    /// sentinels [`NEGATIVE`] and [`POSITIVE`].
     number: Vec<u32>,
     /// Coefficients of the bricks, one brick after the other.
     coefficients: Vec<f32>,

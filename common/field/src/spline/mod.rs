@@ -27,9 +27,9 @@ use stencil::mirror;
 /// tolerance of 1e-9 voxel.
 pub const PROJECTION_STEPS: usize = 25;
 
-/// A projection fails where the squared gradient is at most this value, which corresponds to a
-/// slope of 1e-4. F is a distance, so its slope is 1 nearly everywhere. At a slope of 1e-4,
-/// F / slope does not approximate a distance: a value of 1e-4 voxel would give a step of one voxel.
+/// Maximum squared gradient at which a projection fails, corresponding to a slope of 1e-4. F is a
+/// distance, so its slope is 1 nearly everywhere. At a slope of 1e-4, F / slope does not
+/// approximate a distance: a value of 1e-4 voxel would give a step of one voxel.
 pub const LEAST_SQUARED_GRADIENT: f64 = 1e-8;
 
 /// Minimum distance in voxels from a surface to a face of the grid. At this distance, the spline

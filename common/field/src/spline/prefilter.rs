@@ -156,8 +156,8 @@ fn filter_lines(scratch: &mut [f64], width: usize, length: usize) {
         scratch.iter_mut().for_each(|sample| *sample /= 6.0);
         return;
     }
-    // first causal value: mirrored geometric sum, truncated at the weight POLE^30 = 7e-18, which is
-    // below 2^-53
+    // the first value of the causal filter is a geometric sum over the mirrored samples, truncated
+    // at the weight POLE^30 = 7e-18, which is below 2^-53
     let horizon = 30.min(length);
     for x in 0..width {
         scratch[x] = causal_start(|k| scratch[k * width + x], length, horizon);

@@ -4,7 +4,8 @@
 //! The values of a polynomial lie within the range of its Bernstein coefficients (convex hull
 //! property). Up to a constant factor, its derivatives lie within the range of the differences of
 //! these coefficients. Each halving of a cell divides the distance between the coefficients and the
-//! polynomial by four. Repeated subdivision therefore resolves every cell that is not degenerate.
+//! polynomial by four. Repeated subdivision therefore decides every cell in which F and its
+//! gradient do not vanish at the same point.
 
 use crate::spline::CubicSpline;
 use crate::spline::bezier::{BezierPoints, ORDER, ROUNDING, is_of_one_sign, range};

@@ -19,11 +19,11 @@ pub(super) const BASE: u8 = 4;
 /// seventh of `RESOLUTION`.
 pub(super) const DEPTH: u8 = 7;
 
-/// Cells are subdivided beyond [`BASE`] while at most this many cells of a voxel are uncertain. If
-/// F = 0 touches itself at a point, the number of uncertain cells is the same at every level. At
-/// [`BASE`], 9,237 cells are uncertain at 662 such points of a noisy scan, 14 per point. The limit
-/// allows four points in a voxel. If F = 0 touches itself along a curve, the number doubles with
-/// each level, and over a surface it quadruples; subdivision does not help there.
+/// Maximum number of uncertain cells in a voxel for which these cells are subdivided beyond
+/// [`BASE`]. If F = 0 touches itself at a point, the number of uncertain cells is the same at every
+/// level. At [`BASE`], 9,237 cells are uncertain at 662 such points of a noisy scan, 14 per point.
+/// The limit allows four points in a voxel. If F = 0 touches itself along a curve, the number
+/// doubles with each level, and over a surface it quadruples; subdivision does not help there.
 const MOST_UNCERTAIN: usize = 64;
 
 /// Number of finest cells along the edge of a voxel.
@@ -46,7 +46,7 @@ pub(super) enum State {
 #[derive(Clone, Copy)]
 struct Packed(u32);
 
-/// States of leaf cells, indexed by their packed number.
+/// States of leaf cells, indexed by their packed value.
 const PLAIN: [State; 3] = [State::Clear, State::Graph, State::Undecided];
 
 impl Packed {
@@ -126,9 +126,9 @@ pub(super) struct Cells {
 
 impl Cells {
     /// Subdivides cells in which F = 0 is uncertain, and cells next to much smaller cells.
-    /// Afterwards, a cell in which F = 0 is a graph is at most twice as large as any neighbour that
-    /// F = 0 may cross. Without this balance, the surface given by the signs at the cell corners
-    /// need not be isotopic to F = 0.
+    /// Afterwards, no cell in which F = 0 is a graph is more than twice as large as a neighbour
+    /// that F = 0 may cross. Without this balance, the surface given by the signs at the cell
+    /// corners need not be isotopic to F = 0.
     pub(super) fn new(field: &CubicSpline, watch: &Watch<'_>) -> Result<Self, Interrupted> {
         let size = field.geometry().size.map(|n| n.saturating_sub(1));
         let signs = Signs::of(field);
@@ -292,7 +292,7 @@ impl Cells {
         let mut by_level: Vec<Vec<Cell>> = vec![Vec::new(); usize::from(DEPTH)];
         halved.into_iter().for_each(|cell| by_level[usize::from(cell.level)].push(cell));
         let mut all = Vec::new();
-        // subdivided voxel cells are skipped: their octants have no neighbours that are too large
+        // level 0 is skipped: the octants of voxel cells have no neighbours that are too large
         for level in (1..DEPTH).rev() {
             let mut active = std::mem::take(&mut by_level[usize::from(level)]);
             while !active.is_empty() {

@@ -21,13 +21,12 @@ use std::cmp::Ordering;
 /// critical points are found (measured as for [`FLATNESS_MARGIN`]).
 const NEWTON_STEPS: usize = 30;
 
-/// A search starts in a cell only if the gradient at its middle is shorter than the norm of the
-/// Hessian times this number of voxels. The cell corners are sqrt(3) / 2 = 0.87 voxel from the
-/// middle. The rest of the value is a margin for the variation of the Hessian within the cell. With
-/// 1, 2 and 4, the search finds 1169, 1183 and 1188 critical points
-/// (`cargo run --release -p isoparticles-field --example topology -- F.vti`, with F of
-/// `trabecular_bone` at iso value 80, nodes 70 to 129 along each axis). The undecided locations are
-/// the same in all three cases.
+/// Maximum ratio, in voxels, of the gradient length to the norm of the Hessian at the middle of a
+/// cell in which a search starts. The cell corners are sqrt(3) / 2 = 0.87 voxel from the middle.
+/// The remainder is a margin for the variation of the Hessian within the cell. With 1, 2 and 4, the
+/// search finds 1169, 1183 and 1188 critical points (`cargo run --release -p isoparticles-field
+/// --example topology -- F.vti`, with F of `trabecular_bone` at iso value 80, nodes 70 to 129 along
+/// each axis). The undecided locations are the same in all three cases.
 const FLATNESS_MARGIN: f64 = 2.0;
 
 /// Starting points of the searches in a cell, as fractions of the cell edges: the middle, and one
@@ -46,13 +45,13 @@ const STARTS: [DVec3; 9] = [
 
 /// Maximum distance along each axis, in voxels, that a search for a critical point may move from
 /// its start. A search that moves farther is abandoned, because a search from a closer cell usually
-/// finds the point. With 0.5, 1 and 2, 1115, 1183 and 1228 critical points are found, and 6, 7 and
-/// 7 locations are undecided (measured as for [`FLATNESS_MARGIN`]).
+/// finds the point. With limits of 0.5, 1 and 2 voxels, 1115, 1183 and 1228 critical points are
+/// found, and 6, 7 and 7 locations are undecided (measured as for [`FLATNESS_MARGIN`]).
 const SEARCH_RADIUS: f64 = 1.0;
 
-/// Critical points closer to each other than this distance, in voxels, are treated as one point.
-/// Searches converge to 1e-9 voxel, and distinct critical points are much farther apart: with 1e-4,
-/// 1e-3 and 1e-2, the same 1183 points are found (measured as for [`FLATNESS_MARGIN`]).
+/// Distance, in voxels, below which two critical points are treated as one. Searches converge to
+/// 1e-9 voxel, and distinct critical points are much farther apart: with 1e-4, 1e-3 and 1e-2, the
+/// same 1183 points are found (measured as for [`FLATNESS_MARGIN`]).
 const MERGE_DISTANCE: f64 = 1e-3;
 
 /// A critical point of F.
@@ -231,7 +230,7 @@ mod tests {
     #[test]
     fn the_neck_of_a_quadric_is_where_it_is() {
         // splines reproduce quadratic functions, and the effect of the grid border has decayed in
-        // the middle of the grid, so the neck is exact
+        // the middle of the grid, so the computed neck must have the exact radii
         let (centre, radii) = (DVec3::new(11.37, 12.21, 11.84), [0.2, 0.3]);
         let turn = DMat3::from_rotation_z(0.4);
         let scene = Scene::new([24; 3], DVec3::ONE, |p| {

@@ -25,8 +25,9 @@ use glam::DVec3;
 /// [`LEAST_COSINE`] allows 37 degrees.
 const LONGEST_STEP: f64 = 0.25;
 
-/// Minimum cosine between the normals at both ends of a step (37 degrees). The chord of such a step
-/// deviates from F = 0 by at most a twelfth of its length. A step with a smaller cosine is halved.
+/// Minimum cosine of the angle between the normals at both ends of a step (37 degrees). The chord
+/// of such a step deviates from F = 0 by at most a twelfth of its length. A step with a smaller
+/// cosine is halved.
 const LEAST_COSINE: f64 = 0.8;
 
 /// Number of attempts to take a step. Each further attempt halves the step. The shortest step is
@@ -38,7 +39,8 @@ const STEP_ATTEMPTS: usize = 6;
 const MOST_STEPS: usize = 48;
 
 /// Tolerance of projections onto F = 0, in edge lengths of the cell at the position. A walk also
-/// ends within the square root of this tolerance (0.001 edge lengths) of its target.
+/// succeeds if it comes within the square root of this tolerance (0.001 edge lengths) of its
+/// target.
 const TOLERANCE: f64 = 1e-6;
 
 impl Surface {

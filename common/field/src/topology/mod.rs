@@ -10,8 +10,8 @@
 //! polygons of that surface.
 //!
 //! The topology is *undecided* at three kinds of locations:
-//! - Cells that are uncertain at the finest level, near critical points of F with a value close to
-//!   zero. In these cells, the counts follow the signs at the corners.
+//! - Cells that are uncertain at the finest level. They lie near critical points at which F is
+//!   close to zero. In these cells, the signs at the corners determine the counts.
 //! - Critical points whose neck, gap or speck is finer than [`RESOLUTION`]. The topology of F is
 //!   known there, but a mesh of ordinary resolution need not reproduce it.
 //! - Other components finer than [`RESOLUTION`], for example where F is nearly flat and the

@@ -17,8 +17,9 @@ use std::sync::OnceLock;
 /// the second-level cache.
 const CACHED_VALUES: usize = 1 << 14;
 
-/// 2^64 divided by the golden ratio (Knuth's multiplicative hashing): a product with this factor
-/// has well-mixed upper bits. [`SHIFT`] keeps the upper bits, which select a slot of the cache.
+/// Factor of the hash of a corner: 2^64 divided by the golden ratio (Knuth's multiplicative
+/// hashing). The product has well-mixed upper bits; after a shift by [`SHIFT`], they select a slot
+/// of the cache.
 const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
 const SHIFT: u32 = 64 - CACHED_VALUES.trailing_zeros();
 
@@ -241,8 +242,8 @@ impl<'a> Reader<'a> {
                 while rest != 0 {
                     let octant = rest.trailing_zeros() as usize;
                     rest &= rest - 1;
-                    // position 0 is one cell below the block, which contains only those octants of
-                    // the neighbours that touch `whole`
+                    // position 0 is one cell below the block; the block contains only those octants
+                    // of the neighbours that touch `whole`
                     let place = [n % 3, n / 3 % 3, n / 9].map(|way| 2 * way);
                     let place = [0, 1, 2].map(|axis| place[axis] + (octant >> axis & 1));
                     if place.iter().all(|place| (1..=4).contains(place)) {
@@ -390,8 +391,8 @@ impl<'a> Reader<'a> {
         halves.is_some()
     }
 
-    /// Returns the bit index, in the block, of the cell of the current cell's size at position
-    /// `at`.
+    /// Returns the bit index of a cell in the block. The cell has the size of the current cell and
+    /// is at position `at`.
     fn bit(&self, at: [i64; 3]) -> u32 {
         (0..3).map(|axis| ((at[axis] - self.block[axis]) as u32) << (2 * axis)).sum()
     }
@@ -442,8 +443,8 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Returns the index, in the order of [`around`], of the cell at position `at`, which is `cell` or
-/// one of its neighbours of the same size.
+/// Returns the index of a cell in the order of [`around`]. The cell is at position `at`; it is
+/// `cell` itself or one of its neighbours of the same size.
 fn number_around(cell: Cell, at: [i64; 3]) -> usize {
     let way = |axis: usize| (at[axis] - i64::from(cell.at[axis]) + 1) as usize;
     (way(2) * 3 + way(1)) * 3 + way(0)

@@ -1,5 +1,5 @@
 //! Uses the signs of the spline coefficients to find the cells that F = 0 may cross. This test is
-//! the cheapest and is applied first.
+//! cheaper than the bounds in Bernstein form, so it is applied first.
 
 use crate::node_bits::{NodeBits, Side, WORD, each_bit, first_bits, shifted};
 use crate::spline::CubicSpline;
@@ -20,14 +20,14 @@ impl Signs {
     }
 
     /// Returns the voxel cells of a slice whose coefficients do not all have the same sign. The
-    /// cells are given by their numbers in the slice (x fastest), in ascending order. The
-    /// coefficients of a cell here include all that determine F in the cell and in the cells up to
-    /// `around` cells away. F is a weighted mean of these coefficients (convex hull property), so
-    /// if they have the same sign, F has this sign.
+    /// cells are given by their indices in the slice (x fastest), in ascending order. Here, the
+    /// coefficients of a cell are all those that determine F in the cell and in the cells up to
+    /// `around` cells away. F is a weighted mean of these coefficients (convex hull property). If
+    /// they have the same sign, F therefore has this sign.
     pub(crate) fn changes(&self, k: usize, around: usize) -> Vec<usize> {
         let [nx, ny, nz] = self.size;
         let width = self.positive.width();
-        // at the border, mirrored coefficients are among the coefficients already included
+        // at the border, the mirror images of coefficients beyond the grid are already included
         let reach = |cell: usize, n: usize| cell.saturating_sub(1 + around)..(cell + 3 + around).min(n);
         let over_slices = |bits: &NodeBits| all_of(reach(k, nz), |slice| bits.rows(slice * ny, ny));
         let over_slices = [&self.positive, &self.negative].map(over_slices);
@@ -53,7 +53,8 @@ impl Signs {
     }
 }
 
-/// Returns the bitwise AND of the given runs of words. The result is empty if there are no runs.
+/// Returns the bitwise AND of the runs of words that `words` returns. The result is empty if there
+/// are no runs.
 fn all_of<'w>(mut runs: Range<usize>, words: impl Fn(usize) -> &'w [u64]) -> Vec<u64> {
     let mut all = runs.next().map_or_else(Vec::new, |run| words(run).to_vec());
     runs.for_each(|run| all.iter_mut().zip(words(run)).for_each(|(all, own)| *all &= own));

@@ -20,7 +20,7 @@ pub(super) struct Surface {
     pub(super) component_of: Vec<u32>,
     /// Components, in the order of their first crossings.
     pub(super) components: Vec<Component>,
-    /// The cells with polygons, sorted. Each is given by its position in the order of all cells,
+    /// The cells with polygons, in order. Each is given by its position in the order of all cells,
     /// and is paired with the end of its polygons in `ends`.
     cells: Vec<(u64, u32)>,
     /// End of each polygon in `corners`.
@@ -96,8 +96,8 @@ impl Surface {
         let mut count = 0;
         for crossing in 0..positions.len() as u32 {
             let first = sets.find(crossing);
-            // the first crossing of a component is numbered before the other crossings look up its
-            // number
+            // the first crossing of a component receives its component number before the other
+            // crossings look it up
             component_of[crossing as usize] = if first == crossing { count } else { component_of[first as usize] };
             count += u32::from(first == crossing);
         }
@@ -214,7 +214,7 @@ struct Crossings {
     by_slice: Vec<Vec<Crossing>>,
     /// Number of crossings before each slice.
     before: Vec<u32>,
-    /// Count of crossing numbers that are reserved for one slice.
+    /// How many crossing numbers are reserved for each slice.
     span: u64,
 }
 

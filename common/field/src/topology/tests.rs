@@ -190,8 +190,8 @@ fn random_scenes_have_the_topology_of_much_denser_samples() {
     for seed in 0..12 {
         let scene = random(seed);
         let topology = scene.topology();
-        // five samples per voxel edge may miss fine features, but the cells must allow the counts
-        // that result
+        // five samples per voxel edge may miss fine features, but the resulting counts must lie in
+        // the ranges that the topology allows
         let (summary, dense) = (topology.summary(), scene.by_samples(5));
         let [least, most] = summary.components_between;
         assert!((least..=most).contains(&dense.len()), "scene {seed}: {summary:?} and {}", dense.len());
@@ -267,10 +267,10 @@ fn neighbouring_crossed_cells_differ_by_at_most_one_level() {
 
 #[test]
 fn a_dome_through_a_face_between_cell_sizes_stays_connected() {
-    // The top of the dome is 0.05 voxel above the middle of a face. Grad F turns in the cell above
-    // the face, so that cell is subdivided. The cell below the face is not. Only the smaller cells
-    // have a corner at the middle of the face; the larger cell contains a loop around that middle,
-    // next to the base of the dome.
+    // The top of the dome is 0.05 voxel above the middle of a face. Grad F turns so much in the
+    // cell above the face that this cell is subdivided. The cell below the face is not subdivided.
+    // Only the smaller cells have a corner at the middle of the face; the larger cell contains a
+    // loop around that middle, next to the base of the dome.
     let top = DVec3::new(7.5, 7.5, 7.0);
     let scene = Scene::new([16; 3], DVec3::ONE, |p| {
         let d = p - top;
@@ -335,7 +335,7 @@ fn a_component_at_the_resolution_may_vanish_or_join_another() {
 fn only_a_closed_speck_may_vanish() {
     let topology = speck(0.5 * RESOLUTION, false);
     assert!(topology.groups().may_vanish(0) && topology.undecided()[0].kind == UndecidedKind::Speck);
-    // a speck that opens into the adjacent surface must not vanish
+    // a speck that opens into the adjacent surface is part of its component, which must not vanish
     let topology = cubic(0.9 * RESOLUTION, 1.78);
     assert_eq!(topology.components().len(), 1);
     assert!(topology.critical_points().iter().any(|c| c.is_enclosed() && c.radius < RESOLUTION));

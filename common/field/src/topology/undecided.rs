@@ -34,9 +34,9 @@ pub struct Undecided {
     pub bounds: Bounds,
 }
 
-/// Kind of an undecided location. Gaps, necks and most specks are at critical points of F. The
-/// number of principal directions in which F = 0 is reached determines the kind. If the critical
-/// point were on the other side of F = 0, the topology would change in a known way.
+/// Kind of an undecided location. Gaps, necks and most specks are at critical points of F. The kind
+/// depends on the number of principal directions in which F = 0 is reached. If the critical point
+/// were on the other side of F = 0, the topology would change in a known way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum UndecidedKind {
@@ -59,7 +59,8 @@ pub struct Group {
     /// Allowed numbers of components for each Euler characteristic, in steps of two from the
     /// lowest.
     counts: Vec<RangeInclusive<usize>>,
-    /// Components of the group, in ascending order. Empty if the group is only a possible speck.
+    /// Components of the group, in ascending order. Empty if the group consists only of a possible
+    /// speck.
     pub components: Vec<u32>,
     /// Allowed numbers of components.
     pub component_count: RangeInclusive<usize>,
@@ -82,7 +83,7 @@ impl Group {
     }
 }
 
-/// All groups: the topologies of F that its undecided locations allow.
+/// All groups of components, with the topologies that the undecided locations allow.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Groups {
     all: Vec<Group>,
@@ -274,8 +275,8 @@ pub(super) fn places(
     places
 }
 
-/// Returns the location of a component finer than [`RESOLUTION`] that is not yet listed as a speck.
-/// A mesh may contain the component, omit it, or join it to the nearest component.
+/// Returns an undecided location for a component finer than [`RESOLUTION`] that is not yet listed
+/// as a speck. A mesh may contain the component, omit it, or join it to the nearest component.
 fn at_fine_component(field: &CubicSpline, cells: &Cells, surface: &Surface, n: u32, own: &Component) -> Undecided {
     let around = surface.crossings_round(cells, cells.finest_at(field, own.place).within(0));
     let others = around.into_iter().filter(|&crossing| surface.component_of[crossing as usize] != n);
@@ -294,9 +295,9 @@ fn at_fine_component(field: &CubicSpline, cells: &Cells, surface: &Surface, n: u
     }
 }
 
-/// Returns the location at a critical point. Returns `None` for an extremum in a component that is
-/// not thin. A mesh must contain such a component, even if the extremum is on the wrong side of the
-/// mesh.
+/// Returns an undecided location for a critical point, or `None` for an extremum in a component
+/// that is not thin. A mesh must contain such a component, even if the extremum is on the wrong
+/// side of the mesh.
 fn at_critical_point(field: &CubicSpline, cells: &Cells, surface: &Surface, c: &CriticalPoint) -> Option<Undecided> {
     let ways: Vec<DVec3> = c.ways.into_iter().filter(|way| *way != DVec3::ZERO).collect();
     let component = |way: DVec3| {
@@ -328,7 +329,7 @@ fn at_critical_point(field: &CubicSpline, cells: &Cells, surface: &Surface, c: &
     })
 }
 
-/// Returns the location of a cluster of cells in which F = 0 is uncertain.
+/// Returns an undecided location for a cluster of cells in which F = 0 is uncertain.
 fn uncertain(field: &CubicSpline, cells: &Cells, surface: &Surface, own: &[Cell], critical_points: usize) -> Undecided {
     let edge = field.geometry().spacing / f64::from(1u32 << BASE);
     let low = |cell: &Cell| DVec3::from_array(cell.at.map(f64::from)) * edge;

@@ -3,8 +3,8 @@
 pub(super) use isoparticles_file::monitor::Interrupted;
 use isoparticles_file::monitor::{Counter, Monitor};
 
-/// Progress and interruption of a computation that makes several passes over the slices of a
-/// volume.
+/// Counts progress and checks for interruption in a computation that makes several passes over the
+/// slices of a volume.
 pub(super) struct Watch<'a> {
     monitor: &'a dyn Monitor,
     counter: Box<dyn Counter + 'a>,

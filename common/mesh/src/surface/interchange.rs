@@ -9,7 +9,7 @@ use isoparticles_volume::{Space, Voxels};
 use std::io::{self, Write};
 use vtkio::model::{Attribute, Attributes, ByteOrder, DataSet, IOBuffer, PolyDataPiece, Version, VertexNumbers, Vtk};
 
-/// Maximum length of a piece of the history in one comment line. With its prefix, a line has at
+/// Maximum number of characters of the history in one comment line. With its prefix, a line has at
 /// most 216 characters. The PLY reader RPly has buffers of 256 characters per word and 1,024 per
 /// line (`WORDSIZE` and `LINESIZE` in `rply.c`).
 const COMMENT_WIDTH: usize = 200;

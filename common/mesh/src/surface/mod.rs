@@ -23,7 +23,7 @@ use std::path::Path;
 /// Values on the vertices or triangles of a surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DataArray {
-    /// Name of the array, which pyvista and ParaView display.
+    /// Name of the array, as displayed by pyvista and ParaView.
     pub name: String,
     /// Number of components per vertex or triangle.
     pub components: usize,
@@ -92,8 +92,8 @@ pub struct Simplices {
     pub edges: Vec<[u32; 2]>,
     /// Triangles, as indices into `points`.
     pub triangles: Vec<[u32; 3]>,
-    /// Values on all displayed cells (vertices, then edges, then triangles), such as the number of
-    /// the failed check.
+    /// Values on all displayed cells (vertices, then edges, then triangles), such as a number that
+    /// identifies the failed check.
     pub cell_data: Vec<DataArray>,
 }
 
@@ -169,7 +169,7 @@ pub fn write_simplices(path: &Path, simplices: &Simplices, history: &History) ->
     vtp::write_simplices(path, simplices, history)
 }
 
-/// Returns an error unless every array has a value for every vertex or triangle.
+/// Returns an error unless every array has values for exactly `count` vertices or cells.
 fn check_arrays(path: &Path, arrays: &[DataArray], count: usize) -> Result<()> {
     match arrays.iter().find(|array| array.values.len() != count * array.components) {
         None => Ok(()),

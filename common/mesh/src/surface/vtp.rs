@@ -1,5 +1,5 @@
-//! Reads and writes VTK polygon files with all data. Positions are stored exactly, as 64-bit
-//! floats.
+//! Reads and writes VTK polygon files (`.vtp`), including all data arrays. Positions are stored
+//! exactly, as 64-bit floats.
 
 use super::{DataArray, Simplices, Surface, SurfaceFile, check_indices};
 use crate::TriangleMesh;

@@ -10,8 +10,8 @@ use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::process::ExitCode;
 
-/// First argument of a command line that is checked but not run. The second argument is a [`Known`]
-/// as JSON.
+/// First argument of a command line that the stage checks without running it. The second argument
+/// is a [`Known`] as JSON.
 pub const CHECK_OPTIONS: &str = "--check-options";
 
 /// Information about a case that is available before its stages run. Each stage adds its own

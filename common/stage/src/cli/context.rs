@@ -1,4 +1,4 @@
-//! The context of a running stage: messages, timing, progress, history and report.
+//! The context of a running stage, which collects the data for its history and report.
 
 use super::report::Report;
 use super::{CommonArgs, Outcome, Progress, ProgressMode, interrupt};
@@ -16,7 +16,8 @@ use std::time::Instant;
 /// Version of all stages, which are released together.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// The context of one run. A stage uses it for messages, timing, progress, history and report.
+/// The context of one run: prints messages and progress, times steps, and creates the history and
+/// the report.
 pub struct Context {
     /// Name of the stage.
     pub tool: &'static str,

@@ -9,8 +9,9 @@ impl Context {
     /// more than the free memory of the machine.
     ///
     /// # Errors
-    /// If `needed` (in bytes) exceeds the limit. In the message, `what` states what needs the
-    /// memory (a file and a number), and `next` states how to reduce the memory use.
+    /// If `needed` (in bytes) exceeds the limit. In the message, `what` names the data that needs
+    /// the memory, such as a file and its number of particles, and `next` states how to reduce the
+    /// memory use.
     pub fn check_memory(&self, needed: f64, what: &str, next: &str) -> Result<()> {
         let (limit, whose) = match (self.common.max_memory, available_memory()) {
             (Some(limit), _) => (limit, "MAX_MEMORY (--max-memory) allows"),
@@ -33,9 +34,9 @@ impl Context {
 }
 
 /// Estimates the memory use of `reconstruct` in bytes from the number of particles and the number
-/// of grid nodes. Each particle needs at most 1,403 bytes (real volumes in
-/// `docs/developer/performance.md`), and each node 15.5 bytes
-/// (`stages/distfield/benches/costs.py`).
+/// of grid nodes. Each particle needs at most 1,403 bytes, as measured on the real volumes in
+/// `docs/developer/performance.md`. Each node needs 15.5 bytes, as measured by
+/// `stages/distfield/benches/costs.py`.
 pub fn particles_bytes(particles: f64, nodes: usize) -> f64 {
     1403.0 * particles + 15.5 * nodes as f64
 }

@@ -41,9 +41,9 @@ pub enum ProgressMode {
     /// A bar on a terminal, otherwise lines.
     #[default]
     Auto,
-    /// A bar that is redrawn in place.
+    /// A progress bar that is redrawn in place.
     Bar,
-    /// A plain line every few seconds.
+    /// A line of plain text every few seconds.
     Lines,
     /// No progress.
     None,
@@ -53,27 +53,28 @@ pub enum ProgressMode {
 #[expect(missing_docs, reason = "clap prints a doc comment of flattened options as the description of the program")]
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct CommonArgs {
-    /// Print more to stderr (-vv: even more)
+    /// Print more to stderr (-vv for even more)
     #[arg(short, long, action = clap::ArgAction::Count, help_heading = SHARED_OPTIONS)]
     pub verbose: u8,
-    /// Print only warnings and errors, no progress
+    /// Print only warnings and errors, without progress
     #[arg(short, long, conflicts_with = "verbose", help_heading = SHARED_OPTIONS)]
     pub quiet: bool,
-    /// Replace existing outputs; without this option they are kept and the run is refused
+    /// Overwrite existing output files; without this option, an existing output file is kept and
+    /// reported as an error
     #[arg(long, help_heading = SHARED_OPTIONS)]
     pub force: bool,
     /// Number of CPU threads, 0 for all cores; does not affect the result
     #[arg(long, value_name = "N", default_value_t = 0, help_heading = SHARED_OPTIONS)]
     pub threads: usize,
-    /// Maximum memory of the run, such as 8G or 500M; a run that is expected to need more is
-    /// refused before it starts [default: the free memory of the machine]
+    /// Memory limit, such as 8G or 500M; a run that is expected to exceed it is rejected before it
+    /// starts [default: the free memory of the machine]
     #[arg(long, value_name = "BYTES", value_parser = values::bytes, help_heading = SHARED_OPTIONS)]
     pub max_memory: Option<u64>,
-    /// Seed of the random numbers, an integer from 0; the same seed gives the same output bytes
+    /// Seed for random numbers, an integer of at least 0; the same seed gives byte-identical output
     #[arg(long, value_name = "N", default_value_t = 1, help_heading = SHARED_OPTIONS)]
     pub seed: u64,
-    /// Write a JSON report of all parameters, measurements and checks to this file (always
-    /// replaced)
+    /// Write a JSON report of all parameters, measurements and checks to this file; an existing
+    /// file is always overwritten
     #[arg(long, value_name = "FILE.json", help_heading = SHARED_OPTIONS)]
     pub report: Option<PathBuf>,
     /// How to show progress on stderr
@@ -81,7 +82,7 @@ pub struct CommonArgs {
     pub progress: ProgressMode,
 }
 
-/// Properties of a stage's options that [`run_stage`] needs.
+/// Command-line options of a stage, as [`run_stage`] requires them.
 pub trait StageArgs {
     /// Returns the shared options.
     fn common(&self) -> &CommonArgs;
@@ -135,7 +136,7 @@ pub fn exit_code(result: &Result<Outcome>) -> u8 {
     }
 }
 
-/// Stack size of each thread in bytes: the size that the main thread has on Linux.
+/// Stack size of each thread in bytes, equal to the default for the main thread on Linux.
 const STACK_BYTES: usize = 8 << 20;
 
 /// Runs a stage program. Parses the command line, sets up threads and signals, checks the outputs,
@@ -165,7 +166,7 @@ pub fn run_stage<A: clap::Parser + StageArgs + Sync>(
     let mut common = args.common().clone();
     let report = check_report(common.report.as_deref(), &outputs);
     if report.is_err() {
-        // do not replace a file that is not a report, even to report this error
+        // do not write the report of this error over a file that is not a report
         common.report = None;
     }
     let context = Context::new(tool, command_line, common, args.parameters()).with_outputs(outputs);

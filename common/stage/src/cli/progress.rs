@@ -6,7 +6,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Time between two progress lines. This limits a log to 720 lines per hour.
+/// Minimum time between two progress lines, which limits a log to 720 lines per hour.
 const LINE_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Progress of one computation. Several threads may share it. The display ends when the value is
@@ -58,8 +58,8 @@ impl Progress {
         Self { label: label.to_owned(), total, done: AtomicU64::new(0), started: Instant::now(), shown }
     }
 
-    /// Adds `amount` to the completed work. The call is cheap, but should be made per slice or
-    /// chunk, not per voxel.
+    /// Adds `amount` to the completed work. Loops call this function once per slice or chunk, not
+    /// once per voxel.
     pub fn add(&self, amount: u64) {
         let done = self.done.fetch_add(amount, Ordering::Relaxed).saturating_add(amount);
         self.show(done);

@@ -80,7 +80,7 @@ impl CommandLine {
         let files = Arg::new("FILES")
             .num_args(0..)
             .value_hint(ValueHint::AnyPath)
-            .help("Input files, in the order that --help shows");
+            .help("Input files, in the order shown by --help");
         Command::new(kept(&self.name)).args(self.options.iter().map(arg)).arg(files)
     }
 }

@@ -95,7 +95,7 @@ mod tests {
     }
 
     /// Found by fuzzing (case 1): an OB element of undefined length that is not pixel data.
-    /// dicom-rs parses the contents of its items as elements, so the check must follow them too.
+    /// dicom-rs parses the contents of its items as elements, so the check must do the same.
     #[test]
     fn elements_in_items_of_bytes_lie_within_as_well() {
         let says = |length: u32| {
@@ -118,7 +118,7 @@ mod tests {
             elements.extend([b' '; 0x4353]);
             lies_within(&dicom(b"1.2.840.10008.1.2\0\0\0", &elements))
         };
-        // with explicit VRs, the first length would be parsed as the VR `CS` and a length of 2
+        // with explicit VRs, the first length would be parsed as VR `CS` with length 2 and accepted
         assert!(!says(0x0002_5343) && says(0x4352));
     }
 

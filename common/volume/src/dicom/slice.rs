@@ -11,17 +11,17 @@ use glam::DVec3;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-/// Tolerance for the directions in a header. It applies to the length of unit vectors, to the dot
-/// product of perpendicular ones, and to the relative difference between vectors that should be
-/// equal. Directions are decimal strings, which some programs round to four decimals. Rounding
-/// changes a unit vector by at most sqrt(3) * 5e-5 = 8.7e-5, so the tolerance is more than 5 times
-/// the combined error of two vectors.
+/// Tolerance for the directions in a header. It limits the deviation of a unit vector's length from
+/// 1, the dot product of perpendicular unit vectors, and the relative difference between vectors
+/// that should be equal. Some programs round directions to four decimals. Rounding changes a unit
+/// vector by at most sqrt(3) * 5e-5 = 8.7e-5, so the tolerance is more than 5 times the combined
+/// error of two vectors.
 pub(super) const DIRECTION_TOLERANCE: f64 = 1e-3;
 
 /// UID of the RLE transfer syntax, which [`rle`] decodes.
 const RLE_LOSSLESS: &str = "1.2.840.10008.1.2.5";
 
-/// A file that contains an image, possibly a slice of a volume.
+/// A DICOM file that contains an image, which may be a slice of a volume.
 #[derive(Debug)]
 pub(super) struct Picture {
     /// Kind of DICOM object (SOP class UID).

@@ -10,14 +10,13 @@ use glam::DVec3;
 use std::path::Path;
 
 /// Maximum distance from a slice to its position in an evenly spaced stack, in units of the slice
-/// distance. The limit detects a missing inner slice: if N slices remain, the largest distance is
-/// 1/3 for N = 3, and at least (N - 2) / (2 N) >= 0.25 for N >= 4.
+/// distance. The limit detects a missing inner slice: if N slices remain, the maximum distance is
+/// 1/3 for N = 3, and at least `(N - 2) / (2 N)`, which is 0.25 or more, for N >= 4.
 const LARGEST_SHIFT: f64 = 0.1;
 
-/// Tolerance for rounded positions, in units of the slice distance. Rounding to 0.01 mm moves a
-/// slice by up to 0.5 % of the slice distance if slices are 1 mm apart. Larger deviations from even
-/// spacing are reported. Two slices that are this close or closer are treated as having the same
-/// position.
+/// Tolerance for rounded positions, in units of the slice distance. If slices are 1 mm apart,
+/// rounding to 0.01 mm moves a slice by up to 0.005. Deviations from even spacing above this
+/// tolerance are reported. Slices closer together than this tolerance count as duplicates.
 const ROUNDING: f64 = 0.01;
 
 /// The slices of a volume in spatial order, and the grid that they form.
@@ -138,8 +137,8 @@ fn check_doubles(slices: &[Slice], places: &[f64]) -> Result<()> {
 }
 
 /// Fails if a gap between slices differs from the median gap by more than the fraction
-/// [`LARGEST_SHIFT`], and reports the first such gap. If there is none, some slices are shifted
-/// sideways.
+/// [`LARGEST_SHIFT`], and reports the first such gap. Otherwise, an uneven stack has slices that
+/// are shifted sideways.
 fn check_gaps(slices: &[Slice], places: &[f64]) -> Result<()> {
     let gaps: Vec<f64> = places.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let mut sorted = gaps.clone();

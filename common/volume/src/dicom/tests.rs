@@ -199,7 +199,7 @@ fn series_that_are_not_volumes_do_not_prevent_reading() {
 #[test]
 fn files_without_preamble_or_file_group_are_read() {
     let expected = read_volume(folder_of(&stack()).path()).expect("a volume");
-    // remove the preamble, then also the letters DICM, then also the file meta group
+    // remove only the preamble, then the letters DICM as well, then the file meta group as well
     for kept in ["DICM", "group", "data set"] {
         let folder = folder_of(&stack());
         for n in 0..3 {

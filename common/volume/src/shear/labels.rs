@@ -1,10 +1,10 @@
 //! Resamples labels to the orthonormal grid.
 //!
 //! A new voxel lies between two old voxels of its row. If both have the same label, the new voxel
-//! gets that label. If the labels differ, choosing the nearer one would shift each row by up to
-//! half a voxel and roughen every surface. This rounding is used only where a label is one voxel
-//! long in its row. Elsewhere, the new voxels between the same two labels in a slice are sorted by
-//! a score, which compares the weights of the two labels in the neighbourhood. The voxels with the
+//! gets that label. If the labels differ, rounding to the nearer voxel would shift each row by up
+//! to half a voxel and roughen every surface. Rounding is used only where a label is one voxel long
+//! in its row. Elsewhere, the new voxels between the same two labels in a slice are sorted by a
+//! score, which compares the weights of the two labels in the neighbourhood. The voxels with the
 //! highest scores get the first label; linear interpolation determines their number.
 
 use super::{Pass, Shear};
@@ -26,7 +26,7 @@ struct Undecided<T> {
     at: usize,
     /// The two labels, the one with the lower key first.
     pair: [T; 2],
-    /// Weight of the first label in the neighbourhood minus the weight of the second label there.
+    /// Weight of the first label minus weight of the second label in the neighbourhood.
     score: f64,
     /// Weight of the first label in linear interpolation.
     share: f64,
@@ -80,7 +80,7 @@ impl<T: Label> OldLabels<'_, T> {
         }
     }
 
-    /// Returns the weight of label `a` around a new voxel minus the weight of label `b` there.
+    /// Returns the weight of label `a` minus the weight of label `b` around a new voxel.
     fn vote(&self, [a, b]: [T; 2], n: usize, row: usize, k: usize) -> f64 {
         let side = |label: T| f64::from(u8::from(label == a)) - f64::from(u8::from(label == b));
         let mut sum = 0.0;

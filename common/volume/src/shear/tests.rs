@@ -80,7 +80,7 @@ fn labels_keep_their_voxels_and_roundness() {
     let moved = shear.move_labels(&Voxels::U8(mask), Some(0));
     assert_eq!(counts(&moved)[&1], 11_536);
     let Voxels::U8(moved) = moved else { panic!("another type") };
-    // measured: 126 voxels are on the wrong side of the ellipsoid's surface; with rounding, 310
+    // measured: 126 voxels are on the wrong side of the ellipsoid; with rounding only, 310 would be
     let right = sampled(&shear.geometry, |world| u8::from(ball(old.grid_to_index(old.world_to_grid(world)))));
     let wrong = moved.iter().zip(&right).filter(|(a, b)| a != b).count();
     assert!(wrong < 150, "{wrong} voxels differ");

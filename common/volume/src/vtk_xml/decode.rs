@@ -8,7 +8,7 @@ use std::io::{self, BufRead, Read};
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Layout {
     pub(super) endian: Endian,
-    /// Whether the numbers in array headers have 64 bits instead of 32.
+    /// True if the numbers in array headers have 64 bits, false if they have 32 bits.
     pub(super) wide_header: bool,
     pub(super) compressed: bool,
 }

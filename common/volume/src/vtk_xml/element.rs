@@ -233,8 +233,9 @@ type Appended = Option<(u64, bool)>;
 /// data.
 fn read_head(path: &Path, reader: &mut impl BufRead) -> Result<(Vec<u8>, Appended)> {
     const TAG: &[u8] = b"<AppendedData";
-    // If the data is appended, the XML has about 100 bytes per array. XML above this length
-    // therefore contains the array values themselves, and parsing it creates a second copy of them.
+    // Length in bytes above which the XML is assumed to contain the array values. Parsing it then
+    // creates a second copy of the values. With appended data, the XML has about 100 bytes per
+    // array.
     const SHORT_XML: usize = 64 << 20;
     let mut head = Vec::new();
     let mut searched = 0usize;

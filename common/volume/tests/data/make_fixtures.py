@@ -122,7 +122,7 @@ def make_nrrd():
             by_unu(f"nrrd/{name}", "int16", UNIT)
         name = f"unu_detached_{encoding}.nhdr"
         # Teem 1.12 swaps the bytes of ASCII values if a non-native byte order is requested, so
-        # ASCII files use little endian.
+        # ASCII files are written as little-endian.
         order = "little" if encoding == "ascii" else "big"
         subprocess.run([UNU, "save", "-f", "nrrd", "-e", encoding, "-en", order, "-i", "plain.nrrd", "-o", name],
                        cwd=folder, check=True)
@@ -437,7 +437,7 @@ def make_edited():
         assert mesh.n_cells == 4 and mesh.is_all_triangles, suffix
         for point in world:
             assert np.abs(mesh.points - point).max(axis=1).min() <= max(tolerance, 1e-14) * 30, (suffix, point)
-        # The normals point outward, although the volume is left-handed.
+        # The normals point outward, although the grid is left-handed.
         assert np.isclose(mesh.volume, 1 / 18, atol=1e-6), (suffix, mesh.volume)
         normals = mesh.compute_normals(consistent_normals=False, auto_orient_normals=False, point_normals=False)
         out = normals.cell_centers().points - mesh.points.mean(axis=0)

@@ -206,7 +206,7 @@ def command_of(arguments: Sequence[str]) -> list[str]:
 def main() -> NoReturn:
     """Run the command line.
 
-    The program replaces this process, so signals and exit codes are those of the program.
+    The program replaces this process, so it receives the signals and returns the exit code.
     """
     arguments = sys.argv[1:]
     if not arguments or arguments[0] in ("help", "-h", "--help") or (len(arguments) > 1 and is_help(arguments)):

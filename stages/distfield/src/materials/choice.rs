@@ -11,7 +11,7 @@ use std::str::FromStr;
 /// Name of the material that contains all labels not assigned to another material.
 pub const OUTSIDE: &str = "outside";
 
-/// Maximum number of materials listed in an error message.
+/// Maximum number of materials listed in an error message. Forty materials fill a screen.
 const MOST_LISTED: usize = 40;
 
 /// One `--material` option. [`resolve`] converts it to labels of a volume.
@@ -72,7 +72,7 @@ pub struct Chosen {
 }
 
 impl Chosen {
-    /// Returns the number of the material of a label, or 0 if the label belongs to no material.
+    /// Returns the material number of a label, or 0 if the label belongs to no material.
     pub fn number(&self, label: LayerLabel) -> u16 {
         self.number.get(&label).copied().unwrap_or(MaterialId::OUTSIDE.0)
     }

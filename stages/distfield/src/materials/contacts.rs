@@ -11,10 +11,10 @@
 //! - At the midpoint, no material that is absent from the corners may have the smallest indicator,
 //!   or nearly the smallest. On an edge, both corner materials must have smaller indicators than
 //!   all others.
-//! - If the corners of a face differ along all four edges, the corners of either diagonal may
-//!   touch, or be connected if they have the same material. If a material has exactly two corners
-//!   of a cell and they are opposite, they may be connected or not. The indicators make these open
-//!   decisions, and the correction gives each decision a margin.
+//! - If the ends of every edge of a face have different materials, the corners of either diagonal
+//!   may touch, or be connected if they have the same material. If a material has exactly two
+//!   corners of a cell and they are opposite, they may be connected or not. The indicators make
+//!   these open decisions, and the correction gives each decision a margin.
 //!
 //! An indicator that violates the margin is raised at the corners of other materials, where another
 //! indicator is already smaller. No node changes its material.
@@ -48,17 +48,17 @@ const TIE: f64 = 0.004;
 
 /// Target margin of a raise, relative to the required margin. A raise that increases its indicator
 /// at one midpoint decreases it at the next midpoint by 0.13 / 0.6 = 22 % of that amount (see
-/// [`MOST_ROUNDS`]). The excess of 25 % compensates for about one such loss. With 1, 1.25 and 1.5,
-/// 1137, 43 and 51 contacts of `frog_tissue_labels` have less than the required margin (`near` in
-/// the report of `make distfield MATERIALS=all`).
+/// [`MOST_ROUNDS`]). The excess of 25 % compensates for about one such loss. With a target of 1,
+/// 1.25 and 1.5, the margin is below the required one at 1137, 43 and 51 contacts of
+/// `frog_tissue_labels` (`near` in the report of `make distfield MATERIALS=all`).
 const AIM: f64 = 1.25;
 
 /// Maximum total raise of an indicator sample, in units of the mean voxel spacing. Adjacent raises
 /// can feed back indefinitely, and a steeper indicator moves interfaces towards nodes. If an
 /// interface lies midway between two nodes one voxel apart, its indicators differ by 1 and -1 voxel
 /// at the nodes. A raise of 1 changes these differences to 2 and -1, so the interface moves to a
-/// third of the edge. With 0.5, 1 and 2, `frog_tissue_labels` loses 17, 0 and 0 contacts (`left` in
-/// the report of `make distfield MATERIALS=all`).
+/// point one third of the way along the edge. With 0.5, 1 and 2, `frog_tissue_labels` loses 17, 0
+/// and 0 contacts (`left` in the report of `make distfield MATERIALS=all`).
 const MOST_RAISE: f64 = 1.0;
 
 /// Effect of a unit raise at a node on the value at the midpoint of an adjacent grid edge. It is
@@ -77,15 +77,15 @@ const MOST_ROUNDS: usize = 40;
 /// Report of the contacts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct ContactReport {
-    /// Number of pairs of a midpoint and a material of none of its corners whose margin was too
-    /// small before the raises.
+    /// Number of pairs of a midpoint and a material absent from its corners for which the indicator
+    /// of the material had too small a margin before the raises.
     pub crossed: usize,
     /// Number of open decisions whose margin was too small before the raises.
     pub undecided: usize,
     /// Number of indicator samples raised.
     pub raised: usize,
-    /// Number of pairs, as in `crossed`, in which the indicator is still smaller than one that it
-    /// must exceed.
+    /// Number of pairs, as in `crossed`, for which the indicator is still smaller, after the
+    /// raises, than one that it must exceed.
     pub left: usize,
     /// Number of other pairs and open decisions whose margin is still too small after the raises.
     pub near: usize,
@@ -289,7 +289,8 @@ impl GridElements {
             let known: Vec<MaterialId> = materials.known_in(brick).map(|(id, _)| id).collect();
             let first =
                 [brick % bricks[0], brick / bricks[0] % bricks[1], brick / (bricks[0] * bricks[1])].map(|n| n * CELLS);
-            // the last nodes of a brick belong to the next brick, except at the end of the grid
+            // the last layer of nodes of a brick belongs to the next brick, except at the end of
+            // the grid
             let is_last = |a: usize| first[a] + CELLS + 1 == size[a];
             let nodes: [usize; 3] = std::array::from_fn(|a| CELLS + usize::from(is_last(a)));
             let mut elements = Vec::new();

@@ -53,8 +53,8 @@ pub struct Tally {
     pub parts: [Parts; 2],
     /// Number of voxel centres where the indicator has the wrong sign.
     pub changed: usize,
-    /// Number of ambiguous faces at which the indicator connects the parts that touch there
-    /// differently from its level set.
+    /// Number of ambiguous faces at which the indicator and its level set connect the ends of
+    /// different diagonals.
     pub undecided: usize,
     /// Changes due to the scale; `None` without a scale, or if the whole material vanishes.
     pub changes: Option<Changes>,
@@ -87,7 +87,7 @@ impl Monitor for Quiet<'_> {
     }
 }
 
-/// Computes the indicators.
+/// Computes the indicators of all materials.
 ///
 /// # Errors
 /// If a material has no voxel or no border, if the indicators are inconsistent, or if the run is
@@ -162,8 +162,8 @@ struct OneMaterial<'a> {
 }
 
 impl OneMaterial<'_> {
-    /// Computes the indicator, the bricks where it is negative throughout, and its tally. `scaled`
-    /// contains the level sets, if there is a scale.
+    /// Computes the indicator, the bricks where it is negative throughout, and the measurements.
+    /// `scaled` contains the level sets, if there is a scale.
     fn indicator(
         &self,
         scaled: Option<&Levels>,
@@ -186,8 +186,8 @@ impl OneMaterial<'_> {
         Ok((indicator, tally))
     }
 
-    /// Returns the box to compute without a scale: the bounding box of the voxels, enlarged by
-    /// [`room_of_labels`].
+    /// Returns the box in which the indicator is computed without a scale: the bounding box of the
+    /// voxels, enlarged by [`room_of_labels`].
     fn kept(&self) -> VoxelBox {
         let Extent { low, high, .. } = self.extent;
         VoxelBox { low, high }.with_room(room_of_labels(self.grid.margin), self.grid.geometry.size).on_coarse_nodes()
@@ -201,7 +201,7 @@ impl OneMaterial<'_> {
             return Ok((None, first, Tally::default()));
         };
         self.negate_if_outside(&mut field);
-        // components of the voxels, not of the smoothed object
+        // count the components of the voxels, not of the smoothed object
         let components = changes.as_ref().map_or(parts_before.components, |changes| changes.components[0]);
         let before = Parts { components, ..parts_before };
         let tally = Tally { voxels: 0, parts: [before, parts_after], changed: 0, undecided, changes };

@@ -152,8 +152,8 @@ impl Coarser for LabelGrid {
         &self.geometry
     }
 
-    /// Assigns each coarse voxel to the most frequent material of its eight voxels. Ties go to the
-    /// material that occurs first among these voxels (x fastest).
+    /// Assigns to each coarse voxel the most frequent material among its eight voxels. Ties go to
+    /// the material that occurs first among these voxels (x fastest).
     fn halved(&self) -> Self {
         let [nx, ny, nz] = self.geometry.size;
         let size = self.geometry.size.map(|n| n.div_ceil(2));

@@ -33,7 +33,7 @@ pub struct Islands {
 /// Consecutive voxels of one material in a row.
 #[derive(Clone, Copy)]
 struct Run {
-    /// Index of the first voxel, and index after the last voxel.
+    /// Index of the first voxel, and one more than the index of the last voxel.
     voxels: [usize; 2],
     material: u16,
 }

@@ -27,8 +27,8 @@ impl Scales {
     }
 
     /// Derives the scales from edge lengths of materials. `base` is the scale of pairs without an
-    /// edge length; 0 stands for 2.7 voxels. `voxel` is the mean spacing in mm. Returns `None` if
-    /// no pair needs a scale: every voxel centre then stays in its material.
+    /// edge length; if it is 0, they use 2.7 voxels. `voxel` is the mean spacing in mm. Returns
+    /// `None` if no pair needs a scale: every voxel centre then stays in its material.
     pub fn new(base: Scale, given: Given, voxel: f64) -> Option<Self> {
         let smallest = LEAST_SCALE * voxel;
         let needs = base.length > 0.0 || given.largest().is_some_and(|size| size > FINE_ENOUGH * voxel);

@@ -75,9 +75,10 @@ struct Sums {
 ///
 /// The area of an interface is a sum over the grid edges that it crosses. Each edge contributes the
 /// area of its dual face times |n_a|, where n_a is the component of the unit normal along the edge.
-/// The dual faces perpendicular to axis a cover |n_a| dA of an element dA, which therefore
-/// contributes n_a^2 dA, and the squares of n_a sum to one. The volume of a material is the volume
-/// enclosed by the surface where its indicator equals the smallest of all other indicators.
+/// For axis a, the dual faces of the edges crossed by an interface element dA have a total area of
+/// |n_a| dA. The element therefore contributes n_a^2 dA, and the squares of n_a sum to one. The
+/// volume of a material is the volume enclosed by the surface where its indicator equals the
+/// smallest of all other indicators.
 ///
 /// # Errors
 /// If the run is interrupted.
@@ -131,7 +132,7 @@ pub fn survey(
 
 /// Returns the material of each node and the distance (mm) from the nearest interface, at most
 /// [`distance_limit`]. Also returns, for each slice, the number of counted nodes of each material
-/// where another material has the smaller indicator.
+/// where another material has a smaller indicator.
 fn survey_nodes(
     indicators: &impl Indicators,
     geometry: &Geometry,
@@ -201,7 +202,7 @@ impl NodesNear<'_> {
     /// Returns the volume (mm^3) of a material whose nodes lie in `extent`. The material is closed
     /// half a voxel beyond the counted nodes.
     fn volume(&self, indicators: &impl Indicators, id: MaterialId, extent: VoxelBox) -> f64 {
-        // one more node on each face, possibly beyond the grid
+        // add one node on each face, which may lie beyond the grid
         let size = extent.size().map(|n| n + 2);
         let first = DVec3::from_array(extent.low.map(|n| n as f64 - 1.0));
         let nodes = Geometry { size, ..self.geometry.clone() };
@@ -280,7 +281,7 @@ fn distinct<const N: usize>(mut numbers: [u16; N]) -> usize {
 }
 
 impl Sums {
-    /// Counts a grid face by the materials of its corners.
+    /// Counts a grid face by the number of materials at its corners.
     fn add_face(&mut self, corners: [u16; 4]) {
         match distinct(corners) {
             3 => self.junctions.edges_of_three += 1,
@@ -289,7 +290,7 @@ impl Sums {
         }
     }
 
-    /// Adds the interface between a node and the next node along an axis.
+    /// Adds the interface crossing between a node and the next node along an axis.
     fn add_crossing(
         &mut self,
         indicators: &impl Indicators,

@@ -1,5 +1,5 @@
-//! Tests with many materials on known shapes: positions and number of particles, and forces on
-//! them.
+//! Tests with many materials on known shapes: positions and number of the particles, and the forces
+//! on them.
 
 use super::scenes::{Body, CENTRE, RADIUS, corners, nested, sectors, stratum};
 use super::*;
@@ -78,7 +78,7 @@ fn interfaces_are_filled_to_their_borders() {
 
 /// On a plane with a straight border, the first rows contain as many particles as the border and
 /// are 0.866 h apart. Lattice defects displace 2 to 3 % of the particles in the first row by more
-/// than 0.12 of the row distance: about one particle in every second run. The test therefore
+/// than 0.12 row distances, that is, about one particle in every other run. The test therefore
 /// averages over several seeds.
 #[test]
 fn rows_along_a_straight_border_are_those_of_the_lattice() {

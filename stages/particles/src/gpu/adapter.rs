@@ -51,8 +51,9 @@ impl fmt::Display for AdapterSummary {
 /// Criteria for the selection of an adapter.
 #[derive(Clone, Debug, Default)]
 pub struct AdapterChoice {
-    /// Part of the adapter's name, case-insensitive. Without a name the first GPU is selected, and
-    /// discrete GPUs are preferred. Software renderers are selected only by name.
+    /// Part of the adapter's name, case-insensitive. Without a name, the first GPU in the order of
+    /// [`adapters`] is selected, so discrete GPUs are preferred. Software renderers are selected
+    /// only by name.
     pub name: Option<String>,
     /// Disables subgroup operations (to find out whether a driver implements them incorrectly).
     pub no_subgroups: bool,
@@ -79,14 +80,16 @@ pub struct Gpu {
     /// Message of the first uncaptured error of the device; the loss of the device counts as an
     /// error.
     failure: Arc<Mutex<Option<String>>>,
-    /// Compiled kernels: for one or several slabs, and for one object or many materials.
+    /// Compiled kernels of each variant: fields in one or several slabs, and one object or many
+    /// materials.
     kernels: Mutex<[Option<Arc<Kernels>>; 4]>,
 }
 
 fn instance() -> wgpu::Instance {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
-    // Validation of indirect dispatches is disabled: the kernels keep the dispatch sizes within the
-    // limits, and each validation would cost an extra compute pass.
+    // This flag admits drivers that do not conform to their API. It replaces the default flags,
+    // which validate indirect dispatches: each validation would cost an extra compute pass, and the
+    // kernels already keep the dispatch sizes within the limits.
     descriptor.flags = wgpu::InstanceFlags::ALLOW_UNDERLYING_NONCOMPLIANT_ADAPTER;
     wgpu::Instance::new(descriptor)
 }
@@ -111,7 +114,7 @@ fn summary(adapter: &wgpu::Adapter) -> AdapterSummary {
     }
 }
 
-/// Returns the adapters of this machine in order of preference.
+/// Returns the adapters of this machine, the preferred adapter first.
 pub fn adapters() -> Vec<AdapterSummary> {
     found(&instance()).iter().map(summary).collect()
 }
@@ -260,7 +263,7 @@ impl Gpu {
         self.timestamps
     }
 
-    /// Returns a description of the limits for verbose mode.
+    /// Returns a description of the adapter's limits for verbose output.
     pub fn limits_in_words(&self) -> String {
         format!(
             "limits: {} storage buffers per kernel, {} bytes of workgroup memory, subgroups of {} to {}; sums by {}",

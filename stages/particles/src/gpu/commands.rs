@@ -1,6 +1,7 @@
 //! Encodes the commands of a pass into one command buffer. With profiling enabled, the device
-//! writes a timestamp before and after each kernel. For few particles, encoding on the host takes
-//! as long as execution on the device, so the next pass is encoded while the device works.
+//! writes a timestamp before and after each kernel. With few particles, encoding on the host takes
+//! as long as execution on the device. The host therefore encodes the next pass while the device
+//! works.
 
 use super::adapter::Gpu;
 use super::constants::GROUPS_PER_ROW;
@@ -38,9 +39,8 @@ pub(crate) struct Profile {
     pub times: BTreeMap<&'static str, (f64, u64)>,
 }
 
-/// Maximum number of dispatches with timestamps per pass; additional dispatches are not timed. A
-/// pass has at most 70 dispatches ([`steps`](super::schedule::steps) with density control and 32
-/// classes).
+/// Maximum number of timed dispatches per pass; additional dispatches are not timed. A pass has at
+/// most 70 dispatches ([`steps`](super::schedule::steps) with density control and 32 classes).
 const MOST_TIMED_DISPATCHES: u32 = 128;
 
 /// Encoded commands that can be submitted once.
@@ -70,8 +70,8 @@ pub(crate) fn encode(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], pro
                 let Some(kernel) = command.kernel() else { continue };
                 let timestamp_writes =
                     profile.queries.as_ref().filter(|_| timed.len() < MOST_TIMED_DISPATCHES as usize).map(|q| {
-                        // timestamps apply to whole compute passes, so each kernel gets its own
-                        // compute pass
+                        // timestamps are written only at the start and end of a compute pass, so
+                        // each timed kernel gets its own compute pass
                         pass = None;
                         let at = 2 * timed.len() as u32;
                         timed.push(kernel);

@@ -1,6 +1,6 @@
 //! Constants of the kernels, defined once in Rust. The source of every kernel begins with
-//! declarations of the same names. A second definition in a `.wgsl` file is a redefinition error in
-//! naga.
+//! declarations of the same names. A second definition in a `.wgsl` file causes a redefinition
+//! error in naga.
 
 use super::differences::{INDEX_BRICKS, MORE_INTERFACES, NEVER_REAL};
 use crate::constants::{
@@ -21,11 +21,11 @@ pub(crate) const PARTICLE_GROUP: u32 = 64;
 /// Workgroup size of kernels with workgroup-wide sums: the maximum that every WebGPU adapter
 /// supports (default of `maxComputeInvocationsPerWorkgroup`).
 pub(crate) const SUM_GROUP: u32 = 256;
-/// Number of elements per invocation in a prefix sum or in the totals. With eight, the single
-/// workgroup of `scan_sums` processes the block sums of 524,288 elements (8 x 256 x 256) in one
-/// round.
+/// Number of elements per invocation in prefix sums and in the computation of the totals. With
+/// eight, the single workgroup of `scan_sums` processes the block sums of 524,288 elements (8 x 256
+/// x 256) in one round.
 pub(crate) const SUM_ELEMENTS: u32 = 8;
-/// Number of elements per workgroup in a prefix sum or in the totals.
+/// Number of elements per workgroup in prefix sums and in the computation of the totals.
 pub(crate) const SUM_BLOCK: u32 = SUM_GROUP * SUM_ELEMENTS;
 
 /// Maximum number of classes: one for each bit of a word.
@@ -48,9 +48,9 @@ const _: () = assert!(
     "a particle could go in a pass to where it interacts with those beyond the next bin"
 );
 
-/// Maximum number of bin levels, which is the size of an array in the shaders. Twelve octaves cover
-/// a ratio of 4096 between maximum and minimum h. Particles with smaller h use the last level,
-/// whose bins then contain more particles.
+/// Maximum number of bin levels, which is the length of the array `levels` in the shaders. Twelve
+/// octaves cover a ratio of 4096 between maximum and minimum h. Particles with smaller h use the
+/// last level, whose bins then contain more particles.
 pub(crate) const MOST_LEVELS: usize = 12;
 
 /// Flag in the word `outcome` of a particle: the particle took a step. The low bits contain the
@@ -79,9 +79,9 @@ const CHECKS_GO_ON: u32 = 2;
 /// moves. The value is eight ulps of f32 (eight times 2^-23). An energy is a sum over about 18
 /// neighbours, so its rounding error is a few ulps.
 const LEAST_DECREASE: f64 = 1e-6;
-/// The kernels treat the two eigenvalues of a Hessian as equal if each differs from their mean by
-/// at most this fraction of the mean. At this limit the rounding error of the eigenvectors in f32
-/// is about 1.2e-7 / 1e-6 = 0.1 radians.
+/// Maximum difference between an eigenvalue of a 2 x 2 Hessian and the mean of both, as a fraction
+/// of the mean, at which the kernels treat the two as equal. At this difference the rounding error
+/// of the eigenvectors in f32 is about 1.2e-7 / 1e-6 = 0.1 radians.
 const EQUAL_EIGENVALUES_F32: f64 = 1e-6;
 
 /// Index, in the buffer `words`, of the word with the total energy (the bits of an f32). The host
@@ -109,7 +109,7 @@ pub(crate) const WORD_CLASSES: usize = 9;
 /// Number of words.
 pub(crate) const WORDS: usize = 10;
 
-/// Passed to the device instead of the number of particles if the host does not know it yet.
+/// Value of `count` in the block `Planned` if the host does not know the number of particles yet.
 pub(crate) const COUNT_ON_DEVICE: u32 = u32::MAX;
 
 /// Number of particles whose neighbour lists are interleaved: the subgroup size of most adapters.
@@ -202,7 +202,7 @@ pub(crate) fn declarations(team: (u32, u32)) -> String {
     constants(team)
         .iter()
         .map(|(name, value)| match value {
-            // `{:?}` prints the shortest decimal number that gives the same f32
+            // `{:?}` prints the shortest decimal number that parses to the same f32
             Value::Real(value) => format!("const {name}: f32 = {value:?};\n"),
             Value::Whole(value) => format!("const {name}: u32 = {value}u;\n"),
         })

@@ -7,15 +7,15 @@
 //! A particle therefore reads one coefficient per node, as with a single object. Two look-ups find
 //! the coefficients: the entry of the brick, and a record of the eight blocks of coefficients that
 //! the cells of the brick read. The entry and the record apply to the whole brick of 4 x 4 x 4
-//! cells. For most cells, the record rules out that a third material is closer. Storing both
-//! indicators of an interface instead of their difference would need twice the memory.
+//! cells. For most cells, the record rules out a closer third material. Storing both indicators of
+//! an interface instead of their difference would need twice the memory.
 //!
 //! The index consists of groups of four words:
 //!
 //! - Group 0: index of the first stratum, and three unused words.
 //! - From [`INDEX_BRICKS`]: one entry for each brick of the grid, with x varying fastest. An entry
-//!   contains two pairs, the pair of the interface closest to the brick centre first. A pair
-//!   consists of the number of an interface (or [`NO_INTERFACE`]) and the index of its record. If
+//!   contains two pairs; the pair of the interface closest to the brick centre comes first. A pair
+//!   consists of the index of an interface (or [`NO_INTERFACE`]) and the index of its record. If
 //!   the brick has more than two interfaces, the second pair is [`MORE_INTERFACES`] and the index
 //!   of the next entry.
 //! - The additional entries of bricks with more than two interfaces.
@@ -42,8 +42,8 @@ pub(crate) const INDEX_BRICKS: usize = 1;
 const NO_INTERFACE: u32 = u32::MAX;
 /// Marks a pair that links to the next entry.
 pub(crate) const MORE_INTERFACES: u32 = u32::MAX - 1;
-/// Stored instead of the number of checks if a third material fills the brick, so that no point of
-/// the brick lies on the interface.
+/// Value that replaces the number of checks if a third material fills the brick. No point of the
+/// brick then lies on the interface.
 pub(crate) const NEVER_REAL: u32 = u32::MAX;
 
 /// Marks a brick that no material fills. Also pads the materials of strata.
@@ -64,7 +64,7 @@ struct Pair {
     low: u16,
     high: u16,
     brick: u32,
-    /// Indices of the brick among the bricks of `low` and of `high`.
+    /// Indices of the brick among the stored bricks of `low` and of `high`.
     numbers: [u32; 2],
 }
 
@@ -79,7 +79,7 @@ impl Pair {
     }
 }
 
-/// Test of one third material in a brick that may contain an interface.
+/// Check for one third material in a brick that may contain an interface.
 struct Check {
     pair: Pair,
     is_negative: bool,
@@ -193,8 +193,8 @@ fn entries_of(materials: &Materials, interfaces: &[Stratum], brick: usize) -> Ve
 
 /// Returns one bit for each cell of a brick, set if a third material may be as close there as the
 /// two materials of an interface. On the interface both indicators equal their mean. The test
-/// therefore uses the coefficients of the third indicator minus those of this mean; a spline is
-/// nowhere below the minimum of its coefficients.
+/// therefore subtracts the coefficients of this mean from the coefficients of the third indicator.
+/// A spline is nowhere below its minimum coefficient.
 fn near_cells(materials: &Materials, pair: &Pair, (third, number): (MaterialId, usize)) -> u64 {
     let indicator = &materials.indicators()[usize::from(third.0)];
     let [low, high] = pair.indicators(materials);
@@ -252,7 +252,7 @@ fn known_cells(materials: &Materials, pair: &Pair) -> u64 {
 }
 
 /// Blocks of the difference of one pair of materials: for each block, the blocks of the two
-/// indicators from which it is computed, and for each brick, the blocks that it reads.
+/// indicators from which it is computed, and for each brick, the blocks that its cells read.
 type Part = (Vec<[u32; 2]>, Vec<[u32; 8]>);
 
 /// Returns the coefficients of the differences in blocks, and the eight blocks that the cells of

@@ -5,7 +5,7 @@
 
 /// If `XDG_RUNTIME_DIR` is not an absolute path, restarts this program in the same process, with
 /// the same arguments and without the layer device_select. An environment variable disables the
-/// layer, and a running process cannot safely set such a variable for itself.
+/// layer, but a running process cannot safely set this variable for itself.
 ///
 /// Does nothing if the user controls the layer (`MESA_VK_DEVICE_SELECT`, `NODEVICE_SELECT`) or if
 /// the restart fails. The message may then appear, but it is harmless.

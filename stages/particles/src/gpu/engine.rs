@@ -74,10 +74,10 @@ pub struct GpuEngine<'a> {
     pub(super) set: usize,
     /// True if a particle has moved so far that the lists must be rebuilt.
     pub(super) stale: bool,
-    /// Number of classes that a pass dispatches. Each class costs a dispatch, so this number only
-    /// slightly exceeds the number of classes in use.
+    /// Number of classes that a pass dispatches. Empty classes cost a dispatch too, so this number
+    /// only slightly exceeds the number of classes in use.
     pub(super) classes: u32,
-    /// Absolute change in the number of particles during the last pass.
+    /// Absolute change in the number of particles in the last pass.
     pub(super) changed: u32,
     /// Last pass that controls the density.
     pub(super) last_control: u64,
@@ -167,7 +167,7 @@ impl<'a> GpuEngine<'a> {
 
     fn upload_particles(&mut self, set: &ParticleSet, strata: &[Stratum]) -> Result<()> {
         let count = u32::try_from(set.positions.len()).unwrap_or(u32::MAX);
-        // spare room for the first passes; `grow` enlarges the buffers later
+        // spare capacity for the first passes; `grow` enlarges the buffers later
         self.make_room(count.saturating_add(count / 8 + 512))?;
         let origin = device_origin(&self.geometry);
         let largest = self.levels.levels[0].largest;
@@ -191,9 +191,9 @@ impl<'a> GpuEngine<'a> {
         Ok(())
     }
 
-    /// Creates all buffers whose size depends on the number of particles, for `rows` particles. The
-    /// `listed_*` buffers have twice this capacity: a pass adds at most one newcomer per particle,
-    /// so density control cannot overflow them.
+    /// Creates all buffers whose size depends on the number of particles, with a capacity of `rows`
+    /// particles. The `listed_*` buffers have twice this capacity: a pass adds at most one newcomer
+    /// per particle, so density control cannot overflow them.
     fn make_room(&mut self, rows: u32) -> Result<()> {
         let none = wgpu::BufferUsages::empty();
         for name in ["place", "normal", "place_at_listing", "newcomer_place", "newcomer_normal"] {
@@ -228,7 +228,7 @@ impl<'a> GpuEngine<'a> {
         self.make_lists(self.list_room)
     }
 
-    /// Creates neighbour lists with a capacity of at least `members` particles each.
+    /// Creates neighbour lists, each with a capacity of at least `members` particles.
     ///
     /// # Errors
     /// If the lists exceed the limits of the adapter.
@@ -251,7 +251,7 @@ impl<'a> GpuEngine<'a> {
         self.gpu.queue.write_buffer(self.memory.get(name), 0, bytes);
     }
 
-    /// Enlarges the buffers. The state must be in the listed buffers.
+    /// Enlarges the buffers and copies the state. The state must be in the listed buffers.
     pub(super) fn grow(&mut self) -> Result<()> {
         let bytes = 16 * u64::from(self.count);
         let mut kept = Vec::new();
@@ -333,8 +333,8 @@ fn make_fixed_buffers(gpu: &Gpu, memory: &mut Memory, bins: u32) -> Result<()> {
     Ok(())
 }
 
-/// Uploads the coefficients of the surface, their index (if there is one) and the samples of h.
-/// Coefficients and samples are split into slabs of `slab_length` values.
+/// Uploads the coefficients of the surface, the index of the coefficients (only for many materials)
+/// and the samples of h. Coefficients and samples are split into slabs of `slab_length` values.
 fn upload_surface(
     gpu: &Gpu,
     memory: &mut Memory,

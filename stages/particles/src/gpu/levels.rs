@@ -13,13 +13,15 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// Maximum number of bins in a level. If a level would need more, its bins are made wider; the
-/// results are the same. The count and start of a bin take 8 bytes, so a level takes at most 32 MB.
+/// Maximum number of bins in a level. If a level would need more, its bins are made wider, which
+/// does not change the results. The count and start of a bin take 8 bytes, so a level takes at most
+/// 32 MB.
 const MOST_BINS: f64 = 4e6;
 
 /// Returns the voxel whose centre is the origin of device positions. It is near the middle of the
 /// grid, so that f32 positions have the best resolution. Because the origin is the centre of a
-/// voxel, the fractional position within a cell loses no precision.
+/// voxel, conversion to a grid index adds an integer and does not round the fractional position
+/// within a cell.
 pub(crate) fn centre_voxel(geometry: &Geometry) -> UVec3 {
     UVec3::from_array(geometry.size.map(|n| n as u32 / 2))
 }
@@ -77,7 +79,7 @@ impl BinLevels {
     /// Creates the levels from the fields near the surface. If `graded` is false, there is one
     /// level.
     pub(crate) fn new(fields: &Fields, graded: bool) -> Self {
-        // covers the cells that contain F = 0, and the cells around them
+        // the band covers the cells that F = 0 crosses and the adjacent cells
         let near = near_surface(fields, 2.0 * fields.surface.geometry().spacing.length());
         let range = if near.largest > 0.0 { near } else { near_surface(fields, f64::INFINITY) };
         Self::of_range(fields.surface.geometry(), &range, graded)
@@ -136,7 +138,7 @@ impl BinLevels {
 }
 
 /// Returns the ranges of h and of position over the voxels with |F| <= `band` mm. Uses the spline
-/// coefficients in place of the values of F, from which they differ by a small fraction of a voxel.
+/// coefficients in place of the values of F; they differ by a small fraction of a voxel.
 fn near_surface(fields: &Fields, band: f64) -> Range {
     let geometry = fields.surface.geometry();
     let [nx, ny, _] = geometry.size;

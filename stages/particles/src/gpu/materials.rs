@@ -1,5 +1,5 @@
-//! The implicit surface on the device: the spline of one object, or the differences of many
-//! materials with the strata of the particles.
+//! The implicit surface on the device: the spline of one object, or the differences between
+//! indicators with the strata of the particles.
 
 use super::constants::HELD_CODE;
 use super::differences::Differences;
@@ -15,10 +15,10 @@ use std::borrow::Cow;
 /// below 2^24, because f32 represents integers up to 2^24 exactly.
 const MOST_STRATA: usize = 1 << 20;
 
-/// Coefficients on the device, and the index that locates them.
+/// Coefficients for the device, and the index that locates them.
 pub(super) struct DeviceSurface<'a> {
     pub geometry: &'a Geometry,
-    /// Coefficients of F, or of the differences between materials.
+    /// Coefficients of F, or of the differences between indicators.
     pub coefficients: Cow<'a, [f32]>,
     /// Index of the differences; `None` for one object.
     pub index: Option<Vec<[u32; 4]>>,
@@ -42,7 +42,8 @@ impl<'a> DeviceSurface<'a> {
 ///
 /// With many materials, both are packed into one number: 16 times the index of the stratum, plus
 /// log10(damping / 0.001) or, for a held particle, [`HELD_CODE`]. The interfaces have the lowest
-/// indices, in ascending order. Each held particle has an index of its own after these.
+/// indices, in ascending order. Each held particle has a separate index, above the indices of the
+/// interfaces.
 #[derive(Debug, Default)]
 pub(super) struct Carried {
     /// Strata by index; empty for one object.
@@ -102,9 +103,9 @@ impl Carried {
         (16 * number + power as u32) as f32
     }
 
-    /// Restores the order after a readback: the unchanged held particles first, then the other
-    /// particles. Returns the particles and their strata. With one object, returns the particles
-    /// unchanged.
+    /// Restores the order of the particles after a readback: the held particles as uploaded, then
+    /// the other particles. Returns the particles and their strata. With one object, returns the
+    /// particles unchanged.
     pub(super) fn put_back(&self, mut set: ParticleSet) -> (ParticleSet, Vec<Stratum>) {
         let Some(held) = &self.held else { return (set, Vec::new()) };
         let mut all = held.clone();

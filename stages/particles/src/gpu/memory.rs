@@ -84,7 +84,7 @@ impl Memory {
 /// Copies values into a buffer in batches of 12 pieces of 512 KiB. All threads copy the pieces of a
 /// batch in parallel, because the first access to staging memory takes most of the time. After each
 /// batch the function waits for the device, so that wgpu can reuse the staging memory. The copy
-/// therefore needs at most 6 MiB of staging memory, whatever the number of values.
+/// therefore needs at most 6 MiB of staging memory, regardless of the number of values.
 ///
 /// Measured on an H200 with labels 2 and 3 of `lungs_label_big` (360,000 particles): the step
 /// `settle` takes 0.32, 0.29, 0.26, 0.26 and 0.28 s with pieces of 128, 256, 512, 1024 and 4096

@@ -3,7 +3,7 @@
 //!
 //! The particles stay on the device from the first pass to the last, and the host reads only a few
 //! words per pass. Each kernel is named after its file. The twin of a kernel is the CPU code that
-//! performs the same computation. The twins are in the crate `isoparticles_field` (lists in
+//! performs the same computation. Twins are in the crate `isoparticles_field` (lists in
 //! `neighbours`, energy in `energy`, fields in `spline` and `sizing`) and in the parent folder
 //! (movement and density control). Both backends share the constants in `constants.rs` of the
 //! parent folder.

@@ -111,7 +111,8 @@ pub(crate) fn plan_block(
         .whole("unused_2", [0])
 }
 
-/// Returns the block `Pass`, which `shaders/begin_pass.wgsl` writes in a run.
+/// Returns the block `Pass`. Outside tests, `shaders/begin_pass.wgsl` writes this block on the
+/// device.
 #[cfg(test)]
 pub(crate) fn pass_block(number: u64, count: u32, allow_insert: bool) -> Block {
     Block::default()

@@ -5,8 +5,8 @@
 //! therefore be submitted before the host has read the result of the previous pass, so the device
 //! does not idle. The number of particles stays on the device (`shaders/begin_pass.wgsl`). A pass
 //! submitted early is discarded if the run ends, if lists or classes of the previous pass
-//! overflowed, or if there are more particles than the pass can process. Its input is unchanged in
-//! all these cases.
+//! overflowed, or if there are more particles than the pass can process. In all these cases its
+//! input is unchanged.
 
 use super::commands::{Command, Encoded, encode, submit};
 use super::constants::{
@@ -27,9 +27,10 @@ use std::time::Instant;
 
 /// Number of classes dispatched in addition to the classes in use. Where particles are dense, the
 /// number in use varies from pass to pass, and a pass that needs more classes must be repeated.
-/// Measured on the heart of docs/developer/method.md with `--backend gpu --adapter llvmpipe
-/// --max-passes 60`, also with `seed --from marching-cubes`: with 0, 2 and 4 additional classes, no
-/// pass is repeated because of too few classes. Each additional class costs an empty dispatch.
+/// Measured on the heart of docs/developer/method.md
+/// (`--backend gpu --adapter llvmpipe --max-passes 60`), with the default seeds and with
+/// `seed --from marching-cubes`: with 0, 2 and 4 additional classes, no pass is repeated for lack
+/// of classes. Each additional class costs an empty dispatch.
 const CLASSES_TO_SPARE: u32 = 2;
 
 impl GpuEngine<'_> {
@@ -44,9 +45,10 @@ impl GpuEngine<'_> {
         self.wait_for(&submitted)
     }
 
-    /// Returns the capacity of a pass whose number of particles is not known yet: about 1/16 more
-    /// than the current number, limited by the size of the buffers. If there are more particles,
-    /// the pass is discarded and submitted again after the previous pass has ended.
+    /// Returns the capacity, in particles, of a pass that is submitted before the number of its
+    /// particles is known: about 1/16 more than the current number, limited by the size of the
+    /// buffers. If there are more particles, the pass is discarded and submitted again after the
+    /// previous pass has ended.
     fn room_ahead(&self) -> u32 {
         (self.count + self.count / 16 + 64).min(self.rows)
     }
@@ -125,7 +127,7 @@ impl GpuEngine<'_> {
     }
 
     /// Prepares work while the device runs a pass: submits the next pass if it is likely to be
-    /// valid, and encodes the commands of the following pass.
+    /// valid, and encodes the commands of the first pass that has not been submitted.
     fn look_ahead(&mut self, now: &SubmittedPass) -> Result<()> {
         let after = |plan: Plan, pass: u64| {
             let density = plan.density && pass < self.last_control;
@@ -135,7 +137,8 @@ impl GpuEngine<'_> {
         };
         let next = after(now.plan, now.pass);
         let mut to_make = next;
-        // timestamp queries support only one pass at a time
+        // there is only one set of timestamp queries, so a timed pass must end before the next is
+        // submitted
         if next.density && self.submitted.is_none() && self.changed <= self.count / 16 && !self.gpu.timestamps {
             let one_after = after(next, now.pass + 1);
             // commands encoded one pass ago may have less spare capacity than new ones; half of the
@@ -181,7 +184,8 @@ impl GpuEngine<'_> {
                 }
                 return Ok((submitted.plan, words));
             }
-            // the output of this pass is discarded, and a pass submitted after it has no effect
+            // this pass is repeated; its output is discarded, and a pass already submitted after it
+            // has no effect
             (self.submitted, self.listed, self.classes) = (None, true, CLASSES);
             (plan.bring, plan.classes) = (false, CLASSES);
             if longest > self.list_room {

@@ -24,8 +24,8 @@ pub struct DeviceReport {
     /// Part of `device_seconds` during which the host encodes and submits passes while the device
     /// is idle.
     pub encode_seconds: f64,
-    /// Part of `device_seconds` during which the host waits for passes. The host also prepares the
-    /// next pass while the device works. That time is in none of these parts.
+    /// Part of `device_seconds` during which the host waits for passes. None of the parts includes
+    /// the time in which the host prepares the next pass while the device works.
     pub wait_seconds: f64,
     /// Part of `device_seconds` during which the particles are downloaded.
     pub readback_seconds: f64,

@@ -10,7 +10,7 @@ use glam::UVec3;
 /// are rebuilt. Measured with 3, 4, 6, 8 and 12 rounds on the heart of docs/developer/method.md
 /// (`--backend gpu --adapter llvmpipe --max-passes 60`): the results with 6, 8 and 12 are
 /// identical, so rounds after the sixth change nothing. `tests/lists.rs` requires that 99.5 % of
-/// the particles have a class, and 80 % where the particles are too dense.
+/// the particles have a class, or 80 % where the particles are too dense.
 const CLASS_ROUNDS: u32 = 6;
 /// Number of deletion rounds per pass. A comment in `shaders/density_delete.wgsl` compares the
 /// rounds with the deletion order on the CPU. Measured on the same heart as [`CLASS_ROUNDS`]: with
@@ -47,7 +47,7 @@ pub(crate) fn listed(set: usize) -> [&'static str; 2] {
 /// One dispatch of a pass.
 pub(crate) struct Step {
     pub kernel: &'static str,
-    /// Distinguishes dispatches of one kernel over different buffers.
+    /// Name that distinguishes dispatches of one kernel over different buffers.
     pub label: &'static str,
     /// Value of the variable `round` of the kernel.
     pub round: u32,
@@ -67,14 +67,14 @@ impl Step {
     }
 }
 
-/// The optional parts of a pass, and its buffers and classes.
+/// The optional parts of a pass, the listed buffers that it reads, and its number of classes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Plan {
-    /// Sorts the particles and rebuilds lists and classes.
+    /// True if the pass sorts the particles and rebuilds lists and classes.
     pub sort: bool,
-    /// First copies the particles from the sorted to the listed buffers.
+    /// True if the pass first copies the particles from the sorted to the listed buffers.
     pub bring: bool,
-    /// Controls the density.
+    /// True if the pass controls the density.
     pub density: bool,
     /// Set of listed buffers that the pass reads.
     pub set: usize,

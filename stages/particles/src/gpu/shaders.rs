@@ -12,7 +12,8 @@ pub(crate) struct Source {
     text: &'static str,
 }
 
-/// A shared piece. All pieces except `Text` depend on the adapter or on the kind of surface.
+/// A shared piece. The source of every piece except `Text` depends on the adapter or on the kind of
+/// surface.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Piece {
     Text(&'static str),
@@ -22,11 +23,11 @@ enum Piece {
     Team,
     /// Data stored with the normal, for one object or many materials.
     Carried,
-    /// Coefficients of F, or of the differences of many materials.
+    /// Coefficients of F, or of the differences between indicators.
     Nodes,
 }
 
-/// Properties of the adapter and of the surface that select pieces.
+/// Properties of the adapter and of the surface that determine the source of the pieces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Variant {
     /// True if the fields are split into slabs.
@@ -198,8 +199,8 @@ pub(crate) fn sources() -> impl Iterator<Item = &'static Source> {
 
 impl Source {
     /// Returns the variant for this kernel. In `move_bins` a workgroup is one team of 32 lanes that
-    /// processes a bin. The particles of the bin move one after the other, and more lanes make each
-    /// step faster.
+    /// processes a bin. The particles of the bin move one after the other, so the pass is faster
+    /// with more lanes per particle.
     pub(crate) fn variant(&self, variant: Variant) -> Variant {
         match self.name {
             "move_bins" => Variant { subgroup_team: variant.subgroup_team.map(|_| 32), ..variant },

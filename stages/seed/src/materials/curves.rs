@@ -13,17 +13,17 @@ use std::collections::BTreeSet;
 /// units of h, rounded. With two or more steps, a step is at most 1.25 h long. A single step could
 /// be 1.5 h long; if it is longer than this limit, it is divided into two steps of at least 0.65 h.
 /// Every point of a step must be closer than [`DISK_RADIUS`] times h to one end of the step, so
-/// that particles on interfaces keep their distance from the curve.
+/// that the particles at both ends keep particles on interfaces away from the whole step.
 const LONGEST_STEP: f64 = 1.3;
 const _: () = assert!(LONGEST_STEP > 1.25 && LONGEST_STEP < 2.0 * DISK_RADIUS, "a step has a wrong length");
 
-/// A closed curve shorter than h and shorter than this many voxels gets one particle instead of a
-/// ring of three. Such a curve is at most one voxel across (half its length), so the data does not
-/// resolve its shape.
+/// Length in voxels below which a closed curve gets one particle instead of a ring of three, if it
+/// is also shorter than h. Such a curve is at most one voxel across (half its length), so the data
+/// does not resolve its shape.
 const TINY_VOXELS: f64 = 2.0;
 
-/// Minimum number of steps of any other closed curve, and of a curve that starts and ends at the
-/// same junction point: a polygon has at least three sides.
+/// Minimum number of steps of a closed curve that is not tiny ([`TINY_VOXELS`]), and of a curve
+/// that starts and ends at the same junction point: a polygon has at least three sides.
 const RING: usize = 3;
 
 /// Distance in voxels below which two particles are considered coincident: half the distance below
@@ -48,7 +48,7 @@ pub struct Curves {
     pub positions: Vec<DVec3>,
     /// Unit tangents for particles on curves, zero for particles at points.
     pub normals: Vec<DVec3>,
-    /// Edge lengths in mm: the minimum of h and the longest adjacent step.
+    /// Edge lengths in mm: h or the longest adjacent step, whichever is smaller.
     pub sizes: Vec<f64>,
     /// Strata of the particles, and the segments of the curves.
     pub strata: Strata,
@@ -70,8 +70,8 @@ pub fn seed_curves<I: Indicators>(
         found.normals.push(DVec3::ZERO);
         found.strata.of.push(point.stratum);
     }
-    // pairs of points connected by a curve of a single step; a second curve between the same points
-    // needs a particle in between, because otherwise the segments of the two curves would coincide
+    // pairs of points connected by a curve with a single step; a second such curve is divided into
+    // two steps, because otherwise the segments of the two curves would coincide
     let mut joined = BTreeSet::new();
     for chain in &complex.chains {
         let line = complex.line(chain);
@@ -145,7 +145,7 @@ impl Curves {
         }
     }
 
-    /// Sets the size of each particle to the minimum of h and the longest adjacent step.
+    /// Sets the size of each particle to h or to the longest adjacent step, whichever is smaller.
     fn set_sizes(&mut self, sizing: &SizingField) {
         let mut longest = vec![0.0f64; self.positions.len()];
         for segment in &self.strata.segments {

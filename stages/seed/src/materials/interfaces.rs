@@ -17,9 +17,10 @@ use rayon::prelude::*;
 /// of the interface: the same as the minimum distance between two particles on the interface.
 const BORDER_DISTANCE: f64 = DISK_RADIUS;
 
-/// Area, in squared voxel lengths, below which a component with a border gets no extra particle. A
-/// disc of this area has a diameter of 0.25 voxel and a circumference of 0.8 voxel. The complex
-/// itself drops closed curves shorter than 0.5 voxel (`SPECK` in `complex/chains.rs`).
+/// Area, in squared voxel lengths, below which a component with a border is left without particles
+/// if sampling gives it none. A disc of this area has a diameter of 0.25 voxel and a circumference
+/// of 0.8 voxel. The complex itself drops closed curves shorter than 0.5 voxel (`SPECK` in
+/// `complex/chains.rs`).
 const SPECK_AREA: f64 = 0.05;
 
 /// The particles on interfaces.
@@ -27,8 +28,8 @@ const SPECK_AREA: f64 = 0.05;
 pub struct InterfaceParticles {
     /// Positions in mm in the grid frame.
     pub positions: Vec<DVec3>,
-    /// Unit normals that point from the material with the higher number to the material with the
-    /// lower number.
+    /// Unit normals that point from the material with the higher ID to the material with the lower
+    /// ID.
     pub normals: Vec<DVec3>,
     /// Edge lengths h, mm.
     pub sizes: Vec<f64>,
@@ -36,8 +37,8 @@ pub struct InterfaceParticles {
     pub of: Vec<Stratum>,
     /// Number of components of the interfaces.
     pub components: usize,
-    /// Number of components that were resampled separately because the spacing h gave them too few
-    /// particles.
+    /// Number of components that were resampled separately because sampling at spacing h gave them
+    /// too few particles.
     pub crowded: usize,
     /// Number of components that have no particle even after resampling.
     pub bare: usize,

@@ -1,9 +1,11 @@
-//! Seeds several materials at junction points, along junction curves and on interfaces.
+//! Places the seeds of several materials at junction points, along junction curves and on
+//! interfaces.
 //!
 //! The strata are sampled in order of increasing dimension, with the particles on lower-dimensional
-//! strata held fixed (Meyer, Whitaker, Kirby, Ledergerber and Pfister 2008). Particles at points
-//! and on curves do not move later, because equal spacing in the metric ds / h minimizes the
-//! one-dimensional energy. Interfaces are sampled like the surface of one object.
+//! strata held fixed (Meyer, Whitaker, Kirby, Ledergerber and Pfister 2008). Later stages do not
+//! move particles at points and on curves: the particles on a curve are equally spaced in the
+//! metric ds / h, which minimizes the one-dimensional energy. Interfaces are sampled like the
+//! surface of one object.
 
 mod curves;
 mod interfaces;
@@ -37,8 +39,8 @@ pub struct Summary {
     /// Number of seeds dropped because the projection onto their stratum failed or because another
     /// material is nearer at the projected point.
     pub not_projected: usize,
-    /// Number of interface components without particles because they are far smaller than a voxel
-    /// face.
+    /// Number of interface components that have no particle because they are far smaller than a
+    /// voxel face.
     pub specks: usize,
     /// Number of interface components that have no particle because every projection failed.
     pub bare_components: usize,

@@ -17,15 +17,15 @@ use std::collections::BTreeMap;
 use std::ops::{Add, Mul};
 
 /// Minimum clearance in voxels at which the curvature of an interface is used. Near a third
-/// material, the indicators have kinks, which the spline rounds. The second derivative of a cubic
-/// spline through a kink is 1.73 times the change of slope per voxel at the kink. It decays by a
-/// factor of 0.27 (2 - sqrt(3)) per voxel, to 0.46 at a distance of one voxel.
+/// material, the indicators have kinks, which the spline rounds. At a kink, the second derivative
+/// of the spline is 1.73 times the change in slope divided by the voxel size. It decays by a factor
+/// of 2 - sqrt(3) = 0.27 per voxel, so the factor 1.73 becomes 0.46 at a distance of one voxel.
 const CURVATURE_CLEARANCE: f64 = 1.0;
 
-/// A layer is treated as a wedge, not as a thin layer, if its two interfaces meet at a junction
-/// curve that is closer than this many times the thickness. Such wedges have angles above atan(1/2)
-/// = 27 degrees. With 1, 2 and 4, `make sizefield MATERIALS=all` predicts 1,063,700, 1,063,100 and
-/// 1,062,700 particles for `frog_tissue_labels`.
+/// Maximum distance to a junction curve, as a multiple of the thickness of a layer, at which the
+/// layer is treated as a wedge if its two interfaces meet at this curve. Such wedges have angles
+/// above atan(1/2) = 27 degrees and do not limit h. With 1, 2 and 4, `make sizefield MATERIALS=all`
+/// predicts 1,063,700, 1,063,100 and 1,062,700 particles for `frog_tissue_labels`.
 const WEDGE_LENGTH: f64 = 2.0;
 
 /// Minimum step, in voxels, of a ray across a material; also the length of its first step.
@@ -35,8 +35,8 @@ const WEDGE_LENGTH: f64 = 2.0;
 const LEAST_STEP: f64 = 0.1;
 
 /// Length of a step as a fraction of the estimated distance to the nearest interface. A step
-/// crosses no interface if the estimate is less than 1 / 0.8 = 1.25 times the true distance.
-/// Marching overestimates distances by less than 6 % (test
+/// crosses no interface if the estimate is less than 1 / 0.8 = 1.25 times the true distance. The
+/// distances at grid nodes are less than 6 % too large (test
 /// `steady_state_is_a_cone_of_slope_delta`); the indicators give distances to first order.
 const STEP_SHARE: f64 = 0.8;
 

@@ -4,9 +4,9 @@ use glam::DVec3;
 use isoparticles_field::materials::complex::{Complex, End};
 
 /// Minimum distance in voxels from a vertex to the two other vertices that define its circle of
-/// curvature. A circle whose radius equals this distance still has points at this distance. With
-/// the defaults of every quality level, smaller radii do not change h, because
-/// `minimum h / epsilon` is at least 1.5 voxels.
+/// curvature. All radii of at least half this distance can be measured. With the defaults of every
+/// quality level, radii below 1.5 voxels do not change h, because `minimum h / epsilon` is at least
+/// 1.5 voxels.
 const CHORD: f64 = 1.5;
 
 /// Minimum number of edges of a curve between two junction points. With a single edge, two curves
@@ -44,8 +44,8 @@ pub(super) fn lower(complex: &Complex, voxel: f64, epsilon: f64, max_deviation: 
     }
 }
 
-/// Returns the radius in mm of the circle through a vertex of a line and the first vertices in both
-/// directions that are at least `chord` away. The radius is infinite if the line ends earlier.
+/// Returns the radius in mm of the circle through a vertex of a line and the first vertex in each
+/// direction that is at least `chord` away. The radius is infinite if the line ends earlier.
 fn radius(line: &[DVec3], at: usize, is_closed: bool, chord: f64) -> f64 {
     let count = line.len();
     let beyond = |forth: bool| {

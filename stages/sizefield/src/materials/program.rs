@@ -146,7 +146,7 @@ fn by_features(
 }
 
 /// Returns the minimum h and the maximum h at each vertex. The maximum takes precedence. It is
-/// finite only on closed interfaces, where it gives the minimum number of particles.
+/// finite only on closed interfaces, where it ensures the minimum number of particles.
 fn smallest_sizes(complex: &Complex, parameters: &Parameters) -> Vec<(f64, f64)> {
     let (component, count) = complex.interface_components();
     let mut areas = vec![(0.0, true); count];

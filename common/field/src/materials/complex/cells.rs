@@ -7,10 +7,11 @@ use crate::materials::{Indicators, MaterialId, Near, Stratum};
 use glam::{DVec3, DVec4};
 use std::collections::BTreeMap;
 
-/// An edge between nodes of the same material is assumed to cross no interface if the sum of the
-/// interface distances at its ends exceeds this multiple of its length. A factor of 1 suffices for
-/// indicators of slope 1; 1.25 also covers slopes of up to 1.25. The complex of the brain crop (see
-/// `follow.rs`) has 509,294 vertices with a factor of 1, and 509,297 with 1.25 and 2.
+/// Minimum sum of the interface distances at the ends of an edge, as a multiple of the edge length,
+/// for which an edge between nodes of the same material is assumed to cross no interface. A factor
+/// of 1 suffices for indicators of slope 1; 1.25 also covers slopes of up to 1.25. The complex of
+/// the brain crop (see `follow.rs`) has 509,294 vertices with a factor of 1, and 509,297 with 1.25
+/// and 2.
 const CLEAR_DISTANCE: f64 = 1.25;
 
 /// A vertex of the complex.
@@ -251,8 +252,8 @@ impl Found {
         });
     }
 
-    /// Adds the vertex in the simplex of the corners selected by the bits of `own`. Returns its
-    /// name and its position (grid frame, mm).
+    /// Adds the vertex inside the edge, face or tetrahedron whose corners are selected by the bits
+    /// of `own`. Returns its name and its position (grid frame, mm).
     fn vertex<I: Indicators + ?Sized>(&mut self, block: &Block<'_, I>, corners: &Corners, own: u8) -> (Name, DVec3) {
         let (name, position) = (corners.name(own), corners.position(block, own));
         if let Some(stratum) = corners.stratum(own) {
@@ -313,7 +314,7 @@ struct Corners {
 }
 
 impl Corners {
-    /// Returns the corners selected by the bits of `own`, and their number.
+    /// Returns the corners selected by the bits of `own`, and their count.
     fn chosen(&self, own: u8) -> ([Node; 4], usize) {
         let (mut chosen, mut count) = (self.nodes, 0);
         for corner in (0..4).filter(|corner| own >> corner & 1 == 1) {
@@ -358,8 +359,8 @@ impl Corners {
             let [first, second] = equal_between([a, b], [chosen[0].own, chosen[1].own]);
             return a.position * first + b.position * second;
         }
-        // for each further material and each corner: the indicator of the material at the corner
-        // minus the indicator of the first material there
+        // row m contains, for each corner, the indicator of corner m + 1's material minus the
+        // indicator of corner 0's material
         let mut rows = [[0.0; 4]; 3];
         for (c, known) in known[..count].iter().enumerate() {
             let first = value(&known.near, chosen[0].own);
@@ -382,7 +383,8 @@ impl Corners {
     }
 }
 
-/// Returns a four-dimensional vector perpendicular to three others, computed from their minors.
+/// Returns a four-dimensional vector that is perpendicular to the three rows, computed from their
+/// 3 x 3 minors.
 fn normal_to(rows: [[f64; 4]; 3]) -> [f64; 4] {
     std::array::from_fn(|left| {
         let minor = rows.map(|row| {

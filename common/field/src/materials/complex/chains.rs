@@ -14,27 +14,26 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Maximum distance in voxels between a lattice vertex and its projection onto a curve or point:
-/// the edge length of a grid cell. With limits of 0.5, 1 and 2, the projection of 1,279, 260 and
-/// 226 vertices of the brain crop (see `follow.rs`) fails. The chains are the same in all three
-/// cases.
+/// the edge length of a grid cell. With limits of 0.5, 1 and 2, 1,279, 260 and 226 vertices of the
+/// brain crop (see `follow.rs`) cannot be projected. The chains are the same in all three cases.
 const LONGEST_PROJECTION: f64 = 1.0;
 
-/// Junction points of the same four materials are merged if a chain shorter than this length, in
-/// voxels, joins them. Such points are one junction point that was found twice. Moreover, this
-/// length is a third of the minimum h (0.75 voxel), too short for particles.
+/// Length of a chain, in voxels, below which the junction points at its ends are merged if they
+/// have the same four materials. Such points are one junction point that was found twice. A chain
+/// of this length is too short for particles: a third of the minimum h (0.75 voxel).
 const MERGED_WITHIN: f64 = 0.25;
 
-/// Closed curves shorter than this length, in voxels, are dropped. A circle of this circumference
-/// encloses 0.5^2 / (4 pi) = 0.02 of the area of a voxel face.
+/// Minimum length of a closed curve, in voxels. Shorter closed curves are dropped. A circle of this
+/// circumference encloses 0.5^2 / (4 pi) = 0.02 of the area of a voxel face.
 const SPECK: f64 = 0.5;
 
 /// An end of a chain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// The chain ends at the junction point with this number.
+    /// The chain ends at the junction point with this index.
     Point(u32),
-    /// The chain ends at the border of the grid, on which its last vertex lies, or where the curve
-    /// could not be followed further.
+    /// The chain ends with a vertex on the border of the grid, or where the curve could not be
+    /// followed further.
     Border,
     /// The chain has no end: it is closed and returns to its first vertex.
     Closed,
@@ -47,7 +46,7 @@ pub struct Chain {
     pub curve: Stratum,
     /// Vertex indices in order, without junction points.
     pub vertices: Vec<u32>,
-    /// Ends before the first vertex and after the last vertex.
+    /// The ends of the chain, before its first vertex and after its last vertex.
     pub ends: [End; 2],
 }
 
@@ -217,12 +216,12 @@ struct Points {
     met: KdTree,
     met_places: Vec<DVec3>,
     all: Vec<JunctionPoint>,
-    /// Numbers of the points, binned by position.
+    /// Indices of the points, binned by position.
     bins: Bins<u32>,
 }
 
 impl Points {
-    /// Returns the number of the point at a position, and adds the point if it is new.
+    /// Returns the index of the point at a position, and adds the point if it is new.
     fn number(&mut self, position: DVec3, stratum: Stratum) -> u32 {
         let is_here = |n: &&u32| self.all[**n as usize].position.distance(position) < self.reach;
         if let Some(&number) = self.bins.near(position).find(is_here) {
@@ -327,7 +326,7 @@ impl Assembly<'_> {
 struct StepIndex {
     voxel: f64,
     /// For each curve: its steps in the direction of the tangent, binned by midpoint. Each step is
-    /// stored with the number of its chain.
+    /// stored with the index of its chain.
     steps: BTreeMap<Stratum, Bins<(u32, [DVec3; 2])>>,
 }
 
@@ -397,7 +396,7 @@ fn merged_sets(complex: &Complex, same: &[[u32; 2]], voxel: f64) -> (DisjointSet
 }
 
 /// Merges junction points: the pairs in `same`, and points of the same materials that a short chain
-/// joins. Drops the short chains. Removes each point through which all its curves continue, and
+/// joins. Drops the short chains. Removes each point through which all of its curves continue, and
 /// joins the chains of these curves.
 fn merge_points(complex: &mut Complex, same: &[[u32; 2]], voxel: f64) {
     let (mut sets, is_short) = merged_sets(complex, same, voxel);

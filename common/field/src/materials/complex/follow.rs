@@ -15,10 +15,9 @@ use glam::DVec3;
 // - on the frog crop, `LONGEST_STEP` of 0.1 and 0.4, `SHORTEST_STEP` of 0.0005 and 0.002,
 //   `EQUAL_CLEARANCE` of 0.0002 and 0.01, and `END_TOLERANCE` of 0.003 and 0.03.
 
-/// Junction points closer than this distance, in voxels, count as one point. Labels determine the
-/// position of a junction only to within a fraction of a voxel, far more than this distance. Where
-/// more than four materials meet, the clearance at this distance decides which curves leave the
-/// point.
+/// Distance, in voxels, below which two junction points count as one. Labels determine the position
+/// of a junction only to within a fraction of a voxel, far more than this distance. Where more than
+/// four materials meet, the clearance at this distance decides which curves leave the point.
 pub const SAME_JUNCTION: f64 = 0.02;
 
 /// Maximum length of a step along a curve, in voxels. On a curve with a radius of one voxel, a
@@ -45,33 +44,33 @@ const _: () = assert!(0.0811 * LONGEST_STEP < SAME_JUNCTION, "a step could devia
 /// accepted.
 const LARGEST_CORRECTION: f64 = 0.5;
 
-/// A step passes a position if the distance between them is at most this fraction of the step
-/// length. The arc deviates from the step by at most a twelfth of the step length
-/// ([`LEAST_COSINE`]). The constant is three times as large, because a position may have been
-/// projected onto the curve separately. For the longest step, this limit is 0.05 voxel.
+/// Maximum distance of a position from a step that passes it, as a fraction of the step length. The
+/// arc deviates from the step by at most a twelfth of the step length ([`LEAST_COSINE`]). The
+/// fraction is three times as large, because the position may be the result of a separate
+/// projection onto the curve. For the longest step, this limit is 0.05 voxel.
 pub(super) const PASSING_DISTANCE: f64 = 0.25;
 
-/// Where a curve cannot be followed further, a fourth material counts as equally near if the
-/// clearance, in voxels, is below this value. Indicators have slope 1, so the clearance changes by
-/// at most 2 d over a distance d. The curve ends within [`SHORTEST_STEP`] of the junction point.
+/// Clearance, in voxels, below which a fourth material counts as equally near where a curve cannot
+/// be followed further. Indicators have slope 1, so the clearance changes by at most 2 d over a
+/// distance d. The curve ends within [`SHORTEST_STEP`] of the junction point.
 const EQUAL_CLEARANCE: f64 = 2.0 * SHORTEST_STEP;
 
-/// A path counts as having reached a position if it ends within this distance of the position, in
-/// voxels. Two paths that reach the same position then end within [`SAME_JUNCTION`] of each other.
+/// Maximum distance, in voxels, of the end of a path from a position that it reaches. Two paths
+/// that reach the same position then end within [`SAME_JUNCTION`] of each other.
 const END_TOLERANCE: f64 = 0.5 * SAME_JUNCTION;
 
-/// Maximum number of steps in one direction. So many steps of maximum length cover 100,000 voxels,
-/// and their positions take 12 MiB. A longer curve counts as lost. The longest curve of the two
-/// crops takes 812 steps.
+/// Maximum number of steps in one direction. This many steps of maximum length cover 100,000
+/// voxels, and their positions take 12 MiB. A longer curve counts as lost. The longest curve of the
+/// two crops takes 812 steps.
 const MOST_STEPS: usize = 1 << 19;
 
 /// Tolerance, in voxels, of projections onto points and curves: about one ulp of a coefficient,
 /// which is an f32 with a magnitude of about one voxel near the zero set (2^-23 = 1.2e-7).
 pub(super) const TOLERANCE: f64 = 1e-7;
 
-/// A stratum exists at a position unless another indicator is smaller than the indicators of the
-/// stratum by more than this tolerance, in voxels. It is ten times [`TOLERANCE`], to cover the
-/// differences that a projection leaves between the indicators of the stratum.
+/// Maximum amount, in voxels, by which another indicator may be smaller than the indicators of a
+/// stratum where the stratum exists. It is ten times [`TOLERANCE`], to cover the differences that a
+/// projection leaves between the indicators of the stratum.
 pub(super) const UNDERCUT: f64 = 1e-6;
 
 /// Maximum number of pairs of projections, onto the border of the grid and onto the curve, for a
@@ -90,7 +89,8 @@ pub(super) enum Stop {
     Border,
     /// The curve returns to its start.
     Start,
-    /// The curve cannot be followed further. For example, two of its interfaces become tangent.
+    /// The curve cannot be followed further, for example because two of its interfaces become
+    /// tangent.
     Lost,
     /// The callback ended the path.
     Told,
@@ -299,7 +299,7 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
     }
 
     /// Returns the reason why a curve ends at a position from which it cannot be followed. If a
-    /// fourth material is equally near, the position is a junction point, at a kink of the
+    /// fourth material is equally near, the position is a junction point at a kink of the
     /// indicators.
     fn stop_at(&self, place: DVec3) -> Stop {
         let near = self.indicators.near(place);

@@ -54,7 +54,7 @@ pub(super) const TETRAHEDRA: [[u8; 4]; 6] =
 
 /// A piece of a stratum within a tetrahedron. Each corner of the piece is given by a set of
 /// tetrahedron corners (as bits): two for a point on an edge, three for a point on a face, four for
-/// the point inside.
+/// a point inside the tetrahedron.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Piece {
     /// Part of the interface of two materials. `of` contains one tetrahedron corner of each

@@ -8,8 +8,8 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Number of triangles whose predicted counts one task adds up. A fixed number makes the total
-/// independent of the number of threads.
+/// Number of triangles per parallel task. The total does not depend on the number of threads,
+/// because this number is fixed.
 const CHUNK: usize = 1 << 14;
 
 /// Number of interface particles that one particle on a junction curve replaces. The curve particle

@@ -54,8 +54,7 @@ pub struct Tally {
     pub points_merged: usize,
     /// Junction points that were removed because all their curves continue through them.
     pub points_passed: usize,
-    /// Junction points at which some triple of the four materials does not have exactly one curve
-    /// end.
+    /// Junction points at which not every triple of the four materials has exactly one curve end.
     pub points_irregular: usize,
     /// Closed curves that were dropped because they are shorter than half a voxel.
     pub specks: usize,

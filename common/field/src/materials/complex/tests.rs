@@ -158,7 +158,8 @@ fn three_sectors_of_a_ball_have_four_curves_and_two_points() {
     };
     let (coarse, fine) = (errors(&exact(&analytic, 1.0)), errors(&exact(&analytic, 0.5)));
     assert!(coarse[0] < 1e-6 && fine[0] < 1e-6, "points {coarse:?} {fine:?}");
-    // the step length along curves does not depend on the spacing, so both errors are alike
+    // the step length along curves does not depend on the grid spacing, so both lengths must be
+    // equally accurate
     assert!(coarse[1] < 1e-4 && fine[1] < 1e-4, "lengths {coarse:?} {fine:?}");
     // triangles next to curves may fold slightly, so second-order convergence is not required
     assert!(coarse[2] < 2.5e-3 && fine[2] < 2e-3, "areas {coarse:?} {fine:?}");
@@ -182,8 +183,7 @@ fn four_regions_of_a_cube_have_four_curves_and_one_point() {
             ends.sort_by_key(|end| *end == End::Border);
             assert_eq!(ends, [End::Point(0), End::Border]);
             for v in &chain.vertices {
-                // curves run in directions that are equally far from three corners of the
-                // tetrahedron
+                // each curve lies on a ray at equal distances from three corners of the tetrahedron
                 let away = (complex.vertices[*v as usize].position - CENTRE).abs();
                 assert!(away.max_element() - away.min_element() < most.max(1e-3), "{away}");
             }
@@ -205,7 +205,8 @@ fn touching_balls_and_a_lens_have_one_closed_curve() {
             }
             (complex.length(&complex.chains[0]) / (2.0 * PI * radius) - 1.0).abs()
         };
-        // the step length along the curve does not depend on the spacing, so both errors are alike
+        // the step length along the curve does not depend on the grid spacing, so both lengths must
+        // be equally accurate
         let (coarse, fine) = (error(1.0), error(0.5));
         assert!(coarse < 2.5e-4 && fine < 2.5e-4, "{coarse} {fine}");
     }
@@ -246,8 +247,8 @@ fn threads_make_no_difference() {
 
 #[test]
 fn a_junction_point_of_curves_that_all_but_coincide_is_met_once() {
-    // four quarters around an axis; two opposite quarters grow along it so slowly that, a voxel
-    // from the junction point, all four indicators are equal to within a fiftieth of a voxel
+    // four quarters around an axis; two opposite quarters widen along the axis so slowly that, a
+    // voxel from the junction point, all four indicators are equal to within a fiftieth of a voxel
     let along = DVec3::new(0.2, 0.1, 1.0).normalize();
     let (across, other) = along.any_orthonormal_pair();
     let quarter = |n: u32| {

@@ -25,8 +25,8 @@ use isoparticles_field::energy::{SUPPORT, pair_energy, scaled_distance};
 
 /// Pass number used for the random numbers.
 const PASS: u32 = 7;
-/// Values within this relative distance of a threshold may fall on either side of it in f32: about
-/// 100 rounding errors of 2^-23.
+/// Relative distance from a threshold within which an f32 value may fall on either side: about 100
+/// rounding errors of 2^-23.
 const ROUNDING: f64 = 1e-5;
 
 /// Returns random bits; the twin of `shaders/shared/random.wgsl`.
@@ -122,7 +122,7 @@ fn undersampled(energy: f32, i: usize) -> Option<bool> {
     both(beyond(lack, bar), beyond(random_uniform(1, i) * lack, bar))
 }
 
-/// Returns a torus with graded h and more particles, at random positions, than its lattice has.
+/// Returns a torus with graded h and more particles than its lattice has, at random positions.
 fn too_many() -> Scene {
     Scene::bumpy_torus(2100)
 }
@@ -157,8 +157,8 @@ fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
         assert!(now <= was * (1.0 + 1e-4), "{i}: energy {was} -> {now}");
     }
     assert!(members > 40 && moved * 10 > members * 9, "{moved} of {members} moved");
-    // if the energies before and after a step are nearly equal, only one of the two backends may
-    // accept the step
+    // if the energies before and after a step are nearly equal, one backend may accept the step and
+    // the other reject it
     assert!(alike * 100 >= members * 98, "{alike} of {members} went where the CPU sends them");
 }
 
@@ -185,8 +185,8 @@ fn only_bins_of_the_colour_move_one_particle_at_a_time() {
         }
         members += range.len();
         moved += range.clone().filter(|&i| after[i] != rig.places[i]).count();
-        // the CPU moves the particles of the bin one after the other: each particle sees the new
-        // positions of the particles before it
+        // the reference steps on the CPU use the new positions of the earlier particles of the bin,
+        // because the kernel moves these one after the other
         for i in range {
             let wanted = movement::step_alone(&state, &fields, i);
             let found = origin + Vec3::from_slice(&after[i]).as_dvec3();
@@ -254,8 +254,8 @@ fn rounds_of_deletion_are_those_of_the_twin() {
 #[test]
 fn newcomers_are_those_of_the_twin_and_everybody_finds_a_place() {
     let Some(gpu) = any_gpu("insertion", AdapterChoice::default()) else { return };
-    // far fewer particles than their lattices have, so that many propose newcomers, some of them
-    // close to each other
+    // these scenes have far fewer particles than their lattices, so many particles propose
+    // newcomers, and some newcomers are close to each other
     let tori = (120..420).step_by(60).map(Scene::bumpy_torus);
     let balls = (40..400).step_by(20).map(|n| Scene::ball(n, 1.6));
     let by_distance: usize =
@@ -295,8 +295,8 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
         differ += usize::from(!alike);
     }
     assert!(made > 10, "{made} newcomers: too few for a test");
-    // 1 % may differ: two gaps may be equally wide in f32, and a distance may nearly equal the
-    // minimum distance
+    // 1 % may differ: two gaps may be equally wide in f32, and a distance may be too close to the
+    // minimum to be compared reliably
     assert!(differ * 100 <= made, "{differ} of {made} proposals differ");
 
     rig.run("insert_choose", 0);
@@ -304,7 +304,8 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
     let facing: Vec<[f32; 4]> = rig.take("newcomer_normal", count);
     let at = |i: usize| Vec3::from_slice(&newcomers[i]).as_dvec3();
     let proposed: Vec<usize> = (0..count).filter(|&i| proposals[i] != 0).collect();
-    // checks every pair, however far apart the parents are
+    // unlike the kernel, the test compares every pair of newcomers, however far apart the parents
+    // are
     let too_near = |i: usize, j: usize| {
         let least = NEWCOMER_DISTANCE * f64::from(newcomers[i][3].min(newcomers[j][3]));
         let same_interface = Vec3::from_slice(&facing[i]).dot(Vec3::from_slice(&facing[j])) > 0.0;
@@ -346,7 +347,7 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
 #[test]
 fn totals_are_those_of_the_particles() {
     let Some(gpu) = any_gpu("totals", AdapterChoice::default()) else { return };
-    // one particle, up to one block, and an odd number of blocks
+    // a single particle, at most one block of particles, and three blocks
     for count in [1, 2048, 4500] {
         let mut rig = Rig::new(&gpu, &Scene::ball(count, 0.9));
         let energies: Vec<f32> = rig.take("energies", rig.count());

@@ -48,8 +48,8 @@ fn lists_equal_the_cpu_and_neighbours_differ_in_class() {
             assert!(classes[i] == UNCLASSED || list(i).iter().all(|&j| classes[j as usize] != classes[i]), "{i}");
         }
         let given = classes.iter().filter(|&&c| c != UNCLASSED).count();
-        // where particles are dense, some get no class and do not move until the next sort; the
-        // test requires only 80 %
+        // where particles are dense, some particles get no class and do not move until the next
+        // sort, so the test requires a class for only 80 %
         assert!(
             given as f64 >= if count < 1000 { 0.995 } else { 0.8 } * count as f64,
             "{given} of {count} particles got a class"

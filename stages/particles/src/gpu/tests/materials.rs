@@ -1,5 +1,5 @@
-//! Tests of many materials on the device: the particle counts are close to the CPU's, the particles
-//! are on their interfaces, and every run gives the same result.
+//! Tests of many materials on the device: the particle counts are close to the counts on the CPU,
+//! the particles are on their interfaces, and every run gives the same result.
 
 use super::any_gpu;
 use crate::cpu::scenes::{Body, corners, nested, sectors};

@@ -36,8 +36,8 @@ fn the_lattice_is_that_of_the_cpu() {
     };
     let parameters = Parameters { max_passes: 25, seed: 5, ..first.clone() };
     for (mut scene, what) in [(Scene::ball(1500, 1.2), "ball"), (Scene::bumpy_torus(1300), "graded torus")] {
-        // a first run makes the seeds about as even as the output of the seed stage, to reduce
-        // random variation
+        // a first run makes the seeds about as evenly spaced as the output of the seed stage, which
+        // reduces random variation
         scene.seeds = settle(&scene.seeds, None, &scene.fields(), &first, |_, _| Ok(())).unwrap().0;
         let on_cpu = settle(&scene.seeds, None, &scene.fields(), &parameters, |_, _| Ok(())).unwrap();
         let graded = settled(&gpu, &scene, &parameters);
@@ -113,8 +113,8 @@ fn repeated_resumed_and_slab_runs_give_the_same_bytes() {
 #[test]
 fn passes_before_their_turn_are_no_different() {
     let Some(gpu) = any_gpu("passes before their turn", AdapterChoice::default()) else { return };
-    // with these counts, some passes leave more particles than the next pass can process, and lists
-    // and classes overflow
+    // with these numbers of seeds, some passes leave more particles than the next pass can process,
+    // and lists and classes overflow
     for count in [1, 60, 700, 3000] {
         let scene = Scene::ball(count, 1.6);
         let parameters = Parameters { max_passes: 16, levels: 1, closing_passes: 3, ..Parameters::default() };

@@ -1,5 +1,5 @@
-//! Tests that prefix sums and the sort into bins are exact for any count and any number of
-//! workgroups.
+//! Tests that prefix sums and the sort into bins are exact, and that totals are correct, for any
+//! count and any number of workgroups.
 
 use super::any_gpu;
 use crate::gpu::adapter::{AdapterChoice, Gpu};
@@ -173,7 +173,8 @@ fn energies_and_totals_of_more_than_65535_workgroups() {
     rig.put("normal", &[[0.0f32; 4]]);
     rig.put("list_lengths", &lengths);
     rig.put("lists", &lists);
-    // every third particle has moved, at the second attempt
+    // every third particle took a step at its second attempt; the others failed at their only
+    // attempt
     let outcome: Vec<u32> = (0..count).map(|i| if i % 3 == 0 { 0x8000_0002 } else { 1 }).collect();
     rig.put("outcome", &outcome);
     for name in ["energies", "marks", "touched"] {
