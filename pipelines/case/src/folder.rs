@@ -250,10 +250,10 @@ impl CaseFolder {
         usual.into_iter().any(|ending| name == self.file_name(ending) || name == self.file_name(&failed(ending)))
     }
 
-    /// Removes the report and the files that a stage made, except files with the suffixes in
-    /// `keep`. These are the files with its fixed names and the files listed in the status; if the
-    /// stage was interrupted or killed, all files with its stems. Other files belong to the user
-    /// and are left in place.
+    /// Removes the report of a stage and the files that the stage made, except files with the
+    /// suffixes in `keep`. A file counts as made by the stage if it has one of the stage's fixed
+    /// names or is listed in the status. If the stage was interrupted or killed, every file with
+    /// one of the stage's stems counts. Other files belong to the user and are left in place.
     ///
     /// # Errors
     /// If a file cannot be removed.

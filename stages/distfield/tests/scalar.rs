@@ -20,8 +20,8 @@ fn extract(image: &Image<f32>, iso: f64, border: Border) -> Redistanced {
     from_scalar(image.clone(), iso, &options, &Context::silent("distfield")).expect("a surface")
 }
 
-/// Returns the maximum error of F in voxels, within 2.5 voxels of the surface and anywhere.
-/// `distance` is the true distance in the grid frame of the input.
+/// Returns the maximum errors of F, in voxels: within 2.5 voxels of the surface, and over the whole
+/// grid. `distance` is the true distance in the grid frame of the input.
 fn distance_errors(result: &Redistanced, distance: impl Fn(DVec3) -> f64) -> (f64, f64) {
     let geometry = &result.field.geometry;
     let shift = geometry.spacing * MARGIN as f64;

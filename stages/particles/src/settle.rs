@@ -145,10 +145,11 @@ impl Parameters {
         }
     }
 
-    /// Returns the edge, in units of h, of the hexagonal lattice in which the energy of a particle
-    /// (Eq. 1) is the ideal energy: 1 by default, 0.657 for the printed 3.462. The distances of
-    /// newcomers and the radius of the first ring, which defines lattice defects, scale with this
-    /// edge.
+    /// Returns the spacing, in units of h, of the hexagonal lattice in which each particle has the
+    /// ideal energy (Eq. 1): 1 by default, and 0.657 for the ideal energy printed in the paper
+    /// (3.462). This spacing scales the distance at which newcomers are placed, their minimum
+    /// distance from other particles, and the radius of the first ring, which defines lattice
+    /// defects.
     pub fn spacing(&self) -> f64 {
         energy::lattice_spacing(self.ideal_energy)
     }

@@ -79,7 +79,8 @@ impl Pair {
     }
 }
 
-/// Check for one third material in a brick that may contain an interface.
+/// Checks whether a particular third material is closer than the two materials of an interface, in
+/// a brick that may contain that interface.
 struct Check {
     pair: Pair,
     is_negative: bool,

@@ -86,7 +86,7 @@ fn is_length(h: f64) -> bool {
     h.is_finite() && h > 0.0
 }
 
-/// Returns the point at the fraction `share` of the way from a to b.
+/// Returns the point a fraction `share` of the way from a to b.
 fn between(a: DVec3, b: DVec3, share: f64) -> DVec3 {
     a + (b - a) * share
 }
