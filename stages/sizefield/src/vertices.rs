@@ -6,8 +6,9 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_volume::Image;
 
-/// Ratio of the number of vertices of the finished surface to the count that the sizing field
-/// predicts. Measured: 0.948 to 0.965 on four solid organs with 1,000 to 75,000 vertices, and 0.914
+/// Ratio of the number of vertices of the finished surface of one object to the count that the
+/// sizing field predicts. Several materials have a ratio of 1, because their surfaces are not
+/// thinned. Measured: 0.948 to 0.965 on four solid organs with 1,000 to 75,000 vertices, and 0.914
 /// to 0.975 on four thin objects, where edges become shorter and refinement adds vertices
 /// (docs/developer/scale.md).
 const FINISHED_OVER_PREDICTED: f64 = 0.95;
@@ -25,39 +26,41 @@ const GRADED_ROUNDS: usize = 3;
 /// relative error below 1e-4.
 const CONSTANT_ROUNDS: usize = 6;
 
-/// Returns the constant h in mm that gives a surface with this number of vertices.
+/// Returns the constant h in mm that gives the surface of one object this number of vertices.
 pub fn size_for_vertices(distance: &Image<f32>, surface: &CubicSpline, vertices: f64) -> f64 {
     let at_one = uniform_field(distance, 1.0).predicted_count(surface);
-    (FINISHED_OVER_PREDICTED * at_one / vertices).sqrt()
+    (at_one / predicted_for(vertices)).sqrt()
 }
 
-/// Returns the predicted count for the h that [`size_for_vertices`] returns.
+/// Returns the predicted count at which the finished surface of one object has this number of
+/// vertices.
 pub(crate) fn predicted_for(vertices: f64) -> f64 {
     vertices / FINISHED_OVER_PREDICTED
 }
 
-/// Returns the constant h in mm that gives a surface with this number of vertices. `count` returns
-/// the predicted count for an edge length.
-pub(crate) fn size_for_count(count: impl Fn(f64) -> f64, vertices: f64) -> f64 {
+/// Returns the constant h in mm for a predicted count. `count` returns the count for an edge
+/// length.
+pub(crate) fn size_for_count(count: impl Fn(f64) -> f64, predicted: f64) -> f64 {
     let mut size = 1.0;
     for _ in 0..CONSTANT_ROUNDS {
-        size *= (FINISHED_OVER_PREDICTED * count(size) / vertices).sqrt();
+        size *= (count(size) / predicted).sqrt();
     }
     size
 }
 
-/// Returns the sizing field times the factor that gives a surface with this number of vertices.
+/// Returns the sizing field times the factor that gives the surface of one object this number of
+/// vertices.
 pub fn scaled_to_vertices(sizing: SizingField, surface: &CubicSpline, vertices: f64) -> SizingField {
-    scaled_to_count(sizing, |sizing| sizing.predicted_count(surface), vertices)
+    scaled_to_count(sizing, |sizing| sizing.predicted_count(surface), predicted_for(vertices))
 }
 
-/// Returns the sizing field times the factor that gives a surface with this number of vertices.
-/// `count` returns the predicted count for a sizing field.
-pub(crate) fn scaled_to_count(sizing: SizingField, count: impl Fn(&SizingField) -> f64, vertices: f64) -> SizingField {
+/// Returns the sizing field times the factor that gives a predicted count. `count` returns the
+/// count for a sizing field.
+pub(crate) fn scaled_to_count(sizing: SizingField, count: impl Fn(&SizingField) -> f64, predicted: f64) -> SizingField {
     let mut factor = 1.0;
     let mut scaled = sizing.clone();
     for _ in 0..GRADED_ROUNDS {
-        factor *= (FINISHED_OVER_PREDICTED * count(&scaled) / vertices).sqrt();
+        factor *= (count(&scaled) / predicted).sqrt();
         scaled = sizing.scaled(factor);
     }
     scaled
