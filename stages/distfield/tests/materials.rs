@@ -394,6 +394,33 @@ fn specks_do_not_fill_gaps_between_materials_at_a_scale() {
 }
 
 #[test]
+fn films_between_materials_vanish_at_a_scale() {
+    // a film of label 3 between labels 1 and 2, at a scale of five voxels
+    let film = |thickness: usize| {
+        let layered = volume([30, 30, 30], |[i, j, k]| {
+            let is_in = [i, j, k].iter().all(|n| (4..26).contains(n));
+            let label = if i < 15 {
+                1
+            } else if i < 15 + thickness {
+                3
+            } else {
+                2
+            };
+            if is_in { label } else { 0 }
+        });
+        let made = scaled(layered, 5.0);
+        let change = |id: usize| made.survey.volumes[id] / (made.extracted.tallies[id].voxels as f64 * 1.04) - 1.0;
+        [change(3), change(1)]
+    };
+    // a film of one voxel vanishes, and its neighbours take half of it each
+    let [film_of_one, neighbour] = film(1);
+    assert_eq!(film_of_one, -1.0);
+    assert!((0.02..0.08).contains(&neighbour), "{neighbour}");
+    let [film_of_three, neighbour] = film(3);
+    assert!(film_of_three.abs() < 0.1 && neighbour.abs() < 0.05, "{film_of_three} {neighbour}");
+}
+
+#[test]
 fn sizes_of_materials_set_the_scales_of_their_interfaces() {
     let names = ["outside", "1", "2", "3", "4"].map(str::to_owned);
     let scales = |size: &str| {
