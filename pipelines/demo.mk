@@ -50,6 +50,10 @@ MIN_SIZE := 2
 #   BACKEND := auto
 #   MAX_MEMORY := 8G
 
+# ACCEPT_LOSSES = yes accepts objects and materials whose volume a scale changes by more than 10 %.
+# The verdict lists them.
+#   ACCEPT_LOSSES := no
+
 # ACCEPT_FORCED = yes accepts elements below a quality limit if the surface of several materials
 # forces their shape. The verdict counts these elements.
 #   ACCEPT_FORCED := no

@@ -38,7 +38,7 @@ const fn key(name: &'static str, form: Form, what: &'static str) -> Key {
 }
 
 /// All keys, in the order of the help text.
-pub const KEYS: [Key; 33] = [
+pub const KEYS: [Key; 34] = [
     key("CASE", Form::Text, "the case file in pipelines/"),
     key("NAME", Form::Text, "the name of the results"),
     key("INPUT", Form::Text, "the volume to mesh"),
@@ -64,6 +64,11 @@ pub const KEYS: [Key; 33] = [
         "TET_ORDER",
         Form::OneOf(&["1", "2"]),
         "the order of the tetrahedra; 2 adds mid-edge nodes, on F = 0 for edges of the surface",
+    ),
+    key(
+        "ACCEPT_LOSSES",
+        Form::OneOf(&["yes", "no"]),
+        "whether to accept objects and materials whose volume a scale changes by more than 10 %; the verdict lists them",
     ),
     key(
         "ACCEPT_FORCED",

@@ -265,9 +265,13 @@ fn options(stage: &str, settings: &Settings) -> Vec<String> {
             words.extend(sizes_of_materials(settings));
         }
     }
-    if ["reconstruct", "tetmesh-check"].contains(&stage) && settings.get("ACCEPT_FORCED") == Some("yes") {
-        words.push("--accept-forced".to_owned());
-    }
+    let accepting: [(&[&str], &str, &str); 2] = [
+        (&["distfield"], "ACCEPT_LOSSES", "--accept-losses"),
+        (&["reconstruct", "tetmesh-check"], "ACCEPT_FORCED", "--accept-forced"),
+    ];
+    let accepted =
+        accepting.iter().filter(|(stages, key, _)| stages.contains(&stage) && settings.get(key) == Some("yes"));
+    words.extend(accepted.map(|(.., option)| (*option).to_owned()));
     words.extend(more);
     words
 }
@@ -371,15 +375,17 @@ mod tests {
     }
 
     #[test]
-    fn accept_forced_reaches_both_stages_with_limits() {
+    fn accepted_faults_reach_the_stages_that_check_them() {
         let settings = |word: &str| Settings::read(&[word.to_owned()], &[], None, &[]).expect("fit together");
-        let accepting = |word: &str| {
+        let accepting = |word: &str, option: &str| {
             let settings = settings(word);
-            let accepts = |stage: &&str| options(stage, &settings).contains(&"--accept-forced".to_owned());
+            let accepts = |stage: &&str| options(stage, &settings).contains(&option.to_owned());
             STAGES.iter().map(|belongings| belongings.stage).filter(accepts).collect::<Vec<_>>()
         };
-        assert_eq!(accepting("ACCEPT_FORCED=yes"), ["reconstruct", "tetmesh-check"]);
-        assert!(accepting("ACCEPT_FORCED=no").is_empty());
+        assert_eq!(accepting("ACCEPT_FORCED=yes", "--accept-forced"), ["reconstruct", "tetmesh-check"]);
+        assert!(accepting("ACCEPT_FORCED=no", "--accept-forced").is_empty());
+        assert_eq!(accepting("ACCEPT_LOSSES=yes", "--accept-losses"), ["distfield"]);
+        assert!(accepting("ACCEPT_LOSSES=no", "--accept-losses").is_empty());
     }
 
     #[test]

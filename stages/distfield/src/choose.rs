@@ -12,7 +12,7 @@ use crate::scalar::{ScalarOptions, check_scalar, from_level};
 use crate::scale::{SCALE_OVER_SIZE, Scale, edge_length, scaled};
 use crate::{Border, Inside, Keep, Redistanced};
 use isoparticles_stage::cli::values::{not_negative, positive, significant};
-use isoparticles_stage::cli::{Context, METHOD};
+use isoparticles_stage::cli::{CHECKS, Context, METHOD};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::material_sizes::GivenSize;
 use isoparticles_stage::quality::Quality;
@@ -54,6 +54,10 @@ pub struct ScaleArgs {
     /// parts and gaps require a smaller h
     #[arg(long, help_heading = METHOD)]
     pub keep_thin: bool,
+    /// With a scale: accept objects and materials whose volume changes by more than 10 %. The
+    /// verdict lists them
+    #[arg(long, help_heading = CHECKS)]
+    pub accept_losses: bool,
 }
 
 /// Maximum edge length, in units of the mean voxel spacing, of a mesh that needs no scale. Longer
@@ -138,6 +142,7 @@ impl ScaleArgs {
             ("scale_for_vertices", self.scale_for_vertices.map(Value::from)),
             ("quality", self.quality.map(|quality| Value::from(quality.name()))),
             ("keep_thin", self.keep_thin.then_some(Value::Bool(true))),
+            ("accept_losses", self.accept_losses.then_some(Value::Bool(true))),
         ];
         for (name, value) in given {
             if let Some(value) = value {

@@ -3,8 +3,8 @@
 
 use crate::Redistanced;
 use crate::changes::SPECK_SHARE;
-use isoparticles_stage::cli::Context;
 use isoparticles_stage::cli::values::significant;
+use isoparticles_stage::cli::{Context, FIT_BUT_FOR};
 use isoparticles_stage::meta::DistanceMeta;
 use isoparticles_volume::Geometry;
 use serde_json::json;
@@ -136,22 +136,30 @@ pub(crate) fn failed_checks(result: &Redistanced, meta: &DistanceMeta, context: 
 }
 
 /// Compares the change in volume with its limits. Returns the message of the failed check if the
-/// change exceeds the second limit. Prints a warning if it exceeds only the first.
-pub(crate) fn check_volume(result: &Redistanced, meta: &DistanceMeta, context: &Context) -> Option<String> {
+/// change exceeds the second limit. Prints a warning if it exceeds only the first, or if
+/// the user accepts a change by a scale.
+pub(crate) fn check_volume(
+    result: &Redistanced,
+    meta: &DistanceMeta,
+    accepts_losses: bool,
+    context: &Context,
+) -> Option<String> {
     let change = volume_change(result, meta)?;
     let (limits, reason) = if meta.is_scaled() {
         (
             SCALED_VOLUME_LIMITS,
-            "too much of the object is thinner than a mesh of that scale tells apart (a finer mesh or --keep-thin keeps more)",
+            "too much of the object is thinner than a mesh of that scale tells apart (a finer mesh or --keep-thin keeps \
+             more; --accept-losses accepts it)",
         )
     } else {
         (VOLUME_LIMITS, "much of it is one voxel thick or less, or specks (--keep drops them)")
     };
     let told = format!("the volume changed by {:+.0} %: {reason}", 100.0 * change);
-    if change.abs() > limits.1 {
+    if change.abs() > limits.1 && meta.is_scaled() && accepts_losses {
+        context.warn(format!("{FIT_BUT_FOR}a volume that the scale changed by {:+.0} %", 100.0 * change));
+    } else if change.abs() > limits.1 {
         return Some(told);
-    }
-    if change.abs() > limits.0 {
+    } else if change.abs() > limits.0 {
         context.warn(told);
     }
     None

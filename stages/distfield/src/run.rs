@@ -69,7 +69,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     write_field(&args.output, FieldKind::Distance, &result.field, &meta, &context.history())?;
     drop(step);
     let mut failed = failed_checks(&result, &meta, context);
-    failed.extend(check_volume(&result, &meta, context));
+    failed.extend(check_volume(&result, &meta, args.scale.accept_losses, context));
     Ok(Outcome::from_failed_checks(failed))
 }
 

@@ -19,7 +19,7 @@ use crate::scale::{Scale, room_round};
 use crate::{Border, Keep};
 use isoparticles_field::materials::{MaterialId, Materials};
 use isoparticles_stage::cli::values::significant;
-use isoparticles_stage::cli::{Context, Outcome};
+use isoparticles_stage::cli::{Context, FIT_BUT_FOR, Outcome};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::material_sizes::{Given, GivenSize};
 use isoparticles_stage::materials_file::{Shown, write_materials};
@@ -97,7 +97,7 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     write_materials(output, &materials, shown, &meta, &context.history())?;
     drop(step);
     let failed = match range {
-        Some(_) => failed_at_scale(&materials, &tallies, &found),
+        Some(_) => failed_at_scale(&materials, &tallies, &found, args.scale.accept_losses, context),
         None => failed_checks(&materials, &tallies, &found),
     };
     Ok(Outcome::from_failed_checks(failed))
@@ -369,19 +369,29 @@ fn tell_losses(losses: Vec<(&str, &Changes)>, at_scale: &str, context: &Context)
 }
 
 /// Returns the failed checks of a run with a scale, which preserves volumes but not the materials
-/// of voxel centres.
-fn failed_at_scale(materials: &Materials, tallies: &[Tally], found: &Survey) -> Vec<String> {
+/// of voxel centres. Changes of volumes that the user accepts cause only a warning, which lists
+/// them.
+fn failed_at_scale(
+    materials: &Materials,
+    tallies: &[Tally],
+    found: &Survey,
+    accepts_losses: bool,
+    context: &Context,
+) -> Vec<String> {
     let changed = volumes_changed(materials, tallies, found, SCALED_VOLUME_LIMITS.1);
+    let (count, percent) = (changed.len(), 100.0 * SCALED_VOLUME_LIMITS.1);
+    let told = format!("materials whose volume the scale changed by more than {percent:.0} %");
     if changed.is_empty() {
         return Vec::new();
     }
+    if accepts_losses {
+        context.warn(format!("{FIT_BUT_FOR}{count} {told}: {}", changed.join(", ")));
+        return Vec::new();
+    }
     vec![format!(
-        "the volumes of {} materials changed by more than {:.0} %: {}; many of their parts are too thin for this \
-         scale. To keep them, lower SIZE or SCALE (--scale), raise VERTICES, set \
-         SIZEFIELD_OPTIONS=\"--size NAME=MM\" to smaller edges on these materials, or set \
-         DISTFIELD_OPTIONS=\"--keep-thin\"",
-        changed.len(),
-        100.0 * SCALED_VOLUME_LIMITS.1,
+        "{count} {told}: {}; many of their parts are too thin. To keep them, lower SIZE or SCALE (--scale), raise \
+         VERTICES, set SIZEFIELD_OPTIONS=\"--size NAME=MM\" to smaller edges on these materials, or set \
+         DISTFIELD_OPTIONS=\"--keep-thin\"; to accept the losses, set ACCEPT_LOSSES=yes (--accept-losses)",
         listed(&changed)
     )]
 }
