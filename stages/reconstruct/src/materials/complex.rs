@@ -7,9 +7,11 @@
 
 use super::prepare::Prepared;
 use super::segments::Segments;
+use super::way::ONE_CURVE;
 use crate::around::star;
 use crate::interfaces::{Interfaces, Segment};
 use crate::labelled::{Facet, Labelled};
+use crate::object::DEFAULT_DEVIATION;
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
 use isoparticles_field::materials::complex::SAME_JUNCTION;
@@ -74,17 +76,17 @@ impl<'a> Complex<'a> {
                 (ids.len() > 4).then_some((v, ids))
             })
             .collect();
-        let label =
-            |delaunay: &Delaunay, t: u32, centre| material_of(indicators, &strata, &crowded, delaunay, t, centre);
-        let labelled = Labelled::new(delaunay, upper, label);
+        let points = Points { indicators, strata: &strata, sizes: &sizes, crowded: &crowded };
+        let labelled = Labelled::new(delaunay, upper, |delaunay, t, centre| points.material(delaunay, t, centre));
         Self { labelled, indicators, strata, sizes, segments, joined: BTreeSet::new(), crowded, max_deviation }
     }
 
     /// Assigns materials to the tetrahedra that were created or marked for reconsideration since
     /// the last call.
     pub fn decide(&mut self) {
-        let Self { labelled, indicators, strata, crowded, .. } = self;
-        labelled.decide(|delaunay, t, centre| material_of(*indicators, strata, crowded, delaunay, t, centre));
+        let Self { labelled, indicators, strata, sizes, crowded, .. } = self;
+        let points = Points { indicators: *indicators, strata, sizes, crowded };
+        labelled.decide(|delaunay, t, centre| points.material(delaunay, t, centre));
     }
 
     /// Replaces a segment by two through an existing point that its curve passes within
@@ -121,7 +123,7 @@ impl<'a> Complex<'a> {
     /// Returns whether the interfaces between the first and each other material of a stratum pass a
     /// point within `ONE_CURVE`, to first order.
     fn is_passed(&self, point: u32, stratum: &Stratum) -> bool {
-        let reach = super::way::ONE_CURVE * self.indicators.voxel();
+        let reach = ONE_CURVE * self.indicators.voxel();
         let (place, ids) = (self.points()[point as usize], stratum.materials());
         ids[1..].iter().all(|&other| {
             let (value, gradient) = self.indicators.difference_gradient(ids[0], other, place);
@@ -174,7 +176,7 @@ impl<'a> Complex<'a> {
     /// end at a junction point of the same materials. These segments could lie on any of the curves
     /// between the materials.
     fn widen_short_segments(&mut self, point: u32) {
-        let reach = super::way::ONE_CURVE * self.indicators.voxel();
+        let reach = ONE_CURVE * self.indicators.voxel();
         let own = self.strata[point as usize];
         let is_of_four =
             |pair: &Segment| pair.iter().all(|&v| self.strata[v as usize] == own) && self.length(*pair) < reach;
@@ -225,41 +227,84 @@ impl<'a> Complex<'a> {
     }
 }
 
+/// Data of the points from which the materials of tetrahedra are derived.
+struct Points<'a> {
+    indicators: &'a dyn Indicators,
+    strata: &'a [Stratum],
+    sizes: &'a [f64],
+    crowded: &'a Crowded,
+}
+
 /// Returns the materials that meet at a point.
 fn meeting<'a>(strata: &'a [Stratum], crowded: &'a Crowded, point: u32) -> &'a [MaterialId] {
     crowded.get(&point).map_or_else(|| strata[point as usize].materials(), Vec::as_slice)
 }
 
-/// Returns the material of a tetrahedron. The candidates are the materials that meet at all four
-/// vertices. A single candidate is the result; of several, the one with the minimum indicator at
-/// the circumcentre. Without candidates, the result is the material at the circumcentre.
-///
-/// The candidates have priority because of thin layers. The material of the layer is the only
-/// candidate for a tetrahedron across it, but the circumcentre may lie far beyond the layer.
-fn material_of(
-    indicators: &dyn Indicators,
-    strata: &[Stratum],
-    crowded: &Crowded,
-    delaunay: &Delaunay,
-    tetrahedron: u32,
-    centre: Option<DVec3>,
-) -> MaterialId {
-    let vertices = delaunay.vertices(tetrahedron);
-    let is_common = |id: &MaterialId| vertices[1..].iter().all(|&v| meeting(strata, crowded, v).contains(id));
-    let first = meeting(strata, crowded, vertices[0]);
-    let common = || first.iter().copied().filter(is_common);
-    if let (Some(only), None) = (common().next(), common().nth(1)) {
-        return only;
+impl Points<'_> {
+    /// Returns the material of a tetrahedron: that at its circumcentre, except in thin layers. The
+    /// circumcentre may lie far beyond a layer, in a material that does not meet at all four
+    /// vertices. The result is then the material that meets at all four, is close to the centroid,
+    /// and has the minimum indicator on the way from the circumcentre to the centroid.
+    fn material(&self, delaunay: &Delaunay, tetrahedron: u32, centre: Option<DVec3>) -> MaterialId {
+        let vertices = delaunay.vertices(tetrahedron);
+        let at_centre = centre.map_or(MaterialId::OUTSIDE, |p| self.indicators.material_at(p));
+        let [first, others @ ..] = vertices.map(|v| meeting(self.strata, self.crowded, v));
+        let is_at_others = |id: &MaterialId| others.iter().all(|ids| ids.contains(id));
+        let mut common: Vec<MaterialId> = first.iter().copied().filter(is_at_others).collect();
+        if common.is_empty() || common.contains(&at_centre) {
+            return at_centre;
+        }
+        // the limit of the deviation of a facet
+        let size = vertices.iter().map(|&v| self.sizes[v as usize]).sum::<f64>() / 4.0;
+        let reach = DEFAULT_DEVIATION * size.max(self.indicators.voxel());
+        let centroid = vertices.iter().map(|&v| delaunay.points()[v as usize]).sum::<DVec3>() / 4.0;
+        common.retain(|id| -0.5 * self.indicators.clearance(centroid, &[*id]) <= reach);
+        let from = centre.unwrap_or(centroid);
+        let known = |step: i32| {
+            let near = self.indicators.near(from.lerp(centroid, f64::from(step) / f64::from(STEPS)));
+            near.entries().iter().map(|(id, _)| *id).find(|id| common.contains(id))
+        };
+        if common.is_empty() { at_centre } else { (0..=STEPS).find_map(known).unwrap_or(at_centre) }
     }
-    let at_centre = centre.map_or(MaterialId::OUTSIDE, |p| indicators.material_at(p));
-    if common().next().is_none() || common().any(|id| id == at_centre) {
-        return at_centre;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::prepare::Taken;
+    use super::super::scenes::stratum;
+    use super::*;
+    use isoparticles_field::materials::{Analytic, half_space, maximum, negative};
+
+    /// Returns the material of a tetrahedron with a vertex on each stratum, in a slab between z = 2
+    /// and `top` with material 1 for x < 10 and 2 beyond. The outside lies above and below.
+    fn label(top: f64, points: [[f64; 3]; 4], strata: [[u16; 2]; 4]) -> MaterialId {
+        let plane = |x: f64, z: f64, normal: DVec3| half_space(DVec3::new(x, 0.0, z), normal);
+        let slab = || maximum(plane(0.0, 2.0, DVec3::NEG_Z), plane(0.0, top, DVec3::Z));
+        let [first, second] = [DVec3::X, DVec3::NEG_X].map(|normal| maximum(slab(), plane(10.0, 0.0, normal)));
+        let analytic = Analytic::new(vec![negative(slab()), first, second], 1.0);
+        let delaunay = Delaunay::new(&points.map(DVec3::from_array)).expect("four points in space");
+        let (t, _) = delaunay.finite_tetrahedra().next().expect("a tetrahedron");
+        let prepared = Prepared {
+            segments: Segments::new([], delaunay.points()),
+            delaunay,
+            strata: strata.map(|ids| stratum(&ids)).to_vec(),
+            sizes: vec![1.0; 4],
+            report: Taken::default(),
+        };
+        Complex::new(prepared, &analytic, DVec3::splat(40.0), None).material(t)
     }
-    let centroid = vertices.iter().map(|&v| delaunay.points()[v as usize]).sum::<DVec3>() / 4.0;
-    let from = centre.unwrap_or(centroid);
-    let known = |step: i32| {
-        let near = indicators.near(from.lerp(centroid, f64::from(step) / f64::from(STEPS)));
-        near.entries().iter().map(|(id, _)| *id).find(|id| common().any(|own| own == *id))
-    };
-    (0..=STEPS).find_map(known).unwrap_or(at_centre)
+
+    #[test]
+    fn tetrahedra_across_a_material_do_not_get_another() {
+        // only the outside meets at all four vertices, but the tetrahedron lies in material 1
+        let points = [[0.0, 5.0, 2.0], [5.0, 1.0, 10.0], [5.0, 9.0, 10.0], [10.5, 5.0, 2.0]];
+        assert_eq!(label(10.0, points, [[0, 1], [0, 1], [0, 1], [0, 2]]), MaterialId(1));
+    }
+
+    #[test]
+    fn tetrahedra_across_a_thin_layer_get_its_material() {
+        // the circumcentre lies far above or below the layer, in the outside
+        let points = [[2.0, 5.0, 2.0], [5.0, 1.0, 2.5], [5.0, 9.0, 2.5], [10.0, 5.5, 2.3]];
+        assert_eq!(label(2.5, points, [[0, 1], [0, 1], [0, 1], [1, 2]]), MaterialId(1));
+    }
 }
