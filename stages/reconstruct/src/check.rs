@@ -10,7 +10,6 @@ mod forced;
 mod report;
 
 use crate::interfaces::{Interfaces, Segment};
-use crate::materials::way::ONE_CURVE;
 use forced::is_forced;
 use glam::DVec3;
 use isoparticles_field::materials::complex::SAME_JUNCTION;
@@ -35,6 +34,11 @@ pub const MIN_RADIUS_RATIO: f64 = 0.3;
 /// Remedies for triangles that the junction curves force below the minimum radius ratio.
 const REMEDY: &str = "a scale (SCALE, or SIZE or VERTICES without SCALE=0) or smaller edges (SIZE, MIN_SIZE, more VERTICES) remove them, \
                       --accept-forced (ACCEPT_FORCED=yes) accepts them";
+
+/// Maximum ratio of the first-order distance from an interface, |G| / |grad G|, to the distance of
+/// a vertex at which strata are merged. It is at most 2.44 at 128 contracted segments of
+/// `brain_parcellation` at 100,000 vertices, which are up to 0.8 voxel long.
+const ESTIMATE_OVER_DISTANCE: f64 = 3.0;
 
 /// Reference for the checks, in the grid frame of the mesh.
 pub trait Truth: Sync {
@@ -316,8 +320,8 @@ impl Checker<'_> {
         if let Some(least) = self.options.max_vertex_distance {
             let limit = |count: &u8| if *count > 4 { least.max(SAME_JUNCTION) } else { least };
             let mut limits: Vec<f64> = self.meeting.iter().map(limit).collect();
-            for &v in joined.iter().filter(|&&v| v != u32::MAX) {
-                limits[v as usize] = least.max(ONE_CURVE);
+            for own in joined.iter().filter(|own| own.vertex != u32::MAX) {
+                limits[own.vertex as usize] = least.max(ESTIMATE_OVER_DISTANCE * own.distance / voxel);
             }
             let distant = (0..).zip(vertices.iter().zip(limits)).filter(|(_, (distance, limit))| *distance > limit);
             report.offenders.insert(Fault::DistantVertices, Simplices::Vertices(distant.map(|(v, _)| v).collect()));

@@ -26,9 +26,17 @@ pub struct Interfaces {
     /// Segments of junction curves, ascending, each with its curve. A vertex that is in no triangle
     /// has the number `u32::MAX`.
     pub segments: Vec<(Segment, Stratum)>,
-    /// Vertices on several curves that are merged within a tolerance. Their distance from some of
-    /// their interfaces may be as large as this tolerance. `u32::MAX` denotes removed vertices.
-    pub joined: Vec<u32>,
+    /// Vertices at which strata are merged.
+    pub joined: Vec<Joined>,
+}
+
+/// A vertex at which strata that are close together are merged.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Joined {
+    /// The vertex; `u32::MAX` if it was removed.
+    pub vertex: u32,
+    /// Maximum distance of the vertex from its interfaces, mm.
+    pub distance: f64,
 }
 
 /// The materials inside and outside of the surface of one object.

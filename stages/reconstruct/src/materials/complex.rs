@@ -9,7 +9,7 @@ use super::prepare::Prepared;
 use super::segments::Segments;
 use super::way::ONE_CURVE;
 use crate::around::star;
-use crate::interfaces::{Interfaces, Segment};
+use crate::interfaces::{Interfaces, Joined, Segment};
 use crate::labelled::{Facet, Labelled};
 use crate::object::DEFAULT_DEVIATION;
 use glam::DVec3;
@@ -56,7 +56,9 @@ impl<'a> Complex<'a> {
         let number = |v: u32| used.binary_search(&v).map_or(u32::MAX, |n| n as u32);
         interfaces.segments = self.segments.all().map(|(pair, curve)| (pair.map(number), curve)).collect();
         interfaces.segments.sort_unstable();
-        interfaces.joined = self.joined.iter().map(|&v| number(v)).filter(|&v| v != u32::MAX).collect();
+        let distance = ONE_CURVE * self.indicators.voxel();
+        let joined = self.joined.iter().map(|&v| Joined { vertex: number(v), distance });
+        interfaces.joined = joined.filter(|own| own.vertex != u32::MAX).collect();
         let dimensions = used.iter().map(|&v| self.strata[v as usize].dimension()).collect();
         (interfaces, dimensions)
     }

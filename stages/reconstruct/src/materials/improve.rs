@@ -80,7 +80,7 @@ fn freedoms(interfaces: &Interfaces, dimensions: &[usize]) -> Vec<Freedom> {
         let curves = at.get(&(v as u32)).map_or(&[][..], Vec::as_slice);
         matches!(curves, [first, second] if first == second && first.dimension() == 1 && first.materials() == meets[v])
     };
-    let joined: BTreeSet<u32> = interfaces.joined.iter().copied().collect();
+    let joined: BTreeSet<u32> = interfaces.joined.iter().map(|own| own.vertex).collect();
     let freedom = |v: usize| match (on_sheet[v], meets[v].len()) {
         (true, _) => Freedom::Sheet,
         (false, 4..) => Freedom::Point,
@@ -149,7 +149,7 @@ pub fn improve(
     let is_gone = |v: u32| is_on_curve.get(v as usize) == Some(&true) && number(v) == u32::MAX;
     interfaces.segments = bridged(std::mem::take(&mut interfaces.segments), is_gone);
     interfaces.segments.iter_mut().for_each(|(pair, _)| *pair = pair.map(number));
-    interfaces.joined.iter_mut().for_each(|v| *v = number(*v));
+    interfaces.joined.iter_mut().for_each(|own| own.vertex = number(own.vertex));
     interfaces.between = sheets.of_triangle.iter().map(|&sheet| field.pair(sheet)).collect();
     Ok(report)
 }

@@ -9,11 +9,13 @@
 //! | insertion of points, segments split on their curves | [`refine`], `cut` |
 //! | tetrahedra that change their material where points do not help | `relabel` |
 //! | redundant segments dropped, vertices joined to interfaces that pass them | `unite` |
+//! | short segments of curves contracted at a scale | `contract` |
 //! | improvement of the triangles | [`improve`] |
 //! | components of the materials | [`pieces`] |
 //! | all steps in order; the program | [`reconstruct`], [`run`] |
 
 pub mod complex;
+mod contract;
 pub mod criteria;
 mod cut;
 pub mod improve;

@@ -2,6 +2,7 @@
 //! interfaces between materials, improves its triangles, and checks it.
 
 use super::complex::Complex;
+use super::contract::contract;
 use super::improve::improve;
 use super::nodes::Nodes;
 use super::pieces::{Pieces, missing, pieces};
@@ -102,12 +103,15 @@ pub fn reconstruct(
             refined.unresolved.insert(Reason::Vertex, left - refined.parted);
         }
     }
-    drop(phase);
-
-    let phase = monitor.phase("improve");
     let tree = KdTree::new(complex.points());
     let size_near = |p: DVec3| tree.nearest(p).map_or(indicators.voxel(), |(v, _)| complex.sizes[v]);
     let size = |p: DVec3| sizing.map_or_else(|| size_near(p), |h| h.at(p));
+    if !options.keeps_voxels {
+        refined.contracted = contract(&mut interfaces, &mut dimensions, &size);
+    }
+    drop(phase);
+
+    let phase = monitor.phase("improve");
     let how = ImproveOptions {
         target: options.improve_below,
         relaxation_sweeps: options.relaxation_sweeps,

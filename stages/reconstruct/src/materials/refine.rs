@@ -47,6 +47,8 @@ pub struct RefineReport {
     pub superfluous: usize,
     /// Number of vertices at which touching parts of an interface were separated.
     pub parted: usize,
+    /// Number of short segments that were contracted at a scale.
+    pub contracted: usize,
     /// Remaining violations of the topology, and grid nodes in another material, by reason.
     pub unresolved: BTreeMap<Reason, usize>,
 }
