@@ -346,7 +346,9 @@ impl CaseFolder {
         if !self.path.exists() {
             return Ok(false);
         }
-        let known = STAGES.iter().any(|stage| !self.files_of(stage).is_empty());
+        // a volume alone, NAME.nrrd, may be the user's
+        let made = STAGES.iter().filter(|stage| stage.stage != "phantom");
+        let known = made.into_iter().any(|stage| !self.files_of(stage).is_empty());
         if !known && !self.status_path().exists() && !self.path.join(LOCK).exists() {
             return Err(Error::input(
                 format!("{}: contains no results of a case", self.path.display()),
@@ -410,5 +412,16 @@ mod tests {
         folder.lock().expect_err("held");
         assert!(folder.path.join(".isoparticles-a1b2c3.partial").exists());
         drop(lock);
+    }
+
+    #[test]
+    fn a_folder_with_only_a_volume_is_not_removed() {
+        let out = tempfile::tempdir().expect("folder");
+        let folder = CaseFolder::new(out.path(), "case");
+        std::fs::create_dir(&folder.path).expect("made");
+        std::fs::write(folder.path.join("case.nrrd"), b"the user's").expect("written");
+        folder.clean().expect_err("no case");
+        std::fs::write(folder.path.join("case.surface.vtp"), b"a result").expect("written");
+        assert!(folder.clean().expect("a case") && !folder.path.exists());
     }
 }

@@ -43,11 +43,16 @@ fn shorten(word: &str, outputs: &[PathBuf]) -> String {
     let path = Path::new(word);
     if outputs.iter().any(|output| output == path) {
         "OUTPUT".to_owned()
-    } else if word.contains(std::path::MAIN_SEPARATOR) || word.contains('/') {
+    } else if word.contains([std::path::MAIN_SEPARATOR, '/']) && !is_pair(word) {
         file_name(path)
     } else {
         word.to_owned()
     }
+}
+
+/// Returns whether a word gives a length of a pair of materials, such as `left/right=1.5`.
+fn is_pair(word: &str) -> bool {
+    word.rsplit_once('=').is_some_and(|(_, value)| value.parse::<f64>().is_ok())
 }
 
 #[cfg(test)]
@@ -70,5 +75,9 @@ mod tests {
             assert_eq!(line(&["in.vti", attached], "out.bin"), "seed in.vti -o OUTPUT");
         }
         assert_eq!(line(&["--iso=-500", "-5"], "x"), "seed --iso=-500 -5");
+        for size in ["--size left/right=1.5", "--size=left/right=1.5"] {
+            let words: Vec<&str> = size.split(' ').collect();
+            assert_eq!(line(&words, "x"), format!("seed {size}"));
+        }
     }
 }
