@@ -19,10 +19,6 @@ use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::LEAST_GRADIENT;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Number of steps from the circumcentre of a tetrahedron to its centroid in the search for a
-/// position at which an indicator of its candidate materials is known.
-const STEPS: i32 = 8;
-
 /// Materials of the points at which more than four meet, by point index.
 type Crowded = BTreeMap<u32, Vec<MaterialId>>;
 
@@ -245,14 +241,14 @@ fn meeting<'a>(strata: &'a [Stratum], crowded: &'a Crowded, point: u32) -> &'a [
 impl Points<'_> {
     /// Returns the material of a tetrahedron: that at its circumcentre, except in thin layers. The
     /// circumcentre may lie far beyond a layer, in a material that does not meet at all four
-    /// vertices. The result is then the material that meets at all four, is close to the centroid,
-    /// and has the minimum indicator on the way from the circumcentre to the centroid.
+    /// vertices. The result is then the one of those that meet there with the minimum indicator at
+    /// the centroid, if it is close to the centroid.
     fn material(&self, delaunay: &Delaunay, tetrahedron: u32, centre: Option<DVec3>) -> MaterialId {
         let vertices = delaunay.vertices(tetrahedron);
         let at_centre = centre.map_or(MaterialId::OUTSIDE, |p| self.indicators.material_at(p));
         let [first, others @ ..] = vertices.map(|v| meeting(self.strata, self.crowded, v));
         let is_at_others = |id: &MaterialId| others.iter().all(|ids| ids.contains(id));
-        let mut common: Vec<MaterialId> = first.iter().copied().filter(is_at_others).collect();
+        let common: Vec<MaterialId> = first.iter().copied().filter(is_at_others).collect();
         if common.is_empty() || common.contains(&at_centre) {
             return at_centre;
         }
@@ -260,13 +256,10 @@ impl Points<'_> {
         let size = vertices.iter().map(|&v| self.sizes[v as usize]).sum::<f64>() / 4.0;
         let reach = DEFAULT_DEVIATION * size.max(self.indicators.voxel());
         let centroid = vertices.iter().map(|&v| delaunay.points()[v as usize]).sum::<DVec3>() / 4.0;
-        common.retain(|id| -0.5 * self.indicators.clearance(centroid, &[*id]) <= reach);
-        let from = centre.unwrap_or(centroid);
-        let known = |step: i32| {
-            let near = self.indicators.near(from.lerp(centroid, f64::from(step) / f64::from(STEPS)));
-            near.entries().iter().map(|(id, _)| *id).find(|id| common.contains(id))
-        };
-        if common.is_empty() { at_centre } else { (0..=STEPS).find_map(known).unwrap_or(at_centre) }
+        let near = self.indicators.near(centroid);
+        let least = near.entries().first().map_or(0.0, |(_, value)| *value);
+        let mut close = near.entries().iter().filter(|(_, value)| 0.5 * (value - least) <= reach);
+        close.find(|(id, _)| common.contains(id)).map_or(at_centre, |(id, _)| *id)
     }
 }
 

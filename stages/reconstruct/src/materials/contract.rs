@@ -22,9 +22,6 @@ const SHORT_SEGMENT: f64 = 0.25;
 /// Minimum cosine between the normals of a triangle before and after a contraction: 60 degrees.
 const TURNED: f64 = 0.5;
 
-/// Maximum number of passes over all segments. A contraction can make other segments short.
-const PASSES: usize = 4;
-
 /// A mesh of interfaces whose segments are contracted.
 struct Contraction<'a> {
     interfaces: &'a mut Interfaces,
@@ -46,7 +43,8 @@ struct Contraction<'a> {
 pub(super) fn contract(interfaces: &mut Interfaces, dimensions: &mut Vec<usize>, size: &dyn Fn(DVec3) -> f64) -> usize {
     let mut contraction = Contraction::new(interfaces, dimensions);
     let mut count = 0;
-    for _ in 0..PASSES {
+    // a contraction can make other segments short
+    loop {
         let before = count;
         for [a, b] in contraction.short(size) {
             // an earlier contraction may have removed the segment
