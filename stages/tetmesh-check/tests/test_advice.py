@@ -32,6 +32,7 @@ SEVERAL = {"MATERIALS": "all", "SIZE": "2"}
         "a coordinate is not finite, or a triangle refers to a vertex that does not exist",
         "the normals point inward: the volume is -3.000000",
         "the volume changed by -34 %: much of it is one voxel thick or less, or specks (--keep drops them)",
+        "12 materials whose volume the scale changed by more than 10 %: 'label_1' -24 %, 'label_12' -28 %",
         "components and cavities: 1 and 2 in the input, 2 and 2 in F",
         "5 voxel centres changed sides",
         "indicators have the wrong sign at voxel centres: 'lung'",

@@ -11,6 +11,7 @@ use super::scales::Scales;
 use super::survey::{Survey, distance_limit, survey};
 use crate::args::Args;
 use crate::changes::{Changes, Kind, SPECK_SHARE};
+use crate::choose::ScaleArgs;
 use crate::crop::VoxelBox;
 use crate::input::take_out;
 use crate::labels::LABEL_ROOM;
@@ -72,8 +73,7 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     context.report("materials", notes["table"].clone());
     context.report("interfaces", notes["interfaces"].clone());
     context.report("junctions", notes["junctions"].clone());
-    let changed: usize = found.changed.iter().sum();
-    context.report("voxels_changed", changed);
+    context.report("voxels_changed", found.changed.iter().sum::<usize>());
     context.report("state_bytes", materials.bytes());
     describe(&materials, &tallies, &found, context);
     tell_contacts(contacts, context);
@@ -97,7 +97,7 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     write_materials(output, &materials, shown, &meta, &context.history())?;
     drop(step);
     let failed = match range {
-        Some(_) => failed_at_scale(&materials, &tallies, &found, args.scale.accept_losses, context),
+        Some(_) => failed_at_scale(&materials, &tallies, &found, &args.scale, context),
         None => failed_checks(&materials, &tallies, &found),
     };
     Ok(Outcome::from_failed_checks(failed))
@@ -375,7 +375,7 @@ fn failed_at_scale(
     materials: &Materials,
     tallies: &[Tally],
     found: &Survey,
-    accepts_losses: bool,
+    scale: &ScaleArgs,
     context: &Context,
 ) -> Vec<String> {
     let changed = volumes_changed(materials, tallies, found, SCALED_VOLUME_LIMITS.1);
@@ -384,14 +384,18 @@ fn failed_at_scale(
     if changed.is_empty() {
         return Vec::new();
     }
-    if accepts_losses {
+    if scale.accept_losses {
         context.warn(format!("{FIT_BUT_FOR}{count} {told}: {}", changed.join(", ")));
         return Vec::new();
     }
+    let finer = match scale.scale_for_vertices {
+        Some(_) => "raise VERTICES (--scale-for-vertices)",
+        None => "lower SIZE or SCALE (--scale), or set SIZEFIELD_OPTIONS=\"--size NAME=MM\" to smaller edges there",
+    };
+    let thin = if scale.keep_thin { "" } else { ", or set DISTFIELD_OPTIONS=\"--keep-thin\"" };
     vec![format!(
-        "{count} {told}: {}; many of their parts are too thin. To keep them, lower SIZE or SCALE (--scale), raise \
-         VERTICES, set SIZEFIELD_OPTIONS=\"--size NAME=MM\" to smaller edges on these materials, or set \
-         DISTFIELD_OPTIONS=\"--keep-thin\"; to accept the losses, set ACCEPT_LOSSES=yes (--accept-losses)",
+        "{count} {told}: {}; many of their parts are too thin. To keep them, {finer}{thin}; to accept the losses, set \
+         ACCEPT_LOSSES=yes (--accept-losses)",
         listed(&changed)
     )]
 }

@@ -153,7 +153,7 @@ def quality(case: Case) -> str:
 def _surface_alone(case: Case) -> str:
     """What ``reconstruct`` measured, where there are no tetrahedra."""
     check = dig(case.reports, "reconstruct", "results", "check")
-    if check is None:
+    if check is None or not check["triangles"]:
         return ""
     shape = check["quality"]
     counts = shape["radius_ratio_histogram"]
