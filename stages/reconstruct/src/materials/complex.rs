@@ -13,7 +13,7 @@ use crate::interfaces::{Interfaces, Joined, Segment};
 use crate::labelled::{Facet, Labelled};
 use crate::object::DEFAULT_DEVIATION;
 use glam::DVec3;
-use isoparticles_delaunay::Delaunay;
+use isoparticles_delaunay::{Delaunay, INFINITE};
 use isoparticles_field::materials::complex::SAME_JUNCTION;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::LEAST_GRADIENT;
@@ -245,6 +245,9 @@ impl Points<'_> {
     /// the centroid, if it is close to the centroid.
     fn material(&self, delaunay: &Delaunay, tetrahedron: u32, centre: Option<DVec3>) -> MaterialId {
         let vertices = delaunay.vertices(tetrahedron);
+        if vertices.contains(&INFINITE) {
+            return MaterialId::OUTSIDE;
+        }
         let at_centre = centre.map_or(MaterialId::OUTSIDE, |p| self.indicators.material_at(p));
         let [first, others @ ..] = vertices.map(|v| meeting(self.strata, self.crowded, v));
         let is_at_others = |id: &MaterialId| others.iter().all(|ids| ids.contains(id));
@@ -252,13 +255,14 @@ impl Points<'_> {
         if common.is_empty() || common.contains(&at_centre) {
             return at_centre;
         }
-        // the limit of the deviation of a facet
+        // the default limit of the deviation of a facet
         let size = vertices.iter().map(|&v| self.sizes[v as usize]).sum::<f64>() / 4.0;
         let reach = DEFAULT_DEVIATION * size.max(self.indicators.voxel());
         let centroid = vertices.iter().map(|&v| delaunay.points()[v as usize]).sum::<DVec3>() / 4.0;
         let near = self.indicators.near(centroid);
         let least = near.entries().first().map_or(0.0, |(_, value)| *value);
-        let mut close = near.entries().iter().filter(|(_, value)| 0.5 * (value - least) <= reach);
+        // deep inside a material, its indicator is minus infinity
+        let mut close = near.entries().iter().filter(|(_, value)| *value <= least + 2.0 * reach);
         close.find(|(id, _)| common.contains(id)).map_or(at_centre, |(id, _)| *id)
     }
 }
