@@ -35,11 +35,6 @@ pub const MIN_RADIUS_RATIO: f64 = 0.3;
 const REMEDY: &str = "a scale (SCALE, or SIZE or VERTICES without SCALE=0) or smaller edges (SIZE, MIN_SIZE, more VERTICES) remove them, \
                       --accept-forced (ACCEPT_FORCED=yes) accepts them";
 
-/// Maximum ratio of the first-order distance from an interface, |G| / |grad G|, to the distance of
-/// a vertex at which strata are merged. It is at most 2.44 at 128 contracted segments of
-/// `brain_parcellation` at 100,000 vertices, which are up to 0.8 voxel long.
-const ESTIMATE_OVER_DISTANCE: f64 = 3.0;
-
 /// Reference for the checks, in the grid frame of the mesh.
 pub trait Truth: Sync {
     /// Returns the grid.
@@ -321,7 +316,8 @@ impl Checker<'_> {
             let limit = |count: &u8| if *count > 4 { least.max(SAME_JUNCTION) } else { least };
             let mut limits: Vec<f64> = self.meeting.iter().map(limit).collect();
             for own in joined.iter().filter(|own| own.vertex != u32::MAX) {
-                limits[own.vertex as usize] = least.max(ESTIMATE_OVER_DISTANCE * own.distance / voxel);
+                let limit = &mut limits[own.vertex as usize];
+                *limit = limit.max(own.distance / voxel);
             }
             let distant = (0..).zip(vertices.iter().zip(limits)).filter(|(_, (distance, limit))| *distance > limit);
             report.offenders.insert(Fault::DistantVertices, Simplices::Vertices(distant.map(|(v, _)| v).collect()));

@@ -52,7 +52,7 @@ fn shorten(word: &str, outputs: &[PathBuf]) -> String {
 
 /// Returns whether a word gives a length of a pair of materials, such as `left/right=1.5`.
 fn is_pair(word: &str) -> bool {
-    word.rsplit_once('=').is_some_and(|(_, value)| value.parse::<f64>().is_ok())
+    !word.starts_with("mask:") && word.rsplit_once('=').is_some_and(|(_, value)| value.parse::<f64>().is_ok())
 }
 
 #[cfg(test)]
@@ -75,6 +75,7 @@ mod tests {
             assert_eq!(line(&["in.vti", attached], "out.bin"), "seed in.vti -o OUTPUT");
         }
         assert_eq!(line(&["--iso=-500", "-5"], "x"), "seed --iso=-500 -5");
+        assert_eq!(line(&["--refine", "mask:/home/me/valve.nrrd=0.4"], "x"), "seed --refine valve.nrrd=0.4");
         for size in ["--size left/right=1.5", "--size=left/right=1.5"] {
             let words: Vec<&str> = size.split(' ').collect();
             assert_eq!(line(&words, "x"), format!("seed {size}"));

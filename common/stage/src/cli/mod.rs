@@ -31,8 +31,8 @@ pub const FILES: &str = "Files";
 pub const METHOD: &str = "Method";
 /// Help heading of the options that affect only the checks.
 pub const CHECKS: &str = "Checks";
-/// Prefix of a warning about elements that violate a limit but are accepted with `ACCEPT_FORCED`.
-/// The verdict of the case repeats such warnings.
+/// Prefix of a warning about what violates a limit but is accepted with `ACCEPT_FORCED` or
+/// `ACCEPT_LOSSES`. The verdict of the case repeats such warnings.
 pub const FIT_BUT_FOR: &str = "fit but for ";
 
 /// How to show progress.

@@ -390,7 +390,8 @@ fn failed_at_scale(
     }
     let finer = match scale.scale_for_vertices {
         Some(_) => "raise VERTICES (--scale-for-vertices)",
-        None => "lower SIZE or SCALE (--scale), or set SIZEFIELD_OPTIONS=\"--size NAME=MM\" to smaller edges there",
+        None if scale.scale.is_some() => "lower SCALE (--scale)",
+        None => "lower SIZE (--scale-for-size), or set SIZEFIELD_OPTIONS=\"--size NAME=MM\" to smaller edges there",
     };
     let thin = if scale.keep_thin { "" } else { ", or set DISTFIELD_OPTIONS=\"--keep-thin\"" };
     vec![format!(

@@ -20,7 +20,12 @@ use std::collections::BTreeMap;
 const SHORT_SEGMENT: f64 = 0.25;
 
 /// Minimum cosine between the normals of a triangle before and after a contraction: 60 degrees.
-const TURNED: f64 = 0.5;
+const LEAST_AGREEMENT: f64 = 0.5;
+
+/// Maximum ratio of the first-order distance from an interface, |G| / |grad G|, to the distance of
+/// a vertex at which strata are merged. It is at most 2.44 at 59 merged points of
+/// `brain_parcellation` at 100,000 vertices.
+const ESTIMATE_OVER_DISTANCE: f64 = 3.0;
 
 /// A mesh of interfaces whose segments are contracted.
 struct Contraction<'a> {
@@ -28,6 +33,10 @@ struct Contraction<'a> {
     /// Dimension of the stratum of each vertex.
     dimensions: &'a mut [usize],
     segments: BTreeMap<Segment, Stratum>,
+    /// Segments with an end in no triangle, which has the number `u32::MAX`.
+    lost: Vec<(Segment, Stratum)>,
+    /// The other ends of the segments at each vertex, ascending.
+    ends: Vec<Vec<u32>>,
     /// Distance (mm) of joined vertices from some of their interfaces.
     joined: BTreeMap<u32, f64>,
     /// The triangles at each vertex.
@@ -78,9 +87,15 @@ impl<'a> Contraction<'a> {
         // rest is for corners that move
         let mut bins = Bins::new(2.0 * longest);
         corners().enumerate().for_each(|(t, [a, b, c])| bins.add((a + b + c) / 3.0, t as u32));
-        let segments = interfaces.segments.iter().copied().collect();
+        let (lost, found): (Vec<_>, Vec<_>) = interfaces.segments.iter().partition(|([_, b], _)| *b == u32::MAX);
+        let mut ends = vec![Vec::new(); mesh.vertices.len()];
+        for ([a, b], _) in &found {
+            ends[*a as usize].push(*b);
+            ends[*b as usize].push(*a);
+        }
+        let segments = found.into_iter().collect();
         let joined = interfaces.joined.iter().map(|own| (own.vertex, own.distance)).collect();
-        Self { interfaces, dimensions, segments, joined, around, bins }
+        Self { interfaces, dimensions, segments, lost, ends, joined, around, bins }
     }
 
     fn place(&self, vertex: u32) -> DVec3 {
@@ -97,9 +112,7 @@ impl<'a> Contraction<'a> {
             let has_point = [a, b].iter().any(|&v| self.dimensions[v as usize] == 0);
             has_point && length < SHORT_SEGMENT * size(self.place(a).midpoint(self.place(b)))
         };
-        // a segment without triangles has no place
-        let with_places = self.segments.keys().filter(|[_, b]| *b != u32::MAX);
-        let all = with_places.map(|&[a, b]| (self.length(a, b), [a, b]));
+        let all = self.segments.keys().map(|&[a, b]| (self.length(a, b), [a, b]));
         let mut short: Vec<(f64, Segment)> = all.filter(is_short).collect();
         short.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         short.into_iter().map(|(_, pair)| pair).collect()
@@ -132,8 +145,9 @@ impl<'a> Contraction<'a> {
     /// Returns whether `gone` can be merged into its neighbour `keep`.
     fn is_possible(&self, keep: u32, gone: u32) -> bool {
         let own = self.materials(gone);
-        let common = self.materials(keep).into_iter().filter(|id| own.contains(id));
-        common.into_iter().all(|id| self.keeps_manifold(keep, gone, id))
+        let common: Vec<MaterialId> = self.materials(keep).into_iter().filter(|id| own.contains(id)).collect();
+        !common.is_empty()
+            && common.into_iter().all(|id| self.keeps_manifold(keep, gone, id))
             && self.merged_segments(keep, gone).is_some()
             && self.keeps_shapes(keep, gone)
     }
@@ -154,16 +168,13 @@ impl<'a> Contraction<'a> {
     /// Returns the segments of `gone` as segments of `keep`. Two segments that become one have the
     /// materials of both curves. Returns `None` if these are more than four.
     fn merged_segments(&self, keep: u32, gone: u32) -> Option<Vec<(Segment, Stratum)>> {
-        let mut ends: Vec<u32> = self.materials(gone).into_iter().flat_map(|id| self.ring(gone, id)).collect();
-        ends.sort_unstable();
-        ends.dedup();
-        let own = ends.into_iter().filter(|&end| end != keep);
-        let merged = |end: u32| {
-            let curve = *self.segments.get(&segment(gone, end))?;
+        let others = self.ends[gone as usize].iter().filter(|&&end| end != keep);
+        let merged = |&end: &u32| {
+            let curve = self.segments.get(&segment(gone, end))?;
             let other = self.segments.get(&segment(keep, end));
-            Some((segment(keep, end), other.map_or(Some(curve), |other| other.joined(&curve))))
+            Some((segment(keep, end), other.map_or(Some(*curve), |other| other.joined(curve))?))
         };
-        own.filter_map(merged).map(|(pair, curve)| Some((pair, curve?))).collect()
+        others.map(merged).collect()
     }
 
     /// Returns whether the triangles that follow `gone` to `keep` keep the minimum radius ratio,
@@ -182,31 +193,56 @@ impl<'a> Contraction<'a> {
         let new: Vec<(u32, [u32; 3], [DVec3; 3])> =
             self.around[gone as usize].iter().filter(follows).map(moved).collect();
         let is_sound = new.iter().all(|(t, _, places)| {
-            ratio(*places) >= before && normal(*places).dot(normal(mesh.corners(*t as usize))) >= TURNED
+            ratio(*places) >= before && normal(*places).dot(normal(mesh.corners(*t as usize))) >= LEAST_AGREEMENT
         });
         let is_crossed = |(_, corners, places): &(u32, [u32; 3], [DVec3; 3])| {
             let bounds = Bounds::of(places);
             let others = self.bins.near((places[0] + places[1] + places[2]) / 3.0);
-            others.filter(|&&t| !mesh.triangles[t as usize].contains(&gone)).any(|&t| {
+            // triangles that a contraction removed have equal corners
+            let is_other = |&&t: &&u32| {
+                let corners = mesh.triangles[t as usize];
+                corners[0] != corners[1] && !corners.contains(&gone)
+            };
+            others.filter(is_other).any(|&t| {
                 let other = mesh.corners(t as usize);
                 Bounds::of(&other).meets(&bounds) && corners_cross(*corners, *places, mesh.triangles[t as usize], other)
             })
         };
-        is_sound && !new.iter().any(is_crossed)
+        let cross = |first: usize, second: usize| {
+            let [(_, a, p), (_, b, q)] = [&new[first], &new[second]];
+            corners_cross(*a, *p, *b, *q)
+        };
+        is_sound && !new.iter().any(is_crossed) && !(0..new.len()).any(|n| (0..n).any(|other| cross(n, other)))
     }
 
     /// Merges `gone` into `keep`.
     fn apply(&mut self, keep: u32, gone: u32) {
-        let is_new = self.materials(gone).iter().any(|id| !self.materials(keep).contains(id));
-        let of_gone = self.joined.remove(&gone);
-        if is_new || of_gone.is_some() {
-            let distance = self.length(keep, gone) + of_gone.unwrap_or_default();
-            let own = self.joined.entry(keep).or_default();
-            *own = own.max(distance);
-        }
+        let of_gone = self.joined.remove(&gone).unwrap_or_default();
+        let distance = ESTIMATE_OVER_DISTANCE * self.length(keep, gone) + of_gone;
+        let own = self.joined.entry(keep).or_default();
+        *own = own.max(distance);
         let merged = self.merged_segments(keep, gone).unwrap_or_default();
-        self.segments.retain(|pair, _| !pair.contains(&gone));
-        self.segments.extend(merged);
+        for end in std::mem::take(&mut self.ends[gone as usize]) {
+            self.segments.remove(&segment(gone, end));
+            let ends = &mut self.ends[end as usize];
+            ends.retain(|&other| other != gone && other != keep);
+            if end != keep {
+                ends.push(keep);
+                ends.sort_unstable();
+            }
+        }
+        for (pair, curve) in merged {
+            let end = if pair[0] == keep { pair[1] } else { pair[0] };
+            if let Err(place) = self.ends[keep as usize].binary_search(&end) {
+                self.ends[keep as usize].insert(place, end);
+            }
+            self.segments.insert(pair, curve);
+        }
+        for ([a, _], _) in &mut self.lost {
+            if *a == gone {
+                *a = keep;
+            }
+        }
         for t in std::mem::take(&mut self.around[gone as usize]) {
             let corners = &mut self.interfaces.mesh.triangles[t as usize];
             if corners.contains(&keep) {
@@ -222,7 +258,7 @@ impl<'a> Contraction<'a> {
 
     /// Removes the vertices and triangles that are gone, and renumbers the others.
     fn finish(self) {
-        let Self { interfaces, dimensions, segments, joined, around, .. } = self;
+        let Self { interfaces, dimensions, segments, lost, joined, around, .. } = self;
         let mut number = vec![u32::MAX; around.len()];
         let kept: Vec<usize> = (0..around.len()).filter(|&v| !around[v].is_empty()).collect();
         kept.iter().enumerate().for_each(|(n, &v)| {
@@ -237,7 +273,7 @@ impl<'a> Contraction<'a> {
         mesh.triangles.retain(|[a, b, _]| a != b);
         mesh.triangles.iter_mut().for_each(|corners| *corners = corners.map(|v| number[v as usize]));
         let number = |v: u32| number.get(v as usize).copied().unwrap_or(u32::MAX);
-        interfaces.segments = segments.into_iter().map(|(pair, curve)| (pair.map(number), curve)).collect();
+        interfaces.segments = segments.into_iter().chain(lost).map(|(pair, curve)| (pair.map(number), curve)).collect();
         interfaces.segments.sort_unstable();
         interfaces.joined =
             joined.into_iter().map(|(vertex, distance)| Joined { vertex: number(vertex), distance }).collect();
@@ -301,7 +337,7 @@ mod tests {
         }
         assert_eq!(contract(&mut split, &mut dimensions, &|_| 1.5), 1);
         assert_eq!((places(&split), &split.segments), (places(&whole), &whole.segments));
-        assert_eq!((dimensions.len(), split.joined.len()), (whole.mesh.vertices.len(), 0));
+        assert_eq!((dimensions.len(), split.joined.len()), (whole.mesh.vertices.len(), 1));
     }
 
     #[test]
