@@ -35,7 +35,7 @@ impl DerefMut for Restricted<'_> {
 impl<'a> Restricted<'a> {
     /// Labels the tetrahedra of a triangulation in the grid frame of F by the sign of F at their
     /// circumcentres. Ghosts and tetrahedra with circumcentres outside the volume are outside or,
-    /// if the border is open, have the sign of F at the border ([`at_border`]).
+    /// if the border is open, have the sign of F at the border (`at_border`).
     pub fn new(delaunay: Delaunay, field: &'a CubicSpline, is_open: bool) -> Self {
         let sides = Labelled::new(delaunay, field.geometry().upper_corner(), side_by(field, is_open));
         Self { sides, field, is_open }
