@@ -2,7 +2,7 @@
 //! label (`side` in this module) is inside or outside, or one of many materials. At a facet between
 //! two labels, the greater label is inside.
 
-use isoparticles_delaunay::{Delaunay, INFINITE};
+use isoparticles_delaunay::Delaunay;
 use isoparticles_mesh::components::DisjointSets;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashSet};
@@ -41,9 +41,7 @@ pub(crate) fn boundary_facets_of<S: Ord>(delaunay: &Delaunay, t: u32, side: impl
         let (t, i) = if side(t) > side(n) { (t, i) } else { (n, place_of(delaunay.neighbours(n), t)) };
         Facet { vertices: delaunay.facet(t, i), tetrahedron: t, opposite: i as u8 }
     };
-    // facets between ghosts have the infinite vertex
-    let is_finite = |f: &Facet| !f.vertices.contains(&INFINITE);
-    (0..4).filter(|&i| side(t) != side(neighbours[i])).map(facet).filter(is_finite).collect()
+    (0..4).filter(|&i| side(t) != side(neighbours[i])).map(facet).collect()
 }
 
 /// Returns the facets between labels, in the order of the tetrahedra with the greater label.

@@ -1,8 +1,8 @@
 //! A Delaunay triangulation with a label for each tetrahedron: inside or outside one object, or one
 //! of many materials.
 //!
-//! The vertices and the circumcentre of a tetrahedron determine its label, also for ghosts, which
-//! lie beyond the convex hull. The facets between different labels form the
+//! The vertices and the circumcentre of a tetrahedron determine its label. Ghosts, beyond the
+//! convex hull, have the default label, outside. The facets between different labels form the
 //! surface or the interfaces, which are therefore closed and conforming.
 
 pub use crate::around::Facet;
@@ -42,7 +42,7 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
     /// circumcentre, which is `None` outside the volume. `upper` is the upper corner of the volume
     /// (mm).
     pub fn new(delaunay: Delaunay, upper: DVec3, label: impl Fn(&Delaunay, u32, Option<DVec3>) -> L + Sync) -> Self {
-        let undecided = delaunay.tetrahedra().map(|(t, _)| t).collect();
+        let undecided = delaunay.finite_tetrahedra().map(|(t, _)| t).collect();
         let mut new = Self { delaunay, upper, labels: Vec::new(), undecided, changed: Vec::new() };
         new.decide(label);
         new.changed = Vec::new();
@@ -106,7 +106,7 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         undecided.sort_unstable();
         undecided.dedup();
         let of = |&t: &u32| {
-            if !self.delaunay.is_alive(t) {
+            if !self.delaunay.is_alive(t) || self.delaunay.is_ghost(t) {
                 return L::default();
             }
             let centre = self.delaunay.circumcentre(t).filter(|&c| self.in_volume(c));
@@ -212,10 +212,10 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         let to = self.delaunay.circumcentre(across).filter(|_| !self.delaunay.vertices(across).contains(&INFINITE));
         let to = match to {
             Some(to) if self.in_volume(to) => to,
-            Some(to) => way_out(from, to - from, self.upper),
+            Some(to) => self.cut_at_border(from, to - from),
             None => {
                 let [a, b, c] = facet.vertices.map(|v| self.points()[v as usize]);
-                way_out(from, (b - a).cross(c - a), self.upper)
+                self.cut_at_border(from, (b - a).cross(c - a))
             }
         };
         to.is_finite().then_some((from, to))
@@ -253,16 +253,16 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         }
         Some((low, high))
     }
-}
 
-/// Returns the point at which a ray leaves the volume.
-pub(crate) fn way_out(from: DVec3, direction: DVec3, upper: DVec3) -> DVec3 {
-    let mut reach = f64::INFINITY;
-    for axis in 0..3 {
-        let wall = if direction[axis] > 0.0 { upper[axis] } else { 0.0 };
-        if direction[axis] != 0.0 {
-            reach = reach.min((wall - from[axis]) / direction[axis]);
+    /// Returns the point at which a ray leaves the volume.
+    fn cut_at_border(&self, from: DVec3, direction: DVec3) -> DVec3 {
+        let mut reach = f64::INFINITY;
+        for axis in 0..3 {
+            let wall = if direction[axis] > 0.0 { self.upper[axis] } else { 0.0 };
+            if direction[axis] != 0.0 {
+                reach = reach.min((wall - from[axis]) / direction[axis]);
+            }
         }
+        (from + direction * reach.max(0.0)).clamp(DVec3::ZERO, self.upper)
     }
-    (from + direction * reach.max(0.0)).clamp(DVec3::ZERO, upper)
 }

@@ -61,7 +61,7 @@ impl<'a> Object<'a> {
         max_deviation: Option<f64>,
         open_border: bool,
     ) -> Self {
-        let restricted = Restricted::new(delaunay, field, open_border);
+        let restricted = Restricted::new(delaunay, field);
         let component_of = points.positions.par_iter().map(|&p| component_at(p, field, topology)).collect();
         Self { restricted, sizes: points.sizes.clone(), component_of, topology, max_deviation, open_border }
     }

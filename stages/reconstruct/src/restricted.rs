@@ -3,9 +3,9 @@
 
 use crate::around::{parts_round, runs_round, star};
 pub use crate::labelled::Facet;
-use crate::labelled::{Labelled, way_out};
+use crate::labelled::Labelled;
 use glam::DVec3;
-use isoparticles_delaunay::{Delaunay, INFINITE};
+use isoparticles_delaunay::Delaunay;
 use isoparticles_field::spline::CubicSpline;
 use std::ops::{Deref, DerefMut};
 
@@ -14,8 +14,6 @@ use std::ops::{Deref, DerefMut};
 pub struct Restricted<'a> {
     sides: Labelled<bool>,
     field: &'a CubicSpline,
-    /// Whether the object is open at the border of the volume.
-    is_open: bool,
 }
 
 impl Deref for Restricted<'_> {
@@ -34,11 +32,12 @@ impl DerefMut for Restricted<'_> {
 
 impl<'a> Restricted<'a> {
     /// Labels the tetrahedra of a triangulation in the grid frame of F by the sign of F at their
-    /// circumcentres. Ghosts and tetrahedra with circumcentres outside the volume are outside or,
-    /// if the border is open, have the sign of F at the border (`at_border`).
-    pub fn new(delaunay: Delaunay, field: &'a CubicSpline, is_open: bool) -> Self {
-        let sides = Labelled::new(delaunay, field.geometry().upper_corner(), side_by(field, is_open));
-        Self { sides, field, is_open }
+    /// circumcentres. Tetrahedra with circumcentres outside the volume are outside.
+    pub fn new(delaunay: Delaunay, field: &'a CubicSpline) -> Self {
+        let sides = Labelled::new(delaunay, field.geometry().upper_corner(), |_, _, centre| {
+            centre.is_some_and(|p| field.value(p) < 0.0)
+        });
+        Self { sides, field }
     }
 
     /// Returns F.
@@ -48,7 +47,7 @@ impl<'a> Restricted<'a> {
 
     /// Labels the tetrahedra that were created since the last call.
     pub fn decide_sides(&mut self) {
-        self.sides.decide(side_by(self.field, self.is_open));
+        self.sides.decide(|_, _, centre| centre.is_some_and(|p| self.field.value(p) < 0.0));
     }
 
     /// Returns whether a tetrahedron is inside.
@@ -147,17 +146,15 @@ impl<'a> Restricted<'a> {
     }
 
     /// Returns whether a point lies in a tetrahedron that is inside. `near` is a vertex close to
-    /// it. Beyond the convex hull, an object with an open border is where F is negative.
+    /// it.
     pub fn holds(&self, point: DVec3, near: u32) -> bool {
-        let beyond = || self.is_open && self.field.value(point) < 0.0;
-        self.locate(point, near).map_or_else(beyond, |t| self.is_inside(t))
+        self.locate(point, near).is_some_and(|t| self.is_inside(t))
     }
 
     /// Returns whether a facet closes an object that is open at the border of the volume. The outer
     /// end of its dual Voronoi edge is then outside only because the volume ends there.
     pub fn is_border_closure(&self, facet: &Facet) -> bool {
-        let is_closure = || self.dual_edge(facet).is_none_or(|(_, to)| self.field.value(to) < 0.0);
-        !self.delaunay().is_ghost(facet.tetrahedron) && is_closure()
+        self.dual_edge(facet).is_none_or(|(_, to)| self.field.value(to) < 0.0)
     }
 
     /// Returns the point at which the dual Voronoi edge of a facet crosses F = 0 next to the facet,
@@ -167,28 +164,4 @@ impl<'a> Restricted<'a> {
         let (low, high) = self.sides.dual_crossing(facet, |p| self.field.value(p) < 0.0, voxel)?;
         Some(low.midpoint(high))
     }
-}
-
-/// Returns the function that labels a tetrahedron by the sign of F.
-fn side_by(field: &CubicSpline, is_open: bool) -> impl Fn(&Delaunay, u32, Option<DVec3>) -> bool + Sync + '_ {
-    let upper = field.geometry().upper_corner();
-    move |delaunay, t, centre| {
-        let beyond = || if is_open { at_border(delaunay, t, upper) } else { None };
-        centre.or_else(beyond).is_some_and(|p| field.value(p) < 0.0)
-    }
-}
-
-/// Returns the position at the border of the volume that represents a tetrahedron beyond it: the
-/// point nearest to its circumcentre or, for a ghost, the end of the dual Voronoi edge of the hull
-/// facet.
-fn at_border(delaunay: &Delaunay, t: u32, upper: DVec3) -> Option<DVec3> {
-    if let Some(centre) = delaunay.circumcentre(t) {
-        return Some(centre.clamp(DVec3::ZERO, upper));
-    }
-    let infinite = delaunay.vertices(t).into_iter().position(|v| v == INFINITE)?;
-    let [a, b, c] = delaunay.facet(t, infinite).map(|v| delaunay.points()[v as usize]);
-    let inner = delaunay.circumcentre(delaunay.neighbours(t)[infinite]);
-    let from = inner.map_or((a + b + c) / 3.0, |centre| centre.clamp(DVec3::ZERO, upper));
-    // the facet faces the finite tetrahedron
-    Some(way_out(from, (c - a).cross(b - a), upper))
 }

@@ -13,7 +13,7 @@ use crate::interfaces::{Interfaces, Joined, Segment};
 use crate::labelled::{Facet, Labelled};
 use crate::object::DEFAULT_DEVIATION;
 use glam::DVec3;
-use isoparticles_delaunay::{Delaunay, INFINITE};
+use isoparticles_delaunay::Delaunay;
 use isoparticles_field::materials::complex::SAME_JUNCTION;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::LEAST_GRADIENT;
@@ -245,9 +245,6 @@ impl Points<'_> {
     /// the centroid, if it is close to the centroid.
     fn material(&self, delaunay: &Delaunay, tetrahedron: u32, centre: Option<DVec3>) -> MaterialId {
         let vertices = delaunay.vertices(tetrahedron);
-        if vertices.contains(&INFINITE) {
-            return MaterialId::OUTSIDE;
-        }
         let at_centre = centre.map_or(MaterialId::OUTSIDE, |p| self.indicators.material_at(p));
         let [first, others @ ..] = vertices.map(|v| meeting(self.strata, self.crowded, v));
         let is_at_others = |id: &MaterialId| others.iter().all(|ids| ids.contains(id));

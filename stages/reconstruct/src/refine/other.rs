@@ -153,7 +153,7 @@ fn simplices(vertices: &[u32]) -> impl Iterator<Item = Face> + use<> {
 fn differing_parts(restricted: &Restricted, sides: &[bool]) -> Vec<Vec<u32>> {
     let delaunay = restricted.delaunay();
     let differing: Vec<u32> = (0..sides.len() as u32)
-        .filter(|&t| delaunay.is_alive(t) && !delaunay.is_ghost(t) && sides[t as usize] != restricted.is_inside(t))
+        .filter(|&t| delaunay.is_alive(t) && sides[t as usize] != restricted.is_inside(t))
         .collect();
     let mut sets = DisjointSets::new(differing.len());
     let mut first: HashMap<u32, u32> = HashMap::new();
