@@ -61,8 +61,8 @@ pub struct CheckOptions<'a> {
     /// Minimum radius ratio; `None` means any.
     pub min_radius_ratio: Option<f64>,
     /// Maximum distance of a vertex from each of its interfaces, in voxels. The limit is at least
-    /// [`SAME_JUNCTION`] where more than four materials meet, and at least `ONE_CURVE` where curves
-    /// are merged.
+    /// [`SAME_JUNCTION`] where more than four materials meet, and at least the distance of the
+    /// vertex in [`Interfaces::joined`].
     pub max_vertex_distance: Option<f64>,
     /// Whether triangles below the minimum radius ratio pass if the junction curves force them.
     pub accept_forced: bool,
