@@ -6,7 +6,8 @@
 //! condition; Dey, Edelsbrunner, Guha and Nekhayev 1999). It does not lower the minimum radius
 //! ratio around it, turn a triangle, or let triangles intersect.
 
-use crate::interfaces::{Interfaces, Joined, Segment, segment};
+use super::segments::Segments;
+use crate::interfaces::{Interfaces, Joined, Segment};
 use glam::DVec3;
 use isoparticles_field::materials::{MaterialId, Stratum};
 use isoparticles_mesh::incidence::Incidence;
@@ -32,11 +33,9 @@ struct Contraction<'a> {
     interfaces: &'a mut Interfaces,
     /// Dimension of the stratum of each vertex.
     dimensions: &'a mut [usize],
-    segments: BTreeMap<Segment, Stratum>,
+    segments: Segments,
     /// Segments with an end in no triangle, which has the number `u32::MAX`.
     lost: Vec<(Segment, Stratum)>,
-    /// The other ends of the segments at each vertex, ascending.
-    ends: Vec<Vec<u32>>,
     /// Distance (mm) of joined vertices from some of their interfaces.
     joined: BTreeMap<u32, f64>,
     /// The triangles at each vertex.
@@ -57,7 +56,7 @@ pub(super) fn contract(interfaces: &mut Interfaces, dimensions: &mut Vec<usize>,
         let before = count;
         for [a, b] in contraction.short(size) {
             // an earlier contraction may have removed the segment
-            let is_current = contraction.segments.contains_key(&[a, b]);
+            let is_current = contraction.segments.curve([a, b]).is_some();
             let of_point = |keep: u32| contraction.dimensions[keep as usize] == 0;
             let orders = [[a, b], [b, a]].into_iter().filter(|[keep, _]| is_current && of_point(*keep));
             if let Some([keep, gone]) = orders.into_iter().find(|&[keep, gone]| contraction.is_possible(keep, gone)) {
@@ -88,14 +87,9 @@ impl<'a> Contraction<'a> {
         let mut bins = Bins::new(2.0 * longest);
         corners().enumerate().for_each(|(t, [a, b, c])| bins.add((a + b + c) / 3.0, t as u32));
         let (lost, found): (Vec<_>, Vec<_>) = interfaces.segments.iter().partition(|([_, b], _)| *b == u32::MAX);
-        let mut ends = vec![Vec::new(); mesh.vertices.len()];
-        for ([a, b], _) in &found {
-            ends[*a as usize].push(*b);
-            ends[*b as usize].push(*a);
-        }
-        let segments = found.into_iter().collect();
+        let segments = Segments::new(found, &mesh.vertices);
         let joined = interfaces.joined.iter().map(|own| (own.vertex, own.distance)).collect();
-        Self { interfaces, dimensions, segments, lost, ends, joined, around, bins }
+        Self { interfaces, dimensions, segments, lost, joined, around, bins }
     }
 
     fn place(&self, vertex: u32) -> DVec3 {
@@ -112,7 +106,7 @@ impl<'a> Contraction<'a> {
             let has_point = [a, b].iter().any(|&v| self.dimensions[v as usize] == 0);
             has_point && length < SHORT_SEGMENT * size(self.place(a).midpoint(self.place(b)))
         };
-        let all = self.segments.keys().map(|&[a, b]| (self.length(a, b), [a, b]));
+        let all = self.segments.all().map(|([a, b], _)| (self.length(a, b), [a, b]));
         let mut short: Vec<(f64, Segment)> = all.filter(is_short).collect();
         short.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         short.into_iter().map(|(_, pair)| pair).collect()
@@ -148,7 +142,7 @@ impl<'a> Contraction<'a> {
         let common: Vec<MaterialId> = self.materials(keep).into_iter().filter(|id| own.contains(id)).collect();
         !common.is_empty()
             && common.into_iter().all(|id| self.keeps_manifold(keep, gone, id))
-            && self.merged_segments(keep, gone).is_some()
+            && self.segments.can_merge(gone, keep)
             && self.keeps_shapes(keep, gone)
     }
 
@@ -163,18 +157,6 @@ impl<'a> Contraction<'a> {
         let shared: Vec<u32> = first.iter().copied().filter(|v| second.binary_search(v).is_ok()).collect();
         let is_large = first.len() + second.len() > 6 && opposite.iter().all(|&v| self.ring(v, id).len() > 3);
         opposite.len() == 2 && shared == opposite && is_large
-    }
-
-    /// Returns the segments of `gone` as segments of `keep`. Two segments that become one have the
-    /// materials of both curves. Returns `None` if these are more than four.
-    fn merged_segments(&self, keep: u32, gone: u32) -> Option<Vec<(Segment, Stratum)>> {
-        let others = self.ends[gone as usize].iter().filter(|&&end| end != keep);
-        let merged = |&end: &u32| {
-            let curve = self.segments.get(&segment(gone, end))?;
-            let other = self.segments.get(&segment(keep, end));
-            Some((segment(keep, end), other.map_or(Some(*curve), |other| other.joined(curve))?))
-        };
-        others.map(merged).collect()
     }
 
     /// Returns whether the triangles that follow `gone` to `keep` keep the minimum radius ratio,
@@ -221,23 +203,7 @@ impl<'a> Contraction<'a> {
         let distance = ESTIMATE_OVER_DISTANCE * self.length(keep, gone) + of_gone;
         let own = self.joined.entry(keep).or_default();
         *own = own.max(distance);
-        let merged = self.merged_segments(keep, gone).unwrap_or_default();
-        for end in std::mem::take(&mut self.ends[gone as usize]) {
-            self.segments.remove(&segment(gone, end));
-            let ends = &mut self.ends[end as usize];
-            ends.retain(|&other| other != gone && other != keep);
-            if end != keep {
-                ends.push(keep);
-                ends.sort_unstable();
-            }
-        }
-        for (pair, curve) in merged {
-            let end = if pair[0] == keep { pair[1] } else { pair[0] };
-            if let Err(place) = self.ends[keep as usize].binary_search(&end) {
-                self.ends[keep as usize].insert(place, end);
-            }
-            self.segments.insert(pair, curve);
-        }
+        self.segments.merge(gone, keep, &self.interfaces.mesh.vertices);
         for ([a, _], _) in &mut self.lost {
             if *a == gone {
                 *a = keep;
@@ -273,7 +239,7 @@ impl<'a> Contraction<'a> {
         mesh.triangles.retain(|[a, b, _]| a != b);
         mesh.triangles.iter_mut().for_each(|corners| *corners = corners.map(|v| number[v as usize]));
         let number = |v: u32| number.get(v as usize).copied().unwrap_or(u32::MAX);
-        interfaces.segments = segments.into_iter().chain(lost).map(|(pair, curve)| (pair.map(number), curve)).collect();
+        interfaces.segments = segments.all().chain(lost).map(|(pair, curve)| (pair.map(number), curve)).collect();
         interfaces.segments.sort_unstable();
         interfaces.joined =
             joined.into_iter().map(|(vertex, distance)| Joined { vertex: number(vertex), distance }).collect();
@@ -285,6 +251,7 @@ mod tests {
     use super::super::reconstruct::reconstruct;
     use super::super::scenes;
     use super::*;
+    use crate::interfaces::segment;
     use crate::options::Options;
     use isoparticles_mesh::TriangleMesh;
     use isoparticles_stage::monitor::Silent;

@@ -120,6 +120,30 @@ impl Segments {
         self.adopted.remove(&pair)
     }
 
+    /// Returns whether the segments at a point can move to another point: none gets more than four
+    /// materials.
+    pub fn can_merge(&self, gone: u32, keep: u32) -> bool {
+        let fits = |pair: Segment| {
+            let [Some(curve), other] = [pair, moved(pair, gone, keep)].map(|pair| self.curve(pair)) else {
+                return false;
+            };
+            other.is_none_or(|other| other.joined(&curve).is_some())
+        };
+        self.at(gone).filter(|pair| !pair.contains(&keep)).all(fits)
+    }
+
+    /// Moves the segments at a point to another point, and removes the one between the two. The
+    /// moved segments may be longer than `longest`, so [`Self::encroached`] no longer finds all.
+    pub fn merge(&mut self, gone: u32, keep: u32, points: &[DVec3]) {
+        for pair in self.at(gone).collect::<Vec<_>>() {
+            let curve = self.curve(pair);
+            self.remove(pair, points);
+            if let Some(curve) = curve.filter(|_| !pair.contains(&keep)) {
+                self.add(moved(pair, gone, keep), curve, points);
+            }
+        }
+    }
+
     /// Returns the curve of a pair of points, if the pair is a segment.
     pub fn curve(&self, pair: Segment) -> Option<Stratum> {
         self.curve.get(&pair).copied()
@@ -157,6 +181,11 @@ impl Segments {
             .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         deepest.map(|(_, pair)| pair)
     }
+}
+
+/// Returns a segment with the end `gone` replaced.
+fn moved([a, b]: Segment, gone: u32, keep: u32) -> Segment {
+    segment(keep, if a == gone { b } else { a })
 }
 
 #[cfg(test)]
