@@ -84,7 +84,7 @@ mod tests {
             let report = |mesh: &TriangleMesh| TopologyReport::new(mesh, &scene.field, &topology);
             assert_eq!(report(&mesh).missing, [[0.0; 3]; 0]);
             let size = |_: DVec3| 1.2 * spacing;
-            let (options, step) = (ImproveOptions::polish(), || Ok(()));
+            let (options, step) = (ImproveOptions::default(), || Ok(()));
             let mut plain = mesh.clone();
             improve(&mut plain, &scene.field, &size, &options, &step).expect("a sound mesh");
             plain_loses += report(&plain).missing.len();

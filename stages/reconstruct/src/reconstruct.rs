@@ -114,7 +114,6 @@ pub fn reconstruct(
         // an explicit deviation bound disables thinning
         thins: options.max_deviation.is_none(),
         sides: options.guarded(field),
-        ..ImproveOptions::polish()
     };
     let step = || Ok(monitor.check()?);
     let held = one_of_each_component(&mesh, &spline, &topology);

@@ -35,7 +35,7 @@ impl Limits {
     pub(super) const STRICT: Self =
         Self { agreement: AGREEMENT, fold: FOLD, fold_of_f: LOOSE_FOLD, deviation: MAX_DEVIATION, lengths: LENGTHS };
 
-    /// The limits for projections, and for triangles that no single move within the strict limits
+    /// The limits for patches, and for triangles that no single move within the strict limits
     /// improves.
     pub(super) const LOOSE: Self = Self {
         agreement: LOOSE_AGREEMENT,

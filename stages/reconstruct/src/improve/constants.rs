@@ -61,8 +61,7 @@ pub(super) const LOOSE_LENGTHS: [f64; 2] = [0.05, 3.0];
 
 // --- distance from F = 0 ---
 
-/// Distances in voxels: a vertex farther from F = 0 is off the surface; tolerance of a projection.
-pub(super) const ON_SURFACE: f64 = 5e-5;
+/// Tolerance of a projection onto F = 0, in voxels.
 pub(super) const PROJECTION_TOLERANCE: f64 = 1e-5;
 /// Distances in units of h. Above the first, the distance to a point of F = 0 replaces the
 /// first-order estimate |F| / |grad F| of the deviation. The second is the maximum distance at
@@ -169,7 +168,7 @@ pub(super) const FIRST_MOVES: usize = 4;
 /// Transactions by which the wasted work at a level of a band may exceed the useful work: about 130
 /// single moves, 40 pairs of moves or two patches. With 3,000, 6,000 and 10,000, `thorax_ct` above
 /// 200 reaches a minimum radius ratio of 0.535, 0.620 and 0.659; eight labelled cubes of 6 voxels
-/// take 24, 38 and 51 thousand transactions. Attempts to remesh one patch end after half as many.
+/// take 24, 38 and 51 thousand transactions.
 pub(super) const WASTED_WORK_LIMIT: usize = 6_000;
 
 // --- patch remeshing at a smaller target length, where F bends within h ---
@@ -183,16 +182,11 @@ pub(super) const RINGS_OF_LENGTH: usize = 2;
 /// patch that succeeds adds the fewest vertices. Trabecular bone (1,000 vertices requested) has
 /// 1,276 vertices before the improvement, 1,284 after a patch of 1.6 and 1,478 after one of 2.5,
 /// before superfluous vertices are collapsed.
-pub(super) const REACHES: [f64; 4] = [1.6, 2.5, 4.0, 6.0];
+pub(super) const REACHES: [f64; 2] = [1.6, 2.5];
 /// Rates at which target lengths grow with distance, in mm per mm, in the order tried. On noise
 /// (the torso CT at 200, both methods), 3 of 1.8 million triangles stay below [`FIT`] with the
 /// first rate alone, and none with all three.
 pub(super) const GRADATIONS: [f64; 3] = [0.45, 0.3, 0.6];
-/// Maximum number of times that a patch is remeshed with each rate. Each repetition also uses the
-/// demands of the previous result. With 4 instead of 2, minimum and mean radius ratio of `heart_ct`
-/// at 20,000 vertices, `thorax_labels` 1 with `sizefield --vertices 5000` and labelled cubes of 2
-/// to 5 voxels are the same.
-pub(super) const ATTEMPTS: usize = 2;
 /// `CHORD`: target length as a share of the radius of curvature. At this length, nearly equilateral
 /// triangles have a small deviation and normal deviation (Amenta and Bern 1999). `FINEST` and
 /// `RIM`: lower bounds of the target length as shares of the length of the mesh, in the patch and
@@ -200,13 +194,11 @@ pub(super) const ATTEMPTS: usize = 2;
 pub(super) const CHORD: f64 = 1.0;
 pub(super) const FINEST: f64 = 0.08;
 pub(super) const RIM: f64 = 0.8;
-/// After remeshing, a triangle demands a target length of `SHORTER` times its mean side or its
-/// target length, whichever is less, in two cases. Either the distance of its centroid from F = 0
-/// exceeds `STRAYS` times its mean side, or the cosine between its normal and grad F is below
-/// `TURNED`.
-pub(super) const SHORTER: f64 = 0.5;
+/// Target length demanded at a grid node on the wrong side, as a share of h or of the length of the
+/// mesh there, whichever is less.
+pub(super) const SHORTER: f64 = 0.25;
+/// Maximum distance of a centroid from F = 0 after superfluous vertices are removed, in units of h.
 pub(super) const STRAYS: f64 = 0.2;
-pub(super) const TURNED: f64 = 0.6;
 /// Number of rounds of splits, collapses, flips and relaxation in a patch. The same number of
 /// rounds then raises the triangles of the patch to quality `TARGET`.
 pub(super) const ROUNDS: usize = 5;

@@ -3,9 +3,8 @@
 //! A transaction consists of edge flips, collapses, splits and relocations, and leaves all vertices
 //! on F = 0 (Eq. 5). It is kept if it passes the acceptance test (`acceptance`). `sweep` improves
 //! the whole mesh, and `optimise` processes a queue of bad triangles. `target_length` remeshes a
-//! patch at a smaller target length where h is too long for the curvature of F. Optionally,
-//! `remesh` first remeshes the whole mesh towards h, so that the input may come from marching
-//! cubes. The result does not depend on the number of threads.
+//! patch at a smaller target length where h is too long for the curvature of F. The result does not
+//! depend on the number of threads.
 
 mod acceptance;
 mod constants;
@@ -38,8 +37,8 @@ mod tests_of_smoothing;
 mod tests_of_thinning;
 mod thin;
 
-use acceptance::{Goal, Limits, commit_or_rollback};
-use constants::{GOOD, ON_SURFACE};
+use acceptance::Limits;
+use constants::GOOD;
 use glam::DVec3;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_mesh::TriangleMesh;
@@ -52,13 +51,13 @@ use serde::Serialize;
 pub use sheets::{Freedom, Sheets};
 use surface::Surface;
 
-/// Options of [`improve`]. By default, only triangles of quality below 0.6 are improved.
+/// Options of [`improve`]. The defaults are for a mesh of settled particles: three sweeps over the
+/// whole mesh, the first with the removal of vertices, and then the optimiser for triangles of
+/// quality below 0.9.
 #[derive(Clone, Copy, Debug)]
 pub struct ImproveOptions<'a> {
     /// Quality below which the optimiser improves a triangle; 0 disables the optimiser.
     pub target: f64,
-    /// Number of rounds that remesh the whole mesh towards h, before the sweeps; 0 for none.
-    pub remesh_rounds: usize,
     /// Number of sweeps over the whole mesh; 0 for none. The first removes vertices (if `thins`),
     /// flips edges towards degree six and relaxes vertices. Vertices are then smoothed until
     /// nothing moves or a budget of visits is used up. Except for the removal of vertices, no move
@@ -73,38 +72,19 @@ pub struct ImproveOptions<'a> {
 
 impl Default for ImproveOptions<'_> {
     fn default() -> Self {
-        Self { target: 0.6, remesh_rounds: 0, relaxation_sweeps: 0, thins: false, sides: None }
-    }
-}
-
-impl ImproveOptions<'_> {
-    /// Returns the options for a mesh of settled particles: three sweeps over the whole mesh, the
-    /// first with the removal of vertices, and then the optimiser for triangles of quality below
-    /// 0.9.
-    pub fn polish() -> Self {
-        Self { target: GOOD, relaxation_sweeps: 3, thins: true, ..Self::default() }
-    }
-
-    /// Returns the options that remesh the whole surface towards h. The input may be any closed
-    /// mesh, including the output of marching cubes.
-    pub fn remesh() -> Self {
-        Self { remesh_rounds: 8, relaxation_sweeps: 4, ..Self::default() }
+        Self { target: GOOD, relaxation_sweeps: 3, thins: true, sides: None }
     }
 }
 
 /// Numbers of moves made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Tally {
-    /// Projections of vertices onto F = 0.
-    pub projections: usize,
-    /// Relocations of vertices by remeshing rounds and sweeps.
+    /// Relocations of vertices by sweeps.
     pub relocations: usize,
-    /// Edge flips of remeshing rounds and sweeps.
+    /// Edge flips of sweeps.
     pub flips: usize,
-    /// Edge collapses of remeshing rounds and sweeps, and those that remove vertices off F = 0.
+    /// Edge collapses of sweeps.
     pub collapses: usize,
-    /// Edge splits of remeshing rounds.
-    pub splits: usize,
     /// Single moves for bad triangles. The relocations that follow a move are not counted
     /// separately.
     pub single_moves: usize,
@@ -132,9 +112,6 @@ pub struct ImproveReport {
     /// Number of frozen vertices: those inside an interface whose triangles do not form one closed
     /// fan.
     pub frozen_vertices: usize,
-    /// Number of vertices off F = 0 after the improvement. It is 0 if all vertices were on F = 0
-    /// before.
-    pub off_surface: usize,
     /// Numbers of grid nodes on the wrong side before and after; `None` if nodes are not guarded.
     pub nodes_on_wrong_side: Option<[usize; 2]>,
 }
@@ -142,7 +119,8 @@ pub struct ImproveReport {
 /// Callback of long loops, which call it regularly. An error stops the work.
 pub type Step<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 
-/// Improves a mesh in the grid frame. `size` is the target edge length h (mm) at a position.
+/// Improves a mesh in the grid frame, whose vertices lie on F = 0. `size` is the target edge length
+/// h (mm) at a position.
 ///
 /// # Errors
 /// If a coordinate of the mesh is not finite, a triangle contains an invalid vertex index, or
@@ -241,84 +219,20 @@ pub fn improve_sheets(
 
     let limits = Limits::STRICT;
     let tally = &mut report.moves;
-    project_all(&mut surface, tally);
     // sweeps remove the grid and fill it at their end
-    if surface.grid.is_none() && (options.remesh_rounds > 0 || options.relaxation_sweeps == 0) {
+    if options.relaxation_sweeps == 0 {
         surface.fill_grid();
-    }
-    for _ in 0..options.remesh_rounds {
-        step()?;
-        remesh::round(&mut surface, &limits, tally);
-        project_all(&mut surface, tally);
-    }
-    if options.relaxation_sweeps > 0 {
+    } else {
         sweep::sweep(&mut surface, &limits, options.relaxation_sweeps, options.thins, step, tally)?;
     }
     if options.target > 0.0 {
         optimise::optimise(&mut surface, options.target, step, tally)?;
-        project_all(&mut surface, tally);
     }
 
-    report.off_surface = off_surface(&surface).len();
     report.nodes_on_wrong_side =
         wrong_before.zip(surface.sides.as_ref().map(NodeSides::wrong_count)).map(|(before, after)| [before, after]);
     (*mesh, sheets.of_triangle, sheets.numbers) = surface.into_sheets();
     report.after = summarise(mesh);
     report.below_target = below(mesh);
     Ok(report)
-}
-
-/// Returns the free vertices that do not lie on F = 0, ascending.
-fn off_surface(surface: &Surface) -> Vec<u32> {
-    let numbers = 0..surface.positions.len() as u32;
-    numbers.into_par_iter().filter(|&v| is_off_surface(surface, v as usize)).collect()
-}
-
-fn is_off_surface(surface: &Surface, v: usize) -> bool {
-    if !surface.is_free(v as u32) || surface.around[v].is_empty() {
-        return false;
-    }
-    let (value, gradient) = surface.field.value_gradient(surface.sheet_at(v as u32), surface.positions[v]);
-    let voxel = surface.field.voxel();
-    value.abs() > ON_SURFACE * voxel * gradient.length()
-}
-
-/// Projects all free vertices that do not lie on F = 0, and fills the grid first if there are any.
-/// If the projection of a vertex fails or is rejected, the vertex is merged into a neighbour on
-/// F = 0.
-fn project_all(surface: &mut Surface, tally: &mut Tally) {
-    let limits = &Limits::LOOSE;
-    let off = off_surface(surface);
-    if !off.is_empty() && surface.grid.is_none() {
-        surface.fill_grid();
-    }
-    for v in off {
-        if surface.frozen[v as usize] || surface.degree(v) == 0 {
-            continue;
-        }
-        let from = surface.positions[v as usize];
-        let reach = surface.link(v).map(|(a, _)| surface.positions[a as usize].distance(from)).fold(0.0, f64::max);
-        let neighbours: Vec<u32> = surface.link(v).map(|(a, _)| a).collect();
-        let sum: DVec3 = neighbours.iter().map(|&u| surface.positions[u as usize]).sum();
-        let moved = [from, sum / neighbours.len() as f64].into_iter().any(|start| {
-            let to = surface.field.projected(surface.sheet_at(v), start, reach);
-            to.is_some_and(|to| {
-                surface.move_vertex(v, to);
-                commit_or_rollback(surface, limits, Goal::Keep { floor: 0.0 }).is_some()
-            })
-        });
-        if moved {
-            tally.projections += 1;
-            continue;
-        }
-        for u in neighbours {
-            let at = surface.positions[u as usize];
-            let keeps = !is_off_surface(surface, u as usize) && moves::collapse(surface, u, v, at);
-            if keeps && commit_or_rollback(surface, limits, Goal::Keep { floor: 0.2 }).is_some() {
-                tally.collapses += 1;
-                break;
-            }
-            surface.rollback();
-        }
-    }
 }

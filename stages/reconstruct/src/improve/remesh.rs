@@ -1,4 +1,4 @@
-//! Adjusts the edge lengths and vertex degrees of the whole mesh (after Botsch and Kobbelt 2004). A
+//! Adjusts edge lengths and vertex degrees (after Botsch and Kobbelt 2004). A
 //! round splits long edges, collapses short edges, flips edges towards degree six, and relaxes
 //! vertices along the surface. Every move must pass the acceptance test, and the vertices stay on
 //! F = 0.
@@ -12,7 +12,7 @@ use super::surface::{DEAD, Surface, edges_of};
 
 /// Performs one round of splits, collapses, flips and two relaxations.
 pub(super) fn round(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
-    split_long(surface, limits, tally);
+    split_long(surface, limits);
     collapse_short(surface, limits, tally);
     let all = &vec![true; surface.positions.len()];
     equalise_degrees(surface, limits, Goal::Keep { floor: FLOOR }, all, tally);
@@ -26,7 +26,7 @@ pub(super) fn edges(surface: &Surface) -> Vec<(u32, u32)> {
     edges_of(surface.triangles.iter().filter(|t| **t != DEAD))
 }
 
-fn split_long(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
+fn split_long(surface: &mut Surface, limits: &Limits) {
     let mut long: Vec<(f64, u32, u32)> = edges(surface)
         .into_iter()
         .map(|(a, b)| (surface.relative_length(a, b), a, b))
@@ -34,9 +34,8 @@ fn split_long(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
         .collect();
     long.sort_by(|a, b| b.0.total_cmp(&a.0));
     for (_, a, b) in long {
-        if split(surface, a, b).is_some() && commit_or_rollback(surface, limits, Goal::Keep { floor: FLOOR }).is_some()
-        {
-            tally.splits += 1;
+        if split(surface, a, b).is_some() {
+            commit_or_rollback(surface, limits, Goal::Keep { floor: FLOOR });
         }
         surface.rollback();
     }

@@ -4,14 +4,12 @@
 //! If edges are short compared with the radii of curvature, nearly equilateral triangles have a
 //! small deviation and normal deviation (sampling by local feature size, Amenta and Bern 1999). The
 //! target length is therefore a share of the radius of curvature. It grows with distance up to the
-//! edge length at the rim of the patch. Where the deviation or normal deviation of the result is
-//! too large, edges half as long are demanded, and the original patch is remeshed again. A small
-//! closed component is a patch without a rim.
+//! edge length at the rim of the patch. A small closed component is a patch without a rim.
 
 use super::acceptance::{Goal, Limits, commit_or_rollback};
 use super::constants::{
     CHORD, FINEST, GRADATIONS, LONG, MOST_TRIANGLES, PATCH_LENGTHS, RIM, RINGS_OF_LENGTH, ROUNDS, SHORT, SHORTER,
-    STRAYS, TARGET, TURNED, WASTED_WORK_LIMIT,
+    STRAYS, TARGET,
 };
 use super::lift::{After, lift, make};
 use super::moves::Move;
@@ -22,7 +20,6 @@ use super::{Tally, remesh};
 use glam::DVec3;
 use isoparticles_field::curvature::curvature_tensor;
 use isoparticles_mesh::spatial::Bounds;
-use rayon::prelude::*;
 
 /// A demand for short edges: an upper bound of the target length at a position, which grows with
 /// distance at the rate of the gradation. The lower bound [`Place::least`] takes precedence.
@@ -73,69 +70,32 @@ pub(super) fn region(surface: &Surface, triangle: u32, reach: f64) -> Bounds {
     Bounds { low: place.centre - half, high: place.centre + half }
 }
 
-/// The parameters of patch remeshing.
-#[derive(Clone, Copy)]
-pub(super) struct How {
-    /// Radius of the patch in units of the length of the mesh there.
-    pub(super) reach: f64,
-    /// Maximum number of attempts with each gradation.
-    pub(super) attempts: usize,
-    /// Whether all gradations are tried in parallel. This does not change the result. It pays only
-    /// if no other patch uses the threads, since the later gradations are often not needed.
-    pub(super) side_by_side: bool,
-}
-
-/// Remeshes the patch around a triangle with each gradation in turn. Commits the first result that
-/// passes the acceptance test with the loose limits and [`Goal::Lift`] at `bar`, and then removes
-/// superfluous vertices. Returns whether a result passed.
-pub(super) fn remesh(surface: &mut Surface, triangle: u32, how: How, bar: f64) -> bool {
-    let place = Place::of(surface, triangle, how.reach);
+/// Remeshes the patch around a triangle with each gradation in turn. `reach` is its radius in units
+/// of the length of the mesh there. Commits the first result that passes the acceptance test with
+/// the loose limits and [`Goal::Lift`] at `bar`, and then removes superfluous vertices. Returns
+/// whether a result passed.
+pub(super) fn remesh(surface: &mut Surface, triangle: u32, reach: f64, bar: f64) -> bool {
+    let place = Place::of(surface, triangle, reach);
     let Some(free) = free_vertices(surface, triangle, &place) else { return false };
     let mut demands = demands_of_curvature(surface, &free, &place);
     demands.extend(demands_of_nodes(surface, &place));
-    let mut demands = GRADATIONS.map(|_| Some(demands.clone()));
-    let outcome = |surface: &Surface, gradation: f64, asked: &Option<Vec<Demand>>| {
-        let (asked, h) = (asked.as_ref()?, surface.size);
+    GRADATIONS.into_iter().any(|gradation| {
+        let h = surface.size;
         let target = |p: DVec3| {
-            let asked = asked.iter().fold(place.length, |least, d| least.min(d.length + gradation * p.distance(d.at)));
+            let asked =
+                demands.iter().fold(place.length, |least, d| least.min(d.length + gradation * p.distance(d.at)));
             h(p).min(asked.max(place.least(p, gradation)))
         };
         let patch = remeshed(surface, &free, &target);
-        let tried = patch.surface.tried;
-        if is_too_large(&patch.surface) {
-            return Some((None, Vec::new(), tried));
+        let (tried, is_small) = (patch.surface.tried, !is_too_large(&patch.surface));
+        let edits = is_small.then(|| patch.edits(surface));
+        surface.tried += tried;
+        if let Some(edits) = edits {
+            edits.make(surface);
         }
-        let mut more = demands_of_outcome(&patch.surface);
-        more.extend(demands_of_nodes(&patch.surface, &place));
-        Some((Some(patch.edits(surface)), more, tried))
-    };
-    let before = surface.tried;
-    for _ in 0..how.attempts {
-        let at_once = |surface: &Surface| {
-            let all = GRADATIONS.into_par_iter().zip(&demands);
-            all.map(|(gradation, asked)| outcome(surface, gradation, asked)).collect::<Vec<_>>()
-        };
-        let mut known = if how.side_by_side { at_once(surface) } else { Vec::new() }.into_iter();
-        for (gradation, demands) in GRADATIONS.into_iter().zip(&mut demands) {
-            let outcome = known.next().unwrap_or_else(|| outcome(surface, gradation, demands));
-            let (edits, more, tried) = outcome.unwrap_or_default();
-            surface.tried += tried;
-            if let Some(edits) = edits {
-                edits.make(surface);
-            }
-            if let Some(touched) = commit_or_rollback(surface, &Limits::LOOSE, Goal::Lift { bar }) {
-                coarsen(surface, touched, place.length);
-                return true;
-            }
-            // without new demands, the next attempt would have the same result
-            *demands = demands.take().filter(|_| !more.is_empty()).map(|asked| [asked, more].concat());
-        }
-        // half the limit: a level can fail on two patches before its budget is used up
-        if surface.tried > before + WASTED_WORK_LIMIT / 2 {
-            break;
-        }
-    }
-    false
+        let touched = commit_or_rollback(surface, &Limits::LOOSE, Goal::Lift { bar });
+        touched.map(|touched| coarsen(surface, touched, place.length)).is_some()
+    })
 }
 
 /// Returns the vertices of the patch that may move, ascending, or `None` if there are none. They
@@ -242,26 +202,6 @@ fn demands_of_curvature(surface: &Surface, vertices: &[u32], place: &Place) -> V
     });
     let demands = samples.map(|(p, sheet)| Demand { at: p, length: CHORD / curvature(surface, sheet, p) });
     demands.filter(|demand| demand.length < place.length).collect()
-}
-
-/// Returns the demands of triangles whose deviation or normal deviation is too large. Triangles at
-/// frozen vertices have no demands.
-fn demands_of_outcome(part: &Surface) -> Vec<Demand> {
-    let mut demands = Vec::new();
-    for t in (0..part.triangles.len() as u32).filter(|&t| part.is_alive(t)) {
-        let corners = part.triangles[t as usize];
-        if corners.iter().any(|&v| part.frozen[v as usize]) {
-            continue;
-        }
-        let [a, b, c] = part.corners(t);
-        let side = (a.distance(b) + b.distance(c) + c.distance(a)) / 3.0;
-        let target = corners.iter().map(|&v| part.target[v as usize]).sum::<f64>() / 3.0;
-        let facts = &part.facts[t as usize];
-        if facts.agreement < TURNED || facts.deviation * target > STRAYS * side {
-            demands.push(Demand { at: (a + b + c) / 3.0, length: SHORTER * side.min(target) });
-        }
-    }
-    demands
 }
 
 /// Returns the demands of grid nodes on the wrong side within the radius of the patch.

@@ -1,13 +1,13 @@
 //! Repairs grid nodes on the wrong side, collapses superfluous vertices, and measures the quality
 //! of triangles.
 
+use super::acceptance::{Goal, commit_or_rollback};
 use super::constants::{AIM, FIT, TARGET};
 use super::surface::measure::quality_of;
-use super::tests::{ball, sampled};
+use super::tests::{ball, remeshed, sampled};
 use super::*;
 use crate::check::{CheckOptions, Fault, check_object};
 use crate::reconstruct::ObjectTruth;
-use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_mesh::shapes;
 
 const LIMITS: Limits = Limits::STRICT;
@@ -20,9 +20,8 @@ fn wrong_grid_nodes_are_repaired_with_fit_triangles() {
         if f.abs() < 0.08 { 0.08 * f.signum() } else { f }
     });
     let field = CubicSpline::new(&image);
-    let mut mesh = marching_cubes(&image, 0.0);
-    improve(&mut mesh, &field, &|_| 1.8, &ImproveOptions::remesh(), &|| Ok(())).expect("a sound mesh");
-    let options = ImproveOptions { sides: Some(&image), ..ImproveOptions::polish() };
+    let (mut mesh, _) = remeshed(&image, &field, &|_| 1.8, None);
+    let options = ImproveOptions { sides: Some(&image), ..ImproveOptions::default() };
     let report = improve(&mut mesh, &field, &|_| 1.8, &options, &|| Ok(())).expect("a sound mesh");
     let [before, after] = report.nodes_on_wrong_side.expect("nodes are guarded");
     assert!(before > 0, "there was nothing to do");

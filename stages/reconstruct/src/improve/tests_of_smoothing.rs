@@ -1,7 +1,7 @@
 //! A displaced vertex, 5-7 pairs, and a sliver in a lattice of equilateral triangles. The
 //! undisturbed lattice is optimal.
 
-use super::acceptance::commit_or_rollback;
+use super::acceptance::{Goal, commit_or_rollback};
 use super::surface::measure::quality_of;
 use super::tests_of_patches::{SIDE, lattice, plane};
 use super::*;

@@ -118,7 +118,7 @@ pub fn reconstruct(
         // Removing vertices between junctions would change volumes: by 7 % for the nested balls of
         // the tests at the coarse size, which is more than the test allows.
         thins: false,
-        ..ImproveOptions::polish()
+        sides: None,
     };
     let step = || Ok(monitor.check()?);
     let improved = improve(&mut interfaces, &dimensions, indicators, guarded, &size, &how, &step)?;
