@@ -35,8 +35,8 @@ impl Limits {
     pub(super) const STRICT: Self =
         Self { agreement: AGREEMENT, fold: FOLD, fold_of_f: LOOSE_FOLD, deviation: MAX_DEVIATION, lengths: LENGTHS };
 
-    /// The limits for patches, and for triangles that no single move within the strict limits
-    /// improves.
+    /// The limits for patches, and for moves on triangles that no single move within the strict
+    /// limits improves.
     pub(super) const LOOSE: Self = Self {
         agreement: LOOSE_AGREEMENT,
         fold: LOOSE_FOLD,

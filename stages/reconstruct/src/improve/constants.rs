@@ -166,9 +166,8 @@ pub(super) const RINGS: usize = 4;
 /// decrease of the shortfall.
 pub(super) const FIRST_MOVES: usize = 4;
 /// Transactions by which the wasted work at a level of a band may exceed the useful work: about 130
-/// single moves, 40 pairs of moves or two patches. With 3,000, 6,000 and 10,000, `thorax_ct` above
-/// 200 reaches a minimum radius ratio of 0.535, 0.620 and 0.659; eight labelled cubes of 6 voxels
-/// take 24, 38 and 51 thousand transactions.
+/// single moves or 40 pairs of moves. With 3,000, 6,000 and 10,000, `thorax_ct` above 200 reaches a
+/// minimum radius ratio of 0.535, 0.620 and 0.659.
 pub(super) const WASTED_WORK_LIMIT: usize = 6_000;
 
 // --- patch remeshing at a smaller target length, where F bends within h ---
@@ -195,7 +194,8 @@ pub(super) const CHORD: f64 = 1.0;
 pub(super) const FINEST: f64 = 0.08;
 pub(super) const RIM: f64 = 0.8;
 /// Target length demanded at a grid node on the wrong side, as a share of h or of the length of the
-/// mesh there, whichever is less.
+/// mesh there, whichever is less. With 0.5, one node of the tests' ball of three sectors stays on
+/// the wrong side; with 0.25, none does.
 pub(super) const SHORTER: f64 = 0.25;
 /// Maximum distance of a centroid from F = 0 after superfluous vertices are removed, in units of h.
 pub(super) const STRAYS: f64 = 0.2;

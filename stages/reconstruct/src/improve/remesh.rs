@@ -1,7 +1,6 @@
-//! Adjusts edge lengths and vertex degrees (after Botsch and Kobbelt 2004). A
-//! round splits long edges, collapses short edges, flips edges towards degree six, and relaxes
-//! vertices along the surface. Every move must pass the acceptance test, and the vertices stay on
-//! F = 0.
+//! Adjusts edge lengths and vertex degrees (after Botsch and Kobbelt 2004). A round splits long
+//! edges, collapses short edges, flips edges towards degree six, and relaxes vertices along the
+//! surface. Every move must pass the acceptance test, and the vertices stay on F = 0.
 
 use super::Tally;
 use super::acceptance::{Goal, Limits, commit_or_rollback, total_gain};

@@ -87,12 +87,11 @@ pub(super) fn remesh(surface: &mut Surface, triangle: u32, reach: f64, bar: f64)
             h(p).min(asked.max(place.least(p, gradation)))
         };
         let patch = remeshed(surface, &free, &target);
-        let (tried, is_small) = (patch.surface.tried, !is_too_large(&patch.surface));
-        let edits = is_small.then(|| patch.edits(surface));
-        surface.tried += tried;
-        if let Some(edits) = edits {
-            edits.make(surface);
+        surface.tried += patch.surface.tried;
+        if is_too_large(&patch.surface) {
+            return false;
         }
+        patch.edits(surface).make(surface);
         let touched = commit_or_rollback(surface, &Limits::LOOSE, Goal::Lift { bar });
         touched.map(|touched| coarsen(surface, touched, place.length)).is_some()
     })
