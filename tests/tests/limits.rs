@@ -5,8 +5,7 @@
 mod support;
 
 use glam::DVec3;
-use isoparticles_field::sizing::SizingField;
-use isoparticles_stage::field_file::{FieldKind, read_field, write_field};
+use isoparticles_stage::field_file::{Field, FieldKind, read_field};
 use isoparticles_tests::scene::Shape;
 use isoparticles_volume::{Geometry, Image};
 use std::ffi::OsString;
@@ -44,14 +43,7 @@ fn a_size_above_the_object_is_refused_with_a_better_one() {
     let field = read_field(&files.sizefield, FieldKind::Sizing).expect("a size field");
     let large = folder.path().join("large.vti");
     let image = Image::filled(field.image.geometry.clone(), 500.0);
-    write_field(
-        &large,
-        FieldKind::Sizing,
-        SizingField::new(image).image(),
-        &field.meta,
-        &field.history.expect("history"),
-    )
-    .expect("written");
+    Field { image, ..field }.write(&large).expect("written");
     let seeding = arguments![&files.distfield, &large];
     refused(folder.path(), "seed", seeding, "new.bin", &["particles on the whole surface", "sizefield --uniform"]);
 }

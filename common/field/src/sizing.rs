@@ -31,6 +31,11 @@ impl SizingField {
         &self.image
     }
 
+    /// Returns the image of edge lengths without a copy.
+    pub fn into_image(self) -> Image<f32> {
+        self.image
+    }
+
     /// Returns the edge length (mm) at a grid position, interpolated trilinearly and clamped at the
     /// border of the volume.
     #[inline(always)]

@@ -6,6 +6,7 @@
 
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 /// Describes how a file was made.
@@ -49,7 +50,7 @@ pub fn hash_file(path: &Path) -> Result<String> {
     if path.is_dir() {
         return hash_folder(path);
     }
-    let hash = || -> std::io::Result<blake3::Hash> {
+    let hash = || -> io::Result<blake3::Hash> {
         let mut hasher = blake3::Hasher::new();
         hasher.update_reader(std::fs::File::open(path)?)?;
         Ok(hasher.finalize())
@@ -59,12 +60,23 @@ pub fn hash_file(path: &Path) -> Result<String> {
         .map_err(|error| Error::system(path, "read", error, "check that the file is there and readable"))
 }
 
+/// Computes the BLAKE3 hash of the file that `write` would write, like [`hash_file`].
+///
+/// # Errors
+/// If `write` fails.
+pub fn hash_written(write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<String> {
+    // BLAKE3 is several times faster on blocks of this size than on single numbers
+    let mut hasher = BufWriter::with_capacity(1 << 18, blake3::Hasher::new());
+    write(&mut hasher)?;
+    let hasher = hasher.into_inner().map_err(io::IntoInnerError::into_error)?;
+    Ok(hasher.finalize().to_hex().to_string())
+}
+
 fn hash_folder(folder: &Path) -> Result<String> {
-    let cannot =
-        |error: std::io::Error| Error::system(folder, "read", error, "check that the folder is there and readable");
+    let cannot = |error: io::Error| Error::system(folder, "read", error, "check that the folder is there and readable");
     let entries = std::fs::read_dir(folder).map_err(cannot)?;
     let mut files: Vec<PathBuf> =
-        entries.map(|entry| entry.map(|entry| entry.path())).collect::<std::io::Result<_>>().map_err(cannot)?;
+        entries.map(|entry| entry.map(|entry| entry.path())).collect::<io::Result<_>>().map_err(cannot)?;
     files.retain(|path| path.is_file());
     files.sort();
     let mut hasher = blake3::Hasher::new();

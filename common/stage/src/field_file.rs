@@ -12,8 +12,8 @@ use isoparticles_file::history::History;
 use isoparticles_volume::vtk_xml::{Document, Payload, VtkFile, ascii_json};
 use isoparticles_volume::{Geometry, Image, vti};
 use rayon::prelude::*;
-use serde::Serialize;
 use serde_json::Value;
+use std::io::{self, Write};
 use std::path::Path;
 
 /// Format version of the files that are written. Version 1 stored strings as VTK strings instead of
@@ -49,7 +49,7 @@ impl FieldKind {
     }
 }
 
-/// The contents of a field file.
+/// The contents of a field file. All values must be finite.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Field {
     /// Values and geometry.
@@ -62,24 +62,30 @@ pub struct Field {
     pub kind: FieldKind,
 }
 
-/// Writes a field, whose values must be finite. Returns an error if the file cannot be written.
-pub fn write_field(
-    path: &Path,
-    kind: FieldKind,
-    image: &Image<f32>,
-    meta: &impl Serialize,
-    history: &History,
-) -> Result<()> {
-    let mut document = Document::new("ImageData");
-    vti::open_image(&mut document, &image.geometry);
-    // the keys of a JSON value are sorted, so the order of the struct fields does not matter
-    let meta = serde_json::to_value(meta).unwrap_or(Value::Null);
-    let texts = [("geometry", ascii_json(&image.geometry)), ("meta", ascii_json(&meta))];
-    document.identity(kind.name(), VERSION, &texts, history);
-    document.open("Piece", &[("Extent", vti::piece_extent(&image.geometry))]);
-    document.open("PointData", &[("Scalars", kind.array_name().to_owned())]);
-    document.array(kind.array_name(), 1, Payload::F32(&image.data));
-    write_atomically(path, |file| document.write(file))
+impl Field {
+    /// Writes the field to a file.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        write_atomically(path, |file| self.encode(file))
+    }
+
+    /// Writes the bytes of the file.
+    ///
+    /// # Errors
+    /// If `file` returns an error.
+    pub fn encode(&self, file: &mut dyn Write) -> io::Result<()> {
+        let (name, geometry) = (self.kind.array_name(), &self.image.geometry);
+        let mut document = Document::new("ImageData");
+        vti::open_image(&mut document, geometry);
+        let texts = [("geometry", ascii_json(geometry)), ("meta", ascii_json(&self.meta))];
+        document.identity(self.kind.name(), VERSION, &texts, self.history.as_ref());
+        document.open("Piece", &[("Extent", vti::piece_extent(geometry))]);
+        document.open("PointData", &[("Scalars", name.to_owned())]);
+        document.array(name, 1, Payload::F32(&self.image.data));
+        document.write(file)
+    }
 }
 
 /// Reads a field. Returns an error if the file is not of the expected kind, has an unknown version
@@ -211,6 +217,13 @@ mod tests {
         }
     }
 
+    fn write(path: &Path, kind: FieldKind, image: &Image<f32>, meta: &Value) {
+        let field = Field { image: image.clone(), meta: meta.clone(), history: Some(history()), kind };
+        field.write(path).expect("written");
+        let hash = isoparticles_file::history::hash_written(|file| field.encode(file)).expect("no error");
+        assert_eq!(hash, isoparticles_file::history::hash_file(path).expect("hashed"));
+    }
+
     #[test]
     fn a_field_comes_back_bit_for_bit() {
         let folder = tempfile::tempdir().expect("folder");
@@ -221,7 +234,7 @@ mod tests {
         data[4] = f32::MIN_POSITIVE / 4.0;
         let image = Image { geometry, data };
         let meta = serde_json::json!({"zero crossings": 12, "unit": "µm"});
-        write_field(&path, FieldKind::Distance, &image, &meta, &history()).expect("written");
+        write(&path, FieldKind::Distance, &image, &meta);
         let field = read_field(&path, FieldKind::Distance).expect("read");
         assert_eq!(field.image.geometry, image.geometry);
         let bits = |data: &[f32]| data.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
@@ -237,11 +250,11 @@ mod tests {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("case.distfield.vti");
         let mut image = Image::filled(oblique(), 1.0f32);
-        write_field(&path, FieldKind::Distance, &image, &Value::Null, &history()).expect("written");
+        write(&path, FieldKind::Distance, &image, &Value::Null);
         let error = read_field(&path, FieldKind::Sizing).expect_err("wrong kind");
         assert!(error.what.contains("distfield") && error.next.contains("sizefield"), "{error}");
         image.data[5] = 0.0;
-        write_field(&path, FieldKind::Sizing, &image, &Value::Null, &history()).expect("written");
+        write(&path, FieldKind::Sizing, &image, &Value::Null);
         let error = read_field(&path, FieldKind::Sizing).expect_err("h of zero");
         assert!(error.what.contains("1 values"), "{error}");
     }
@@ -251,7 +264,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("case.distfield.vti");
         let image = Image::filled(oblique(), 1.0f32);
-        write_field(&path, FieldKind::Distance, &image, &Value::Null, &history()).expect("written");
+        write(&path, FieldKind::Distance, &image, &Value::Null);
         let whole = std::fs::read(&path).expect("bytes");
         let footer = b"\n  </AppendedData>\n</VTKFile>\n".len();
         for length in 0..whole.len() - footer {

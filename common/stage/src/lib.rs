@@ -1,8 +1,9 @@
 //! Shared parts of the stage programs of isoparticles.
 //!
 //! [`cli`] contains the common options, exit codes, progress and report. [`error`] contains the
-//! user-facing errors in three parts. [`field_file`], [`materials_file`] and [`particle_file`] read
-//! and write the files that stages exchange, and [`meta`] defines the metadata in these files.
+//! user-facing errors in three parts. [`field_file`], [`materials_file`], [`ground`] and
+//! [`particle_file`] read and write the files that stages exchange, and [`meta`] defines the
+//! metadata in these files.
 //!
 //! ```no_run
 //! use isoparticles_stage::cli::{CommonArgs, Context, Outcome, StageArgs, run_stage};
@@ -41,6 +42,7 @@
 pub mod cli;
 pub mod error;
 pub mod field_file;
+pub mod ground;
 pub mod material_sizes;
 pub mod materials_file;
 pub mod meta;

@@ -14,6 +14,7 @@ use isoparticles_volume::vtk_xml::{Document, Element, Payload, VtkFile, ascii_js
 use isoparticles_volume::{Voxels, vti};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use std::io::{self, Write};
 use std::path::Path;
 
 /// Name of the file kind.
@@ -23,12 +24,12 @@ pub const KIND: &str = "materials";
 const VERSION: u32 = 1;
 
 /// The point data, for display. The x index varies fastest.
-#[derive(Clone, Copy, Debug)]
-pub struct Shown<'a> {
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Shown {
     /// Material number of each node.
-    pub material: &'a [u16],
+    pub material: Vec<u16>,
     /// Half the difference between the two smallest indicators at each node, in mm.
-    pub interface_distance: &'a [f32],
+    pub interface_distance: Vec<f32>,
 }
 
 /// The contents of a materials file.
@@ -36,6 +37,8 @@ pub struct Shown<'a> {
 pub struct MaterialsFile {
     /// The indicators, with names and labels.
     pub materials: Materials,
+    /// The point data for display. Empty if [`read_materials`] read the file.
+    pub shown: Shown,
     /// Metadata of the stage that wrote the file.
     pub meta: Value,
     /// The history, if the file contains one.
@@ -59,62 +62,79 @@ struct Row {
     coefficients: usize,
 }
 
-/// Writes materials. Returns an error if the file cannot be written.
+impl MaterialsFile {
+    /// Writes the materials to a file.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    ///
+    /// # Panics
+    /// If the point data for display does not have one value per node.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        write_atomically(path, |file| self.encode(file))
+    }
+
+    /// Writes the bytes of the file.
+    ///
+    /// # Errors
+    /// If `file` returns an error.
+    ///
+    /// # Panics
+    /// If the point data for display does not have one value per node.
+    pub fn encode(&self, file: &mut dyn Write) -> io::Result<()> {
+        let (materials, shown) = (&self.materials, &self.shown);
+        let geometry = materials.geometry();
+        let lengths = [shown.material.len(), shown.interface_distance.len()];
+        assert_eq!(lengths, [geometry.voxel_count(); 2], "one number a node");
+        let rows: Vec<Row> = materials
+            .table()
+            .iter()
+            .zip(materials.indicators())
+            .map(|(material, own)| {
+                let (first, size) = own.extent();
+                let (bricks, coefficients) = (own.bricks().len(), own.coefficients().len());
+                Row { material: material.clone(), first, size, surrounds: own.surrounds(), bricks, coefficients }
+            })
+            .collect();
+        let texts =
+            [("geometry", ascii_json(geometry)), ("meta", ascii_json(&self.meta)), ("materials", ascii_json(&rows))];
+        let indicators = materials.indicators();
+        let bricks = indicators.iter().flat_map(|own| own.bricks().iter().copied()).collect();
+        let arrays = vec![
+            ("brick_fill", Payload::Values(Voxels::U16(materials.fill().to_vec()))),
+            ("indicator_bricks", Payload::Values(Voxels::U32(bricks))),
+            ("indicator_coefficients", Payload::F32Pieces(indicators.iter().map(Indicator::coefficients).collect())),
+        ];
+        let numbers = if rows.len() <= usize::from(u8::MAX) + 1 {
+            Voxels::U8(shown.material.iter().map(|&number| number as u8).collect())
+        } else {
+            Voxels::U16(shown.material.clone())
+        };
+        let mut document = Document::new("ImageData");
+        vti::open_image(&mut document, geometry);
+        document.identity_with(KIND, VERSION, &texts, arrays, self.history.as_ref());
+        document.open("Piece", &[("Extent", vti::piece_extent(geometry))]);
+        document.open("PointData", &[("Scalars", "material".to_owned())]);
+        document.array("material", 1, Payload::Values(numbers));
+        document.array("interface_distance", 1, Payload::F32(&shown.interface_distance));
+        document.write(file)
+    }
+}
+
+/// Returns the kind that a VTK image file of this project states: `distfield`, `sizefield` or
+/// `materials`. Returns `None` if another program wrote the file.
 ///
-/// # Panics
-/// If `shown` does not have one value per node.
-pub fn write_materials(
-    path: &Path,
-    materials: &Materials,
-    shown: Shown<'_>,
-    meta: &impl Serialize,
-    history: &History,
-) -> Result<()> {
-    let geometry = materials.geometry();
-    let lengths = [shown.material.len(), shown.interface_distance.len()];
-    assert_eq!(lengths, [geometry.voxel_count(); 2], "one number a node");
-    let rows: Vec<Row> = materials
-        .table()
-        .iter()
-        .zip(materials.indicators())
-        .map(|(material, own)| {
-            let (first, size) = own.extent();
-            let (bricks, coefficients) = (own.bricks().len(), own.coefficients().len());
-            Row { material: material.clone(), first, size, surrounds: own.surrounds(), bricks, coefficients }
-        })
-        .collect();
-    let meta = serde_json::to_value(meta).unwrap_or(Value::Null);
-    let texts = [("geometry", ascii_json(geometry)), ("meta", ascii_json(&meta)), ("materials", ascii_json(&rows))];
-    let indicators = materials.indicators();
-    let bricks = indicators.iter().flat_map(|own| own.bricks().iter().copied()).collect();
-    let arrays = vec![
-        ("brick_fill", Payload::Values(Voxels::U16(materials.fill().to_vec()))),
-        ("indicator_bricks", Payload::Values(Voxels::U32(bricks))),
-        ("indicator_coefficients", Payload::F32Pieces(indicators.iter().map(Indicator::coefficients).collect())),
-    ];
-    let numbers = if rows.len() <= usize::from(u8::MAX) + 1 {
-        Voxels::U8(shown.material.iter().map(|&number| number as u8).collect())
-    } else {
-        Voxels::U16(shown.material.to_vec())
-    };
-    let mut document = Document::new("ImageData");
-    vti::open_image(&mut document, geometry);
-    document.identity_with(KIND, VERSION, &texts, arrays, history);
-    document.open("Piece", &[("Extent", vti::piece_extent(geometry))]);
-    document.open("PointData", &[("Scalars", "material".to_owned())]);
-    document.array("material", 1, Payload::Values(numbers));
-    document.array("interface_distance", 1, Payload::F32(shown.interface_distance));
-    write_atomically(path, |file| document.write(file))
+/// # Errors
+/// If the file cannot be read as a VTK image.
+pub fn kind_of(path: &Path) -> Result<Option<String>> {
+    let file = VtkFile::open(path)?;
+    Ok(file.text(file.data_set("ImageData")?, "isoparticles_kind")?)
 }
 
 /// Returns whether a file contains the indicators of several materials. Returns false if the file
 /// cannot be read as a VTK image.
 pub fn is_materials(path: &Path) -> bool {
-    let kind = || {
-        let file = VtkFile::open(path).ok()?;
-        file.text(file.data_set("ImageData").ok()?, "isoparticles_kind").ok()?
-    };
-    kind().as_deref() == Some(KIND)
+    kind_of(path).is_ok_and(|kind| kind.as_deref() == Some(KIND))
 }
 
 /// Reads materials. The point data for display is ignored.
@@ -122,7 +142,37 @@ pub fn is_materials(path: &Path) -> bool {
 /// # Errors
 /// If the file has the wrong kind or version, is damaged, or does not fit in memory.
 pub fn read_materials(path: &Path) -> Result<MaterialsFile> {
+    decode(path, &VtkFile::open(path)?)
+}
+
+/// Reads materials like [`read_materials`], and the point data for display.
+///
+/// # Errors
+/// If the file has the wrong kind or version, is damaged, or does not fit in memory.
+pub fn read_materials_with_shown(path: &Path) -> Result<MaterialsFile> {
     let file = VtkFile::open(path)?;
+    let mut read = decode(path, &file)?;
+    let nodes = read.materials.geometry().voxel_count();
+    let points = file.piece("ImageData")?.child("PointData");
+    let values = |name: &str| -> Result<Voxels> {
+        let array = points.and_then(|arrays| arrays.array(name));
+        Ok(file.numbers(array.ok_or_else(|| damaged(path, &format!("has no point array '{name}'")))?, nodes)?)
+    };
+    read.shown = Shown {
+        material: match values("material")? {
+            Voxels::U8(numbers) => numbers.into_iter().map(u16::from).collect(),
+            Voxels::U16(numbers) => numbers,
+            _ => return Err(damaged(path, "the array 'material' has the wrong type")),
+        },
+        interface_distance: match values("interface_distance")? {
+            Voxels::F32(distances) => distances,
+            _ => return Err(damaged(path, "the array 'interface_distance' has the wrong type")),
+        },
+    };
+    Ok(read)
+}
+
+fn decode(path: &Path, file: &VtkFile) -> Result<MaterialsFile> {
     let image = file.data_set("ImageData")?;
     let found = file.text(image, "isoparticles_kind")?;
     if found.as_deref() != Some(KIND) {
@@ -147,7 +197,7 @@ pub fn read_materials(path: &Path) -> Result<MaterialsFile> {
             "run distfield again",
         ));
     }
-    let geometry = vti::geometry(path, &file)?;
+    let geometry = vti::geometry(path, file)?;
     let table = file.text(image, "materials")?.unwrap_or_default();
     let rows: Vec<Row> = serde_json::from_str(&table)
         .map_err(|error| damaged(path, &format!("its table of materials cannot be read: {error}")))?;
@@ -164,7 +214,7 @@ pub fn read_materials(path: &Path) -> Result<MaterialsFile> {
         .map_err(|error| damaged(path, &format!("its indicators are inconsistent: {error}")))?;
     let meta = file.text(image, "meta")?.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or(Value::Null);
     let history = file.text(image, "history")?.and_then(|text| serde_json::from_str(&text).ok());
-    Ok(MaterialsFile { materials, meta, history })
+    Ok(MaterialsFile { materials, shown: Shown::default(), meta, history })
 }
 
 /// Builds the indicators of all materials from the rows of the table and the concatenated bricks

@@ -15,7 +15,7 @@ use isoparticles_file::history::History;
 use isoparticles_file::limit::check_memory;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use std::io::Read;
+use std::io::{self, Read, Write};
 use std::path::Path;
 
 /// First bytes of every particle file.
@@ -107,84 +107,38 @@ fn configuration() -> impl bincode::config::Config {
     bincode::config::standard().with_fixed_int_encoding().with_little_endian()
 }
 
-/// Writes the particles of a single object.
-pub fn write_particles(
-    path: &Path,
-    kind: ParticleKind,
-    particles: &ParticleSet,
-    meta: &Value,
-    history: &History,
-) -> Result<()> {
-    write_particles_with(path, kind, particles, meta, history, &[])
-}
-
-/// Writes the particles of a single object, with the extra bytes of a checkpoint.
-pub fn write_particles_with(
-    path: &Path,
-    kind: ParticleKind,
-    particles: &ParticleSet,
-    meta: &Value,
-    history: &History,
-    extra: &[u8],
-) -> Result<()> {
-    write(path, kind, (particles, None), meta, history, extra)
-}
-
-/// Writes the particles of several materials.
-pub fn write_material_particles(
-    path: &Path,
-    kind: ParticleKind,
-    particles: &ParticleSet,
-    strata: &Strata,
-    meta: &Value,
-    history: &History,
-) -> Result<()> {
-    write(path, kind, (particles, Some(strata)), meta, history, &[])
-}
-
-/// Writes the particles of several materials, with the extra bytes of a checkpoint.
-pub fn write_material_particles_with(
-    path: &Path,
-    kind: ParticleKind,
-    particles: &ParticleSet,
-    strata: &Strata,
-    meta: &Value,
-    history: &History,
-    extra: &[u8],
-) -> Result<()> {
-    write(path, kind, (particles, Some(strata)), meta, history, extra)
-}
-
-fn write(
-    path: &Path,
-    kind: ParticleKind,
-    (particles, strata): (&ParticleSet, Option<&Strata>),
-    meta: &Value,
-    history: &History,
-    extra: &[u8],
-) -> Result<()> {
-    let unencodable = |error: String| Error::of_file(path, error, "the particles cannot be encoded", "report this bug");
-    let json = |value: serde_json::Result<String>| value.map_err(|error| unencodable(error.to_string()));
-    let payload = PayloadOut {
-        particles,
-        meta: json(serde_json::to_string(meta))?,
-        history: json(serde_json::to_string(history))?,
-        extra,
-    };
-    let encoded = |error: bincode::error::EncodeError| unencodable(error.to_string());
-    let mut payload = bincode::serde::encode_to_vec(&payload, configuration()).map_err(encoded)?;
-    if let Some(strata) = strata {
-        payload.extend(bincode::serde::encode_to_vec(strata, configuration()).map_err(encoded)?);
+impl ParticleFile {
+    /// Writes the particles to a file.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        write_atomically(path, |file| self.encode(file))
     }
-    let version = if strata.is_some() { VERSION_OF_STRATA } else { VERSION };
-    write_atomically(path, |file| {
+
+    /// Writes the bytes of the file.
+    ///
+    /// # Errors
+    /// If `file` returns an error, or if the particles cannot be encoded.
+    pub fn encode(&self, file: &mut dyn Write) -> io::Result<()> {
+        let payload = PayloadOut {
+            particles: &self.particles,
+            meta: serde_json::to_string(&self.meta)?,
+            history: serde_json::to_string(&self.history)?,
+            extra: &self.extra,
+        };
+        let mut payload = bincode::serde::encode_to_vec(&payload, configuration()).map_err(io::Error::other)?;
+        if let Some(strata) = &self.strata {
+            payload.extend(bincode::serde::encode_to_vec(strata, configuration()).map_err(io::Error::other)?);
+        }
+        let version = if self.strata.is_some() { VERSION_OF_STRATA } else { VERSION };
         file.write_all(&MAGIC)?;
-        file.write_all(&kind.number().to_le_bytes())?;
+        file.write_all(&self.kind.number().to_le_bytes())?;
         file.write_all(&version.to_le_bytes())?;
         file.write_all(&(payload.len() as u64).to_le_bytes())?;
         file.write_all(blake3::hash(&payload).as_bytes())?;
         file.write_all(&payload)
-    })
+    }
 }
 
 /// Reads particles. Returns an error if their kind is not in `accepted`, or if the file is damaged.
@@ -223,8 +177,7 @@ struct Container<'a> {
 impl Container<'_> {
     /// Reads and checks the container. Returns the kind, the version and the payload.
     fn read(&self) -> Result<(ParticleKind, u32, Vec<u8>)> {
-        let cannot =
-            |error: std::io::Error| Error::file(self.path, "read", &error, "check the name of the particle file");
+        let cannot = |error: io::Error| Error::file(self.path, "read", &error, "check the name of the particle file");
         let mut file = std::fs::File::open(self.path).map_err(cannot)?;
         let length = file.metadata().map_err(cannot)?.len();
         let mut header = Vec::new();
@@ -349,15 +302,20 @@ mod tests {
         }
     }
 
+    fn seeds(strata: Option<Strata>) -> ParticleFile {
+        let (kind, meta, extra) = (ParticleKind::Seeds, Value::Null, Vec::new());
+        ParticleFile { kind, particles: set(), strata, meta, history: history(), extra }
+    }
+
     #[test]
     fn particles_come_back_bit_for_bit() {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("case.seeds.bin");
         let meta = serde_json::json!({"components": 2});
-        write_particles_with(&path, ParticleKind::Checkpoint, &set(), &meta, &history(), &[1, 2, 3]).expect("written");
+        let file = ParticleFile { kind: ParticleKind::Checkpoint, meta, extra: vec![1, 2, 3], ..seeds(None) };
+        file.write(&path).expect("written");
         let read = read_particles(&path, &[ParticleKind::Seeds, ParticleKind::Checkpoint]).expect("read");
-        assert_eq!(read.kind, ParticleKind::Checkpoint);
-        assert_eq!((read.particles, read.meta, read.history, read.extra), (set(), meta, history(), vec![1, 2, 3]));
+        assert_eq!(read, file);
     }
 
     fn stratum(ids: &[u16]) -> Stratum {
@@ -369,14 +327,13 @@ mod tests {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("case.seeds.bin");
         let back = |strata: &Strata| {
-            write_material_particles(&path, ParticleKind::Seeds, &set(), strata, &Value::Null, &history())
-                .expect("written");
+            seeds(Some(strata.clone())).write(&path).expect("written");
             read_particles(&path, &[ParticleKind::Seeds])
         };
         let (point, curve, interface) = (stratum(&[0, 1, 2, 3]), stratum(&[0, 1, 2]), stratum(&[1, 2]));
         let good = Strata { of: vec![point, curve], segments: vec![[0, 1]] };
         assert_eq!(back(&good).expect("read").strata, Some(good));
-        write_particles(&path, ParticleKind::Seeds, &set(), &Value::Null, &history()).expect("written");
+        seeds(None).write(&path).expect("written");
         assert_eq!(read_particles(&path, &[ParticleKind::Seeds]).expect("read").strata, None);
         for (wrong, said) in [
             (Strata { of: vec![point], segments: Vec::new() }, "numbers of strata and particles differ"),
@@ -393,7 +350,7 @@ mod tests {
     fn the_wrong_kind_names_the_stage_to_run() {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("case.seeds.bin");
-        write_particles(&path, ParticleKind::Seeds, &set(), &Value::Null, &history()).expect("written");
+        seeds(None).write(&path).expect("written");
         let error = read_particles(&path, &[ParticleKind::Particles]).expect_err("seeds");
         assert!(error.what.contains("seeds") && error.next.contains("run particles again"), "{error}");
         let mut bytes = std::fs::read(&path).expect("bytes");
@@ -407,7 +364,7 @@ mod tests {
     fn truncated_extended_and_corrupted_files_are_errors() {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("case.seeds.bin");
-        write_particles(&path, ParticleKind::Seeds, &set(), &Value::Null, &history()).expect("written");
+        seeds(None).write(&path).expect("written");
         let whole = std::fs::read(&path).expect("bytes");
         let refused = |bytes: &[u8]| {
             std::fs::write(&path, bytes).expect("written");

@@ -10,10 +10,10 @@ use isoparticles_field::materials::{Indicator, Material, Materials};
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::surface::{DataArray, Surface, read_surface, write_surface};
-use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field, write_field};
+use isoparticles_stage::field_file::{Field, FieldKind, check_same_grid, read_field};
 use isoparticles_stage::history::{History, Input};
-use isoparticles_stage::materials_file::{Shown, read_materials, write_materials};
-use isoparticles_stage::particle_file::{ParticleKind, read_particles, write_particles_with};
+use isoparticles_stage::materials_file::{MaterialsFile, Shown, read_materials, read_materials_with_shown};
+use isoparticles_stage::particle_file::{ParticleFile, ParticleKind, read_particles};
 use isoparticles_volume::{Geometry, Image, LayerLabel, Space};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -104,7 +104,8 @@ fn check_bytes(name: &str, write: impl Fn(&Path)) {
 fn field_versions_1_and_2() {
     let meta = json!({"unit": "mm"});
     check_bytes("field_v2.sizefield.vti", |path| {
-        write_field(path, FieldKind::Sizing, &sizing(), &meta, &history()).expect("written");
+        let (image, meta, history) = (sizing(), meta.clone(), Some(history()));
+        Field { image, meta, history, kind: FieldKind::Sizing }.write(path).expect("written");
     });
     for name in ["golden/field_v1.sizefield.vti", "golden/field_v2.sizefield.vti"] {
         let field = read_field(&data(name), FieldKind::Sizing).expect("read");
@@ -142,14 +143,14 @@ fn materials() -> Materials {
 fn materials_version_1() {
     let (meta, materials) = (json!({"border": "cap", "version": 1}), materials());
     let count = materials.geometry().voxel_count();
-    let material: Vec<u16> = (0..count).map(|n| (n % 3) as u16).collect();
-    let interface_distance: Vec<f32> = (0..count).map(|n| n as f32 / 8.0).collect();
-    check_bytes("materials_v1.distfield.vti", |path| {
-        let shown = Shown { material: &material, interface_distance: &interface_distance };
-        write_materials(path, &materials, shown, &meta, &history()).expect("written");
-    });
-    let file = read_materials(&data("golden/materials_v1.distfield.vti")).expect("read");
-    assert_eq!((file.materials, file.meta, file.history), (materials, meta, Some(history())));
+    let material = (0..count).map(|n| (n % 3) as u16).collect();
+    let interface_distance = (0..count).map(|n| n as f32 / 8.0).collect();
+    let shown = Shown { material, interface_distance };
+    let file = MaterialsFile { materials, shown, meta, history: Some(history()) };
+    check_bytes("materials_v1.distfield.vti", |path| file.write(path).expect("written"));
+    let golden = data("golden/materials_v1.distfield.vti");
+    assert_eq!(read_materials_with_shown(&golden).expect("read"), file);
+    assert_eq!(read_materials(&golden).expect("read"), MaterialsFile { shown: Shown::default(), ..file });
     let error =
         read_field(&data("golden/materials_v1.distfield.vti"), FieldKind::Distance).expect_err("not one object");
     assert!(error.what.contains("many materials") && error.next.contains("--labels A,B"), "{error}");
@@ -161,8 +162,9 @@ fn materials_version_1() {
 fn particles_version_1() {
     let meta = json!({"iteration": 12});
     check_bytes("particles_v1.checkpoint.bin", |path| {
-        let kind = ParticleKind::Checkpoint;
-        write_particles_with(path, kind, &particles(), &meta, &history(), b"state").expect("written");
+        let (kind, extra) = (ParticleKind::Checkpoint, b"state".to_vec());
+        let (particles, meta, history) = (particles(), meta.clone(), history());
+        ParticleFile { kind, particles, strata: None, meta, history, extra }.write(path).expect("written");
     });
     let file = read_particles(&data("golden/particles_v1.checkpoint.bin"), &[ParticleKind::Checkpoint]).expect("read");
     assert_eq!((file.particles, file.meta, file.history), (particles(), meta, history()));

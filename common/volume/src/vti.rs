@@ -117,7 +117,7 @@ pub fn write_volume(path: &Path, volume: &Volume, history: &History) -> Result<(
     let mut document = Document::new("ImageData");
     open_image(&mut document, &volume.geometry);
     let texts = [("geometry", ascii_json(&volume.geometry)), ("segments", ascii_json(&volume.segments))];
-    document.identity(KIND, VERSION, &texts, history);
+    document.identity(KIND, VERSION, &texts, Some(history));
     document.open("Piece", &[("Extent", piece_extent(&volume.geometry))]);
     document.open("PointData", &[("Scalars", layer_name(0))]);
     for (layer, voxels) in volume.layers().enumerate() {

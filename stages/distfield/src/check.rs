@@ -4,8 +4,8 @@
 use crate::args::Args;
 use crate::choose::Object;
 use crate::input::check_kind;
+use crate::materials::check_options;
 use crate::materials::choice::{names, resolve};
-use crate::materials::program::check_options;
 use isoparticles_stage::cli::Context;
 use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::error::{Error, Result};

@@ -1,5 +1,5 @@
-//! The `distfield` program: reads the volume, computes F, writes the file and runs the checks.
-//! [`materials::program`] handles several materials.
+//! The `distfield` program: reads the volume, computes F and writes the file. [`compute()`] does
+//! not access files, so it can be called as a library. [`materials`] computes several materials.
 
 pub use crate::args::Args;
 use crate::check::check;
@@ -16,7 +16,8 @@ use crate::{Border, Redistanced, materials};
 use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::cli::{CommonArgs, Context, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_stage::field_file::{FieldKind, write_field};
+use isoparticles_stage::field_file::{Field, FieldKind};
+use isoparticles_stage::ground::Ground;
 use isoparticles_stage::meta::{self, CapPlane, DistanceMeta, Side, Source};
 use isoparticles_survey::selection::noted;
 use isoparticles_volume::{Geometry, Image, LayerLabel, ReadOptions, Volume, read_volume_with};
@@ -51,6 +52,29 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let volume = read_volume_with(&args.input, &ReadOptions { series: args.series.as_deref() })?;
     context.add_input(&args.input, None)?;
     drop(step);
+    let made = compute(args, volume, context)?;
+    let step = context.step("write");
+    made.ground.write(&args.output)?;
+    drop(step);
+    Ok(Outcome::from_failed_checks(made.failed))
+}
+
+/// The result of the stage.
+#[derive(Debug)]
+pub struct Made {
+    /// The distance field, or the indicators of several materials, with its history.
+    pub ground: Ground,
+    /// The checks that failed, in words.
+    pub failed: Vec<String>,
+}
+
+/// Computes F, or the indicators of several materials, from a volume. Messages call the volume by
+/// the path in `args`.
+///
+/// # Errors
+/// If the volume does not contain the selected surface, if there is not enough memory, or if the
+/// run is interrupted.
+pub fn compute(args: &Args, volume: Volume, context: &Context) -> Result<Made> {
     for remark in &volume.remarks {
         context.warn(remark);
     }
@@ -59,18 +83,15 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let labels = args.labels.as_ref().map(|labels| labels.resolve(&volume)).transpose().map_err(about_file)?;
     if !args.material.is_empty() {
         let volume = unshear(volume, Wanted::Materials(&args.material), args.border, context).map_err(about_file)?;
-        return materials::program::run(args, volume, &args.output, context).map_err(about_file);
+        return materials::compute(args, volume, context).map_err(about_file);
     }
     let object = object(args, labels)?;
-    let Made { result, meta } = make(args, volume, &object, context).map_err(about_file)?;
+    let (result, meta) = make(args, volume, &object, context).map_err(about_file)?;
     describe(&result, &meta, context);
-
-    let step = context.step("write");
-    write_field(&args.output, FieldKind::Distance, &result.field, &meta, &context.history())?;
-    drop(step);
     let mut failed = failed_checks(&result, &meta, context);
     failed.extend(check_volume(&result, &meta, args.scale.accept_losses, context));
-    Ok(Outcome::from_failed_checks(failed))
+    let (image, meta, history) = (result.field, json!(meta), Some(context.history()));
+    Ok(Made { ground: Ground::Object(Field { image, meta, history, kind: FieldKind::Distance }), failed })
 }
 
 /// Returns the object that the options select. `labels` contains the resolved labels of `--labels`.
@@ -86,14 +107,8 @@ fn object(args: &Args, labels: Option<Vec<LayerLabel>>) -> Result<Object> {
     }
 }
 
-/// F and the metadata of its file.
-struct Made {
-    result: Redistanced,
-    meta: DistanceMeta,
-}
-
 /// Computes F of an object, and the metadata of the file.
-fn make(args: &Args, volume: Volume, object: &Object, context: &Context) -> Result<Made> {
+fn make(args: &Args, volume: Volume, object: &Object, context: &Context) -> Result<(Redistanced, DistanceMeta)> {
     let wanted = match object {
         Object::Labels(labels) => Wanted::Labels(labels),
         Object::Iso(iso, inside) => Wanted::Iso(*iso, *inside),
@@ -125,7 +140,7 @@ fn make(args: &Args, volume: Volume, object: &Object, context: &Context) -> Resu
     notes["volumes"] = json!(result.volumes.iter().take(LISTED_SURFACES).collect::<Vec<_>>());
     notes["zero_set_shift"] = json!(result.shift);
     let meta = distance_meta(object, args.border, cap_planes, notes);
-    Ok(Made { result, meta })
+    Ok((result, meta))
 }
 
 /// Builds the metadata of the file: the fields that later stages read, and the remaining `notes`.

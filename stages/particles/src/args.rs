@@ -3,7 +3,7 @@
 //! [`Parameters::as_printed`].
 
 use crate::constants::{COARSE_CLOSING_PASSES, LARGEST_SPACING, LEAST_SPACING, REORDER_INTERVAL};
-use crate::ground::check_levels;
+use crate::matching::check_levels;
 use crate::settle::{Binning, Order, Parameters};
 use clap::{Parser, ValueEnum};
 use isoparticles_field::energy::lattice_energy;

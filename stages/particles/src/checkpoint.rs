@@ -5,9 +5,7 @@ use crate::settle::{Engine, Parameters, PassRecord};
 use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_stage::particle_file::{
-    ParticleKind, read_particles, write_material_particles_with, write_particles_with,
-};
+use isoparticles_stage::particle_file::{ParticleFile, ParticleKind, read_particles};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -46,14 +44,11 @@ pub(crate) fn keep(
             "report this bug",
         )
     })?;
-    let (kind, history) = (ParticleKind::Checkpoint, context.history());
+    let (kind, meta, history) = (ParticleKind::Checkpoint, Value::Null, context.history());
     let particles = engine.particles()?;
     let strata = Strata { of: engine.strata().to_vec(), segments: segments.to_vec() };
-    if strata.of.is_empty() {
-        write_particles_with(path, kind, &particles, &Value::Null, &history, &extra)
-    } else {
-        write_material_particles_with(path, kind, &particles, &strata, &Value::Null, &history, &extra)
-    }
+    let strata = Some(strata).filter(|strata| !strata.of.is_empty());
+    ParticleFile { kind, particles, strata, meta, history, extra }.write(path)
 }
 
 /// Reads a checkpoint and checks that it belongs to this run. Returns the particles, their strata

@@ -12,9 +12,9 @@ mod constants;
 mod cpu;
 mod density;
 pub mod gpu;
-mod ground;
 mod implicit;
 mod log;
+mod matching;
 mod movement;
 mod neighbourhood;
 #[cfg(test)]

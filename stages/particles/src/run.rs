@@ -1,24 +1,27 @@
-//! Runs the program: reads the input files, settles the particles, and writes the log, checkpoints
-//! and results. The options are in `args.rs`.
+//! The `particles` program: reads the input files, settles the particles, and writes the log,
+//! checkpoints and results. [`compute()`] accesses only the log and the checkpoint, so it can be
+//! called as a library. The options are in `args.rs`.
 
 use crate::args::{Args, Backend};
 use crate::checkpoint::{Progress, cpu_engine, keep, resume};
 use crate::coarse::{MakeEngine, settle_levels};
 use crate::cpu::{CpuEngine, OnCpu, OnStrata, settle_interfaces_with};
 use crate::gpu::{self, AdapterChoice, DeviceReport, Gpu, GpuEngine};
-use crate::ground::{Ground, check_kind, check_levels};
 use crate::implicit::Interfaces;
 use crate::log::Log;
+use crate::matching::{check_kind, check_levels};
 use crate::settle::{Engine, Order, Parameters, PassRecord, Summary};
 use crate::state::Fields;
 use isoparticles_field::materials::{Materials, Stratum};
 use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_field::sizing::SizingField;
+use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
+use isoparticles_stage::field_file::{Field, FieldKind, check_same_grid, read_field};
+use isoparticles_stage::ground::Ground;
 use isoparticles_stage::materials_file::is_materials;
-use isoparticles_stage::particle_file::{ParticleKind, read_particles, write_material_particles, write_particles};
+use isoparticles_stage::particle_file::{ParticleFile, ParticleKind, read_particles};
 use serde_json::json;
 use std::cell::Cell;
 use std::path::Path;
@@ -173,33 +176,41 @@ impl<'a> Files<'a> {
     }
 }
 
-/// Contents of the input files.
-struct Inputs {
-    /// Seeds with their strata, which are empty for one object.
-    seeds: OnStrata,
-    ground: Ground,
-    sizing: SizingField,
-    /// Hashes of the seeds, the distance field and the size field.
-    hashes: [String; 3],
+/// The data that the stage works on.
+#[derive(Clone, Debug)]
+pub struct Inputs {
+    /// The seeds.
+    pub seeds: ParticleFile,
+    /// The surface that they sample.
+    pub ground: Ground,
+    /// The size field.
+    pub sizing: Field,
+    /// Hashes of the files of the seeds, the surface and the size field. A checkpoint stores them.
+    pub hashes: [String; 3],
 }
 
 impl Inputs {
-    /// Reads the input files and rejects inputs that do not match or that need too much memory.
-    fn read(files: Files<'_>, many: bool, context: &Context) -> Result<Self> {
+    /// Reads the input files.
+    fn read(files: Files<'_>, context: &Context) -> Result<Self> {
         let (seeds, (ground, sizing)) = rayon::join(
             || read_particles(files.seeds, &[ParticleKind::Seeds, ParticleKind::Particles]),
-            || rayon::join(|| Ground::read(files.distance, many), || read_field(files.sizing, FieldKind::Sizing)),
+            || rayon::join(|| Ground::read(files.distance), || read_field(files.sizing, FieldKind::Sizing)),
         );
-        let seeds = seeds?;
-        check_kind((files.distance, many), (files.seeds, seeds.strata.is_some()))?;
-        let (ground, sizing) = (ground?, sizing?);
-        check_same_grid((files.distance, ground.geometry()), (files.sizing, &sizing.image.geometry))?;
-        check_same_grid((files.distance, ground.geometry()), (files.seeds, &seeds.particles.geometry))?;
+        let (seeds, ground, sizing) = (seeds?, ground?, sizing?);
         let hashes = context.add_inputs([
             (files.seeds, Some(seeds.history.clone())),
-            (files.distance, ground.history()),
+            (files.distance, ground.history().cloned()),
             (files.sizing, sizing.history.clone()),
         ])?;
+        Ok(Self { seeds, ground, sizing, hashes })
+    }
+
+    /// Rejects inputs that do not match or that need too much memory.
+    fn check(&self, files: Files<'_>, context: &Context) -> Result<()> {
+        let (seeds, ground) = (&self.seeds, &self.ground);
+        check_kind((files.distance, ground.is_materials()), (files.seeds, seeds.strata.is_some()))?;
+        check_same_grid((files.distance, ground.geometry()), (files.sizing, &self.sizing.image.geometry))?;
+        check_same_grid((files.distance, ground.geometry()), (files.seeds, &seeds.particles.geometry))?;
         let count = seeds.particles.positions.len();
         context.check_memory(
             BYTES_PER_PARTICLE * count as f64,
@@ -213,8 +224,36 @@ impl Inputs {
                 "run seed again",
             ));
         }
+        Ok(())
+    }
+}
+
+/// The inputs as the engines use them.
+struct Prepared {
+    /// Seeds with their strata, which are empty for one object.
+    seeds: OnStrata,
+    surface: Surface,
+    sizing: SizingField,
+    hashes: [String; 3],
+}
+
+/// The surface on which the particles lie.
+enum Surface {
+    /// F of one object.
+    Object(CubicSpline),
+    /// The interfaces of many materials.
+    Materials(Materials),
+}
+
+impl From<Inputs> for Prepared {
+    fn from(inputs: Inputs) -> Self {
+        let Inputs { seeds, ground, sizing, hashes } = inputs;
+        let surface = match ground {
+            Ground::Object(field) => Surface::Object(CubicSpline::new(&field.image)),
+            Ground::Materials(file) => Surface::Materials(file.materials),
+        };
         let seeds = (seeds.particles, seeds.strata.unwrap_or_default());
-        Ok(Self { seeds, ground, sizing: SizingField::new(sizing.image), hashes })
+        Self { seeds, surface, sizing: SizingField::new(sizing.image), hashes }
     }
 }
 
@@ -236,29 +275,70 @@ struct Settled {
 struct Run<'a> {
     args: &'a Args,
     context: &'a Context,
-    gpu: Option<&'a Gpu>,
-    parameters: &'a Parameters,
+    gpu: Option<Gpu>,
+    parameters: Parameters,
 }
 
-impl Run<'_> {
+impl<'a> Run<'a> {
+    /// Opens the device and checks the options. `many` states whether there are many materials.
+    fn new(args: &'a Args, many: bool, context: &'a Context) -> Result<Self> {
+        if many {
+            check_levels(args.levels)?;
+        }
+        let gpu = open_gpu(args, context)?;
+        let parameters = args.settling(gpu.is_some(), many);
+        args.check(&parameters, gpu.is_some())?;
+        Ok(Self { args, context, gpu, parameters })
+    }
+
+    /// Settles the particles and fills in the report.
+    fn compute(&self, files: Files<'_>, inputs: Inputs) -> Result<ParticleFile> {
+        let (context, parameters) = (self.context, &self.parameters);
+        inputs.check(files, context)?;
+        let step = context.step("spline");
+        let inputs = Prepared::from(inputs);
+        drop(step);
+        context.set_parameter("levels", parameters.levels);
+        context.set_parameter("order", json!(parameters.order));
+        let resumed = self.resume(&inputs)?;
+        let step = context.step("settle");
+        let settled = self.settle(&inputs, resumed)?;
+        context.set_parameter("backend", settled.backend());
+        if let Some(device) = &settled.device {
+            context.set_parameter("adapter", device.adapter.clone());
+        }
+        drop(step);
+        if settled.particles.positions.is_empty() {
+            return Err(Error::input(
+                format!("{}: no particle remained on the surface", files.seeds.display()),
+                "there is nothing to write",
+                "use the distance field that the seeds were made from (--distfield), or run seed again",
+            ));
+        }
+        summarise(&settled, &inputs.surface, context);
+        let (kind, meta, history) = (ParticleKind::Particles, json!(settled.summary), context.history());
+        let strata = matches!(inputs.surface, Surface::Materials(_)).then_some(settled.strata);
+        Ok(ParticleFile { kind, particles: settled.particles, strata, meta, history, extra: Vec::new() })
+    }
+
     /// Returns the engine name that a checkpoint stores.
     fn engine(&self) -> String {
-        self.gpu.map_or_else(cpu_engine, |gpu| format!("gpu: {}", gpu.summary().name))
+        self.gpu.as_ref().map_or_else(cpu_engine, |gpu| format!("gpu: {}", gpu.summary().name))
     }
 
     /// Reads the checkpoint if --resume is given and the file exists.
-    fn resume(&self, inputs: &Inputs) -> Result<Option<Resumed>> {
+    fn resume(&self, inputs: &Prepared) -> Result<Option<Resumed>> {
         match &self.args.checkpoint {
             Some(path) if self.args.resume && path.exists() => {
-                resume(path, self.parameters, &inputs.hashes, &self.engine(), self.context).map(Some)
+                resume(path, &self.parameters, &inputs.hashes, &self.engine(), self.context).map(Some)
             }
             _ => Ok(None),
         }
     }
 
     /// Settles the particles. Writes the log and the checkpoints.
-    fn settle(&self, inputs: &Inputs, resumed: Option<Resumed>) -> Result<Settled> {
-        let Self { args, context, gpu, parameters } = *self;
+    fn settle(&self, inputs: &Prepared, resumed: Option<Resumed>) -> Result<Settled> {
+        let Self { args, context, gpu, parameters } = self;
         let records = resumed.as_ref().map_or_else(Vec::new, |r| r.2.clone());
         let mut log = args.log.as_deref().map(|path| Log::create(path, &records)).transpose()?;
         let most = parameters.max_passes + u64::from(parameters.level_count() - 1) * parameters.coarse_passes;
@@ -270,7 +350,7 @@ impl Run<'_> {
             engine: self.engine(),
         };
         let engines = Engines {
-            gpu,
+            gpu: gpu.as_ref(),
             parameters,
             // the CPU does not support the order by bins
             may_fall_back: args.backend == Backend::Auto
@@ -297,18 +377,18 @@ impl Run<'_> {
             context.check_interrupt()
         };
         let resumed = resumed.map(|(set, strata, _)| ((set, strata.unwrap_or_default()), records.as_slice()));
-        let ((particles, strata), summary, device) = match &inputs.ground {
-            Ground::Object { surface, .. } => {
+        let ((particles, strata), summary, device) = match &inputs.surface {
+            Surface::Object(surface) => {
                 let fields = Fields { surface, sizing: &inputs.sizing };
                 let resumed = resumed.map(|((set, _), records)| (set, records));
                 let (set, summary, device) =
                     settle_levels(&inputs.seeds.0, resumed, &fields, parameters, &engines, &mut observe)?;
                 ((set, Strata::default()), summary, device)
             }
-            Ground::Materials(file) => {
-                let surface = Interfaces::new(&file.materials, file.materials.geometry().min_spacing());
+            Surface::Materials(materials) => {
+                let surface = Interfaces::new(materials, materials.geometry().min_spacing());
                 let fields = Fields { surface: &surface, sizing: &inputs.sizing };
-                let make = |set, strata| engines.make_for_materials(&file.materials, &fields, (set, strata));
+                let make = |set, strata| engines.make_for_materials(materials, &fields, (set, strata));
                 settle_interfaces_with(make, &inputs.seeds, resumed, &fields, parameters, &mut observe)?
             }
         };
@@ -328,13 +408,17 @@ fn progress_of(record: &PassRecord) -> String {
 }
 
 /// Writes the results to the closing table and to the report.
-fn summarise(settled: &Settled, ground: &Ground, context: &Context) {
+fn summarise(settled: &Settled, surface: &Surface, context: &Context) {
     let summary = &settled.summary;
+    let (is_materials, name) = match surface {
+        Surface::Object(_) => (false, "F = 0"),
+        Surface::Materials(_) => (true, "their interface"),
+    };
     if summary.escaped > 0 {
-        context.warn(format!("{} particles could not be kept on {} and were removed", summary.escaped, ground.name()));
+        context.warn(format!("{} particles could not be kept on {name} and were removed", summary.escaped));
     }
     context.summary("particles", settled.particles.positions.len());
-    if matches!(ground, Ground::Materials(_)) {
+    if is_materials {
         let held = settled.strata.of.iter().filter(|stratum| stratum.dimension() < 2).count();
         context.summary("  of junctions", held);
     }
@@ -357,47 +441,35 @@ impl Settled {
     }
 }
 
-/// Runs the program: reads the inputs, settles the particles and writes the results.
+/// Runs the stage.
+///
+/// # Errors
+/// If a file cannot be read or written; and the errors of [`compute()`].
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let Some(files) = Files::of(args) else {
         list_adapters();
         return Ok(Outcome::Passed);
     };
-    let many = is_materials(files.distance);
-    if many {
-        check_levels(args.levels)?;
-    }
-    let gpu = open_gpu(args, context)?;
-    let parameters = args.settling(gpu.is_some(), many);
-    args.check(&parameters, gpu.is_some())?;
+    // fails before the files are read if there is no GPU
+    let run = Run::new(args, is_materials(files.distance), context)?;
     let step = context.step("read");
-    let inputs = Inputs::read(files, many, context)?;
-    context.set_parameter("levels", parameters.levels);
-    context.set_parameter("order", json!(parameters.order));
-    let run = Run { args, context, gpu: gpu.as_ref(), parameters: &parameters };
-    let resumed = run.resume(&inputs)?;
+    let inputs = Inputs::read(files, context)?;
     drop(step);
-    let step = context.step("settle");
-    let settled = run.settle(&inputs, resumed)?;
-    context.set_parameter("backend", settled.backend());
-    if let Some(device) = &settled.device {
-        context.set_parameter("adapter", device.adapter.clone());
-    }
-    drop(step);
-    if settled.particles.positions.is_empty() {
-        return Err(Error::input(
-            format!("{}: no particle remained on the surface", files.seeds.display()),
-            "there is nothing to write",
-            "use the distance field that the seeds were made from (--distfield), or run seed again",
-        ));
-    }
-    summarise(&settled, &inputs.ground, context);
+    let made = run.compute(files, inputs)?;
     let _step = context.step("write");
-    let (kind, meta, history) = (ParticleKind::Particles, json!(settled.summary), context.history());
-    if many {
-        write_material_particles(files.output, kind, &settled.particles, &settled.strata, &meta, &history)?;
-    } else {
-        write_particles(files.output, kind, &settled.particles, &meta, &history)?;
-    }
+    made.write(files.output)?;
     Ok(Outcome::Passed)
+}
+
+/// Settles particles. Messages call the inputs by the paths in `args`.
+///
+/// # Errors
+/// If the inputs do not match, if there are no particles, if the options are not supported or need
+/// a GPU that is not there, if the log or a checkpoint cannot be written, if there is not enough
+/// memory, or if the run is interrupted.
+pub fn compute(args: &Args, inputs: Inputs, context: &Context) -> Result<ParticleFile> {
+    let files = Files::of(args).ok_or_else(|| {
+        Error::input("--list-adapters: there is nothing to settle", "it only prints a list", "omit --list-adapters")
+    })?;
+    Run::new(args, inputs.ground.is_materials(), context)?.compute(files, inputs)
 }

@@ -8,14 +8,12 @@ use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_field::random::uniform;
 use isoparticles_field::spline::Jet;
 use isoparticles_particles::INITIAL_LAMBDA;
-use isoparticles_stage::field_file::{FieldKind, write_field};
+use isoparticles_stage::field_file::{Field, FieldKind};
 use isoparticles_stage::history::History;
-use isoparticles_stage::materials_file::{Shown, write_materials};
-use isoparticles_stage::particle_file::{
-    ParticleFile, ParticleKind, read_particles, write_material_particles, write_particles,
-};
+use isoparticles_stage::materials_file::{MaterialsFile, Shown};
+use isoparticles_stage::particle_file::{ParticleFile, ParticleKind, read_particles};
 use isoparticles_volume::{Geometry, Image};
-use serde_json::{Value, json};
+use serde_json::Value;
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
@@ -49,12 +47,12 @@ impl Files {
         });
         let materials = Materials::new(geometry.clone(), parts.collect()).expect("parts of one grid");
         let nodes = geometry.voxel_count();
-        let shown = Shown { material: &vec![0; nodes], interface_distance: &vec![0.0; nodes] };
-        write_materials(&path("m.vti"), &materials, shown, &json!(null), &history).expect("written");
-        let even = Image::filled(geometry.clone(), 1.2f32);
-        write_field(&path("h.vti"), FieldKind::Sizing, &even, &json!(null), &history).expect("written");
+        let write = |name: &str, kind: FieldKind, image: Image<f32>| {
+            Field { image, meta: Value::Null, history: None, kind }.write(&path(name)).expect("written");
+        };
+        write("h.vti", FieldKind::Sizing, Image::filled(geometry.clone(), 1.2f32));
         let one = Image::sampled(geometry.clone(), |p| (p.distance(CENTRE) - 8.0) as f32);
-        write_field(&path("f.vti"), FieldKind::Distance, &one, &json!(null), &history).expect("written");
+        write("f.vti", FieldKind::Distance, one);
         let (positions, normals, sizes, energies, lambdas) = Default::default();
         let mut set = ParticleSet { geometry, positions, normals, sizes, energies, lambdas };
         let mut strata = Strata::default();
@@ -71,10 +69,14 @@ impl Files {
             set.lambdas.push(INITIAL_LAMBDA);
             strata.of.push(Stratum::interface(own[0], own[1]));
         }
-        let note = Value::Null;
-        write_particles(&path("one.bin"), ParticleKind::Seeds, &set, &note, &history).expect("written");
-        write_material_particles(&path("seeds.bin"), ParticleKind::Seeds, &set, &strata, &note, &history)
-            .expect("written");
+        let shown = Shown { material: vec![0; nodes], interface_distance: vec![0.0; nodes] };
+        let file = MaterialsFile { materials, shown, meta: Value::Null, history: None };
+        file.write(&path("m.vti")).expect("written");
+        let (kind, meta, extra) = (ParticleKind::Seeds, Value::Null, Vec::new());
+        let one = ParticleFile { kind, particles: set, strata: None, meta, history, extra };
+        one.write(&path("one.bin")).expect("written");
+        let many = ParticleFile { strata: Some(strata), ..one };
+        many.write(&path("seeds.bin")).expect("written");
         Self { folder }
     }
 

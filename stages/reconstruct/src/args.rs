@@ -98,7 +98,7 @@ impl Args {
         Options { keeps_voxels, open_border, ..self.general_options() }
     }
 
-    /// Returns the options that do not depend on the distance field.
+    /// Returns the options for a field that do not depend on its metadata.
     pub(crate) fn general_options(&self) -> Options {
         Options {
             method: self.method,
@@ -106,7 +106,7 @@ impl Args {
             max_rounds: usize::from(self.max_rounds),
             improve_below: self.improve_below,
             relaxation_sweeps: usize::from(self.relaxation_sweeps),
-            min_radius_ratio: self.radius_ratio_bar(),
+            min_radius_ratio: self.min_radius_ratio.or(Some(MIN_RADIUS_RATIO)),
             accept_forced: self.accept_forced,
             max_vertex_distance: self.max_vertex_distance,
             ..Options::default()
@@ -114,8 +114,14 @@ impl Args {
     }
 
     /// Returns the minimum radius ratio that passes; `None` means any.
-    pub(crate) fn radius_ratio_bar(&self) -> Option<f64> {
+    fn radius_ratio_bar(&self) -> Option<f64> {
         self.min_radius_ratio.or(self.distfield.as_ref().map(|_| MIN_RADIUS_RATIO))
+    }
+
+    /// Returns the names of the distance field and of the size field in messages.
+    pub(crate) fn field_names(&self) -> [&Path; 2] {
+        let fields = [(&self.distfield, "distance field"), (&self.sizefield, "size field")];
+        fields.map(|(path, name)| path.as_deref().unwrap_or(Path::new(name)))
     }
 }
 
@@ -149,35 +155,29 @@ impl StageArgs for Args {
 
     fn check_options(&self, known: Known) -> Result<Known> {
         check_surface_name(&self.output)?;
-        match (&self.distfield, known.is_many()) {
-            (Some(field), Some(true)) => check_method(self, field)?,
-            (Some(field), Some(false)) => check_each(self, field)?,
-            _ => {}
+        if let (Some(field), Some(is_many)) = (&self.distfield, known.is_many()) {
+            check_field(self, field, is_many)?;
         }
         Ok(known)
     }
 }
 
-/// Returns an error if `--each` is given for a single object.
-pub(crate) fn check_each(args: &Args, field: &Path) -> Result<()> {
-    if args.each.is_none() {
-        return Ok(());
+/// Returns an error if an option does not fit a field of one object, or of many materials.
+pub(crate) fn check_field(args: &Args, field: &Path, is_many: bool) -> Result<()> {
+    let field = field.display();
+    if is_many && args.method == Method::TightCocone {
+        return Err(Error::input(
+            format!("{field}: contains the indicators of many materials"),
+            "--method tight-cocone meshes only one object",
+            "omit --method",
+        ));
     }
-    Err(Error::input(
-        format!("{}: is the distance field of one object", field.display()),
-        "--each writes the surfaces of many materials",
-        "omit --each, or pass the file that distfield --material writes",
-    ))
-}
-
-/// Returns an error if Tight Cocone is chosen for many materials.
-pub(crate) fn check_method(args: &Args, path: &Path) -> Result<()> {
-    if args.method != Method::TightCocone {
-        return Ok(());
+    if !is_many && args.each.is_some() {
+        return Err(Error::input(
+            format!("{field}: is the distance field of one object"),
+            "--each writes the surfaces of many materials",
+            "omit --each, or pass the file that distfield --material writes",
+        ));
     }
-    Err(Error::input(
-        format!("{}: contains the indicators of many materials", path.display()),
-        "--method tight-cocone meshes only one object",
-        "omit --method",
-    ))
+    Ok(())
 }

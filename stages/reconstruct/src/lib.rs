@@ -2,8 +2,8 @@
 //! topology of F.
 //!
 //! [`reconstruct()`] computes the mesh, and [`mod@reconstruct`] lists its steps. [`run`] is the
-//! program: it reads the inputs, and writes the mesh and the report. [`materials`] meshes many
-//! materials.
+//! program: it reads the inputs, computes the surface of data in memory, and writes it.
+//! [`materials`] meshes many materials.
 //!
 //! | step | module |
 //! |---|---|

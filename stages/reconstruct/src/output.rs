@@ -1,13 +1,17 @@
-//! Writes the surface, the offending simplices and the closing table.
+//! Writes the surfaces, the offending simplices and the closing table.
 
 use crate::args::Args;
 use crate::check::{CheckReport, Fault};
+pub use crate::materials::each::MaterialSurface;
+use crate::materials::each::MaterialSurfaces;
+use isoparticles_field::materials::MaterialId;
 use isoparticles_mesh::surface::{Simplices, Surface, write_simplices, write_surface};
 use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::meta::SurfaceMeta;
 use serde_json::json;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Returns the path of the file with the offending simplices of the failed checks.
@@ -34,29 +38,74 @@ pub(crate) fn check_offenders(args: &Args) -> Result<()> {
     }
 }
 
-/// Writes the surface and returns the outcome. If a check failed, also writes the offending
-/// simplices; otherwise removes their file.
-pub(crate) fn write(
-    args: &Args,
-    context: &Context,
-    surface: &Surface,
-    meta: &SurfaceMeta,
-    offending: Option<Simplices>,
-    failed: Vec<String>,
-) -> Result<Outcome> {
-    let step = context.step("write");
-    write_surface(&args.output, surface, &json!(meta), &context.history())?;
-    let offenders = offenders(args);
-    match offending {
-        Some(simplices) if !failed.is_empty() => {
-            write_simplices(&offenders, &simplices, &context.history())?;
-            context.info(format!("the offending simplices are in {}", offenders.display()));
-        }
-        // a file of an earlier run would be misleading
-        _ => remove_stale(&offenders, context),
+/// A finished surface.
+pub struct Made {
+    /// The surface in world coordinates: of one object, or all interfaces between materials.
+    pub surface: Surface,
+    /// The metadata of the surface, with the failed checks.
+    pub meta: SurfaceMeta,
+    /// The simplices of the failed checks in world coordinates.
+    pub offending: Option<Simplices>,
+    /// The interfaces from which [`Made::each`] builds surfaces; `None` for one object.
+    pub(crate) materials: Option<MaterialSurfaces>,
+}
+
+impl Made {
+    /// Returns the closed surface of each material except the outside, built when the iterator
+    /// reaches it. There are none for one object.
+    pub fn each(&self) -> impl Iterator<Item = MaterialSurface<'_>> {
+        self.materials.iter().flat_map(|surfaces| surfaces.each(&self.meta.materials))
     }
-    drop(step);
-    Ok(Outcome::from_failed_checks(failed))
+
+    /// Writes the surface and returns the outcome. If a check failed, also writes the offending
+    /// simplices; otherwise removes their file.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub fn write(&self, args: &Args, context: &Context) -> Result<Outcome> {
+        let ending = args.output.extension().unwrap_or_default();
+        if self.materials.is_some() && !ending.eq_ignore_ascii_case("vtp") {
+            context.warn(format!(
+                "{}: only .vtp files store the names of the materials; .stl files do not store the materials of the triangles either",
+                args.output.display()
+            ));
+        }
+        if let Some(folder) = &args.each {
+            self.write_each(folder, &ending.to_string_lossy(), context)?;
+        }
+        let step = context.step("write");
+        let failed = self.meta.failed_checks.clone();
+        write_surface(&args.output, &self.surface, &json!(self.meta), &context.history())?;
+        let offenders = offenders(args);
+        match &self.offending {
+            Some(simplices) if !failed.is_empty() => {
+                write_simplices(&offenders, simplices, &context.history())?;
+                context.info(format!("the offending simplices are in {}", offenders.display()));
+            }
+            // a file of an earlier run would be misleading
+            _ => remove_stale(&offenders, context),
+        }
+        drop(step);
+        Ok(Outcome::from_failed_checks(failed))
+    }
+
+    /// Writes the closed surface of each material to a folder.
+    fn write_each(&self, folder: &Path, ending: &str, context: &Context) -> Result<()> {
+        let _step = context.step("write each");
+        std::fs::create_dir_all(folder).map_err(|error| {
+            Error::input(
+                format!("{}: cannot create the folder: {error}", folder.display()),
+                "the surfaces of the materials are written to this folder",
+                "choose a folder that you can write to",
+            )
+        })?;
+        let mut names = BTreeSet::new();
+        for own in self.each() {
+            let path = folder.join(format!("{}.{ending}", file_name(own.name, own.id, &mut names)));
+            write_surface(&path, &own.surface, &json!(own.meta), &context.history())?;
+        }
+        Ok(())
+    }
 }
 
 fn remove_stale(path: &Path, context: &Context) {
@@ -65,6 +114,20 @@ fn remove_stale(path: &Path, context: &Context) {
     {
         context.warn(format!("{}: cannot remove this file of an earlier run: {error}", path.display()));
     }
+}
+
+/// Returns a file name for a material. Characters other than letters, digits, `-` and `.` become
+/// `_`. A name in `taken` gets the number of the material as a suffix.
+fn file_name(name: &str, id: MaterialId, taken: &mut BTreeSet<String>) -> String {
+    let plain: String =
+        name.chars().map(|c| if c.is_alphanumeric() || c == '-' || c == '.' { c } else { '_' }).collect();
+    let plain = if plain.trim_matches(['.', '_']).is_empty() { format!("material_{}", id.0) } else { plain };
+    let mut unique = plain;
+    // some file systems ignore case
+    while !taken.insert(unique.to_lowercase()) {
+        unique = format!("{unique}_{}", id.0);
+    }
+    unique
 }
 
 /// Adds the rows of the closing table that one object and many materials share. `expected` is
@@ -103,5 +166,19 @@ pub(crate) fn describe_mesh(checked: &CheckReport, expected: &str, particles: [u
     }
     if let Some(nodes) = checked.counts.get(&Fault::NodesOnWrongSide) {
         context.summary("voxel centres on the wrong side", nodes);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn file_names_of_materials_are_unique() {
+        let mut taken = BTreeSet::new();
+        let names = ["a_b_3", "a b", "A_b", "..."];
+        let files: Vec<String> =
+            (1..).zip(names).map(|(id, name)| file_name(name, MaterialId(id), &mut taken)).collect();
+        assert_eq!(files, ["a_b_3", "a_b", "A_b_3_3", "material_4"]);
     }
 }

@@ -4,19 +4,20 @@
 
 use crate::args::Args;
 use crate::check::{CheckOptions, check};
-use crate::input::{about, read_settled};
+use crate::input::about;
 use crate::join::compact;
 use crate::offending::offending;
-use crate::output::{describe_mesh, write};
-use crate::prepare::{PrepareReport, SurfacePoints};
+use crate::output::{Made, describe_mesh};
+use crate::prepare::SurfacePoints;
 use crate::tight_cocone::{CoconeReport, tight_cocone};
 use glam::DVec3;
+use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_mesh::kd_tree::KdTree;
-use isoparticles_mesh::point_cloud::{is_point_cloud, read_point_cloud};
+use isoparticles_mesh::point_cloud::PointCloud;
 use isoparticles_mesh::quality::radius_ratios;
 use isoparticles_mesh::surface::{DataArray, Surface};
 use isoparticles_mesh::{TriangleMesh, components};
-use isoparticles_stage::cli::{Context, Outcome};
+use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::Result;
 use isoparticles_stage::meta::{self, Source, SurfaceMeta};
 use isoparticles_volume::Geometry;
@@ -30,22 +31,41 @@ const MANY_UMBRELLAS: f64 = 0.8;
 const MANY_UNUSED: f64 = 0.01;
 
 /// Points to mesh, and the transform from their frame to the world.
-struct Input {
+pub(crate) struct Points {
     points: SurfacePoints,
     geometry: Geometry,
     /// Whether each point has a target edge length.
     has_sizes: bool,
 }
 
-/// Runs the stage on points without a distance field.
+impl Points {
+    /// Returns the points of a point cloud, which are in world coordinates.
+    pub(crate) fn of_cloud(cloud: PointCloud) -> Self {
+        let mut geometry = Geometry::axis_aligned([1; 3], DVec3::ONE);
+        geometry.space = cloud.space;
+        let normals = cloud.normals.unwrap_or_default();
+        Self::new(SurfacePoints { positions: cloud.positions, normals, ..SurfacePoints::default() }, geometry, false)
+    }
+
+    /// Returns the particles as points.
+    pub(crate) fn of_particles(set: ParticleSet) -> Self {
+        let ParticleSet { geometry, positions, normals, sizes, .. } = set;
+        Self::new(SurfacePoints { positions, normals, sizes, ..SurfacePoints::default() }, geometry, true)
+    }
+
+    /// No point is dropped, because the inputs are finite.
+    fn new(mut points: SurfacePoints, geometry: Geometry, has_sizes: bool) -> Self {
+        points.report.particles = points.positions.len();
+        Self { points, geometry, has_sizes }
+    }
+}
+
+/// Meshes points without a distance field.
 ///
 /// # Errors
-/// If files cannot be read or written, if the points cannot be triangulated or do not enclose a
-/// solid, or if the run is interrupted.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
-    let step = context.step("read");
-    let Input { mut points, geometry, has_sizes } = read(args, context)?;
-    drop(step);
+/// If the points cannot be triangulated or do not enclose a solid, or if the run is interrupted.
+pub(crate) fn compute(args: &Args, points: Points, context: &Context) -> Result<Made> {
+    let Points { mut points, geometry, has_sizes } = points;
     let step = context.step("triangulate");
     let delaunay = points.triangulate().map_err(|e| about(&args.particles, e))?;
     drop(step);
@@ -59,9 +79,9 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     context.check_interrupt()?;
 
     let step = context.step("check");
-    let options = CheckOptions { min_radius_ratio: args.radius_ratio_bar(), ..CheckOptions::default() };
+    let options = CheckOptions { min_radius_ratio: args.min_radius_ratio, ..CheckOptions::default() };
     let checked = check(&interfaces, &options);
-    let (failed, mesh) = (checked.failed.clone(), interfaces.mesh);
+    let mesh = interfaces.mesh;
     drop(step);
     warn(&cocone, context);
     let skipped = "skipped: no distance field was given";
@@ -87,36 +107,12 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let meta = SurfaceMeta {
         version: meta::VERSION,
         source: Some(Source::Points),
-        failed_checks: failed.clone(),
+        failed_checks: checked.failed.clone(),
         components: checked.object().components.len(),
         ..SurfaceMeta::default()
     };
-    write(args, context, &surface, &meta, offending(&mesh, &checked, &geometry, false), failed)
-}
-
-fn read(args: &Args, context: &Context) -> Result<Input> {
-    if is_point_cloud(&args.particles) {
-        let cloud = read_point_cloud(&args.particles)?;
-        context.add_input(&args.particles, cloud.history)?;
-        let report = PrepareReport { particles: cloud.positions.len(), ..PrepareReport::default() };
-        let normals = cloud.normals.unwrap_or_default();
-        let points = SurfacePoints { positions: cloud.positions, normals, report, ..SurfacePoints::default() };
-        // point clouds are already in world coordinates
-        let mut geometry = Geometry::axis_aligned([1; 3], DVec3::ONE);
-        geometry.space = cloud.space;
-        return Ok(Input { points, geometry, has_sizes: false });
-    }
-    let particles = read_settled(args, context)?.particles;
-    // the reader rejects values that are not finite
-    let report = PrepareReport { particles: particles.positions.len(), ..PrepareReport::default() };
-    let points = SurfacePoints {
-        positions: particles.positions,
-        sizes: particles.sizes,
-        normals: particles.normals,
-        report,
-        ..SurfacePoints::default()
-    };
-    Ok(Input { points, geometry: particles.geometry, has_sizes: true })
+    let offending = offending(&mesh, &checked, &geometry, false);
+    Ok(Made { surface, meta, offending, materials: None })
 }
 
 /// Warns if few points have an umbrella, if many are unused, or if the given normals were not used.

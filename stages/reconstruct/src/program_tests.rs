@@ -9,9 +9,9 @@ use isoparticles_mesh::measure::measure;
 use isoparticles_mesh::surface::{DataArray, SurfaceFile, read_surface};
 use isoparticles_mesh::topology::analyse;
 use isoparticles_stage::cli::{Context, Outcome};
-use isoparticles_stage::field_file::{FieldKind, write_field};
+use isoparticles_stage::field_file::{Field, FieldKind};
 use isoparticles_stage::history::History;
-use isoparticles_stage::particle_file::{ParticleKind, write_particles};
+use isoparticles_stage::particle_file::{ParticleFile, ParticleKind};
 use isoparticles_volume::{Geometry, Space, Voxels};
 use serde_json::{Value, json};
 use std::f64::consts::TAU;
@@ -35,10 +35,11 @@ impl Case {
         };
         let mut image = scene.image.clone();
         image.geometry = geometry.clone();
-        write_field(&case.path("f.vti"), FieldKind::Distance, &image, meta, &history("distfield")).unwrap();
+        let (meta, kind) = (meta.clone(), FieldKind::Distance);
+        Field { image, meta, history: Some(history("distfield")), kind }.write(&case.path("f.vti")).unwrap();
         let positions = scene.points(spacing);
         let count = positions.len();
-        let set = ParticleSet {
+        let particles = ParticleSet {
             geometry,
             normals: positions.iter().map(|&p| scene.gradient(p).normalize()).collect(),
             positions,
@@ -46,8 +47,9 @@ impl Case {
             energies: vec![0.0; count],
             lambdas: vec![0.1; count],
         };
-        let kind = ParticleKind::Particles;
-        write_particles(&case.path("p.bin"), kind, &set, &Value::Null, &history("particles")).unwrap();
+        let (kind, history) = (ParticleKind::Particles, history("particles"));
+        let file = ParticleFile { kind, particles, strata: None, meta: Value::Null, history, extra: Vec::new() };
+        file.write(&case.path("p.bin")).unwrap();
         case
     }
 

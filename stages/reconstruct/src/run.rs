@@ -1,38 +1,50 @@
-//! The program: reads the inputs, meshes one object, and writes the surface and the report. Passes
-//! many materials and points without a field on to their own modules.
+//! The program in three steps: reads the inputs, computes the mesh of one object or of many
+//! materials, and writes the surface. [`compute`] does not use any files.
 
 pub use crate::args::Args;
-use crate::args::check_each;
+use crate::args::check_field;
 use crate::finish::attributes;
-use crate::input::{about, read_settled};
+pub use crate::input::Inputs;
+use crate::input::{about, warn_unless_settled};
+use crate::materials;
 use crate::offending::offending;
 use crate::options::Method;
-use crate::output::{check_offenders, describe_mesh, write};
-use crate::points_alone;
+pub use crate::output::{Made, MaterialSurface};
+use crate::output::{check_offenders, describe_mesh};
+use crate::points_alone::{self, Points};
 use crate::reconstruct::{Reconstruction, reconstruct};
 use crate::volumes;
+use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_mesh::point_cloud::is_point_cloud;
 use isoparticles_mesh::surface::check_surface_name;
 use isoparticles_stage::cli::{Context, Outcome, particles_bytes};
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
+use isoparticles_stage::field_file::{Field, check_same_grid};
+use isoparticles_stage::ground::Ground;
 use isoparticles_stage::materials_file::is_materials;
 use isoparticles_stage::meta::{self, DistanceMeta, SurfaceMeta};
+use isoparticles_stage::particle_file::ParticleFile;
 use serde_json::json;
-use std::path::Path;
 
 /// Runs the stage.
 ///
 /// # Errors
-/// If files cannot be read or written or do not belong together, if a distance field is missing or
-/// does not fit the particles, or if the run is interrupted; and the errors of [`reconstruct()`].
+/// If the options do not fit the inputs, if files cannot be read or written, and the errors of
+/// [`compute`].
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     check_surface_name(&args.output)?;
     check_offenders(args)?;
+    check_files(args)?;
+    let inputs = Inputs::read(args, context)?;
+    compute(args, inputs, context)?.write(args, context)
+}
+
+/// Returns an error if the options do not fit each other or the kinds of the input files.
+fn check_files(args: &Args) -> Result<()> {
     let particles = args.particles.display();
     match (&args.distfield, args.method) {
-        (None, Method::TightCocone) => points_alone::run(args, context),
+        (None, Method::TightCocone) => Ok(()),
         (None, Method::Restricted) => Err(Error::input(
             format!("{particles}: no distance field is given"),
             "--method restricted needs it to separate inside from outside",
@@ -43,65 +55,97 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
             "a point cloud has no position in the grid of the field",
             "omit --distfield and use --method tight-cocone, or pass the particles made from the field",
         )),
-        (Some(field), _) if is_materials(field) => crate::materials::run::run(args, field, context),
-        (Some(field), _) => {
-            check_each(args, field)?;
-            on_field(args, field, context)
-        }
+        (Some(field), _) => check_field(args, field, is_materials(field)),
     }
 }
 
-fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome> {
-    let step = context.step("read");
-    let (particles, (field, sizing)) = rayon::join(
-        || read_settled(args, context),
-        || {
-            let sizing = || args.sizefield.as_deref().map(|path| read_field(path, FieldKind::Sizing)).transpose();
-            rayon::join(|| read_field(distfield, FieldKind::Distance), sizing)
-        },
-    );
-    let (particles, field, sizing) = (particles?.particles, field?, sizing?);
-    check_same_grid((&args.particles, &particles.geometry), (distfield, &field.image.geometry))?;
+/// Computes and checks the surface, and adds the results to the report. Messages call the inputs by
+/// the paths in `args`. Without a field, the method is Tight Cocone.
+///
+/// # Errors
+/// If the inputs do not belong together or need too much memory, if no mesh can be made from them,
+/// or if the run is interrupted. A mesh that fails a check is not an error
+/// ([`SurfaceMeta::failed_checks`]).
+pub fn compute(args: &Args, inputs: Inputs, context: &Context) -> Result<Made> {
+    match inputs {
+        Inputs::Cloud(cloud) => points_alone::compute(args, Points::of_cloud(cloud), context),
+        Inputs::Particles(file) => {
+            warn_unless_settled(args, &file, context);
+            points_alone::compute(args, Points::of_particles(file.particles), context)
+        }
+        Inputs::Field { particles, ground, sizing } => compute_on_field(args, &particles, &ground, sizing, context),
+    }
+}
+
+/// Computes the surface like [`compute`], from particles, their field and the size field if given.
+///
+/// # Errors
+/// As for [`compute`].
+pub fn compute_on_field(
+    args: &Args,
+    file: &ParticleFile,
+    ground: &Ground,
+    sizing: Option<Field>,
+    context: &Context,
+) -> Result<Made> {
+    warn_unless_settled(args, file, context);
+    if ground.is_materials() {
+        materials::compute::strata(args, file)?;
+    }
+    let (particles, geometry) = (&file.particles, ground.geometry());
+    let [path, size_path] = args.field_names();
+    check_same_grid((&args.particles, &particles.geometry), (path, geometry))?;
     let count = particles.positions.len();
-    context.check_memory(
-        particles_bytes(count as f64, field.image.geometry.voxel_count()),
-        &format!("{}: {count} particles", args.particles.display()),
-        "reduce their number: sizefield --min-size, --scale or --quality coarse",
-    )?;
-    let sizing = match (&args.sizefield, sizing) {
-        (Some(path), Some(sizing)) => {
-            check_same_grid((path, &sizing.image.geometry), (distfield, &field.image.geometry))?;
-            context.add_inputs([(distfield, field.history.clone()), (path, sizing.history)])?;
-            Some(SizingField::new(sizing.image))
-        }
-        _ => {
-            context.add_input(distfield, field.history.clone())?;
-            None
-        }
+    let fewer = match ground {
+        Ground::Object(_) => "reduce their number: sizefield --min-size, --scale or --quality coarse",
+        Ground::Materials(_) => "reduce their number: sizefield --min-size or --quality coarse",
     };
-    let told: DistanceMeta = meta::typed(distfield, &field.meta, "distfield")?;
-    drop(step);
+    context.check_memory(
+        particles_bytes(count as f64, geometry.voxel_count()),
+        &format!("{}: {count} particles", args.particles.display()),
+        fewer,
+    )?;
+    if let Some(sizing) = &sizing {
+        check_same_grid((size_path, &sizing.image.geometry), (path, geometry))?;
+    }
+    let sizing = sizing.map(|field| SizingField::new(field.image));
+    let made = match ground {
+        Ground::Object(field) => of_object(args, particles, field, sizing.as_ref(), context),
+        Ground::Materials(field) => materials::compute::compute(args, file, field, sizing.as_ref(), context),
+    }?;
+    context.report("volumes", made.meta.notes["volumes"].clone());
+    Ok(made)
+}
+
+/// Meshes one object.
+fn of_object(
+    args: &Args,
+    particles: &ParticleSet,
+    field: &Field,
+    sizing: Option<&SizingField>,
+    context: &Context,
+) -> Result<Made> {
+    let told: DistanceMeta = meta::typed(args.field_names()[0], &field.meta, "distfield")?;
     let options = args.options(&told);
-    let made = reconstruct(&particles, &field.image, sizing.as_ref(), &options, context)
+    let made = reconstruct(particles, &field.image, sizing, &options, context)
         .map_err(|error| about(&args.particles, error))?;
     context.check_interrupt()?;
     tell(&made, context);
 
+    let volumes = volumes::of_object(&told, made.checked.object().volume);
+    let notes = [("topology", json!(made.topology)), ("refine", json!(made.refined)), ("volumes", json!(volumes))];
     let surface = attributes(&made.mesh, &made.field, &made.sizes, &told.cap_planes);
-    let volumes = json!(volumes::of_object(&told, made.checked.object().volume));
-    context.report("volumes", volumes.clone());
-    let notes = [("topology", json!(made.topology)), ("refine", json!(made.refined)), ("volumes", volumes)];
     let meta = SurfaceMeta {
         version: meta::VERSION,
         source: told.source,
         border: told.border,
-        failed_checks: made.failed.clone(),
+        failed_checks: made.failed,
         components: made.topology.field.components,
         materials: Vec::new(),
         notes: notes.into_iter().map(|(name, note)| (name.to_owned(), note)).collect(),
     };
     let offending = offending(&made.mesh, &made.checked, made.field.geometry(), options.keeps_voxels);
-    write(args, context, &surface, &meta, offending, made.failed)
+    Ok(Made { surface, meta, offending, materials: None })
 }
 
 /// Adds the results to the report and to the closing table, and issues the warnings.

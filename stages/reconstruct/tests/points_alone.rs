@@ -7,7 +7,7 @@ use isoparticles_mesh::shapes::{icosphere, torus};
 use isoparticles_mesh::surface::read_surface;
 use isoparticles_reconstruct::check::{CheckOptions, check_object};
 use isoparticles_stage::history::History;
-use isoparticles_stage::particle_file::{ParticleKind, write_particles};
+use isoparticles_stage::particle_file::{ParticleFile, ParticleKind};
 use isoparticles_volume::{Geometry, Space};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -111,7 +111,9 @@ fn particles_need_no_field_and_come_out_in_the_world() {
         parameters: json!({}),
         inputs: vec![],
     };
-    write_particles(&folder.path("p.bin"), ParticleKind::Particles, &set, &Value::Null, &history).unwrap();
+    let (kind, meta, extra) = (ParticleKind::Particles, Value::Null, Vec::new());
+    let file = ParticleFile { kind, particles: set, strata: None, meta, history, extra };
+    file.write(&folder.path("p.bin")).unwrap();
     let (code, said, report) = folder.run(&["p.bin", "--method", "tight-cocone", "-o", "s.vtp"]);
     assert_eq!(code, 0, "{said}");
     assert_eq!(sound(&folder.path("s.vtp")), (1, 2));

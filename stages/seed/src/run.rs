@@ -1,5 +1,6 @@
-//! Runs [`crate::sampling`] and [`crate::vertices`] as a program: parses the options, reads and
-//! writes the files, and fills in the report.
+//! The `seed` program: parses the options, reads the fields, places the seeds by
+//! [`crate::sampling`] or [`crate::vertices`], fills in the report and writes the file.
+//! [`compute()`] does not access files, so it can be called as a library.
 
 use crate::sampling::{BYTES_PER_PARTICLE, COMPONENT_MINIMUM, Summary, seed_surface, seed_vertices};
 use crate::vertices::{BYTES_PER_NODE, FINEST, vertices};
@@ -10,9 +11,9 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
-use isoparticles_stage::materials_file::is_materials;
-use isoparticles_stage::particle_file::{ParticleKind, write_particles};
+use isoparticles_stage::field_file::{Field, FieldKind, check_same_grid, read_field};
+use isoparticles_stage::ground::Ground;
+use isoparticles_stage::particle_file::{ParticleFile, ParticleKind};
 use isoparticles_volume::Image;
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -73,26 +74,62 @@ impl StageArgs for Args {
     }
 }
 
-/// Runs the program: reads the fields, seeds the surface, and writes the seeds and the report.
+/// Runs the stage.
+///
+/// # Errors
+/// If a file cannot be read or written; and the errors of [`compute()`].
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
-    if is_materials(&args.distfield) {
-        return crate::materials::run(args, context);
-    }
     let step = context.step("read");
-    let (distance, sizing) = rayon::join(
-        || read_field(&args.distfield, FieldKind::Distance),
-        || read_field(&args.sizefield, FieldKind::Sizing),
-    );
-    let (distance, sizing) = (distance?, sizing?);
-    check_same_grid((&args.distfield, &distance.image.geometry), (&args.sizefield, &sizing.image.geometry))?;
-    context.add_inputs([(&args.distfield, distance.history.clone()), (&args.sizefield, sizing.history.clone())])?;
-    let surface = CubicSpline::new(&distance.image);
+    let (ground, sizing) =
+        rayon::join(|| Ground::read(&args.distfield), || read_field(&args.sizefield, FieldKind::Sizing));
+    let (ground, sizing) = (ground?, sizing?);
+    context.add_inputs([(&args.distfield, ground.history().cloned()), (&args.sizefield, sizing.history.clone())])?;
     drop(step);
+    let made = compute(args, &ground, sizing, context)?;
+    let _step = context.step("write");
+    made.write(&args.output)?;
+    Ok(Outcome::Passed)
+}
+
+/// Seeds the surface of one object or the strata of several materials. Messages call the fields by
+/// the paths in `args`.
+///
+/// # Errors
+/// If the fields are on different grids, if there is no surface, if an option does not fit the
+/// surface, if there is not enough memory, or if the run is interrupted.
+pub fn compute(args: &Args, ground: &Ground, sizing: Field, context: &Context) -> Result<ParticleFile> {
+    check_same_grid((&args.distfield, ground.geometry()), (&args.sizefield, &sizing.image.geometry))?;
     context.check_interrupt()?;
     let sizing = SizingField::new(sizing.image);
+    let (particles, strata, meta) = match ground {
+        Ground::Object(field) => {
+            let (particles, meta) = of_object(args, &field.image, &sizing, context)?;
+            (particles, None, meta)
+        }
+        Ground::Materials(file) => {
+            let (particles, strata, meta) = crate::materials::compute(args, &file.materials, sizing, context)?;
+            (particles, Some(strata), meta)
+        }
+    };
+    context.report("seeding", meta.clone());
+    context.check_interrupt()?;
+    let (kind, history) = (ParticleKind::Seeds, context.history());
+    Ok(ParticleFile { kind, particles, strata, meta, history, extra: Vec::new() })
+}
+
+/// Seeds the surface of one object. Also returns the metadata of the file.
+fn of_object(
+    args: &Args,
+    distance: &Image<f32>,
+    sizing: &SizingField,
+    context: &Context,
+) -> Result<(ParticleSet, Value)> {
+    let step = context.step("spline");
+    let surface = CubicSpline::new(distance);
+    drop(step);
     let (particles, summary) = match args.from {
-        From::PoissonDisk => by_poisson_disks(args, &distance.image, &surface, &sizing, context)?,
-        From::MarchingCubes => at_vertices(args, &distance.image, &surface, &sizing, context)?,
+        From::PoissonDisk => by_poisson_disks(args, distance, &surface, sizing, context)?,
+        From::MarchingCubes => at_vertices(args, distance, &surface, sizing, context)?,
     };
     if particles.positions.is_empty() {
         return Err(Error::input(
@@ -115,12 +152,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     }
     context.summary("components", summary.components);
     context.summary("not projected", summary.not_projected);
-    let meta = json!(summary);
-    context.report("seeding", meta.clone());
-    context.check_interrupt()?;
-    let _step = context.step("write");
-    write_particles(&args.output, ParticleKind::Seeds, &particles, &meta, &context.history())?;
-    Ok(Outcome::Passed)
+    Ok((particles, json!(summary)))
 }
 
 /// Seeds the surface by Poisson-disk sampling.

@@ -8,9 +8,8 @@ use isoparticles_field::materials::{
     negative,
 };
 use isoparticles_field::particle_set::{ParticleSet, Strata};
-use isoparticles_stage::cli::Context;
-use isoparticles_stage::field_file::{FieldKind, write_field};
-use isoparticles_stage::materials_file::{Shown, write_materials};
+use isoparticles_stage::field_file::{Field, FieldKind};
+use isoparticles_stage::materials_file::{MaterialsFile, Shown};
 use isoparticles_stage::particle_file::{ParticleKind, read_particles};
 use isoparticles_volume::{Geometry, Image};
 use serde_json::json;
@@ -61,12 +60,13 @@ fn seeds(folder: &Path, materials: &Materials, more: &[&str]) -> (ParticleSet, S
     let at = |name: &str| folder.join(name).to_str().expect("text").to_owned();
     let [input, sizes, output] = ["case.materials.vti", "case.sizefield.vti", "case.seeds.bin"].map(at);
     let geometry = materials.geometry();
-    let (material, distance) = (vec![0; geometry.voxel_count()], vec![0.0; geometry.voxel_count()]);
-    let shown = Shown { material: &material, interface_distance: &distance };
-    let history = Context::silent("test").history();
-    write_materials(Path::new(&input), materials, shown, &json!({}), &history).expect("written");
+    let (material, interface_distance) = (vec![0; geometry.voxel_count()], vec![0.0; geometry.voxel_count()]);
+    let (materials, shown) = (materials.clone(), Shown { material, interface_distance });
     let h = Image::filled(geometry.clone(), H as f32);
-    write_field(Path::new(&sizes), FieldKind::Sizing, &h, &json!({}), &history).expect("written");
+    let meta = json!({});
+    let sizing = Field { image: h, meta: meta.clone(), history: None, kind: FieldKind::Sizing };
+    sizing.write(Path::new(&sizes)).expect("written");
+    MaterialsFile { materials, shown, meta, history: None }.write(Path::new(&input)).expect("written");
     let arguments = [&[input.as_str(), &sizes, "-o", &output, "--force", "--quiet"], more].concat();
     let run = Command::new(env!("CARGO_BIN_EXE_seed")).args(arguments).output().expect("the program runs");
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));

@@ -192,8 +192,7 @@ impl Ball {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use isoparticles_stage::field_file::{FieldKind, write_field};
-    use isoparticles_stage::history::History;
+    use isoparticles_stage::field_file::{Field, FieldKind};
     use isoparticles_volume::Image;
 
     #[test]
@@ -247,14 +246,8 @@ mod tests {
                 }
             }
         }
-        let history = History {
-            tool: "test".into(),
-            version: "0".into(),
-            command_line: String::new(),
-            parameters: serde_json::Value::Null,
-            inputs: Vec::new(),
-        };
-        write_field(&file, FieldKind::Distance, &mask, &serde_json::Value::Null, &history).unwrap();
+        let field = Field { image: mask, meta: serde_json::Value::Null, history: None, kind: FieldKind::Distance };
+        field.write(&file).unwrap();
         // in world coordinates, the mask extends in x from 12 - 11.5 * 0.4 to 12 - 1.5 * 0.4, in y
         // from 3 + 4.5 * 0.4 to 3 + 14.5 * 0.4, and in z from 5.4 to 7.4
         let (low, high) = (DVec3::new(7.4, 4.8, 5.4), DVec3::new(11.4, 8.8, 7.4));

@@ -1,5 +1,6 @@
-//! Runs [`crate::size_field`] as a program: parses the options, reads and writes the files, derives
-//! defaults from the data, and fills in the report.
+//! The `sizefield` program: parses the options, reads the surface, derives defaults from the data,
+//! computes h, fills in the report and writes the file. [`compute()`] reads only the files of
+//! `--refine`, so it can be called as a library.
 
 use crate::feature::{Bumps, Features, Purpose};
 use crate::limits::{check_count, check_size, too_small, too_small_told};
@@ -16,10 +17,10 @@ use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::cli::values::{not_negative, positive, significant};
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_stage::field_file::{Field, FieldKind, read_field, write_field};
+use isoparticles_stage::field_file::{Field, FieldKind};
+use isoparticles_stage::ground::Ground;
 use isoparticles_stage::material_sizes::{Given, GivenSize};
-use isoparticles_stage::materials_file::is_materials;
-use isoparticles_stage::meta::{self, DistanceMeta, Source};
+use isoparticles_stage::meta::{self, DistanceMeta, SizeMeta, Source};
 use isoparticles_stage::quality::Quality;
 use isoparticles_volume::{Geometry, Image};
 use serde_json::{Value, json};
@@ -238,14 +239,42 @@ impl Args {
     }
 }
 
-/// Computes and writes the sizing field.
+/// Runs the stage.
+///
+/// # Errors
+/// If a file cannot be read or written; and the errors of [`compute()`].
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     args.refuse_refined_constant()?;
-    if is_materials(&args.input) {
-        return crate::materials::run(args, context);
-    }
+    let step = context.step("read");
+    let ground = Ground::read(&args.input)?;
+    context.add_input(&args.input, ground.history().cloned())?;
+    drop(step);
+    let made = compute(args, &ground, context)?;
+    let _step = context.step("write");
+    made.write(&args.output)?;
+    Ok(Outcome::Passed)
+}
+
+/// Computes the sizing field of one object or of several materials. Messages call the surface by
+/// the path in `args`.
+///
+/// # Errors
+/// If there is no surface, if the options do not fit the surface, if a file of `--refine` cannot be
+/// read, if there is not enough memory, or if the run is interrupted.
+pub fn compute(args: &Args, ground: &Ground, context: &Context) -> Result<Field> {
+    let (sizing, meta) = match ground {
+        Ground::Object(field) => of_object(args, field, context)?,
+        Ground::Materials(file) => crate::materials::compute(args, &file.materials, context)?,
+    };
+    context.check_interrupt()?;
+    let (image, meta, history) = (sizing.into_image(), json!(meta), Some(context.history()));
+    Ok(Field { image, meta, history, kind: FieldKind::Sizing })
+}
+
+/// Computes the sizing field of one object, and the metadata of its file.
+fn of_object(args: &Args, field: &Field, context: &Context) -> Result<(SizingField, SizeMeta)> {
     args.refuse_sizes()?;
-    let input = Input::read(args, context)?;
+    let input = Input::new(field, context)?;
     let measured = measure(args, &input, context)?;
     let (sizing, lowered) = sized(args, &input, &measured, context)?;
     let (features, geometry) = (&measured.features, &input.field.image.geometry);
@@ -266,27 +295,20 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     if let Some(size) = measured.one_size {
         warn_if_too_coarse(features, geometry, size, context);
     }
-    context.check_interrupt()?;
-    let _step = context.step("write");
-    write_field(&args.output, FieldKind::Sizing, sizing.image(), &meta, &context.history())?;
-    Ok(Outcome::Passed)
+    Ok((sizing, meta))
 }
 
 /// The distance field of one object.
-struct Input {
-    field: Field,
+struct Input<'a> {
+    field: &'a Field,
     surface: CubicSpline,
     components: FieldComponents,
 }
 
-impl Input {
-    fn read(args: &Args, context: &Context) -> Result<Self> {
-        let step = context.step("read");
-        let field = read_field(&args.input, FieldKind::Distance)?;
-        context.add_input(&args.input, field.history.clone())?;
-        let surface = CubicSpline::new(&field.image);
-        drop(step);
+impl<'a> Input<'a> {
+    fn new(field: &'a Field, context: &Context) -> Result<Self> {
         let _step = context.step("topology");
+        let surface = CubicSpline::new(&field.image);
         let components = FieldComponents::new(&surface, context)?;
         Ok(Self { field, surface, components })
     }
@@ -308,7 +330,7 @@ struct Measured {
 ///
 /// # Errors
 /// If there is no surface, or if a constant h is too large for it.
-fn measure(args: &Args, input: &Input, context: &Context) -> Result<Measured> {
+fn measure(args: &Args, input: &Input<'_>, context: &Context) -> Result<Measured> {
     let step = context.step("measure features");
     let image = &input.field.image;
     let largest = LARGEST_FEATURE_DIAGONALS * image.geometry.upper_corner().length();
@@ -341,7 +363,7 @@ fn measure(args: &Args, input: &Input, context: &Context) -> Result<Measured> {
 /// components on which h is below the minimum h, and the smallest such h (mm).
 fn sized(
     args: &Args,
-    input: &Input,
+    input: &Input<'_>,
     measured: &Measured,
     context: &Context,
 ) -> Result<(SizingField, Option<(usize, f64)>)> {
@@ -352,7 +374,7 @@ fn sized(
     let sizing = match measured.one_size {
         Some(size) => (uniform_field(image, size), None),
         None => {
-            let parameters = resolve(args, &input.field, &measured.features, refined, context)?;
+            let parameters = resolve(args, input.field, &measured.features, refined, context)?;
             let sizing = size_field(image, &measured.features, &parameters);
             match args.vertices {
                 Some(vertices) => (scaled_to_vertices(sizing, &input.surface, vertices as f64), None),
@@ -368,7 +390,7 @@ fn sized(
 }
 
 /// Returns the number of particles that the sizing field predicts.
-fn predicted(args: &Args, input: &Input, measured: &Measured, sizing: &SizingField, context: &Context) -> f64 {
+fn predicted(args: &Args, input: &Input<'_>, measured: &Measured, sizing: &SizingField, context: &Context) -> f64 {
     let _step = context.step("predict the count");
     // if --vertices determines a constant h, the number of vertices determines the predicted count
     if let Some(vertices) = args.vertices.filter(|_| measured.one_size.is_some()) {

@@ -7,8 +7,8 @@ use isoparticles_field::materials::{
 };
 use isoparticles_field::sizing::SizingField;
 use isoparticles_stage::cli::Context;
-use isoparticles_stage::field_file::{FieldKind, read_field, write_field};
-use isoparticles_stage::materials_file::{Shown, write_materials};
+use isoparticles_stage::field_file::{Field, FieldKind, read_field};
+use isoparticles_stage::materials_file::{MaterialsFile, Shown};
 use isoparticles_volume::{Geometry, Image};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -41,9 +41,9 @@ fn write(path: &Path, analytic: &Analytic) {
         (Material { name, labels: Vec::new() }, indicator, negative)
     };
     let materials = Materials::new(geometry.clone(), analytic.ids().map(of).collect()).expect("parts of one grid");
-    let (material, distance) = (vec![0; geometry.voxel_count()], vec![0.0; geometry.voxel_count()]);
-    let shown = Shown { material: &material, interface_distance: &distance };
-    write_materials(path, &materials, shown, &json!({}), &Context::silent("test").history()).expect("written");
+    let (material, interface_distance) = (vec![0; geometry.voxel_count()], vec![0.0; geometry.voxel_count()]);
+    let (shown, history) = (Shown { material, interface_distance }, Some(Context::silent("test").history()));
+    MaterialsFile { materials, shown, meta: json!({}), history }.write(path).expect("written");
 }
 
 fn sizefield(arguments: &[&str]) -> Output {
@@ -138,7 +138,8 @@ fn a_name_for_one_object_is_refused() {
     let [input, output] = ["one.vti", "other.vti"].map(|name| folder.path().join(name));
     let image =
         Image::sampled(Geometry::axis_aligned([17; 3], DVec3::ONE), |p| (p.distance(DVec3::splat(8.0)) - 5.0) as f32);
-    write_field(&input, FieldKind::Distance, &image, &json!({}), &Context::silent("test").history()).expect("written");
+    let field = Field { image, meta: json!({}), history: None, kind: FieldKind::Distance };
+    field.write(&input).expect("written");
     let [input, output] = [&input, &output].map(|path| path.to_str().expect("text"));
     let run = sizefield(&[input, "-o", output, "--size", "lung=1"]);
     assert_eq!(run.status.code(), Some(2));

@@ -52,7 +52,7 @@ fn write_poly_data(
 ) -> Result<()> {
     let mut document = Document::new("PolyData");
     document.open("PolyData", &[]);
-    document.identity(kind, VERSION, texts, history);
+    document.identity(kind, VERSION, texts, Some(history));
     let mut attributes = vec![("NumberOfPoints", points.len().to_string())];
     let number = |section: &str| {
         let cells = cells.iter().find(|cells| cells.section == section);

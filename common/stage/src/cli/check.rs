@@ -41,7 +41,7 @@ pub fn asked<A: clap::Parser>(tool: &str, check: impl FnOnce(&A, Known) -> Resul
         return None;
     }
     let known = words.next().unwrap_or_default();
-    let parsed = A::try_parse_from(std::iter::once(tool.into()).chain(words)).map_err(|error| usage(tool, &error));
+    let parsed = parse::<A>(tool, words);
     let known = serde_json::from_str(&known.to_string_lossy()).map_err(|error| {
         Error::input(
             format!("{CHECK_OPTIONS}: {error}"),
@@ -55,6 +55,14 @@ pub fn asked<A: clap::Parser>(tool: &str, check: impl FnOnce(&A, Known) -> Resul
         Err(error) => eprintln!("error: {error}"),
     }
     Some(ExitCode::from(exit_code(&checked.map(|_| Outcome::Passed))))
+}
+
+/// Parses the arguments of a stage.
+///
+/// # Errors
+/// If the command line is invalid, as a three-part error.
+pub fn parse<A: clap::Parser>(tool: &str, words: impl IntoIterator<Item = std::ffi::OsString>) -> Result<A> {
+    A::try_parse_from(std::iter::once(tool.into()).chain(words)).map_err(|error| usage(tool, &error))
 }
 
 /// Converts a usage error of clap to a three-part error, with each part on one line.

@@ -1,7 +1,8 @@
 //! The context of a running stage, which collects the data for its history and report.
 
-use super::report::Report;
-use super::{CommonArgs, Outcome, Progress, ProgressMode, interrupt};
+use super::command_line::canonical_command_line;
+use super::report::{self, Report};
+use super::{CommonArgs, Listener, Outcome, Progress, ProgressMode, ProgressState, StageArgs, interrupt};
 use crate::error::{Error, Result};
 use indicatif::MultiProgress;
 use isoparticles_file::history::{History, Input};
@@ -10,7 +11,7 @@ use rayon::prelude::*;
 use serde_json::Value;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 /// Version of all stages, which are released together.
@@ -27,6 +28,7 @@ pub struct Context {
     outputs: Vec<PathBuf>,
     started: Instant,
     bars: MultiProgress,
+    listener: Option<Arc<Listener>>,
     state: Mutex<State>,
 }
 
@@ -66,6 +68,7 @@ impl Context {
             outputs: Vec::new(),
             started: Instant::now(),
             bars: MultiProgress::new(),
+            listener: None,
             state: Mutex::new(state),
         }
     }
@@ -76,7 +79,15 @@ impl Context {
         self
     }
 
-    /// Creates a context that prints nothing, for library use and for tests.
+    /// Creates the context of a stage that runs as a library. It prints nothing. `words` are the
+    /// arguments that gave `args`.
+    pub fn for_listener(tool: &'static str, args: &impl StageArgs, words: &[String], listener: Arc<Listener>) -> Self {
+        let command_line = canonical_command_line(tool, words.iter().cloned(), &args.outputs());
+        let context = Self::new(tool, command_line, args.common().clone(), args.parameters());
+        Self { listener: Some(listener), ..context }
+    }
+
+    /// Creates a context that prints nothing, for tests.
     pub fn silent(tool: &'static str) -> Self {
         let common = CommonArgs { quiet: true, seed: 1, ..CommonArgs::default() };
         Self::new(tool, tool.to_owned(), common, Value::Null)
@@ -111,11 +122,19 @@ impl Context {
     /// Times a step until the returned guard is dropped. The times of steps with the same name are
     /// added up.
     pub fn step(&self, name: impl Into<String>) -> Step<'_> {
-        Step { context: self, name: name.into(), started: Instant::now() }
+        let name = name.into();
+        if let Some(listener) = &self.listener {
+            let (step, message) = (name.clone(), String::new());
+            listener.show(ProgressState { stage: self.tool, step, done: 0, total: None, message });
+        }
+        Step { context: self, name, started: Instant::now() }
     }
 
     /// Shows the progress of a computation, with a percentage if `total` is known.
     pub fn progress(&self, total: Option<u64>, label: &str) -> Progress {
+        if let Some(listener) = &self.listener {
+            return Progress::told(listener, self.tool, label, total);
+        }
         if self.common.quiet {
             return Progress::nothing(label, total);
         }
@@ -129,9 +148,9 @@ impl Context {
         }
     }
 
-    /// Returns whether the user has interrupted the run.
+    /// Returns whether the user or the listener has interrupted the run.
     pub fn interrupted(&self) -> bool {
-        interrupt::requested()
+        self.listener.as_ref().map_or_else(interrupt::requested, |listener| listener.is_cancelled())
     }
 
     /// Returns an error (exit code 130) if the user has interrupted the run. Long loops call this
@@ -188,6 +207,12 @@ impl Context {
         Ok(hashes)
     }
 
+    /// Adds an input that is not a file: `name` as a file name, the hash that its file would have,
+    /// and its history.
+    pub fn add_value(&self, name: String, blake3: String, history: Option<History>) {
+        self.state().inputs.push(Input { path: name, blake3, history: history.map(Box::new) });
+    }
+
     /// Returns the history for the outputs of this run. Call this function after all parameters and
     /// inputs have been added.
     pub fn history(&self) -> History {
@@ -208,7 +233,7 @@ impl Context {
             self.info(self.closing_table());
         }
         let written = match &self.common.report {
-            Some(path) => self.write_report(path, &result),
+            Some(path) => report::write(path, &self.report_of(&result)),
             None => Ok(()),
         };
         if let Ok(Outcome::ChecksFailed(checks)) = &result {
@@ -226,7 +251,13 @@ impl Context {
         result
     }
 
-    fn write_report(&self, path: &Path, result: &Result<Outcome>) -> Result<()> {
+    /// Returns the warnings so far.
+    pub fn warnings(&self) -> Vec<String> {
+        self.state().warnings.clone()
+    }
+
+    /// Returns the report of a run with this result, as `--report` writes it.
+    pub fn report_of(&self, result: &Result<Outcome>) -> Value {
         let history = self.history();
         let state = self.state();
         let report = Report {
@@ -238,7 +269,7 @@ impl Context {
             results: &state.results,
             result,
         };
-        report.write(path)
+        report.json()
     }
 
     fn closing_table(&self) -> String {
@@ -257,6 +288,9 @@ impl Context {
     }
 
     fn print(&self, text: &str) {
+        if self.listener.is_some() {
+            return;
+        }
         // if stderr is closed, the run continues
         self.bars.suspend(|| {
             let _ = writeln!(std::io::stderr(), "{text}");

@@ -7,6 +7,7 @@ pub mod check;
 mod command_line;
 mod context;
 pub mod interrupt;
+mod listener;
 mod memory;
 mod monitor;
 mod progress;
@@ -15,6 +16,7 @@ pub mod shell;
 pub mod values;
 
 pub use context::{Context, Step};
+pub use listener::{Listener, ProgressState};
 pub use memory::particles_bytes;
 pub use progress::Progress;
 

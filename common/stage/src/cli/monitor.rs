@@ -1,12 +1,12 @@
 //! Implements [`Monitor`] for the context of a stage. Phases appear in the closing table, counters
-//! appear as progress on the terminal, and signals interrupt the run.
+//! appear as progress, and signals or the listener interrupt the run.
 
-use super::{Context, Progress, Step, interrupt};
+use super::{Context, Progress, Step};
 use isoparticles_file::monitor::{Counter, Interrupted, Monitor, Phase};
 
 impl Monitor for Context {
     fn check(&self) -> Result<(), Interrupted> {
-        if interrupt::requested() { Err(Interrupted { by: self.tool.to_owned() }) } else { Ok(()) }
+        if self.interrupted() { Err(Interrupted { by: self.tool.to_owned() }) } else { Ok(()) }
     }
 
     fn phase<'a>(&'a self, name: &str) -> Box<dyn Phase + 'a> {

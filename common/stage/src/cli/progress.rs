@@ -1,9 +1,10 @@
 //! Progress on stderr: a percentage if the total is known, a message, and the elapsed time.
 
+use super::{Listener, ProgressState};
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use std::io::Write;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Minimum time between two progress lines, which limits a log to 720 lines per hour.
@@ -22,12 +23,20 @@ pub struct Progress {
 enum Display {
     Bar(ProgressBar),
     Lines(Mutex<Lines>),
+    Listener(Told),
     Nothing,
 }
 
 struct Lines {
     last: Instant,
     message: String,
+}
+
+/// The listener of a stage that runs as a library.
+struct Told {
+    listener: Arc<Listener>,
+    stage: &'static str,
+    message: Mutex<String>,
 }
 
 impl Progress {
@@ -48,6 +57,13 @@ impl Progress {
     pub(super) fn lines(label: &str, total: Option<u64>) -> Self {
         let lines = Lines { last: Instant::now(), message: String::new() };
         Self::new(label, total, Display::Lines(Mutex::new(lines)))
+    }
+
+    pub(super) fn told(listener: &Arc<Listener>, stage: &'static str, label: &str, total: Option<u64>) -> Self {
+        let told = Told { listener: Arc::clone(listener), stage, message: Mutex::new(String::new()) };
+        let progress = Self::new(label, total, Display::Listener(told));
+        progress.show(0);
+        progress
     }
 
     pub(super) fn nothing(label: &str, total: Option<u64>) -> Self {
@@ -82,6 +98,10 @@ impl Progress {
                 }
                 self.show(self.done.load(Ordering::Relaxed));
             }
+            Display::Listener(told) => {
+                *told.message.lock().unwrap_or_else(PoisonError::into_inner) = text.into();
+                self.show(self.done.load(Ordering::Relaxed));
+            }
             Display::Nothing => {}
         }
     }
@@ -97,6 +117,11 @@ impl Progress {
                 lines.last = Instant::now();
                 let text = line(&self.label, self.total, done, self.started.elapsed(), &lines.message);
                 let _ = writeln!(std::io::stderr(), "{text}");
+            }
+            Display::Listener(told) => {
+                let message = told.message.lock().unwrap_or_else(PoisonError::into_inner).clone();
+                let (step, total) = (self.label.clone(), self.total);
+                told.listener.show(ProgressState { stage: told.stage, step, done, total, message });
             }
             Display::Nothing => {}
         }

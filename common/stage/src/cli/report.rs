@@ -18,20 +18,17 @@ pub(super) struct Report<'a> {
     pub(super) result: &'a Result<Outcome>,
 }
 
-impl Report<'_> {
-    /// Writes the report of a run, which may have failed.
-    pub(super) fn write(&self, path: &Path) -> Result<()> {
-        let text = serde_json::to_string_pretty(&self.json()).map_err(|error| {
-            Error::input(
-                format!("{}: {error}", path.display()),
-                "the report cannot be written as JSON",
-                "report this bug",
-            )
-        })?;
-        write_atomically(path, |file| writeln!(file, "{text}"))
-    }
+/// Writes a report.
+pub(super) fn write(path: &Path, report: &Value) -> Result<()> {
+    let text = serde_json::to_string_pretty(report).map_err(|error| {
+        Error::input(format!("{}: {error}", path.display()), "the report cannot be written as JSON", "report this bug")
+    })?;
+    write_atomically(path, |file| writeln!(file, "{text}"))
+}
 
-    fn json(&self) -> Value {
+impl Report<'_> {
+    /// Returns the report of a run, which may have failed.
+    pub(super) fn json(&self) -> Value {
         let (outcome, failed, error) = match self.result {
             Ok(Outcome::Passed) => ("passed", &[][..], None),
             Ok(Outcome::ChecksFailed(checks)) => ("checks_failed", &checks[..], None),

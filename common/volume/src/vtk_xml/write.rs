@@ -129,8 +129,8 @@ impl<'a> Document<'a> {
     }
 
     /// Adds the field data that every file of this project contains: kind, format version, strings
-    /// and history.
-    pub fn identity(&mut self, kind: &str, version: u32, texts: &[(&str, String)], history: &History) {
+    /// and history, if there is one.
+    pub fn identity(&mut self, kind: &str, version: u32, texts: &[(&str, String)], history: Option<&History>) {
         self.identity_with(kind, version, texts, Vec::new(), history);
     }
 
@@ -141,7 +141,7 @@ impl<'a> Document<'a> {
         version: u32,
         texts: &[(&str, String)],
         arrays: Vec<(&str, Payload<'a>)>,
-        history: &History,
+        history: Option<&History>,
     ) {
         self.open("FieldData", &[]);
         self.array("isoparticles_kind", 1, Payload::Text(kind.to_owned()));
@@ -152,7 +152,9 @@ impl<'a> Document<'a> {
         for (name, payload) in arrays {
             self.array(name, 1, payload);
         }
-        self.array("history", 1, Payload::Text(ascii_json(history)));
+        if let Some(history) = history {
+            self.array("history", 1, Payload::Text(ascii_json(history)));
+        }
         self.close();
     }
 

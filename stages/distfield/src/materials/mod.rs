@@ -5,19 +5,20 @@
 //! small components. [`mod@extract`] computes the indicators one after the other, by the method for
 //! a single object or, if there are [`scales`], from the level sets of [`scaled`]. [`contacts`]
 //! corrects the indicators where several materials meet. [`survey`] measures the result: the
-//! material of every node, volumes, areas, junctions and changed voxel centres. [`program`] runs
-//! the stage.
+//! material of every node, volumes, areas, junctions and changed voxel centres. `compute` performs
+//! these steps.
 
 pub mod choice;
+mod compute;
 pub mod contacts;
 pub mod extract;
 pub mod grid;
 pub mod islands;
-pub mod program;
 pub mod scaled;
 pub mod scales;
 pub mod survey;
 
 pub use choice::MaterialChoice;
+pub(crate) use compute::{check_options, compute};
 pub use extract::{Extracted, MaterialOptions, Tally, extract};
 pub use grid::LabelGrid;

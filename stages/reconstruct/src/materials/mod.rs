@@ -12,12 +12,15 @@
 //! | short segments of curves contracted at a scale | `contract` |
 //! | improvement of the triangles | [`improve`] |
 //! | components of the materials | [`pieces`] |
-//! | all steps in order; the program | [`reconstruct`], [`run`] |
+//! | all steps in order; the results for the program | [`reconstruct`], `compute` |
+//! | surfaces of single materials | `each` |
 
 pub mod complex;
+pub(crate) mod compute;
 mod contract;
 pub mod criteria;
 mod cut;
+pub(crate) mod each;
 pub mod improve;
 pub mod nodes;
 pub mod pieces;
@@ -27,7 +30,6 @@ mod program_tests;
 pub mod reconstruct;
 pub mod refine;
 mod relabel;
-pub mod run;
 #[cfg(test)]
 mod scenes;
 pub mod segments;

@@ -1,7 +1,7 @@
 //! Tests of the program with many materials, from input files to output files.
 
 use super::scenes::{self, Scene};
-use crate::run::{Args, run};
+use crate::run::{Args, Inputs, compute, run};
 use clap::Parser;
 use isoparticles_field::materials::{Indicators, Materials};
 use isoparticles_mesh::measure::measure;
@@ -9,8 +9,8 @@ use isoparticles_mesh::surface::{DataArray, SurfaceFile, read_surface};
 use isoparticles_mesh::topology::analyse;
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::history::History;
-use isoparticles_stage::materials_file::{Shown, write_materials};
-use isoparticles_stage::particle_file::{ParticleKind, write_material_particles, write_particles};
+use isoparticles_stage::materials_file::{MaterialsFile, Shown};
+use isoparticles_stage::particle_file::{ParticleFile, ParticleKind};
 use isoparticles_volume::Voxels;
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -33,14 +33,14 @@ impl Case {
             glam::DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / nx / ny) as f64)
         };
         let material: Vec<u16> = (0..count).map(|n| materials.material_at(place(n)).0).collect();
-        let shown = Shown { material: &material, interface_distance: &vec![0.0; count] };
-        write_materials(&case.path("f.vti"), &materials, shown, meta, &history("distfield")).expect("written");
+        let shown = Shown { material, interface_distance: vec![0.0; count] };
+        let (meta, from) = (meta.clone(), Some(history("distfield")));
+        MaterialsFile { materials, shown, meta, history: from }.write(&case.path("f.vti")).expect("written");
         let (particles, strata) = scene.particles(1.5, 0.75);
-        let kind = ParticleKind::Particles;
-        write_material_particles(&case.path("p.bin"), kind, &particles, &strata, &Value::Null, &history("particles"))
-            .expect("written");
-        write_particles(&case.path("plain.bin"), kind, &particles, &Value::Null, &history("particles"))
-            .expect("written");
+        let (kind, meta, history) = (ParticleKind::Particles, Value::Null, history("particles"));
+        let plain = ParticleFile { kind, particles, strata: None, meta, history, extra: Vec::new() };
+        plain.write(&case.path("plain.bin")).expect("written");
+        ParticleFile { strata: Some(strata), ..plain }.write(&case.path("p.bin")).expect("written");
         case
     }
 
@@ -48,13 +48,17 @@ impl Case {
         self.folder.path().join(name)
     }
 
-    fn run(&self, words: &[&str]) -> isoparticles_stage::error::Result<Outcome> {
+    fn args(&self, words: &[&str]) -> Args {
         let path = |word: &&str| {
             let is_file = word.contains('.') && word.parse::<f64>().is_err() || *word == "each";
             if is_file { self.path(word).display().to_string() } else { (*word).to_owned() }
         };
         let args = Args::try_parse_from(std::iter::once("reconstruct".to_owned()).chain(words.iter().map(path)));
-        run(&args.expect("good options"), &Context::silent("reconstruct"))
+        args.expect("good options")
+    }
+
+    fn run(&self, words: &[&str]) -> isoparticles_stage::error::Result<Outcome> {
+        run(&self.args(words), &Context::silent("reconstruct"))
     }
 
     fn surface(&self, name: &str) -> SurfaceFile {
@@ -94,6 +98,24 @@ fn a_complex_and_each_of_its_surfaces_are_written() {
     }
     case.run(&["p.bin", "--distfield", "f.vti", "-o", "s.ply", "--each", "each"]).expect("made");
     assert!(case.path("each/m1.ply").metadata().expect("there").len() > 1000);
+}
+
+#[test]
+fn data_in_memory_gives_the_same_surfaces() {
+    let case = Case::new(&scenes::two_balls(), &json!({"version": 1, "border": "cap"}));
+    let args = case.args(&["p.bin", "--distfield", "f.vti", "-o", "s.vtp", "--each", "each"]);
+    let context = Context::silent("reconstruct");
+    let inputs = Inputs::read(&args, &context).expect("read");
+    run(&args, &Context::silent("reconstruct")).expect("made");
+    let [whole, first, second] = ["s.vtp", "each/m1.vtp", "each/m2.vtp"].map(|name| case.surface(name));
+    drop(case);
+    let made = compute(&args, inputs, &context).expect("made");
+    assert_eq!((&made.surface, json!(made.meta)), (&whole.surface, whole.meta));
+    let names: Vec<&str> = made.each().map(|own| own.name).collect();
+    assert_eq!(names, ["m1", "m2"]);
+    for (own, file) in made.each().zip([first, second]) {
+        assert_eq!((own.surface, json!(own.meta)), (file.surface, file.meta));
+    }
 }
 
 #[test]

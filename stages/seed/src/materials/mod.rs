@@ -7,13 +7,13 @@
 //! metric ds / h, which minimizes the one-dimensional energy. Interfaces are sampled like the
 //! surface of one object.
 
+mod compute;
 mod curves;
 mod interfaces;
-mod program;
 
+pub(crate) use compute::compute;
 pub use curves::{Curves, seed_curves};
 pub use interfaces::{InterfaceParticles, seed_interfaces};
-pub(crate) use program::run;
 
 use glam::DVec3;
 use isoparticles_field::materials::Materials;

@@ -5,8 +5,8 @@
 //! length of the curve. Layers are always thin where interfaces meet at a junction curve, so these
 //! wedges are ignored.
 
+mod compute;
 mod features;
 mod lines;
-mod program;
 
-pub(crate) use program::run;
+pub(crate) use compute::compute;

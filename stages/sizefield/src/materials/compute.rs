@@ -1,5 +1,4 @@
-//! Runs the program for several materials: evaluates the options, reads and writes the files, and
-//! fills in the report.
+//! Computes h for several materials: evaluates the options and fills in the report.
 
 use super::features::{StrataFeatures, measure};
 use super::lines;
@@ -12,27 +11,20 @@ use glam::DVec3;
 use isoparticles_field::materials::complex::Complex;
 use isoparticles_field::materials::{Indicators, MaterialId, Materials, Stratum};
 use isoparticles_field::sizing::SizingField;
+use isoparticles_stage::cli::Context;
 use isoparticles_stage::cli::values::significant;
-use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_stage::field_file::{FieldKind, write_field};
 use isoparticles_stage::material_sizes::Given;
-use isoparticles_stage::materials_file::read_materials;
 use isoparticles_stage::meta::{self, SizeMeta};
 use isoparticles_volume::{Geometry, Image};
 use serde_json::json;
 
-/// Computes and writes the sizing field of several materials.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
-    let step = context.step("read");
-    let file = read_materials(&args.input)?;
-    let materials = &file.materials;
+/// Computes the sizing field of several materials, and the metadata of its file.
+pub(crate) fn compute(args: &Args, materials: &Materials, context: &Context) -> Result<(SizingField, SizeMeta)> {
     let geometry = materials.geometry();
-    context.add_input(&args.input, file.history.clone())?;
     let names: Vec<String> = materials.table().iter().map(|material| material.name.clone()).collect();
     let given = Given::new(&args.size, &names)?;
     let refined = refined_nodes(args, geometry, context)?;
-    drop(step);
     context.check_interrupt()?;
     let step = context.step("trace the strata");
     let complex = Complex::new(materials);
@@ -72,10 +64,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     drop(step);
     check_count(&args.input, predicted, geometry.voxel_count(), context)?;
     let meta = describe(&complex, &sizing, predicted, context);
-    context.check_interrupt()?;
-    let _step = context.step("write");
-    write_field(&args.output, FieldKind::Sizing, sizing.image(), &meta, &context.history())?;
-    Ok(Outcome::Passed)
+    Ok((sizing, meta))
 }
 
 fn uniform(geometry: &Geometry, size: f64) -> SizingField {

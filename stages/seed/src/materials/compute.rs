@@ -1,18 +1,22 @@
-//! Runs [`super::seed_strata`] as a program: reads and writes the files, and fills in the report.
+//! Seeds several materials by [`super::seed_strata`]: checks the options and fills in the report.
 
 use super::seed_strata;
 use crate::run::{Args, From, check_prediction};
+use isoparticles_field::materials::Materials;
 use isoparticles_field::materials::complex::Complex;
+use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_field::sizing::SizingField;
-use isoparticles_stage::cli::{Context, Outcome};
+use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
-use isoparticles_stage::materials_file::read_materials;
-use isoparticles_stage::particle_file::{ParticleKind, write_material_particles};
-use serde_json::json;
+use serde_json::{Value, json};
 
-/// Reads the files, seeds the strata of several materials, and writes the seeds and the report.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
+/// Seeds the strata of several materials. Also returns the metadata of the file.
+pub(crate) fn compute(
+    args: &Args,
+    materials: &Materials,
+    sizing: SizingField,
+    context: &Context,
+) -> Result<(ParticleSet, Strata, Value)> {
     if args.from == From::MarchingCubes {
         return Err(Error::input(
             format!("--from marching-cubes: {} contains many materials", args.distfield.display()),
@@ -20,18 +24,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
             "leave out --from, or mesh one object with ISO or LABELS (distfield --iso, --labels)",
         ));
     }
-    let step = context.step("read");
-    let file = read_materials(&args.distfield)?;
-    let sizing = read_field(&args.sizefield, FieldKind::Sizing)?;
-    let materials = &file.materials;
-    check_same_grid((&args.distfield, materials.geometry()), (&args.sizefield, &sizing.image.geometry))?;
-    context.add_input(&args.distfield, file.history.clone())?;
-    context.add_input(&args.sizefield, sizing.history.clone())?;
-    drop(step);
-    context.check_interrupt()?;
     let step = context.step("trace the strata");
     let complex = Complex::new(materials);
-    let sizing = SizingField::new(sizing.image);
     let predicted = complex.predicted_count(&sizing);
     drop(step);
     if complex.triangles.is_empty() {
@@ -64,9 +58,5 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     context.summary("not projected", summary.not_projected);
     let table: Vec<&str> = materials.table().iter().map(|material| material.name.as_str()).collect();
     let meta = json!({ "materials": table, "seeding": summary, "complex": complex.tally });
-    context.report("seeding", meta.clone());
-    context.check_interrupt()?;
-    let _step = context.step("write");
-    write_material_particles(&args.output, ParticleKind::Seeds, &particles, &strata, &meta, &context.history())?;
-    Ok(Outcome::Passed)
+    Ok((particles, strata, meta))
 }

@@ -1,5 +1,5 @@
-//! Runs `distfield --material`: computes and surveys the indicators, writes the file and the
-//! report, and runs the checks.
+//! Computes `distfield --material`: computes, surveys and checks the indicators, and fills in the
+//! report.
 
 use super::choice::{Chosen, resolve};
 use super::contacts::ContactReport;
@@ -16,18 +16,19 @@ use crate::crop::VoxelBox;
 use crate::input::take_out;
 use crate::labels::LABEL_ROOM;
 use crate::report::{SCALED_VOLUME_LIMITS, VOLUME_LIMITS, tell_grid};
+use crate::run::Made;
 use crate::scale::{Scale, room_round};
 use crate::{Border, Keep};
 use isoparticles_field::materials::{MaterialId, Materials};
 use isoparticles_stage::cli::values::significant;
-use isoparticles_stage::cli::{Context, FIT_BUT_FOR, Outcome};
+use isoparticles_stage::cli::{Context, FIT_BUT_FOR};
 use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::ground::Ground;
 use isoparticles_stage::material_sizes::{Given, GivenSize};
-use isoparticles_stage::materials_file::{Shown, write_materials};
+use isoparticles_stage::materials_file::{MaterialsFile, Shown};
 use isoparticles_stage::meta::{self, MaterialsMeta};
 use isoparticles_volume::Volume;
 use serde_json::{Map, Value, json};
-use std::path::Path;
 
 /// Maximum number of materials, and of pairs of materials, in the table at the end of a run. It
 /// also limits the number of materials in the warning about specks. The report contains all of
@@ -37,12 +38,12 @@ const MOST_ROWS: usize = 12;
 /// Maximum number of names listed in a warning or a failed check.
 const MOST_NAMES: usize = 3;
 
-/// Computes the indicators of the chosen materials and writes them.
+/// Computes the indicators of the chosen materials.
 ///
 /// # Errors
-/// If the choices are not in the volume, an option is not supported with materials, files cannot
-/// be written, or the run is interrupted.
-pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) -> Result<Outcome> {
+/// If the choices are not in the volume, an option is not supported with materials, or the run is
+/// interrupted.
+pub(crate) fn compute(args: &Args, mut volume: Volume, context: &Context) -> Result<Made> {
     check_options(args)?;
     let step = context.step("materials read");
     let mut chosen = resolve(&args.material, &volume)?;
@@ -81,7 +82,10 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
         tell_changes(&materials, &tallies, range, context);
     }
 
-    let step = context.step("write");
+    let failed = match range {
+        Some(_) => failed_at_scale(&materials, &tallies, &found, &args.scale, context),
+        None => failed_checks(&materials, &tallies, &found),
+    };
     let meta = MaterialsMeta {
         version: meta::VERSION,
         border: Some(match args.border {
@@ -93,14 +97,10 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
         scale: range.map(|[_, longest]| longest),
         notes,
     };
-    let shown = Shown { material: &found.material, interface_distance: &found.interface_distance };
-    write_materials(output, &materials, shown, &meta, &context.history())?;
-    drop(step);
-    let failed = match range {
-        Some(_) => failed_at_scale(&materials, &tallies, &found, &args.scale, context),
-        None => failed_checks(&materials, &tallies, &found),
-    };
-    Ok(Outcome::from_failed_checks(failed))
+    let shown = Shown { material: found.material, interface_distance: found.interface_distance };
+    let ground =
+        Ground::Materials(MaterialsFile { materials, shown, meta: json!(meta), history: Some(context.history()) });
+    Ok(Made { ground, failed })
 }
 
 /// Reports the corrections of the contacts. Warns if some contacts could not be corrected.

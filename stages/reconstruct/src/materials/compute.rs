@@ -1,0 +1,136 @@
+//! Meshes many materials by [`reconstruct`], and returns the surface of all interfaces and the
+//! closed surface of each material. Adds the results to the report.
+
+use super::each::MaterialSurfaces;
+use super::reconstruct::{Reconstruction, reconstruct};
+use crate::args::Args;
+use crate::input::about;
+use crate::interfaces::Interfaces;
+use crate::offending::offending;
+use crate::options::Options;
+use crate::output::{Made, describe_mesh};
+use crate::volumes::of_materials;
+use isoparticles_field::particle_set::Strata;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_mesh::quality::radius_ratios;
+use isoparticles_mesh::surface::{DataArray, Surface};
+use isoparticles_stage::cli::{Context, FIT_BUT_FOR};
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::materials_file::MaterialsFile;
+use isoparticles_stage::meta::{self, Border, MaterialsMeta, Source, SurfaceMeta};
+use isoparticles_stage::particle_file::ParticleFile;
+use isoparticles_volume::Geometry;
+use serde_json::json;
+
+/// Meshes the interfaces between materials.
+///
+/// # Errors
+/// If the particles have no strata or are not on them, if the materials are open at the border of
+/// the volume, or if the run is interrupted.
+pub(crate) fn compute(
+    args: &Args,
+    file: &ParticleFile,
+    given: &MaterialsFile,
+    sizing: Option<&SizingField>,
+    context: &Context,
+) -> Result<Made> {
+    let strata = strata(args, file)?;
+    let [path, _] = args.field_names();
+    let told: MaterialsMeta = meta::typed(path, &given.meta, "distfield")?;
+    if told.border == Some(Border::Open) {
+        return Err(Error::input(
+            format!("{}: the materials are open at the border of the volume", path.display()),
+            "interfaces of many materials must be closed there",
+            "run distfield with --border cap",
+        ));
+    }
+    // without a scale, voxel centres keep their materials
+    let options = Options { keeps_voxels: told.scale.is_none(), ..args.general_options() };
+    let table = given.materials.table();
+    let made = reconstruct((&file.particles, strata), &given.materials, table, sizing, &options, context)
+        .map_err(|error| about(&args.particles, error))?;
+    context.check_interrupt()?;
+    tell(&made, context);
+
+    let geometry = given.materials.geometry();
+    let pairs: Vec<_> = made.checked.pairs.iter().map(|pair| &pair.between).collect();
+    let volumes = of_materials(&told, &made.checked.regions);
+    let notes = [("volumes", json!(volumes)), ("refine", json!(made.refined)), ("interfaces", json!(pairs))];
+    let surface = attributes(&made, geometry);
+    let meta = SurfaceMeta {
+        version: meta::VERSION,
+        source: Some(Source::Labels),
+        border: told.border,
+        failed_checks: made.failed,
+        components: made.pieces.iter().map(|own| own.components).sum(),
+        materials: table.to_vec(),
+        notes: notes.into_iter().map(|(name, note)| (name.to_owned(), note)).collect(),
+    };
+    let offending = offending(&made.interfaces.mesh, &made.checked, geometry, options.keeps_voxels);
+    let each = MaterialSurfaces::new(made.interfaces, made.sizes, geometry.clone());
+    Ok(Made { surface, meta, offending, materials: Some(each) })
+}
+
+/// Returns the strata of the particles.
+///
+/// # Errors
+/// If the particles have no strata.
+pub(crate) fn strata<'a>(args: &Args, file: &'a ParticleFile) -> Result<&'a Strata> {
+    file.strata.as_ref().ok_or_else(|| {
+        Error::input(
+            format!("{}: the particles have no strata", args.particles.display()),
+            "each particle needs the materials that meet at it",
+            "pass the particles made from the same materials",
+        )
+    })
+}
+
+/// Returns the interfaces in the world frame, with attributes of vertices (h, number of materials
+/// that meet) and triangles (the two materials, radius ratio).
+fn attributes(made: &Reconstruction, geometry: &Geometry) -> Surface {
+    let Interfaces { mesh, between, .. } = &made.interfaces;
+    let mut surface = Surface::from_grid(mesh, geometry);
+    let meeting = made.interfaces.materials_at_vertices().iter().map(|ids| ids.len() as i64).collect();
+    surface.point_data = vec![DataArray::scalars("h", made.sizes.clone()), DataArray::integers("materials", meeting)];
+    let side = |n: usize| between.iter().map(|pair| i64::from(pair[n].0)).collect();
+    surface.cell_data = vec![
+        DataArray::integers("material_inside", side(0)),
+        DataArray::integers("material_outside", side(1)),
+        DataArray::scalars("radius_ratio", radius_ratios(mesh)),
+    ];
+    surface
+}
+
+/// Adds the results to the report and the closing table, and warns of remaining violations.
+fn tell(made: &Reconstruction, context: &Context) {
+    let Reconstruction { checked, taken, refined, improved, .. } = made;
+    context.report("prepare", json!(taken));
+    context.report("refine", json!(refined));
+    context.report("improve", json!(improved));
+    context.report("check", json!(checked));
+    context.report("topology", json!(made.pieces));
+    let lost = &taken.particles;
+    let dropped = lost.not_projected + lost.crowded + taken.encroaching;
+    describe_mesh(checked, "", [lost.particles.saturating_sub(dropped), dropped], context);
+    let missing: usize = made.pieces.iter().map(|own| own.missing.len()).sum();
+    let specks: usize = made.pieces.iter().map(|own| own.missing_specks).sum();
+    context.summary("components missing, specks missing", format!("{missing}, {specks}"));
+    context.summary(
+        "points added",
+        format!("{}, {} of them on junction curves", refined.inserted.values().sum::<usize>(), refined.on_curves),
+    );
+    if !refined.unresolved.is_empty() {
+        let left: Vec<String> =
+            refined.unresolved.iter().map(|(reason, n)| format!("{n} of {}", json!(reason))).collect();
+        context.warn(format!(
+            "refinement ended at its smallest radius with violations left: {}; where materials meet at small angles, or a layer ends in an edge, a smaller h helps \
+             (sizefield without --uniform grades it by thickness)",
+            left.join(", ")
+        ));
+    }
+    if made.failed.is_empty()
+        && let Some(forced) = checked.forced()
+    {
+        context.warn(format!("{FIT_BUT_FOR}{} accepted triangles: {forced}", checked.poor_between_curves.len()));
+    }
+}
