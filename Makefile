@@ -261,14 +261,17 @@ ifeq ($(NO_BUILD),)
 endif
 
 # Builds a wheel of all programs for `pip install`: target/wheel/isoparticles-*.whl. hatch_build.py
-# takes stripped copies of the programs from ISOPARTICLES_BIN. auditwheel tags the wheel with the
-# oldest Linux platform on which they run.
+# takes stripped copies of the programs from ISOPARTICLES_BIN, and of the native module of the
+# Python package from ISOPARTICLES_NATIVE. auditwheel tags the wheel with the oldest Linux platform
+# on which they run.
 WHEEL = $(CARGO_TARGET_DIR)/wheel
 WHEEL_PROGRAMS = distfield sizefield seed particles reconstruct phantom isoparticles-case isoparticles-volume
 wheel: build env $(WHEEL)/venv/.made completions
 	@rm -rf $(WHEEL)/bin $(WHEEL)/raw $(WHEEL)/*.whl && mkdir -p $(WHEEL)/bin
 	@for name in $(WHEEL_PROGRAMS); do strip -o $(WHEEL)/bin/$$name $(BIN)/$$name || exit $$?; done
-	@ISOPARTICLES_BIN=$(abspath $(WHEEL)/bin) ISOPARTICLES_SHARE=$(abspath $(SHARE)) $(WHEEL)/venv/bin/python -m pip wheel --quiet --no-deps --no-build-isolation -w $(WHEEL)/raw pipelines/wheel
+	@strip -o $(WHEEL)/_native.abi3.so $(BIN)/libisoparticles_python.so
+	@ISOPARTICLES_BIN=$(abspath $(WHEEL)/bin) ISOPARTICLES_NATIVE=$(abspath $(WHEEL)/_native.abi3.so) \
+	  ISOPARTICLES_SHARE=$(abspath $(SHARE)) $(WHEEL)/venv/bin/python -m pip wheel --quiet --no-deps --no-build-isolation -w $(WHEEL)/raw pipelines/wheel
 	@PATH=$(abspath $(WHEEL)/venv/bin):$$PATH auditwheel repair -w $(WHEEL) $(WHEEL)/raw/*.whl
 	@ls $(WHEEL)/*.whl
 

@@ -1,4 +1,4 @@
-"""Build hooks that add the programs, tetmesh-check and the case file of the demo to the wheel."""
+"""Build hooks that add the programs, the native module, tetmesh-check and the demo to the wheel."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ PROGRAMS = (
     "isoparticles-case",
     "isoparticles-volume",
 )
+LIBRARY = "libisoparticles_python.so"
 
 
 class Metadata(MetadataHookInterface):
@@ -45,8 +46,8 @@ class Programs(BuildHookInterface[Any]):
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """List the files of the wheel.
 
-        ISOPARTICLES_BIN is the folder of the programs; ISOPARTICLES_SHARE is the folder of the
-        completions and man pages.
+        ISOPARTICLES_BIN is the folder of the programs; ISOPARTICLES_NATIVE is the library of the
+        native module; ISOPARTICLES_SHARE is the folder of the completions and man pages.
         """
         del version  # "standard" or "editable": the files are the same
         folder = Path(os.environ.get("ISOPARTICLES_BIN", ROOT / "target" / "release"))
@@ -57,6 +58,10 @@ class Programs(BuildHookInterface[Any]):
             if not program.is_file():
                 raise FileNotFoundError(f"{program}: not built (cargo build --release)")
             included[str(program)] = f"isoparticles/bin/{program.name}"
+        native = Path(os.environ.get("ISOPARTICLES_NATIVE", ROOT / "target" / "release" / LIBRARY))
+        if not native.is_file():
+            raise FileNotFoundError(f"{native}: not built (cargo build --release)")
+        included[str(native)] = "isoparticles/_native.abi3.so"
         source = TETMESH_CHECK / "src"
         for file in sorted(source.rglob("*")):
             if file.is_file() and "__pycache__" not in file.parts and not file.parts[-2].endswith(".egg-info"):
@@ -77,4 +82,5 @@ class Programs(BuildHookInterface[Any]):
             elif file.suffix == ".1":
                 build_data["shared_data"][str(file)] = f"share/man/man1/isoparticles-{file.name}"
         build_data["pure_python"] = False
-        build_data["tag"] = f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+        # the native module uses the stable interface of Python 3.11
+        build_data["tag"] = f"cp311-abi3-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"

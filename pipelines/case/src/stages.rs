@@ -240,7 +240,8 @@ fn sizes_of_materials(settings: &Settings) -> Vec<String> {
 }
 
 /// Returns the arguments of a stage that may change its result.
-fn options(stage: &str, settings: &Settings) -> Vec<String> {
+#[must_use]
+pub fn options(stage: &str, settings: &Settings) -> Vec<String> {
     let mut words = Vec::new();
     let mut add = |(option, key): &(&str, &str)| {
         let value = settings.get(key);

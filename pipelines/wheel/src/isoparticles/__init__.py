@@ -1,1 +1,66 @@
-"""The command ``isoparticles``, which runs all stages from a volume to tetrahedra, or one stage."""
+"""Surface meshes of medical volumes, in one call or stage by stage.
+
+:func:`mesh` goes from an image to a surface. The stages :func:`distance_field`, :func:`size_field`,
+:func:`seed`, :func:`settle` and :func:`reconstruct` do the same step by step. Lengths are in mm.
+The options are those of the programs, with underscores, and so are the results: a saved file is the
+same as the file that the program writes.
+
+The command ``isoparticles``, which runs all stages from a volume to tetrahedra, is in
+:mod:`isoparticles.command`.
+
+Examples
+--------
+>>> import numpy as np
+>>> import isoparticles as iso
+>>> x, y, z = np.mgrid[:20, :20, :20] - 9.5
+>>> ball = x**2 + y**2 + z**2 < 6**2
+>>> result = iso.mesh(ball, spacing=(1, 1, 1), labels=[1], size=2)
+>>> result.failed_checks
+[]
+>>> result.surface.is_manifold
+True
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from isoparticles._api import distance_field, load, mesh, reconstruct, seed, settle, size_field
+    from isoparticles._errors import Error, MeshWarning
+    from isoparticles._results import DistanceField, Mesh, Particles, SizeField, Surface
+
+_HOMES = {
+    **dict.fromkeys(("distance_field", "load", "mesh", "reconstruct", "seed", "settle", "size_field"), "_api"),
+    **dict.fromkeys(("Error", "MeshWarning"), "_errors"),
+    **dict.fromkeys(("DistanceField", "Mesh", "Particles", "SizeField", "Surface"), "_results"),
+}
+"""Modules of the public names. They are imported on first use, so the command starts fast."""
+
+__all__ = [
+    "DistanceField",
+    "Error",
+    "Mesh",
+    "MeshWarning",
+    "Particles",
+    "SizeField",
+    "Surface",
+    "distance_field",
+    "load",
+    "mesh",
+    "reconstruct",
+    "seed",
+    "settle",
+    "size_field",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value: object = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

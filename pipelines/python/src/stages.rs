@@ -1,0 +1,198 @@
+//! Runs one stage on values in memory.
+//!
+//! `words` are the arguments that a user of the program would write, so the history is the same.
+//! The files among them are only names. All functions return the result, the failed checks and the
+//! report as JSON. Warnings are passed to the callback `warn` when the run has ended.
+
+use crate::data::{Data, Kept, Value};
+use crate::volume::{Volume, hash};
+use crate::{pool, raised};
+use isoparticles_stage::cli::check::{Known, parse};
+use isoparticles_stage::cli::{Context, Listener, Outcome, StageArgs};
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::history::file_name;
+use isoparticles_volume::{ReadOptions, read_volume_with};
+use pyo3::prelude::*;
+use serde_json::json;
+use std::ffi::OsString;
+use std::sync::Arc;
+
+/// A result, the failed checks, and the report as JSON.
+type Finished = (Data, Vec<String>, String);
+
+/// A value, and the failed checks.
+type Made = (Value, Vec<String>);
+
+/// Callbacks of a run.
+#[derive(FromPyObject)]
+pub(crate) struct Watch<'py> {
+    /// Called with the stage, step, completed work, total work and message, or `None`.
+    #[pyo3(item)]
+    progress: Option<Bound<'py, PyAny>>,
+    /// Called with the text of each warning.
+    #[pyo3(item)]
+    warn: Bound<'py, PyAny>,
+}
+
+/// Computes the distance field of a volume in memory or, if there is none, of the file that `words`
+/// name.
+#[pyfunction]
+#[pyo3(signature = (words, watch, volume=None))]
+pub(crate) fn distance_field(
+    py: Python<'_>,
+    words: Vec<String>,
+    watch: Watch<'_>,
+    volume: Option<Bound<'_, Volume>>,
+) -> PyResult<Finished> {
+    use isoparticles_distfield::run::{Args, compute};
+    let volume = volume.map(|volume| volume.get().take()).transpose()?;
+    run(py, "distfield", words, Known::default(), watch, move |args: &Args, context| {
+        let step = context.step("read");
+        let volume = match volume {
+            Some(volume) => {
+                let hash =
+                    hash(&volume).map_err(|error| Error::file(&args.input, "hash", &error, "report this bug"))?;
+                context.add_value(file_name(&args.input), hash, None);
+                volume
+            }
+            None => {
+                let volume = read_volume_with(&args.input, &ReadOptions { series: args.series.as_deref() })?;
+                context.add_input(&args.input, None)?;
+                volume
+            }
+        };
+        drop(step);
+        let made = compute(args, volume, context)?;
+        Ok((Value::Ground(made.ground), made.failed))
+    })
+}
+
+/// Computes the size field of a distance field.
+#[pyfunction]
+pub(crate) fn size_field(
+    py: Python<'_>,
+    words: Vec<String>,
+    watch: Watch<'_>,
+    field: &Bound<'_, Data>,
+) -> PyResult<Finished> {
+    use isoparticles_sizefield::run::{Args, compute};
+    let (known, field) = (known(py, field)?, keep(field));
+    run(py, "sizefield", words, known, watch, move |args: &Args, context| {
+        field.record(context)?;
+        Ok((Value::Size(compute(args, field.ground()?, context)?), Vec::new()))
+    })
+}
+
+/// Places seeds on a surface.
+#[pyfunction]
+pub(crate) fn seed(
+    py: Python<'_>,
+    words: Vec<String>,
+    watch: Watch<'_>,
+    field: &Bound<'_, Data>,
+    size: &Bound<'_, Data>,
+) -> PyResult<Finished> {
+    use isoparticles_seed::run::{Args, compute};
+    let (known, field, size) = (known(py, field)?, keep(field), keep(size));
+    run(py, "seed", words, known, watch, move |args: &Args, context| {
+        field.record(context)?;
+        size.record(context)?;
+        let seeds = compute(args, field.ground()?, size.sizing()?.clone(), context)?;
+        Ok((Value::Particles(seeds), Vec::new()))
+    })
+}
+
+/// Moves seeds until they settle.
+#[pyfunction]
+pub(crate) fn settle(
+    py: Python<'_>,
+    words: Vec<String>,
+    watch: Watch<'_>,
+    seeds: &Bound<'_, Data>,
+    field: &Bound<'_, Data>,
+    size: &Bound<'_, Data>,
+) -> PyResult<Finished> {
+    use isoparticles_particles::args::Args;
+    use isoparticles_particles::run::{Inputs, compute};
+    let (known, seeds, field, size) = (known(py, field)?, keep(seeds), keep(field), keep(size));
+    run(py, "particles", words, known, watch, move |args: &Args, context| {
+        let all = [&seeds, &field, &size];
+        all.iter().try_for_each(|kept| kept.record(context))?;
+        let inputs = Inputs {
+            seeds: seeds.particles()?.clone(),
+            ground: field.ground()?.clone(),
+            sizing: size.sizing()?.clone(),
+            hashes: [seeds.hash()?, field.hash()?, size.hash()?],
+        };
+        Ok((Value::Particles(compute(args, inputs, context)?), Vec::new()))
+    })
+}
+
+/// Connects particles to a surface.
+#[pyfunction]
+#[pyo3(signature = (words, watch, points, field=None, size=None))]
+pub(crate) fn reconstruct(
+    py: Python<'_>,
+    words: Vec<String>,
+    watch: Watch<'_>,
+    points: &Bound<'_, Data>,
+    field: Option<&Bound<'_, Data>>,
+    size: Option<&Bound<'_, Data>>,
+) -> PyResult<Finished> {
+    use isoparticles_reconstruct::run::{Args, Inputs, compute, compute_on_field};
+    let known = field.map_or(Ok(Known::default()), |field| known(py, field))?;
+    let (points, field, size) = (keep(points), field.map(keep), size.map(keep));
+    run(py, "reconstruct", words, known, watch, move |args: &Args, context| {
+        let all = std::iter::once(&points).chain(&field).chain(&size);
+        all.into_iter().try_for_each(|kept| kept.record(context))?;
+        let particles = points.particles()?;
+        let made = match &field {
+            None => compute(args, Inputs::Particles(particles.clone()), context)?,
+            Some(field) => {
+                let sizing = size.as_ref().map(|size| size.sizing()).transpose()?.cloned();
+                compute_on_field(args, particles, field.ground()?, sizing, context)?
+            }
+        };
+        let made = Box::new(made);
+        let (meta, failed) = (json!(made.meta), made.meta.failed_checks.clone());
+        Ok((Value::Made { made, meta, history: context.history() }, failed))
+    })
+}
+
+/// Parses `words` and runs `work` on the pool.
+fn run<A: clap::Parser + StageArgs + Send + 'static>(
+    py: Python<'_>,
+    tool: &'static str,
+    words: Vec<String>,
+    known: Known,
+    watch: Watch<'_>,
+    work: impl FnOnce(&A, &Context) -> Result<Made> + Send + 'static,
+) -> PyResult<Finished> {
+    let args: A = parse(tool, words.iter().map(OsString::from))
+        .map_err(|error| raised(py, Error { next: format!("see `isoparticles {tool} --help`"), ..error }))?;
+    let name = args.outputs().first().map_or_else(String::new, |path| file_name(path));
+    let listener = Arc::new(Listener::default());
+    let (threads, told) = (args.common().threads, Arc::clone(&listener));
+    let (made, report, warnings) = pool::run(py, threads, &listener, watch.progress.as_ref(), move || {
+        let context = Context::for_listener(tool, &args, &words, told);
+        let made = args.check_options(known).and_then(|_| work(&args, &context));
+        let outcome = made.as_ref().map(|(_, failed)| Outcome::from_failed_checks(failed.clone()));
+        let report = context.report_of(&outcome.map_err(Clone::clone));
+        (made, report, context.warnings())
+    })?;
+    for warning in warnings {
+        watch.warn.call1((warning,))?;
+    }
+    let (value, failed) = made.map_err(|error| raised(py, error))?;
+    Ok((Data(Arc::new(Kept::new(value, name))), failed, report.to_string()))
+}
+
+fn keep(data: &Bound<'_, Data>) -> Arc<Kept> {
+    Arc::clone(&data.get().0)
+}
+
+/// Returns the information in a distance field that options are checked against.
+fn known(py: Python<'_>, field: &Bound<'_, Data>) -> PyResult<Known> {
+    let ground = field.get().0.ground().map_err(|error| raised(py, error))?;
+    Ok(Known { materials: Some(ground.material_names()), volume: false })
+}

@@ -1,0 +1,374 @@
+"""The functions of the package."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from os import PathLike, fsdecode
+from typing import TYPE_CHECKING, TypeVar, Unpack
+
+from numpy.typing import ArrayLike
+
+from isoparticles import _native
+from isoparticles._errors import warn
+from isoparticles._images import Image, Source, source
+from isoparticles._results import ENDINGS, DistanceField, Mesh, Particles, Result, SizeField, Surface
+from isoparticles._words import settings_of, words_of
+
+if TYPE_CHECKING:
+    from isoparticles._options import (
+        DistfieldOptions,
+        MeshSettings,
+        ParticlesOptions,
+        ReconstructOptions,
+        SeedOptions,
+        SizefieldOptions,
+    )
+
+Progress = Callable[[str, str, int, int | None, str], object] | bool | None
+"""A callback (stage, step, done, total, message), or True for a line on stderr."""
+R = TypeVar("R", bound=Result)
+
+
+def distance_field(
+    image: Image,
+    *,
+    spacing: ArrayLike | None = None,
+    origin: ArrayLike | None = None,
+    direction: ArrayLike | None = None,
+    name: str = ENDINGS["distfield"],
+    progress: Progress = None,
+    **options: Unpack[DistfieldOptions],
+) -> DistanceField:
+    """Compute the signed distance of an object, or the indicators of several materials.
+
+    Parameters
+    ----------
+    image
+        The path of a volume; an array with the axes x, y and z; or an image of SimpleITK, nibabel
+        or PyVista.
+    spacing
+        The distances between voxel centres along x, y and z, in mm. Only for arrays. Default: 1.
+    origin
+        The world position of the centre of the first voxel, in mm. Only for arrays. Default: 0.
+    direction
+        A 3 x 3 matrix whose columns are the unit vectors of the axes. Only for arrays.
+    name
+        The file name of the result in the histories of later results.
+    progress
+        A function that is called with the stage, the step, the completed work, the total work or
+        None, and a message; or True for a line on stderr.
+    **options
+        The options of the program ``distfield``. ``iso``, ``labels`` or ``materials`` is required.
+
+    Raises
+    ------
+    Error
+        If the image does not contain the object, or if an option is invalid.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import isoparticles as iso
+    >>> x, y, z = np.mgrid[:16, :16, :16] - 7.5
+    >>> ball = (x**2 + y**2 + z**2 < 5**2).astype(np.uint8)
+    >>> field = iso.distance_field(ball, spacing=(1, 1, 1), labels=[1])
+    >>> field.array.min() < -4
+    np.True_
+    >>> halves = np.where(x < 0, ball, 2 * ball)
+    >>> iso.distance_field(halves, materials={"left": 1, "right": [2]}).materials
+    ['outside', 'left', 'right']
+    """
+    given = source(image, spacing, origin, direction)
+    words = words_of("distfield", options)
+    _expect_object(options)
+    return _distance_field(given, name, words, progress)
+
+
+def _distance_field(given: Source, name: str, words: list[str], progress: Progress) -> DistanceField:
+    # a path that is equal to the name of the result would count as the result in the history
+    is_unclear = given.volume is None and (given.word == name or given.word.startswith("-"))
+    word = f"./{given.word}" if is_unclear else given.word
+    if given.volume is not None and "--series" in words:
+        raise TypeError("series: only for a folder of DICOM files")
+    inputs = () if given.volume is None else (given.volume,)
+    return _run(DistanceField, _native.distance_field, [word], inputs, name, words, progress)
+
+
+def size_field(
+    field: DistanceField,
+    *,
+    name: str = ENDINGS["sizefield"],
+    progress: Progress = None,
+    **options: Unpack[SizefieldOptions],
+) -> SizeField:
+    """Compute the target edge length h of the mesh.
+
+    Parameters
+    ----------
+    field
+        The distance field.
+    name, progress
+        As for :func:`distance_field`.
+    **options
+        The options of the program ``sizefield``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import isoparticles as iso
+    >>> x, y, z = np.mgrid[:16, :16, :16] - 7.5
+    >>> field = iso.distance_field(5 - np.sqrt(x**2 + y**2 + z**2), iso=0)
+    >>> size = iso.size_field(field, uniform=1.5)
+    >>> size.array.shape == field.array.shape
+    True
+    """
+    return _size_field(field, name, words_of("sizefield", options), progress)
+
+
+def _size_field(field: DistanceField, name: str, words: list[str], progress: Progress) -> SizeField:
+    _expect(DistanceField, field=field)
+    return _run(SizeField, _native.size_field, [field.name], (field._data,), name, words, progress)
+
+
+def seed(
+    field: DistanceField,
+    size: SizeField,
+    *,
+    name: str = ENDINGS["seed"],
+    progress: Progress = None,
+    **options: Unpack[SeedOptions],
+) -> Particles:
+    """Place particles on the surface, at about the density that h requires.
+
+    Parameters
+    ----------
+    field, size
+        The distance field and the size field.
+    name, progress
+        As for :func:`distance_field`.
+    **options
+        The options of the program ``seed``. ``from_`` is its option ``--from``.
+    """
+    return _seed(field, size, name, words_of("seed", options), progress)
+
+
+def _seed(field: DistanceField, size: SizeField, name: str, words: list[str], progress: Progress) -> Particles:
+    _expect(DistanceField, field=field)
+    _expect(SizeField, size=size)
+    inputs = (field._data, size._data)
+    return _run(Particles, _native.seed, [field.name, size.name], inputs, name, words, progress)
+
+
+def settle(
+    seeds: Particles,
+    field: DistanceField,
+    size: SizeField,
+    *,
+    name: str = ENDINGS["particles"],
+    progress: Progress = None,
+    **options: Unpack[ParticlesOptions],
+) -> Particles:
+    """Move particles over the surface until they form a nearly hexagonal lattice.
+
+    Parameters
+    ----------
+    seeds, field, size
+        The seeds, and the fields from which they were made.
+    name, progress
+        As for :func:`distance_field`.
+    **options
+        The options of the program ``particles``.
+    """
+    return _settle(seeds, field, size, name, words_of("particles", options), progress)
+
+
+def _settle(
+    seeds: Particles, field: DistanceField, size: SizeField, name: str, words: list[str], progress: Progress
+) -> Particles:
+    _expect(Particles, seeds=seeds)
+    _expect(DistanceField, field=field)
+    _expect(SizeField, size=size)
+    files = [seeds.name, "--distfield", field.name, "--sizefield", size.name]
+    inputs = (seeds._data, field._data, size._data)
+    return _run(Particles, _native.settle, files, inputs, name, words, progress)
+
+
+def reconstruct(
+    particles: Particles,
+    field: DistanceField | None,
+    size: SizeField | None = None,
+    *,
+    name: str = ENDINGS["reconstruct"],
+    progress: Progress = None,
+    **options: Unpack[ReconstructOptions],
+) -> Surface:
+    """Connect particles to a surface, improve its triangles, and check it.
+
+    A surface that fails a check is a result: see ``failed_checks``.
+
+    Parameters
+    ----------
+    particles
+        Settled particles.
+    field
+        The distance field. It may be None with ``method="tight-cocone"``.
+    size
+        The size field. Default: the h of each particle.
+    name, progress
+        As for :func:`distance_field`.
+    **options
+        The options of the program ``reconstruct``.
+    """
+    return _reconstruct(particles, field, size, name, words_of("reconstruct", options), progress)
+
+
+def _reconstruct(
+    particles: Particles,
+    field: DistanceField | None,
+    size: SizeField | None,
+    name: str,
+    words: list[str],
+    progress: Progress,
+) -> Surface:
+    _expect(Particles, particles=particles)
+    files, inputs = [particles.name], [particles._data]
+    if field is not None:
+        _expect(DistanceField, field=field)
+        files += ["--distfield", field.name]
+        inputs.append(field._data)
+    elif size is not None or "tight-cocone" not in words:
+        raise ValueError("field=None requires method='tight-cocone', without a size field")
+    if size is not None:
+        _expect(SizeField, size=size)
+        files += ["--sizefield", size.name]
+        inputs.append(size._data)
+    return _run(Surface, _native.reconstruct, files, tuple(inputs), name, words, progress)
+
+
+def mesh(
+    image: Image,
+    *,
+    spacing: ArrayLike | None = None,
+    origin: ArrayLike | None = None,
+    direction: ArrayLike | None = None,
+    name: str | None = None,
+    progress: Progress = None,
+    **settings: Unpack[MeshSettings],
+) -> Mesh:
+    """Mesh the surface of an object, or the interfaces of several materials.
+
+    Parameters
+    ----------
+    image, spacing, origin, direction, progress
+        As for :func:`distance_field`.
+    name
+        The name of the results in histories and in :meth:`Mesh.save`. Default: the name of the
+        file without its extension, or ``mesh``.
+    **settings
+        The settings of ``make surface``, in lower case. ``iso``, ``labels`` or ``materials`` is
+        required.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import isoparticles as iso
+    >>> x, y, z = np.mgrid[:16, :16, :16] - 7.5
+    >>> result = iso.mesh(5 - np.sqrt(x**2 + y**2 + z**2), iso=0, size=1.5, backend="cpu")
+    >>> result.failed_checks
+    []
+    >>> abs(result.result.vertices[:, 0].max() - 5 - 7.5) < 0.5
+    np.True_
+    """
+    given = source(image, spacing, origin, direction)
+    assignments = settings_of(settings)
+    _expect_object(settings)
+    if name is None:
+        name = "mesh" if given.volume is not None else _native.case_name(given.word)
+    shared: list[str] = []
+    for option, value in (("threads", settings.get("threads")), ("max_memory", settings.get("max_memory"))):
+        shared += words_of("distfield", {option: value})
+    words = {stage: [*own, *shared] for stage, own in _native.case_words(assignments)}
+
+    def called(stage: str) -> tuple[str, list[str], Progress]:
+        return f"{name}.{ENDINGS[stage]}", words[stage], progress
+
+    field = _distance_field(given, *called("distfield"))
+    size = _size_field(field, *called("sizefield"))
+    seeds = _seed(field, size, *called("seed"))
+    particles = _settle(seeds, field, size, *called("particles"))
+    surface = _reconstruct(particles, field, size, *called("reconstruct"))
+    return Mesh(name, field, size, seeds, particles, surface)
+
+
+def load(path: str | PathLike[str]) -> DistanceField | SizeField | Particles | Surface:
+    """Read a file that a stage has written.
+
+    Raises
+    ------
+    Error
+        If the file cannot be read, or is not the result of a stage.
+    """
+    data = _native.load(fsdecode(path))
+    classes: tuple[type[DistanceField | SizeField | Particles | Surface], ...] = (
+        DistanceField,
+        SizeField,
+        Particles,
+        Surface,
+    )
+    (of_kind,) = (one for one in classes if data.kind in one.KINDS)
+    return of_kind(data)
+
+
+def _expect_object(given: Mapping[str, object]) -> None:
+    if all(given.get(name) is None for name in ("iso", "labels", "material", "materials")):
+        raise TypeError("pass iso for a scan, labels for one object of a label map, or materials for several")
+
+
+def _expect(wanted: type[Result], **given: object) -> None:
+    for name, value in given.items():
+        if not isinstance(value, wanted):
+            raise TypeError(f"{name} must be a {wanted.__name__}, not {type(value).__name__}")
+
+
+def _run(
+    made: type[R],
+    stage: Callable[..., _native.Finished],
+    files: list[str],
+    inputs: tuple[_native.Data | _native.Volume, ...],
+    name: str,
+    words: list[str],
+    progress: Progress,
+) -> R:
+    """Run a stage on the words of its program."""
+    if not isinstance(name, str) or not name or name.startswith("-") or set(name) & set("/\\\0"):
+        raise ValueError(f"name={name!r}: must be a file name without a folder")
+    if name in files:
+        raise ValueError(f"name={name!r}: is also the name of an input")
+    line = _Line() if progress is True else None
+    callback = line or progress or None
+    if callback is not None and not callable(callback):
+        raise TypeError("progress must be a function, True or None")
+    try:
+        finished = stage([*files, "-o", name, *words], {"progress": callback, "warn": warn}, *inputs)
+    finally:
+        if line:
+            line.close()
+    return made(*finished)
+
+
+class _Line:
+    """A line on stderr that shows the latest progress."""
+
+    def __init__(self) -> None:
+        self.width = 0
+
+    def __call__(self, stage: str, step: str, done: int, total: int | None, message: str) -> None:
+        share = f" {100 * min(done, total) // total} %" if total else ""
+        text = f"{stage}: {step}{share} {message}".rstrip()
+        print(f"\r{text:<{self.width}}", end="", file=sys.stderr, flush=True)
+        self.width = len(text)
+
+    def close(self) -> None:
+        """Remove the line."""
+        print(f"\r{'':<{self.width}}\r", end="", file=sys.stderr, flush=True)

@@ -1,0 +1,177 @@
+"""Converts images of other packages to volumes."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from isoparticles import _native
+
+Image = Any
+"""A path, a NumPy array, or an image of SimpleITK, nibabel or PyVista."""
+
+TYPES = {"bool": "uint8", "float16": "float32"}
+"""Types that are converted. The other types are read as they are."""
+READ = frozenset(("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"))
+UNITS_MM = {"mm": 1.0, "meter": 1e3, "micron": 1e-3}
+"""Lengths of the units of nibabel. An unknown unit counts as mm."""
+SPACING_MM = (1e-9, 1e6)
+"""Smallest and largest spacing that the readers of files accept."""
+ORIGIN_MM = 1e9
+"""Largest coordinate of an origin that the readers of files accept."""
+FLAT = 1e-3
+"""Smallest determinant of the axes that the readers of files accept."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """An image as a stage takes it: a file, or a volume in memory with the name ``array``."""
+
+    word: str
+    volume: _native.Volume | None = None
+
+
+def source(
+    image: Image, spacing: ArrayLike | None = None, origin: ArrayLike | None = None, direction: ArrayLike | None = None
+) -> Source:
+    """Convert an image; see :func:`isoparticles.distance_field`.
+
+    Raises
+    ------
+    TypeError
+        If the type of the image or of its voxels is not supported.
+    ValueError
+        If the array does not have three axes, or if the geometry is invalid.
+    """
+    package = type(image).__module__.partition(".")[0]
+    given = [("spacing", spacing), ("origin", origin), ("direction", direction)]
+    named = [name for name, value in given if value is not None]
+    if isinstance(image, np.ndarray):
+        axes, steps = _axes(direction), _three("spacing", spacing, 1.0)
+        return _volume(image, axes * steps, _three("origin", origin, 0.0), is_lps=False)
+    if named:
+        raise TypeError(f"{', '.join(named)}: only for arrays; this image has a geometry of its own")
+    if isinstance(image, (str, os.PathLike)):
+        return Source(os.fsdecode(image))
+    if package == "SimpleITK":
+        return _of_simpleitk(image)
+    if package == "nibabel":
+        return _of_nibabel(image)
+    if package == "pyvista" and hasattr(image, "dimensions") and hasattr(image, "spacing"):
+        return _of_pyvista(image)
+    kind = f"{type(image).__module__}.{type(image).__qualname__}"
+    raise TypeError(
+        f"images of type {kind} are not supported: pass a path, a NumPy array (numpy.asarray(image) with spacing, "
+        "origin and direction), or an image of SimpleITK, nibabel or PyVista"
+    )
+
+
+def _of_simpleitk(image: Image) -> Source:
+    if image.GetDimension() != 3 or image.GetNumberOfComponentsPerPixel() != 1:
+        raise ValueError("the image must have three dimensions and one value per voxel")
+    array = sys.modules["SimpleITK"].GetArrayViewFromImage(image)
+    axes = np.array(image.GetDirection(), dtype=float).reshape(3, 3)
+    return _volume(np.asarray(array).T, axes * np.array(image.GetSpacing()), np.array(image.GetOrigin()), is_lps=True)
+
+
+def _of_nibabel(image: Image) -> Source:
+    array = np.asanyarray(image.dataobj)
+    while array.ndim > 3 and array.shape[-1] == 1:
+        array = array[..., 0]
+    header: Any = getattr(image, "header", None)
+    unit = header.get_xyzt_units()[0] if hasattr(header, "get_xyzt_units") else "mm"
+    # nibabel's world frame is RAS
+    affine = np.diag([-1.0, -1.0, 1.0]) @ np.asarray(image.affine, dtype=float)[:3] * UNITS_MM.get(unit, 1.0)
+    return _volume(array, affine[:, :3], affine[:, 3], is_lps=True)
+
+
+def _of_pyvista(image: Image) -> Source:
+    size = np.array(image.dimensions)
+    first = np.array(getattr(image, "offset", (0, 0, 0)), dtype=float)
+    values = _scalars(image.point_data)
+    if values is None:
+        values = _scalars(image.cell_data)
+        size, first = size - 1, first + 0.5
+    if values is None:
+        raise ValueError("the image has no single scalar array on its points or cells: make one of them active")
+    axes = np.asarray(image.direction_matrix, dtype=float) * np.array(image.spacing)
+    return _volume(values.reshape(size, order="F"), axes, np.array(image.origin) + axes @ first, is_lps=False)
+
+
+def _scalars(arrays: Any) -> NDArray[Any] | None:
+    """Return the active array, or the only array, with one value per point or cell."""
+    single = [name for name in arrays if np.asarray(arrays[name]).ndim == 1]
+    active = arrays.active_scalars_name
+    if active is not None and active not in single:
+        return None
+    name = active if active is not None else single[0] if len(single) == 1 else None
+    return None if name is None else np.asarray(arrays[name])
+
+
+def _volume(array: NDArray[Any], steps: NDArray[Any], origin: NDArray[Any], *, is_lps: bool) -> Source:
+    """Copy an array. The columns of ``steps`` lead to the next voxel along each axis, in mm."""
+    if isinstance(array, np.ma.MaskedArray):
+        raise TypeError("masked arrays are not supported: use array.filled(value)")
+    name = array.dtype.newbyteorder("=").name
+    name = TYPES.get(name, name)
+    if name not in READ:
+        raise TypeError(f"arrays of {array.dtype} are not supported: use numbers of at most 64 bits, or booleans")
+    if array.ndim != 3:
+        raise ValueError(f"the array must have three axes (x, y, z), but its shape is {array.shape}")
+    if min(array.shape) < 2:
+        raise ValueError(f"the array must have at least two voxels along each axis, but its shape is {array.shape}")
+    spacing = np.linalg.norm(steps, axis=0)
+    low, high = SPACING_MM
+    if not np.all((spacing >= low) & (spacing <= high)):
+        raise ValueError(f"the spacing must be from {low:g} to {high:g} mm, but it is {_told(spacing)}")
+    if not np.all(np.abs(origin) <= ORIGIN_MM):
+        raise ValueError(f"the origin must be finite and within {ORIGIN_MM:g} mm, but it is {_told(origin)}")
+    axes = steps / spacing
+    if not abs(np.linalg.det(axes)) >= FLAT:
+        raise ValueError(f"the direction is singular: its axes {axes.T.tolist()} are (nearly) coplanar")
+    values = np.asfortranarray(array, dtype=name)
+    x, y, z = (float(length) for length in spacing)
+    a, b, c = (float(coordinate) for coordinate in origin)
+    return Source("array", _native.Volume(values, name, (x, y, z), (a, b, c), axes.T.tolist(), is_lps))
+
+
+def _axes(direction: ArrayLike | None) -> NDArray[Any]:
+    """Return the unit vectors of the axes as columns."""
+    if direction is None:
+        return np.eye(3)
+    axes = _numbers("direction", direction)
+    if axes.size != 9:
+        raise ValueError("direction must be a 3 x 3 matrix whose columns are the axes")
+    axes = axes.reshape(3, 3)
+    if not np.allclose(np.linalg.norm(axes, axis=0), 1.0, atol=1e-3):
+        raise ValueError("the columns of direction must be unit vectors; spacing contains the lengths")
+    return axes
+
+
+def _three(name: str, given: ArrayLike | None, default: float) -> NDArray[Any]:
+    if given is None:
+        return np.full(3, default)
+    numbers = _numbers(name, given)
+    if numbers.shape != (3,):
+        raise ValueError(f"{name} must have three numbers (mm), but its shape is {numbers.shape}")
+    if name == "spacing" and not np.all(numbers > 0):
+        raise ValueError(f"the spacing must be above 0 mm, but it is {_told(numbers)}")
+    return numbers
+
+
+def _numbers(name: str, given: ArrayLike) -> NDArray[Any]:
+    try:
+        return np.array(given, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise TypeError(f"{name} must contain numbers: {error}") from None
+
+
+def _told(numbers: NDArray[Any]) -> Sequence[float]:
+    told: list[float] = numbers.tolist()
+    return told

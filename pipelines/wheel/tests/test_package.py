@@ -1,0 +1,631 @@
+"""Tests of the Python package in the wheel."""
+
+from __future__ import annotations
+
+import contextlib
+import doctest
+import importlib
+import importlib.util
+import os
+import pickle
+import random
+import resource
+import subprocess
+import sys
+import textwrap
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import pyvista
+
+STAGES = ("distance_field", "size_field", "seed", "settle", "reconstruct")
+
+
+@pytest.fixture(scope="session")
+def iso(site: Path) -> ModuleType:
+    sys.path.insert(0, str(site))
+    return importlib.import_module("isoparticles")
+
+
+@pytest.fixture(scope="session")
+def field(iso: ModuleType) -> Any:
+    return iso.distance_field(ball(), labels=1)
+
+
+def ball(size: int = 18, radius: float = 5.5) -> np.ndarray:
+    x, y, z = np.mgrid[:size, :size, :size] - (size - 1) / 2
+    return (x**2 + y**2 + z**2 < radius**2).astype(np.uint8)
+
+
+def halves() -> np.ndarray:
+    labels = ball(20, 6.5)
+    labels[10:] *= 2
+    return labels
+
+
+def program(site: Path, folder: Path, *words: str) -> None:
+    command = [str(site / "isoparticles" / "bin" / words[0]), *words[1:]]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+
+
+def script(site: Path, text: str, **more: Any) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    command = [sys.executable, "-c", textwrap.dedent(text)]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, **more)
+
+
+# --- The same results as those of the programs ---------------------------------------------------
+
+
+def write_halves(folder: Path) -> None:
+    image = pyvista.ImageData(dimensions=(20, 20, 20), spacing=(1.0, 0.8, 1.25))
+    image.point_data["labels"] = halves().ravel(order="F")
+    image.save(folder / "in.vti")
+
+
+CASES: dict[str, tuple[dict[str, Any], list[str], dict[str, Any], list[str]]] = {
+    "object": (
+        {"iso": 100, "keep": "largest"},
+        ["--iso", "100", "--keep", "largest"],
+        {"uniform": 1.7},
+        ["--uniform", "1.7"],
+    ),
+    "materials": (
+        {"materials": {"left": 1, "right": [2]}, "size": {"left": 1.5}},
+        ["--material", "left=1", "--material", "right=2", "--size", "left=1.5"],
+        {"epsilon": 0.6, "min_size": 1.5, "size": {("left", "right"): 1.8}},
+        ["--epsilon", "0.6", "--min-size", "1.5", "--size", "left/right=1.8"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_files_are_those_of_the_programs(iso: ModuleType, site: Path, tmp_path: Path, case: str) -> None:
+    options, words, sizes, size_words = CASES[case]
+    made, told = tmp_path / "made", tmp_path / "told"
+    made.mkdir()
+    told.mkdir()
+    if case == "object":
+        program(site, told, "phantom", "ball", "--size", "20", "-o", "in.nrrd")
+        source = told / "in.nrrd"
+    else:
+        write_halves(told)
+        source = told / "in.vti"
+    fields = ["--distfield", "distfield.vti", "--sizefield", "sizefield.vti"]
+    program(site, told, "distfield", source.name, "-o", "distfield.vti", *words)
+    program(site, told, "sizefield", "distfield.vti", "-o", "sizefield.vti", *size_words)
+    program(site, told, "seed", "distfield.vti", "sizefield.vti", "-o", "seeds.bin", "--seed", "7")
+    program(
+        site, told, "particles", "seeds.bin", *fields, "-o", "particles.bin", "--backend", "cpu", "--max-passes", "40"
+    )
+    program(site, told, "reconstruct", "particles.bin", *fields, "-o", "surface.vtp", "--improve-below", "0.95")
+
+    field = iso.distance_field(source, **options)
+    size = iso.size_field(field, **sizes)
+    seeds = iso.seed(field, size, seed=7)
+    settled = iso.settle(seeds, field, size, backend="cpu", max_passes=40)
+    surface = iso.reconstruct(settled, field, size, improve_below=0.95)
+    for result in (field, size, seeds, settled, surface):
+        result.save(made / result.name)
+        assert (made / result.name).read_bytes() == (told / result.name).read_bytes(), result
+        assert result.failed_checks == []
+        assert result.report["outcome"] == "passed"
+        assert iso.load(made / result.name).history == result.history
+    if case == "materials":
+        program(
+            site,
+            told,
+            "reconstruct",
+            "particles.bin",
+            *fields,
+            "-o",
+            "surface.vtp",
+            "--improve-below",
+            "0.95",
+            "--force",
+            "--each",
+            "each",
+        )
+        own = surface.of("left")
+        assert own.to_pyvista().is_manifold
+        assert np.array_equal(own.vertices, pyvista.read(told / "each" / "left.vtp").points)
+
+
+def test_mesh_uses_the_settings_of_a_case(iso: ModuleType, tmp_path: Path) -> None:
+    result = iso.mesh(
+        halves(),
+        spacing=(1, 1, 1),
+        materials={"left": 1, "right": 2},
+        size=2,
+        backend="cpu",
+        threads=1,
+        seed=3,
+        name="two",
+    )
+    assert (
+        result.field.history["command_line"]
+        == "distfield array -o OUTPUT --scale-for-size 2 --material left=1 --material right=2"
+    )
+    assert result.result.history["inputs"][0]["path"] == "two.particles.bin"
+    assert set(result.report) == {"distfield", "sizefield", "seed", "particles", "reconstruct"}
+    assert result.report["seed"]["parameters"]["seed"] == 3
+    assert result.report["seed"]["threads"] == 1
+    assert result.surface is result.surface
+    assert result.failed_checks == []
+    result.save(tmp_path / "new")
+    names = {file.name for file in (tmp_path / "new").iterdir()}
+    assert names == {
+        f"two.{end}" for end in ("distfield.vti", "sizefield.vti", "seeds.bin", "particles.bin", "surface.vtp")
+    }
+    with pytest.raises(FileExistsError, match=r"two\.distfield\.vti"):
+        result.save(tmp_path / "new")
+    result.save(tmp_path / "new", overwrite=True)
+    assert result.result.materials == result.field.materials == ["outside", "left", "right"]
+
+
+# --- Images --------------------------------------------------------------------------------------
+
+
+def test_every_type_and_layout_gives_the_same_field(iso: ModuleType, field: Any) -> None:
+    labels = ball()
+    types = [
+        f"{kind}{bits}" for kind in ("int", "uint", "float") for bits in (8, 16, 32, 64) if kind + str(bits) != "float8"
+    ]
+    types += ["bool", ">i2", ">f8", "<u4"]
+    images = [labels.astype(name) for name in types]
+    images += [np.asfortranarray(labels), labels[::-1, ::-1, ::-1], np.repeat(labels, 2, axis=1)[:, ::2]]
+    for image in images:
+        assert np.array_equal(iso.distance_field(image, labels=1).array, field.array), image.dtype
+    assert field.array.shape == field.shape
+    assert field.array.dtype == np.float32
+
+
+def test_axes_are_x_y_z_in_the_world(iso: ModuleType) -> None:
+    box = np.zeros((10, 14, 18), np.uint8)
+    box[3:7, 3:11, 3:15] = 1
+    turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
+    field = iso.distance_field(box, spacing=(1, 0.5, 2), origin=(10, 20, 30), direction=turn, labels=1)
+    assert field.spacing.tolist() == [1, 0.5, 2]
+    assert np.array_equal(field.direction, turn)
+    inside = np.argwhere(field.array < 0)
+    world = field.origin + (inside * field.spacing) @ field.direction.T
+    given = np.array([10, 20, 30]) + (np.argwhere(box) * [1, 0.5, 2]) @ turn.T
+    assert np.allclose(world.min(axis=0), given.min(axis=0))
+    assert np.allclose(world.max(axis=0), given.max(axis=0))
+    image = field.to_pyvista()
+    assert np.allclose(image.points[np.asarray(image.point_data["signed_distance"]) < 0].min(axis=0), given.min(axis=0))
+    with pytest.raises(ValueError, match="read-only"):
+        field.array[0, 0, 0] = 1
+    with pytest.raises(ValueError, match="read-only"):
+        field.spacing[0] = 1
+
+
+def test_images_of_other_packages(iso: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    labels = ball()
+    options = {"labels": 1}
+    world = {"spacing": (1, 2, 3.0), "origin": (4, 5, 6.0)}
+    wanted = iso.distance_field(labels, **world, **options)
+
+    itk = type("Image", (), {"__module__": "SimpleITK.SimpleITK"})()
+    itk.GetDimension, itk.GetNumberOfComponentsPerPixel = lambda: 3, lambda: 1
+    itk.GetSpacing, itk.GetOrigin = lambda: world["spacing"], lambda: world["origin"]
+    itk.GetDirection = lambda: (1, 0, 0, 0, 1, 0, 0, 0, 1.0)
+    monkeypatch.setitem(sys.modules, "SimpleITK", SimpleNamespace(GetArrayViewFromImage=lambda _: labels.T))
+
+    nifti = type("Nifti1Image", (), {"__module__": "nibabel.nifti1"})()
+    nifti.dataobj = labels[..., None]
+    # RAS, and metres
+    nifti.affine = np.array([[-0.001, 0, 0, -0.004], [0, -0.002, 0, -0.005], [0, 0, 0.003, 0.006], [0, 0, 0, 1]])
+    nifti.header = SimpleNamespace(get_xyzt_units=lambda: ("meter", "sec"))
+
+    points = pyvista.ImageData(dimensions=labels.shape, **world)
+    points.point_data["other"] = np.zeros((labels.size, 3))
+    points.point_data["labels"] = labels.ravel(order="F")
+    points.set_active_scalars("labels")
+    cells = pyvista.ImageData(dimensions=np.array(labels.shape) + 1, spacing=world["spacing"], origin=(3.5, 4, 4.5))
+    cells.cell_data["labels"] = labels.ravel(order="F")
+    for image in (itk, nifti, points, cells):
+        made = iso.distance_field(image, **options)
+        assert np.array_equal(made.array, wanted.array), image
+        assert np.allclose(made.origin, wanted.origin)
+        assert np.allclose(made.spacing, wanted.spacing)
+        with pytest.raises(TypeError, match="geometry of its own"):
+            iso.distance_field(image, spacing=(1, 1, 1), **options)
+
+
+@pytest.mark.parametrize(
+    ("image", "more", "kind", "told"),
+    [
+        (np.ma.masked_equal(ball(), 0), {}, TypeError, "filled"),
+        (ball().astype(complex), {}, TypeError, "complex128"),
+        (ball().astype(object), {}, TypeError, "object"),
+        (ball().astype(str), {}, TypeError, "not supported"),
+        (ball()[0], {}, ValueError, "three axes"),
+        (ball()[None], {}, ValueError, "three axes"),
+        (np.zeros((0, 5, 5)), {}, ValueError, "two voxels"),
+        (ball()[:1], {}, ValueError, "two voxels"),
+        (ball(), {"spacing": (1, np.nan, 1)}, ValueError, "spacing"),
+        (ball(), {"spacing": (1, -1, 1)}, ValueError, "above 0"),
+        (ball(), {"spacing": (1, 1)}, ValueError, "three numbers"),
+        (ball(), {"spacing": "wide"}, TypeError, "numbers"),
+        (ball(), {"spacing": (1, 1e7, 1)}, ValueError, "1e-09 to 1e"),
+        (ball(), {"origin": (0, 0, np.inf)}, ValueError, "origin"),
+        (ball(), {"direction": np.ones((3, 3)) / np.sqrt(3)}, ValueError, "singular"),
+        (ball(), {"direction": np.eye(3) * 2}, ValueError, "unit vectors"),
+        (ball(), {"direction": np.eye(2)}, ValueError, "3 x 3"),
+        ([[[1]]], {}, TypeError, "builtins.list"),
+        (None, {}, TypeError, "NoneType"),
+        ("v.nrrd", {"spacing": (1, 1, 1)}, TypeError, "only for arrays"),
+    ],
+)
+def test_images_that_are_refused(
+    iso: ModuleType, image: Any, more: dict[str, Any], kind: type[Exception], told: str
+) -> None:
+    with pytest.raises(kind, match=told):
+        iso.distance_field(image, labels=1, **more)
+
+
+# --- Options and errors --------------------------------------------------------------------------
+
+
+def test_options_become_words_in_their_order(iso: ModuleType) -> None:
+    words = importlib.import_module("isoparticles._words").words_of
+    assert words("distfield", {"scale": 2.0, "labels": range(1, 3), "keep_thin": True, "kind": None}) == [
+        *("--scale", "2", "--labels", "1,2", "--keep-thin")
+    ]
+    assert words("distfield", {"materials": ["all", "lung=2"]}) == ["--material", "all", "--material", "lung=2"]
+    assert words("distfield", {"material": {"a, b": np.uint8(2), "c": ["x y", 1]}}) == [
+        *("--material", "a, b=2", "--material", "c=x y+1")
+    ]
+    assert words("distfield", {"iso": -0.1, "series": "-a"}) == ["--iso", "-0.1", "--series=-a"]
+    assert words("sizefield", {"epsilon": -1, "refine": ("points:h.vtp",)}) == [
+        "--epsilon=-1",
+        "--refine",
+        "points:h.vtp",
+    ]
+    assert words("sizefield", {"size": {"a": 1e-7, ("a", "b"): np.float32(0.5)}}) == [
+        "--size",
+        "a=1e-07",
+        "--size",
+        "a/b=0.5",
+    ]
+    assert words("seed", {"from_": "marching-cubes", "count": 5.0}) == ["--from", "marching-cubes", "--count", "5"]
+    for given, kind in [
+        ({"materials": {"a=b": 1}}, ValueError),
+        ({"materials": {"a/b": 1}}, ValueError),
+        ({"materials": {"": 1}}, ValueError),
+        ({"materials": {"a": ["1,2"]}}, ValueError),
+        ({"materials": {"a": ["1+2"]}}, ValueError),
+        ({"materials": {"a": []}}, ValueError),
+        ({"materials": {1: 1}}, TypeError),
+        ({"materials": {"a": 1}, "material": "all"}, TypeError),
+        ({"labels": ["1,2"]}, ValueError),
+        ({"labels": [True]}, TypeError),
+        ({"iso": float("nan")}, ValueError),
+        ({"keep_thin": 1}, TypeError),
+        ({"inside": 3}, TypeError),
+        ({"quiet": True}, TypeError),
+        ({"report": "r.json"}, TypeError),
+    ]:
+        with pytest.raises(kind):
+            words("distfield", given)
+    with pytest.raises(ValueError, match="must not"):
+        iso.mesh(ball(), materials={"a:b": 1})
+
+
+def test_names_of_files_do_not_get_mixed_up(iso: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    image = pyvista.ImageData(dimensions=(18, 18, 18))
+    image.point_data["labels"] = ball().ravel(order="F")
+    for name in ("-q.vti", "distfield.vti"):
+        image.save(tmp_path / name)
+        field = iso.distance_field(name, labels=1)
+        assert field.history["command_line"] == f"distfield {name} -o OUTPUT --labels 1"
+        assert field.history["inputs"][0]["path"] == name
+    (tmp_path / "a.b.vti").write_bytes((tmp_path / "-q.vti").read_bytes())
+    assert iso.mesh(tmp_path / "a.b.vti", labels=1, size=2, backend="cpu").name == "a.b"
+    error = pickle.loads(pickle.dumps(iso.Error("what", "why", "next")))
+    assert (error.what, error.why, error.next) == ("what", "why", "next")
+
+
+def test_errors_say_what_to_do(iso: ModuleType, field: Any, tmp_path: Path) -> None:
+    with pytest.raises(iso.Error) as caught:
+        iso.distance_field(ball(), labels=9)
+    assert "array: " in caught.value.what
+    assert str(caught.value) == (
+        f"{caught.value.what}\n  why it matters: {caught.value.why}\n  what to do: {caught.value.next}"
+    )
+    with pytest.raises(TypeError, match="did you mean 'labels'"):
+        iso.distance_field(ball(), lables=1)
+    with pytest.raises(TypeError, match="series: only"):
+        iso.distance_field(ball(), labels=1, series="one")
+    with pytest.raises(TypeError, match="did you mean 'vertices'"):
+        iso.mesh(ball(), vertexes=100)
+    with pytest.raises(TypeError, match="pass iso for a scan"):
+        iso.mesh(ball(), vertices=100)
+    with pytest.raises(iso.Error, match=r"none\.nrrd"):
+        iso.distance_field(tmp_path / "none.nrrd", labels=1)
+    with pytest.raises(iso.Error, match="above 0"):
+        iso.size_field(field, epsilon=-1)
+    with pytest.raises(iso.Error, match="cannot be used with"):
+        iso.size_field(field, uniform=1, epsilon=1)
+    with pytest.raises(iso.Error, match="--size left=2 for one object"):
+        iso.size_field(field, size={"left": 2})
+    with pytest.raises(iso.Error, match="both set"):
+        iso.mesh(ball(), labels=1, iso=1)
+    with pytest.raises(TypeError, match="field must be a DistanceField, not ndarray"):
+        iso.size_field(ball())
+    with pytest.raises(ValueError, match="also the name of an input"):
+        iso.size_field(field, name=field.name)
+    with pytest.raises(ValueError, match="without a folder"):
+        iso.size_field(field, name="a/b")
+    with pytest.raises(iso.Error, match="memory"):
+        iso.distance_field(ball(), labels=1, max_memory="1K")
+    with pytest.raises(TypeError):
+        iso.DistanceField(3)
+
+
+def test_options_module_is_up_to_date(iso: ModuleType) -> None:
+    del iso
+    path = Path(__file__).parents[1] / "make_options.py"
+    spec = importlib.util.spec_from_file_location("make_options", path)
+    assert spec is not None
+    assert spec.loader is not None
+    made = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
+    written = path.parent / "src" / "isoparticles" / "_options.py"
+    assert made.module() == written.read_text(encoding="utf-8"), "run make_options.py"
+
+
+def test_bad_arguments_raise_python_exceptions(iso: ModuleType, field: Any) -> None:
+    generator = random.Random(1)
+    values = [
+        None,
+        True,
+        -1,
+        0,
+        3,
+        10**30,
+        0.5,
+        -0.0,
+        1e308,
+        float("inf"),
+        "",
+        "a",
+        "--help",
+        "-q",
+        "\0",
+        "\ud800",
+        b"x",
+        [],
+        [1, "a"],
+    ]
+    values += [
+        {},
+        {"a": 1},
+        {1: 2},
+        (1, 2, 3),
+        np.float32(2),
+        np.arange(3),
+        np.array(1),
+        object(),
+        ball(),
+        field,
+        print,
+        "all",
+        "1,2",
+    ]
+    names = [
+        "labels",
+        "iso",
+        "materials",
+        "scale",
+        "margin",
+        "keep",
+        "spacing",
+        "origin",
+        "direction",
+        "name",
+        "progress",
+        "threads",
+        "seed",
+        "max_memory",
+    ]
+    size = iso.size_field(field, uniform=2)
+    images = [ball(6, 2), ball(6, 2).astype(float), *values]
+    for _ in range(400):
+        function = generator.choice([*STAGES, "mesh", "load"])
+        inputs = [generator.choice([field, size, *values]) for _ in range(generator.randrange(4))]
+        if function in ("distance_field", "mesh"):
+            inputs = [generator.choice(images)]
+        given = {name: generator.choice(values) for name in generator.sample(names, generator.randrange(4))}
+        with contextlib.suppress(TypeError, ValueError, KeyError, iso.Error):
+            getattr(iso, function)(*inputs, **given)
+
+
+# --- Runs ----------------------------------------------------------------------------------------
+
+
+LONG = """
+    import isoparticles as iso, numpy as np, os, signal, threading, time
+    x, y, z = np.mgrid[:40, :40, :40] - 19.5
+    field = iso.distance_field(15 - np.sqrt(x**2 + y**2 + z**2), iso=0)
+    size = iso.size_field(field, uniform=0.6)
+    seeds = iso.seed(field, size)
+    long = dict(backend="cpu", max_passes=10**6, energy_tolerance=0, levels=1)
+"""
+
+
+def test_ctrl_c_stops_a_run(site: Path) -> None:
+    text = (
+        LONG
+        + """
+    threading.Timer(1, os.kill, (os.getpid(), signal.SIGINT)).start()
+    try:
+        iso.settle(seeds, field, size, **long)
+    except KeyboardInterrupt:
+        print("stopped")
+    print(len(iso.settle(seeds, field, size, backend="cpu")) > 1000)
+    """
+    )
+    done = script(site, text, timeout=60)
+    assert done.stdout.split() == ["stopped", "True"], done.stderr
+
+
+def test_an_exception_of_the_callback_stops_a_run(iso: ModuleType) -> None:
+    namespace: dict[str, Any] = {}
+    exec(textwrap.dedent(LONG), namespace)
+    calls: list[tuple[Any, ...]] = []
+
+    def stop(*state: Any) -> None:
+        calls.append(state)
+        if len(calls) == 3:
+            raise LookupError("enough")
+
+    started = time.monotonic()
+    with pytest.raises(LookupError, match="enough"):
+        iso.settle(namespace["seeds"], namespace["field"], namespace["size"], progress=stop, **namespace["long"])
+    assert time.monotonic() - started < 10
+    assert len(calls) == 3
+    stage, step, done, total, message = calls[-1]
+    assert (stage, step) == ("particles", "pass")
+    assert 0 <= done <= total
+    assert "particles" in message
+
+
+def test_progress_is_a_line(iso: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    iso.mesh(ball(), labels=1, size=2, backend="cpu", progress=True)
+    assert "distfield: " in capsys.readouterr().err
+    iso.distance_field(ball(), labels=1, progress=False)
+    assert capsys.readouterr().err == ""
+
+
+def test_warnings_point_to_the_caller(iso: ModuleType) -> None:
+    with pytest.warns(iso.MeshWarning, match="mask of two values") as caught:
+        iso.mesh(ball(), iso=0.5, size=2, backend="cpu")
+    assert {warning.filename for warning in caught} == {__file__}
+
+
+def test_threads_run_in_parallel(iso: ModuleType, field: Any) -> None:
+    with ThreadPoolExecutor(8) as pool:
+        fields = list(pool.map(lambda _: iso.distance_field(ball(), labels=1), range(24)))
+    assert all(np.array_equal(one.array, field.array) for one in fields)
+    sizes = [iso.size_field(field, threads=threads).array for threads in (1, 3)]
+    assert np.array_equal(*sizes)
+
+
+def test_a_child_after_a_fork_does_not_hang(site: Path) -> None:
+    text = """
+        import isoparticles as iso, numpy as np, os, signal
+        labels = np.zeros((12, 12, 12), np.uint8)
+        labels[3:9, 3:9, 3:9] = 1
+        before = iso.distance_field(labels, labels=1)
+        child = os.fork()
+        if child == 0:
+            signal.alarm(20)
+            size = iso.size_field(before, uniform=2)
+            size.save(os.devnull, overwrite=True)
+            os._exit(0 if np.array_equal(iso.distance_field(labels, labels=1).array, before.array) else 1)
+        print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), iso.size_field(before, uniform=2))
+    """
+    done = script(site, text, timeout=60)
+    assert done.stdout.startswith("0 <SizeField 'sizefield.vti': "), done.stderr
+
+
+def test_results_come_back_from_files(iso: ModuleType, field: Any, tmp_path: Path) -> None:
+    size = iso.size_field(field, uniform=1.5)
+    seeds = iso.seed(field, size)
+    settled = iso.settle(seeds, field, size, backend="cpu", max_passes=5)
+    surface = iso.reconstruct(settled, field, size)
+    for result in (field, size, seeds, settled, surface):
+        path = tmp_path / result.name
+        result.save(path)
+        with pytest.raises(FileExistsError, match="overwrite=True"):
+            result.save(path)
+        back = iso.load(str(path))
+        assert type(back) is type(result)
+        assert (back.meta, back.history, back.report) == (result.meta, result.history, None)
+        assert back.arrays.keys() == result.arrays.keys()
+        assert all(np.array_equal(back.arrays[name], array) for name, array in result.arrays.items())
+        assert not any(array.flags.writeable for array in result.arrays.values())
+        back.save(path, overwrite=True)
+        assert iso.load(path).history == result.history
+        assert result.name in repr(result)
+    again = iso.reconstruct(
+        *(iso.load(tmp_path / name) for name in ("particles.bin", "distfield.vti", "sizefield.vti"))
+    )
+    assert again.history == surface.history
+    assert np.array_equal(again.triangles, surface.triangles)
+    assert iso.load(tmp_path / "surface.vtp").to_pyvista().is_manifold
+    assert len(settled) == settled.to_pyvista().n_points == len(settled.sizes)
+    for name in ("surface.ply", "surface.stl"):
+        surface.save(tmp_path / name)
+    with pytest.raises(iso.Error, match=r"\.xyz"):
+        surface.save(tmp_path / "surface.xyz")
+    (tmp_path / "text.vti").write_text("no image")
+    with pytest.raises(iso.Error, match=r"text\.vti"):
+        iso.load(tmp_path / "text.vti")
+    points = iso.reconstruct(settled, None, method="tight-cocone")
+    assert len(points.vertices) > 50
+    with pytest.raises(ValueError, match="tight-cocone"):
+        iso.reconstruct(settled, None)
+
+
+def test_failed_checks_are_results(iso: ModuleType, field: Any, tmp_path: Path) -> None:
+    size = iso.size_field(field, uniform=1.5)
+    with pytest.warns(iso.MeshWarning, match="instead of settled particles"):
+        surface = iso.reconstruct(iso.seed(field, size), field, size, min_radius_ratio=0.999)
+    assert surface.failed_checks
+    assert surface.report["outcome"] == "checks_failed"
+    assert surface.report["failed_checks"] == surface.failed_checks
+    assert "failed checks" in repr(surface)
+    surface.save(tmp_path / "surface.vtp")
+    assert (tmp_path / "surface.offending.vtp").is_file()
+
+
+def test_memory_does_not_grow(iso: ModuleType) -> None:
+    labels = ball(12, 4)
+
+    def resident() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+    def some(count: int) -> None:
+        for _ in range(count):
+            field = iso.distance_field(labels, labels=1)
+            size = iso.size_field(field, uniform=2)
+            iso.seed(field, size).positions.sum()
+            with pytest.raises(iso.Error):
+                iso.distance_field(labels, labels=7)
+
+    some(30)
+    before = resident()
+    some(150)
+    assert resident() - before < 16 << 20
+
+
+def test_the_package_is_light(site: Path) -> None:
+    text = """
+        import sys, isoparticles
+        assert not {"numpy", "pyvista", "isoparticles._native"} & set(sys.modules)
+        assert set(isoparticles.__all__) <= set(dir(isoparticles))
+        isoparticles.distance_field
+        assert "pyvista" not in sys.modules
+        try:
+            isoparticles.nothing
+        except AttributeError:
+            print("fine")
+    """
+    assert script(site, text).stdout == "fine\n"
+
+
+@pytest.mark.parametrize("name", ["isoparticles", "isoparticles._api"])
+def test_examples_of_the_docstrings(iso: ModuleType, name: str) -> None:
+    del iso
+    failed, attempted = doctest.testmod(importlib.import_module(name))
+    assert attempted > 0
+    assert failed == 0
