@@ -32,6 +32,7 @@ CLASSES = {
     "seed": ("SeedOptions", "seed"),
     "particles": ("ParticlesOptions", "settle"),
     "reconstruct": ("ReconstructOptions", "reconstruct"),
+    "tetmesh-check": ("TetmeshOptions", "fill"),
 }
 KINDS = {"flag": "bool", "number": "float", "whole": "int", "text": "str"}
 SPECIAL = {
@@ -41,6 +42,7 @@ SPECIAL = {
     "size_of_materials": "Sizes",
     "keep": "float | str",
     "max_memory": "int | str",
+    "conductivity": "Mapping[str, float] | str | Iterable[str]",
 }
 """Types that the kind of an option does not tell."""
 ALIAS = {"material": "materials"}

@@ -576,6 +576,39 @@ def test_results_come_back_from_files(iso: ModuleType, field: Any, tmp_path: Pat
         iso.reconstruct(settled, None)
 
 
+def test_surfaces_are_filled_with_tetrahedra(iso: ModuleType, tmp_path: Path) -> None:
+    pytest.importorskip("gmsh")
+    made = iso.mesh(ball(), labels=1, size=2.5, name="ball")
+    with pytest.warns(iso.MeshWarning, match="the volume changes by"):
+        filled = iso.fill(made.result, made.size, method="hxt", solve="no")
+    assert filled.failed_checks == []
+    grid = filled.to_pyvista()
+    assert grid.n_cells > 100
+    assert grid["min_dihedral"].min() > 5
+    filled.save(tmp_path / "volume.vtu")
+    with pytest.raises(FileExistsError):
+        filled.save(tmp_path / "volume.vtu")
+    # the program makes the same file
+    made.result.save(tmp_path / made.result.name)
+    made.size.save(tmp_path / made.size.name)
+    words = [made.result.name, "--sizefield", made.size.name, "-o", "volume.vtu", "--method", "hxt", "--solve", "no"]
+    command = [sys.executable, "-m", "tetmesh_check", *words, "--quiet", "--force"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    again = tmp_path / "again.vtu"
+    filled.save(again)
+    assert again.read_bytes() == (tmp_path / "volume.vtu").read_bytes()
+    assert iso.fill(made.result, made.size, method="hxt", solve="no", min_dihedral=69).failed_checks
+    assert made.tetrahedra.n_cells > 100
+    with pytest.raises(iso.Error, match="invalid choice"):
+        iso.fill(made.result, method="none")
+    with pytest.raises(TypeError, match="did you mean 'method'"):
+        iso.fill(made.result, metod="hxt")
+    with pytest.raises(TypeError, match="surface must be a Surface"):
+        iso.fill(made.size)
+    with pytest.raises(ValueError, match=r"ends with \.vtu"):
+        iso.fill(made.result, name="volume.stl")
+
+
 def test_failed_checks_are_results(iso: ModuleType, field: Any, tmp_path: Path) -> None:
     size = iso.size_field(field, uniform=1.5)
     with pytest.warns(iso.MeshWarning, match="instead of settled particles"):

@@ -1,9 +1,9 @@
 """Surface meshes of medical volumes, in one call or stage by stage.
 
 :func:`mesh` goes from an image to a surface. The stages :func:`distance_field`, :func:`size_field`,
-:func:`seed`, :func:`settle` and :func:`reconstruct` do the same step by step. Lengths are in mm.
-The options are those of the programs, with underscores, and so are the results: a saved file is the
-same as the file that the program writes.
+:func:`seed`, :func:`settle` and :func:`reconstruct` do the same step by step, and :func:`fill`
+makes tetrahedra. Lengths are in mm. The options are those of the programs, with underscores, and so
+are the results: a saved file is the same as the file that the program writes.
 
 The command ``isoparticles``, which runs all stages from a volume to tetrahedra, is in
 :mod:`isoparticles.command`.
@@ -27,11 +27,13 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from isoparticles._api import distance_field, load, mesh, reconstruct, seed, settle, size_field
     from isoparticles._errors import Error, MeshWarning
+    from isoparticles._fill import Tetrahedra, fill
     from isoparticles._results import DistanceField, Mesh, Particles, SizeField, Surface
 
 _HOMES = {
     **dict.fromkeys(("distance_field", "load", "mesh", "reconstruct", "seed", "settle", "size_field"), "_api"),
     **dict.fromkeys(("Error", "MeshWarning"), "_errors"),
+    **dict.fromkeys(("Tetrahedra", "fill"), "_fill"),
     **dict.fromkeys(("DistanceField", "Mesh", "Particles", "SizeField", "Surface"), "_results"),
 }
 """Modules of the public names. They are imported on first use, so the command starts fast."""
@@ -44,7 +46,9 @@ __all__ = [
     "Particles",
     "SizeField",
     "Surface",
+    "Tetrahedra",
     "distance_field",
+    "fill",
     "load",
     "mesh",
     "reconstruct",

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from isoparticles import _native
 from isoparticles._errors import warn
 from isoparticles._images import Image, Source, source
-from isoparticles._results import ENDINGS, DistanceField, Mesh, Particles, Result, SizeField, Surface
+from isoparticles._results import ENDINGS, DistanceField, Mesh, Particles, Result, SizeField, Surface, expect
 from isoparticles._words import settings_of, words_of
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def size_field(
 
 
 def _size_field(field: DistanceField, name: str, words: list[str], progress: Progress) -> SizeField:
-    _expect(DistanceField, field=field)
+    expect(DistanceField, field=field)
     return _run(SizeField, _native.size_field, [field.name], (field._data,), name, words, progress)
 
 
@@ -154,8 +154,8 @@ def seed(
 
 
 def _seed(field: DistanceField, size: SizeField, name: str, words: list[str], progress: Progress) -> Particles:
-    _expect(DistanceField, field=field)
-    _expect(SizeField, size=size)
+    expect(DistanceField, field=field)
+    expect(SizeField, size=size)
     inputs = (field._data, size._data)
     return _run(Particles, _native.seed, [field.name, size.name], inputs, name, words, progress)
 
@@ -186,9 +186,9 @@ def settle(
 def _settle(
     seeds: Particles, field: DistanceField, size: SizeField, name: str, words: list[str], progress: Progress
 ) -> Particles:
-    _expect(Particles, seeds=seeds)
-    _expect(DistanceField, field=field)
-    _expect(SizeField, size=size)
+    expect(Particles, seeds=seeds)
+    expect(DistanceField, field=field)
+    expect(SizeField, size=size)
     files = [seeds.name, "--distfield", field.name, "--sizefield", size.name]
     inputs = (seeds._data, field._data, size._data)
     return _run(Particles, _native.settle, files, inputs, name, words, progress)
@@ -231,16 +231,16 @@ def _reconstruct(
     words: list[str],
     progress: Progress,
 ) -> Surface:
-    _expect(Particles, particles=particles)
+    expect(Particles, particles=particles)
     files, inputs = [particles.name], [particles._data]
     if field is not None:
-        _expect(DistanceField, field=field)
+        expect(DistanceField, field=field)
         files += ["--distfield", field.name]
         inputs.append(field._data)
     elif size is not None or "tight-cocone" not in words:
         raise ValueError("field=None requires method='tight-cocone', without a size field")
     if size is not None:
-        _expect(SizeField, size=size)
+        expect(SizeField, size=size)
         files += ["--sizefield", size.name]
         inputs.append(size._data)
     return _run(Surface, _native.reconstruct, files, tuple(inputs), name, words, progress)
@@ -323,12 +323,6 @@ def load(path: str | PathLike[str]) -> DistanceField | SizeField | Particles | S
 def _expect_object(given: Mapping[str, object]) -> None:
     if all(given.get(name) is None for name in ("iso", "labels", "material", "materials")):
         raise TypeError("pass iso for a scan, labels for one object of a label map, or materials for several")
-
-
-def _expect(wanted: type[Result], **given: object) -> None:
-    for name, value in given.items():
-        if not isinstance(value, wanted):
-            raise TypeError(f"{name} must be a {wanted.__name__}, not {type(value).__name__}")
 
 
 def _run(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import sys
 import warnings
 from pathlib import Path
 
-PACKAGE = str(Path(__file__).parent)
+SKIPPED = (str(Path(__file__).parent), functools.__file__)
+"""Folders and files of the frames between the caller and a warning."""
 
 
 class Error(Exception):
@@ -42,6 +44,6 @@ Error.__module__ = MeshWarning.__module__ = "isoparticles"
 def warn(message: str) -> None:
     """Issue a warning at the line of the caller outside this package."""
     level, frame = 1, sys._getframe()
-    while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGE):
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(SKIPPED):
         level, frame = level + 1, frame.f_back
     warnings.warn(message, MeshWarning, stacklevel=level)

@@ -219,6 +219,55 @@ class ReconstructOptions(TypedDict, total=False):
     seed: int
 
 
+class TetmeshOptions(TypedDict, total=False):
+    """The options of :func:`isoparticles.fill`."""
+
+    # Tetrahedralizer. Default: auto.
+    method: Literal["auto", "ftetwild", "hxt", "tetgen"]
+    # Ratio of the edge length of the tetrahedra to h, 0.1 to 100. Default: 1.0.
+    tet_size_factor: float
+    # Maximum distance by which ftetwild moves the surface, mm, above 0.
+    envelope: float
+    # Ftetwild: optimize until the largest AMIPS energy is below E, at least 3 (all tetrahedra
+    # regular).
+    stop_energy: float
+    # Ftetwild: maximum number of optimization passes. Default: 80.
+    max_passes: int
+    # Time limit of the tetrahedralizer, including all attempts, s. Default: 3600.0.
+    max_seconds: float
+    # Minimum dihedral angle, degrees, 0 to 70. Default: 5.0.
+    min_dihedral: float
+    # Minimum scaled Jacobian, 0 to 1. Default: 0.05.
+    min_scaled_jacobian: float
+    # Maximum difference between the volumes of the tetrahedra and of the surface, percent. Default:
+    # 1.0.
+    max_volume_change: float
+    # Maximum distance between the boundary of the tetrahedra and the surface, in both directions,
+    # mm.
+    max_distance: float
+    # Many materials: accept tetrahedra below a limit of shape where the triangles of the surface
+    # allow no better ones.
+    accept_forced: bool
+    # Whether to solve the test problems. Default: auto.
+    solve: Literal["auto", "yes", "no"]
+    # Time limit of the test problems, s. Default: 600.0.
+    solve_seconds: float
+    # Time limit within --solve-seconds for conjugate gradients without multigrid, s, at least 0.
+    # Default: 60.0.
+    compare_seconds: float
+    # Material that contains the current source, and the current density in world coordinates,
+    # uA/mm^2.
+    source: str
+    # Conductivity of a material, S/m, above 0.
+    conductivity: Mapping[str, float] | str | Iterable[str]
+    # Number of CPU threads, 0 for all cores.
+    threads: int
+    # Maximum memory of the run, such as 8G or 500M.
+    max_memory: int | str
+    # Recorded only. Default: 1.
+    seed: int
+
+
 class MeshSettings(TypedDict, total=False):
     """The settings of :func:`isoparticles.mesh`."""
 

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
     import pyvista
 
+    from isoparticles._fill import Tetrahedra
+
 ARRAYS = {
     "distfield": ("signed_distance",),
     "materials": ("material", "interface_distance"),
@@ -305,6 +307,18 @@ class Mesh:
         """The surface as PyVista data."""
         return self.result.to_pyvista()
 
+    @cached_property
+    def filled(self) -> Tetrahedra:
+        """The tetrahedra by :func:`isoparticles.fill`, made on first use: seconds to minutes."""
+        from isoparticles._fill import fill
+
+        return fill(self.result, self.size, name=f"{self.name}.volume.vtu")
+
+    @cached_property
+    def tetrahedra(self) -> pyvista.UnstructuredGrid:
+        """The tetrahedra as PyVista data; see :attr:`filled`."""
+        return self.filled.to_pyvista()
+
     @property
     def report(self) -> dict[str, Any]:
         """The reports of the stages."""
@@ -345,6 +359,13 @@ ENDINGS = {
     "reconstruct": "surface.vtp",
 }
 """Names of the files of a case, without the name of the case."""
+
+
+def expect(wanted: type[Result], **given: object) -> None:
+    """Raise a TypeError unless all keyword arguments are results of the wanted class."""
+    for name, value in given.items():
+        if not isinstance(value, wanted):
+            raise TypeError(f"{name} must be a {wanted.__name__}, not {type(value).__name__}")
 
 
 def _frozen(values: Any) -> NDArray[np.float64]:

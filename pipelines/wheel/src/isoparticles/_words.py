@@ -15,6 +15,13 @@ from isoparticles import _native
 Labels = int | str | Iterable[int | str]
 """A label, a text such as ``"2..5"`` or ``"all"``, or several of them."""
 
+NOT_FOR_TETRAHEDRA = frozenset(
+    (
+        *("output", "sizefield", "distfield", "labels-volume", "export", "unit", "order", "pictures"),
+        *("verbose", "quiet", "force", "report", "progress", "version", "help"),
+    )
+)
+"""Options of ``tetmesh-check`` that concern further files, or the terminal."""
 EXTRA_KEYS = frozenset(("CASE", "NAME", "INPUT", "PHANTOM", "TET_ORDER", "TETMESH_OPTIONS", "OUT", "VERBOSITY", "HXT"))
 """Keys of a case that concern files, the terminal or tetrahedra."""
 
@@ -22,8 +29,37 @@ EXTRA_KEYS = frozenset(("CASE", "NAME", "INPUT", "PHANTOM", "TET_ORDER", "TETMES
 @cache
 def options(stage: str) -> dict[str, dict[str, Any]]:
     """Return the options of a stage by their Python names."""
-    table = json.loads(_native.options())[stage]
+    table = _tetmesh_options() if stage == "tetmesh-check" else json.loads(_native.options())[stage]
     return {python_name(option["name"]): option for option in table}
+
+
+def _tetmesh_options() -> list[dict[str, Any]]:
+    """Return the options of ``tetmesh-check`` in the form of those of the other stages."""
+    from tetmesh_check.cli import build_parser
+
+    table = []
+    for action in build_parser()._actions:
+        name = action.option_strings[-1].lstrip("-") if action.option_strings else ""
+        if not name or name in NOT_FOR_TETRAHEDRA:
+            continue
+        words = [word for word in action.choices or () if isinstance(word, str)]
+        kind = "text" if name in ("source", "conductivity", "max-memory") else "number"
+        if action.nargs == 0:
+            kind = "flag"
+        elif words:
+            kind = "word"
+        elif action.type is int or isinstance(action.default, int):
+            kind = "whole"
+        default = None if action.default in (None, [], False) else str(action.default)
+        text = (action.help or "").replace("%%", "%").partition(" (default")[0]
+        repeated = isinstance(action.default, list)
+        table.append(
+            {
+                "name": name, "kind": kind, "words": words, "repeated": repeated, "hyphen": False,
+                "default": default, "help": text,
+            }
+        )  # fmt: skip
+    return table
 
 
 @cache
@@ -117,7 +153,7 @@ def _texts(name: str, option: Mapping[str, Any], value: Any) -> list[str]:
         return [labels(name, value, ",", "" if isinstance(value, str) else ",")]
     if option["name"] == "material" and isinstance(value, Mapping):
         return [f"{_material(own, '=/')}={labels(own, of, '+', _inner(of))}" for own, of in value.items()]
-    if option["name"] == "size" and isinstance(value, Mapping):
+    if option["name"] in ("size", "conductivity") and isinstance(value, Mapping):
         return [f"{_pair(own)}={scalar(name, size, 'number')}" for own, size in value.items()]
     if not option["repeated"]:
         return [scalar(name, value, option["kind"])]
