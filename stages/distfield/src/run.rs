@@ -83,7 +83,8 @@ pub fn compute(args: &Args, volume: Volume, context: &Context) -> Result<Made> {
     let labels = args.labels.as_ref().map(|labels| labels.resolve(&volume)).transpose().map_err(about_file)?;
     if !args.material.is_empty() {
         let volume = unshear(volume, Wanted::Materials(&args.material), args.border, context).map_err(about_file)?;
-        return materials::compute(args, volume, context).map_err(about_file);
+        let (file, failed) = materials::compute(args, volume, context).map_err(about_file)?;
+        return Ok(Made { ground: Ground::Materials(file), failed });
     }
     let object = object(args, labels)?;
     let (result, meta) = make(args, volume, &object, context).map_err(about_file)?;

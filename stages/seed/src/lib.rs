@@ -8,6 +8,8 @@
 //! sampling by sample elimination). The initial particle count is then close to the count after
 //! density control, even if h is smaller than a voxel.
 
+pub mod args;
+mod limits;
 pub mod materials;
 pub mod run;
 pub mod sampling;

@@ -1,78 +1,22 @@
-//! The `seed` program: parses the options, reads the fields, places the seeds by
+//! The `seed` program: reads the fields, places the seeds by
 //! [`crate::sampling`] or [`crate::vertices`], fills in the report and writes the file.
 //! [`compute()`] does not access files, so it can be called as a library.
 
-use crate::sampling::{BYTES_PER_PARTICLE, COMPONENT_MINIMUM, Summary, seed_surface, seed_vertices};
+pub use crate::args::{Args, From};
+use crate::limits::check_prediction;
+use crate::sampling::{BYTES_PER_PARTICLE, Summary, seed_surface, seed_vertices};
 use crate::vertices::{BYTES_PER_NODE, FINEST, vertices};
-use clap::{Parser, ValueEnum};
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
-use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
+use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind, check_same_grid, read_field};
 use isoparticles_stage::ground::Ground;
 use isoparticles_stage::particle_file::{ParticleFile, ParticleKind};
 use isoparticles_volume::Image;
 use serde_json::{Value, json};
-use std::path::PathBuf;
-
-/// Source of the seeds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, serde::Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum From {
-    /// Random positions at the density that the size field specifies.
-    PoissonDisk,
-    /// All marching-cubes vertices of the distance field, as in the paper; density control deletes
-    /// surplus particles.
-    MarchingCubes,
-}
-
-/// Places the initial particles on every component of the isosurface F = 0, at approximately the
-/// density that the size field specifies
-#[derive(Debug, Parser)]
-#[command(
-    name = "seed",
-    version,
-    after_help = "Example:\n  seed heart.distfield.vti heart.sizefield.vti -o heart.seeds.bin\n\n\
-        Paper: section 3.1 and Eq. 5. The paper seeds as with --from marching-cubes; adding --count gives the seeds of its synthetic test (Table 3)."
-)]
-pub struct Args {
-    /// Distance field, or indicators of several materials, written by distfield
-    #[arg(value_name = "F.vti", help_heading = FILES)]
-    pub(crate) distfield: PathBuf,
-    /// Size field on the same grid, written by sizefield
-    #[arg(value_name = "S.vti", help_heading = FILES)]
-    pub(crate) sizefield: PathBuf,
-    /// Particle file to write
-    #[arg(short, long, value_name = "seeds.bin", help_heading = FILES)]
-    pub(crate) output: PathBuf,
-    /// Source of the seeds (one object only)
-    #[arg(long, value_enum, default_value_t = From::PoissonDisk, help_heading = METHOD)]
-    pub(crate) from: From,
-    /// Number of particles to seed, 4 or more, instead of the number that the size field requires;
-    /// approximate, because each component receives some particles. With --from marching-cubes, the
-    /// number is exact: evenly spread vertices are used, from a finer grid if there are too few
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), help_heading = METHOD)]
-    pub(crate) count: Option<u64>,
-    #[command(flatten)]
-    common: CommonArgs,
-}
-
-impl StageArgs for Args {
-    fn common(&self) -> &CommonArgs {
-        &self.common
-    }
-
-    fn outputs(&self) -> Vec<PathBuf> {
-        vec![self.output.clone()]
-    }
-
-    fn parameters(&self) -> Value {
-        json!({ "from": self.from, "count": self.count })
-    }
-}
 
 /// Runs the stage.
 ///
@@ -212,26 +156,4 @@ fn at_vertices(
 fn predicted(sizing: &SizingField, surface: &CubicSpline, context: &Context) -> f64 {
     let _step = context.step("predict the count");
     sizing.predicted_count(surface)
-}
-
-/// Returns an error if h is too large for the object, or if the particles do not fit into memory.
-/// Calls `predicted` only if --count is not given.
-pub(crate) fn check_prediction(args: &Args, predicted: impl FnOnce() -> f64, context: &Context) -> Result<()> {
-    let sizes = args.sizefield.display();
-    let count = args.count.map_or_else(predicted, |count| count as f64);
-    // a missing surface has its own error message
-    if count > 0.0 && count < COMPONENT_MINIMUM as f64 && args.count.is_none() {
-        return Err(Error::input(
-            format!("{sizes}: h is too large for the object: it gives {count:.1} particles on the whole surface"),
-            format!("a closed surface needs at least {COMPONENT_MINIMUM} particles"),
-            "lower SIZE or MIN_SIZE (sizefield --uniform, --min-size), or leave them out: the defaults follow the \
-             object",
-        ));
-    }
-    context.check_memory(
-        BYTES_PER_PARTICLE * count,
-        &format!("{sizes}: seeding {count:.0} particles"),
-        "raise SIZE or MIN_SIZE (sizefield --uniform, --min-size), lower COUNT (--count), or set \
-         SIZEFIELD_OPTIONS=\"--scale 2\"",
-    )
 }

@@ -5,6 +5,7 @@
 //! At the surface, the initial size h0 is epsilon times the local feature size, with an upper bound
 //! from the curvature. h is then lowered until |grad h| <= delta.
 
+pub mod args;
 mod averages;
 mod blocks;
 pub mod connections;

@@ -89,6 +89,18 @@ pub fn check_size(path: &Path, size: f64, area: f64) -> Result<()> {
     ))
 }
 
+/// Rejects a minimum edge length above the maximum (mm); `more` is appended to the advice.
+pub(crate) fn check_bounds((min, max): (f64, f64), more: &str) -> Result<()> {
+    if min <= max {
+        return Ok(());
+    }
+    Err(Error::input(
+        format!("--min-size {min} is above --max-size {max}"),
+        "no edge length satisfies both",
+        format!("set MIN_SIZE (--min-size) below MAX_SIZE (--max-size){more}"),
+    ))
+}
+
 /// Rejects a sizing field if the `predicted` number of particles would not fit into memory in later
 /// stages. `nodes` is the number of grid nodes.
 ///

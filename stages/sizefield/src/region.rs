@@ -4,6 +4,7 @@
 
 use glam::DVec3;
 use isoparticles_mesh::points::read_sized_points;
+use isoparticles_stage::cli::Context;
 use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::{Geometry, read_volume};
@@ -187,6 +188,24 @@ impl Ball {
         })
         .map(|[i, j, k]| geometry.linear(i, j, k))
     }
+}
+
+/// Returns the nodes of all `--refine` options, and adds their files to the inputs.
+pub(crate) fn refined_nodes(
+    refinements: &[Refinement],
+    geometry: &Geometry,
+    context: &Context,
+) -> Result<Vec<SizedNode>> {
+    let mut refined = Vec::new();
+    for refinement in refinements {
+        let nodes = refinement.nodes(geometry)?;
+        if let Some(file) = refinement.file() {
+            context.add_input(file, None)?;
+            context.info(format!("--refine {}: {} grid nodes", file.display(), nodes.len()));
+        }
+        refined.extend(nodes);
+    }
+    Ok(refined)
 }
 
 #[cfg(test)]

@@ -16,14 +16,12 @@ use crate::crop::VoxelBox;
 use crate::input::take_out;
 use crate::labels::LABEL_ROOM;
 use crate::report::{SCALED_VOLUME_LIMITS, VOLUME_LIMITS, tell_grid};
-use crate::run::Made;
 use crate::scale::{Scale, room_round};
 use crate::{Border, Keep};
 use isoparticles_field::materials::{MaterialId, Materials};
 use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::cli::{Context, FIT_BUT_FOR};
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_stage::ground::Ground;
 use isoparticles_stage::material_sizes::{Given, GivenSize};
 use isoparticles_stage::materials_file::{MaterialsFile, Shown};
 use isoparticles_stage::meta::{self, MaterialsMeta};
@@ -38,12 +36,12 @@ const MOST_ROWS: usize = 12;
 /// Maximum number of names listed in a warning or a failed check.
 const MOST_NAMES: usize = 3;
 
-/// Computes the indicators of the chosen materials.
+/// Computes the indicators of the chosen materials. Also returns the checks that failed, in words.
 ///
 /// # Errors
 /// If the choices are not in the volume, an option is not supported with materials, or the run is
 /// interrupted.
-pub(crate) fn compute(args: &Args, mut volume: Volume, context: &Context) -> Result<Made> {
+pub(crate) fn compute(args: &Args, mut volume: Volume, context: &Context) -> Result<(MaterialsFile, Vec<String>)> {
     check_options(args)?;
     let step = context.step("materials read");
     let mut chosen = resolve(&args.material, &volume)?;
@@ -98,9 +96,7 @@ pub(crate) fn compute(args: &Args, mut volume: Volume, context: &Context) -> Res
         notes,
     };
     let shown = Shown { material: found.material, interface_distance: found.interface_distance };
-    let ground =
-        Ground::Materials(MaterialsFile { materials, shown, meta: json!(meta), history: Some(context.history()) });
-    Ok(Made { ground, failed })
+    Ok((MaterialsFile { materials, shown, meta: json!(meta), history: Some(context.history()) }, failed))
 }
 
 /// Reports the corrections of the contacts. Warns if some contacts could not be corrected.

@@ -1,7 +1,8 @@
 //! Seeds several materials by [`super::seed_strata`]: checks the options and fills in the report.
 
 use super::seed_strata;
-use crate::run::{Args, From, check_prediction};
+use crate::args::{Args, From};
+use crate::limits::check_prediction;
 use isoparticles_field::materials::Materials;
 use isoparticles_field::materials::complex::Complex;
 use isoparticles_field::particle_set::{ParticleSet, Strata};

@@ -2,9 +2,10 @@
 
 use super::features::{StrataFeatures, measure};
 use super::lines;
-use crate::limits::check_count;
+use crate::args::{Args, Defaults};
+use crate::limits::{check_bounds, check_count};
+use crate::region::refined_nodes;
 use crate::report::percentiles;
-use crate::run::{Args, Defaults, check_bounds, refined_nodes};
 use crate::vertices::{scaled_to_count, size_for_count};
 use crate::{Parameters, SMALLEST_SHARE, Samples, graded_field};
 use glam::DVec3;
@@ -24,7 +25,7 @@ pub(crate) fn compute(args: &Args, materials: &Materials, context: &Context) -> 
     let geometry = materials.geometry();
     let names: Vec<String> = materials.table().iter().map(|material| material.name.clone()).collect();
     let given = Given::new(&args.size, &names)?;
-    let refined = refined_nodes(args, geometry, context)?;
+    let refined = refined_nodes(&args.refine, geometry, context)?;
     context.check_interrupt()?;
     let step = context.step("trace the strata");
     let complex = Complex::new(materials);
