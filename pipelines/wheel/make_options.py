@@ -44,7 +44,7 @@ SPECIAL = {
     "max_memory": "int | str",
     "conductivity": "Mapping[str, float] | str | Iterable[str]",
 }
-"""Types that the kind of an option does not tell."""
+"""Types of options whose kind does not determine the type."""
 ALIAS = {"material": "materials"}
 """Second names of options."""
 

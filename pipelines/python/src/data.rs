@@ -1,6 +1,7 @@
 //! The values that the stages exchange, as one Python class.
 
-use crate::{pool, raised};
+use crate::errors::raised;
+use crate::pool;
 use isoparticles_mesh::surface::{DataArray, Surface, SurfaceFile, read_surface, write_simplices, write_surface};
 use isoparticles_reconstruct::run::Made;
 use isoparticles_stage::cli::{Context, Listener};

@@ -1,7 +1,7 @@
 //! Describes the options of the stages and the keys of a case, from which the Python package makes
 //! its typed keyword arguments.
 
-use crate::raised;
+use crate::errors::raised;
 use clap::builder::ValueParser;
 use clap::{Arg, ArgAction, Command, CommandFactory};
 use isoparticles_case::keys::{Form, KEYS};

@@ -5,8 +5,9 @@
 //! report as JSON. Warnings are passed to the callback `warn` when the run has ended.
 
 use crate::data::{Data, Kept, Value};
+use crate::errors::raised;
+use crate::pool;
 use crate::volume::{Volume, hash};
-use crate::{pool, raised};
 use isoparticles_stage::cli::check::{Known, parse};
 use isoparticles_stage::cli::{Context, Listener, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};

@@ -609,6 +609,23 @@ def test_surfaces_are_filled_with_tetrahedra(iso: ModuleType, tmp_path: Path) ->
         iso.fill(made.result, name="volume.stl")
 
 
+def test_data_of_pyvista_are_copies(iso: ModuleType, field: Any) -> None:
+    made = iso.mesh(ball(), labels=np.array([1]), size=2.5)
+    made.surface["h"][:] = 0
+    made.particles.to_pyvista()["sizes"][:] = 0
+    field.to_pyvista()["signed_distance"][:] = 9
+    assert made.result.point_arrays["h"].min() > 0
+    assert made.particles.sizes.min() > 0
+    assert field.array.min() < 0
+
+
+def test_mesh_takes_materials_as_texts_and_refuses_files(iso: ModuleType) -> None:
+    made = iso.mesh(halves(), materials=["left:1", "right:2"], size=3)
+    assert made.result.materials == ["outside", "left", "right"]
+    with pytest.raises(ValueError, match="--log: is not an option of particles"):
+        iso.mesh(ball(), labels=1, particles_options="--log passes.csv")
+
+
 def test_failed_checks_are_results(iso: ModuleType, field: Any, tmp_path: Path) -> None:
     size = iso.size_field(field, uniform=1.5)
     with pytest.warns(iso.MeshWarning, match="instead of settled particles"):

@@ -2,8 +2,8 @@
 
 :func:`mesh` goes from an image to a surface. The stages :func:`distance_field`, :func:`size_field`,
 :func:`seed`, :func:`settle` and :func:`reconstruct` do the same step by step, and :func:`fill`
-makes tetrahedra. Lengths are in mm. The options are those of the programs, with underscores, and so
-are the results: a saved file is the same as the file that the program writes.
+makes tetrahedra. Lengths are in mm. The options are those of the programs, with underscores. For an
+image in a file, a saved result equals the file that the program writes, byte for byte.
 
 The command ``isoparticles``, which runs all stages from a volume to tetrahedra, is in
 :mod:`isoparticles.command`.
@@ -22,19 +22,13 @@ True
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from isoparticles._api import distance_field, load, mesh, reconstruct, seed, settle, size_field
-    from isoparticles._errors import Error, MeshWarning
-    from isoparticles._fill import Tetrahedra, fill
-    from isoparticles._results import DistanceField, Mesh, Particles, SizeField, Surface
 
 _HOMES = {
     **dict.fromkeys(("distance_field", "load", "mesh", "reconstruct", "seed", "settle", "size_field"), "_api"),
     **dict.fromkeys(("Error", "MeshWarning"), "_errors"),
     **dict.fromkeys(("Tetrahedra", "fill"), "_fill"),
-    **dict.fromkeys(("DistanceField", "Mesh", "Particles", "SizeField", "Surface"), "_results"),
+    "Mesh": "_mesh",
+    **dict.fromkeys(("DistanceField", "Particles", "SizeField", "Surface"), "_results"),
 }
 """Modules of the public names. They are imported on first use, so the command starts fast."""
 

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from isoparticles import _native
 from isoparticles._errors import warn
 from isoparticles._images import Image, Source, source
-from isoparticles._results import ENDINGS, DistanceField, Mesh, Particles, Result, SizeField, Surface, expect
-from isoparticles._words import settings_of, words_of
+from isoparticles._mesh import Mesh
+from isoparticles._results import ENDINGS, DistanceField, Particles, Result, SizeField, Surface, expect
+from isoparticles._words import refuse_unknown, settings_of, words_of
 
 if TYPE_CHECKING:
     from isoparticles._options import (
@@ -289,6 +290,8 @@ def mesh(
     for option, value in (("threads", settings.get("threads")), ("max_memory", settings.get("max_memory"))):
         shared += words_of("distfield", {option: value})
     words = {stage: [*own, *shared] for stage, own in _native.case_words(assignments)}
+    for stage, own in words.items():
+        refuse_unknown(stage, own)
 
     def called(stage: str) -> tuple[str, list[str], Progress]:
         return f"{name}.{ENDINGS[stage]}", words[stage], progress
@@ -298,7 +301,8 @@ def mesh(
     seeds = _seed(field, size, *called("seed"))
     particles = _settle(seeds, field, size, *called("particles"))
     surface = _reconstruct(particles, field, size, *called("reconstruct"))
-    return Mesh(name, field, size, seeds, particles, surface)
+    filling = {key: value for key, value in settings.items() if key in ("accept_forced", "threads", "max_memory")}
+    return Mesh(name, field, size, seeds, particles, surface, filling)
 
 
 def load(path: str | PathLike[str]) -> DistanceField | SizeField | Particles | Surface:
@@ -307,7 +311,8 @@ def load(path: str | PathLike[str]) -> DistanceField | SizeField | Particles | S
     Raises
     ------
     Error
-        If the file cannot be read, or is not the result of a stage.
+        If the file cannot be read or has another kind. Triangle surfaces (``.vtp``) of other
+        programs are accepted.
     """
     data = _native.load(fsdecode(path))
     classes: tuple[type[DistanceField | SizeField | Particles | Surface], ...] = (
@@ -344,7 +349,9 @@ def _run(
     if callback is not None and not callable(callback):
         raise TypeError("progress must be a function, True or None")
     try:
-        finished = stage([*files, "-o", name, *words], {"progress": callback, "warn": warn}, *inputs)
+        # clap would read a name that starts with a dash as an option
+        given = [f"./{file}" if file.startswith("-") and not file.startswith("--") else file for file in files]
+        finished = stage([*given, "-o", name, *words], {"progress": callback, "warn": warn}, *inputs)
     finally:
         if line:
             line.close()

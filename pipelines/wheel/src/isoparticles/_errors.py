@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import functools
+import os
 import sys
 import warnings
 from pathlib import Path
 
-SKIPPED = (str(Path(__file__).parent), functools.__file__)
+SKIPPED = (str(Path(__file__).parent) + os.sep, functools.__file__)
 """Folders and files of the frames between the caller and a warning."""
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import subprocess
 import sys
 from os import PathLike
@@ -39,9 +38,9 @@ class Tetrahedra:
         The checks that failed, in words.
     """
 
-    def __init__(self, name: str, folder: TemporaryDirectory[str], report: dict[str, Any]) -> None:
+    def __init__(self, name: str, content: bytes, report: dict[str, Any]) -> None:
         self.name = name
-        self._folder = folder
+        self._content = content
         self.report = report
         self.failed_checks: list[str] = report["failed_checks"]
 
@@ -49,7 +48,10 @@ class Tetrahedra:
         """Read the tetrahedra with all arrays. Positions are world coordinates in mm."""
         import pyvista
 
-        grid = pyvista.read(Path(self._folder.name) / self.name)
+        with TemporaryDirectory(prefix="isoparticles-") as folder:
+            path = Path(folder) / self.name
+            path.write_bytes(self._content)
+            grid = pyvista.read(path)
         assert isinstance(grid, pyvista.UnstructuredGrid)
         return grid
 
@@ -63,7 +65,7 @@ class Tetrahedra:
         """
         if not overwrite and Path(path).exists():
             raise FileExistsError(f"{path}: exists; pass overwrite=True to replace it")
-        shutil.copyfile(Path(self._folder.name) / self.name, path)
+        Path(path).write_bytes(self._content)
 
     def __repr__(self) -> str:
         checks = f"; failed checks: {'; '.join(self.failed_checks)}" if self.failed_checks else ""
@@ -79,8 +81,8 @@ def fill(
 ) -> Tetrahedra:
     """Fill a surface with tetrahedra and check them.
 
-    Tetrahedra that fail a check are a result: see ``failed_checks``. Unless ``solve="no"`` is given,
-    test problems are solved on small meshes.
+    Tetrahedra that fail a check are a result: see ``failed_checks``. By default, test problems are
+    solved on small meshes; see ``solve``.
 
     Parameters
     ----------
@@ -104,18 +106,19 @@ def fill(
     if size is not None:
         expect(SizeField, size=size)
         inputs.append((["--sizefield"], size))
+    if Path(name).name != name or not name.endswith(".vtu"):
+        raise ValueError(f"name={name!r}: must be a file name that ends with .vtu")
     names = [name, LOG, REPORT, *(given.name for _, given in inputs)]
-    if Path(name).name != name or not name.endswith(".vtu") or len(set(names)) < len(names):
-        raise ValueError(f"name={name!r}: must be a file name that ends with .vtu and is not that of an input")
-    folder = TemporaryDirectory(prefix="isoparticles-")
-    files: list[str] = []
-    for option, given in inputs:
-        given.save(Path(folder.name) / given.name)
-        files += [*option, f"./{given.name}" if given.name.startswith("-") else given.name]
-    report = _run([*files, "-o", name, *words], Path(folder.name))
-    for warning in report["warnings"]:
-        warn(warning)
-    return Tetrahedra(name, folder, report)
+    if len(set(names)) < len(names):
+        raise ValueError(f"two of the files have the same name: {', '.join(names)}")
+    with TemporaryDirectory(prefix="isoparticles-") as place:
+        folder = Path(place)
+        files: list[str] = []
+        for option, given in inputs:
+            given.save(folder / given.name)
+            files += [*option, f"./{given.name}" if given.name.startswith("-") else given.name]
+        report = _run([*files, "-o", name, *words], folder)
+        return Tetrahedra(name, (folder / name).read_bytes(), report)
 
 
 def _run(words: list[str], folder: Path) -> dict[str, Any]:
@@ -131,6 +134,8 @@ def _run(words: list[str], folder: Path) -> dict[str, Any]:
             raise
     path = folder / REPORT
     report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    for warning in report.get("warnings", []):
+        warn(warning)
     if process.returncode in (0, 1) and "failed_checks" in report:
         return report
     log_text = (folder / LOG).read_text(encoding="utf-8", errors="replace").strip()

@@ -22,11 +22,11 @@ READ = frozenset(("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64"
 UNITS_MM = {"mm": 1.0, "meter": 1e3, "micron": 1e-3}
 """Lengths of the units of nibabel. An unknown unit counts as mm."""
 SPACING_MM = (1e-9, 1e6)
-"""Smallest and largest spacing that the readers of files accept."""
+"""Minimum and maximum spacing that the readers of files accept."""
 ORIGIN_MM = 1e9
-"""Largest coordinate of an origin that the readers of files accept."""
+"""Maximum coordinate of an origin that the readers of files accept."""
 FLAT = 1e-3
-"""Smallest determinant of the axes that the readers of files accept."""
+"""Minimum determinant of the axes that the readers of files accept."""
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     import pyvista
 
-    from isoparticles._fill import Tetrahedra
-
 ARRAYS = {
     "distfield": ("signed_distance",),
     "materials": ("material", "interface_distance"),
@@ -32,14 +30,15 @@ ARRAYS = {
 
 
 class Result:
-    """The result of a stage, immutable. All arrays are read-only.
+    """The result of a stage. Its arrays are read-only.
 
     Attributes
     ----------
     report
-        The report that the program writes with ``--report``; None if the result comes from a file.
+        The report that the program writes with ``--report``; None for results of ``load`` and
+        ``Surface.of``.
     failed_checks
-        The checks that failed, in words. Empty if the result comes from a file.
+        The checks that failed, in words. Distance fields do not store them in their files.
     """
 
     KINDS: ClassVar[tuple[str, ...]] = ()
@@ -48,7 +47,8 @@ class Result:
         if not isinstance(data, _native.Data) or data.kind not in self.KINDS:
             raise TypeError(f"{type(self).__name__}: made by the functions of isoparticles, not by its class")
         self._data = data
-        self.failed_checks = failed_checks or []
+        stored = self.meta.get("failed_checks") if failed_checks is None and data.kind == "surface" else None
+        self.failed_checks: list[str] = failed_checks or stored or []
         self.report: dict[str, Any] | None = None if report is None else json.loads(report)
 
     @property
@@ -151,7 +151,7 @@ class _Field(Result):
         image = pyvista.ImageData(dimensions=self.shape, spacing=tuple(self.spacing), origin=tuple(self.origin))
         image.direction_matrix = self.direction
         for name, values in self.arrays.items():
-            image.point_data[name] = values.ravel(order="F")
+            image.point_data[name] = values.flatten(order="F")
         return image
 
     def _told(self) -> str:
@@ -195,7 +195,7 @@ class Particles(Result):
 
     @property
     def normals(self) -> NDArray[np.float64]:
-        """The outward unit normals in the world frame, shape (n, 3); not normals on junctions."""
+        """The outward unit normals in the world frame, shape (n, 3); undefined on junctions."""
         return self.arrays["normals"]
 
     @property
@@ -213,7 +213,7 @@ class Particles(Result):
         points = pyvista.PolyData(self.positions.copy())
         for name, values in self.arrays.items():
             if name != "positions":
-                points.point_data[name] = values
+                points.point_data[name] = values.copy()
         return points
 
     def _told(self) -> str:
@@ -255,6 +255,24 @@ class Surface(Result):
         """The names of the materials, starting with the outside; empty for one object."""
         return self._data.materials
 
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the file that ``reconstruct`` writes.
+
+        If a check failed, also write the simplices that caused the failure, with the extension
+        ``.offending.vtp``. Otherwise, remove such a file of an earlier result.
+
+        Raises
+        ------
+        FileExistsError
+            If a file exists and ``overwrite`` is false.
+        """
+        offending = Path(path).with_suffix(".offending.vtp")
+        if not overwrite and offending.exists():
+            raise FileExistsError(f"{offending}: exists; pass overwrite=True to replace or remove it")
+        super().save(path, overwrite=overwrite)
+        if not self.failed_checks:
+            offending.unlink(missing_ok=True)
+
     def of(self, material: str) -> Surface:
         """Return the closed surface of one material. Normals point outward.
 
@@ -274,81 +292,13 @@ class Surface(Result):
         corners: Any = self.triangles.copy()
         surface: pyvista.PolyData = pyvista.PolyData.from_regular_faces(self.vertices.copy(), corners)
         for name, values in self.point_arrays.items():
-            surface.point_data[name] = values
+            surface.point_data[name] = values.copy()
         for name, values in self.cell_arrays.items():
-            surface.cell_data[name] = values
+            surface.cell_data[name] = values.copy()
         return surface
 
     def _told(self) -> str:
         return f"{len(self.vertices)} vertices, {len(self.triangles)} triangles"
-
-
-class Mesh:
-    """The results of all stages; see :func:`isoparticles.mesh`."""
-
-    def __init__(
-        self, name: str, field: DistanceField, size: SizeField, seeds: Particles, particles: Particles, result: Surface
-    ) -> None:
-        self.name = name
-        self.field = field
-        self.size = size
-        self.seeds = seeds
-        self.particles = particles
-        self.result = result
-
-    @property
-    def stages(self) -> dict[str, Result]:
-        """The results by the names of the programs."""
-        results = (self.field, self.size, self.seeds, self.particles, self.result)
-        return dict(zip(("distfield", "sizefield", "seed", "particles", "reconstruct"), results, strict=True))
-
-    @cached_property
-    def surface(self) -> pyvista.PolyData:
-        """The surface as PyVista data."""
-        return self.result.to_pyvista()
-
-    @cached_property
-    def filled(self) -> Tetrahedra:
-        """The tetrahedra by :func:`isoparticles.fill`, made on first use: seconds to minutes."""
-        from isoparticles._fill import fill
-
-        return fill(self.result, self.size, name=f"{self.name}.volume.vtu")
-
-    @cached_property
-    def tetrahedra(self) -> pyvista.UnstructuredGrid:
-        """The tetrahedra as PyVista data; see :attr:`filled`."""
-        return self.filled.to_pyvista()
-
-    @property
-    def report(self) -> dict[str, Any]:
-        """The reports of the stages."""
-        return {stage: result.report for stage, result in self.stages.items()}
-
-    @property
-    def failed_checks(self) -> list[str]:
-        """The failed checks of all stages."""
-        return [check for result in self.stages.values() for check in result.failed_checks]
-
-    def save(self, folder: str | PathLike[str], name: str | None = None, *, overwrite: bool = False) -> None:
-        """Write ``NAME.distfield.vti`` and the files of the other stages to a folder.
-
-        Raises
-        ------
-        FileExistsError
-            If a file exists and ``overwrite`` is false.
-        """
-        name = self.name if name is None else name
-        paths = {Path(folder) / f"{name}.{ENDINGS[stage]}": result for stage, result in self.stages.items()}
-        there = [str(path) for path in paths if path.exists()]
-        if there and not overwrite:
-            raise FileExistsError(f"{', '.join(there)}: exists; pass overwrite=True to replace it")
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        for path, result in paths.items():
-            result.save(path, overwrite=True)
-
-    def __repr__(self) -> str:
-        checks = f"; failed checks: {'; '.join(self.failed_checks)}" if self.failed_checks else ""
-        return f"<Mesh {self.name!r}: {self.result._told()}{checks}>"
 
 
 ENDINGS = {

@@ -12,9 +12,6 @@ from typing import Any
 
 from isoparticles import _native
 
-Labels = int | str | Iterable[int | str]
-"""A label, a text such as ``"2..5"`` or ``"all"``, or several of them."""
-
 NOT_FOR_TETRAHEDRA = frozenset(
     (
         *("output", "sizefield", "distfield", "labels-volume", "export", "unit", "order", "pictures"),
@@ -131,12 +128,28 @@ def settings_of(given: Mapping[str, Any]) -> list[str]:
             text = ",".join(
                 f"{_material(own, '=/:,')}:{labels(own, of, '+', _inner(of) or ',')}" for own, of in value.items()
             )
+        elif name == "materials" and not isinstance(value, str):
+            text = labels(name, value, ",", ",")
         elif set(key.get("words", ())) == {"yes", "no"} and isinstance(value, bool):
             text = "yes" if value else "no"
         else:
             text = scalar(name, value, key["kind"])
         assignments.append(f"{key['name']}={text}")
     return assignments
+
+
+def refuse_unknown(stage: str, words: Iterable[str]) -> None:
+    """Reject options of a program that the package does not have, such as ``--log``.
+
+    Raises
+    ------
+    ValueError
+        If there is such an option.
+    """
+    known = {option["name"] for option in options(stage).values()}
+    for word in words:
+        if word.startswith("--") and word[2:].partition("=")[0] not in known:
+            raise ValueError(f"{word}: is not an option of {stage} in this package")
 
 
 def find(name: str, known: Mapping[str, dict[str, Any]], what: str) -> dict[str, Any]:
@@ -167,7 +180,8 @@ def _inner(value: Any) -> str:
 
 def labels(name: str, value: Any, joint: str, forbidden: str) -> str:
     """Join labels to one word, unless a label contains one of the ``forbidden`` characters."""
-    whole = isinstance(value, str) or hasattr(value, "__index__")
+    # arrays have __index__, but only a single number has a value for it
+    whole = isinstance(value, str) or (hasattr(value, "__index__") and not getattr(value, "ndim", 0))
     parts = [scalar(name, one, "text") for one in ([value] if whole else _all(name, value))]
     if not parts:
         raise ValueError(f"{name} names no label")
