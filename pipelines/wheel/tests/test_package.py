@@ -465,6 +465,8 @@ def test_ctrl_c_stops_a_run(site: Path) -> None:
     text = (
         LONG
         + """
+    # a shell without job control lets the processes behind `&` ignore SIGINT
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     threading.Timer(1, os.kill, (os.getpid(), signal.SIGINT)).start()
     try:
         iso.settle(seeds, field, size, **long)
