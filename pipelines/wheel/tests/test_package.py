@@ -611,6 +611,13 @@ def test_surfaces_are_filled_with_tetrahedra(iso: ModuleType, tmp_path: Path) ->
         iso.fill(made.result, name="volume.stl")
 
 
+def test_surfaces_of_other_programs_are_loaded(iso: ModuleType, tmp_path: Path) -> None:
+    pyvista.Sphere().save(tmp_path / "sphere.vtp")
+    sphere = iso.load(tmp_path / "sphere.vtp")
+    assert len(sphere.vertices) > 100
+    assert sphere.failed_checks == []
+
+
 def test_data_of_pyvista_are_copies(iso: ModuleType, field: Any) -> None:
     made = iso.mesh(ball(), labels=np.array([1]), size=2.5)
     made.surface["h"][:] = 0

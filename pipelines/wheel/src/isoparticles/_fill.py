@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Unpack
 
 from isoparticles._errors import Error, warn
-from isoparticles._results import SizeField, Surface, expect
+from isoparticles._results import SizeField, Surface, expect, refuse_existing
 from isoparticles._words import words_of
 
 if TYPE_CHECKING:
@@ -63,8 +63,7 @@ class Tetrahedra:
         FileExistsError
             If the file exists and ``overwrite`` is false.
         """
-        if not overwrite and Path(path).exists():
-            raise FileExistsError(f"{path}: exists; pass overwrite=True to replace it")
+        refuse_existing([Path(path)], overwrite)
         Path(path).write_bytes(self._content)
 
     def __repr__(self) -> str:

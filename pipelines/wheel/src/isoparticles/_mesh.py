@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from isoparticles._fill import Tetrahedra, fill
-from isoparticles._results import ENDINGS, DistanceField, Particles, Result, SizeField, Surface
+from isoparticles._results import ENDINGS, DistanceField, Particles, Result, SizeField, Surface, refuse_existing
 
 if TYPE_CHECKING:
     import pyvista
@@ -79,9 +79,7 @@ class Mesh:
         name = self.name if name is None else name
         paths = {Path(folder) / f"{name}.{ENDINGS[stage]}": result for stage, result in self.stages.items()}
         offending = Path(folder) / f"{name}.surface.offending.vtp"
-        there = [str(path) for path in (*paths, offending) if path.exists()]
-        if there and not overwrite:
-            raise FileExistsError(f"{', '.join(there)}: exists; pass overwrite=True to replace it")
+        refuse_existing([*paths, offending], overwrite)
         Path(folder).mkdir(parents=True, exist_ok=True)
         for path, result in paths.items():
             result.save(path, overwrite=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from isoparticles import _native
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     import pyvista
 
@@ -47,8 +47,10 @@ class Result:
         if not isinstance(data, _native.Data) or data.kind not in self.KINDS:
             raise TypeError(f"{type(self).__name__}: made by the functions of isoparticles, not by its class")
         self._data = data
-        stored = self.meta.get("failed_checks") if failed_checks is None and data.kind == "surface" else None
-        self.failed_checks: list[str] = failed_checks or stored or []
+        if failed_checks is None and data.kind == "surface":
+            # surfaces of other programs have no metadata
+            failed_checks = (self.meta or {}).get("failed_checks")
+        self.failed_checks: list[str] = failed_checks or []
         self.report: dict[str, Any] | None = None if report is None else json.loads(report)
 
     @property
@@ -84,8 +86,7 @@ class Result:
         FileExistsError
             If the file exists and ``overwrite`` is false.
         """
-        if not overwrite and Path(path).exists():
-            raise FileExistsError(f"{path}: exists; pass overwrite=True to replace it")
+        refuse_existing([Path(path)], overwrite)
         self._data.write(path)
 
     def to_pyvista(self) -> pyvista.DataSet:
@@ -267,9 +268,8 @@ class Surface(Result):
             If a file exists and ``overwrite`` is false.
         """
         offending = Path(path).with_suffix(".offending.vtp")
-        if not overwrite and offending.exists():
-            raise FileExistsError(f"{offending}: exists; pass overwrite=True to replace or remove it")
-        super().save(path, overwrite=overwrite)
+        refuse_existing([Path(path), offending], overwrite)
+        super().save(path, overwrite=True)
         if not self.failed_checks:
             offending.unlink(missing_ok=True)
 
@@ -309,6 +309,13 @@ ENDINGS = {
     "reconstruct": "surface.vtp",
 }
 """Names of the files of a case, without the name of the case."""
+
+
+def refuse_existing(paths: Iterable[Path], overwrite: bool) -> None:
+    """Raise a FileExistsError if a file exists, unless ``overwrite`` is true."""
+    there = [str(path) for path in paths if path.exists()]
+    if there and not overwrite:
+        raise FileExistsError(f"{', '.join(there)}: exists; pass overwrite=True to replace it")
 
 
 def expect(wanted: type[Result], **given: object) -> None:
