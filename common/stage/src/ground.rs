@@ -63,6 +63,9 @@ impl Ground {
     ///
     /// # Errors
     /// If the file cannot be written.
+    ///
+    /// # Panics
+    /// If the materials come from [`Ground::read`], which omits the point data for display.
     pub fn write(&self, path: &Path) -> Result<()> {
         match self {
             Self::Object(field) => field.write(path),
@@ -74,6 +77,9 @@ impl Ground {
     ///
     /// # Errors
     /// If `file` returns an error.
+    ///
+    /// # Panics
+    /// As for [`Ground::write`].
     pub fn encode(&self, file: &mut dyn Write) -> io::Result<()> {
         match self {
             Self::Object(field) => field.encode(file),

@@ -121,8 +121,8 @@ impl MaterialsFile {
     }
 }
 
-/// Returns the kind that a VTK image file of this project states: `distfield`, `sizefield` or
-/// `materials`. Returns `None` if another program wrote the file.
+/// Returns the kind that a VTK image file states, such as `distfield` or `materials`. Returns
+/// `None` if it states none.
 ///
 /// # Errors
 /// If the file cannot be read as a VTK image.

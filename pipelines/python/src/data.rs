@@ -40,7 +40,7 @@ pub(crate) enum Value {
     Particles(ParticleFile),
     /// Result of `reconstruct`.
     Made { made: Box<Made>, meta: Json, history: History },
-    /// A surface without the data that [`Made`] has: read from a file, or of one material.
+    /// A surface read from a file, or the surface of one material.
     Surface(SurfaceFile),
 }
 

@@ -20,8 +20,8 @@ const STACK_BYTES: usize = 8 << 20;
 /// `threads=8`, 0.9 s with 300, and more than 2 minutes with 5000.
 const MOST_PER_CORE: usize = 4;
 
-/// The pool of the process while no job uses it. A job that finds none creates another pool, so
-/// jobs of several Python threads do not run on top of each other's stacks.
+/// The idle pool of the process. If another job uses it, a job creates its own pool: in a shared
+/// pool, a waiting thread could start the second job and delay the first.
 static IDLE: Mutex<Option<Pool>> = Mutex::new(None);
 
 /// A thread pool, and the process to which its threads belong.

@@ -1,6 +1,6 @@
-//! The `seed` program: reads the fields, places the seeds by
-//! [`crate::sampling`] or [`crate::vertices`], fills in the report and writes the file.
-//! [`compute()`] does not access files, so it can be called as a library.
+//! The `seed` program: reads the fields, places the seeds by [`crate::sampling`] or
+//! [`crate::vertices`], fills in the report and writes the file. [`compute()`] does not access
+//! files, so it can be called as a library.
 
 pub use crate::args::{Args, From};
 use crate::limits::check_prediction;

@@ -1,6 +1,6 @@
-//! The `sizefield` program: reads the surface, derives defaults from the data,
-//! computes h, fills in the report and writes the file. [`compute()`] reads only the files of
-//! `--refine`, so it can be called as a library.
+//! The `sizefield` program: reads the surface, derives defaults from the data, computes h, fills in
+//! the report and writes the file. [`compute()`] reads only the files of `--refine`, so it can be
+//! called as a library.
 
 pub use crate::args::Args;
 use crate::args::Defaults;

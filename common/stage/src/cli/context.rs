@@ -79,8 +79,8 @@ impl Context {
         self
     }
 
-    /// Creates the context of a stage that runs as a library. It prints nothing. `words` are the
-    /// arguments that gave `args`.
+    /// Creates the context of a stage that runs as a library. It prints nothing. `args` was parsed
+    /// from `words`.
     pub fn for_listener(tool: &'static str, args: &impl StageArgs, words: &[String], listener: Arc<Listener>) -> Self {
         let command_line = canonical_command_line(tool, words.iter().cloned(), &args.outputs());
         let context = Self::new(tool, command_line, args.common().clone(), args.parameters());
