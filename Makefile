@@ -84,7 +84,7 @@ quote = '$(subst ','\'',$(1))'
 set = $(if $(call by_user,$(1)),$(call quote,$(1)=$($(1))),$(if $($(1)),--preset $(call quote,$(1)=$($(1)))))
 # If one of these files changes, the tetrahedra or the page must be made again. convergence.py is
 # excluded because it makes no tetrahedra.
-TETMESH_FILES = $(wildcard stages/tetmesh-check/requirements*.lock) \
+TETMESH_FILES = $(wildcard $(BIN)/libisoparticles_python.so stages/tetmesh-check/requirements*.lock) \
                 $(filter-out %/convergence.py,$(sort $(wildcard stages/tetmesh-check/src/tetmesh_check/*.py)))
 PAGE_FILES = $(sort $(wildcard stages/tetmesh-check/src/tetmesh_check/page/*.*))
 
@@ -250,9 +250,11 @@ endif
 
 # --- Programs -------------------------------------------------------------------------------------
 
+# setup-env.sh makes the package isoparticles importable in VENV, and this link its native module.
 build:
 ifeq ($(NO_BUILD),)
 	@$(CARGO) build --release --locked
+	@ln -sf $(call quote,$(abspath $(BIN))/libisoparticles_python.so) pipelines/wheel/src/isoparticles/_native.abi3.so
 endif
 
 env:

@@ -17,7 +17,7 @@
 # The script takes well under a second if nothing has changed. DIR/.tetmesh-check-stamp contains a
 # checksum of the lock files, pyproject.toml, this script, the interpreter and the choice of HXT.
 # Packages come from the index configured in pip and are checked against the hashes in the lock
-# files. Nothing is compiled.
+# files. Nothing is compiled; `make build` builds the native module of the package isoparticles.
 #
 # Debian and Ubuntu provide `ensurepip` in a separate package (python3-venv). VTK loads its
 # off-screen renderer at run time: libOSMesa (libosmesa6), or EGL with Mesa's drivers (libegl1
@@ -238,6 +238,9 @@ say "installing the packages of requirements.lock (about 260 MB to download the 
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input --no-deps --no-index --no-build-isolation \
     --editable "$here" ||
     fail "pip could not install $here" "it is the stage itself" "see the message above"
+# tetmesh-check imports isoparticles._native, which `make build` links into this folder.
+site=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+printf '%s\n' "$root/pipelines/wheel/src" >"$site/isoparticles.pth"
 
 if ! can_render; then
     # libosmesa6 is the smallest renderer, but newer releases provide only EGL.
