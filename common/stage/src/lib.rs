@@ -1,7 +1,7 @@
 //! Shared parts of the stage programs of isoparticles.
 //!
 //! [`cli`] contains the common options, exit codes, progress and report. [`error`] contains the
-//! user-facing errors in three parts. [`field_file`], [`materials_file`], [`ground`] and
+//! user-facing errors in three parts. [`field_file`], [`materials_file`], [`distance_field`] and
 //! [`particle_file`] read and write the files that stages exchange, and [`meta`] defines the
 //! metadata in these files.
 //!
@@ -40,9 +40,9 @@
 //! ```
 
 pub mod cli;
+pub mod distance_field;
 pub mod error;
 pub mod field_file;
-pub mod ground;
 pub mod material_sizes;
 pub mod materials_file;
 pub mod meta;

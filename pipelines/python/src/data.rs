@@ -5,9 +5,9 @@ use crate::pool;
 use isoparticles_mesh::surface::{DataArray, Surface, SurfaceFile, read_surface, write_simplices, write_surface};
 use isoparticles_reconstruct::run::Made;
 use isoparticles_stage::cli::{Context, Listener};
+use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind, read_field};
-use isoparticles_stage::ground::Ground;
 use isoparticles_stage::history::{History, file_name, hash_file, hash_written};
 use isoparticles_stage::materials_file::{KIND, kind_of, read_materials_with_shown};
 use isoparticles_stage::meta::SurfaceMeta;
@@ -33,7 +33,7 @@ pub(crate) struct Kept {
 /// The result of a stage.
 pub(crate) enum Value {
     /// Result of `distfield`.
-    Ground(Ground),
+    Distance(DistanceField),
     /// Result of `sizefield`.
     Size(Field),
     /// Result of `seed` or `particles`.
@@ -56,8 +56,8 @@ impl Kept {
     }
 
     /// Returns the distance field or the materials.
-    pub(crate) fn ground(&self) -> Result<&Ground> {
-        if let Value::Ground(ground) = &self.value { Ok(ground) } else { Err(self.is_not("a distance field")) }
+    pub(crate) fn distance(&self) -> Result<&DistanceField> {
+        if let Value::Distance(distance) = &self.value { Ok(distance) } else { Err(self.is_not("a distance field")) }
     }
 
     /// Returns the size field.
@@ -80,7 +80,7 @@ impl Kept {
             return Ok(hash.clone());
         }
         let hash = match &self.value {
-            Value::Ground(ground) => hash_written(|file| ground.encode(file)),
+            Value::Distance(distance) => hash_written(|file| distance.encode(file)),
             Value::Size(field) => hash_written(|file| field.encode(file)),
             Value::Particles(particles) => hash_written(|file| particles.encode(file)),
             Value::Made { .. } | Value::Surface(_) => Err(std::io::Error::other("no stage reads surfaces")),
@@ -91,7 +91,7 @@ impl Kept {
 
     fn history(&self) -> Option<&History> {
         match &self.value {
-            Value::Ground(ground) => ground.history(),
+            Value::Distance(distance) => distance.history(),
             Value::Size(field) => field.history.as_ref(),
             Value::Particles(particles) => Some(&particles.history),
             Value::Made { history, .. } => Some(history),
@@ -101,8 +101,8 @@ impl Kept {
 
     fn meta(&self) -> &Json {
         match &self.value {
-            Value::Ground(Ground::Object(field)) | Value::Size(field) => &field.meta,
-            Value::Ground(Ground::Materials(file)) => &file.meta,
+            Value::Distance(DistanceField::Object(field)) | Value::Size(field) => &field.meta,
+            Value::Distance(DistanceField::Materials(file)) => &file.meta,
             Value::Particles(particles) => &particles.meta,
             Value::Made { meta, .. } => meta,
             Value::Surface(file) => &file.meta,
@@ -111,7 +111,7 @@ impl Kept {
 
     fn geometry(&self) -> Option<&Geometry> {
         match &self.value {
-            Value::Ground(ground) => Some(ground.geometry()),
+            Value::Distance(distance) => Some(distance.geometry()),
             Value::Size(field) => Some(&field.image.geometry),
             Value::Particles(file) => Some(&file.particles.geometry),
             Value::Made { .. } | Value::Surface(_) => None,
@@ -128,7 +128,7 @@ impl Kept {
 
     fn write(&self, path: &Path) -> Result<()> {
         match &self.value {
-            Value::Ground(ground) => ground.write(path),
+            Value::Distance(distance) => distance.write(path),
             Value::Size(field) => field.write(path),
             Value::Particles(particles) => particles.write(path),
             Value::Made { made, meta, history } => {
@@ -166,8 +166,8 @@ impl Data {
     #[getter]
     fn kind(&self) -> &'static str {
         match &self.0.value {
-            Value::Ground(Ground::Object(field)) | Value::Size(field) => field.kind.name(),
-            Value::Ground(Ground::Materials(_)) => KIND,
+            Value::Distance(DistanceField::Object(field)) | Value::Size(field) => field.kind.name(),
+            Value::Distance(DistanceField::Materials(_)) => KIND,
             Value::Particles(particles) => particles.kind.name(),
             Value::Made { .. } | Value::Surface(_) => "surface",
         }
@@ -195,7 +195,7 @@ impl Data {
     #[getter]
     fn materials(&self) -> Vec<String> {
         match &self.0.value {
-            Value::Ground(ground) => ground.material_names(),
+            Value::Distance(distance) => distance.material_names(),
             Value::Made { made, .. } => names(&made.meta),
             Value::Surface(file) => {
                 serde_json::from_value(file.meta.clone()).map_or_else(|_| Vec::new(), |m| names(&m))
@@ -224,13 +224,13 @@ impl Data {
     fn array<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Array<'py>> {
         let of_grid = |dtype, size: [usize; 3], bytes: &[u8]| (dtype, size.to_vec(), PyBytes::new(py, bytes));
         match &self.0.value {
-            Value::Ground(Ground::Object(field)) | Value::Size(field) if name == field.kind.array_name() => {
+            Value::Distance(DistanceField::Object(field)) | Value::Size(field) if name == field.kind.array_name() => {
                 Ok(of_grid("float32", field.image.geometry.size, bytemuck::cast_slice(&field.image.data)))
             }
-            Value::Ground(Ground::Materials(file)) if name == "material" => {
+            Value::Distance(DistanceField::Materials(file)) if name == "material" => {
                 Ok(of_grid("uint16", file.materials.geometry().size, bytemuck::cast_slice(&file.shown.material)))
             }
-            Value::Ground(Ground::Materials(file)) if name == "interface_distance" => Ok(of_grid(
+            Value::Distance(DistanceField::Materials(file)) if name == "interface_distance" => Ok(of_grid(
                 "float32",
                 file.materials.geometry().size,
                 bytemuck::cast_slice(&file.shown.interface_distance),
@@ -336,8 +336,8 @@ fn read_value(path: &Path) -> Result<Value> {
         return Ok(Value::Surface(read_surface(path)?));
     }
     match kind_of(path)?.as_deref() {
-        Some(KIND) => read_materials_with_shown(path).map(|file| Value::Ground(Ground::Materials(file))),
+        Some(KIND) => read_materials_with_shown(path).map(|file| Value::Distance(DistanceField::Materials(file))),
         Some("sizefield") => read_field(path, FieldKind::Sizing).map(Value::Size),
-        _ => read_field(path, FieldKind::Distance).map(|field| Value::Ground(Ground::Object(field))),
+        _ => read_field(path, FieldKind::Distance).map(|field| Value::Distance(DistanceField::Object(field))),
     }
 }

@@ -64,7 +64,7 @@ pub(crate) fn distance_field(
         };
         drop(step);
         let made = compute(args, volume, context)?;
-        Ok((Value::Ground(made.ground), made.failed))
+        Ok((Value::Distance(made.distance), made.failed))
     })
 }
 
@@ -80,7 +80,7 @@ pub(crate) fn size_field(
     let (known, field) = (known(py, field)?, keep(field));
     run(py, "sizefield", words, known, watch, move |args: &Args, context| {
         field.record(context)?;
-        Ok((Value::Size(compute(args, field.ground()?, context)?), Vec::new()))
+        Ok((Value::Size(compute(args, field.distance()?, context)?), Vec::new()))
     })
 }
 
@@ -98,7 +98,7 @@ pub(crate) fn seed(
     run(py, "seed", words, known, watch, move |args: &Args, context| {
         field.record(context)?;
         size.record(context)?;
-        let seeds = compute(args, field.ground()?, size.sizing()?.clone(), context)?;
+        let seeds = compute(args, field.distance()?, size.sizing()?.clone(), context)?;
         Ok((Value::Particles(seeds), Vec::new()))
     })
 }
@@ -121,7 +121,7 @@ pub(crate) fn settle(
         all.iter().try_for_each(|kept| kept.record(context))?;
         let inputs = Inputs {
             seeds: seeds.particles()?.clone(),
-            ground: field.ground()?.clone(),
+            distance: field.distance()?.clone(),
             sizing: size.sizing()?.clone(),
             hashes: [seeds.hash()?, field.hash()?, size.hash()?],
         };
@@ -151,7 +151,7 @@ pub(crate) fn reconstruct(
             None => compute(args, Inputs::Particles(particles.clone()), context)?,
             Some(field) => {
                 let sizing = size.as_ref().map(|size| size.sizing()).transpose()?.cloned();
-                compute_on_field(args, particles, field.ground()?, sizing, context)?
+                compute_on_field(args, particles, field.distance()?, sizing, context)?
             }
         };
         let made = Box::new(made);
@@ -194,6 +194,6 @@ fn keep(data: &Bound<'_, Data>) -> Arc<Kept> {
 
 /// Returns the information in a distance field that options are checked against.
 fn known(py: Python<'_>, field: &Bound<'_, Data>) -> PyResult<Known> {
-    let ground = field.get().0.ground().map_err(|error| raised(py, error))?;
-    Ok(Known { materials: Some(ground.material_names()), volume: false })
+    let distance = field.get().0.distance().map_err(|error| raised(py, error))?;
+    Ok(Known { materials: Some(distance.material_names()), volume: false })
 }

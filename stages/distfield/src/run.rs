@@ -15,9 +15,9 @@ use crate::unshear::{Wanted, unshear};
 use crate::{Border, Redistanced, materials};
 use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::cli::{CommonArgs, Context, Outcome, StageArgs};
+use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind};
-use isoparticles_stage::ground::Ground;
 use isoparticles_stage::meta::{self, CapPlane, DistanceMeta, Side, Source};
 use isoparticles_survey::selection::noted;
 use isoparticles_volume::{Geometry, Image, LayerLabel, ReadOptions, Volume, read_volume_with};
@@ -54,7 +54,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     drop(step);
     let made = compute(args, volume, context)?;
     let step = context.step("write");
-    made.ground.write(&args.output)?;
+    made.distance.write(&args.output)?;
     drop(step);
     Ok(Outcome::from_failed_checks(made.failed))
 }
@@ -63,7 +63,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
 #[derive(Debug)]
 pub struct Made {
     /// The distance field, or the indicators of several materials, with its history.
-    pub ground: Ground,
+    pub distance: DistanceField,
     /// The checks that failed, in words.
     pub failed: Vec<String>,
 }
@@ -84,7 +84,7 @@ pub fn compute(args: &Args, volume: Volume, context: &Context) -> Result<Made> {
     if !args.material.is_empty() {
         let volume = unshear(volume, Wanted::Materials(&args.material), args.border, context).map_err(about_file)?;
         let (file, failed) = materials::compute(args, volume, context).map_err(about_file)?;
-        return Ok(Made { ground: Ground::Materials(file), failed });
+        return Ok(Made { distance: DistanceField::Materials(file), failed });
     }
     let object = object(args, labels)?;
     let (result, meta) = make(args, volume, &object, context).map_err(about_file)?;
@@ -92,7 +92,7 @@ pub fn compute(args: &Args, volume: Volume, context: &Context) -> Result<Made> {
     let mut failed = failed_checks(&result, &meta, context);
     failed.extend(check_volume(&result, &meta, args.scale.accept_losses, context));
     let (image, meta, history) = (result.field, json!(meta), Some(context.history()));
-    Ok(Made { ground: Ground::Object(Field { image, meta, history, kind: FieldKind::Distance }), failed })
+    Ok(Made { distance: DistanceField::Object(Field { image, meta, history, kind: FieldKind::Distance }), failed })
 }
 
 /// Returns the object that the options select. `labels` contains the resolved labels of `--labels`.

@@ -7,10 +7,10 @@ use std::path::Path;
 ///
 /// # Errors
 /// If seeds and field do not match.
-pub(crate) fn check_kind((ground, is_materials): (&Path, bool), (seeds, have_strata): (&Path, bool)) -> Result<()> {
+pub(crate) fn check_kind((distance, is_materials): (&Path, bool), (seeds, have_strata): (&Path, bool)) -> Result<()> {
     let mismatch = |found: &str, given: &str, why: &str| {
         let what =
-            format!("{}: contains particles of {found}, but {} contains {given}", seeds.display(), ground.display());
+            format!("{}: contains particles of {found}, but {} contains {given}", seeds.display(), distance.display());
         Err(Error::input(what, why, "use the file that the seeds were made from (--distfield), or run seed again"))
     };
     match (is_materials, have_strata) {

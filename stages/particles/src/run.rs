@@ -17,9 +17,9 @@ use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::cli::{Context, Outcome};
+use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind, check_same_grid, read_field};
-use isoparticles_stage::ground::Ground;
 use isoparticles_stage::materials_file::is_materials;
 use isoparticles_stage::particle_file::{ParticleFile, ParticleKind, read_particles};
 use serde_json::json;
@@ -182,7 +182,7 @@ pub struct Inputs {
     /// The seeds.
     pub seeds: ParticleFile,
     /// The surface that they sample.
-    pub ground: Ground,
+    pub distance: DistanceField,
     /// The size field.
     pub sizing: Field,
     /// Hashes of the files of the seeds, the surface and the size field. A checkpoint stores them.
@@ -192,25 +192,25 @@ pub struct Inputs {
 impl Inputs {
     /// Reads the input files.
     fn read(files: Files<'_>, context: &Context) -> Result<Self> {
-        let (seeds, (ground, sizing)) = rayon::join(
+        let (seeds, (distance, sizing)) = rayon::join(
             || read_particles(files.seeds, &[ParticleKind::Seeds, ParticleKind::Particles]),
-            || rayon::join(|| Ground::read(files.distance), || read_field(files.sizing, FieldKind::Sizing)),
+            || rayon::join(|| DistanceField::read(files.distance), || read_field(files.sizing, FieldKind::Sizing)),
         );
-        let (seeds, ground, sizing) = (seeds?, ground?, sizing?);
+        let (seeds, distance, sizing) = (seeds?, distance?, sizing?);
         let hashes = context.add_inputs([
             (files.seeds, Some(seeds.history.clone())),
-            (files.distance, ground.history().cloned()),
+            (files.distance, distance.history().cloned()),
             (files.sizing, sizing.history.clone()),
         ])?;
-        Ok(Self { seeds, ground, sizing, hashes })
+        Ok(Self { seeds, distance, sizing, hashes })
     }
 
     /// Rejects inputs that do not match or that need too much memory.
     fn check(&self, files: Files<'_>, context: &Context) -> Result<()> {
-        let (seeds, ground) = (&self.seeds, &self.ground);
-        check_kind((files.distance, ground.is_materials()), (files.seeds, seeds.strata.is_some()))?;
-        check_same_grid((files.distance, ground.geometry()), (files.sizing, &self.sizing.image.geometry))?;
-        check_same_grid((files.distance, ground.geometry()), (files.seeds, &seeds.particles.geometry))?;
+        let (seeds, distance) = (&self.seeds, &self.distance);
+        check_kind((files.distance, distance.is_materials()), (files.seeds, seeds.strata.is_some()))?;
+        check_same_grid((files.distance, distance.geometry()), (files.sizing, &self.sizing.image.geometry))?;
+        check_same_grid((files.distance, distance.geometry()), (files.seeds, &seeds.particles.geometry))?;
         let count = seeds.particles.positions.len();
         context.check_memory(
             BYTES_PER_PARTICLE * count as f64,
@@ -247,10 +247,10 @@ enum Surface {
 
 impl From<Inputs> for Prepared {
     fn from(inputs: Inputs) -> Self {
-        let Inputs { seeds, ground, sizing, hashes } = inputs;
-        let surface = match ground {
-            Ground::Object(field) => Surface::Object(CubicSpline::new(&field.image)),
-            Ground::Materials(file) => Surface::Materials(file.materials),
+        let Inputs { seeds, distance, sizing, hashes } = inputs;
+        let surface = match distance {
+            DistanceField::Object(field) => Surface::Object(CubicSpline::new(&field.image)),
+            DistanceField::Materials(file) => Surface::Materials(file.materials),
         };
         let seeds = (seeds.particles, seeds.strata.unwrap_or_default());
         Self { seeds, surface, sizing: SizingField::new(sizing.image), hashes }
@@ -471,5 +471,5 @@ pub fn compute(args: &Args, inputs: Inputs, context: &Context) -> Result<Particl
     let files = Files::of(args).ok_or_else(|| {
         Error::input("--list-adapters: there is nothing to settle", "it only prints a list", "omit --list-adapters")
     })?;
-    Run::new(args, inputs.ground.is_materials(), context)?.compute(files, inputs)
+    Run::new(args, inputs.distance.is_materials(), context)?.compute(files, inputs)
 }

@@ -3,9 +3,9 @@
 use crate::args::Args;
 use isoparticles_mesh::point_cloud::{PointCloud, is_point_cloud, read_point_cloud};
 use isoparticles_stage::cli::Context;
+use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Kind, Result};
 use isoparticles_stage::field_file::{Field, FieldKind, read_field};
-use isoparticles_stage::ground::Ground;
 use isoparticles_stage::particle_file::{ParticleFile, ParticleKind, read_particles};
 use std::path::Path;
 
@@ -21,7 +21,7 @@ pub enum Inputs {
         /// Particles on the surface.
         particles: ParticleFile,
         /// The distance field of one object, or the indicators of many materials.
-        ground: Ground,
+        distance: DistanceField,
         /// Target edge length h on the grid of the field, if given.
         sizing: Option<Field>,
     },
@@ -43,15 +43,15 @@ impl Inputs {
             return Ok(Self::Cloud(cloud));
         };
         let sizing = || args.sizefield.as_deref().map(|path| read_field(path, FieldKind::Sizing)).transpose();
-        let (particles, (ground, sizing)) =
-            rayon::join(|| particles(args, context), || rayon::join(|| Ground::read(distfield), sizing));
-        let (particles, ground, sizing) = (particles?, ground?, sizing?);
-        let field = (&**distfield, ground.history().cloned());
+        let (particles, (distance, sizing)) =
+            rayon::join(|| particles(args, context), || rayon::join(|| DistanceField::read(distfield), sizing));
+        let (particles, distance, sizing) = (particles?, distance?, sizing?);
+        let field = (&**distfield, distance.history().cloned());
         match (&args.sizefield, &sizing) {
             (Some(path), Some(sizing)) => drop(context.add_inputs([field, (path, sizing.history.clone())])?),
             _ => drop(context.add_inputs([field])?),
         }
-        Ok(Self::Field { particles, ground, sizing })
+        Ok(Self::Field { particles, distance, sizing })
     }
 }
 

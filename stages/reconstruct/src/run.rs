@@ -19,9 +19,9 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_mesh::point_cloud::is_point_cloud;
 use isoparticles_mesh::surface::check_surface_name;
 use isoparticles_stage::cli::{Context, Outcome, particles_bytes};
+use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, check_same_grid};
-use isoparticles_stage::ground::Ground;
 use isoparticles_stage::materials_file::is_materials;
 use isoparticles_stage::meta::{self, DistanceMeta, SurfaceMeta};
 use isoparticles_stage::particle_file::ParticleFile;
@@ -73,7 +73,7 @@ pub fn compute(args: &Args, inputs: Inputs, context: &Context) -> Result<Made> {
             warn_unless_settled(args, &file, context);
             points_alone::compute(args, Points::of_particles(file.particles), context)
         }
-        Inputs::Field { particles, ground, sizing } => compute_on_field(args, &particles, &ground, sizing, context),
+        Inputs::Field { particles, distance, sizing } => compute_on_field(args, &particles, &distance, sizing, context),
     }
 }
 
@@ -84,21 +84,21 @@ pub fn compute(args: &Args, inputs: Inputs, context: &Context) -> Result<Made> {
 pub fn compute_on_field(
     args: &Args,
     file: &ParticleFile,
-    ground: &Ground,
+    distance: &DistanceField,
     sizing: Option<Field>,
     context: &Context,
 ) -> Result<Made> {
     warn_unless_settled(args, file, context);
-    if ground.is_materials() {
+    if distance.is_materials() {
         materials::compute::strata(args, file)?;
     }
-    let (particles, geometry) = (&file.particles, ground.geometry());
+    let (particles, geometry) = (&file.particles, distance.geometry());
     let [path, size_path] = args.field_names();
     check_same_grid((&args.particles, &particles.geometry), (path, geometry))?;
     let count = particles.positions.len();
-    let fewer = match ground {
-        Ground::Object(_) => "reduce their number: sizefield --min-size, --scale or --quality coarse",
-        Ground::Materials(_) => "reduce their number: sizefield --min-size or --quality coarse",
+    let fewer = match distance {
+        DistanceField::Object(_) => "reduce their number: sizefield --min-size, --scale or --quality coarse",
+        DistanceField::Materials(_) => "reduce their number: sizefield --min-size or --quality coarse",
     };
     context.check_memory(
         particles_bytes(count as f64, geometry.voxel_count()),
@@ -109,9 +109,9 @@ pub fn compute_on_field(
         check_same_grid((size_path, &sizing.image.geometry), (path, geometry))?;
     }
     let sizing = sizing.map(|field| SizingField::new(field.image));
-    let made = match ground {
-        Ground::Object(field) => of_object(args, particles, field, sizing.as_ref(), context),
-        Ground::Materials(field) => materials::compute::compute(args, file, field, sizing.as_ref(), context),
+    let made = match distance {
+        DistanceField::Object(field) => of_object(args, particles, field, sizing.as_ref(), context),
+        DistanceField::Materials(field) => materials::compute::compute(args, file, field, sizing.as_ref(), context),
     }?;
     context.report("volumes", made.meta.notes["volumes"].clone());
     Ok(made)

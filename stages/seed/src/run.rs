@@ -11,9 +11,9 @@ use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::cli::{Context, Outcome};
+use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind, check_same_grid, read_field};
-use isoparticles_stage::ground::Ground;
 use isoparticles_stage::particle_file::{ParticleFile, ParticleKind};
 use isoparticles_volume::Image;
 use serde_json::{Value, json};
@@ -24,12 +24,12 @@ use serde_json::{Value, json};
 /// If a file cannot be read or written; and the errors of [`compute()`].
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("read");
-    let (ground, sizing) =
-        rayon::join(|| Ground::read(&args.distfield), || read_field(&args.sizefield, FieldKind::Sizing));
-    let (ground, sizing) = (ground?, sizing?);
-    context.add_inputs([(&args.distfield, ground.history().cloned()), (&args.sizefield, sizing.history.clone())])?;
+    let (distance, sizing) =
+        rayon::join(|| DistanceField::read(&args.distfield), || read_field(&args.sizefield, FieldKind::Sizing));
+    let (distance, sizing) = (distance?, sizing?);
+    context.add_inputs([(&args.distfield, distance.history().cloned()), (&args.sizefield, sizing.history.clone())])?;
     drop(step);
-    let made = compute(args, &ground, sizing, context)?;
+    let made = compute(args, &distance, sizing, context)?;
     let _step = context.step("write");
     made.write(&args.output)?;
     Ok(Outcome::Passed)
@@ -41,16 +41,16 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
 /// # Errors
 /// If the fields are on different grids, if there is no surface, if an option does not fit the
 /// surface, if there is not enough memory, or if the run is interrupted.
-pub fn compute(args: &Args, ground: &Ground, sizing: Field, context: &Context) -> Result<ParticleFile> {
-    check_same_grid((&args.distfield, ground.geometry()), (&args.sizefield, &sizing.image.geometry))?;
+pub fn compute(args: &Args, distance: &DistanceField, sizing: Field, context: &Context) -> Result<ParticleFile> {
+    check_same_grid((&args.distfield, distance.geometry()), (&args.sizefield, &sizing.image.geometry))?;
     context.check_interrupt()?;
     let sizing = SizingField::new(sizing.image);
-    let (particles, strata, meta) = match ground {
-        Ground::Object(field) => {
+    let (particles, strata, meta) = match distance {
+        DistanceField::Object(field) => {
             let (particles, meta) = of_object(args, &field.image, &sizing, context)?;
             (particles, None, meta)
         }
-        Ground::Materials(file) => {
+        DistanceField::Materials(file) => {
             let (particles, strata, meta) = crate::materials::compute(args, &file.materials, sizing, context)?;
             (particles, Some(strata), meta)
         }

@@ -16,9 +16,9 @@ use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldComponents;
 use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::cli::{Context, Outcome};
+use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind};
-use isoparticles_stage::ground::Ground;
 use isoparticles_stage::meta::{self, DistanceMeta, SizeMeta, Source};
 use isoparticles_volume::Image;
 use serde_json::json;
@@ -36,10 +36,10 @@ const LARGEST_FEATURE_DIAGONALS: f64 = 0.25;
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     args.refuse_refined_constant()?;
     let step = context.step("read");
-    let ground = Ground::read(&args.input)?;
-    context.add_input(&args.input, ground.history().cloned())?;
+    let distance = DistanceField::read(&args.input)?;
+    context.add_input(&args.input, distance.history().cloned())?;
     drop(step);
-    let made = compute(args, &ground, context)?;
+    let made = compute(args, &distance, context)?;
     let _step = context.step("write");
     made.write(&args.output)?;
     Ok(Outcome::Passed)
@@ -51,10 +51,10 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
 /// # Errors
 /// If there is no surface, if the options do not fit the surface, if a file of `--refine` cannot be
 /// read, if there is not enough memory, or if the run is interrupted.
-pub fn compute(args: &Args, ground: &Ground, context: &Context) -> Result<Field> {
-    let (sizing, meta) = match ground {
-        Ground::Object(field) => of_object(args, field, context)?,
-        Ground::Materials(file) => crate::materials::compute(args, &file.materials, context)?,
+pub fn compute(args: &Args, distance: &DistanceField, context: &Context) -> Result<Field> {
+    let (sizing, meta) = match distance {
+        DistanceField::Object(field) => of_object(args, field, context)?,
+        DistanceField::Materials(file) => crate::materials::compute(args, &file.materials, context)?,
     };
     context.check_interrupt()?;
     let (image, meta, history) = (sizing.into_image(), json!(meta), Some(context.history()));

@@ -11,14 +11,14 @@ use std::path::Path;
 
 /// The contents of a file that `distfield` wrote.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Ground {
+pub enum DistanceField {
     /// Samples of F of one object, mm.
     Object(Field),
     /// The indicators of several materials.
     Materials(MaterialsFile),
 }
 
-impl Ground {
+impl DistanceField {
     /// Reads a distance field, or the indicators of several materials.
     ///
     /// # Errors
@@ -65,7 +65,7 @@ impl Ground {
     /// If the file cannot be written.
     ///
     /// # Panics
-    /// If the materials come from [`Ground::read`], which omits the point data for display.
+    /// If the materials come from [`DistanceField::read`], which omits the point data for display.
     pub fn write(&self, path: &Path) -> Result<()> {
         match self {
             Self::Object(field) => field.write(path),
@@ -79,7 +79,7 @@ impl Ground {
     /// If `file` returns an error.
     ///
     /// # Panics
-    /// As for [`Ground::write`].
+    /// As for [`DistanceField::write`].
     pub fn encode(&self, file: &mut dyn Write) -> io::Result<()> {
         match self {
             Self::Object(field) => field.encode(file),
