@@ -33,6 +33,7 @@ pub mod quality;
 pub mod shapes;
 pub mod spatial;
 pub mod surface;
+pub mod tetrahedra;
 pub mod topology;
 mod vtk_legacy;
 
