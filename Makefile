@@ -84,9 +84,10 @@ quote = '$(subst ','\'',$(1))'
 set = $(if $(call by_user,$(1)),$(call quote,$(1)=$($(1))),$(if $($(1)),--preset $(call quote,$(1)=$($(1)))))
 # If one of these files changes, the tetrahedra or the page must be made again. convergence.py is
 # excluded because it makes no tetrahedra.
+TETMESH = stages/tetmesh-check/src/tetmesh_check
 TETMESH_FILES = $(wildcard $(BIN)/libisoparticles_python.so stages/tetmesh-check/requirements*.lock) \
-                $(filter-out %/convergence.py,$(sort $(wildcard stages/tetmesh-check/src/tetmesh_check/*.py)))
-PAGE_FILES = $(sort $(wildcard stages/tetmesh-check/src/tetmesh_check/page/*.*))
+                $(filter-out %/convergence.py,$(sort $(wildcard $(TETMESH)/*.py $(TETMESH)/*/*.py)))
+PAGE_FILES = $(sort $(wildcard $(TETMESH)/report/page/*.*))
 
 # $(call case,GOAL)
 case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VERBOSITY THREADS $(if $(without_hxt),HXT) $(unknown),$(call set,$(key))) \

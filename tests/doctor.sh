@@ -58,7 +58,7 @@ else
     setup=stages/tetmesh-check/setup-env.sh
     if $setup --check >/dev/null 2>&1 || $setup --check --without-hxt >/dev/null 2>&1; then
         good "the environment .venv is up to date"
-        if .venv/bin/python -m tetmesh_check.rendering >/dev/null 2>&1; then good "off-screen pictures"; else
+        if .venv/bin/python -m tetmesh_check.report.rendering >/dev/null 2>&1; then good "off-screen pictures"; else
             note "no off-screen renderer: pictures are skipped (Debian: apt-get install libosmesa6)"
         fi
         if .venv/bin/python -c 'import gmsh' >/dev/null 2>&1; then good "HXT (Gmsh) for large surfaces"; else

@@ -124,7 +124,7 @@ has_modules() {
 }
 
 can_render() {
-    "$venv/bin/python" -m tetmesh_check.rendering >/dev/null 2>&1
+    "$venv/bin/python" -m tetmesh_check.report.rendering >/dev/null 2>&1
 }
 
 warn_no_renderer() {

@@ -1,11 +1,11 @@
 //! Selects the advice for failed checks and warnings from the table
-//! `stages/tetmesh-check/src/tetmesh_check/page/advice.json`. The page of a case uses the same
-//! table; `page/advice.py` describes its format.
+//! `stages/tetmesh-check/src/tetmesh_check/report/page/advice.json`. The page of a case uses the
+//! same table; `advice.py` beside it describes its format.
 
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
-const TABLE: &str = include_str!("../../../stages/tetmesh-check/src/tetmesh_check/page/advice.json");
+const TABLE: &str = include_str!("../../../stages/tetmesh-check/src/tetmesh_check/report/page/advice.json");
 
 #[derive(Deserialize)]
 struct Table {

@@ -49,7 +49,7 @@ def test_the_wheel_names_its_platform_and_holds_everything(wheel: Path) -> None:
         "isoparticles/cases/demo.mk",
         "isoparticles/LICENSE-MIT",
     } <= names
-    assert any(name.startswith("tetmesh_check/page/") and name.endswith(".css") for name in names)
+    assert any(name.startswith("tetmesh_check/report/page/") and name.endswith(".css") for name in names)
     assert not [name for name in names if "__pycache__" in name or "test_" in name]
 
 

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 import pyvista as pv
 
-from tetmesh_check.page import program
-from tetmesh_check.page.scan import Scan
+from tetmesh_check.report.page import program
+from tetmesh_check.report.page.scan import Scan
 
 
 def _is_there(library: str) -> bool:

@@ -10,7 +10,7 @@ import pyvista as pv
 from conftest import NEEDS_HXT, Run, ball, write_sizing
 from test_solve import block
 
-from tetmesh_check.convergence import main, measure, orders
+from tetmesh_check.fem.convergence import main, measure, orders
 
 
 @NEEDS_HXT

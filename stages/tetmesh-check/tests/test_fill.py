@@ -13,10 +13,11 @@ import pytest
 import pyvista as pv
 from conftest import Run, ball, tetrahedra
 
-from tetmesh_check import cli, fill, mend, tetwild, worker
+from tetmesh_check import cli, mend
 from tetmesh_check.errors import StageError
-from tetmesh_check.tetwild import TetwildSettings
-from tetmesh_check.worker import WorkerResult
+from tetmesh_check.tets import fill, tetwild, worker
+from tetmesh_check.tets.tetwild import TetwildSettings
+from tetmesh_check.tets.worker import WorkerResult
 
 
 def filled(scale: float, flatness: float) -> WorkerResult:
@@ -181,7 +182,7 @@ def test_a_full_folder_of_temporary_files_is_named(
         raise FULL
 
     words = [str(tmp_path / "ball.vtp"), "-o", str(tmp_path / "ball.vtu"), "--solve", "no", "-q"]
-    monkeypatch.setattr("tetmesh_check.worker.np.savez", no_room)
+    monkeypatch.setattr("tetmesh_check.tets.worker.np.savez", no_room)
     assert cli.main(words) == 2
     said = capsys.readouterr().err
     assert f"{tmp_path / 'full'}: cannot hold temporary files: No space left on device" in said

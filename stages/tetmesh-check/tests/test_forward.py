@@ -11,8 +11,8 @@ from complexes import nested_balls
 from conftest import NEEDS_HXT, Run, tetrahedra, write_sizing
 from test_solve import FOREVER, block
 
-from tetmesh_check.assembly import Assembler
-from tetmesh_check.forward import Source, potential_of
+from tetmesh_check.fem.assembly import Assembler
+from tetmesh_check.fem.forward import Source, potential_of
 from tetmesh_check.quality import tetrahedron_quality
 
 RADII = (10.0, 6.0, 4.0)

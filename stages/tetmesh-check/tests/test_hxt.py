@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from conftest import NEEDS_HXT, Run, ball, fake_library, merged, reversed_winding, tetrahedra, write_sizing
 
-from tetmesh_check import cli, fill
+from tetmesh_check import cli
 from tetmesh_check.quality import signed_tetrahedron_volumes, tetrahedron_quality
 from tetmesh_check.surface import history_of, read_surface
+from tetmesh_check.tets import fill
 from tetmesh_check.topology import changed_triangles, tetrahedron_boundary
 
 MISSING = "raise ImportError('libGLU.so.1: cannot open shared object file')\n"
@@ -130,7 +131,7 @@ def test_ftetwild_steps_in_for_hxt(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_structured_field_is_what_gmsh_reads(tmp_path: Path) -> None:
-    from tetmesh_check.hxt_worker import write_structured_field
+    from tetmesh_check.tets.hxt_worker import write_structured_field
 
     values = np.arange(24.0).reshape(2, 3, 4)
     write_structured_field(tmp_path / "f.bin", values, np.array([1.0, 2.0, 3.0]), 0.5)

@@ -13,11 +13,11 @@ import pyvista as pv
 from complexes import nested_balls
 from conftest import NEEDS_HXT, write_status
 
-from tetmesh_check.colours import region_colours
-from tetmesh_check.page import program
-from tetmesh_check.page.advice import advice_for
-from tetmesh_check.page.view3d import view_meshes
 from tetmesh_check.polydata import from_polydata
+from tetmesh_check.report.colours import region_colours
+from tetmesh_check.report.page import program
+from tetmesh_check.report.page.advice import advice_for
+from tetmesh_check.report.page.view3d import view_meshes
 from tetmesh_check.topology import measure_topology
 
 

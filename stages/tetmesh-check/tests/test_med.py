@@ -14,7 +14,8 @@ from conftest import NEEDS_HXT, ball
 from test_quadratic import of_ball, small_mesh, write_distance
 from test_regions import marked_block
 
-from tetmesh_check.export import MarkedMesh, export
+from tetmesh_check.export.formats import export
+from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.quality import signed_tetrahedron_volumes
 from tetmesh_check.regions import CAP
 from tetmesh_check.spline import read_distance_field

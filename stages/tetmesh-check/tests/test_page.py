@@ -14,14 +14,16 @@ import pytest
 from conftest import NEEDS_DISTFIELD, volume_with_ball, write_nrrd, write_status
 from PIL import Image
 
-from tetmesh_check import cli, convergence, pictures
+from tetmesh_check import cli
 from tetmesh_check.errors import StageError
-from tetmesh_check.page import index, measured, program
-from tetmesh_check.page.advice import advice_for
-from tetmesh_check.page.case import Case, read_case
-from tetmesh_check.page.charts import Axis, Limit, curve, histogram, number, ticks
-from tetmesh_check.page.html import _MESH_SHARE, filled
+from tetmesh_check.fem import convergence
 from tetmesh_check.quality import summarize
+from tetmesh_check.report import pictures
+from tetmesh_check.report.page import index, measured, program
+from tetmesh_check.report.page.advice import advice_for
+from tetmesh_check.report.page.case import Case, read_case
+from tetmesh_check.report.page.charts import Axis, Limit, curve, histogram, number, ticks
+from tetmesh_check.report.page.html import _MESH_SHARE, filled
 
 ERROR = {"what": "v.nrrd: is <empty>", "why": "there is nothing to mesh", "next": "give another volume"}
 NOTHING = {

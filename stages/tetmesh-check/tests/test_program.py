@@ -154,7 +154,7 @@ def test_pictures(tmp_path: Path, run: Run) -> None:
 
 
 def test_no_renderer_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from tetmesh_check import pictures
+    from tetmesh_check.report import pictures
 
     monkeypatch.setattr(pictures, "rendering_environment", lambda: None)
     surface = ball()

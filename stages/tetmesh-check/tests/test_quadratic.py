@@ -20,7 +20,8 @@ from skfem.models.poisson import laplace
 from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
 
 from tetmesh_check.errors import StageError
-from tetmesh_check.export import MarkedMesh, export
+from tetmesh_check.export.formats import export
+from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS
 from tetmesh_check.quadratic import LEAST_JACOBIAN, jacobian_coefficients, make_quadratic
 from tetmesh_check.regions import SURFACE

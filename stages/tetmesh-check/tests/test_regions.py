@@ -22,7 +22,8 @@ from test_solve import block
 from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
 
 from tetmesh_check.errors import StageError
-from tetmesh_check.export import MarkedMesh, Materials, export, plain_names
+from tetmesh_check.export.formats import export
+from tetmesh_check.export.mesh import MarkedMesh, Materials, plain_names
 from tetmesh_check.field_data import text_of
 from tetmesh_check.labels import read_label_volume
 from tetmesh_check.materials import Sides

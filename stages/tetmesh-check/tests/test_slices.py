@@ -11,9 +11,9 @@ import pytest
 from conftest import ball, volume_with_ball
 from PIL import Image
 
-from tetmesh_check.page.scan import Scan
-from tetmesh_check.page.slices import Window, _stack, outline, path_of, planes_of, slices, window_of
 from tetmesh_check.polydata import from_polydata
+from tetmesh_check.report.page.scan import Scan
+from tetmesh_check.report.page.slices import Window, _stack, outline, path_of, planes_of, slices, window_of
 
 # grids with permuted, reversed and oblique axes
 ROTATION = np.array([[0.96, -0.28, 0.0], [0.28, 0.96, 0.0], [0.0, 0.0, 1.0]])

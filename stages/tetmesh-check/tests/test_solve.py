@@ -15,14 +15,14 @@ from scipy.sparse import csr_matrix, diags
 from skfem import Basis, BilinearForm, ElementTetP1, ElementVector, MeshTet
 from skfem.helpers import ddot, div, dot, grad, sym_grad
 
-from tetmesh_check import assembly, problems, solve
-from tetmesh_check.assembly import Assembler, held_at_one_side
 from tetmesh_check.context import CommonArguments, Context
-from tetmesh_check.krylov import CgResult, OutOfTimeError, conjugate_gradients, jacobi, nothing
-from tetmesh_check.multigrid import rigid_motions
-from tetmesh_check.problems import WEIGHT, Solver, conduction, elasticity, poisson
+from tetmesh_check.fem import assembly, problems, solve
+from tetmesh_check.fem.assembly import Assembler, held_at_one_side
+from tetmesh_check.fem.krylov import CgResult, OutOfTimeError, conjugate_gradients, jacobi, nothing
+from tetmesh_check.fem.multigrid import rigid_motions
+from tetmesh_check.fem.problems import WEIGHT, Solver, conduction, elasticity, poisson
+from tetmesh_check.fem.solve import SolveMode, SolveSettings, VolumeMesh, solve_on
 from tetmesh_check.quality import signed_tetrahedron_volumes
-from tetmesh_check.solve import SolveMode, SolveSettings, VolumeMesh, solve_on
 from tetmesh_check.topology import tetrahedron_boundary
 
 FOREVER = Solver(10_000, float("inf"))
@@ -146,7 +146,7 @@ def test_blocks_assemble_to_the_same_matrix(monkeypatch: pytest.MonkeyPatch) -> 
     points, cells = block((4, 3, 3))
     volumes, bodies = signed_tetrahedron_volumes(points, cells), np.zeros(len(cells), dtype=np.int64)
     whole = elasticity(Assembler(points, cells), volumes, bodies, FOREVER)[0]
-    monkeypatch.setattr("tetmesh_check.assembly.BLOCK", 37)
+    monkeypatch.setattr("tetmesh_check.fem.assembly.BLOCK", 37)
     parts = elasticity(Assembler(points, cells), volumes, bodies, FOREVER)[0]
     assert parts["strain_energy_mj"] == pytest.approx(whole["strain_energy_mj"], rel=1e-9)
     assert parts["nonzeros"] == whole["nonzeros"]
@@ -155,7 +155,7 @@ def test_blocks_assemble_to_the_same_matrix(monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.parametrize("size", [10_000, 37, 50])
 def test_matrices_are_those_of_the_textbook(monkeypatch: pytest.MonkeyPatch, size: int) -> None:
     # 216 tetrahedra in one, six and five blocks
-    monkeypatch.setattr("tetmesh_check.assembly.BLOCK", size)
+    monkeypatch.setattr("tetmesh_check.fem.assembly.BLOCK", size)
     points, cells = block((4, 3, 3))
     points = points + 0.1 * np.sin(points[:, [1, 2, 0]])
     count, truth = len(points), np.zeros((2, len(points), len(points)))
@@ -273,7 +273,7 @@ def test_a_column_held_at_its_end() -> None:
 
 def test_conduction_follows_the_membrane_where_the_fibres_are_equal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "tetmesh_check.problems.CONDUCTIVITY", {"intracellular": (0.2, 0.2), "extracellular": (0.6, 0.6)}
+        "tetmesh_check.fem.problems.CONDUCTIVITY", {"intracellular": (0.2, 0.2), "extracellular": (0.6, 0.6)}
     )
     tensors: list[int] = []
     fibres = problems._fibres

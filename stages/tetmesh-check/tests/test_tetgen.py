@@ -11,7 +11,7 @@ from conftest import NEEDS_TETGEN, Run, ball, fake_library, merged, reversed_win
 
 from tetmesh_check.quality import signed_tetrahedron_volumes
 from tetmesh_check.surface import check_surface, read_surface
-from tetmesh_check.tetgen import cavity_points, regular_volume
+from tetmesh_check.tets.tetgen import cavity_points, regular_volume
 
 
 def nested(path: Path) -> list:

@@ -16,11 +16,11 @@ import pytest
 import pyvista as pv
 from conftest import ball, tetrahedra
 
-from tetmesh_check.cut import cut_of, cut_through_the_middle
-from tetmesh_check.page.payload import STEPS, Colour, ViewMesh, pack
-from tetmesh_check.page.view3d import is_anatomical, view_meshes
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.quality import signed_tetrahedron_volumes, triangle_quality
+from tetmesh_check.report.cut import cut_of, cut_through_the_middle
+from tetmesh_check.report.page.payload import STEPS, Colour, ViewMesh, pack
+from tetmesh_check.report.page.view3d import is_anatomical, view_meshes
 
 BROWSER = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None

@@ -12,7 +12,7 @@ from complexes import nested_balls
 from conftest import NEEDS_HXT, Run, ball, write_status
 
 from tetmesh_check.checks import surface_volume_checks
-from tetmesh_check.page import program
+from tetmesh_check.report.page import program
 from tetmesh_check.surface import read_surface
 from tetmesh_check.volume_table import volume_table, with_changes
 

@@ -72,8 +72,9 @@ def scripts() -> Path:
 def case_arguments(goal: str, settings: Sequence[str], options: Sequence[str] = ()) -> list[str]:
     """Return the command line of ``isoparticles-case``."""
     package = Path(tetmesh_check.__file__).parent
-    tetrahedra = sorted(str(file) for file in package.glob("*.py") if file.name != "convergence.py")
-    pages = sorted(str(file) for file in (package / "page").glob("*.*"))
+    sources = [*package.glob("*.py"), *package.glob("*/*.py")]
+    tetrahedra = sorted(str(file) for file in sources if file.name != "convergence.py")
+    pages = sorted(str(file) for file in (package / "report" / "page").glob("*.*"))
     return [
         program("isoparticles-case"),
         goal,

@@ -19,7 +19,7 @@ from tetmesh_check.memory import number_of_bytes
 from tetmesh_check.parsing import Parser, formats, named_number, number, source_of_current, whole
 
 if TYPE_CHECKING:
-    from tetmesh_check.pipeline import Arguments
+    from tetmesh_check.arguments import Arguments
 
 _DESCRIPTION = """\
 Fills a closed triangle surface with tetrahedra and checks whether they are fit for simulation.
@@ -396,11 +396,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _check_options(known: str, words: list[str]) -> int:
     """Refuse what a run would refuse; print what is known of the case for the next stage."""
     parsed = build_parser().parse_args(words)
-    from tetmesh_check import hxt, tetgen, tetwild
-    from tetmesh_check.fill import Method
-    from tetmesh_check.forward import check_names
+    from tetmesh_check.fem.forward import check_names
     from tetmesh_check.materials_run import refuse_arguments
-    from tetmesh_check.worker import refuse_missing
+    from tetmesh_check.tets import hxt, tetgen, tetwild
+    from tetmesh_check.tets.fill import Method
+    from tetmesh_check.tets.worker import refuse_missing
 
     workers = {Method.FTETWILD: tetwild.WORKER, Method.HXT: hxt.WORKER, Method.TETGEN: tetgen.WORKER}
 
@@ -429,11 +429,11 @@ def _check_options(known: str, words: list[str]) -> int:
 def _arguments(parsed: argparse.Namespace) -> Arguments:
     """Collect what the user asked for; refuse what does not go together."""
     # pyvista takes a second to load; --help and usage errors need not wait for it
+    from tetmesh_check.arguments import Arguments
     from tetmesh_check.checks import Limits
-    from tetmesh_check.fill import Method
-    from tetmesh_check.forward import ForwardArguments
-    from tetmesh_check.pipeline import Arguments
-    from tetmesh_check.solve import SolveMode, SolveSettings
+    from tetmesh_check.fem.forward import ForwardArguments
+    from tetmesh_check.fem.solve import SolveMode, SolveSettings
+    from tetmesh_check.tets.fill import Method
 
     arguments = Arguments(
         surface=parsed.surface,
@@ -474,8 +474,8 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
 
 
 def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
-    from tetmesh_check.pictures import PICTURES
     from tetmesh_check.pipeline import run
+    from tetmesh_check.report.pictures import PICTURES
 
     arguments = _arguments(parsed)
     context.parameters.update(arguments.parameters())

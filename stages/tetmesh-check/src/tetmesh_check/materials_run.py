@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from tetmesh_check.arguments import Arguments
 from tetmesh_check.cavity import Goal
 from tetmesh_check.checks import (
     REMEDY,
@@ -25,14 +26,15 @@ from tetmesh_check.checks import (
 from tetmesh_check.complex import Complex, check_complex, describe_complex
 from tetmesh_check.conform import NOBODY, outside_of
 from tetmesh_check.context import Context
-from tetmesh_check.drawing import drawing
 from tetmesh_check.errors import StageError
-from tetmesh_check.export import RESERVED, MarkedMesh, Materials, export, export_paths, plain_names
+from tetmesh_check.export.formats import export, export_paths
+from tetmesh_check.export.mesh import RESERVED, MarkedMesh, Materials, plain_names
+from tetmesh_check.export.volume import write_volume
+from tetmesh_check.fem.forward import Forward, RegionMesh, Source, resolve_source
+from tetmesh_check.fem.solve import VolumeMesh, solve_on
 from tetmesh_check.files import refuse_existing
 from tetmesh_check.forced import INSIDE, ForcedSides, forced_sides, largest_jacobians
-from tetmesh_check.forward import Forward, RegionMesh, Source, resolve_source
 from tetmesh_check.materials import NOTHING, Sides
-from tetmesh_check.materials_fill import ComplexTask, FilledComplex, fill_complex, on_needles, refuse_method
 from tetmesh_check.mend import goal_of
 from tetmesh_check.quality import (
     Cells,
@@ -45,15 +47,12 @@ from tetmesh_check.quality import (
     triangle_quality,
 )
 from tetmesh_check.regions import has_scale
+from tetmesh_check.report.drawing import drawing
 from tetmesh_check.sizing import SizingField
-from tetmesh_check.solve import VolumeMesh, solve_on
 from tetmesh_check.surface import Surface
+from tetmesh_check.tets.materials_fill import ComplexTask, FilledComplex, fill_complex, on_needles, refuse_method
 from tetmesh_check.topology import members_of, tetrahedron_boundary
-from tetmesh_check.volume import write_volume
 from tetmesh_check.volume_table import volume_table
-
-if TYPE_CHECKING:
-    from tetmesh_check.pipeline import Arguments
 
 
 def _part(quality: TetrahedronQuality, own: Any) -> TetrahedronQuality:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetmesh_check.checks import Check, verdict
-from tetmesh_check.export import MarkedMesh
+from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.quality import Cells, Points, Values, signed_tetrahedron_volumes, summarize
 from tetmesh_check.regions import CAP, SURFACE
 from tetmesh_check.spline import DistanceField

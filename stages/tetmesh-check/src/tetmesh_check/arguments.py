@@ -1,0 +1,114 @@
+"""The arguments of a run, and the files that they name."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from dataclasses import field as made_by
+from pathlib import Path
+from typing import Any
+
+from tetmesh_check.checks import Limits
+from tetmesh_check.errors import StageError
+from tetmesh_check.export.formats import export_paths
+from tetmesh_check.fem.forward import ForwardArguments
+from tetmesh_check.fem.solve import SolveSettings
+from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS
+from tetmesh_check.report.pictures import PictureJob
+from tetmesh_check.tets.fill import Method
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What the user asked for."""
+
+    surface: Path
+    output: Path
+    sizefield: Path | None = None
+    distfield: Path | None = None
+    """The field that the surface is F = 0 of; needed for quadratic tetrahedra alone."""
+    order: int = 1
+    """Order of the tetrahedra, 1 or 2: with 2 those with a node amid each edge are written, too."""
+    pictures: Path | None = None
+    labels_volume: Path | None = None
+    exports: tuple[str, ...] = ()
+    """What of :data:`.FORMATS` is written, too."""
+    unit: str = "mm"
+    """Unit of the coordinates there."""
+    tet_size_factor: float = 1.0
+    """Tetrahedron edge length over h."""
+    method: Method = Method.AUTO
+    """Who makes the tetrahedra."""
+    envelope: float | None = None
+    """Largest distance of the boundary from the surface, mm."""
+    stop_energy: float | None = None
+    """Largest AMIPS energy at which fTetWild stops; by default each of :data:`.STOP_ENERGIES` in turn."""
+    max_passes: int = 80
+    max_seconds: float = 3600.0
+    limits: Limits = made_by(default_factory=Limits)
+    solve: SolveSettings = made_by(default_factory=SolveSettings)
+    forward: ForwardArguments = made_by(default_factory=ForwardArguments)
+    """For many materials: what conducts how well, and where a current arises."""
+
+    @property
+    def name(self) -> str:
+        """Name of the case: the output without ``.volume.vtu`` or ``.vtu``."""
+        return self.output.name.removesuffix(".vtu").removesuffix(".volume")
+
+    @property
+    def log(self) -> Path:
+        """Where the tetrahedralizer's log goes."""
+        return self.output.with_name(f"{self.name}.tetrahedra.log")
+
+    @property
+    def quadratic(self) -> Path:
+        """Where the tetrahedra with a node amid each edge go."""
+        return self.output.with_name(f"{self.name}.volume.quadratic.vtu")
+
+    def export_paths(self) -> list[Path]:
+        """The files of other formats that are written, too."""
+        return export_paths(self.output, self.name, self.exports)
+
+    def other_paths(self) -> list[Path]:
+        """All files that are written beside the volume mesh, but for pictures."""
+        return [*([self.quadratic] if self.order == 2 else []), *self.export_paths()]
+
+    def refuse_order(self) -> None:
+        """Refuse quadratic tetrahedra without what they need, or in a format that has none."""
+        if self.order == 1:
+            return
+        if self.distfield is None:
+            raise StageError(
+                "--order 2 without --distfield",
+                "the midpoints of surface edges are moved onto the zero set of the distance field",
+                "add --distfield CASE.distfield.vti",
+            )
+        if linear := [kind for kind in self.exports if kind in LINEAR_FORMATS]:
+            raise StageError(
+                f"--export {','.join(linear)} with --order 2",
+                f"{', '.join(linear)} cannot store quadratic elements",
+                f"omit {', '.join(linear)}, or use --order 1; quadratic elements are supported by "
+                f"{', '.join(k for k in FORMATS if k not in LINEAR_FORMATS)}",
+            )
+
+    @property
+    def picture_job(self) -> PictureJob | None:
+        """The pictures to draw, if any."""
+        return None if self.pictures is None else PictureJob(self.surface, self.output, self.pictures, self.name)
+
+    def parameters(self) -> dict[str, Any]:
+        """Parameters for the history, as given; what is resolved later is set during the run."""
+        return {
+            "tet_size_factor": self.tet_size_factor,
+            "method": self.method,
+            "envelope": self.envelope,
+            "stop_energy": self.stop_energy,
+            "max_passes": self.max_passes,
+            "min_dihedral": self.limits.min_dihedral,
+            "min_scaled_jacobian": self.limits.min_scaled_jacobian,
+            "max_volume_change": self.limits.max_volume_change,
+            "max_distance": self.limits.max_distance,
+            **({"accept_forced": True} if self.limits.accept_forced else {}),
+            "solve": self.solve.mode,
+            **({} if self.order == 1 else {"order": self.order}),
+            **({} if self.forward.source is None else {"forward": asdict(self.forward)}),
+        }

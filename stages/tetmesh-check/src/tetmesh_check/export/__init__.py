@@ -1,0 +1,1 @@
+"""The files of the tetrahedra: VTK, and formats of other programs."""

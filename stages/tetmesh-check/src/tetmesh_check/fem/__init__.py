@@ -1,0 +1,1 @@
+"""Finite-element problems solved on the tetrahedra."""

@@ -1,0 +1,210 @@
+"""Stiffness matrices and load vectors on tetrahedra with linear elements, by scikit-fem, in blocks of bounded memory."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import bsr_matrix, csr_matrix
+from skfem import Basis, BilinearForm, ElementTetP1, ElementVector, Functional, LinearForm, MeshTet
+
+from tetmesh_check.fem.krylov import OutOfTimeError
+from tetmesh_check.quality import Cells, Labels, Points, Values
+
+BLOCK = 50_000
+"""Tetrahedra that are assembled at once: about 200 MB for elasticity."""
+_STIFFNESS_ORDER = 1
+"""Order of quadrature of the stiffness matrices: the gradients of linear elements are constant."""
+DATA_ORDER = 3
+"""Order of quadrature of loads."""
+ERROR_ORDER = 4
+"""Order of quadrature of squared errors: that of linear elements is a square of quadratic polynomials, to first order."""
+
+
+def _unknowns(points: Labels) -> Labels:
+    """Numbers of the three unknowns at each of some points."""
+    numbers: Labels = (3 * points[:, None] + np.arange(3)).ravel()
+    return numbers
+
+
+def _merge(parts: list[tuple[int, Any]]) -> None:
+    """Put the sum of the last two in their place."""
+    (blocks, matrix), (other_blocks, other) = parts.pop(), parts.pop()
+    parts.append((blocks + other_blocks, other + matrix))
+
+
+def _add(parts: list[tuple[int, Any]], matrix: Any) -> None:
+    """Add the matrix of a block to a list of sums, each with its number of blocks.
+
+    Sums of equally many blocks are merged at once, so that every entry is added a few times only and few matrices are held.
+    """
+    parts.append((1, matrix))
+    while len(parts) > 1 and parts[-1][0] == parts[-2][0]:
+        _merge(parts)
+
+
+def _sum(parts: list[tuple[int, Any]]) -> Any:
+    """Merge what is left."""
+    while len(parts) > 1:
+        _merge(parts)
+    return parts[0][1]
+
+
+class Assembler:
+    """The tetrahedra as scikit-fem sees them.
+
+    Parameters
+    ----------
+    points
+        Positions, mm, shape ``(n, 3)``.
+    tetrahedra
+        Vertex indices, shape ``(m, 4)``; every point is in use.
+    deadline
+        When time is over, by the monotonic clock, s.
+    """
+
+    def __init__(self, points: Points, tetrahedra: Cells, deadline: float = float("inf")) -> None:
+        self.points = points
+        self.tetrahedra = tetrahedra
+        self.deadline = deadline
+
+    def _blocks(self, vector: bool, order: int, timed: bool = True) -> Iterator[tuple[Labels, Any]]:
+        """Points in use and basis of one block after the other; to scikit-fem each is a mesh of its own."""
+        element = ElementVector(ElementTetP1()) if vector else ElementTetP1()
+        for start in range(0, len(self.tetrahedra), BLOCK):
+            if timed and time.monotonic() > self.deadline:
+                raise OutOfTimeError
+            used, local = np.unique(self.tetrahedra[start : start + BLOCK], return_inverse=True)
+            mesh = MeshTet(np.ascontiguousarray(self.points[used].T), np.ascontiguousarray(local.reshape(-1, 4).T))
+            yield used, Basis(mesh, element, intorder=order)
+
+    def matrix(
+        self,
+        form: Callable[..., Any],
+        coefficient: Callable[[Any], Any] | None = None,
+        weights: Values | None = None,
+    ) -> Any:
+        """Assemble a bilinear form ``form(u, v, w)`` to a sparse matrix.
+
+        Parameters
+        ----------
+        form
+            In terms of gradients only.
+        coefficient
+            Of positions; the form finds its values, computed once, as ``w.coefficient``.
+        weights
+            One number a tetrahedron, shape ``(m,)``; the form finds them as ``w.weight``.
+        """
+        size = len(self.points)
+        parts: list[tuple[int, Any]] = []
+        for number, (used, basis) in enumerate(self._blocks(False, _STIFFNESS_ORDER)):
+            known = {}
+            if weights is not None:
+                own = weights[number * BLOCK : (number + 1) * BLOCK, None]
+                known["weight"] = np.broadcast_to(own, np.asarray(basis.dx).shape)
+            if coefficient is not None:
+                known["coefficient"] = coefficient(np.asarray(basis.global_coordinates()))
+            local = BilinearForm(form).assemble(basis, **known).tocoo()
+            _add(parts, csr_matrix((local.data, (used[local.row], used[local.col])), shape=(size, size)))
+        return _sum(parts)
+
+    def elastic_stiffness(self, shear: float, lame: float) -> Any:
+        """Assemble the stiffness of isotropic linear elasticity, ``2 shear sym grad u : sym grad v + lame div u div v``.
+
+        Its blocks of 3 x 3 are made of the products of the gradients of two hat functions, which takes a tenth of the time of a
+        form of vector fields.
+
+        Parameters
+        ----------
+        shear, lame
+            Lame's parameters (mu and lambda), N/mm^2.
+
+        Returns
+        -------
+        sparse matrix
+            Shape ``(3 n, 3 n)``, in rows; unknown ``3 i + k`` is component k at point i.
+        """
+        parts: list[tuple[int, Any]] = []
+        for used, basis in self._blocks(False, _STIFFNESS_ORDER):
+            gradients = np.stack([np.asarray(function[0].grad)[:, :, 0] for function in basis.basis])
+            # d/dx_k of the j-th function times d/dx_l of the i-th, over the tetrahedron
+            products = np.einsum(
+                "jkm,ilm,m->mijkl", gradients, gradients, np.asarray(basis.dx).sum(axis=1), optimize=True
+            )
+            blocks = shear * products + lame * products.swapaxes(3, 4)
+            blocks += shear * np.trace(products, axis1=3, axis2=4)[..., None, None] * np.eye(3)
+            corners = np.asarray(basis.mesh.t, dtype=np.int64).T
+            _add(parts, self._summed(used, corners, blocks))
+        return _sum(parts).tocsr()
+
+    def _summed(self, used: Labels, corners: Cells, blocks: Values) -> Any:
+        """Add the blocks of the tetrahedra, shape ``(m, 4, 4, 3, 3)``, to a matrix; ``corners`` are numbers in ``used``."""
+        key = (corners[:, :, None] * len(used) + corners[:, None, :]).ravel()
+        order = np.argsort(key, kind="stable")
+        pairs, starts = np.unique(key[order], return_index=True)
+        data = np.add.reduceat(blocks.reshape(-1, 3, 3)[order], starts, axis=0)
+        first = np.zeros(len(self.points) + 1, dtype=np.int64)
+        np.cumsum(np.bincount(used[pairs // len(used)], minlength=len(self.points)), out=first[1:])
+        size = 3 * len(self.points)
+        return bsr_matrix((data, used[pairs % len(used)], first), shape=(size, size))
+
+    def load(self, form: Callable[..., Any], vector: bool = False, order: int = DATA_ORDER) -> Values:
+        """Assemble a linear form ``form(v, w)`` to a vector.
+
+        Parameters
+        ----------
+        form
+            The form.
+        vector
+            Whether it is one of vector fields: entry ``3 i + k`` is then component k at point i.
+        order
+            Order of quadrature.
+        """
+        total = np.zeros((3 if vector else 1) * len(self.points))
+        for used, basis in self._blocks(vector, order):
+            total[_unknowns(used) if vector else used] += LinearForm(form).assemble(basis)
+        return total
+
+    def integrals(self, forms: Sequence[Callable[..., Any]], **fields: Values) -> Values:
+        """Integrate each ``form(w)`` in one pass; one number a form.
+
+        A short pass, that goes on when time is over: what it judges was computed in time.
+
+        Parameters
+        ----------
+        forms
+            The forms; ``w.NAME`` and its gradient belong to the field of that name.
+        fields
+            Values at the points, shape ``(n,)`` each.
+        """
+        totals = np.zeros(len(forms))
+        for used, basis in self._blocks(False, ERROR_ORDER, timed=False):
+            known = {name: basis.interpolate(values[used]) for name, values in fields.items()}
+            totals += [Functional(form).assemble(basis, **known) for form in forms]
+        return totals
+
+
+def held_at_one_side(tetrahedra: Cells, heights: Values, bodies: Labels, share: float) -> NDArray[np.bool_]:
+    """Mark the tetrahedra at the lower end of every body, so that none can move or turn; shape ``(m,)``.
+
+    Parameters
+    ----------
+    tetrahedra
+        Vertex indices, shape ``(m, 4)``.
+    heights
+        Of every point, mm, shape ``(n,)``.
+    bodies
+        Body of each tetrahedron, shape ``(m,)``, numbered from 0.
+    share
+        Tetrahedra with a vertex in this share of the height of their body are held.
+    """
+    lowest = heights[tetrahedra].min(axis=1)
+    low = np.full(int(bodies.max()) + 1, np.inf)
+    high = np.full(len(low), -np.inf)
+    np.minimum.at(low, bodies, lowest)
+    np.maximum.at(high, bodies, heights[tetrahedra].max(axis=1))
+    held: NDArray[np.bool_] = lowest <= (low + share * (high - low))[bodies]
+    return held

@@ -1,0 +1,185 @@
+"""Which problems are solved on the mesh, within which bounds, and what that says about it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from tetmesh_check.checks import Check, verdict
+from tetmesh_check.context import Context
+from tetmesh_check.fem.assembly import Assembler
+from tetmesh_check.fem.forward import MAX_IMBALANCE, Forward, forward
+from tetmesh_check.fem.krylov import OutOfTimeError
+from tetmesh_check.fem.problems import Solver, conduction, elasticity, poisson
+from tetmesh_check.quality import Cells, Points, Values
+from tetmesh_check.topology import Boundary
+
+AUTO_MAX_TETRAHEDRA = 150_000
+"""Largest mesh that is solved on by default: at most about half a minute and 1 GB."""
+MAX_SECONDS = 600.0
+"""Default time limit for all problems together, s."""
+COMPARE_SECONDS = 60.0
+"""Default part of it for the runs without multigrid, s."""
+MAX_ITERATIONS = 50_000
+"""Of one run of conjugate gradients without multigrid."""
+
+
+class SolveMode(StrEnum):
+    """Whether problems are solved on the mesh."""
+
+    AUTO = "auto"
+    """On meshes of up to :data:`AUTO_MAX_TETRAHEDRA` tetrahedra."""
+    YES = "yes"
+    NO = "no"
+
+
+@dataclass(frozen=True)
+class SolveSettings:
+    """What the user asked for."""
+
+    mode: SolveMode = SolveMode.AUTO
+    max_seconds: float = MAX_SECONDS
+    """For all problems together, s."""
+    compare_seconds: float = COMPARE_SECONDS
+    """Of these for the runs that only give figures, s."""
+
+
+@dataclass(frozen=True)
+class VolumeMesh:
+    """What is solved on."""
+
+    points: Points
+    """Positions, mm, shape ``(n, 3)``."""
+    tetrahedra: Cells
+    """Vertex indices, shape ``(m, 4)``."""
+    volumes: Values
+    """Of each tetrahedron, mm^3, shape ``(m,)``."""
+    boundary: Boundary
+    """Its outside, and its bodies."""
+
+
+def _why_not(mesh: VolumeMesh, settings: SolveSettings) -> str | None:
+    """Why nothing is solved, or ``None``."""
+    if settings.mode is SolveMode.NO:
+        return "--solve no was given"
+    if not (mesh.volumes > 0).all():
+        return "some tetrahedra are inverted or flat"
+    if settings.mode is SolveMode.AUTO and len(mesh.tetrahedra) > AUTO_MAX_TETRAHEDRA:
+        return (
+            f"{len(mesh.tetrahedra):,} tetrahedra are more than the default limit of {AUTO_MAX_TETRAHEDRA:,} "
+            "(--solve yes ignores it)"
+        )
+    return None
+
+
+def _checks(done: dict[str, dict[str, Any]], stuck: list[str]) -> list[Check]:
+    solved = [name for name, figures in done.items() if "multigrid" in figures]
+    if not solved:
+        return []
+    words = (
+        f"conjugate gradients solved {len(solved) - len(stuck)} of {len(solved)} problems with multigrid and, within "
+        "the time limit, with Jacobi's preconditioner"
+    )
+    stood_in = [name for name in solved if done[name]["solved_with"] == "jacobi" and name not in stuck]
+    if stood_in:
+        words += f"; {', '.join(stood_in)} with Jacobi's preconditioner only"
+    singular = [name for name in stuck if done[name]["jacobi"] is not None]
+    if singular:
+        words += f"; not solved: {', '.join(singular)}, because the matrix is close to singular"
+    unknown = [name for name in stuck if done[name]["jacobi"] is None]
+    if unknown:
+        words += (
+            f"; not solved: {', '.join(unknown)}, because multigrid did not converge and no time was left "
+            "for Jacobi's preconditioner"
+        )
+    return [Check("solve_converged", not stuck, True, float(len(stuck)), 0.0, words)]
+
+
+def _conserved(done: dict[str, dict[str, Any]]) -> list[Check]:
+    if "forward" not in done:
+        return []
+    imbalance = done["forward"]["imbalance"]
+    words = (
+        f"the currents into and out of a material differ by a share of at most {imbalance:.2g} (limit "
+        f"{MAX_IMBALANCE:g})"
+    )
+    return [verdict("current_conserved", imbalance <= MAX_IMBALANCE, imbalance, MAX_IMBALANCE, words)]
+
+
+def solve_on(
+    mesh: VolumeMesh, settings: SolveSettings, context: Context, currents: Forward | None = None
+) -> list[Check]:
+    """Solve the problems of :mod:`.problems` on a mesh.
+
+    Parameters
+    ----------
+    mesh
+        The tetrahedra.
+    settings
+        What the user asked for.
+    context
+        For messages, times, and ``solve`` in the results.
+    currents
+        Solved, too, where it is given.
+
+    Returns
+    -------
+    list of Check
+        Empty where nothing was solved: no check has passed then.
+    """
+    results: dict[str, Any] = {"done": False, "reason": _why_not(mesh, settings)}
+    context.results["solve"] = results
+    if results["reason"] is not None:
+        context.verbose(f"no problem is solved: {results['reason']}")
+        return []
+    solver = Solver(MAX_ITERATIONS, time.monotonic() + settings.max_seconds, settings.compare_seconds)
+    boundary = np.zeros(len(mesh.points), dtype=bool)
+    boundary[mesh.boundary.triangles] = True
+    assembler = Assembler(mesh.points, mesh.tetrahedra, solver.deadline)
+    problems: dict[str, Callable[[], tuple[dict[str, Any], bool]]] = {
+        "poisson": lambda: poisson(assembler, boundary, solver),
+        "conduction": lambda: conduction(assembler, solver),
+        "elasticity": lambda: elasticity(assembler, mesh.volumes, mesh.boundary.bodies, solver),
+    }
+    if currents is not None:
+        problems["forward"] = lambda: forward(assembler, currents, solver)
+    done: dict[str, dict[str, Any]] = {}
+    stuck: list[str] = []
+    unfinished: dict[str, str] = {}
+    with context.step("solve"):
+        for name, problem in problems.items():
+            started = time.monotonic()
+            try:
+                figures, converged = problem()
+            except OutOfTimeError:
+                unfinished[name] = f"not finished within {settings.max_seconds:g} s (--solve-seconds)"
+                continue
+            except MemoryError:
+                unfinished[name] = "not enough memory"
+                continue
+            done[name] = {**figures, "seconds": time.monotonic() - started}
+            if not converged:
+                stuck.append(name)
+            elif figures.get("solved_with") == "jacobi":
+                context.warn(
+                    f"{name}: multigrid did not converge; the solution was computed with Jacobi's preconditioner"
+                )
+    results.update(done=not unfinished, **done)
+    if unfinished:
+        reason = "; ".join(f"{name}: {why}" for name, why in unfinished.items())
+        results["reason"] = reason
+        context.warn(
+            f"not every problem was solved: {reason}"
+            if done
+            else f"no problem was solved, and none was checked: {reason}"
+        )
+    iterations = [
+        f"{name} {figures['multigrid']['iterations']}" for name, figures in done.items() if "multigrid" in figures
+    ]
+    context.closing.append(("CG iterations, multigrid", ", ".join(iterations) or "none"))
+    return _checks(done, stuck) + _conserved(done)

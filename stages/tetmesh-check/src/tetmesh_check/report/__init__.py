@@ -1,0 +1,1 @@
+"""Pictures of a case, and its report page."""

@@ -1,0 +1,229 @@
+"""Pieces of HTML, and numbers for people, that several parts of the pages share."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Callable, Iterable, Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tetmesh_check.errors import StageError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+_PICTURE_WIDTH = 1400
+_MESH_SHARE = 1030 / 1200
+"""Share of the height of a picture above its colour bar, as in :mod:`tetmesh_check.report.pictures`."""
+_ZOOMS = (1.0, 0.85, 0.7, 0.6, 0.5)
+"""Sizes of the part that :func:`filled` tries, over that of the picture."""
+_FULL = 0.9
+"""Share of a part that the mesh must cover for :func:`filled` to stop there."""
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], text: Sequence[int] = (), kind: str = "") -> str:
+    """Write a table; cells are HTML already.
+
+    Parameters
+    ----------
+    head
+        Names of the columns.
+    rows
+        Their cells.
+    text
+        Columns of words rather than numbers.
+    kind
+        Class of the table.
+    """
+    kinds = [" class=text" if column in text else "" for column in range(len(head))]
+    top = "".join(f'<th scope="col"{named}>{name}</th>' for named, name in zip(kinds, head, strict=True))
+    lines = ("".join(f"<td{named}>{cell}</td>" for named, cell in zip(kinds, row, strict=True)) for row in rows)
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    named = f' class="{kind}"' if kind else ""
+    return f'<div class="wide"><table{named}><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def section(title: str, body: str) -> str:
+    """Write a part of the page with a title that the table of contents leads to.
+
+    Parameters
+    ----------
+    title
+        Plain text.
+    body
+        HTML.
+    """
+    return f'<section id="{anchor(title)}"><h2>{escape(title)}</h2>{body}</section>'
+
+
+def anchor(title: str) -> str:
+    """Name the place of a part in the page.
+
+    Parameters
+    ----------
+    title
+        Of the part.
+    """
+    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
+
+
+def contents(body: str) -> str:
+    """Write the table of contents of a page.
+
+    Parameters
+    ----------
+    body
+        The parts, as :func:`section` writes them.
+    """
+    titles = re.findall(r'<section id="([^"]+)"><h2>(.*?)</h2>', body)
+    items = "".join(f'<li><a href="#{place}">{title}</a></li>' for place, title in titles)
+    return f'<nav aria-label="Contents"><ul>{items}</ul></nav>' if len(titles) > 1 else ""
+
+
+def figure(content: str, caption: str) -> str:
+    """Write a figure with what is to be seen in it.
+
+    Parameters
+    ----------
+    content
+        Picture or chart.
+    caption
+        Plain text.
+    """
+    return f"<figure>{content}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def colour_bar(label: str, low: str, high: str) -> str:
+    """Write the colours of a picture with what they mean, to stand beside it.
+
+    Parameters
+    ----------
+    label
+        What is shown.
+    low, high
+        At the ends.
+    """
+    return (
+        f'<div class="scale"><span>{escape(low)}</span><i></i><span>{escape(high)}</span>'
+        f'<span class="label">{escape(label)}</span></div>'
+    )
+
+
+def duration(seconds: float) -> str:
+    """Write a time for people.
+
+    Parameters
+    ----------
+    seconds
+        The time, s.
+    """
+    if seconds >= 90:
+        return f"{seconds / 60:.1f} min"
+    return f"{seconds:.1f} s" if seconds >= 1 else f"{1000 * seconds:.0f} ms"
+
+
+def memory(size: float) -> str:
+    """Write an amount of memory for people.
+
+    Parameters
+    ----------
+    size
+        In bytes.
+    """
+    return f"{size / 2**30:.1f} GiB" if size >= 2**30 else f"{size / 2**20:.0f} MiB"
+
+
+def amount(size: float) -> str:
+    """Write the size of a file for people.
+
+    Parameters
+    ----------
+    size
+        In bytes.
+    """
+    for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if size >= scale:
+            return f"{size / scale:.3g} {unit}"
+    return f"{size:.0f} bytes"
+
+
+def image_data(image: Image, lossless: bool = False) -> str:
+    """Turn an image into a data address (WebP).
+
+    Parameters
+    ----------
+    image
+        The image.
+    lossless
+        Whether every pixel is kept, as labels need.
+    """
+    stream = io.BytesIO()
+    image.save(stream, "WEBP", quality=82, method=4, lossless=lossless)
+    return f"data:image/webp;base64,{base64.b64encode(stream.getvalue()).decode('ascii')}"
+
+
+def filled(image: Image) -> Image:
+    """Enlarge the part of a picture that the mesh covers best, above the colour bar, which stays.
+
+    Parameters
+    ----------
+    image
+        A picture in RGBA; the background is transparent.
+    """
+    from PIL import Image as Images
+
+    width, height = image.width, round(_MESH_SHARE * image.height)
+    cover = np.zeros((height + 1, width + 1))
+    cover[1:, 1:] = (np.asarray(image)[:height, :, 3] > 0).cumsum(axis=0).cumsum(axis=1)
+    best, box = -1.0, (0, 0, width, height)
+    for zoom in _ZOOMS:
+        wide, high = round(zoom * width), round(zoom * height)
+        lefts, tops = (np.unique(np.linspace(0, room, 25).astype(int)) for room in (width - wide, height - high))
+        top, left = np.meshgrid(tops, lefts, indexing="ij")
+        sums = cover[top + high, left + wide] - cover[top, left + wide] - cover[top + high, left] + cover[top, left]
+        # of equal parts the one nearest to the middle, at which the picture looks
+        aside = np.hypot(left + 0.5 * wide - 0.5 * width, top + 0.5 * high - 0.5 * height) / width
+        shares = sums / (wide * high) - 0.01 * aside
+        k = int(shares.argmax())
+        if shares.flat[k] > best:
+            x, y = int(left.flat[k]), int(top.flat[k])
+            best, box = float(shares.flat[k]), (x, y, x + wide, y + high)
+        if best >= _FULL:
+            break
+    part = image.crop(box).resize((width, height), Images.Resampling.LANCZOS)
+    whole = image.copy()
+    whole.paste(part, (0, 0))
+    return whole
+
+
+def picture_data(
+    path: Path, width: int = _PICTURE_WIDTH, change: Callable[[Image], Image] | None = None
+) -> tuple[str, int, int]:
+    """Turn a picture into a data address for the page; with its width and height, pixels.
+
+    Parameters
+    ----------
+    path
+        A picture; what is transparent in it stays so.
+    width
+        Wider ones are made smaller.
+    change
+        Applied to the picture first.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(path) as opened:
+            image = opened.convert("RGBA")
+    except OSError as error:
+        raise StageError.file(path, "read", error, "draw the pictures again (tetmesh-check --pictures)") from error
+    if change is not None:
+        image = change(image)
+    if image.width > width:
+        image = image.resize((width, round(image.height * width / image.width)), Image.Resampling.LANCZOS)
+    return image_data(image), image.width, image.height

@@ -1,0 +1,205 @@
+"""``tetmesh-check-page``: one self-contained page about a case, from its status and what that lists."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pyvista as pv
+
+from tetmesh_check import __version__
+from tetmesh_check.context import guarded
+from tetmesh_check.errors import ExitCode, InterruptedRunError, StageError
+from tetmesh_check.files import refuse_existing, write_text
+from tetmesh_check.parsing import program_parser
+from tetmesh_check.polydata import from_polydata
+from tetmesh_check.report.page import measured, places, provenance, regions, sections
+from tetmesh_check.report.page.case import Case, dig, read_case
+from tetmesh_check.report.page.html import contents, section
+from tetmesh_check.report.page.scan import Scan, read_scan
+from tetmesh_check.report.page.slices import facts, slices
+from tetmesh_check.report.page.view3d import is_anatomical, view, view_meshes
+from tetmesh_check.surface import read_dataset
+
+TOOL = "tetmesh-check-page"
+
+
+def document(title: str, body: str, scripts: Sequence[str] = ()) -> str:
+    """Write a page that needs nothing but itself.
+
+    Parameters
+    ----------
+    title
+        Of the window.
+    body
+        What it shows.
+    scripts
+        Names of files of JavaScript beside this one.
+    """
+    folder = files("tetmesh_check.report.page")
+    style = folder.joinpath("page.css").read_text(encoding="utf-8")
+    code = "".join(f"<script>\n{folder.joinpath(name).read_text(encoding='utf-8')}</script>\n" for name in scripts)
+    return (
+        f'<!doctype html>\n<html lang="en">\n<head><meta charset="utf-8"><title>{escape(title)}</title>\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f'<link rel="icon" href="data:,">\n<style>\n{style}</style></head>\n<body><main>\n{body}\n'
+        f"<footer>Written by tetmesh-check {escape(__version__)}. Lengths in mm, angles in degrees.</footer></main>\n{code}</body></html>\n"
+    )
+
+
+def _meshed_labels(case: Case) -> set[int]:
+    """The labels of the first layer that ``distfield`` took, by its report; empty where it took an iso value, or nobody says."""
+    parameters = dig(case.reports, "distfield", "parameters")
+    # the first material is the outside
+    materials = (dig(parameters, "materials") or [])[1:]
+    labels = dig(parameters, "labels") or [entry for material in materials for entry in material["labels"]]
+    found = set()
+    for entry in labels if isinstance(labels, list) else []:
+        if isinstance(entry, int):
+            found.add(entry)
+        elif isinstance(entry, dict) and entry.get("layer") == 0:
+            found.add(int(entry["label"]))
+    return found
+
+
+def _is_labels(case: Case) -> bool:
+    """Whether the volume holds labels, by what was done with it, or was to be."""
+    if dig(case.reports, "distfield", "parameters", "materials"):
+        return True
+    source = dig(case.reports, "distfield", "results", "meta", "source")
+    return bool(source == "labels") if source else not {"LABELS", "MATERIALS"}.isdisjoint(case.parameters)
+
+
+def scan_of(case: Case) -> Scan | StageError | None:
+    """Read the input volume of a case; the error where it cannot be read.
+
+    Parameters
+    ----------
+    case
+        The case.
+    """
+    if case.input is None:
+        return None
+    try:
+        return read_scan(case.input, _is_labels(case), dig(case.reports, "distfield", "parameters", "series"))
+    except InterruptedRunError:
+        raise
+    except StageError as error:
+        return error
+    except (KeyError, IndexError, TypeError, ValueError) as error:  # a report of another version
+        return StageError(
+            f"{type(error).__name__} {error}", "the page shows its slices", "run make for this case again"
+        )
+
+
+def anatomy(case: Case, scan: Scan | StageError | None, surface: pv.PolyData | None) -> str:
+    """Write what the input is, and its slices with the outline of the mesh; or why it cannot be shown.
+
+    Parameters
+    ----------
+    case
+        The case.
+    scan
+        The volume, as :func:`scan_of` gives it.
+    surface
+        The triangles as read.
+    """
+    if scan is None or case.input is None:
+        return ""
+    if isinstance(scan, StageError):
+        return section("Input", f"<p>The volume is not shown: {escape(scan.what)}. {escape(scan.next_step)}.</p>")
+    meshed = _meshed_labels(case)
+    mesh = None if surface is None else from_polydata(surface)
+    return facts(scan, case.input.name, meshed) + "\n" + slices(scan, mesh, meshed)
+
+
+def _only_if_it_can_be_read(path: Path | None) -> pv.PolyData | None:
+    """The surface, unless there is none or an empty one."""
+    if path is None:
+        return None
+    surface = read_dataset(path)
+    if not isinstance(surface, pv.PolyData) or surface.n_cells == 0 or not np.isfinite(surface.points).all():
+        return None
+    return surface
+
+
+def page(case: Case, folder: Path) -> str:
+    """Write the page of a case.
+
+    Parameters
+    ----------
+    case
+        The case.
+    folder
+        Where the page goes: links lead from there.
+    """
+    surface = _only_if_it_can_be_read(case.surface)
+    scan = scan_of(case)
+    by_scan = isinstance(scan, Scan) and scan.anatomical
+    anatomical = by_scan if surface is None else is_anatomical(surface)
+    writers: list[tuple[str, Callable[[], str]]] = [
+        ("what went wrong", lambda: sections.trouble(case)),
+        ("checks", lambda: sections.checks(case)),
+        ("places", lambda: places.places(case, anatomical)),
+        ("volumes", lambda: regions.volumes(case)),
+        ("the mesh in the volume", lambda: anatomy(case, scan, surface)),
+        ("in three dimensions", lambda: view(view_meshes(surface, case.volume), anatomical)),
+        ("pictures", lambda: sections.pictures(case)),
+        ("materials", lambda: regions.materials(case)),
+        ("quality", lambda: measured.quality(case)),
+        ("solve", lambda: measured.solve(case)),
+        ("particles", lambda: measured.particles(case)),
+        ("stages", lambda: sections.stage_states(case)),
+        ("files", lambda: sections.files(case, folder)),
+        ("how this was made", lambda: provenance.provenance(case)),
+        ("methods", lambda: provenance.methods(case)),
+    ]
+    parts = []
+    for name, write in writers:
+        try:
+            parts.append(write())
+        except (KeyError, IndexError, TypeError, ValueError) as error:  # a report of another version
+            parts.append(sections.left_out(name, error))
+    body = "\n".join(part for part in parts if part)
+    scripts = [
+        name for mark, name in (("slices-data", "slices.js"), ("view-data", "view.js")) if f'id="{mark}"' in body
+    ]
+    return document(f"{case.name}: {case.contents}", f"{sections.head(case)}\n{contents(body)}\n{body}", scripts)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the program.
+
+    Parameters
+    ----------
+    argv
+        The command line without the program's name; that of the process by default.
+    """
+    parser = program_parser(
+        TOOL,
+        description="Writes the page of a case, one HTML file that works offline. It shows verdict, checks with advice, slices of the "
+        "volume with the mesh, a 3-D view, pictures, quality, solves, particles, stages, files and commands. It reads "
+        "NAME.status.json, which make writes, and the files that are listed there. A part whose files are missing is omitted.",
+        epilog="exit codes: 0 written; 2 bad usage or input, nothing written; 130 interrupted\n\nexample:\n"
+        f"  {TOOL} out/heart/heart.status.json -o out/heart/heart.report.html",
+    )
+    parser.add_argument("status", metavar="NAME.status.json", type=Path, help="the status of the case")
+    parser.add_argument("-o", "--output", metavar="PAGE.html", type=Path, required=True, help="the page to write")
+    parser.add_argument("--force", action="store_true", help="replace the page if it exists already")
+    parsed = parser.parse_args(argv)
+
+    def work() -> int:
+        if parsed.output.suffix != ".html":
+            raise StageError(
+                f"{parsed.output}: does not end in .html", "the page is an HTML file", "name it NAME.report.html"
+            )
+        refuse_existing([parsed.output], parsed.force)
+        folder = Path(os.path.realpath(parsed.output.parent))
+        write_text(parsed.output, page(read_case(Path(os.path.realpath(parsed.status))), folder))
+        return ExitCode.OK
+
+    return guarded(TOOL, work)

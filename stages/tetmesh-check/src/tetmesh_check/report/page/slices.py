@@ -1,0 +1,406 @@
+"""Slices of the input volume with the outline of the mesh on them: whether this is the right anatomy."""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from tetmesh_check.numerals import plain
+from tetmesh_check.quality import Cells, Points
+from tetmesh_check.report.page.charts import number
+from tetmesh_check.report.page.html import image_data, section, table
+from tetmesh_check.report.page.scan import Scan
+
+SLICES = 40
+"""Largest number of slices a plane."""
+PIXELS = 288
+"""Longest side of a slice in the page: three planes of 40 slices of a CT then take about 1.5 MB."""
+_MARGIN = 0.25
+"""How much of the volume is shown round the mesh, in its longest sides."""
+_PERCENTILES = (0.5, 99.5)
+"""Of the values, black and white: a few bright or dark voxels do not decide how the rest looks."""
+_NEAR = 0.35
+"""Points of an outline nearer to each other than this are thinned out, pixels."""
+_TENTHS = 10
+"""Outlines are kept to a tenth of a pixel."""
+_BACKGROUND = (0, 0, 0)
+_OTHER_HUE = (0.55, 0.62, 0.02, 0.92, 0.75, 0.30, 0.48, 0.83, 0.40, 0.68)
+"""Hues of labels, a turn is 1; they repeat."""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A stack of slices across a grid axis, as the reader looks at it."""
+
+    axis: int
+    """Across which the slices lie."""
+    right: int
+    """Grid axis that runs along the picture's width."""
+    down: int
+    """Grid axis that runs along its height."""
+    flip_right: bool
+    """Whether the width runs against that axis."""
+    flip_down: bool
+
+
+def planes_of(scan: Scan) -> list[Plane]:
+    """Lay out the three planes as radiologists do: the patient's right on the left, front and head up; else x to the right, y and z up.
+
+    Parameters
+    ----------
+    scan
+        The volume.
+    """
+    world = scan.world_axes
+    grid_of = {axis: world.index(axis) for axis in range(3)}
+    planes = []
+    for across, right, up in ((2, 0, 1), (1, 0, 2), (0, 1, 2)):
+        axis, along, upward = grid_of[across], grid_of[right], grid_of[up]
+        # in LPS y grows towards the back, which is down
+        grows_down = scan.anatomical and up == 1
+        positive_down = scan.step[up, upward] > 0
+        planes.append(
+            Plane(axis, along, upward, bool(scan.step[right, along] < 0), bool(positive_down != grows_down)),
+        )
+    return planes
+
+
+def outline(points: Points, triangles: Cells, axis: int, at: float) -> list[Points]:
+    """Cut a surface by a plane: closed polygons (open ones where the surface is).
+
+    Each crossed edge has one point, computed once, so that neighbours share it to the last bit. A vertex on the plane counts as above it.
+
+    Parameters
+    ----------
+    points
+        Positions in the grid's frame, shape ``(n, 3)``.
+    triangles
+        Vertex indices, shape ``(m, 3)``.
+    axis, at
+        The plane: where this coordinate has this value.
+    """
+    above = points[:, axis] >= at
+    sides = above[triangles]
+    mixed = sides.any(axis=1) & ~sides.all(axis=1)
+    if not mixed.any():
+        return []
+    cut, sides = triangles[mixed], sides[mixed]
+    # the corner that is alone on its side, and the two edges from it
+    lonely = np.where(sides.sum(axis=1) == 1, sides.argmax(axis=1), (~sides).argmax(axis=1))
+    rows = np.arange(len(cut))
+    apex = cut[rows, lonely]
+    others = np.stack([cut[rows, (lonely + 1) % 3], cut[rows, (lonely + 2) % 3]], axis=1)
+    ends = np.sort(np.stack([np.repeat(apex, 2), others.ravel()], axis=1), axis=1)
+    edges, number = np.unique(ends, axis=0, return_inverse=True)
+    low, high = points[edges[:, 0]], points[edges[:, 1]]
+    share = (at - low[:, axis]) / (high[:, axis] - low[:, axis])
+    places = low + share[:, None] * (high - low)
+    return [places[chain] for chain in _chains(number.reshape(-1, 2), len(edges))]
+
+
+def _chains(pairs: NDArray[np.int64], count: int) -> list[list[int]]:
+    """Join pairs of numbers end to end."""
+    neighbours: list[list[int]] = [[] for _ in range(count)]
+    for a, b in pairs.tolist():
+        neighbours[a].append(b)
+        neighbours[b].append(a)
+    chains = []
+    # open ends first, so that a chain is walked from one end to the other
+    for start in sorted(range(count), key=lambda k: len(neighbours[k]) != 1):
+        while neighbours[start]:
+            chain = [start]
+            while neighbours[chain[-1]]:
+                here = chain[-1]
+                there = neighbours[here].pop()
+                neighbours[there].remove(here)
+                chain.append(there)
+            chains.append(chain)
+    return chains
+
+
+def path_of(chains: list[Points]) -> str:
+    """Write polygons as an SVG path in tenths of pixels.
+
+    Parameters
+    ----------
+    chains
+        Positions in pixels, each of shape ``(k, 2)``.
+    """
+    words = []
+    for chain in chains:
+        kept = [chain[0]]
+        for point in chain[1:]:
+            if np.abs(point - kept[-1]).max() >= _NEAR:
+                kept.append(point)
+        closed = len(chain) > 2 and bool((chain[0] == chain[-1]).all())
+        whole = np.round(_TENTHS * np.array(kept)).astype(int)
+        steps = np.diff(whole, axis=0)
+        words.append(
+            f"M{whole[0][0]} {whole[0][1]}l" + " ".join(f"{x} {y}" for x, y in steps.tolist()) + ("z" if closed else "")
+        )
+    return "".join(word for word in words if not word.endswith(("l", "lz")))
+
+
+def _colours(labels: NDArray[Any], meshed: set[int]) -> dict[int, tuple[int, int, int]]:
+    """A colour for every label: those that were meshed bright, the others muted, 0 dark."""
+    import colorsys
+
+    found = {}
+    for rank, label in enumerate(value for value in labels.tolist() if value != 0):
+        bright = not meshed or label in meshed
+        hue = _OTHER_HUE[rank % len(_OTHER_HUE)]
+        red, green, blue = colorsys.hsv_to_rgb(hue, 0.55 if bright else 0.25, 0.85 if bright else 0.42)
+        found[int(label)] = (round(255 * red), round(255 * green), round(255 * blue))
+    found[0] = _BACKGROUND
+    return found
+
+
+@dataclass(frozen=True)
+class Window:
+    """How values become shades: those of a scan by their range, labels by colours."""
+
+    low: float
+    high: float
+    colours: dict[int, tuple[int, int, int]]
+    """Empty for a scan."""
+
+    def image(self, values: NDArray[Any]) -> Image.Image:
+        """Turn a slice into a picture, one pixel a voxel; the first axis runs to the right.
+
+        Parameters
+        ----------
+        values
+            Shape ``(nx, ny)``.
+        """
+        if self.colours:
+            keys = np.array(sorted(self.colours))
+            shades = np.array([self.colours[key] for key in keys.tolist()], dtype=np.uint8)
+            return Image.fromarray(shades[np.searchsorted(keys, values).clip(0, len(keys) - 1)].transpose(1, 0, 2))
+        share = (np.nan_to_num(values.astype(np.float64), nan=self.low) - self.low) / max(self.high - self.low, 1e-300)
+        return Image.fromarray(np.round(255 * share.clip(0, 1)).astype(np.uint8).T)
+
+
+def window_of(scan: Scan, meshed: set[int]) -> Window:
+    """Choose shades or colours for a volume.
+
+    Parameters
+    ----------
+    scan
+        The volume.
+    meshed
+        Labels that were meshed; empty if all or none.
+    """
+    if scan.labels:
+        return Window(0.0, 0.0, _colours(np.unique(scan.values), meshed))
+    stride = max(1, round((scan.values.size / 4e6) ** (1 / 3)))
+    sample = scan.values[::stride, ::stride, ::stride]
+    low, high = np.percentile(sample[np.isfinite(sample)], _PERCENTILES)
+    if low == high:
+        low, high = float(sample.min()), float(sample.max())
+    return Window(float(low), float(high), {})
+
+
+def _shown(scan: Scan, index: Points | None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First and last voxel along each axis that the page shows: the mesh with some of what is round it."""
+    last = np.array(scan.values.shape) - 1
+    if index is None:
+        return np.zeros(3, dtype=np.int64), last
+    low, high = index.min(axis=0), index.max(axis=0)
+    margin = _MARGIN * float(((high - low) * scan.spacing).max()) / scan.spacing
+    first = np.clip(np.floor(low - margin), 0, last).astype(np.int64)
+    return first, np.clip(np.ceil(high + margin), first, last).astype(np.int64)
+
+
+def _first(paths: list[str]) -> int:
+    """Choose the first slice to show: the longest outline in the middle half of a stack."""
+    middle = range(len(paths) // 4, len(paths) - len(paths) // 4)
+    longest = max(middle, key=lambda n: len(paths[n]))
+    return longest if paths[longest] else len(paths) // 2
+
+
+def _stack(scan: Scan, plane: Plane, window: Window, mesh: tuple[Points, Cells] | None) -> dict[str, Any]:
+    """One plane: a sheet with its slices, and their outlines."""
+    first, last = _shown(scan, None if mesh is None else mesh[0])
+    axis, right, down = plane.axis, plane.right, plane.down
+    low, high = int(first[axis]), int(last[axis])
+    if mesh is not None:  # no slices far before and behind the mesh
+        low = max(low, int(np.floor(mesh[0][:, axis].min())) - 1)
+        high = min(high, int(np.ceil(mesh[0][:, axis].max())) + 1)
+    low, high = min(low, high), max(low, high)
+    chosen = np.unique(np.round(np.linspace(low, high, min(SLICES, high - low + 1))).astype(int)).tolist()
+    extent = [float((last[k] - first[k] + 1) * scan.spacing[k]) for k in (right, down)]
+    pixel = max(extent) / PIXELS
+    size = tuple(max(1, round(length / pixel)) for length in extent)
+    scale = [size[0] / extent[0], size[1] / extent[1]]
+    columns = max(1, min(len(chosen), 8))
+    sheet = Image.new("RGB" if window.colours else "L", (columns * size[0], -(-len(chosen) // columns) * size[1]))
+    paths = []
+    order = (right, down)
+    for n, k in enumerate(chosen):
+        cut = np.take(scan.values, k, axis=axis)  # the two other axes in their order
+        if right > down:
+            cut = cut.T
+        cut = cut[first[right] : last[right] + 1, first[down] : last[down] + 1]
+        cut = cut[:: -1 if plane.flip_right else 1, :: -1 if plane.flip_down else 1]
+        filtering = Image.Resampling.NEAREST if window.colours else Image.Resampling.BOX
+        if not window.colours and max(size) > max(cut.shape):
+            filtering = Image.Resampling.BILINEAR
+        picture = window.image(cut).resize((size[0], size[1]), filtering)
+        sheet.paste(picture, ((n % columns) * size[0], (n // columns) * size[1]))
+        chains = []
+        for chain in outline(*mesh, axis, float(k)) if mesh is not None else []:
+            flat = np.empty((len(chain), 2))
+            for side, grid in enumerate(order):
+                place = (chain[:, grid] - first[grid] + 0.5) * scan.spacing[grid] * scale[side]
+                flat[:, side] = size[side] - place if (plane.flip_right, plane.flip_down)[side] else place
+            chains.append(flat)
+        paths.append(path_of(chains))
+    ends = [scan.letters(right)[:: -1 if plane.flip_right else 1], scan.letters(down)[:: -1 if plane.flip_down else 1]]
+    return {
+        "name": scan.plane(axis),
+        "letters": [ends[0][0], ends[0][1], ends[1][0], ends[1][1]],  # left, right, top, bottom
+        "size": list(size),
+        "columns": columns,
+        "sheet": [sheet.width, sheet.height],
+        "image": image_data(sheet, lossless=bool(window.colours)),
+        "slices": chosen,
+        "paths": paths,
+        "towards": list(scan.letters(axis)),
+        "spacing": float(scan.spacing[axis]),
+        "first": _first(paths),
+        "millimetres": pixel,
+    }
+
+
+def _svg(plane: dict[str, Any]) -> str:
+    width, height = plane["size"]
+    start = plane["first"]
+    left, right, top, bottom = (escape(letter) for letter in plane["letters"])
+    words = escape(
+        f"Slice of the volume, {plane['name']}, with the outline of the mesh; {plane['letters'][0]} is on the left and "
+        f"{plane['letters'][2]} on top.", quote=True
+    )  # fmt: skip
+    x, y = (start % plane["columns"]) * width, (start // plane["columns"]) * height
+    return (
+        f'<svg class="slice" viewBox="0 0 {width} {height}" role="img" aria-label="{words}">'
+        f'<svg class="window" width="{width}" height="{height}" viewBox="{x} {y} {width} {height}" preserveAspectRatio="none">'
+        f'<image href="{plane["image"]}" width="{plane["sheet"][0]}" height="{plane["sheet"][1]}"/></svg>'
+        f'<g class="outlines" transform="scale({1 / _TENTHS:g})"><path class="under" d="{plane["paths"][start]}"/>'
+        f'<path class="over" d="{plane["paths"][start]}"/></g>'
+        f'<text x="6" y="{height / 2:.0f}">{left}</text><text x="{width - 6}" y="{height / 2:.0f}" text-anchor="end">{right}</text>'
+        f'<text x="{width / 2:.0f}" y="17" text-anchor="middle">{top}</text>'
+        f'<text x="{width / 2:.0f}" y="{height - 7}" text-anchor="middle">{bottom}</text></svg>'
+    )
+
+
+def slices(scan: Scan, mesh: tuple[Points, Cells] | None, meshed: set[int]) -> str:
+    """Write three orthogonal stacks of slices along the grid of the volume, each with a slider and the outline of the mesh.
+
+    Parameters
+    ----------
+    scan
+        The volume.
+    mesh
+        Positions in the world, mm, and triangles; ``None`` where no surface was made.
+    meshed
+        Labels that were meshed; empty if all or none.
+    """
+    window = window_of(scan, meshed)
+    placed = None if mesh is None else (scan.to_index(mesh[0]), mesh[1])
+    stacks = [_stack(scan, plane, window, placed) for plane in planes_of(scan)]
+    figures = []
+    for place, plane in enumerate(stacks):
+        count = len(plane["slices"])
+        said = f"slice {plane['slices'][plane['first']] + 1}"
+        figures.append(
+            f'<figure class="slices" data-plane="{place}">{_svg(plane)}<div class="controls">'
+            f'<label><span>{escape(plane["name"])}</span><input type="range" min="0" max="{count - 1}" value="{plane["first"]}" '
+            f'aria-label="Slice, {escape(plane["name"], quote=True)}: {escape(plane["towards"][0])} to {escape(plane["towards"][1])}"></label>'
+            f"<output>{said}</output></div></figure>"
+        )
+    kept = ("size", "columns", "slices", "paths", "spacing")
+    text = json.dumps([{key: plane[key] for key in kept} for plane in stacks], separators=(",", ":"))
+    data = base64.b64encode(zlib.compress(text.encode("utf-8"), 9)).decode("ascii")
+    shades = (
+        "Colours are labels; meshed labels are bright."
+        if window.colours
+        else f"Shades go from {plain(window.low, 4)} (black) to {plain(window.high, 4)} (white)."
+    )
+    drawn = (
+        "The line is the intersection of the slice with the triangles of the surface."
+        if mesh is not None
+        else "No surface was made, so there is no outline."
+    )
+    tilt = (
+        f" The grid of the volume is tilted by {scan.tilt:.1f} degrees; the letters name the nearest direction."
+        if scan.tilt > 0.5
+        else ""
+    )
+    toggle = (
+        '<label class="toggle"><input type="checkbox" id="outlines" checked> outline</label>'
+        if mesh is not None
+        else ""
+    )
+    return section(
+        "Slices of the volume" if mesh is None else "The mesh in the volume",
+        f'<p>{drawn} {shades}{tilt}</p>{toggle}<div class="grid three">{"".join(figures)}</div>'
+        f'<script type="text/plain" id="slices-data">{data}</script>',
+    )
+
+
+def facts(scan: Scan, name: str, meshed: set[int]) -> str:
+    """Write what the input is.
+
+    Parameters
+    ----------
+    scan
+        The volume.
+    name
+        Of its file.
+    meshed
+        Labels that were meshed; empty if all or none.
+    """
+    shape, spacing = scan.values.shape, scan.spacing
+    tilt = f", tilted by {scan.tilt:.1f} degrees" if scan.tilt > 0.5 else ""
+    world = "towards " if scan.anatomical else "the file names no anatomical space; towards "
+    rows = [
+        ("file", escape(name)),
+        ("voxels", " \u00d7 ".join(map(str, shape))),
+        ("spacing", " \u00d7 ".join(plain(value, 4) for value in spacing) + " mm"),
+        ("extent", " \u00d7 ".join(plain(n * h, 4) for n, h in zip(shape, spacing, strict=True)) + " mm"),
+        ("grid axes run", world + ", ".join(escape(scan.letters(axis)[1]) for axis in range(3)) + tilt),
+        ("stored as", escape(str(scan.values.dtype))),
+    ]
+    if scan.layers > 1:
+        rows.append(("layers", f"{scan.layers}; the first one is shown"))
+    body = ""
+    if scan.labels:
+        found, counts = np.unique(scan.values, return_counts=True)
+        volume = float(abs(np.linalg.det(scan.step)))
+        listed = [
+            (
+                str(label), escape(scan.names.get(int(label), "-")), number(count), number(count * volume / 1000.0),
+                "yes" if label in meshed or (not meshed and label != 0) else "",
+            )
+            for label, count in zip(found.tolist(), counts.tolist(), strict=True)
+            if label != 0
+        ]  # fmt: skip
+        rows.append(("kind", f"labels: {len(listed)}" + (", and the background 0" if 0 in found else "")))
+        columns = ("label", "name", "voxels", "volume, cm\u00b3", "meshed")
+        body = f"<details><summary>The labels</summary><div>{table(columns, listed, (1,))}</div></details>"
+    else:
+        finite = scan.values[np.isfinite(scan.values)]
+        low, high = (plain(float(value), 4) for value in (finite.min(), finite.max()))
+        middle = ", ".join(
+            plain(value, 4) for value in np.percentile(finite[:: max(1, finite.size // 1_000_000)], [5, 50, 95])
+        )
+        rows += [("kind", "scan"), ("range", f"{low} to {high} (5, 50, 95 %: {middle})")]
+    return section("Input", table(("property", "value"), rows, (0, 1), "plain") + body)

@@ -1,0 +1,66 @@
+"""A way to draw without a screen, found by trying; ``python -m tetmesh_check.report.rendering`` tells whether there is one.
+
+VTK looks for its renderer (GLX, EGL, OSMesa) at run time and may end the whole process with a segmentation fault when
+it finds none. Everything that draws therefore runs in a process of its own, with the environment found here.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+
+_PROBE_SECONDS = 60.0
+_PROBE = """
+import vtkmodules.vtkRenderingOpenGL2
+from vtkmodules.vtkRenderingCore import vtkRenderWindow, vtkRenderer, vtkWindowToImageFilter
+window = vtkRenderWindow()
+window.SetOffScreenRendering(1)
+window.SetSize(16, 16)
+renderer = vtkRenderer()
+renderer.SetBackground(1.0, 1.0, 1.0)
+window.AddRenderer(renderer)
+window.Render()
+grab = vtkWindowToImageFilter()
+grab.SetInput(window)
+grab.Update()
+assert grab.GetOutput().GetScalarRange()[1] == 255.0
+"""
+
+
+def _candidates() -> Iterator[dict[str, str]]:
+    headless = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    yield headless
+    yield {**headless, "VTK_DEFAULT_OPENGL_WINDOW": "vtkOSOpenGLRenderWindow"}
+    yield {**headless, "VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow"}
+    if "DISPLAY" in os.environ:
+        yield dict(os.environ)
+
+
+def rendering_environment() -> dict[str, str] | None:
+    """Find environment variables with which VTK can draw off screen.
+
+    Returns
+    -------
+    dict or None
+        The whole environment for a drawing process, or ``None`` when this machine cannot draw.
+    """
+    for environment in _candidates():
+        try:
+            probe = subprocess.run(
+                [sys.executable, "-c", _PROBE],
+                env=environment,
+                capture_output=True,
+                timeout=_PROBE_SECONDS,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            continue
+        if probe.returncode == 0:
+            return environment
+    return None
+
+
+if __name__ == "__main__":
+    raise SystemExit(0 if rendering_environment() is not None else 1)

@@ -1,0 +1,1 @@
+"""Drivers of fTetWild, HXT and TetGen, which fill a surface with tetrahedra."""

@@ -1,0 +1,260 @@
+"""The tetrahedra of many materials: Gmsh fills all volumes at once, and the triangles between them stay as they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tetmesh_check.cavity import Goal
+from tetmesh_check.checks import Forced, Limits, smallest_elsewhere
+from tetmesh_check.complex import Complex
+from tetmesh_check.conform import NOBODY, Conformity, conform
+from tetmesh_check.context import Context
+from tetmesh_check.errors import ExitCode, StageError
+from tetmesh_check.export.volume import orient_positive
+from tetmesh_check.forced import INSIDE, ForcedSides
+from tetmesh_check.mend import mend
+from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, Values, tetrahedron_quality
+from tetmesh_check.sizing import SizingField, world_grid
+from tetmesh_check.tets.fill import Method
+from tetmesh_check.tets.hxt import HxtSettings, fill_complex_by_gmsh
+from tetmesh_check.tets.worker import TimeLimit, TimeLimitError, UnavailableError, WorkerResult
+
+ATTEMPTS = (HxtSettings(), HxtSettings(algorithm="delaunay"))
+"""What is tried in turn, until an attempt keeps all interfaces: HXT, and Gmsh's older Delaunay, which takes some complexes that HXT does not.
+``--method hxt`` leaves the last out. Single tetrahedra beyond the limits of shape are no reason to make all anew: they are
+mended (:mod:`.mend`)."""
+
+_FAIR = 0.5
+"""Share of the scaled Jacobian possible on a triangle of a small angle that is asked for; mending aims at nine tenths."""
+
+
+@dataclass(frozen=True)
+class ComplexTask:
+    """What is to be filled, and how."""
+
+    checked: Complex
+    sides: ForcedSides
+    """Where its triangles allow no tetrahedra within the limits."""
+    beyond_goal: ForcedSides
+    """Where they allow none that reaches the goal of mending."""
+    needles: tuple[Labels, Values]
+    """Numbers of the triangles on which none within the limit of the dihedral angle reaches that of the scaled Jacobian, and what one can."""
+    goal: Goal
+    field: SizingField
+    """Edge lengths, without the factor."""
+    tet_size_factor: float
+    method: Method
+    max_seconds: float
+    limits: Limits
+    log: Path
+
+
+@dataclass(frozen=True)
+class FilledComplex:
+    """The tetrahedra, and how they fit the interfaces."""
+
+    points: Points
+    """Positions, mm, shape ``(n, 3)``; the vertices of the surface come first, in their order."""
+    tetrahedra: Cells
+    """Vertex indices in VTK order, shape ``(m, 4)``."""
+    quality: TetrahedronQuality
+    conformity: Conformity
+    standing: Labels
+    """Tetrahedron on each forced side of a triangle, shape ``(k,)``; :data:`.NOBODY` where it is missing."""
+    forced: Forced
+    """Which of them the surface keeps from the limits."""
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """The larger, the better."""
+        return -self.conformity.faults, smallest_elsewhere(self.quality.scaled_jacobian, self.forced.jacobian)
+
+
+def refuse_method(method: Method) -> None:
+    """Refuse tetrahedralizers that do not keep the triangles between materials.
+
+    Parameters
+    ----------
+    method
+        What the user asked for.
+
+    Raises
+    ------
+    StageError
+        If it is not ``auto`` or ``hxt``.
+    """
+    if method not in (Method.AUTO, Method.HXT):
+        raise StageError(
+            f"--method {method} supports one object only, and the surface has several materials",
+            "two materials must share the triangles between them, unchanged",
+            "omit --method, or use --method hxt",
+        )
+
+
+def _judge(task: ComplexTask, raw: WorkerResult) -> FilledComplex:
+    surface, points = task.checked.surface, raw.points
+    if not np.array_equal(points[: len(surface.points)], surface.points):
+        raise StageError(
+            "the tetrahedralizer did not keep the vertices of the surface",
+            "neighbouring materials share them",
+            "try another --tet-size-factor",
+        )
+    tetrahedra, _turned = orient_positive(points, raw.tetrahedra)
+    found = conform(tetrahedra, surface.triangles, task.checked.sides)
+    return _measured(task, points, tetrahedra, found, tetrahedron_quality(points, tetrahedra))
+
+
+def _measured(
+    task: ComplexTask, points: Points, tetrahedra: Cells, found: Conformity, quality: TetrahedronQuality
+) -> FilledComplex:
+    standing = _standing(task.sides, found)
+    return FilledComplex(points, tetrahedra, quality, found, standing, _forced(task, standing, found, quality))
+
+
+def _standing(sides: ForcedSides, found: Conformity) -> Labels:
+    """The tetrahedron on each of some sides of triangles."""
+    standing: Labels = np.where(sides.side == INSIDE, found.behind[sides.facet], found.before[sides.facet])
+    return standing
+
+
+def _mend(task: ComplexTask, filled: FilledComplex, results: dict[str, Any]) -> FilledComplex:
+    """Mend the tetrahedra that miss the goal, where that is possible."""
+    mended = mend(
+        (filled.points, filled.tetrahedra),
+        filled.conformity,
+        filled.quality,
+        task.checked.surface.triangles,
+        (task.beyond_goal, _standing(task.beyond_goal, filled.conformity)),
+        task.goal,
+    )
+    if mended is None:
+        return filled
+    quality = tetrahedron_quality(mended.points, mended.tetrahedra)
+    after = _measured(task, mended.points, mended.tetrahedra, mended.conformity, quality)
+    smallest = [smallest_elsewhere(one.quality.min_dihedral, one.forced.dihedral) for one in (filled, after)]
+    results["mended"] = {**mended.results, "min_dihedral_before": smallest[0], "min_dihedral_after": smallest[1]}
+    return after
+
+
+def on_needles(task: ComplexTask, found: Conformity) -> tuple[Labels, Labels]:
+    """Give the tetrahedra on triangles of a small angle, and for each which of these it stands on, the sharpest first.
+
+    Parameters
+    ----------
+    task
+        Where the triangles are told.
+    found
+        How the tetrahedra fit the interfaces.
+    """
+    order = np.argsort(task.needles[1], kind="stable")
+    beside = np.stack([side[task.needles[0][order]] for side in (found.behind, found.before)], axis=1)
+    there = beside != NOBODY
+    return beside[there], np.repeat(order, there.sum(axis=1))
+
+
+def _forced(task: ComplexTask, standing: Labels, found: Conformity, quality: TetrahedronQuality) -> Forced:
+    """The tetrahedra on forced sides and on triangles of a small angle, by what they are kept from.
+
+    In a corner at an edge with the dihedral angle b, where the faces on it have the angles s and t, six times the volume over the product of
+    the three edges is sin b sin s sin t, so that the scaled Jacobian is at most sqrt(2) sin b. A tetrahedron on a triangle of a small angle is
+    to have half of what is possible there.
+    """
+    kept = Forced(*(np.zeros(quality.volume.size, dtype=np.bool_) for _ in range(2)))
+    there = standing != NOBODY
+    kept.dihedral[standing[there]] = True
+    flat = np.sqrt(2.0) * np.sin(np.radians(task.sides.bound)) < task.limits.min_scaled_jacobian
+    kept.jacobian[standing[there & flat]] = True
+    tetrahedra, which = on_needles(task, found)
+    fair = quality.scaled_jacobian[tetrahedra] >= _FAIR * task.needles[1][which]
+    kept.jacobian[tetrahedra[fair]] = True
+    return kept
+
+
+def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
+    """Fill every volume of a complex.
+
+    Parameters
+    ----------
+    task
+        What is to be filled, and how.
+    context
+        For messages, times, and ``tetrahedralizer`` in the results.
+
+    Raises
+    ------
+    StageError
+        If no tetrahedralizer fills it so that each tetrahedron has a material.
+    """
+    attempts: list[dict[str, Any]] = []
+    results: dict[str, Any] = {
+        "method": Method.HXT,
+        "reason": "the surface has several materials, and Gmsh keeps the triangles between them",
+        "log": task.log.name,
+        "attempts": attempts,
+    }
+    context.results["tetrahedralizer"] = results
+    context.parameters["method"] = Method.HXT
+    task.log.unlink(missing_ok=True)
+    limit = TimeLimit.start(task.max_seconds)
+    with context.step("background sizing"):
+        grid = world_grid(task.field, task.checked.surface, task.tet_size_factor)
+    best: FilledComplex | None = None
+    failure: StageError | None = None
+    for settings in ATTEMPTS if task.method is Method.AUTO else ATTEMPTS[:1]:
+        tried: dict[str, Any] = {"algorithm": settings.algorithm}
+        try:
+            with context.step("tetrahedralize"):
+                raw = fill_complex_by_gmsh(
+                    task.checked.surface,
+                    task.checked.shells,
+                    grid,
+                    settings,
+                    task.log,
+                    limit,
+                    context,
+                )
+            with context.step("find regions"):
+                filled = _judge(task, raw)
+        except StageError as error:
+            final = error.code == ExitCode.INTERRUPTED or isinstance(error, (TimeLimitError, UnavailableError))
+            if final and best is None:
+                raise
+            attempts.append({**tried, "error": error.what})
+            failure = error
+            if final:
+                break
+            continue
+        smallest = smallest_elsewhere(filled.quality.min_dihedral, filled.forced.dihedral)
+        attempts.append(
+            {
+                **raw.summary,
+                **tried,
+                "faults": filled.conformity.faults,
+                "min_dihedral": smallest,
+                "min_scaled_jacobian": filled.rank[1],
+            }
+        )
+        if best is None or filled.rank > best.rank:
+            best = filled
+            results.update(tried)
+        if filled.conformity.faults == 0:
+            break
+        context.verbose(f"{settings.algorithm}: {filled.conformity.faults} faults at the interfaces")
+    if best is None:
+        assert failure is not None, "an attempt is made or fails"
+        raise failure
+    if best.conformity.undecided:
+        raise StageError(
+            f"the material of {best.conformity.undecided} tetrahedra is unknown: the tetrahedralizer lost "
+            f"{best.conformity.missing} triangles of the interfaces",
+            "without these triangles the materials are not separated; nothing was written",
+            f"see its log, {task.log}, or try another --tet-size-factor",
+        )
+    if best.conformity.faults == 0:
+        with context.step("mend tetrahedra"):
+            best = _mend(task, best, results)
+    return best
