@@ -98,7 +98,7 @@ pub fn crossings(corners: [DVec3; 3], geometry: &Geometry, mut found: impl FnMut
 
 /// Returns the side of a point relative to the line through a and b, after the symbolic shift. The
 /// result is 0 only if a = b.
-fn moved_turn(a: Coord<f64>, b: Coord<f64>, p: Coord<f64>) -> i8 {
+pub(crate) fn moved_turn(a: Coord<f64>, b: Coord<f64>, p: Coord<f64>) -> i8 {
     let difference = |x: f64, y: f64| i8::from(x > y) - i8::from(x < y);
     match turn(a, b, p) {
         0 => match difference(a.y, b.y) {

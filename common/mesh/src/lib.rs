@@ -2,9 +2,10 @@
 //!
 //! [`quality`] and [`measure`] compute the values of the paper's Table 1 (radius ratio 2r/R,
 //! angles, areas). [`topology`], [`intersect`] and [`inside`] check whether a mesh is valid for
-//! simulation; geometric tests use exact predicates. [`spatial`] and [`kd_tree`] are search
-//! structures, and [`components`] finds connected components. [`surface`] and [`point_cloud`] read
-//! and write files.
+//! simulation; geometric tests use exact predicates. [`complex`] does so for many materials.
+//! [`spatial`], [`kd_tree`] and [`nearest`] search, [`components`] finds connected components, and
+//! [`nesting`] finds which of them lies in which. [`surface`] and [`point_cloud`] read and write
+//! files.
 //!
 //! ```
 //! use isoparticles_mesh::{
@@ -20,6 +21,7 @@
 use glam::DVec3;
 
 pub mod buckets;
+pub mod complex;
 pub mod components;
 mod error;
 pub mod incidence;
@@ -27,6 +29,8 @@ pub mod inside;
 pub mod intersect;
 pub mod kd_tree;
 pub mod measure;
+pub mod nearest;
+pub mod nesting;
 pub mod point_cloud;
 pub mod points;
 pub mod quality;

@@ -99,6 +99,20 @@ impl Eight {
         Bounds { low: place(&self.low), high: place(&self.high) }
     }
 
+    /// Returns the squared distance from a point to each box: 0 inside, NaN for an unused lane.
+    fn squared_distances(&self, p: DVec3) -> [f64; LANES] {
+        let mut squares = [0.0; LANES];
+        for axis in 0..3 {
+            for (lane, square) in squares.iter_mut().enumerate() {
+                let (below, above) = (self.low[axis][lane] - p[axis], p[axis] - self.high[axis][lane]);
+                // unlike `max`, the comparisons keep NaN
+                let larger = if below > above { below } else { above };
+                *square += if larger < 0.0 { 0.0 } else { larger * larger };
+            }
+        }
+        squares
+    }
+
     /// Returns a bit mask of the boxes that intersect `other`. Touching boxes intersect.
     #[inline(always)]
     fn meeting<S: Simd>(&self, simd: S, other: &Bounds) -> u64 {
@@ -191,6 +205,38 @@ impl BoxTree {
             self.find_pairs(eight, &mut found);
             found.pairs.iter().any(|&[a, b]| test(a, b))
         })
+    }
+
+    /// Returns the box with the smallest value of `distance`, and this value. If several boxes have
+    /// it, returns the lowest index. `distance` must be at least the distance from `p` to the box.
+    pub fn nearest(&self, p: DVec3, distance: impl Fn(u32) -> f64) -> Option<(u32, f64)> {
+        let mut nearest: Option<(u32, f64)> = None;
+        let mut waiting = vec![(0.0, self.levels.len() - 1, 0)];
+        while let Some((square, level, group)) = waiting.pop() {
+            let is_near = |square: f64| nearest.is_none_or(|(_, least)| square <= least * least);
+            let Some(eight) = self.levels[level].get(group).filter(|_| is_near(square)) else { continue };
+            let squares = eight.squared_distances(p);
+            let mut near: Vec<usize> =
+                (0..LANES).filter(|&lane| is_near(squares[lane]) && !squares[lane].is_nan()).collect();
+            near.sort_by(|&a, &b| squares[b].total_cmp(&squares[a]));
+            if level > 0 {
+                waiting.extend(near.into_iter().map(|lane| (squares[lane], level - 1, group * LANES + lane)));
+                continue;
+            }
+            for lane in near {
+                let index = self.order[group * LANES + lane];
+                let own = distance(index);
+                if nearest.is_none_or(|(other, least)| own < least || own == least && index < other) {
+                    nearest = Some((index, own));
+                }
+            }
+        }
+        nearest
+    }
+
+    /// Returns the indices of the boxes in the order of the Morton curve.
+    pub fn morton_order(&self) -> &[u32] {
+        &self.order
     }
 
     /// Finds the pairs of intersecting boxes whose first box (in Morton order) is in group `eight`.

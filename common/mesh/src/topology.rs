@@ -73,7 +73,7 @@ impl Topology {
 
 /// Analyses a mesh, which must be well-formed ([`TriangleMesh::is_well_formed`]).
 pub fn analyse(mesh: &TriangleMesh) -> Topology {
-    let mut topology = Topology { duplicate_triangles: duplicates(mesh), ..Topology::default() };
+    let mut topology = Topology { duplicate_triangles: duplicate_triangles(mesh), ..Topology::default() };
     for (t, &[a, b, c]) in mesh.triangles.iter().enumerate() {
         if a == b || b == c || c == a {
             topology.collapsed_triangles.push(t as u32);
@@ -177,7 +177,8 @@ fn corner_of(mesh: &TriangleMesh, triangle: u32, vertex: u32) -> u32 {
     3 * triangle + u32::from(corners[0] != vertex) * (1 + u32::from(corners[1] != vertex))
 }
 
-fn duplicates(mesh: &TriangleMesh) -> Vec<u32> {
+/// Returns the triangles with the same three vertices as an earlier triangle, ascending.
+pub fn duplicate_triangles(mesh: &TriangleMesh) -> Vec<u32> {
     let mut keys: Vec<([u32; 3], u32)> = mesh
         .triangles
         .par_iter()

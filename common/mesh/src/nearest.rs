@@ -1,0 +1,64 @@
+//! The nearest triangle of a mesh, and the distance to it.
+
+use crate::TriangleMesh;
+use crate::spatial::{Bounds, BoxTree};
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Returns the triangle nearest to each position, and the distance to it. If several triangles are
+/// equally near, returns the lowest index. Returns `None` if the mesh has no triangles.
+pub fn nearest_triangles(mesh: &TriangleMesh, positions: &[DVec3]) -> Option<Vec<(u32, f64)>> {
+    let boxes: Vec<Bounds> = (0..mesh.triangles.len()).into_par_iter().map(|t| Bounds::of(&mesh.corners(t))).collect();
+    let tree = BoxTree::new(&boxes);
+    positions.par_iter().map(|&p| tree.nearest(p, |t| distance_to_triangle(p, mesh.corners(t as usize)))).collect()
+}
+
+/// Returns the distance from `p` to a triangle.
+pub fn distance_to_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
+    let normal = (b - a).cross(c - a).normalize_or_zero();
+    let sides = [(a, b), (b, c), (c, a)];
+    if normal != DVec3::ZERO && sides.iter().all(|&(from, to)| (to - from).cross(p - from).dot(normal) >= 0.0) {
+        return (p - a).dot(normal).abs();
+    }
+    let to_side = |(from, to): (DVec3, DVec3)| {
+        let share = (p - from).dot(to - from) / (to - from).length_squared().max(f64::MIN_POSITIVE);
+        p.distance(from.lerp(to, share.clamp(0.0, 1.0)))
+    };
+    sides.map(to_side).into_iter().fold(f64::INFINITY, f64::min)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::shapes;
+    use super::*;
+    use isoparticles_field::random::uniform;
+
+    #[test]
+    fn distances_to_face_edge_and_corner() {
+        let triangle = [DVec3::ZERO, DVec3::X, DVec3::Y];
+        for (p, distance) in [
+            (DVec3::new(0.2, 0.3, -2.0), 2.0),
+            (DVec3::new(0.5, -3.0, 4.0), 5.0),
+            (DVec3::new(-1.0, -2.0, 2.0), 3.0),
+            (DVec3::new(1.0, 1.0, 0.0), 0.5f64.sqrt()),
+        ] {
+            assert!((distance_to_triangle(p, triangle) - distance).abs() < 1e-15);
+        }
+        assert_eq!(distance_to_triangle(DVec3::Z, [DVec3::ZERO, DVec3::X, DVec3::X * 2.0]), 1.0);
+    }
+
+    #[test]
+    fn nearest_triangles_are_those_of_a_full_scan() {
+        let mesh = shapes::torus(3.0, 1.0, 24, 12);
+        let at = |n: u64| 9.0 * DVec3::from_array([0, 1, 2].map(|axis| uniform(5, axis, n) - 0.5));
+        let positions: Vec<DVec3> = (0..300).map(at).chain(mesh.vertices.iter().copied()).collect();
+        let found = nearest_triangles(&mesh, &positions).expect("the mesh has triangles");
+        for (&p, found) in positions.iter().zip(found) {
+            let distance = |t: u32| distance_to_triangle(p, mesh.corners(t as usize));
+            let all = (0..mesh.triangles.len() as u32).map(|t| (t, distance(t)));
+            let nearest = all.min_by(|a, b| a.1.total_cmp(&b.1)).expect("the mesh has triangles");
+            assert_eq!(found, nearest);
+        }
+        assert_eq!(nearest_triangles(&TriangleMesh::default(), &[DVec3::ZERO]), None);
+    }
+}
