@@ -42,7 +42,7 @@ fn a_size_above_the_object_is_refused_with_a_better_one() {
     // seed must also refuse a size field that was edited so that h is too large.
     let field = read_field(&files.sizefield, FieldKind::Sizing).expect("a size field");
     let large = folder.path().join("large.vti");
-    let image = Image::filled(field.image.geometry.clone(), 500.0);
+    let image = Image::filled(field.image.geometry.clone(), 500.0).into();
     Field { image, ..field }.write(&large).expect("written");
     let seeding = arguments![&files.distfield, &large];
     refused(folder.path(), "seed", seeding, "new.bin", &["particles on the whole surface", "sizefield --uniform"]);

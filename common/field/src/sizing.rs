@@ -7,23 +7,24 @@ use glam::DVec3;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 use std::f64::consts::PI;
+use std::sync::Arc;
 
-/// Target edge length h on the grid of a distance field.
+/// Target edge length h on the grid of a distance field. Clones share the image.
 #[derive(Clone, Debug)]
 pub struct SizingField {
-    image: Image<f32>,
+    image: Arc<Image<f32>>,
 }
 
 impl SizingField {
     /// Wraps an image of edge lengths (mm) that has the geometry of the distance field.
-    pub fn new(image: Image<f32>) -> Self {
-        Self { image }
+    pub fn new(image: impl Into<Arc<Image<f32>>>) -> Self {
+        Self { image: image.into() }
     }
 
     /// Returns the field with all edge lengths multiplied by `factor`.
     pub fn scaled(&self, factor: f64) -> Self {
         let data = self.image.data.par_iter().map(|&h| (factor * f64::from(h)) as f32).collect();
-        Self { image: Image { geometry: self.image.geometry.clone(), data } }
+        Self::new(Image { geometry: self.image.geometry.clone(), data })
     }
 
     /// Returns the image of edge lengths.
@@ -32,7 +33,7 @@ impl SizingField {
     }
 
     /// Returns the image of edge lengths without a copy.
-    pub fn into_image(self) -> Image<f32> {
+    pub fn into_image(self) -> Arc<Image<f32>> {
         self.image
     }
 

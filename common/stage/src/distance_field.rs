@@ -8,14 +8,15 @@ use isoparticles_file::history::History;
 use isoparticles_volume::Geometry;
 use std::io::{self, Write};
 use std::path::Path;
+use std::sync::Arc;
 
-/// The contents of a file that `distfield` wrote.
+/// The contents of a file that `distfield` wrote. Clones share the samples.
 #[derive(Clone, Debug, PartialEq)]
 pub enum DistanceField {
     /// Samples of F of one object, mm.
     Object(Field),
     /// The indicators of several materials.
-    Materials(MaterialsFile),
+    Materials(Arc<MaterialsFile>),
 }
 
 impl DistanceField {
@@ -25,7 +26,7 @@ impl DistanceField {
     /// If the file cannot be read, or contains neither.
     pub fn read(path: &Path) -> Result<Self> {
         if is_materials(path) {
-            return read_materials(path).map(Self::Materials);
+            return read_materials(path).map(|file| Self::Materials(Arc::new(file)));
         }
         read_field(path, FieldKind::Distance).map(Self::Object)
     }

@@ -15,6 +15,7 @@ use rayon::prelude::*;
 use serde_json::Value;
 use std::io::{self, Write};
 use std::path::Path;
+use std::sync::Arc;
 
 /// Format version of the files that are written. Version 1 stored strings as VTK strings instead of
 /// bytes.
@@ -49,11 +50,11 @@ impl FieldKind {
     }
 }
 
-/// The contents of a field file. All values must be finite.
+/// The contents of a field file. All values must be finite. Clones share the image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Field {
     /// Values and geometry.
-    pub image: Image<f32>,
+    pub image: Arc<Image<f32>>,
     /// Metadata of the stage that wrote the file; null if another program wrote it.
     pub meta: Value,
     /// The history, if the file contains one.
@@ -125,7 +126,7 @@ pub fn read_field(path: &Path, expected: FieldKind) -> Result<Field> {
     check_values(path, expected, &data)?;
     let meta = file.text(image, "meta")?.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or(Value::Null);
     let history = file.text(image, "history")?.and_then(|text| serde_json::from_str(&text).ok());
-    Ok(Field { image: Image { geometry, data }, meta, history, kind: expected })
+    Ok(Field { image: Arc::new(Image { geometry, data }), meta, history, kind: expected })
 }
 
 /// Returns an error unless two fields have the same grid. Tolerates rounding in files saved by
@@ -218,7 +219,7 @@ mod tests {
     }
 
     fn write(path: &Path, kind: FieldKind, image: &Image<f32>, meta: &Value) {
-        let field = Field { image: image.clone(), meta: meta.clone(), history: Some(history()), kind };
+        let field = Field { image: Arc::new(image.clone()), meta: meta.clone(), history: Some(history()), kind };
         field.write(path).expect("written");
         let hash = isoparticles_file::history::hash_written(|file| field.encode(file)).expect("no error");
         assert_eq!(hash, isoparticles_file::history::hash_file(path).expect("hashed"));

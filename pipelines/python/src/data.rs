@@ -336,7 +336,9 @@ fn read_value(path: &Path) -> Result<Value> {
         return Ok(Value::Surface(read_surface(path)?));
     }
     match kind_of(path)?.as_deref() {
-        Some(KIND) => read_materials_with_shown(path).map(|file| Value::Distance(DistanceField::Materials(file))),
+        Some(KIND) => {
+            read_materials_with_shown(path).map(|file| Value::Distance(DistanceField::Materials(Arc::new(file))))
+        }
         Some("sizefield") => read_field(path, FieldKind::Sizing).map(Value::Size),
         _ => read_field(path, FieldKind::Distance).map(|field| Value::Distance(DistanceField::Object(field))),
     }

@@ -98,7 +98,7 @@ pub(crate) fn seed(
     run(py, "seed", words, known, watch, move |args: &Args, context| {
         field.record(context)?;
         size.record(context)?;
-        let seeds = compute(args, field.distance()?, size.sizing()?.clone(), context)?;
+        let seeds = compute(args, field.distance()?, size.sizing()?, context)?;
         Ok((Value::Particles(seeds), Vec::new()))
     })
 }
@@ -150,7 +150,7 @@ pub(crate) fn reconstruct(
         let made = match &field {
             None => compute(args, Inputs::Particles(particles.clone()), context)?,
             Some(field) => {
-                let sizing = size.as_ref().map(|size| size.sizing()).transpose()?.cloned();
+                let sizing = size.as_ref().map(|size| size.sizing()).transpose()?;
                 compute_on_field(args, particles, field.distance()?, sizing, context)?
             }
         };

@@ -23,6 +23,7 @@ use isoparticles_survey::selection::noted;
 use isoparticles_volume::{Geometry, Image, LayerLabel, ReadOptions, Volume, read_volume_with};
 use serde_json::{Map, Value, json};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 impl StageArgs for Args {
     fn common(&self) -> &CommonArgs {
@@ -84,14 +85,14 @@ pub fn compute(args: &Args, volume: Volume, context: &Context) -> Result<Made> {
     if !args.material.is_empty() {
         let volume = unshear(volume, Wanted::Materials(&args.material), args.border, context).map_err(about_file)?;
         let (file, failed) = materials::compute(args, volume, context).map_err(about_file)?;
-        return Ok(Made { distance: DistanceField::Materials(file), failed });
+        return Ok(Made { distance: DistanceField::Materials(Arc::new(file)), failed });
     }
     let object = object(args, labels)?;
     let (result, meta) = make(args, volume, &object, context).map_err(about_file)?;
     describe(&result, &meta, context);
     let mut failed = failed_checks(&result, &meta, context);
     failed.extend(check_volume(&result, &meta, args.scale.accept_losses, context));
-    let (image, meta, history) = (result.field, json!(meta), Some(context.history()));
+    let (image, meta, history) = (Arc::new(result.field), json!(meta), Some(context.history()));
     Ok(Made { distance: DistanceField::Object(Field { image, meta, history, kind: FieldKind::Distance }), failed })
 }
 

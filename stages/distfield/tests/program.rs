@@ -70,7 +70,7 @@ fn labels_give_the_same_bytes_on_any_number_of_threads() {
         let options = ["--labels", "1", "--keep", "largest", "--threads", threads];
         let run = distfield(&[&[input, "-o", path][..], &options[..]].concat());
         assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
-        read_field(&output, FieldKind::Distance).expect("a field").image.data
+        read_field(&output, FieldKind::Distance).expect("a field").image
     });
     assert!(fields[0] == fields[1] && fields[0] == fields[2], "F depends on the number of threads");
 }

@@ -20,11 +20,12 @@ use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind, check_same_grid, read_field};
-use isoparticles_stage::materials_file::is_materials;
+use isoparticles_stage::materials_file::{MaterialsFile, is_materials};
 use isoparticles_stage::particle_file::{ParticleFile, ParticleKind, read_particles};
 use serde_json::json;
 use std::cell::Cell;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Maximum memory in bytes per particle on the CPU, excluding the fields. Measured: 190 to 510
 /// bytes per particle for the phantoms of `stages/distfield/benches/costs.py`.
@@ -242,7 +243,7 @@ enum Surface {
     /// F of one object.
     Object(CubicSpline),
     /// The interfaces of many materials.
-    Materials(Materials),
+    Materials(Arc<MaterialsFile>),
 }
 
 impl From<Inputs> for Prepared {
@@ -250,7 +251,7 @@ impl From<Inputs> for Prepared {
         let Inputs { seeds, distance, sizing, hashes } = inputs;
         let surface = match distance {
             DistanceField::Object(field) => Surface::Object(CubicSpline::new(&field.image)),
-            DistanceField::Materials(file) => Surface::Materials(file.materials),
+            DistanceField::Materials(file) => Surface::Materials(file),
         };
         let seeds = (seeds.particles, seeds.strata.unwrap_or_default());
         Self { seeds, surface, sizing: SizingField::new(sizing.image), hashes }
@@ -385,7 +386,8 @@ impl<'a> Run<'a> {
                     settle_levels(&inputs.seeds.0, resumed, &fields, parameters, &engines, &mut observe)?;
                 ((set, Strata::default()), summary, device)
             }
-            Surface::Materials(materials) => {
+            Surface::Materials(file) => {
+                let materials = &file.materials;
                 let surface = Interfaces::new(materials, materials.geometry().min_spacing());
                 let fields = Fields { surface: &surface, sizing: &inputs.sizing };
                 let make = |set, strata| engines.make_for_materials(materials, &fields, (set, strata));

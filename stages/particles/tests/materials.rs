@@ -48,7 +48,7 @@ impl Files {
         let materials = Materials::new(geometry.clone(), parts.collect()).expect("parts of one grid");
         let nodes = geometry.voxel_count();
         let write = |name: &str, kind: FieldKind, image: Image<f32>| {
-            Field { image, meta: Value::Null, history: None, kind }.write(&path(name)).expect("written");
+            Field { image: image.into(), meta: Value::Null, history: None, kind }.write(&path(name)).expect("written");
         };
         write("h.vti", FieldKind::Sizing, Image::filled(geometry.clone(), 1.2f32));
         let one = Image::sampled(geometry.clone(), |p| (p.distance(CENTRE) - 8.0) as f32);

@@ -36,7 +36,9 @@ impl Case {
         let mut image = scene.image.clone();
         image.geometry = geometry.clone();
         let (meta, kind) = (meta.clone(), FieldKind::Distance);
-        Field { image, meta, history: Some(history("distfield")), kind }.write(&case.path("f.vti")).unwrap();
+        Field { image: image.into(), meta, history: Some(history("distfield")), kind }
+            .write(&case.path("f.vti"))
+            .unwrap();
         let positions = scene.points(spacing);
         let count = positions.len();
         let particles = ParticleSet {

@@ -26,6 +26,7 @@ use isoparticles_stage::materials_file::is_materials;
 use isoparticles_stage::meta::{self, DistanceMeta, SurfaceMeta};
 use isoparticles_stage::particle_file::ParticleFile;
 use serde_json::json;
+use std::sync::Arc;
 
 /// Runs the stage.
 ///
@@ -73,7 +74,9 @@ pub fn compute(args: &Args, inputs: Inputs, context: &Context) -> Result<Made> {
             warn_unless_settled(args, &file, context);
             points_alone::compute(args, Points::of_particles(file.particles), context)
         }
-        Inputs::Field { particles, distance, sizing } => compute_on_field(args, &particles, &distance, sizing, context),
+        Inputs::Field { particles, distance, sizing } => {
+            compute_on_field(args, &particles, &distance, sizing.as_ref(), context)
+        }
     }
 }
 
@@ -85,7 +88,7 @@ pub fn compute_on_field(
     args: &Args,
     file: &ParticleFile,
     distance: &DistanceField,
-    sizing: Option<Field>,
+    sizing: Option<&Field>,
     context: &Context,
 ) -> Result<Made> {
     warn_unless_settled(args, file, context);
@@ -105,10 +108,10 @@ pub fn compute_on_field(
         &format!("{}: {count} particles", args.particles.display()),
         fewer,
     )?;
-    if let Some(sizing) = &sizing {
+    if let Some(sizing) = sizing {
         check_same_grid((size_path, &sizing.image.geometry), (path, geometry))?;
     }
-    let sizing = sizing.map(|field| SizingField::new(field.image));
+    let sizing = sizing.map(|field| SizingField::new(Arc::clone(&field.image)));
     let made = match distance {
         DistanceField::Object(field) => of_object(args, particles, field, sizing.as_ref(), context),
         DistanceField::Materials(field) => materials::compute::compute(args, file, field, sizing.as_ref(), context),

@@ -17,6 +17,7 @@ use isoparticles_stage::field_file::{Field, FieldKind, check_same_grid, read_fie
 use isoparticles_stage::particle_file::{ParticleFile, ParticleKind};
 use isoparticles_volume::Image;
 use serde_json::{Value, json};
+use std::sync::Arc;
 
 /// Runs the stage.
 ///
@@ -29,7 +30,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let (distance, sizing) = (distance?, sizing?);
     context.add_inputs([(&args.distfield, distance.history().cloned()), (&args.sizefield, sizing.history.clone())])?;
     drop(step);
-    let made = compute(args, &distance, sizing, context)?;
+    let made = compute(args, &distance, &sizing, context)?;
     let _step = context.step("write");
     made.write(&args.output)?;
     Ok(Outcome::Passed)
@@ -41,10 +42,10 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
 /// # Errors
 /// If the fields are on different grids, if there is no surface, if an option does not fit the
 /// surface, if there is not enough memory, or if the run is interrupted.
-pub fn compute(args: &Args, distance: &DistanceField, sizing: Field, context: &Context) -> Result<ParticleFile> {
+pub fn compute(args: &Args, distance: &DistanceField, sizing: &Field, context: &Context) -> Result<ParticleFile> {
     check_same_grid((&args.distfield, distance.geometry()), (&args.sizefield, &sizing.image.geometry))?;
     context.check_interrupt()?;
-    let sizing = SizingField::new(sizing.image);
+    let sizing = SizingField::new(Arc::clone(&sizing.image));
     let (particles, strata, meta) = match distance {
         DistanceField::Object(field) => {
             let (particles, meta) = of_object(args, &field.image, &sizing, context)?;

@@ -64,7 +64,7 @@ fn seeds(folder: &Path, materials: &Materials, more: &[&str]) -> (ParticleSet, S
     let (materials, shown) = (materials.clone(), Shown { material, interface_distance });
     let h = Image::filled(geometry.clone(), H as f32);
     let meta = json!({});
-    let sizing = Field { image: h, meta: meta.clone(), history: None, kind: FieldKind::Sizing };
+    let sizing = Field { image: h.into(), meta: meta.clone(), history: None, kind: FieldKind::Sizing };
     sizing.write(Path::new(&sizes)).expect("written");
     MaterialsFile { materials, shown, meta, history: None }.write(Path::new(&input)).expect("written");
     let arguments = [&[input.as_str(), &sizes, "-o", &output, "--force", "--quiet"], more].concat();

@@ -265,7 +265,8 @@ mod tests {
                 }
             }
         }
-        let field = Field { image: mask, meta: serde_json::Value::Null, history: None, kind: FieldKind::Distance };
+        let field =
+            Field { image: mask.into(), meta: serde_json::Value::Null, history: None, kind: FieldKind::Distance };
         field.write(&file).unwrap();
         // in world coordinates, the mask extends in x from 12 - 11.5 * 0.4 to 12 - 1.5 * 0.4, in y
         // from 3 + 4.5 * 0.4 to 3 + 14.5 * 0.4, and in z from 5.4 to 7.4

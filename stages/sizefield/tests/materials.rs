@@ -138,7 +138,7 @@ fn a_name_for_one_object_is_refused() {
     let [input, output] = ["one.vti", "other.vti"].map(|name| folder.path().join(name));
     let image =
         Image::sampled(Geometry::axis_aligned([17; 3], DVec3::ONE), |p| (p.distance(DVec3::splat(8.0)) - 5.0) as f32);
-    let field = Field { image, meta: json!({}), history: None, kind: FieldKind::Distance };
+    let field = Field { image: image.into(), meta: json!({}), history: None, kind: FieldKind::Distance };
     field.write(&input).expect("written");
     let [input, output] = [&input, &output].map(|path| path.to_str().expect("text"));
     let run = sizefield(&[input, "-o", output, "--size", "lung=1"]);
