@@ -23,6 +23,7 @@ use glam::DVec3;
 pub mod buckets;
 pub mod complex;
 pub mod components;
+pub mod difference;
 mod error;
 pub mod incidence;
 pub mod inside;

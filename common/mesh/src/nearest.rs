@@ -13,6 +13,24 @@ pub fn nearest_triangles(mesh: &TriangleMesh, positions: &[DVec3]) -> Option<Vec
     positions.par_iter().map(|&p| tree.nearest(p, |t| distance_to_triangle(p, mesh.corners(t as usize)))).collect()
 }
 
+/// Maximum number of positions in [`sampled_distances`]. The 99th percentile then has 2,000
+/// positions above it.
+pub const MAX_SAMPLES: usize = 200_000;
+
+/// Returns the distances from positions on a mesh to another mesh: from its vertices and the
+/// centroids of its triangles, or from every n-th of them if there are more than [`MAX_SAMPLES`].
+/// Returns `None` if the other mesh has no triangles.
+pub fn sampled_distances(mesh: &TriangleMesh, other: &TriangleMesh) -> Option<Vec<f64>> {
+    let mut used = vec![false; mesh.vertices.len()];
+    mesh.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
+    let vertices = mesh.vertices.iter().zip(used).filter(|(_, used)| *used).map(|(p, _)| *p);
+    let centroids = (0..mesh.triangles.len()).map(|t| mesh.corners(t).iter().sum::<DVec3>() / 3.0);
+    let samples: Vec<DVec3> = vertices.chain(centroids).collect();
+    let step = samples.len().div_ceil(MAX_SAMPLES).max(1);
+    let samples: Vec<DVec3> = samples.into_iter().step_by(step).collect();
+    Some(nearest_triangles(other, &samples)?.into_iter().map(|(_, distance)| distance).collect())
+}
+
 /// Returns the distance from `p` to a triangle.
 pub fn distance_to_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
     let normal = (b - a).cross(c - a).normalize_or_zero();
@@ -60,5 +78,14 @@ mod tests {
             assert_eq!(found, nearest);
         }
         assert_eq!(nearest_triangles(&TriangleMesh::default(), &[DVec3::ZERO]), None);
+    }
+
+    #[test]
+    fn vertices_of_a_larger_sphere_lie_outside_by_its_thickness() {
+        let (inner, outer) = (shapes::icosphere(1.0, 4), shapes::icosphere(1.25, 4));
+        let distances = sampled_distances(&outer, &inner).expect("the mesh has triangles");
+        assert_eq!(distances.len(), outer.vertices.len() + outer.triangles.len());
+        let vertices = &distances[..outer.vertices.len()];
+        assert!(vertices.iter().all(|distance| (distance - 0.25).abs() < 1e-12));
     }
 }
