@@ -52,6 +52,11 @@ impl Buckets {
         });
         Self { starts, items }
     }
+
+    /// Returns the items of a bucket, ascending.
+    pub fn of(&self, bucket: u32) -> &[u32] {
+        &self.items[self.starts[bucket as usize] as usize..self.starts[bucket as usize + 1] as usize]
+    }
 }
 
 /// Returns the start offsets of consecutive parts of the given lengths.

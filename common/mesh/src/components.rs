@@ -2,7 +2,7 @@
 
 use crate::buckets::TASK_ITEMS;
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
 
 /// Component number of a vertex without triangles. No component has this number, because a mesh has
 /// fewer components than vertices, and at most `u32::MAX` vertices.
@@ -41,9 +41,14 @@ impl DisjointSets {
 
 /// Disjoint sets like [`DisjointSets`], but with concurrent joins. A root is attached to a smaller
 /// root by compare-and-exchange (Jayanti and Tarjan 2016).
-struct SharedSets(Vec<AtomicU32>);
+pub(crate) struct SharedSets(Vec<AtomicU32>);
 
 impl SharedSets {
+    /// Creates `count` sets with one member each.
+    pub(crate) fn new(count: usize) -> Self {
+        Self((0..count as u32).into_par_iter().map(AtomicU32::new).collect())
+    }
+
     fn find(&self, x: u32) -> u32 {
         let mut x = x;
         loop {
@@ -59,7 +64,8 @@ impl SharedSets {
         }
     }
 
-    fn join(&self, a: u32, b: u32) {
+    /// Merges the sets of a and b.
+    pub(crate) fn join(&self, a: u32, b: u32) {
         loop {
             let (a, b) = (self.find(a), self.find(b));
             let (root, other) = (a.min(b), a.max(b));
@@ -68,38 +74,37 @@ impl SharedSets {
             }
         }
     }
+
+    /// Returns the number of the set of each member for which `is_used` is true, and
+    /// [`NO_COMPONENT`] for the others, and the number of sets. Sets are numbered in the order of
+    /// their first members. A used member must not share a set with one that is not used.
+    pub(crate) fn numbers(&self, is_used: impl Fn(usize) -> bool) -> (Vec<u32>, usize) {
+        let mut numbers = vec![NO_COMPONENT; self.0.len()];
+        let mut sets = 0;
+        for member in (0..numbers.len()).filter(|&member| is_used(member)) {
+            // the root is the smallest member, so it is either `member` itself or already numbered
+            let root = self.find(member as u32) as usize;
+            numbers[member] = if root == member { sets } else { numbers[root] };
+            sets += u32::from(root == member);
+        }
+        (numbers, sets as usize)
+    }
 }
 
 /// Returns the component of each vertex, and the number of components. The vertices of a triangle
 /// are in the same component. Components are numbered in the order of their first vertices.
 /// Vertices without triangles get [`NO_COMPONENT`].
 pub fn of_vertices(count: usize, triangles: &[[u32; 3]]) -> (Vec<u32>, usize) {
-    let sets = SharedSets((0..count as u32).map(AtomicU32::new).collect());
-    let used: Vec<AtomicU32> = (0..count).map(|_| AtomicU32::new(NO_COMPONENT)).collect();
-    const USED: u32 = 0;
+    let sets = SharedSets::new(count);
+    let used: Vec<AtomicBool> = (0..count).map(|_| AtomicBool::new(false)).collect();
     triangles.par_iter().with_min_len(TASK_ITEMS).for_each(|&[a, b, c]| {
         sets.join(a, b);
         sets.join(b, c);
         for v in [a, b, c] {
-            used[v as usize].store(USED, Relaxed);
+            used[v as usize].store(true, Relaxed);
         }
     });
-    let mut number: Vec<u32> = used.into_iter().map(AtomicU32::into_inner).collect();
-    let mut components = 0;
-    for v in 0..count {
-        if number[v] == NO_COMPONENT {
-            continue;
-        }
-        // the root is the smallest member, so it is either `v` itself or already numbered
-        let root = sets.find(v as u32) as usize;
-        if root == v {
-            number[v] = components;
-            components += 1;
-        } else {
-            number[v] = number[root];
-        }
-    }
-    (number, components as usize)
+    sets.numbers(|v| used[v].load(Relaxed))
 }
 
 #[cfg(test)]
