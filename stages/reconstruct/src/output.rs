@@ -2,8 +2,7 @@
 
 use crate::args::Args;
 use crate::check::{CheckReport, Fault};
-pub use crate::materials::each::MaterialSurface;
-use crate::materials::each::MaterialSurfaces;
+use crate::materials::each::{MaterialSurface, MaterialSurfaces};
 use isoparticles_field::materials::MaterialId;
 use isoparticles_mesh::surface::{Simplices, Surface, write_simplices, write_surface};
 use isoparticles_stage::cli::values::significant;
@@ -46,15 +45,13 @@ pub struct Made {
     pub meta: SurfaceMeta,
     /// The simplices of the failed checks in world coordinates.
     pub offending: Option<Simplices>,
-    /// The interfaces from which [`Made::each`] builds surfaces; `None` for one object.
-    pub(crate) materials: Option<MaterialSurfaces>,
 }
 
 impl Made {
     /// Returns the closed surface of each material except the outside, built when the iterator
     /// reaches it. There are none for one object.
     pub fn each(&self) -> impl Iterator<Item = MaterialSurface<'_>> {
-        self.materials.iter().flat_map(|surfaces| surfaces.each(&self.meta.materials))
+        MaterialSurfaces::new(&self.surface, &self.meta.materials).into_iter().flat_map(MaterialSurfaces::each)
     }
 
     /// Writes the surface and returns the outcome. If a check failed, also writes the offending
@@ -64,7 +61,7 @@ impl Made {
     /// If a file cannot be written.
     pub fn write(&self, args: &Args, context: &Context) -> Result<Outcome> {
         let ending = args.output.extension().unwrap_or_default();
-        if self.materials.is_some() && !ending.eq_ignore_ascii_case("vtp") {
+        if !self.meta.materials.is_empty() && !ending.eq_ignore_ascii_case("vtp") {
             context.warn(format!(
                 "{}: only .vtp files store the names of the materials; .stl files do not store the materials of the triangles either",
                 args.output.display()

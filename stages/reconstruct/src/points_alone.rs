@@ -112,7 +112,7 @@ pub(crate) fn compute(args: &Args, points: Points, context: &Context) -> Result<
         ..SurfaceMeta::default()
     };
     let offending = offending(&mesh, &checked, &geometry, false);
-    Ok(Made { surface, meta, offending, materials: None })
+    Ok(Made { surface, meta, offending })
 }
 
 /// Warns if few points have an umbrella, if many are unused, or if the given normals were not used.

@@ -7,9 +7,10 @@ use crate::finish::attributes;
 pub use crate::input::Inputs;
 use crate::input::{about, warn_unless_settled};
 use crate::materials;
+pub use crate::materials::each::{MaterialSurface, MaterialSurfaces};
 use crate::offending::offending;
 use crate::options::Method;
-pub use crate::output::{Made, MaterialSurface};
+pub use crate::output::Made;
 use crate::output::{check_offenders, describe_mesh};
 use crate::points_alone::{self, Points};
 use crate::reconstruct::{Reconstruction, reconstruct};
@@ -148,7 +149,7 @@ fn of_object(
         notes: notes.into_iter().map(|(name, note)| (name.to_owned(), note)).collect(),
     };
     let offending = offending(&made.mesh, &made.checked, made.field.geometry(), options.keeps_voxels);
-    Ok(Made { surface, meta, offending, materials: None })
+    Ok(Made { surface, meta, offending })
 }
 
 /// Adds the results to the report and to the closing table, and issues the warnings.

@@ -1,7 +1,7 @@
-//! Meshes many materials by [`reconstruct`], and returns the surface of all interfaces and the
-//! closed surface of each material. Adds the results to the report.
+//! Meshes many materials by [`reconstruct`], and returns the surface of all interfaces. Adds the
+//! results to the report.
 
-use super::each::MaterialSurfaces;
+use super::each::SIDES;
 use super::reconstruct::{Reconstruction, reconstruct};
 use crate::args::Args;
 use crate::input::about;
@@ -67,8 +67,7 @@ pub(crate) fn compute(
         notes: notes.into_iter().map(|(name, note)| (name.to_owned(), note)).collect(),
     };
     let offending = offending(&made.interfaces.mesh, &made.checked, geometry, options.keeps_voxels);
-    let each = MaterialSurfaces::new(made.interfaces, made.sizes, geometry.clone());
-    Ok(Made { surface, meta, offending, materials: Some(each) })
+    Ok(Made { surface, meta, offending })
 }
 
 /// Returns the strata of the particles.
@@ -94,8 +93,8 @@ fn attributes(made: &Reconstruction, geometry: &Geometry) -> Surface {
     surface.point_data = vec![DataArray::scalars("h", made.sizes.clone()), DataArray::integers("materials", meeting)];
     let side = |n: usize| between.iter().map(|pair| i64::from(pair[n].0)).collect();
     surface.cell_data = vec![
-        DataArray::integers("material_inside", side(0)),
-        DataArray::integers("material_outside", side(1)),
+        DataArray::integers(SIDES[0], side(0)),
+        DataArray::integers(SIDES[1], side(1)),
         DataArray::scalars("radius_ratio", radius_ratios(mesh)),
     ];
     surface
