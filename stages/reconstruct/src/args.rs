@@ -106,7 +106,7 @@ impl Args {
             max_rounds: usize::from(self.max_rounds),
             improve_below: self.improve_below,
             relaxation_sweeps: usize::from(self.relaxation_sweeps),
-            min_radius_ratio: self.min_radius_ratio.or(Some(MIN_RADIUS_RATIO)),
+            min_radius_ratio: self.radius_ratio_bar(),
             accept_forced: self.accept_forced,
             max_vertex_distance: self.max_vertex_distance,
             ..Options::default()
