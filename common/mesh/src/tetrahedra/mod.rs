@@ -4,6 +4,7 @@
 pub mod conform;
 pub mod faces;
 pub mod forced;
+pub mod quadratic;
 pub mod quality;
 
 /// Positions in a tetrahedron of the vertices of its four faces. The faces of a positive
