@@ -2,7 +2,8 @@
 //!
 //! - [`spline`]: the function F, a cubic B-spline through samples of a signed distance (negative
 //!   inside), with analytic derivatives. [`curvature`] is computed from these derivatives.
-//! - [`sizing`]: the target edge length h. [`energy`]: the particle energy (Eq. 1, 2 and 4).
+//! - [`sizing`]: the target edge length h. [`background`]: h for tetrahedralizers. [`energy`]: the
+//!   particle energy (Eq. 1, 2 and 4).
 //! - [`neighbours`]: neighbour search. [`random`]: counter-based random numbers that do not depend
 //!   on the order of evaluation.
 //! - [`topology`]: components, Euler characteristics and critical points of F.
@@ -24,6 +25,7 @@
 //! assert!(!marching_cubes(&distance, 0.0).triangles.is_empty());
 //! ```
 
+pub mod background;
 pub mod curvature;
 pub mod enclosed;
 pub mod energy;
