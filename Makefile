@@ -82,11 +82,10 @@ quote = '$(subst ','\'',$(1))'
 # $(call set,KEY): the user's value of KEY or, if there is none, the case file's value as a
 # --preset.
 set = $(if $(call by_user,$(1)),$(call quote,$(1)=$($(1))),$(if $($(1)),--preset $(call quote,$(1)=$($(1)))))
-# If one of these files changes, the tetrahedra or the page must be made again. convergence.py is
-# excluded because it makes no tetrahedra.
+# If one of these files changes, the tetrahedra or the page must be made again.
 TETMESH = stages/tetmesh-check/src/tetmesh_check
 TETMESH_FILES = $(wildcard $(BIN)/libisoparticles_python.so stages/tetmesh-check/requirements*.lock) \
-                $(filter-out %/convergence.py,$(sort $(wildcard $(TETMESH)/*.py $(TETMESH)/*/*.py)))
+                $(sort $(wildcard $(TETMESH)/*.py $(TETMESH)/*/*.py))
 PAGE_FILES = $(sort $(wildcard $(TETMESH)/report/page/*.*))
 
 # $(call case,GOAL)
@@ -390,13 +389,14 @@ bench-delaunay: build
 	@$(CARGO) build --release --locked -p isoparticles-delaunay --example bench_delaunay
 	@common/delaunay/benches/compare.sh --bin $(BIN) --work $(OUT)/bench-delaunay $(BENCH_OPTIONS)
 
-# Measures the error of the solution of Poisson's equation on the ball at several edge lengths (mm).
+# Measures the error of the solution of Poisson's equation on the ball at several edge lengths (mm),
+# and compares preconditioners.
 SIZES ?= 4 2 1
 bench-convergence: build env
 	@for size in $(SIZES); do \
 	  $(MAKE) --no-print-directory CASE=ball NAME=ball-$$size SIZE=$$size SCALE=0 OUT=$(OUT)/bench NO_BUILD=yes VERBOSITY=-q mesh || exit $$?; \
 	done
-	$(TETMESH_CHECK)-convergence $(foreach size,$(SIZES),$(OUT)/bench/ball-$(size)/ball-$(size).volume.vtu)
+	$(VENV)/bin/python stages/tetmesh-check/benches/convergence.py $(foreach size,$(SIZES),$(OUT)/bench/ball-$(size)/ball-$(size).volume.vtu)
 
 # Compares our surfaces with those of marching cubes and of a remesher, from the same distance field
 # and with the same tetrahedralizer. Example: COMPARE_OPTIONS="--surfaces particles remesh_botsch

@@ -143,7 +143,7 @@ def fill_and_solve(
             *(sys.executable, "-m", "tetmesh_check", str(surface), "--sizefield", str(sizefield), "-o", str(volume)),
             *("--method", "hxt", "--max-seconds", str(parsed.fill_seconds)),
             *("--solve", "yes", "--solve-seconds", str(parsed.solve_seconds)),
-            *("--compare-seconds", str(parsed.compare_seconds), "--force", "--report", str(report), "-q"),
+            *("--force", "--report", str(report), "-q"),
         ],
         check=False,
     )
@@ -160,13 +160,9 @@ def _solves(solve: dict[str, Any]) -> list[str]:
         if figures is None or "multigrid" not in figures:
             cells.append("not solved")
             continue
-        words = []
-        for name in ("multigrid", "jacobi", "plain"):
-            run = figures[name]
-            words.append("-" if run is None else f"{'' if run['converged'] else 'stuck at '}{run['iterations']:,}")
-        condition = (figures["plain"] or {}).get("condition")
-        shown = "" if condition is None else f" ({condition:.2g})"
-        cells.append(f"{figures['unknowns']:,}; {' / '.join(words)}{shown}")
+        runs = [figures[name] for name in ("multigrid", "jacobi") if name in figures]
+        words = [f"{'' if run['converged'] else 'stuck at '}{run['iterations']:,}" for run in runs]
+        cells.append(f"{figures['unknowns']:,}; {', '.join(words)}")
     poisson = solve.get("poisson") or {}
     errors = [poisson.get(f"relative_{norm}_error") for norm in ("l2", "h1")]
     cells.append(" / ".join("-" if error is None else f"{100.0 * error:.3g}" for error in errors))
@@ -286,7 +282,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--surfaces", choices=KINDS, nargs="+", default=KINDS, help="which of them (default: all)")
     parser.add_argument("--fill-seconds", type=float, default=600.0, help="time limit of remesher and of HXT, s")
     parser.add_argument("--solve-seconds", type=float, default=600.0, help="time limit of the problems of one mesh, s")
-    parser.add_argument("--compare-seconds", type=float, default=300.0, help="of these for CG without multigrid, s")
     parsed = parser.parse_args(argv)
     failed = False
     parsed.work.mkdir(parents=True, exist_ok=True)

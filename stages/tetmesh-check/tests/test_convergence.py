@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 import pyvista as pv
 from conftest import NEEDS_HXT, Run, ball, write_sizing
+from test_benches import load_bench
 from test_solve import block
 
-from tetmesh_check.fem.convergence import main, measure, orders
+_BENCH = load_bench("convergence")
+main, measure, orders = _BENCH.main, _BENCH.measure, _BENCH.orders
 
 
 @NEEDS_HXT

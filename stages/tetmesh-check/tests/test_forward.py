@@ -66,7 +66,7 @@ def solved(folder: Path, run: Run, subdivisions: tuple[int, ...], h: float) -> t
     given = [
         f"--conductivity={name}={value}" for name, value in zip(("body", "lung", "heart"), CONDUCTIVITY, strict=True)
     ]
-    done = run(*words, *given, "--compare-seconds", 0)
+    done = run(*words, *given)
     assert done.returncode == 0, done.stderr
     points, cells, grid = tetrahedra(folder / "c.vtu")
     results = json.loads((folder / "r.json").read_text())["results"]

@@ -16,7 +16,6 @@ from PIL import Image
 
 from tetmesh_check import cli
 from tetmesh_check.errors import StageError
-from tetmesh_check.fem import convergence
 from tetmesh_check.quality import summarize
 from tetmesh_check.report import pictures
 from tetmesh_check.report.page import index, measured, program
@@ -99,7 +98,6 @@ def test_the_page_is_whole_and_needs_nothing_else(case: Path, page: Path) -> Non
         "Fit for simulation, 1 warning",
         number(results["volume"]["tetrahedra"]),
         number(results["solve"]["elasticity"]["multigrid"]["iterations"]),
-        number(results["solve"]["elasticity"]["jacobi"]["iterations"]),
         *(check["words"] for check in results["checks"]),
         "a <strange> thing",
         "/data/scan <1>.nrrd",
@@ -448,13 +446,11 @@ def test_what_nobody_foresaw_does_not_look_like_a_failed_check(
 
     monkeypatch.setattr(program, "page", broken)
     monkeypatch.setattr(index, "index", broken)
-    monkeypatch.setattr(convergence, "_run", broken)
     monkeypatch.setattr(cli, "_run", broken)
     status = str(case / "a&b.status.json")
     for main, words in (
         (program.main, [status, "-o", str(tmp_path / "x.html")]),
         (index.main, [status, "-o", str(tmp_path / "x.html")]),
-        (convergence.main, ["a.vtu", "b.vtu"]),
         (cli.main, ["a.vtp", "-o", "b.vtu"]),
     ):
         assert main(words) == 2

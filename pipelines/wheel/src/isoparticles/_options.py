@@ -252,9 +252,6 @@ class TetmeshOptions(TypedDict, total=False):
     solve: Literal["auto", "yes", "no"]
     # Time limit of the test problems, s. Default: 600.0.
     solve_seconds: float
-    # Time limit within --solve-seconds for conjugate gradients without multigrid, s, at least 0.
-    # Default: 60.0.
-    compare_seconds: float
     # Material that contains the current source, and the current density in world coordinates,
     # uA/mm^2.
     source: str

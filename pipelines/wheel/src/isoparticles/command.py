@@ -72,8 +72,7 @@ def scripts() -> Path:
 def case_arguments(goal: str, settings: Sequence[str], options: Sequence[str] = ()) -> list[str]:
     """Return the command line of ``isoparticles-case``."""
     package = Path(tetmesh_check.__file__).parent
-    sources = [*package.glob("*.py"), *package.glob("*/*.py")]
-    tetrahedra = sorted(str(file) for file in sources if file.name != "convergence.py")
+    tetrahedra = sorted(map(str, [*package.glob("*.py"), *package.glob("*/*.py")]))
     pages = sorted(str(file) for file in (package / "report" / "page").glob("*.*"))
     return [
         program("isoparticles-case"),

@@ -240,14 +240,6 @@ def build_parser() -> argparse.ArgumentParser:
         help="time limit of the test problems, s (default 600). Unsolved problems are omitted with a warning. The set-up of "
         "multigrid is not interrupted",
     )
-    solve.add_argument(
-        "--compare-seconds",
-        metavar="S",
-        type=number(0.0, math.inf),
-        default=60.0,
-        help="time limit within --solve-seconds for conjugate gradients without multigrid, s, at least 0 (default 60). They only "
-        "measure the condition of the matrices",
-    )
 
     many = parser.add_argument_group(
         "Many materials",
@@ -458,7 +450,7 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
             parsed.max_distance,
             parsed.accept_forced,
         ),
-        solve=SolveSettings(SolveMode(parsed.solve), parsed.solve_seconds, parsed.compare_seconds),
+        solve=SolveSettings(SolveMode(parsed.solve), parsed.solve_seconds),
         forward=ForwardArguments(dict(parsed.conductivity))
         if parsed.source is None
         else ForwardArguments(dict(parsed.conductivity), *parsed.source),

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import bsr_matrix, csr_matrix
+from scipy.sparse import csr_matrix
 from skfem import Basis, BilinearForm, ElementTetP1, ElementVector, Functional, LinearForm, MeshTet
 
-from tetmesh_check.fem.krylov import OutOfTimeError
+from tetmesh_check.fem.solver import OutOfTimeError
 from tetmesh_check.quality import Cells, Labels, Points, Values
 
 BLOCK = 50_000
@@ -24,33 +24,10 @@ ERROR_ORDER = 4
 """Order of quadrature of squared errors: that of linear elements is a square of quadratic polynomials, to first order."""
 
 
-def _unknowns(points: Labels) -> Labels:
-    """Numbers of the three unknowns at each of some points."""
-    numbers: Labels = (3 * points[:, None] + np.arange(3)).ravel()
+def _unknowns(points: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Numbers of the unknowns at points, three for each along the last axis."""
+    numbers: NDArray[np.int64] = 3 * np.repeat(points, 3, axis=-1) + np.resize(np.arange(3), 3 * points.shape[-1])
     return numbers
-
-
-def _merge(parts: list[tuple[int, Any]]) -> None:
-    """Put the sum of the last two in their place."""
-    (blocks, matrix), (other_blocks, other) = parts.pop(), parts.pop()
-    parts.append((blocks + other_blocks, other + matrix))
-
-
-def _add(parts: list[tuple[int, Any]], matrix: Any) -> None:
-    """Add the matrix of a block to a list of sums, each with its number of blocks.
-
-    Sums of equally many blocks are merged at once, so that every entry is added a few times only and few matrices are held.
-    """
-    parts.append((1, matrix))
-    while len(parts) > 1 and parts[-1][0] == parts[-2][0]:
-        _merge(parts)
-
-
-def _sum(parts: list[tuple[int, Any]]) -> Any:
-    """Merge what is left."""
-    while len(parts) > 1:
-        _merge(parts)
-    return parts[0][1]
 
 
 class Assembler:
@@ -99,7 +76,7 @@ class Assembler:
             One number a tetrahedron, shape ``(m,)``; the form finds them as ``w.weight``.
         """
         size = len(self.points)
-        parts: list[tuple[int, Any]] = []
+        total = csr_matrix((size, size))
         for number, (used, basis) in enumerate(self._blocks(False, _STIFFNESS_ORDER)):
             known = {}
             if weights is not None:
@@ -108,8 +85,8 @@ class Assembler:
             if coefficient is not None:
                 known["coefficient"] = coefficient(np.asarray(basis.global_coordinates()))
             local = BilinearForm(form).assemble(basis, **known).tocoo()
-            _add(parts, csr_matrix((local.data, (used[local.row], used[local.col])), shape=(size, size)))
-        return _sum(parts)
+            total += csr_matrix((local.data, (used[local.row], used[local.col])), shape=(size, size))
+        return total
 
     def elastic_stiffness(self, shear: float, lame: float) -> Any:
         """Assemble the stiffness of isotropic linear elasticity, ``2 shear sym grad u : sym grad v + lame div u div v``.
@@ -127,7 +104,8 @@ class Assembler:
         sparse matrix
             Shape ``(3 n, 3 n)``, in rows; unknown ``3 i + k`` is component k at point i.
         """
-        parts: list[tuple[int, Any]] = []
+        size = 3 * len(self.points)
+        total = csr_matrix((size, size))
         for used, basis in self._blocks(False, _STIFFNESS_ORDER):
             gradients = np.stack([np.asarray(function[0].grad)[:, :, 0] for function in basis.basis])
             # d/dx_k of the j-th function times d/dx_l of the i-th, over the tetrahedron
@@ -136,20 +114,12 @@ class Assembler:
             )
             blocks = shear * products + lame * products.swapaxes(3, 4)
             blocks += shear * np.trace(products, axis1=3, axis2=4)[..., None, None] * np.eye(3)
-            corners = np.asarray(basis.mesh.t, dtype=np.int64).T
-            _add(parts, self._summed(used, corners, blocks))
-        return _sum(parts).tocsr()
-
-    def _summed(self, used: Labels, corners: Cells, blocks: Values) -> Any:
-        """Add the blocks of the tetrahedra, shape ``(m, 4, 4, 3, 3)``, to a matrix; ``corners`` are numbers in ``used``."""
-        key = (corners[:, :, None] * len(used) + corners[:, None, :]).ravel()
-        order = np.argsort(key, kind="stable")
-        pairs, starts = np.unique(key[order], return_index=True)
-        data = np.add.reduceat(blocks.reshape(-1, 3, 3)[order], starts, axis=0)
-        first = np.zeros(len(self.points) + 1, dtype=np.int64)
-        np.cumsum(np.bincount(used[pairs // len(used)], minlength=len(self.points)), out=first[1:])
-        size = 3 * len(self.points)
-        return bsr_matrix((data, used[pairs % len(used)], first), shape=(size, size))
+            corners = used[np.asarray(basis.mesh.t).T]
+            rows = np.repeat(_unknowns(corners), 12, axis=1).ravel()
+            columns = np.tile(_unknowns(corners), 12).ravel()
+            entries = blocks.transpose(0, 1, 3, 2, 4).ravel()
+            total += csr_matrix((entries, (rows, columns)), shape=(size, size))
+        return total
 
     def load(self, form: Callable[..., Any], vector: bool = False, order: int = DATA_ORDER) -> Values:
         """Assemble a linear form ``form(v, w)`` to a vector.

@@ -14,13 +14,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.sparse import diags
-from scipy.sparse.csgraph import connected_components
 from skfem.helpers import dot, grad
 
 from tetmesh_check.errors import StageError
 from tetmesh_check.fem.assembly import Assembler
-from tetmesh_check.fem.problems import Solver
+from tetmesh_check.fem.solver import Solver
 from tetmesh_check.materials import NOTHING, Sides
 from tetmesh_check.quality import OUTWARD_FACES, Cells, Labels, Points, Values
 from tetmesh_check.topology import members_of
@@ -192,19 +190,13 @@ def potential_of(
     right_side: Values = np.bincount(tetrahedra.ravel(), weights=pushed.ravel(), minlength=len(points)).astype(
         np.float64
     )
-    parts, part = connected_components(matrix, directed=False)
-    # singular once for each part: for multigrid one point of each leads to the ground
-    first = np.unique(part, return_index=True)[1]
-    leak = np.zeros(len(points))
-    leak[first] = matrix.diagonal()[first]
-    potential, figures, converged = solver.solve(matrix, right_side, grounded=(matrix + diags(leak)).tocsr())
+    potential, part, figures, converged = solver.solve_floating(matrix, right_side)
     of_tetrahedron = part[tetrahedra[:, 0]]
     means = np.bincount(of_tetrahedron, volumes * potential[tetrahedra].mean(axis=1)) / np.bincount(
         of_tetrahedron, volumes
     )
     potential -= means[part]
     slope = np.einsum("ikj,ik->ij", gradients, potential[tetrahedra]) / volumes[:, None]
-    figures["parts"] = int(parts)
     return potential, impressed - sigma[:, None] * slope, figures, converged
 
 

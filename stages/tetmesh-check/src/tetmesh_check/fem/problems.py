@@ -7,20 +7,14 @@ Physiology", 2009, chapter 12) say whether a solver has an easy time with it.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import diags
-from scipy.sparse.csgraph import connected_components
 from skfem.helpers import dot, grad, mul
 
 from tetmesh_check.fem.assembly import Assembler, held_at_one_side
-from tetmesh_check.fem.krylov import TOLERANCE, CgResult, OutOfTimeError, conjugate_gradients, jacobi, nothing
-from tetmesh_check.fem.multigrid import multigrid, rigid_motions
+from tetmesh_check.fem.solver import Solver, rigid_motions
 from tetmesh_check.quality import Labels, Values
 
 YOUNG = 0.01
@@ -34,101 +28,10 @@ order, 1e-4 here."""
 CLAMPED_SHARE = 0.1
 """Share of the length of each body that is held."""
 _SIDES = tuple((axis, sign) for axis in range(3) for sign in (1.0, -1.0))
-MAX_MULTIGRID_ITERATIONS = 500
-"""Of conjugate gradients with multigrid: a good mesh takes 10 to 50."""
 CONDUCTIVITY = {"intracellular": (0.174, 0.0193), "extracellular": (0.625, 0.236)}
 """Along and across the fibres, S/m (Roth 1997, after Clerc 1976)."""
 RESTING, RISE = -80.0, 100.0
 """Transmembrane potential ahead of the wave front, and its rise behind it, mV."""
-
-
-@dataclass
-class Solver:
-    """How the systems are solved."""
-
-    max_iterations: int
-    """Of one iteration with Jacobi's preconditioner or none."""
-    deadline: float
-    """When time is over, by the monotonic clock, s."""
-    compare_seconds: float = float("inf")
-    """Time left for the runs that only give figures, s; it gets less as they take it."""
-
-    def solve(
-        self,
-        matrix: Any,
-        right_side: Values,
-        near_null: Values | None = None,
-        grounded: Any = None,
-        energy: float | None = None,
-    ) -> tuple[Values, dict[str, Any], bool]:
-        """Solve with multigrid: solution, figures, and whether it was found.
-
-        It was not where the run with Jacobi's preconditioner had the time and did not converge. Where multigrid did not, but
-        Jacobi's preconditioner did, the solution is the latter's, and ``solved_with`` is ``jacobi`` in place of ``multigrid``.
-
-        Runs with Jacobi's preconditioner and without go along for their figures, among them the condition of the matrix itself.
-        Each has half of the time that is left, so that others have some, too; ``jacobi`` or ``plain`` is ``None`` where that
-        did not suffice.
-
-        Parameters
-        ----------
-        matrix, right_side
-            The system.
-        near_null
-            See :func:`.multigrid`.
-        grounded
-            Matrix that multigrid is set up with instead, where that of the system is singular.
-        energy
-            See :func:`.conjugate_gradients`.
-
-        Raises
-        ------
-        OutOfTimeError
-            When time is over; a set-up of multigrid under way is finished.
-        """
-        started = time.monotonic()
-        if started > self.deadline:
-            raise OutOfTimeError
-        # a mesh of one layer has no points inside
-        cycle = multigrid(matrix if grounded is None else grounded, near_null) if matrix.shape[0] else nothing
-        set_up = time.monotonic() - started
-        solved = conjugate_gradients(matrix, right_side, cycle, MAX_MULTIGRID_ITERATIONS, self.deadline, energy=energy)
-        del cycle
-        seconds = time.monotonic() - started
-        figures: dict[str, Any] = {"unknowns": matrix.shape[0], "nonzeros": matrix.nnz, "tolerance": TOLERANCE}
-        figures["multigrid"] = {**_figures(solved), "setup_seconds": set_up, "seconds": seconds}
-        other = self._compared(matrix, right_side, jacobi(matrix), energy)
-        figures["jacobi"] = _figures(other) if other else None
-        plain = self._compared(matrix, right_side, nothing, energy)
-        figures["plain"] = _figures(plain) if plain else None
-        figures["solved_with"] = "multigrid"
-        if other and other.converged and not solved.converged:
-            solved, figures["solved_with"] = other, "jacobi"
-        return solved.solution, figures, solved.converged and (other is None or other.converged)
-
-    def _compared(
-        self, matrix: Any, right_side: Values, precondition: Callable[[Values], Values], energy: float | None
-    ) -> CgResult | None:
-        started = time.monotonic()
-        deadline = started + 0.5 * min(self.compare_seconds, self.deadline - started)
-        try:
-            return conjugate_gradients(matrix, right_side, precondition, self.max_iterations, deadline, energy=energy)
-        except OutOfTimeError:
-            return None
-        finally:
-            self.compare_seconds -= time.monotonic() - started
-
-
-def _figures(run: CgResult) -> dict[str, Any]:
-    condition = run.condition
-    return {
-        "iterations": run.iterations,
-        "converged": run.converged,
-        "residual": run.residual,
-        "condition": condition if np.isfinite(condition) else None,
-        "smallest_eigenvalue": run.smallest_eigenvalue,
-        "largest_eigenvalue": run.largest_eigenvalue,
-    }
 
 
 def _gradients(u: Any, v: Any, _w: Any) -> Any:
@@ -185,8 +88,7 @@ def poisson(assembler: Assembler, boundary: NDArray[np.bool_], solver: Solver) -
     free = np.flatnonzero(~boundary)
     solution = np.where(boundary, exact, 0.0)
     right_side = (load - matrix @ solution)[free]
-    energy = float(exact @ (matrix @ exact))
-    inner, figures, converged = solver.solve(matrix[free][:, free], right_side, energy=energy)
+    inner, figures, converged = solver.solve(matrix[free][:, free], right_side)
     solution[free] = inner
 
     def squares(name: str) -> tuple[Any, Any]:
@@ -323,18 +225,11 @@ def conduction(assembler: Assembler, solver: Solver) -> tuple[dict[str, Any], bo
     matrix = assembler.matrix(flow, coefficient=lambda x: tensor(x, both))
     membrane = RESTING + 0.5 * RISE * (1.0 - np.tanh(position / width))
     right_side = -(assembler.matrix(flow, coefficient=lambda x: tensor(x, inner)) @ membrane)
-    parts, part = connected_components(matrix, directed=False)
-    # the matrix is singular once for each part; on a coarse level a small part is one unknown, whose entry would be rounding
-    # errors in place of zero: for multigrid one point of each part leads to the ground
-    first = np.unique(part, return_index=True)[1]
-    leak = np.zeros(len(points))
-    leak[first] = matrix.diagonal()[first]
-    potential, figures, converged = solver.solve(matrix, right_side, grounded=(matrix + diags(leak)).tocsr())
+    potential, part, figures, converged = solver.solve_floating(matrix, right_side)
     potential -= (np.bincount(part, potential) / np.bincount(part))[part]
     figures.update(
         conductivity_s_per_m={name: list(values) for name, values in CONDUCTIVITY.items()},
         front_width_mm=width,
-        parts=int(parts),
         potential_range_mv=[float(potential.min()), float(potential.max())],
     )
     return figures, converged

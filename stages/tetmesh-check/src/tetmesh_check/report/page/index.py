@@ -62,8 +62,7 @@ def summary(case: Case) -> dict[str, Any]:
         volume_mm3=dig(volume, "volume_mm3"),
     )
     for problem in ("poisson", "conduction", "elasticity"):
-        for run in ("multigrid", "jacobi"):
-            line[f"{problem}_cg_{run}"] = dig(results, "solve", problem, run, "iterations")
+        line[f"{problem}_cg_multigrid"] = dig(results, "solve", problem, "multigrid", "iterations")
     line.update({f"{stage.name}_seconds": stage.seconds for stage in case.stages})
     line.update(seconds=case.seconds, peak_memory_bytes=int(case.peak_memory))
     return line
@@ -118,7 +117,7 @@ def _row(case: Case, output: Path) -> tuple[str, ...]:
     def known(key: str, digits: int = 3) -> str:
         return "-" if line[key] is None else number(line[key], digits)
 
-    solved = [known(f"{problem}_cg_jacobi") for problem in ("poisson", "conduction", "elasticity")]
+    solved = [known(f"{problem}_cg_multigrid") for problem in ("poisson", "conduction", "elasticity")]
     return (
         picture,
         f'<b>{name}</b><br><span class="tag {case.kind}">{escape(_tag(case))}</span>'
@@ -170,7 +169,7 @@ def index(cases: Sequence[Case], output: Path) -> str:
         f'<p class="verdict {kind}">{escape(verdict)}</p></header>'
         f"<section>{table(head, rows, (0, 1), 'cases')}<p class=soft>The same data as CSV: "
         f'<a href="{quote(output.with_suffix(".csv").name)}">{escape(output.with_suffix(".csv").name)}</a>. CG: iterations of conjugate '
-        "gradients with Jacobi's preconditioner, where problems were solved.</p></section>"
+        "gradients with multigrid, where problems were solved.</p></section>"
     )
     return document("Cases of isoparticles", body)
 
