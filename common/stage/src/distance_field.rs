@@ -51,7 +51,7 @@ impl DistanceField {
     pub fn material_names(&self) -> Vec<String> {
         match self {
             Self::Object(_) => Vec::new(),
-            Self::Materials(file) => file.materials.table().iter().map(|material| material.name.clone()).collect(),
+            Self::Materials(file) => file.materials.names(),
         }
     }
 

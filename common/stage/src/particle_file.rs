@@ -19,7 +19,7 @@ use std::io::{self, Read, Write};
 use std::path::Path;
 
 /// First bytes of every particle file.
-const MAGIC: [u8; 8] = *b"ISOPART\n";
+pub const MAGIC: [u8; 8] = *b"ISOPART\n";
 /// Container version of files with a single object.
 const VERSION: u32 = 1;
 /// Container version of files with several materials.

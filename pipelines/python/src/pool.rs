@@ -1,6 +1,6 @@
 //! Runs jobs on a thread pool while the calling Python thread polls for signals and progress.
 
-use isoparticles_stage::cli::Listener;
+use isoparticles_stage::cli::{Listener, STACK_BYTES};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -12,9 +12,6 @@ use std::time::Duration;
 
 /// Time between two polls. A user notices delays above about 100 ms.
 const POLL: Duration = Duration::from_millis(50);
-
-/// Stack size of each thread in bytes, as in the stage programs.
-const STACK_BYTES: usize = 8 << 20;
 
 /// Maximum number of threads per core. On 2 cores, `distance_field` of 60^3 voxels takes 0.2 s with
 /// `threads=8`, 0.9 s with 300, and more than 2 minutes with 5000.

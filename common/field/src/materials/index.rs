@@ -123,6 +123,11 @@ impl Materials {
         &self.table
     }
 
+    /// Returns the names of the materials, indexed by material number.
+    pub fn names(&self) -> Vec<String> {
+        self.table.iter().map(|material| material.name.clone()).collect()
+    }
+
     /// Returns the indicators, indexed by material number.
     pub fn indicators(&self) -> &[Indicator] {
         &self.indicators

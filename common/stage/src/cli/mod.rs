@@ -139,7 +139,7 @@ pub fn exit_code(result: &Result<Outcome>) -> u8 {
 }
 
 /// Stack size of each thread in bytes, equal to the default for the main thread on Linux.
-const STACK_BYTES: usize = 8 << 20;
+pub const STACK_BYTES: usize = 8 << 20;
 
 /// Runs a stage program. Parses the command line, sets up threads and signals, checks the outputs,
 /// calls `run`, prints the closing table and errors, writes the report, and returns the exit code.

@@ -23,8 +23,7 @@ use serde_json::json;
 /// Computes the sizing field of several materials, and the metadata of its file.
 pub(crate) fn compute(args: &Args, materials: &Materials, context: &Context) -> Result<(SizingField, SizeMeta)> {
     let geometry = materials.geometry();
-    let names: Vec<String> = materials.table().iter().map(|material| material.name.clone()).collect();
-    let given = Given::new(&args.size, &names)?;
+    let given = Given::new(&args.size, &materials.names())?;
     let refined = refined_nodes(&args.refine, geometry, context)?;
     context.check_interrupt()?;
     let step = context.step("trace the strata");
