@@ -2,18 +2,21 @@
 
 use crate::errors::raised;
 use crate::pool;
-use isoparticles_mesh::surface::{DataArray, Surface, SurfaceFile, read_surface, write_simplices, write_surface};
-use isoparticles_reconstruct::run::Made;
+use isoparticles_field::materials::{Material, MaterialId};
+use isoparticles_mesh::surface::{
+    DataArray, Simplices, Surface, SurfaceFile, read_surface, write_simplices, write_surface,
+};
+use isoparticles_reconstruct::run::MaterialSurfaces;
 use isoparticles_stage::cli::{Context, Listener};
 use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind, read_field};
 use isoparticles_stage::history::{History, file_name, hash_file, hash_written};
 use isoparticles_stage::materials_file::{KIND, kind_of, read_materials_with_shown};
-use isoparticles_stage::meta::SurfaceMeta;
-use isoparticles_stage::particle_file::{ParticleFile, ParticleKind, read_particles};
+use isoparticles_stage::meta::{SurfaceMeta, typed};
+use isoparticles_stage::particle_file::{MAGIC, ParticleFile, ParticleKind, read_particles};
 use isoparticles_volume::{Endian, Geometry};
-use pyo3::exceptions::{PyKeyError, PyValueError};
+use pyo3::exceptions::PyKeyError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use serde_json::{Value as Json, json};
@@ -38,10 +41,12 @@ pub(crate) enum Value {
     Size(Field),
     /// Result of `seed` or `particles`.
     Particles(ParticleFile),
-    /// Result of `reconstruct`.
-    Made { made: Box<Made>, meta: Json, history: History },
-    /// A surface read from a file, or the surface of one material.
-    Surface(SurfaceFile),
+    /// Result of `reconstruct`, or the surface of one material.
+    Surface {
+        file: SurfaceFile,
+        /// Simplices of the failed checks, unless the surface comes from a file.
+        offending: Option<Simplices>,
+    },
 }
 
 impl Kept {
@@ -83,7 +88,7 @@ impl Kept {
             Value::Distance(distance) => hash_written(|file| distance.encode(file)),
             Value::Size(field) => hash_written(|file| field.encode(file)),
             Value::Particles(particles) => hash_written(|file| particles.encode(file)),
-            Value::Made { .. } | Value::Surface(_) => Err(std::io::Error::other("no stage reads surfaces")),
+            Value::Surface { .. } => Err(std::io::Error::other("no stage reads surfaces")),
         };
         let hash = hash.map_err(|error| Error::file(Path::new(&self.name), "hash", &error, "report this bug"))?;
         Ok(self.hash.get_or_init(|| hash).clone())
@@ -94,8 +99,7 @@ impl Kept {
             Value::Distance(distance) => distance.history(),
             Value::Size(field) => field.history.as_ref(),
             Value::Particles(particles) => Some(&particles.history),
-            Value::Made { history, .. } => Some(history),
-            Value::Surface(file) => file.history.as_ref(),
+            Value::Surface { file, .. } => file.history.as_ref(),
         }
     }
 
@@ -104,8 +108,7 @@ impl Kept {
             Value::Distance(DistanceField::Object(field)) | Value::Size(field) => &field.meta,
             Value::Distance(DistanceField::Materials(file)) => &file.meta,
             Value::Particles(particles) => &particles.meta,
-            Value::Made { meta, .. } => meta,
-            Value::Surface(file) => &file.meta,
+            Value::Surface { file, .. } => &file.meta,
         }
     }
 
@@ -114,16 +117,17 @@ impl Kept {
             Value::Distance(distance) => Some(distance.geometry()),
             Value::Size(field) => Some(&field.image.geometry),
             Value::Particles(file) => Some(&file.particles.geometry),
-            Value::Made { .. } | Value::Surface(_) => None,
+            Value::Surface { .. } => None,
         }
     }
 
     fn surface(&self) -> Option<&Surface> {
-        match &self.value {
-            Value::Made { made, .. } => Some(&made.surface),
-            Value::Surface(file) => Some(&file.surface),
-            _ => None,
-        }
+        if let Value::Surface { file, .. } = &self.value { Some(&file.surface) } else { None }
+    }
+
+    /// Returns the table of the materials of a surface.
+    fn table(&self) -> Vec<Material> {
+        typed::<SurfaceMeta>(Path::new(&self.name), self.meta(), "reconstruct").unwrap_or_default().materials
     }
 
     fn write(&self, path: &Path) -> Result<()> {
@@ -131,20 +135,13 @@ impl Kept {
             Value::Distance(distance) => distance.write(path),
             Value::Size(field) => field.write(path),
             Value::Particles(particles) => particles.write(path),
-            Value::Made { made, meta, history } => {
-                write_surface(path, &made.surface, meta, history)?;
-                match &made.offending {
-                    Some(simplices) if !made.meta.failed_checks.is_empty() => {
-                        Ok(write_simplices(&path.with_extension("offending.vtp"), simplices, history)?)
-                    }
-                    _ => Ok(()),
-                }
-            }
-            Value::Surface(file) => {
+            Value::Surface { file, offending } => {
                 let history = file.history.as_ref().ok_or_else(|| {
                     Error::of_file(path, "this surface has no history", "no stage has made it", "save it with PyVista")
                 })?;
-                Ok(write_surface(path, &file.surface, &file.meta, history)?)
+                write_surface(path, &file.surface, &file.meta, history)?;
+                let beside = path.with_extension("offending.vtp");
+                Ok(offending.iter().try_for_each(|simplices| write_simplices(&beside, simplices, history))?)
             }
         }
     }
@@ -169,7 +166,7 @@ impl Data {
             Value::Distance(DistanceField::Object(field)) | Value::Size(field) => field.kind.name(),
             Value::Distance(DistanceField::Materials(_)) => KIND,
             Value::Particles(particles) => particles.kind.name(),
-            Value::Made { .. } | Value::Surface(_) => "surface",
+            Value::Surface { .. } => "surface",
         }
     }
 
@@ -196,10 +193,7 @@ impl Data {
     fn materials(&self) -> Vec<String> {
         match &self.0.value {
             Value::Distance(distance) => distance.material_names(),
-            Value::Made { made, .. } => names(&made.meta),
-            Value::Surface(file) => {
-                serde_json::from_value(file.meta.clone()).map_or_else(|_| Vec::new(), |m| names(&m))
-            }
+            Value::Surface { .. } => self.0.table().into_iter().map(|material| material.name).collect(),
             _ => Vec::new(),
         }
     }
@@ -236,8 +230,7 @@ impl Data {
                 bytemuck::cast_slice(&file.shown.interface_distance),
             )),
             Value::Particles(file) => of_particles(py, file, name),
-            Value::Made { made, .. } => of_surface(py, &made.surface, name),
-            Value::Surface(file) => of_surface(py, &file.surface, name),
+            Value::Surface { file, .. } => of_surface(py, &file.surface, name),
             _ => Err(PyKeyError::new_err(name.to_owned())),
         }
     }
@@ -251,24 +244,16 @@ impl Data {
 
     /// Returns the closed surface of a material.
     fn of_material(&self, py: Python<'_>, name: String) -> PyResult<Self> {
-        let Value::Made { history, .. } = &self.0.value else {
-            return Err(PyValueError::new_err(
-                "only a surface that `reconstruct` has just made can be split into materials",
-            ));
-        };
-        let (kept, history, wanted) = (Arc::clone(&self.0), history.clone(), name.clone());
+        let (kept, wanted) = (Arc::clone(&self.0), name.clone());
         let found = pool::run(py, 0, &Arc::new(Listener::default()), None, move || {
-            let Value::Made { made, .. } = &kept.value else { return None };
-            let own = made.each().find(|own| own.name == wanted)?;
-            Some(SurfaceFile { surface: own.surface, meta: json!(own.meta), history: Some(history) })
+            let table = kept.table();
+            let id = table.iter().position(|material| material.name == wanted)?;
+            let own = MaterialSurfaces::new(kept.surface()?, &table)?.surface_of(MaterialId(id as u16))?;
+            Some(SurfaceFile { surface: own.surface, meta: json!(own.meta), history: kept.history().cloned() })
         })?;
         let file = found.ok_or_else(|| PyKeyError::new_err(name))?;
-        Ok(Self(Arc::new(Kept::new(Value::Surface(file), self.0.name.clone()))))
+        Ok(Self(Arc::new(Kept::new(Value::Surface { file, offending: None }, self.0.name.clone()))))
     }
-}
-
-fn names(meta: &SurfaceMeta) -> Vec<String> {
-    meta.materials.iter().map(|material| material.name.clone()).collect()
 }
 
 fn of_particles<'py>(py: Python<'py>, file: &ParticleFile, name: &str) -> PyResult<Array<'py>> {
@@ -329,11 +314,11 @@ fn read_value(path: &Path) -> Result<Value> {
     let cannot = |error| Error::file(path, "read", &error, "check the name of the file");
     let mut start = Vec::new();
     std::fs::File::open(path).and_then(|file| file.take(8).read_to_end(&mut start)).map_err(cannot)?;
-    if start == *b"ISOPART\n" {
+    if start == MAGIC {
         return read_particles(path, &[ParticleKind::Particles, ParticleKind::Seeds]).map(Value::Particles);
     }
     if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("vtp")) {
-        return Ok(Value::Surface(read_surface(path)?));
+        return Ok(Value::Surface { file: read_surface(path)?, offending: None });
     }
     match kind_of(path)?.as_deref() {
         Some(KIND) => {

@@ -4,15 +4,20 @@ use isoparticles_stage::error::{Error, Kind};
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 
-/// Converts an error of a stage to an exception: `isoparticles.Error`, or `KeyboardInterrupt` if
-/// the run was interrupted.
+/// Converts an error of a stage to an exception: `isoparticles.Error` without a report, or
+/// `KeyboardInterrupt` if the run was interrupted.
 pub(crate) fn raised(py: Python<'_>, error: Error) -> PyErr {
+    raised_by_run(py, error, "null")
+}
+
+/// Converts an error like [`raised`], and attaches the report of the run, which is JSON.
+pub(crate) fn raised_by_run(py: Python<'_>, error: Error, report: &str) -> PyErr {
     if error.kind == Kind::Interrupted {
         return PyKeyboardInterrupt::new_err(());
     }
-    let class = py.import("isoparticles._errors").and_then(|module| module.getattr("Error"));
-    match class.and_then(|class| class.call1((error.what, error.why, error.next))) {
-        Ok(value) => PyErr::from_value(value),
-        Err(other) => other,
-    }
+    let exception = || -> PyResult<Bound<'_, PyAny>> {
+        let report = py.import("json")?.call_method1("loads", (report,))?;
+        py.import("isoparticles._errors")?.call_method1("Error", (error.what, error.why, error.next, report))
+    };
+    exception().map_or_else(|other| other, PyErr::from_value)
 }

@@ -5,9 +5,10 @@
 //! report as JSON. Warnings are passed to the callback `warn` when the run has ended.
 
 use crate::data::{Data, Kept, Value};
-use crate::errors::raised;
+use crate::errors::{raised, raised_by_run};
 use crate::pool;
 use crate::volume::{Volume, hash};
+use isoparticles_mesh::surface::SurfaceFile;
 use isoparticles_stage::cli::check::{Known, parse};
 use isoparticles_stage::cli::{Context, Listener, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
@@ -154,9 +155,9 @@ pub(crate) fn reconstruct(
                 compute_on_field(args, particles, field.distance()?, sizing, context)?
             }
         };
-        let made = Box::new(made);
-        let (meta, failed) = (json!(made.meta), made.meta.failed_checks.clone());
-        Ok((Value::Made { made, meta, history: context.history() }, failed))
+        let (meta, failed) = (json!(made.meta), made.meta.failed_checks);
+        let file = SurfaceFile { surface: made.surface, meta, history: Some(context.history()) };
+        Ok((Value::Surface { file, offending: made.offending.filter(|_| !failed.is_empty()) }, failed))
     })
 }
 
@@ -184,8 +185,9 @@ fn run<A: clap::Parser + StageArgs + Send + 'static>(
     for warning in warnings {
         watch.warn.call1((warning,))?;
     }
-    let (value, failed) = made.map_err(|error| raised(py, error))?;
-    Ok((Data(Arc::new(Kept::new(value, name))), failed, report.to_string()))
+    let report = report.to_string();
+    let (value, failed) = made.map_err(|error| raised_by_run(py, error, &report))?;
+    Ok((Data(Arc::new(Kept::new(value, name))), failed, report))
 }
 
 fn keep(data: &Bound<'_, Data>) -> Arc<Kept> {

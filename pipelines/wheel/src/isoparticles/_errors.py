@@ -7,6 +7,7 @@ import os
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 SKIPPED = (str(Path(__file__).parent) + os.sep, functools.__file__)
 """Folders and files of the frames between the caller and a warning."""
@@ -23,13 +24,16 @@ class Error(Exception):
         The reason why the stage cannot continue.
     next
         What to do.
+    report
+        The report that the program writes with ``--report``; None if no stage has started.
     """
 
-    def __init__(self, what: str, why: str, what_next: str) -> None:
+    def __init__(self, what: str, why: str, what_next: str, report: dict[str, Any] | None = None) -> None:
         super().__init__(what, why, what_next)
         self.what = what
         self.why = why
         self.next = what_next
+        self.report = report
 
     def __str__(self) -> str:
         return f"{self.what}\n  why it matters: {self.why}\n  what to do: {self.next}"

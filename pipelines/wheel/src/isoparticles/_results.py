@@ -280,8 +280,6 @@ class Surface(Result):
         ------
         KeyError
             If there is no such material.
-        ValueError
-            If the surface comes from a file.
         """
         return Surface(self._data.of_material(material))
 
