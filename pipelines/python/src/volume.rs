@@ -6,6 +6,7 @@ use isoparticles_volume::{Endian, Geometry, Space, Voxels};
 use pyo3::buffer::{Element, PyBuffer};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
+use pyo3::types::PyIterator;
 use std::sync::{Mutex, PoisonError};
 
 /// A volume with one layer. A stage takes the voxels out, so each volume can be used once.
@@ -14,34 +15,33 @@ pub(crate) struct Volume(Mutex<Option<isoparticles_volume::Volume>>);
 
 #[pymethods]
 impl Volume {
-    /// Copies an array whose axes are x, y and z. The caller has checked the geometry: `spacing`
-    /// and `origin` are in mm, and `axes` contains the unit vectors of the three axes. `is_lps`
-    /// states that the world frame is LPS.
+    /// Copies an array whose axes are x, y and z. `slabs` returns its parts along z, in order. The
+    /// caller has checked the geometry: `spacing` and `origin` are in mm, and `axes` contains the
+    /// unit vectors of the three axes. `is_lps` states that the world frame is LPS.
     #[new]
     fn new(
-        array: &Bound<'_, PyAny>,
+        slabs: &Bound<'_, PyIterator>,
         dtype: &str,
+        size: [usize; 3],
         spacing: [f64; 3],
         origin: [f64; 3],
         axes: [[f64; 3]; 3],
         is_lps: bool,
     ) -> PyResult<Self> {
+        let count = size.iter().product();
         let voxels = match dtype {
-            "int8" => Voxels::I8(values(array)?),
-            "uint8" => Voxels::U8(values(array)?),
-            "int16" => Voxels::I16(values(array)?),
-            "uint16" => Voxels::U16(values(array)?),
-            "int32" => Voxels::I32(values(array)?),
-            "uint32" => Voxels::U32(values(array)?),
-            "int64" => Voxels::I64(values(array)?),
-            "uint64" => Voxels::U64(values(array)?),
-            "float32" => Voxels::F32(values(array)?),
-            "float64" => Voxels::F64(values(array)?),
+            "int8" => Voxels::I8(values(slabs, count)?),
+            "uint8" => Voxels::U8(values(slabs, count)?),
+            "int16" => Voxels::I16(values(slabs, count)?),
+            "uint16" => Voxels::U16(values(slabs, count)?),
+            "int32" => Voxels::I32(values(slabs, count)?),
+            "uint32" => Voxels::U32(values(slabs, count)?),
+            "int64" => Voxels::I64(values(slabs, count)?),
+            "uint64" => Voxels::U64(values(slabs, count)?),
+            "float32" => Voxels::F32(values(slabs, count)?),
+            "float64" => Voxels::F64(values(slabs, count)?),
             _ => return Err(PyTypeError::new_err(format!("arrays of {dtype} are not supported"))),
         };
-        let shape: Vec<usize> = array.getattr("shape")?.extract()?;
-        let size =
-            <[usize; 3]>::try_from(shape).map_err(|_| PyValueError::new_err("the array must have three axes"))?;
         let geometry = Geometry {
             size,
             spacing: DVec3::from_array(spacing),
@@ -61,8 +61,16 @@ impl Volume {
     }
 }
 
-fn values<T: Element>(array: &Bound<'_, PyAny>) -> PyResult<Vec<T>> {
-    PyBuffer::<T>::get(array)?.to_fortran_vec(array.py())
+fn values<T: Element + Default>(slabs: &Bound<'_, PyIterator>, count: usize) -> PyResult<Vec<T>> {
+    let mut values = vec![T::default(); count];
+    let mut rest = values.as_mut_slice();
+    for slab in slabs {
+        let buffer = PyBuffer::<T>::get(&slab?)?;
+        let (own, after) = rest.split_at_mut(buffer.item_count().min(rest.len()));
+        buffer.copy_to_fortran_slice(slabs.py(), own)?;
+        rest = after;
+    }
+    Ok(values)
 }
 
 /// Returns the hash of a volume that has no file: of its type, its geometry and its values.

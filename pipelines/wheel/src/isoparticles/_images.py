@@ -27,6 +27,8 @@ ORIGIN_MM = 1e9
 """Maximum coordinate of an origin that the readers of files accept."""
 FLAT = 1e-3
 """Minimum determinant of the axes that the readers of files accept."""
+LAYERS = 64
+"""Layers of an array to copy together: a cache line of the smallest voxels."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ def _scalars(arrays: Any) -> NDArray[Any] | None:
 
 
 def _volume(array: NDArray[Any], steps: NDArray[Any], origin: NDArray[Any], *, is_lps: bool) -> Source:
-    """Copy an array. The columns of ``steps`` lead to the next voxel along each axis, in mm."""
+    """Copy an array once. The columns of ``steps`` lead to the next voxel along each axis, in mm."""
     if isinstance(array, np.ma.MaskedArray):
         raise TypeError("masked arrays are not supported: use array.filled(value)")
     name = array.dtype.newbyteorder("=").name
@@ -135,10 +137,10 @@ def _volume(array: NDArray[Any], steps: NDArray[Any], origin: NDArray[Any], *, i
     axes = steps / spacing
     if not abs(np.linalg.det(axes)) >= FLAT:
         raise ValueError(f"the direction is singular: its axes {axes.T.tolist()} are (nearly) coplanar")
-    values = np.asfortranarray(array, dtype=name)
-    x, y, z = (float(length) for length in spacing)
-    a, b, c = (float(coordinate) for coordinate in origin)
-    return Source("array", _native.Volume(values, name, (x, y, z), (a, b, c), axes.T.tolist(), is_lps))
+    # one part at a time, so that the order of the axes and the type change without a second copy
+    slabs = (np.asfortranarray(array[..., z : z + LAYERS], dtype=name) for z in range(0, array.shape[2], LAYERS))
+    volume = _native.Volume(slabs, name, array.shape, spacing.tolist(), origin.tolist(), axes.T.tolist(), is_lps)
+    return Source("array", volume)
 
 
 def _axes(direction: ArrayLike | None) -> NDArray[Any]:

@@ -1,6 +1,8 @@
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from os import PathLike
 from typing import Any, TypedDict, final
+
+from numpy.typing import NDArray
 
 Progress = Callable[[str, str, int, int | None, str], object]
 
@@ -12,10 +14,11 @@ class Watch(TypedDict):
 class Volume:
     def __new__(
         cls,
-        array: Any,
+        slabs: Iterator[NDArray[Any]],
         dtype: str,
-        spacing: tuple[float, float, float],
-        origin: tuple[float, float, float],
+        size: Sequence[int],
+        spacing: list[float],
+        origin: list[float],
         axes: list[list[float]],
         is_lps: bool,
     ) -> Volume: ...
