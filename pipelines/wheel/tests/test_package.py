@@ -131,9 +131,13 @@ def test_files_are_those_of_the_programs(iso: ModuleType, site: Path, tmp_path: 
             "--each",
             "each",
         )
-        own = surface.of("left")
-        assert own.to_pyvista().is_manifold
-        assert np.array_equal(own.vertices, pyvista.read(told / "each" / "left.vtp").points)
+        for whole in (surface, iso.load(made / surface.name)):
+            own = whole.of("left")
+            assert own.to_pyvista().is_manifold
+            own.save(made / "left.vtp", overwrite=True)
+            assert (made / "left.vtp").read_bytes() == (told / "each" / "left.vtp").read_bytes()
+            with pytest.raises(KeyError, match="middle"):
+                whole.of("middle")
 
 
 def test_mesh_uses_the_settings_of_a_case(iso: ModuleType, tmp_path: Path) -> None:
@@ -181,8 +185,26 @@ def test_every_type_and_layout_gives_the_same_field(iso: ModuleType, field: Any)
     images += [np.asfortranarray(labels), labels[::-1, ::-1, ::-1], np.repeat(labels, 2, axis=1)[:, ::2]]
     for image in images:
         assert np.array_equal(iso.distance_field(image, labels=1).array, field.array), image.dtype
+    tall = np.zeros((18, 18, 140), np.uint8)
+    tall[..., 61:79] = labels
+    tall[..., 121:139] = labels
+    same = iso.distance_field(np.asfortranarray(tall), labels=1).array
+    assert np.array_equal(iso.distance_field(tall, labels=1).array, same)
     assert field.array.shape == field.shape
     assert field.array.dtype == np.float32
+
+
+def test_nan_counts_as_in_files(iso: ModuleType, field: Any, tmp_path: Path) -> None:
+    labels = np.where(ball() == 1, 1.0, np.nan)
+    image = pyvista.ImageData(dimensions=labels.shape)
+    image.point_data["labels"] = labels.ravel(order="F")
+    image.save(tmp_path / "in.vti")
+    for given in (labels, tmp_path / "in.vti"):
+        with pytest.warns(iso.MeshWarning, match="NaN and are treated as background"):
+            assert np.array_equal(iso.distance_field(given, labels=1).array, field.array)
+        with pytest.raises(iso.Error, match="voxels are NaN or infinite") as caught, pytest.warns(iso.MeshWarning):
+            iso.distance_field(given, iso=0.5)
+        assert caught.value.report["outcome"] == "error"
 
 
 def test_axes_are_x_y_z_in_the_world(iso: ModuleType) -> None:
@@ -329,8 +351,8 @@ def test_names_of_files_do_not_get_mixed_up(iso: ModuleType, tmp_path: Path, mon
         assert field.history["inputs"][0]["path"] == name
     (tmp_path / "a.b.vti").write_bytes((tmp_path / "-q.vti").read_bytes())
     assert iso.mesh(tmp_path / "a.b.vti", labels=1, size=2, backend="cpu").name == "a.b"
-    error = pickle.loads(pickle.dumps(iso.Error("what", "why", "next")))
-    assert (error.what, error.why, error.next) == ("what", "why", "next")
+    error = pickle.loads(pickle.dumps(iso.Error("what", "why", "next", {"seconds": 2})))
+    assert (error.what, error.why, error.next, error.report) == ("what", "why", "next", {"seconds": 2})
 
 
 def test_errors_say_what_to_do(iso: ModuleType, field: Any, tmp_path: Path) -> None:
@@ -340,6 +362,9 @@ def test_errors_say_what_to_do(iso: ModuleType, field: Any, tmp_path: Path) -> N
     assert str(caught.value) == (
         f"{caught.value.what}\n  why it matters: {caught.value.why}\n  what to do: {caught.value.next}"
     )
+    report = caught.value.report
+    assert report["error"] == {"what": caught.value.what, "why": caught.value.why, "next": caught.value.next}
+    assert (report["tool"], report["exit_code"]) == ("distfield", 2)
     with pytest.raises(TypeError, match="did you mean 'labels'"):
         iso.distance_field(ball(), lables=1)
     with pytest.raises(TypeError, match="series: only"):
@@ -500,11 +525,21 @@ def test_an_exception_of_the_callback_stops_a_run(iso: ModuleType) -> None:
     assert "particles" in message
 
 
-def test_progress_is_a_line(iso: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("has_rich", [True, False])
+def test_progress_is_drawn_and_removed(
+    iso: ModuleType, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, has_rich: bool
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich draws no bar into a file
+    if not has_rich:
+        monkeypatch.setitem(sys.modules, "rich.progress", None)
     iso.mesh(ball(), labels=1, size=2, backend="cpu", progress=True)
-    assert "distfield: " in capsys.readouterr().err
+    drawn = capsys.readouterr().err
+    assert "distfield: " in drawn
+    assert ("\x1b[" in drawn) == has_rich
     iso.distance_field(ball(), labels=1, progress=False)
     assert capsys.readouterr().err == ""
+    with pytest.raises(TypeError, match="progress must be"):
+        iso.distance_field(ball(), labels=1, progress="bar")
 
 
 def test_warnings_point_to_the_caller(iso: ModuleType) -> None:
@@ -581,8 +616,16 @@ def test_results_come_back_from_files(iso: ModuleType, field: Any, tmp_path: Pat
 def test_surfaces_are_filled_with_tetrahedra(iso: ModuleType, tmp_path: Path) -> None:
     pytest.importorskip("gmsh")
     made = iso.mesh(ball(), labels=1, size=2.5, name="ball")
+    steps: set[str] = set()
     with pytest.warns(iso.MeshWarning, match="the volume changes by"):
-        filled = iso.fill(made.result, made.size, method="hxt", solve="no")
+        filled = iso.fill(
+            made.result,
+            made.size,
+            method="hxt",
+            solve="no",
+            progress=lambda *state: steps.add(f"{state[0]} {state[1]}"),
+        )
+    assert {"tetmesh-check read", "tetmesh-check tetrahedralize"} <= steps
     assert filled.failed_checks == []
     grid = filled.to_pyvista()
     assert grid.n_cells > 100
@@ -601,8 +644,22 @@ def test_surfaces_are_filled_with_tetrahedra(iso: ModuleType, tmp_path: Path) ->
     assert again.read_bytes() == (tmp_path / "volume.vtu").read_bytes()
     assert iso.fill(made.result, made.size, method="hxt", solve="no", min_dihedral=69).failed_checks
     assert made.tetrahedra.n_cells > 100
-    with pytest.raises(iso.Error, match="invalid choice"):
+    assert filled.quadratic is None
+    second = iso.fill(
+        made.result, made.size, made.field, order=2, name="ball.volume.vtu", method="hxt", solve="no"
+    ).quadratic
+    assert second.name == "ball.volume.quadratic.vtu"
+    assert set(second.to_pyvista().celltypes) == {pyvista.CellType.QUADRATIC_TETRA}
+    with pytest.raises(iso.Error, match="invalid choice") as caught:
         iso.fill(made.result, method="none")
+    assert caught.value.report is None
+    with pytest.raises(iso.Error, match="of memory") as caught:
+        iso.fill(made.result, max_memory="1K")
+    assert caught.value.report["error"]["what"] == caught.value.what
+    with pytest.raises(iso.Error, match="--order 2"):
+        iso.fill(made.result, order=2)
+    with pytest.raises(LookupError):
+        iso.fill(made.result, progress=lambda *state: {}[state])
     with pytest.raises(TypeError, match="did you mean 'method'"):
         iso.fill(made.result, metod="hxt")
     with pytest.raises(TypeError, match="surface must be a Surface"):

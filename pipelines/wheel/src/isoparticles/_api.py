@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping
 from os import PathLike, fsdecode
 from typing import TYPE_CHECKING, TypeVar, Unpack
@@ -13,6 +12,7 @@ from isoparticles import _native
 from isoparticles._errors import warn
 from isoparticles._images import Image, Source, source
 from isoparticles._mesh import Mesh
+from isoparticles._progress import Progress, shown
 from isoparticles._results import ENDINGS, DistanceField, Particles, Result, SizeField, Surface, expect
 from isoparticles._words import refuse_unknown, settings_of, words_of
 
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
         SizefieldOptions,
     )
 
-Progress = Callable[[str, str, int, int | None, str], object] | bool | None
-"""A callback (stage, step, done, total, message), or True for a line on stderr."""
 R = TypeVar("R", bound=Result)
 
 
@@ -58,7 +56,7 @@ def distance_field(
         The file name of the result in the histories of later results.
     progress
         A function that is called with the stage, the step, the completed work, the total work or
-        None, and a message; or True for a line on stderr.
+        None, and a message; or True for a bar on stderr, drawn by the package rich if there is one.
     **options
         The options of the program ``distfield``. ``iso``, ``labels`` or ``materials`` is required.
 
@@ -344,32 +342,7 @@ def _run(
         raise ValueError(f"name={name!r}: must be a file name without a folder")
     if name in files:
         raise ValueError(f"name={name!r}: is also the name of an input")
-    line = _Line() if progress is True else None
-    callback = line or progress or None
-    if callback is not None and not callable(callback):
-        raise TypeError("progress must be a function, True or None")
-    try:
-        # clap would read a name that starts with a dash as an option
-        given = [f"./{file}" if file.startswith("-") and not file.startswith("--") else file for file in files]
-        finished = stage([*given, "-o", name, *words], {"progress": callback, "warn": warn}, *inputs)
-    finally:
-        if line:
-            line.close()
-    return made(*finished)
-
-
-class _Line:
-    """A line on stderr that shows the latest progress."""
-
-    def __init__(self) -> None:
-        self.width = 0
-
-    def __call__(self, stage: str, step: str, done: int, total: int | None, message: str) -> None:
-        share = f" {100 * min(done, total) // total} %" if total else ""
-        text = f"{stage}: {step}{share} {message}".rstrip()
-        print(f"\r{text:<{self.width}}", end="", file=sys.stderr, flush=True)
-        self.width = len(text)
-
-    def close(self) -> None:
-        """Remove the line."""
-        print(f"\r{'':<{self.width}}\r", end="", file=sys.stderr, flush=True)
+    # clap would read a name that starts with a dash as an option
+    given = [f"./{file}" if file.startswith("-") and not file.startswith("--") else file for file in files]
+    with shown(progress) as callback:
+        return made(*stage([*given, "-o", name, *words], {"progress": callback, "warn": warn}, *inputs))

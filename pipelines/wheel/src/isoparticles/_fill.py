@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
-import re
+import os
 import subprocess
 import sys
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, Unpack
 
 from isoparticles._errors import Error, warn
-from isoparticles._results import SizeField, Surface, expect, refuse_existing
+from isoparticles._progress import Callback, Progress, shown
+from isoparticles._results import DistanceField, Result, SizeField, Surface, expect, refuse_existing
 from isoparticles._words import words_of
 
 if TYPE_CHECKING:
@@ -26,23 +27,29 @@ TOOL = "tetmesh-check"
 
 
 class Tetrahedra:
-    """Tetrahedra inside a surface.
+    """Tetrahedra inside a surface."""
 
-    Attributes
-    ----------
-    name
-        The file name in histories.
-    report
-        The report that the program writes with ``--report``.
-    failed_checks
-        The checks that failed, in words.
-    """
+    name: str
+    """The file name in histories."""
+    report: dict[str, Any]
+    """The report that the program writes with ``--report``."""
+    failed_checks: list[str]
+    """The checks that failed, in words."""
+    quadratic: Tetrahedra | None
+    """With ``order=2``: the same tetrahedra with a node on each edge; otherwise None."""
 
-    def __init__(self, name: str, content: bytes, report: dict[str, Any]) -> None:
+    def __init__(
+        self,
+        name: str,
+        content: bytes,
+        report: dict[str, Any],
+        quadratic: Tetrahedra | None = None,
+    ) -> None:
         self.name = name
         self._content = content
         self.report = report
-        self.failed_checks: list[str] = report["failed_checks"]
+        self.failed_checks = report["failed_checks"]
+        self.quadratic = quadratic
 
     def to_pyvista(self) -> pyvista.UnstructuredGrid:
         """Read the tetrahedra with all arrays. Positions are world coordinates in mm."""
@@ -74,8 +81,11 @@ class Tetrahedra:
 def fill(
     surface: Surface,
     size: SizeField | None = None,
+    field: DistanceField | None = None,
     *,
+    order: Literal[1, 2] = 1,
     name: str = "volume.vtu",
+    progress: Progress = None,
     **options: Unpack[TetmeshOptions],
 ) -> Tetrahedra:
     """Fill a surface with tetrahedra and check them.
@@ -89,8 +99,14 @@ def fill(
         A closed surface.
     size
         The size field. Default: all tetrahedra get the median edge length of the surface.
+    field
+        The distance field from which the surface was made. Required with ``order=2``.
+    order
+        With 2, :attr:`Tetrahedra.quadratic` has a node on each edge.
     name
         The file name of the result in histories, with the extension ``.vtu``.
+    progress
+        As for :func:`isoparticles.distance_field`. The total work is unknown.
     **options
         The options of the program ``tetmesh-check``.
 
@@ -100,49 +116,83 @@ def fill(
         If the surface cannot be filled, or if an option is invalid.
     """
     expect(Surface, surface=surface)
-    words = words_of(TOOL, options)
-    inputs: list[tuple[list[str], Surface | SizeField]] = [([], surface)]
+    words = [*words_of(TOOL, options), *(() if order == 1 else ("--order", str(order)))]
+    inputs: list[tuple[list[str], Result]] = [([], surface)]
     if size is not None:
         expect(SizeField, size=size)
         inputs.append((["--sizefield"], size))
+    if field is not None:
+        expect(DistanceField, field=field)
+        inputs.append((["--distfield"], field))
     if Path(name).name != name or not name.endswith(".vtu"):
         raise ValueError(f"name={name!r}: must be a file name that ends with .vtu")
     names = [name, LOG, REPORT, *(given.name for _, given in inputs)]
     if len(set(names)) < len(names):
         raise ValueError(f"two of the files have the same name: {', '.join(names)}")
-    with TemporaryDirectory(prefix="isoparticles-") as place:
+    files = [word for option, given in inputs for word in (*option, _word(given.name))]
+    _refuse_usage([*files, "-o", name, *words])
+    with TemporaryDirectory(prefix="isoparticles-") as place, shown(progress) as callback:
         folder = Path(place)
-        files: list[str] = []
-        for option, given in inputs:
+        for _, given in inputs:
             given.save(folder / given.name)
-            files += [*option, f"./{given.name}" if given.name.startswith("-") else given.name]
-        report = _run([*files, "-o", name, *words], folder)
-        return Tetrahedra(name, (folder / name).read_bytes(), report)
+        report = _run([*files, "-o", name, *words], folder, callback)
+        quadratic = [Tetrahedra(file.name, file.read_bytes(), report) for file in folder.glob("*.quadratic.vtu")]
+        return Tetrahedra(name, (folder / name).read_bytes(), report, *quadratic)
 
 
-def _run(words: list[str], folder: Path) -> dict[str, Any]:
+def _word(name: str) -> str:
+    """Return a file name as a word that is not an option."""
+    return f"./{name}" if name.startswith("-") else name
+
+
+def _refuse_usage(words: list[str]) -> None:
+    """Raise an Error if ``tetmesh-check`` does not accept its command line."""
+    from tetmesh_check.cli import build_parser
+    from tetmesh_check.parsing import Parser
+
+    class Raising(Parser):
+        def error(self, message: str) -> NoReturn:
+            raise Error(message, "the options were not understood", f"see `isoparticles {TOOL} --help`")
+
+    build_parser(Raising).parse_args(words)
+
+
+def _run(words: list[str], folder: Path, callback: Callback | None) -> dict[str, Any]:
     """Run the program in a folder and return its report."""
-    command = [sys.executable, "-m", "tetmesh_check", *words, "--quiet", "--report", REPORT]
-    with (folder / LOG).open("wb") as log:
-        process = subprocess.Popen(command, cwd=folder, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+    command = [sys.executable, "-m", "isoparticles._filling", *words, "--quiet", "--report", REPORT]
+    # the process finds the same packages
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    with (
+        (folder / LOG).open("wb") as log,
+        subprocess.Popen(
+            command,
+            cwd=folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+        ) as process,
+    ):
+        assert process.stdout is not None
         try:
-            process.wait()
+            for line in process.stdout:
+                step, message = json.loads(line)
+                if callback is not None:
+                    callback(TOOL, step, 0, None, message)
         except BaseException:
             process.terminate()
-            process.wait()
             raise
     path = folder / REPORT
     report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     for warning in report.get("warnings", []):
         warn(warning)
-    if process.returncode in (0, 1) and "failed_checks" in report:
+    if process.returncode in (0, 1) and report:
         return report
-    log_text = (folder / LOG).read_text(encoding="utf-8", errors="replace").strip()
-    told = re.search(r"error: (.+)\n  why it matters: (.+)\n  what to do: (.+)", log_text)
-    if told is not None:
-        raise Error(told[1], told[2], told[3])
-    raise Error(
-        f"{TOOL} has ended with the code {process.returncode}: {log_text}",
-        "there are no tetrahedra",
-        f"see `isoparticles {TOOL} --help`",
-    )
+    told = report.get("error") or {
+        "what": f"{TOOL} has ended with the code {process.returncode}: "
+        + (folder / LOG).read_text(encoding="utf-8", errors="replace").strip(),
+        "why": "there are no tetrahedra",
+        "next": "check the free memory; if there is enough, report this bug",
+    }
+    raise Error(told["what"], told["why"], told["next"], report or None)

@@ -8,7 +8,7 @@ import math
 import operator
 from collections.abc import Iterable, Mapping
 from functools import cache
-from typing import Any
+from typing import Any, get_type_hints
 
 from isoparticles import _native
 
@@ -19,6 +19,8 @@ NOT_FOR_TETRAHEDRA = frozenset(
     )
 )
 """Options of ``tetmesh-check`` that concern further files, or the terminal."""
+PARSED = {float: "number", int: "whole"}
+"""Kinds of options by the type to which ``tetmesh-check`` parses them."""
 EXTRA_KEYS = frozenset(("CASE", "NAME", "INPUT", "PHANTOM", "TET_ORDER", "TETMESH_OPTIONS", "OUT", "VERBOSITY", "HXT"))
 """Keys of a case that concern files, the terminal or tetrahedra."""
 
@@ -39,14 +41,9 @@ def _tetmesh_options() -> list[dict[str, Any]]:
         name = action.option_strings[-1].lstrip("-") if action.option_strings else ""
         if not name or name in NOT_FOR_TETRAHEDRA:
             continue
-        words = [word for word in action.choices or () if isinstance(word, str)]
-        kind = "text" if name in ("source", "conductivity", "max-memory") else "number"
-        if action.nargs == 0:
-            kind = "flag"
-        elif words:
-            kind = "word"
-        elif action.type is int or isinstance(action.default, int):
-            kind = "whole"
+        words = list(action.choices or ())
+        parsed: Any = get_type_hints(action.type).get("return") if action.type is not None else str
+        kind = "flag" if action.nargs == 0 else "word" if words else PARSED.get(parsed, "text")
         default = None if action.default in (None, [], False) else str(action.default)
         text = (action.help or "").replace("%%", "%").partition(" (default")[0]
         repeated = isinstance(action.default, list)

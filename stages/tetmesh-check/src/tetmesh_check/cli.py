@@ -43,10 +43,10 @@ def _reader(kind: str, range_: dict[str, float]) -> Callable[[str], Any]:
     return _READERS[kind]
 
 
-def build_parser() -> argparse.ArgumentParser:
+def build_parser(kind: type[Parser] = Parser) -> argparse.ArgumentParser:
     """Build the parser of the command line from ``options.toml``."""
     table = tomllib.loads(files("tetmesh_check").joinpath("options.toml").read_text(encoding="utf-8"))
-    parser = Parser(
+    parser = kind(
         prog=TOOL,
         description=table["description"],
         epilog=table["epilog"],
@@ -71,13 +71,15 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None, make_context: type[Context] = Context) -> int:
     """Run the program.
 
     Parameters
     ----------
     argv
         The command line without the program's name; that of the process by default.
+    make_context
+        Shows progress and messages.
 
     Returns
     -------
@@ -102,7 +104,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             # not even to tell of the error may a file be replaced that is no report
             error, report = problem, None
     common = replace(_part(CommonArguments, parsed), report=report)
-    context = Context(common, canonical_command_line(words, [parsed.output]), {})
+    context = make_context(common, canonical_command_line(words, [parsed.output]), {})
     with Interruptible(TOOL) as stopped:
         try:
             if error is None:
