@@ -6,6 +6,7 @@ section, or in a section of the same page to which one of these paragraphs links
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import sys
@@ -125,3 +126,14 @@ def test_the_command_reference_is_current() -> None:
     assert commands_page.page(programs, tetmesh_check) == commands_page.PAGE.read_text(encoding="utf-8"), (
         "stale: run tests/commands_page.py"
     )
+
+
+def test_the_python_page_names_the_whole_package() -> None:
+    package = ROOT / "pipelines" / "wheel" / "src" / "isoparticles"
+    lines = (package / "__init__.py").read_text(encoding="utf-8").split("__all__ = ")[1]
+    public = ast.literal_eval(lines[: lines.index("]") + 1])
+    options = re.findall(r"^class (\w+)", (package / "_options.py").read_text(encoding="utf-8"), re.MULTILINE)
+    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    names = ["isoparticles", *(f"isoparticles.{name}" for name in public)]
+    names += [f"isoparticles._options.{name}" for name in options]
+    assert sorted(re.findall(r"^\.\. auto\w+:: (\S+)", page, re.MULTILINE)) == sorted(names)

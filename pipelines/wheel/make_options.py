@@ -64,10 +64,10 @@ def typed_dict(name: str, function: str, table: dict[str, dict[str, Any]], what:
     for key, option in table.items():
         default = option.get("default")
         told = first_sentence(option["help"]) + (f" Default: {default}." if default is not None else "")
-        lines += textwrap.wrap(told, 100, initial_indent="    # ", subsequent_indent="    # ")
+        lines += textwrap.wrap(told, 100, initial_indent="    #: ", subsequent_indent="    #: ")
         lines.append(f"    {key}: {type_of(key, option)}")
         if key in ALIAS:
-            lines += [f"    # The same as {key}.", f"    {ALIAS[key]}: {type_of(key, option)}"]
+            lines += [f"    #: The same as {key}.", f"    {ALIAS[key]}: {type_of(key, option)}"]
     return "\n".join(lines) + "\n"
 
 
@@ -87,12 +87,16 @@ def type_of(key: str, option: dict[str, Any]) -> str:
 
 
 def first_sentence(text: str) -> str:
-    """Return the first sentence of a help text, and the default at its end."""
+    """Return the first sentence of a help text, and the default at its end.
+
+    Names of options become literals of reStructuredText.
+    """
     whole = " ".join(text.split())
     default = re.search(r" \[(default: [^\]]*)\]$", whole)
     sentence = re.split(r"\. |; | \[default: ", whole)[0].rstrip(".")
     sentence = sentence[:1].upper() + sentence[1:]
-    return f"{sentence}." + (f" {default[1].capitalize()}." if default else "")
+    told = f"{sentence}." + (f" {default[1].capitalize()}." if default else "")
+    return re.sub(r"`[^`]*`|--[a-z-]+", lambda name: f"``{name[0].strip('`')}``", told)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,11 @@ makes tetrahedra. Lengths are in mm. The options are those of the programs, with
 image in a file, a saved result equals the file that the program writes, byte for byte.
 
 The command ``isoparticles``, which runs all stages from a volume to tetrahedra, is in
-:mod:`isoparticles.command`.
+``isoparticles.command``.
+
+All functions raise :class:`Error` if an input or an option is invalid, and TypeError or ValueError
+if an argument is unknown or cannot be converted. Ctrl-C stops a running function. A result that
+fails a check is returned, with the checks in ``failed_checks``.
 
 Examples
 --------

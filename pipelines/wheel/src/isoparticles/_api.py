@@ -266,7 +266,7 @@ def mesh(
         file without its extension, or ``mesh``.
     **settings
         The settings of ``make surface``, in lower case. ``iso``, ``labels`` or ``materials`` is
-        required.
+        required. The stages choose the values of the other settings; see the options of the stages.
 
     Examples
     --------

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from isoparticles._fill import Tetrahedra, fill
-from isoparticles._results import ENDINGS, DistanceField, Particles, Result, SizeField, Surface, refuse_existing
+from isoparticles._results import ENDINGS, DistanceField, Particles, SizeField, Surface, refuse_existing
 
 if TYPE_CHECKING:
     import pyvista
@@ -17,6 +17,19 @@ if TYPE_CHECKING:
 
 class Mesh:
     """The results of all stages; see :func:`isoparticles.mesh`."""
+
+    name: str
+    """The name of the results in histories and in :meth:`save`."""
+    field: DistanceField
+    """The signed distance, or the indicators of the materials."""
+    size: SizeField
+    """The target edge length h."""
+    seeds: Particles
+    """The initial particles."""
+    particles: Particles
+    """The settled particles."""
+    result: Surface
+    """The surface as NumPy arrays; see :attr:`surface` for PyVista data."""
 
     def __init__(
         self,
@@ -37,8 +50,9 @@ class Mesh:
         self._filling = filling
 
     @property
-    def stages(self) -> dict[str, Result]:
+    def stages(self) -> dict[str, DistanceField | SizeField | Particles | Surface]:
         """The results by the names of the programs."""
+        results: tuple[DistanceField | SizeField | Particles | Surface, ...]
         results = (self.field, self.size, self.seeds, self.particles, self.result)
         return dict(zip(("distfield", "sizefield", "seed", "particles", "reconstruct"), results, strict=True))
 

@@ -15,306 +15,307 @@ Sizes = str | Iterable[str] | Mapping[str, float] | Mapping[Pair, float] | Mappi
 class DistfieldOptions(TypedDict, total=False):
     """The options of :func:`isoparticles.distance_field`."""
 
-    # Series to read if the folder contains several, given by its description, number or UID.
+    #: Series to read if the folder contains several, given by its description, number or UID.
     series: str
-    # Iso value of the surface, in the unit of the voxel values, between their minimum and maximum.
+    #: Iso value of the surface, in the unit of the voxel values, between their minimum and maximum.
     iso: float
-    # Side of the iso value on which the object lies. Default: above.
+    #: Side of the iso value on which the object lies. Default: above.
     inside: Literal["above", "below"]
-    # Labels whose union is the object, separated by commas or spaces: numbers, ranges such as 2..5
-    # (only labels that occur), all (every label except 0), or names from the file.
+    #: Labels whose union is the object, separated by commas or spaces: numbers, ranges such as 2..5
+    #: (only labels that occur), all (every label except 0), or names from the file.
     labels: Labels
-    # Define a material by its labels, such as lung=2+3.
+    #: Define a material by its labels, such as lung=2+3.
     material: Materials
-    # The same as material.
+    #: The same as material.
     materials: Materials
-    # With --material: reassign each connected component with fewer voxels than this, including
-    # components of the outside, to the material with which it shares the most voxel faces. Default:
-    # 1.
+    #: With ``--material``: reassign each connected component with fewer voxels than this, including
+    #: components of the outside, to the material with which it shares the most voxel faces.
+    #: Default: 1.
     smallest_island: int
-    # Kind of volume. Default: auto.
+    #: Kind of volume. Default: auto.
     kind: Literal["auto", "scan", "labels"]
-    # Treatment of the object at the border of the volume: cap closes the object half a voxel beyond
-    # the outermost voxel centres, with edges rounded by half a voxel. Default: cap.
+    #: Treatment of the object at the border of the volume: cap closes the object half a voxel
+    #: beyond the outermost voxel centres, with edges rounded by half a voxel. Default: cap.
     border: Literal["cap", "open"]
-    # Extent of the grid: object is the bounding box of the object, enlarged by the voxels on which
-    # F depends near the surface. Default: object.
+    #: Extent of the grid: object is the bounding box of the object, enlarged by the voxels on which
+    #: F depends near the surface. Default: object.
     grid: Literal["object", "volume"]
-    # Connected parts of the object to keep: all, only the largest, or those with a volume of at
-    # least VOLUME mm^3. Default: all.
+    #: Connected parts of the object to keep: all, only the largest, or those with a volume of at
+    #: least VOLUME mm^3. Default: all.
     keep: float | str
-    # Number of additional voxels on each face of the grid, 3 to 64, as room for F around the
-    # surface. Default: 5.
+    #: Number of additional voxels on each face of the grid, 3 to 64, as room for F around the
+    #: surface. Default: 5.
     margin: int
-    # Labels without a scale: minimum distance between the surface and every voxel centre, in units
-    # of the minimum voxel spacing, 0.01 to 0.15. Default: 0.05.
+    #: Labels without a scale: minimum distance between the surface and every voxel centre, in units
+    #: of the minimum voxel spacing, 0.01 to 0.15. Default: 0.05.
     clearance: float
-    # Smooth away details smaller than this length, mm. Default: 0.
+    #: Smooth away details smaller than this length, mm. Default: 0.
     scale: float
-    # Choose the scale for a mesh with this edge length, mm: 1.6 times the edge length (for labels,
-    # at least 2.7 voxels) if the edge length exceeds 0.75 voxel, because voxel steps would be
-    # visible.
+    #: Choose the scale for a mesh with this edge length, mm: 1.6 times the edge length (for labels,
+    #: at least 2.7 voxels) if the edge length exceeds 0.75 voxel, because voxel steps would be
+    #: visible.
     scale_for_size: float
-    # Choose the scale for a mesh with this number of vertices.
+    #: Choose the scale for a mesh with this number of vertices.
     scale_for_vertices: int
-    # Choose the scale for the minimum h that `sizefield --quality` sets: `coarse` (1.5 voxels)
-    # gives a scale above 0.
+    #: Choose the scale for the minimum h that ``sizefield --quality`` sets: ``coarse`` (1.5 voxels)
+    #: gives a scale above 0.
     quality: Literal["coarse", "medium", "fine"]
-    # Several materials only: edge length of the mesh on all interfaces of a material, mm, as for
-    # `sizefield --size`.
+    #: Several materials only: edge length of the mesh on all interfaces of a material, mm, as for
+    #: ``sizefield --size``.
     size: Sizes
-    # Keep parts and gaps that are too thin for a mesh with the edge length of the scale.
+    #: Keep parts and gaps that are too thin for a mesh with the edge length of the scale.
     keep_thin: bool
-    # With a scale: accept objects and materials whose volume changes by more than 10 %.
+    #: With a scale: accept objects and materials whose volume changes by more than 10 %.
     accept_losses: bool
-    # Number of CPU threads, 0 for all cores. Default: 0.
+    #: Number of CPU threads, 0 for all cores. Default: 0.
     threads: int
-    # Memory limit, such as 8G or 500M. Default: the free memory of the machine.
+    #: Memory limit, such as 8G or 500M. Default: the free memory of the machine.
     max_memory: int | str
-    # Seed for random numbers, an integer of at least 0. Default: 1.
+    #: Seed for random numbers, an integer of at least 0. Default: 1.
     seed: int
 
 
 class SizefieldOptions(TypedDict, total=False):
     """The options of :func:`isoparticles.size_field`."""
 
-    # Set the defaults of the next five options. Default: medium.
+    #: Set the defaults of the next five options. Default: medium.
     quality: Literal["coarse", "medium", "fine"]
-    # Ratio of edge length to local feature size, above 0 (the paper's epsilon). Default: 0.5;
-    # coarse 1, fine 0.25.
+    #: Ratio of edge length to local feature size, above 0 (the paper's epsilon). Default: 0.5;
+    #: coarse 1, fine 0.25.
     epsilon: float
-    # Maximum change of h per mm of distance, above 0 (the paper's delta). Default: 0.4; fine 0.3.
+    #: Maximum change of h per mm of distance, above 0 (the paper's delta). Default: 0.4; fine 0.3.
     delta: float
-    # Minimum h, mm. Default: 0.75 times the mean voxel spacing; coarse 1.5, fine 0.5.
+    #: Minimum h, mm. Default: 0.75 times the mean voxel spacing; coarse 1.5, fine 0.5.
     min_size: float
-    # Maximum h at the surface, mm. Default: 0.1 times the diagonal of the object's bounding box;
-    # coarse 0.2, fine 0.05.
+    #: Maximum h at the surface, mm. Default: 0.1 times the diagonal of the object's bounding box;
+    #: coarse 0.2, fine 0.05.
     max_size: float
-    # Limit h so that the centre of a triangle is at most this far from the curved surface, mm.
-    # Default: 0.1 times the mean voxel spacing; coarse 0.4, fine 0.04.
+    #: Limit h so that the centre of a triangle is at most this far from the curved surface, mm.
+    #: Default: 0.1 times the mean voxel spacing; coarse 0.4, fine 0.04.
     max_deviation: float
-    # Multiply the h that results from the options above by this factor, above 0, before grading.
-    # Default: 1.
+    #: Multiply the h that results from the options above by this factor, above 0, before grading.
+    #: Default: 1.
     scale: float
-    # Several materials only: set h (mm) on all interfaces of a material, or on the interface of two
-    # materials, instead of deriving it from the shape.
+    #: Several materials only: set h (mm) on all interfaces of a material, or on the interface of
+    #: two materials, instead of deriving it from the shape.
     size: Sizes
-    # Use this h everywhere, mm, instead of the options above.
+    #: Use this h everywhere, mm, instead of the options above.
     uniform: float
-    # Choose h so that the settled surface has about this number of vertices (to within 5 %), 4 or
-    # more.
+    #: Choose h so that the settled surface has about this number of vertices (to within 5 %), 4 or
+    #: more.
     vertices: int
-    # Limit h to H (mm) within RADIUS of a point or in the nonzero voxels of a mask volume (on any
-    # grid), or to the values of the point array `h` at the points of a .vtp or .vtu file.
+    #: Limit h to H (mm) within RADIUS of a point or in the nonzero voxels of a mask volume (on any
+    #: grid), or to the values of the point array ``h`` at the points of a .vtp or .vtu file.
     refine: str | Iterable[str]
-    # Number of CPU threads, 0 for all cores. Default: 0.
+    #: Number of CPU threads, 0 for all cores. Default: 0.
     threads: int
-    # Memory limit, such as 8G or 500M. Default: the free memory of the machine.
+    #: Memory limit, such as 8G or 500M. Default: the free memory of the machine.
     max_memory: int | str
-    # Seed for random numbers, an integer of at least 0. Default: 1.
+    #: Seed for random numbers, an integer of at least 0. Default: 1.
     seed: int
 
 
 class SeedOptions(TypedDict, total=False):
     """The options of :func:`isoparticles.seed`."""
 
-    # Source of the seeds (one object only). Default: poisson-disk.
+    #: Source of the seeds (one object only). Default: poisson-disk.
     from_: Literal["poisson-disk", "marching-cubes"]
-    # Number of particles to seed, 4 or more, instead of the number that the size field requires.
+    #: Number of particles to seed, 4 or more, instead of the number that the size field requires.
     count: int
-    # Number of CPU threads, 0 for all cores. Default: 0.
+    #: Number of CPU threads, 0 for all cores. Default: 0.
     threads: int
-    # Memory limit, such as 8G or 500M. Default: the free memory of the machine.
+    #: Memory limit, such as 8G or 500M. Default: the free memory of the machine.
     max_memory: int | str
-    # Seed for random numbers, an integer of at least 0. Default: 1.
+    #: Seed for random numbers, an integer of at least 0. Default: 1.
     seed: int
 
 
 class ParticlesOptions(TypedDict, total=False):
     """The options of :func:`isoparticles.settle`."""
 
-    # Device that moves the particles. Default: auto.
+    #: Device that moves the particles. Default: auto.
     backend: Literal["auto", "gpu", "cpu"]
-    # GPU to use, selected by a case-insensitive part of its name (see --list-adapters).
+    #: GPU to use, selected by a case-insensitive part of its name (see ``--list-adapters``).
     adapter: str
-    # Measure the time of each GPU kernel with timestamp queries and include it in the report and
-    # the closing table.
+    #: Measure the time of each GPU kernel with timestamp queries and include it in the report and
+    #: the closing table.
     profile: bool
-    # Use the method as printed in the paper: options that are not given have the values marked
-    # "printed" below.
+    #: Use the method as printed in the paper: options that are not given have the values marked
+    #: "printed" below.
     as_printed: bool
-    # Bins of the neighbour search on a GPU. Default: graded; printed: uniform.
+    #: Bins of the neighbour search on a GPU. Default: graded; printed: uniform.
     binning: Literal["graded", "uniform"]
-    # Order in which a GPU moves the particles of a pass. Default: classes; printed: bins.
+    #: Order in which a GPU moves the particles of a pass. Default: classes; printed: bins.
     order: Literal["classes", "bins"]
-    # Maximum number of passes on the last level, whose edge length is h. Default: 150; printed: 50.
+    #: Maximum number of passes on the last level, whose edge length is h. Default: 150; printed:
+    #: 50.
     max_passes: int
-    # Number of levels, 1 to 4: settle at 2^(N - 1) times h first, then split the edges and settle
-    # again, down to h. Default: 3 on the cpu, 1 on a gpu and for several materials; printed: 1.
+    #: Number of levels, 1 to 4: settle at 2^(N - 1) times h first, then split the edges and settle
+    #: again, down to h. Default: 3 on the cpu, 1 on a gpu and for several materials; printed: 1.
     levels: int
-    # Maximum number of passes on each level except the last. Default: 100.
+    #: Maximum number of passes on each level except the last. Default: 100.
     coarse_passes: int
-    # Stop when the number of lattice defects (particles without exactly six neighbours) decreases
-    # by less than this fraction per pass and density control is nearly at rest, 0 to 1. Default:
-    # 0.0075; printed: none.
+    #: Stop when the number of lattice defects (particles without exactly six neighbours) decreases
+    #: by less than this fraction per pass and density control is nearly at rest, 0 to 1. Default:
+    #: 0.0075; printed: none.
     defect_tolerance: float
-    # Use the paper's stop test (E_min) instead: stop when the mean energy changes by less than this
-    # fraction per pass, 0 to 1. Default: none; printed: 0.0015.
+    #: Use the paper's stop test (E_min) instead: stop when the mean energy changes by less than
+    #: this fraction per pass, 0 to 1. Default: none; printed: 0.0015.
     energy_tolerance: float
-    # Number of passes over which the paper's stop test averages this change. Default: 5; printed:
-    # 1.
+    #: Number of passes over which the paper's stop test averages this change. Default: 5; printed:
+    #: 1.
     energy_window: int
-    # Apply the stop tests only when density control adds and deletes at most this fraction of the
-    # particles per pass, 0 to 1. Default: 0.002; printed: 1.
+    #: Apply the stop tests only when density control adds and deletes at most this fraction of the
+    #: particles per pass, 0 to 1. Default: 0.002; printed: 1.
     rest_share: float
-    # Number of passes without density control at the end, in which the last added particles settle.
-    # Default: 10; printed: 0.
+    #: Number of passes without density control at the end, in which the last added particles
+    #: settle. Default: 10; printed: 0.
     closing_passes: int
-    # Target energy of a particle for density control, 0.554 to 7.84. Default: 0.7108; printed:
-    # 3.462.
+    #: Target energy of a particle for density control, 0.554 to 7.84. Default: 0.7108; printed:
+    #: 3.462.
     ideal_energy: float
-    # Add a particle where the energy is below this fraction of the ideal energy, 0 to 1. Default:
-    # 0.8; printed: 0.75.
+    #: Add a particle where the energy is below this fraction of the ideal energy, 0 to 1. Default:
+    #: 0.8; printed: 0.75.
     add_below: float
-    # Delete a particle whose energy exceeds this multiple of the ideal energy, above 1. Default:
-    # 1.25; printed: 1.35.
+    #: Delete a particle whose energy exceeds this multiple of the ideal energy, above 1. Default:
+    #: 1.25; printed: 1.35.
     delete_above: float
-    # Never add particles, and use a single level (as in the paper's synthetic test, Table 3).
+    #: Never add particles, and use a single level (as in the paper's synthetic test, Table 3).
     no_insert: bool
-    # Number of CPU threads, 0 for all cores. Default: 0.
+    #: Number of CPU threads, 0 for all cores. Default: 0.
     threads: int
-    # Memory limit, such as 8G or 500M. Default: the free memory of the machine.
+    #: Memory limit, such as 8G or 500M. Default: the free memory of the machine.
     max_memory: int | str
-    # Seed for random numbers, an integer of at least 0. Default: 1.
+    #: Seed for random numbers, an integer of at least 0. Default: 1.
     seed: int
 
 
 class ReconstructOptions(TypedDict, total=False):
     """The options of :func:`isoparticles.reconstruct`."""
 
-    # Method that connects the particles. Default: restricted.
+    #: Method that connects the particles. Default: restricted.
     method: Literal["restricted", "tight-cocone"]
-    # Maximum distance of a triangle's centroid from F = 0, mm, above 0. Default: a quarter of h or
-    # of a voxel, whichever is larger.
+    #: Maximum distance of a triangle's centroid from F = 0, mm, above 0. Default: a quarter of h or
+    #: of a voxel, whichever is larger.
     max_deviation: float
-    # Maximum number of rounds that add points, 0 to 100. Default: 40.
+    #: Maximum number of rounds that add points, 0 to 100. Default: 40.
     max_rounds: int
-    # Improve triangles below this radius ratio by local moves, 0 to 1. Default: 0.9.
+    #: Improve triangles below this radius ratio by local moves, 0 to 1. Default: 0.9.
     improve_below: float
-    # Number of sweeps over the whole mesh before --improve-below applies, 0 to 20. Default: 3.
+    #: Number of sweeps over the whole mesh before ``--improve-below`` applies, 0 to 20. Default: 3.
     relaxation_sweeps: int
-    # Minimum radius ratio of a triangle, 0 to 1. Default: 0.3 with a distance field; none without.
+    #: Minimum radius ratio of a triangle, 0 to 1. Default: 0.3 with a distance field; none without.
     min_radius_ratio: float
-    # Several materials: accept triangles below --min-radius-ratio where junction curves allow no
-    # better ones.
+    #: Several materials: accept triangles below ``--min-radius-ratio`` where junction curves allow
+    #: no better ones.
     accept_forced: bool
-    # Maximum distance of a vertex from F = 0, in voxels (geometric mean of the spacing), above 0.
-    # Default: 0.0001.
+    #: Maximum distance of a vertex from F = 0, in voxels (geometric mean of the spacing), above 0.
+    #: Default: 0.0001.
     max_vertex_distance: float
-    # Number of CPU threads, 0 for all cores. Default: 0.
+    #: Number of CPU threads, 0 for all cores. Default: 0.
     threads: int
-    # Memory limit, such as 8G or 500M. Default: the free memory of the machine.
+    #: Memory limit, such as 8G or 500M. Default: the free memory of the machine.
     max_memory: int | str
-    # Seed for random numbers, an integer of at least 0. Default: 1.
+    #: Seed for random numbers, an integer of at least 0. Default: 1.
     seed: int
 
 
 class TetmeshOptions(TypedDict, total=False):
     """The options of :func:`isoparticles.fill`."""
 
-    # Tetrahedralizer. Default: auto.
+    #: Tetrahedralizer. Default: auto.
     method: Literal["auto", "ftetwild", "hxt", "tetgen"]
-    # Ratio of the edge length of the tetrahedra to h, 0.1 to 100. Default: 1.0.
+    #: Ratio of the edge length of the tetrahedra to h, 0.1 to 100. Default: 1.0.
     tet_size_factor: float
-    # Maximum distance by which ftetwild moves the surface, mm, above 0.
+    #: Maximum distance by which ftetwild moves the surface, mm, above 0.
     envelope: float
-    # Ftetwild: optimize until the largest AMIPS energy is below E, at least 3 (all tetrahedra
-    # regular).
+    #: Ftetwild: optimize until the largest AMIPS energy is below E, at least 3 (all tetrahedra
+    #: regular).
     stop_energy: float
-    # Ftetwild: maximum number of optimization passes. Default: 80.
+    #: Ftetwild: maximum number of optimization passes. Default: 80.
     max_passes: int
-    # Time limit of the tetrahedralizer, including all attempts, s. Default: 3600.0.
+    #: Time limit of the tetrahedralizer, including all attempts, s. Default: 3600.0.
     max_seconds: float
-    # Minimum dihedral angle, degrees, 0 to 70. Default: 5.0.
+    #: Minimum dihedral angle, degrees, 0 to 70. Default: 5.0.
     min_dihedral: float
-    # Minimum scaled Jacobian, 0 to 1. Default: 0.05.
+    #: Minimum scaled Jacobian, 0 to 1. Default: 0.05.
     min_scaled_jacobian: float
-    # Maximum difference between the volumes of the tetrahedra and of the surface, percent. Default:
-    # 1.0.
+    #: Maximum difference between the volumes of the tetrahedra and of the surface, percent.
+    #: Default: 1.0.
     max_volume_change: float
-    # Maximum distance between the boundary of the tetrahedra and the surface, in both directions,
-    # mm.
+    #: Maximum distance between the boundary of the tetrahedra and the surface, in both directions,
+    #: mm.
     max_distance: float
-    # Many materials: accept tetrahedra below a limit of shape where the triangles of the surface
-    # allow no better ones.
+    #: Many materials: accept tetrahedra below a limit of shape where the triangles of the surface
+    #: allow no better ones.
     accept_forced: bool
-    # Whether to solve the test problems. Default: auto.
+    #: Whether to solve the test problems. Default: auto.
     solve: Literal["auto", "yes", "no"]
-    # Time limit of the test problems, s. Default: 600.0.
+    #: Time limit of the test problems, s. Default: 600.0.
     solve_seconds: float
-    # Material that contains the current source, and the current density in world coordinates,
-    # uA/mm^2.
+    #: Material that contains the current source, and the current density in world coordinates,
+    #: uA/mm^2.
     source: str
-    # Conductivity of a material, S/m, above 0.
+    #: Conductivity of a material, S/m, above 0.
     conductivity: Mapping[str, float] | str | Iterable[str]
-    # Number of CPU threads, 0 for all cores.
+    #: Number of CPU threads, 0 for all cores.
     threads: int
-    # Maximum memory of the run, such as 8G or 500M.
+    #: Maximum memory of the run, such as 8G or 500M.
     max_memory: int | str
-    # Recorded only. Default: 1.
+    #: Recorded only. Default: 1.
     seed: int
 
 
 class MeshSettings(TypedDict, total=False):
     """The settings of :func:`isoparticles.mesh`."""
 
-    # The series of a folder of DICOM files, by description, number or UID.
+    #: The series of a folder of DICOM files, by description, number or UID.
     series: str
-    # The iso value.
+    #: The iso value.
     iso: float
-    # The labels to mesh.
+    #: The labels to mesh.
     labels: Labels
-    # The materials to mesh together: all, or lungs:2,heart:1,rest:3+4..6.
+    #: The materials to mesh together: all, or lungs:2,heart:1,rest:3+4..6.
     materials: Materials
-    # The side of ISO on which the object lies.
+    #: The side of ISO on which the object lies.
     inside: Literal["above", "below"]
-    # The treatment of the object at the border of the volume.
+    #: The treatment of the object at the border of the volume.
     border: Literal["cap", "open"]
-    # The size of the features to smooth away, mm.
+    #: The size of the features to smooth away, mm.
     scale: float
-    # The ratio of edge length to local feature size.
+    #: The ratio of edge length to local feature size.
     epsilon: float
-    # The maximum gradient of the edge length.
+    #: The maximum gradient of the edge length.
     delta: float
-    # A constant edge length, mm.
+    #: A constant edge length, mm.
     size: float
-    # The minimum edge length, mm.
+    #: The minimum edge length, mm.
     min_size: float
-    # The maximum edge length, mm.
+    #: The maximum edge length, mm.
     max_size: float
-    # The number of vertices of the surface.
+    #: The number of vertices of the surface.
     vertices: int
-    # How fine the mesh is.
+    #: How fine the mesh is.
     quality: Literal["coarse", "medium", "fine"]
-    # The number of particles to seed.
+    #: The number of particles to seed.
     count: int
-    # The seed for random numbers.
+    #: The seed for random numbers.
     seed: int
-    # The device that moves the particles.
+    #: The device that moves the particles.
     backend: Literal["auto", "gpu", "cpu"]
-    # Whether to accept objects and materials whose volume a scale changes by more than 10 %.
+    #: Whether to accept objects and materials whose volume a scale changes by more than 10 %.
     accept_losses: bool
-    # Whether to accept elements below a limit where the surface allows no better ones.
+    #: Whether to accept elements below a limit where the surface allows no better ones.
     accept_forced: bool
-    # The maximum memory of a stage, such as 8G.
+    #: The maximum memory of a stage, such as 8G.
     max_memory: int | str
-    # Further options of distfield.
+    #: Further options of distfield.
     distfield_options: str
-    # Further options of sizefield.
+    #: Further options of sizefield.
     sizefield_options: str
-    # Further options of particles.
+    #: Further options of particles.
     particles_options: str
-    # Further options of reconstruct.
+    #: Further options of reconstruct.
     reconstruct_options: str
-    # The number of CPU threads, 0 for all cores.
+    #: The number of CPU threads, 0 for all cores.
     threads: int

@@ -30,18 +30,14 @@ ARRAYS = {
 
 
 class Result:
-    """The result of a stage. Its arrays are read-only.
-
-    Attributes
-    ----------
-    report
-        The report that the program writes with ``--report``; None for results of ``load`` and
-        ``Surface.of``.
-    failed_checks
-        The checks that failed, in words. Distance fields do not store them in their files.
-    """
+    """The result of a stage. Its arrays are read-only."""
 
     KINDS: ClassVar[tuple[str, ...]] = ()
+    report: dict[str, Any] | None
+    """The report that the program writes with ``--report``; None for results of ``load`` and
+    ``Surface.of``."""
+    failed_checks: list[str]
+    """The checks that failed, in words. Distance fields do not store them in their files."""
 
     def __init__(self, data: _native.Data, failed_checks: list[str] | None = None, report: str | None = None) -> None:
         if not isinstance(data, _native.Data) or data.kind not in self.KINDS:
@@ -50,8 +46,8 @@ class Result:
         if failed_checks is None and data.kind == "surface":
             # surfaces of other programs have no metadata
             failed_checks = (self.meta or {}).get("failed_checks")
-        self.failed_checks: list[str] = failed_checks or []
-        self.report: dict[str, Any] | None = None if report is None else json.loads(report)
+        self.failed_checks = failed_checks or []
+        self.report = None if report is None else json.loads(report)
 
     @property
     def name(self) -> str:
@@ -70,7 +66,7 @@ class Result:
 
     @property
     def history(self) -> Any:
-        """The history in the file: how the result and its inputs were made."""
+        """The history in the file, which says how the result and its inputs were made."""
         return json.loads(self._data.history)
 
     @cached_property
