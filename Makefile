@@ -96,7 +96,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 # --- Goals ----------------------------------------------------------------------------------------
 
 .PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel completions doctor test format lint documentation docs test-rust test-python fuzz deny bench-stages \
-        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers bench-paper bench-growth results-page notebook
+        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers bench-paper bench-growth results-page notebooks
 
 define HELP
 Volumes in, simulation-ready meshes out.
@@ -148,7 +148,7 @@ Volumes in, simulation-ready meshes out.
   make bench-growth                            measure time and memory of every stage by voxels, particles, cores and
                                                materials, as rows of docs/results/growth.json
   make results-page                            make docs/results.md and its pictures from these rows
-  make notebook                                run docs/notebooks/volume-to-solve.ipynb, with results in OUT/notebook
+  make notebooks                               run the notebooks in docs/notebooks, with results in OUT/notebooks
   make bench-remeshers                         compare every packaged remesher with ours at several vertex counts
                                                (REMESHER_CASES=... REMESHER_VERTICES=...)
   make bench-materials-peers                   compare meshes of many materials with those of CGAL's Mesh_3, Cleaver and
@@ -442,14 +442,13 @@ bench-solvers: build env
 	done
 	@$(VENV)/bin/python tests/solvers.py $(OUT)/bench/solvers/order-1 $(OUT)/bench/solvers/order-2
 
-# Runs the notebook with nbclient, which is installed in a separate folder, outside the environment.
-NOTEBOOK = docs/notebooks/volume-to-solve.ipynb
+# Runs the notebooks with nbclient, which is installed in a folder outside the environment.
 NOTEBOOK_ENV = $(CARGO_TARGET_DIR)/notebook
-notebook: build env $(NOTEBOOK_ENV)/.made
-	@rm -rf $(call quote,$(OUT)/notebook) && mkdir -p $(call quote,$(OUT)/notebook) && cp $(NOTEBOOK) $(call quote,$(OUT)/notebook)
-	@cd $(call quote,$(OUT)/notebook) && PYTHONPATH=$(abspath $(NOTEBOOK_ENV))$${PYTHONPATH:+:$$PYTHONPATH} ISOPARTICLES="make -s -C $(CURDIR) NO_BUILD=yes BIN=$(abspath $(BIN)) mesh" \
-	  $(abspath $(VENV))/bin/python -c "from nbclient.cli import main; main()" $(notdir $(NOTEBOOK)) --output $(notdir $(NOTEBOOK)) --timeout 300
-	@echo $(OUT)/notebook/$(notdir $(NOTEBOOK))
+notebooks: build env $(NOTEBOOK_ENV)/.made
+	@rm -rf $(call quote,$(OUT)/notebooks) && mkdir -p $(call quote,$(OUT)/notebooks) && cp docs/notebooks/*.ipynb $(call quote,$(OUT)/notebooks)
+	@cd $(call quote,$(OUT)/notebooks) && PYTHONPATH=$(abspath $(NOTEBOOK_ENV))$${PYTHONPATH:+:$$PYTHONPATH} \
+	  $(abspath $(VENV))/bin/python -c "from nbclient.cli import main; main()" *.ipynb --inplace --timeout 300
+	@ls $(call quote,$(OUT)/notebooks)/*.ipynb
 
 $(NOTEBOOK_ENV)/.made: docs/notebooks/requirements.lock | env
 	@rm -rf $(NOTEBOOK_ENV)
