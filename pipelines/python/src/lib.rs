@@ -5,8 +5,11 @@
 //! the programs do, so histories and files are the same. The module `pool` runs the stages on
 //! threads that do not hold Python's global lock.
 
+mod arrays;
 mod data;
 mod errors;
+mod fields;
+mod meshes;
 mod options;
 mod pool;
 mod stages;
@@ -19,6 +22,14 @@ use pyo3::prelude::*;
 mod _native {
     #[pymodule_export]
     use crate::data::{Data, load};
+    #[pymodule_export]
+    use crate::fields::{GridField, jacobian_coefficients};
+    #[pymodule_export]
+    use crate::meshes::{
+        changed_triangles, check_complex, describe_complex, distances_between, morton_order, nearest,
+        self_intersections, statistics, surface_components, surface_topology, tetrahedron_boundary,
+        tetrahedron_quality, triangle_quality,
+    };
     #[pymodule_export]
     use crate::options::{case_keys, case_name, case_words, options};
     #[pymodule_export]

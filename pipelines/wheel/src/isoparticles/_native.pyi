@@ -2,6 +2,7 @@ from collections.abc import Callable, Iterator, Sequence
 from os import PathLike
 from typing import Any, TypedDict, final
 
+import numpy as np
 from numpy.typing import NDArray
 
 Progress = Callable[[str, str, int, int | None, str], object]
@@ -59,3 +60,126 @@ def options() -> str: ...
 def case_keys() -> str: ...
 def case_name(path: str | PathLike[str]) -> str: ...
 def case_words(settings: list[str]) -> list[tuple[str, list[str]]]: ...
+
+# Points have the shape (n, 3) and are in mm. Triangles and tetrahedra are vertex indices of the
+# shapes (m, 3) and (m, 4).
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+def triangle_quality(points: Floats, triangles: Integers) -> list[Floats]: ...
+def tetrahedron_quality(points: Floats, tetrahedra: Integers) -> list[Floats]: ...
+
+class Statistics(TypedDict):
+    infinite: int
+    min: float
+    max: float
+    mean: float
+    median: float
+    percentiles: list[float]
+    histogram: list[int]
+
+def statistics(numbers: Floats, percentiles: Sequence[float], edges: Sequence[float] | Floats) -> Statistics: ...
+
+class Counts(TypedDict):
+    vertices: int
+    triangles: int
+    edges: int
+    unused_vertices: int
+    open_edges: int
+    nonmanifold_edges: int
+    badly_oriented_edges: int
+    nonmanifold_vertices: int
+    components: int
+    euler_characteristic: int
+
+def surface_topology(vertices: int, triangles: Integers) -> Counts: ...
+
+class Components(TypedDict):
+    labels: Integers
+    volumes: Floats
+    depths: Integers
+    parents: Integers
+
+def surface_components(points: Floats, triangles: Integers) -> Components: ...
+def self_intersections(points: Floats, triangles: Integers) -> Integers: ...
+def changed_triangles(
+    points: Floats, triangles: Integers, other_points: Floats, other_triangles: Integers
+) -> list[int]: ...
+def distances_between(
+    points: Floats, triangles: Integers, other_points: Floats, other_triangles: Integers
+) -> Floats: ...
+def nearest(points: Floats, triangles: Integers, positions: Floats) -> tuple[Integers, Floats]: ...
+def morton_order(points: Floats) -> Integers: ...
+def tetrahedron_boundary(vertices: int, tetrahedra: Integers) -> tuple[Integers, Integers, Integers]: ...
+
+class Shells(TypedDict):
+    materials: Integers
+    sizes: Floats
+    of_inside: Integers
+    of_outside: Integers
+    mixed: int
+    narrowest: Floats
+    inside_out: int
+
+class ComplexCheck(TypedDict):
+    flat: Integers
+    duplicates: Integers
+    open_edges: dict[int, int]
+    crossing: Integers
+    shells: Shells | None
+
+def check_complex(
+    points: Floats, triangles: Integers, inside: Integers, outside: Integers, materials: int
+) -> ComplexCheck: ...
+
+class Description(TypedDict):
+    junction_edges: int
+    junction_vertices: int
+    edges_by_triangles: dict[int, int]
+    vertices_by_materials: dict[int, int]
+    rms_turn_degrees: float | None
+    topologies: dict[int, Counts]
+    interfaces: list[tuple[int, float | None]]
+
+def describe_complex(
+    points: Floats, triangles: Integers, inside: Integers, outside: Integers, materials: int
+) -> Description: ...
+
+class Curved(TypedDict):
+    nodes: Floats
+    of_cells: Integers
+    of_triangles: Integers
+    surface_nodes: int
+    drawn_back: int
+    too_far: int
+    jacobian: Floats
+    folded: int
+    volume: float
+    straight_volume: float
+    vertex_distances: Floats
+    midpoint_distances: Floats
+    node_distances: Floats
+
+@final
+class GridField:
+    def __new__(
+        cls,
+        array: NDArray[np.float32],
+        spacing: tuple[float, float, float],
+        origin: tuple[float, float, float],
+        axes: list[list[float]],
+    ) -> GridField: ...
+    @property
+    def voxel(self) -> float: ...
+    def trilinear(self, positions: Floats) -> Floats: ...
+    def spline(self, positions: Floats) -> tuple[Floats, Floats]: ...
+    def project(self, positions: Floats, limits: Floats) -> tuple[Floats, NDArray[np.bool_]]: ...
+    def world_grid(self, positions: Floats, max_nodes: int) -> tuple[Floats, list[float], float]: ...
+    def background(
+        self, points: Floats, triangles: Integers, max_nodes: int
+    ) -> tuple[Floats, Integers, Floats, int]: ...
+    def quadratic(
+        self, points: Floats, tetrahedra: Integers, boundary: Integers, curved: NDArray[np.uint8]
+    ) -> Curved: ...
+
+def jacobian_coefficients(nodes: Floats) -> Floats: ...
