@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-
 import numpy as np
 import pytest
 import pyvista as pv
 
-from tetmesh_check import quality as quality_module
 from tetmesh_check.checks import counted, percent
 from tetmesh_check.quality import centres_of, summarize, tetrahedron_quality, triangle_quality
 
@@ -109,15 +106,6 @@ def test_summary_counts_everything_once() -> None:
     assert summary["infinite"] == 1
     assert summary["mean"] == pytest.approx(0.5)
     assert sum(summary["histogram"]["counts"]) == 3
-
-
-def test_blocks_measure_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    points, cells = random_tetrahedra(50)
-    whole = tetrahedron_quality(points, cells)
-    monkeypatch.setattr(quality_module, "_BLOCK", 7)
-    parts = tetrahedron_quality(points, cells)
-    for field in fields(whole):
-        np.testing.assert_array_equal(getattr(parts, field.name), getattr(whole, field.name))
 
 
 def test_centres() -> None:

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 import pyvista as pv
 from conftest import Run, ball, merged, reversed_winding
+from isoparticles._native import self_intersections
 
-from tetmesh_check import topology as topology_module
 from tetmesh_check.components import measure_components
 from tetmesh_check.errors import ExitCode, StageError
-from tetmesh_check.intersections import self_intersections
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.surface import check_surface, read_surface
-from tetmesh_check.topology import changed_triangles, connected_components, measure_topology, tetrahedron_boundary
+from tetmesh_check.topology import changed_triangles, measure_topology, tetrahedron_boundary
 
 
 def without_one_triangle(surface: pv.PolyData) -> pv.PolyData:
@@ -233,19 +232,3 @@ def test_boundary_and_bodies_of_tetrahedra() -> None:
     assert {0, 1, 2} not in [set(triangle) for triangle in outside.triangles.tolist()]
     for triangle, owner in zip(outside.triangles.tolist(), outside.owners, strict=True):
         assert set(triangle) < set(cells[owner].tolist())
-
-
-@pytest.mark.parametrize("bits", [12, 14])
-def test_boundary_with_many_vertices_is_the_same(bits: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    cells = np.random.default_rng(2).permuted(np.tile(np.arange(40), (90, 1)), axis=1)[:, :4]
-    few = tetrahedron_boundary(cells)
-    monkeypatch.setattr(topology_module, "_KEY_BITS", bits)
-    many = tetrahedron_boundary(cells)
-    np.testing.assert_array_equal(many.triangles, few.triangles)
-    np.testing.assert_array_equal(many.owners, few.owners)
-    np.testing.assert_array_equal(many.bodies, few.bodies)
-
-
-def test_components_are_numbered_by_first_appearance() -> None:
-    links = np.array([[5, 3], [1, 4], [3, 0]])
-    np.testing.assert_array_equal(connected_components(6, links), [0, 1, 2, 0, 1, 0])

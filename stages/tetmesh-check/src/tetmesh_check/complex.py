@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from isoparticles import _native
 
 from tetmesh_check.errors import StageError
-from tetmesh_check.intersections import self_intersections
 from tetmesh_check.materials import NOTHING, Sides
-from tetmesh_check.quality import Cells, Labels, Points, TriangleQuality, Values, summarize_all, triangle_quality
-from tetmesh_check.shells import Edges, Shells, edges_of, measure_shells, unbalanced_edges
+from tetmesh_check.quality import Cells, Points, TriangleQuality, summarize_all, triangle_quality
+from tetmesh_check.shells import Shells
 from tetmesh_check.surface import Surface
-from tetmesh_check.topology import connected_components, measure_topology, members_of
+from tetmesh_check.topology import members_of
 
-FLAT = 1e-12
-"""Area of a triangle over the mean, up to which it has none."""
 _ADVICE = "use a surface from reconstruct, or repair this surface first"
 
 
@@ -28,7 +27,6 @@ class Complex:
     surface: Surface
     """Every vertex is in use."""
     sides: Sides
-    edges: Edges
     shells: Shells
     quality: TriangleQuality
     """Of its triangles."""
@@ -53,26 +51,6 @@ def _compact(surface: Surface) -> Surface:
     )
 
 
-def _refuse_bad_triangles(path: Path, surface: Surface, quality: TriangleQuality) -> None:
-    points, triangles = surface.points, surface.triangles
-    flat = np.flatnonzero(quality.area <= FLAT * quality.area.mean())
-    if len(flat):
-        raise StageError(
-            f"{path}: {len(flat)} triangles have no area, the first near {_place(points, triangles[flat[0]])}",
-            "no tetrahedron with a positive volume can have such a face",
-            _ADVICE,
-        )
-    _, first, uses = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True, return_counts=True)
-    if (uses > 1).any():
-        twice = int(first[uses > 1][0])
-        raise StageError(
-            f"{path}: {int((uses > 1).sum())} triangles occur more than once, the first near "
-            f"{_place(points, triangles[twice])}",
-            "the space between two equal triangles is empty",
-            _ADVICE,
-        )
-
-
 def check_complex(path: Path, surface: Surface) -> Complex:
     """Refuse a surface of many materials that bounds no volumes.
 
@@ -92,27 +70,38 @@ def check_complex(path: Path, surface: Surface) -> Complex:
     sides = surface.sides
     surface = _compact(surface)
     points, triangles = surface.points, surface.triangles
-    quality = triangle_quality(points, triangles)
-    _refuse_bad_triangles(path, surface, quality)
-    edges = edges_of(len(points), triangles)
-    wrong = unbalanced_edges(edges, sides)
+    found = _native.check_complex(points, triangles, sides.inside, sides.outside, len(sides.table))
+    flat, twice = found["flat"], found["duplicates"]
+    wrong, crossing = found["open_edges"], found["crossing"]
+    if len(flat):
+        raise StageError(
+            f"{path}: {len(flat)} triangles have no area, the first near {_place(points, triangles[flat[0]])}",
+            "no tetrahedron with a positive volume can have such a face",
+            _ADVICE,
+        )
+    if len(twice):
+        raise StageError(
+            f"{path}: {len(twice)} triangles occur more than once, the first near "
+            f"{_place(points, triangles[twice[0]])}",
+            "the space between two equal triangles is empty",
+            _ADVICE,
+        )
     if wrong:
-        words = ", ".join(f"{sides.names[number]} {count}" for number, count in wrong.items())
+        words = ", ".join(f"{sides.names[number]} {count}" for number, count in sorted(wrong.items()))
         raise StageError(
             f"{path}: the surfaces of {len(wrong)} materials are open or inconsistently oriented; number of such "
             f"edges: {words}",
             "such a material has no inside, so there is no volume to fill",
             _ADVICE,
         )
-    crossing = self_intersections(points, triangles)
-    if len(crossing):
+    if found["shells"] is None:
         raise StageError(
             f"{path}: intersects itself: {len(np.unique(crossing))} triangles in {len(crossing)} pairs, the first near "
             f"{_place(points, triangles[crossing[0, 0]])}",
             "points there would belong to two materials",
             _ADVICE,
         )
-    shells = measure_shells(points, triangles, sides, edges)
+    shells = Shells(**found["shells"])
     if shells.mixed or shells.inside_out or (shells.of_inside < 0).any():
         raise StageError(
             f"{path}: is inside out: {shells.mixed} wedges between neighbouring triangles lie in two materials, "
@@ -120,80 +109,27 @@ def check_complex(path: Path, surface: Surface) -> Complex:
             "each triangle must be counter-clockwise as seen from the material of the lower number",
             "reverse the winding of these triangles; " + _ADVICE,
         )
-    return Complex(surface, sides, edges, shells, quality)
+    return Complex(surface, sides, shells, triangle_quality(points, triangles))
 
 
-def _turns(surface: Surface, edges: Edges, which: Labels) -> tuple[Values, Labels]:
-    """Angle between the normals of the two triangles on each edge within one sheet, degrees, and the pair of materials there."""
-    both = np.flatnonzero(edges.uses == 2)
-    order = np.argsort(edges.of, kind="stable")
-    first = np.cumsum(edges.uses)[both] - 2
-    one, other = order[first] // 3, order[first + 1] // 3
-    a, b, c = (surface.points[surface.triangles[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    sine = np.linalg.norm(np.cross(normals[one], normals[other]), axis=1)
-    cosine = np.einsum("ij,ij->i", normals[one], normals[other])
-    turns: Values = np.degrees(np.arctan2(sine, cosine))
-    same = which[one] == which[other]
-    return turns[same], which[one][same]
-
-
-def _rms(values: Values) -> float | None:
-    return float(np.sqrt((values**2).mean())) if len(values) else None
-
-
-def _pieces(edges: Edges, which: Labels, triangles: int) -> Labels:
-    """Connected piece of a sheet that each triangle belongs to; pieces hang together through edges with two triangles."""
-    order = np.argsort(edges.of, kind="stable")
-    both = edges.uses == 2
-    first = (np.cumsum(edges.uses) - edges.uses)[both]
-    links = np.stack([order[first] // 3, order[first + 1] // 3], 1)
-    links = links[which[links[:, 0]] == which[links[:, 1]]]
-    return connected_components(triangles, links)
-
-
-def _junctions(edges: Edges, sides: Sides, vertices: int, triangles: Cells) -> dict[str, Any]:
-    """Count what lies on more than one sheet."""
-    junction = edges.uses != 2
-    ends = np.bincount(np.concatenate([edges.low[junction], edges.high[junction]]), minlength=vertices)
-    corner = triangles.ravel()
-    count = len(sides.table)
-    pairs = np.unique(np.concatenate([corner * count + np.repeat(side, 3) for side in (sides.inside, sides.outside)]))
-    met = np.bincount(pairs // count, minlength=vertices)
-    number, of = np.unique(met, return_counts=True)
-    uses, edges_with = np.unique(edges.uses, return_counts=True)
-    return {
-        "junction_edges": int(junction.sum()),
-        "junction_vertices": int(((ends != 0) & (ends != 2)).sum()),
-        "edges_by_triangles": dict(zip(map(str, uses.tolist()), edges_with.tolist(), strict=True)),
-        "vertices_by_materials": dict(zip(map(str, number.tolist()), of.tolist(), strict=True)),
-    }
-
-
-def _materials(checked: Complex) -> list[dict[str, Any]]:
+def _materials(checked: Complex, topologies: Mapping[int, Mapping[str, object]]) -> list[dict[str, Any]]:
     """Each material's own closed surface."""
-    surface, sides, shells = checked.surface, checked.sides, checked.shells
+    sides, shells = checked.sides, checked.shells
     listed = []
     count = len(sides.table)
     behind_of, before_of = members_of(sides.inside, count), members_of(sides.outside, count)
-    for number in [NOTHING, *sides.present]:
-        behind, before = behind_of[number], before_of[number]
-        facets = np.concatenate([surface.triangles[behind], surface.triangles[before][:, [0, 2, 1]]])
-        if not len(facets):
-            continue
-        used, local = np.unique(facets, return_inverse=True)
-        topology = measure_topology(surface.points[used], local.reshape(-1, 3).astype(np.int64))
+    for number, topology in sorted(topologies.items()):
         own = shells.materials == number
+        inner = number != NOTHING
         listed.append(
             {
                 "number": number,
                 "name": sides.names[number],
-                "volume_mm3": float(shells.sizes[own].sum()) if number != NOTHING else None,
-                "components": int(own.sum()) if number != NOTHING else None,
-                "area_mm2": float(checked.quality.area[np.concatenate([behind, before])].sum()),
-                "smallest_wedge_degrees": shells.narrowest.get(number),
-                "topology": topology.as_dict(),
+                "volume_mm3": float(shells.sizes[own].sum()) if inner else None,
+                "components": int(own.sum()) if inner else None,
+                "area_mm2": float(checked.quality.area[np.append(behind_of[number], before_of[number])].sum()),
+                "smallest_wedge_degrees": float(shells.narrowest[number]) if inner else None,
+                "topology": topology,
             }
         )
     return listed
@@ -216,17 +152,13 @@ def describe_complex(checked: Complex) -> dict[str, Any]:
         smallest angle between two of its facets and the topology of its own closed surface; ``interfaces``, each pair with area,
         connected pieces, quality and turn.
     """
-    surface, sides, edges = checked.surface, checked.sides, checked.edges
+    surface, sides, quality = checked.surface, checked.sides, checked.quality
+    found = _native.describe_complex(surface.points, surface.triangles, sides.inside, sides.outside, len(sides.table))
     pairs, which = sides.pairs()
-    turns, pair_of_turn = _turns(surface, edges, which)
-    pieces = _pieces(edges, which, len(surface.triangles))
     interfaces = []
-    triangles_of, turns_of = members_of(which, len(pairs)), members_of(pair_of_turn, len(pairs))
-    for k, (inside, outside) in enumerate(pairs.tolist()):
-        own = triangles_of[k]
-        part = TriangleQuality(
-            **{name: getattr(checked.quality, name)[own] for name in TriangleQuality.__dataclass_fields__}
-        )
+    of_pairs = zip(pairs.tolist(), members_of(which, len(pairs)), found["interfaces"], strict=True)
+    for (inside, outside), own, (pieces, turn) in of_pairs:
+        part = TriangleQuality(**{name: getattr(quality, name)[own] for name in TriangleQuality.__dataclass_fields__})
         interfaces.append(
             {
                 "inside": inside,
@@ -234,8 +166,8 @@ def describe_complex(checked: Complex) -> dict[str, Any]:
                 "name": sides.pair_name((inside, outside)),
                 "triangles": len(own),
                 "area_mm2": float(part.area.sum()),
-                "pieces": len(np.unique(pieces[own])),
-                "rms_turn_degrees": _rms(turns[turns_of[k]]),
+                "pieces": pieces,
+                "rms_turn_degrees": turn,
                 "quality": summarize_all(part),
             }
         )
@@ -243,11 +175,19 @@ def describe_complex(checked: Complex) -> dict[str, Any]:
         "vertices": len(surface.points),
         "triangles": len(surface.triangles),
         "merged_points": surface.merged_points,
-        "area_mm2": float(checked.quality.area.sum()),
+        "area_mm2": float(quality.area.sum()),
         "bounding_box_diagonal_mm": surface.bounding_box_diagonal,
-        **_junctions(edges, sides, len(surface.points), surface.triangles),
-        "quality": summarize_all(checked.quality),
-        "rms_turn_degrees": _rms(turns),
-        "materials": _materials(checked),
+        "junction_edges": found["junction_edges"],
+        "junction_vertices": found["junction_vertices"],
+        "edges_by_triangles": _by_text(found["edges_by_triangles"]),
+        "vertices_by_materials": _by_text(found["vertices_by_materials"]),
+        "quality": summarize_all(quality),
+        "rms_turn_degrees": found["rms_turn_degrees"],
+        "materials": _materials(checked, found["topologies"]),
         "interfaces": interfaces,
     }
+
+
+def _by_text(counts: Mapping[int, int]) -> dict[str, int]:
+    """Counts by number, ascending, as JSON holds them."""
+    return {str(number): count for number, count in sorted(counts.items())}

@@ -1,22 +1,13 @@
-"""Pairs of triangles of one surface that cut through each other.
-
-Broad phase: the triangles in Morton order form an implicit binary tree of boxes, and pairs of overlapping boxes are
-refined from the root down, many pairs at once, so that strongly graded meshes cost no more than uniform ones. Narrow
-phase: two triangles cross when an edge of one passes through the other. A vertex that only touches does not count.
-"""
+"""Pairs of boxes that overlap, for forced.py."""
 
 from __future__ import annotations
-
-from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tetmesh_check.quality import Cells, Labels, Points, Values
+from tetmesh_check.quality import Cells, Labels, Points
 
 _CHUNK_PAIRS = 1 << 19
-_RELATIVE_TOLERANCE = 1e-13
-"""A tetrahedron this flat, relative to the product of its edge vectors, counts as degenerate (touching)."""
 
 
 def morton_order(centres: Points) -> NDArray[np.int64]:
@@ -74,75 +65,3 @@ def candidate_pairs(low: Points, high: Points) -> list[Cells]:
             for chunk in (kept[start : start + _CHUNK_PAIRS] for start in range(0, len(kept), _CHUNK_PAIRS))
         )
     return done
-
-
-def _orientation(a: Points, b: Points, c: Points, d: Points) -> Values:
-    """Sign of the volume of the tetrahedron ``abcd``; 0 when it is flat to rounding. Coordinates by rows, ``(3, n)``."""
-    u, v, w = b - a, c - a, d - a
-    volume = (
-        (u[1] * v[2] - u[2] * v[1]) * w[0] + (u[2] * v[0] - u[0] * v[2]) * w[1] + (u[0] * v[1] - u[1] * v[0]) * w[2]
-    )
-    scale = _largest(u) * _largest(v) * _largest(w)
-    return np.where(np.abs(volume) <= _RELATIVE_TOLERANCE * scale, 0.0, np.sign(volume))
-
-
-def _largest(vectors: Points) -> Values:
-    """Largest coordinate of each vector, without its sign; shape ``(n,)``."""
-    largest: Values = np.maximum(np.maximum(np.abs(vectors[0]), np.abs(vectors[1])), np.abs(vectors[2]))
-    return largest
-
-
-def _segment_through_triangle(p: Points, q: Points, a: Points, b: Points, c: Points) -> NDArray[np.bool_]:
-    """Whether each segment ``pq`` passes through the triangle ``abc``, its border included; coordinates by rows."""
-    hit = _orientation(a, b, c, p) * _orientation(a, b, c, q) < 0
-    index = np.flatnonzero(hit)
-    p, q, a, b, c = p[:, index], q[:, index], a[:, index], b[:, index], c[:, index]
-    sides = np.stack([_orientation(p, q, a, b), _orientation(p, q, b, c), _orientation(p, q, c, a)])
-    hit[index] = (sides >= 0).all(axis=0) ^ (sides <= 0).all(axis=0)
-    return hit
-
-
-def _pairs_cross(points: Points, first: Cells, second: Cells) -> NDArray[np.bool_]:
-    """Whether the two triangles of each pair cross; shape ``(k, 3)`` each, the points by rows ``(3, n)``."""
-    crossing = np.zeros(len(first), dtype=bool)
-    same = [[first[:, i] == second[:, j] for j in range(3)] for i in range(3)]
-    in_second = [same[i][0] | same[i][1] | same[i][2] for i in range(3)]
-    in_first = [same[0][j] | same[1][j] | same[2][j] for j in range(3)]
-    # triangles with a common edge cannot cross
-    shared = in_second[0].astype(np.int8) + in_second[1] + in_second[2]
-    for edges_of, other, common in ((first, second, in_second), (second, first, in_first)):
-        for k in range(3):
-            tail, head = edges_of[:, k], edges_of[:, (k + 1) % 3]
-            # an edge that ends in a common vertex touches there and can not pass through
-            index = np.flatnonzero((shared < 2) & ~(common[k] | common[(k + 1) % 3]) & ~crossing)
-            if len(index):
-                corners = (points[:, other[index, m]] for m in range(3))
-                crossing[index] = _segment_through_triangle(points[:, tail[index]], points[:, head[index]], *corners)
-    return crossing
-
-
-def self_intersections(points: Points, triangles: Cells) -> Cells:
-    """Find the pairs of triangles that cut through each other.
-
-    Parameters
-    ----------
-    points
-        Positions, mm, shape ``(n, 3)``; finite.
-    triangles
-        Vertex indices, shape ``(m, 3)``.
-
-    Returns
-    -------
-    ndarray
-        Indices of the two triangles of each crossing pair, shape ``(k, 2)``.
-    """
-    if len(triangles) == 0:
-        return np.empty((0, 2), dtype=np.int64)
-    corners = points[triangles]
-    found = [np.empty((0, 2), dtype=np.int64)]
-    by_rows = np.ascontiguousarray(points.T)
-    low, high = (reduce(how, (corners[:, k] for k in range(3))) for how in (np.minimum, np.maximum))
-    for pairs in candidate_pairs(low, high):
-        crossing = _pairs_cross(by_rows, triangles[pairs[:, 0]], triangles[pairs[:, 1]])
-        found.append(pairs[crossing])
-    return np.concatenate(found)

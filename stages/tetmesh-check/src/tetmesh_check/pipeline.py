@@ -58,13 +58,13 @@ def _size(surface: Surface, sizing: SizingField | None, context: Context) -> tup
     return uniform_sizing_field(surface, median), lengths
 
 
-def _surface_results(surface: Surface, topology: Topology) -> dict[str, Any]:
+def _surface_results(surface: Surface, topology: Topology, components: Components) -> dict[str, Any]:
     quality = triangle_quality(surface.points, surface.triangles)
     return {
         "topology": topology.as_dict(),
         "merged_points": surface.merged_points,
         "area_mm2": float(quality.area.sum()),
-        "volume_mm3": surface.volume(),
+        "volume_mm3": float(components.volumes.sum()),
         "bounding_box_diagonal_mm": surface.bounding_box_diagonal,
         "quality": summarize_all(quality),
     }
@@ -117,7 +117,7 @@ def _measure(
         }
     measured = Measurements(
         quality=quality,
-        surface_volume=surface.volume(),
+        surface_volume=float(components.volumes.sum()),
         surface_bodies=int((components.volumes > 0).sum()),
         surface_topology=topology,
         boundary_topology=boundary_topology,
@@ -224,7 +224,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     resolve_source(arguments.forward, None)
     with context.step("check surface"):
         topology, components = check_surface(arguments.surface, surface)
-        context.results["surface"] = _surface_results(surface, topology)
+        context.results["surface"] = _surface_results(surface, topology, components)
         if labels is not None:
             check_labels(surface.points, labels, meshed_labels(surface.history))
 

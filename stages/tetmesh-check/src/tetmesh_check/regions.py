@@ -6,13 +6,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import pyvista as pv
+from isoparticles import _native
 from scipy.spatial import cKDTree
 
-from tetmesh_check.distance import distances_to
 from tetmesh_check.errors import StageError
 from tetmesh_check.labels import LabelVolume
-from tetmesh_check.polydata import to_polydata
 from tetmesh_check.quality import Cells, Labels, Points
 from tetmesh_check.surface import Surface
 
@@ -154,27 +152,18 @@ def boundary_marks(surface: Surface, points: Points, boundary: Cells) -> Labels:
         return np.full(len(boundary), CAP, dtype=np.int64)
     corners = points[boundary]
     centres = corners.mean(axis=1)
-    parts = [to_polydata(surface.points, surface.triangles[mark]) for mark in (surface.cap, ~surface.cap)]
-    to_cap, to_rest = (distances_to(part, centres) for part in parts)
+    parts = [surface.triangles[mark] for mark in (surface.cap, ~surface.cap)]
+    (nearest_cap, to_cap), (nearest_rest, to_rest) = (_native.nearest(surface.points, part, centres) for part in parts)
     marks[to_cap < to_rest] = CAP
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     ties = np.flatnonzero(np.abs(to_cap - to_rest) <= _TIE * longest)
-    if len(ties):
-        normals = _normals(points, boundary[ties])
-        like_cap, like_rest = (
-            np.einsum(
-                "ij,ij->i", normals, _normals(surface.points, surface.triangles[mark])[_nearest(part, centres[ties])]
-            )
-            for part, mark in zip(parts, (surface.cap, ~surface.cap), strict=True)
-        )
-        marks[ties] = np.where(like_cap > like_rest, CAP, SURFACE)
+    normals = _normals(points, boundary[ties])
+    like_cap, like_rest = (
+        np.einsum("ij,ij->i", normals, _normals(surface.points, part[nearest[ties]]))
+        for part, nearest in zip(parts, (nearest_cap, nearest_rest), strict=True)
+    )
+    marks[ties] = np.where(like_cap > like_rest, CAP, SURFACE)
     return marks
-
-
-def _nearest(part: pv.PolyData, positions: Points) -> Labels:
-    """Number of the nearest triangle of a mesh for each position, shape ``(n,)``."""
-    found: Labels = np.atleast_1d(part.find_closest_cell(positions)).astype(np.int64)
-    return found
 
 
 def _normals(points: Points, triangles: Cells) -> Points:

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
+from isoparticles import _native
 from numpy.typing import NDArray
 from vtkmodules.vtkCommonCore import vtkObject
 
-from tetmesh_check.components import Components, component_volumes, measure_components
+from tetmesh_check.components import Components, measure_components
 from tetmesh_check.errors import StageError
 from tetmesh_check.field_data import text_of
-from tetmesh_check.intersections import self_intersections
 from tetmesh_check.materials import Sides, read_sides
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.quality import Cells, Points
@@ -48,10 +48,6 @@ class Surface:
     def bounding_box_diagonal(self) -> float:
         """Length of the diagonal of the bounding box, mm."""
         return float(np.linalg.norm(self.points.max(axis=0) - self.points.min(axis=0)))
-
-    def volume(self) -> float:
-        """Signed volume, mm^3; positive for an outward surface."""
-        return float(component_volumes(self.points, self.triangles, np.zeros(len(self.triangles), np.int64))[0])
 
 
 def read_dataset(path: Path) -> pv.DataSet:
@@ -184,12 +180,12 @@ def check_surface(path: Path, surface: Surface) -> tuple[Topology, Components]:
     if len(wrong):
         raise StageError(
             f"{path}: {len(wrong)} of {topology.components} components are inside out "
-            f"(signed volume of the whole: {surface.volume():.6g} mm^3)",
+            f"(signed volume of the whole: {components.volumes.sum():.6g} mm^3)",
             "the triangles must be counter-clockwise as seen from outside, and those of a cavity as seen from inside "
             "the cavity",
             "reverse the winding of these components; " + _TOOLS,
         )
-    crossing = self_intersections(surface.points, surface.triangles)
+    crossing = _native.self_intersections(surface.points, surface.triangles)
     if len(crossing):
         where = surface.points[surface.triangles[crossing[0, 0]]].mean(axis=0)
         raise StageError(

@@ -1,10 +1,11 @@
-"""Topology of triangle meshes from their connectivity alone: edges, fans, components, Euler characteristic."""
+"""Topology of triangle meshes and of tetrahedra, from their connectivity alone. The Rust code computes it."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from isoparticles import _native
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csgraph
 
@@ -83,21 +84,6 @@ class Topology:
         return asdict(self)
 
 
-def triangle_components(vertex_count: int, triangles: Cells) -> Labels:
-    """Component of each triangle; triangles that share a vertex belong together.
-
-    Parameters
-    ----------
-    vertex_count
-        Number of vertices.
-    triangles
-        Vertex indices, shape ``(m, 3)``.
-    """
-    labels = connected_components(vertex_count, np.concatenate([triangles[:, :2], triangles[:, 1:]]))
-    _, result = np.unique(labels[triangles[:, 0]], return_inverse=True)
-    return result.ravel().astype(np.int64)
-
-
 def measure_topology(points: Points, triangles: Cells) -> Topology:
     """Count edges, fans and components of a triangle mesh.
 
@@ -108,42 +94,7 @@ def measure_topology(points: Points, triangles: Cells) -> Topology:
     triangles
         Vertex indices, shape ``(m, 3)``.
     """
-    count = len(points)
-    size = len(triangles)
-    tail = triangles.ravel()
-    head = np.roll(triangles, -1, axis=1).ravel()
-    low, high = np.minimum(tail, head), np.maximum(tail, head)
-    key = low * count + high
-    order = np.argsort(key, kind="stable")
-    _, start, uses = np.unique(key[order], return_index=True, return_counts=True)
-    twice = start[uses == 2]
-    one, other = order[twice], order[twice + 1]
-
-    # A corner is half-edge number h = 3 * triangle + slot at its tail; its head is the next slot of the triangle.
-    next_corner = np.arange(3 * size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
-    same_direction = tail[one] == tail[other]
-    other_tail = np.where(same_direction, other, next_corner[other])
-    other_head = np.where(same_direction, next_corner[other], other)
-    links = np.concatenate([np.stack([one, other_tail], 1), np.stack([next_corner[one], other_head], 1)])
-    fans = connected_components(3 * size, links)
-    vertex_of_fan = np.zeros(int(fans.max(initial=-1)) + 1, dtype=np.int64)
-    vertex_of_fan[fans] = tail
-    fans_of_vertex = np.bincount(vertex_of_fan, minlength=count)
-    used = int((fans_of_vertex > 0).sum())
-    parts = triangle_components(count, triangles)
-
-    return Topology(
-        vertices=count,
-        triangles=size,
-        edges=len(uses),
-        unused_vertices=count - used,
-        open_edges=int((uses == 1).sum()),
-        nonmanifold_edges=int((uses > 2).sum()),
-        badly_oriented_edges=int(same_direction.sum()),
-        nonmanifold_vertices=int((fans_of_vertex > 1).sum()),
-        components=int(parts.max(initial=-1)) + 1,
-        euler_characteristic=used - len(uses) + size,
-    )
+    return Topology(**_native.surface_topology(len(points), triangles))
 
 
 @dataclass(frozen=True)
@@ -166,55 +117,7 @@ def tetrahedron_boundary(tetrahedra: Cells) -> Boundary:
     tetrahedra
         Vertex indices in VTK order, shape ``(m, 4)``.
     """
-    size = len(tetrahedra)
-    order, same = equal_faces(tetrahedra)
-    found = _alone(order, same)
-    triangles, place = outward_faces(tetrahedra, found)
-    first = np.argsort(place * size + found % size)
-    # face number f belongs to tetrahedron f modulo their number
-    links = np.stack([order[:-1][same] % size, order[1:][same] % size], 1)
-    return Boundary(triangles[:, first].T, found[first] % size, connected_components(size, links))
-
-
-def outside_of_part(tetrahedra: Cells, part: Labels, on_boundary: NDArray[np.bool_]) -> tuple[Cells, Labels]:
-    """Find the outside of some of the tetrahedra without looking at all their faces.
-
-    Parameters
-    ----------
-    tetrahedra
-        Vertex indices in VTK order, shape ``(m, 4)``.
-    part
-        Numbers of those that count, ascending, shape ``(p,)``.
-    on_boundary
-        Which vertices lie on the boundary of the whole, shape ``(n,)``.
-
-    Returns
-    -------
-    tuple
-        Triangles and their owners, as in :class:`Boundary`.
-    """
-    # a face outside the part is one of the whole's, or belongs to a tetrahedron that does not count as well
-    others = np.ones(len(tetrahedra), dtype=bool)
-    others[part] = False
-    candidate = on_boundary.copy()
-    candidate[tetrahedra[others]] = True
-    faces = faces_of(tetrahedra[part])
-    near = np.flatnonzero(candidate[faces[0]] & candidate[faces[1]] & candidate[faces[2]])
-    order, same = _in_order([np.sort(faces[:, near], axis=0)])
-    alone = near[np.sort(_alone(order, same))]
-    return faces[:, alone].T, part[alone % len(part)]
-
-
-def faces_of(tetrahedra: Cells) -> Cells:
-    """Outward faces by rows, shape ``(3, 4 m)``: the first of every tetrahedron, then the second, and so on.
-
-    Parameters
-    ----------
-    tetrahedra
-        Vertex indices in VTK order, shape ``(m, 4)``.
-    """
-    corners = np.ascontiguousarray(tetrahedra.T)
-    return np.stack([np.concatenate([corners[face[k]] for face in OUTWARD_FACES]) for k in range(3)])
+    return Boundary(*_native.tetrahedron_boundary(int(tetrahedra.max(initial=-1)) + 1, tetrahedra))
 
 
 def outward_faces(tetrahedra: Cells, numbers: Labels) -> tuple[Cells, Labels]:
@@ -260,12 +163,6 @@ def equal_faces(tetrahedra: Cells, triangles: Cells | None = None) -> tuple[Labe
     return _in_order(faces if triangles is None else [*faces, np.sort(triangles, axis=1).T])
 
 
-def _alone(order: Labels, same: NDArray[np.bool_]) -> Labels:
-    """Faces that are equal to no other."""
-    found: Labels = order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])]
-    return found
-
-
 def _in_order(faces: list[Cells]) -> tuple[Labels, NDArray[np.bool_]]:
     """As :func:`equal_faces`, of several arrays ``(3, n)`` of ascending columns."""
     width = max(int(part.max(initial=0)).bit_length() for part in faces)
@@ -297,15 +194,6 @@ def _in_order(faces: list[Cells]) -> tuple[Labels, NDArray[np.bool_]]:
     return order, same
 
 
-def _number_rows(rows: Points | Cells) -> Labels:
-    """Give equal rows of an array equal numbers, shape ``(n,)``."""
-    order = np.lexsort(rows.T)
-    new = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
-    number = np.zeros(len(rows), dtype=np.int64)
-    number[order[1:]] = np.cumsum(new)
-    return number
-
-
 def changed_triangles(before: tuple[Points, Cells], after: tuple[Points, Cells]) -> tuple[int, int]:
     """Compare two triangle meshes by the coordinates of their corners, bit for bit, and by their winding.
 
@@ -319,14 +207,5 @@ def changed_triangles(before: tuple[Points, Cells], after: tuple[Points, Cells])
     tuple
         How many triangles of the first are not in the second, and the other way round.
     """
-    shared = len(before[0])
-    if np.array_equal(after[0][:shared], before[0]):  # the same vertices first, as HXT leaves them
-        triangles = np.concatenate([before[1], after[1]])
-    else:
-        corners = np.concatenate([mesh[0][mesh[1]].reshape(-1, 3) for mesh in (before, after)])
-        triangles = _number_rows(corners).reshape(-1, 3)
-    # every triangle from its smallest corner on
-    turn = (np.argmin(triangles, axis=1)[:, None] + np.arange(3)) % 3
-    number = _number_rows(np.take_along_axis(triangles, turn, axis=1))
-    first, second = np.split(number, [len(before[1])])
-    return len(np.setdiff1d(first, second)), len(np.setdiff1d(second, first))
+    missing, added = _native.changed_triangles(*before, *after)
+    return missing, added

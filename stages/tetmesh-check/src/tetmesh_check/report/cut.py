@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyvista as pv
-from numpy.typing import NDArray
 
 from tetmesh_check.quality import Cells, Labels, Points, centres_of
-from tetmesh_check.topology import outside_of_part
+from tetmesh_check.topology import tetrahedron_boundary
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,7 @@ class Cut:
     """What is up in the picture; shape ``(3,)``."""
 
 
-def cut_through_the_middle(points: Points, tetrahedra: Cells, on_boundary: NDArray[np.bool_]) -> Cut:
+def cut_through_the_middle(points: Points, tetrahedra: Cells) -> Cut:
     """Cut across the shortest side of the object, so that as many tetrahedra lie before the cut as behind it.
 
     Parameters
@@ -35,8 +34,6 @@ def cut_through_the_middle(points: Points, tetrahedra: Cells, on_boundary: NDArr
         Positions, mm, shape ``(n, 3)``.
     tetrahedra
         Vertex indices, shape ``(m, 4)``.
-    on_boundary
-        Which points lie on the boundary, shape ``(n,)``.
     """
     axis = int(np.argmin(np.ptp(points, axis=0)))
     normal = np.zeros(3)
@@ -46,7 +43,8 @@ def cut_through_the_middle(points: Points, tetrahedra: Cells, on_boundary: NDArr
     kept = np.flatnonzero(depth < np.median(depth))
     if len(kept) == 0:  # all in one plane
         kept = np.arange(len(tetrahedra))
-    return Cut(*outside_of_part(tetrahedra, kept, on_boundary), normal, up)
+    outside = tetrahedron_boundary(tetrahedra[kept])
+    return Cut(outside.triangles, kept[outside.owners], normal, up)
 
 
 def cut_of(volume: pv.UnstructuredGrid) -> Cut:
@@ -59,5 +57,4 @@ def cut_of(volume: pv.UnstructuredGrid) -> Cut:
     """
     points = np.asarray(volume.points, dtype=np.float64)
     tetrahedra = np.asarray(volume.cells_dict[pv.CellType.TETRA], dtype=np.int64)
-    marks = volume.point_data["boundary"] if "boundary" in volume.point_data else np.ones(len(points))
-    return cut_through_the_middle(points, tetrahedra, np.asarray(marks) > 0)
+    return cut_through_the_middle(points, tetrahedra)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from isoparticles import _native
 
-from tetmesh_check.intersections import morton_order
 from tetmesh_check.quality import Cells, Points, Values
 
 STEPS = 8191
@@ -115,7 +115,7 @@ def pack(meshes: list[ViewMesh], yaw: float, pitch: float, anatomical: bool = Tr
 
     reach = np.zeros(2)
     for mesh in meshes:
-        order = morton_order(mesh.points[mesh.triangles].mean(axis=1))
+        order = _native.morton_order(mesh.points[mesh.triangles].mean(axis=1))
         triangles, used = _in_order_of_use(mesh.triangles[order])
         centred = (mesh.points[used] - centre) / half
         reach = np.maximum(reach, _reach(centred, yaw, pitch))
