@@ -16,9 +16,9 @@ from test_regions import marked_block
 
 from tetmesh_check.export.formats import export
 from tetmesh_check.export.mesh import MarkedMesh
+from tetmesh_check.fields import read_distance_field
 from tetmesh_check.quality import signed_tetrahedron_volumes
 from tetmesh_check.regions import CAP
-from tetmesh_check.spline import read_distance_field
 
 
 def curved(folder: Path) -> MarkedMesh:

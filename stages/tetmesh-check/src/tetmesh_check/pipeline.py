@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from isoparticles._native import GridField
 
 from tetmesh_check.arguments import Arguments
 from tetmesh_check.checks import Measurements, conclude, poor_tetrahedra, run_checks, surface_volume_checks
@@ -17,6 +18,7 @@ from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.export.volume import write_quadratic, write_volume
 from tetmesh_check.fem.forward import resolve_source
 from tetmesh_check.fem.solve import VolumeMesh, solve_on
+from tetmesh_check.fields import read_distance_field
 from tetmesh_check.labels import LabelVolume, read_label_volume
 from tetmesh_check.materials_run import run_materials
 from tetmesh_check.memory import check_memory
@@ -33,7 +35,6 @@ from tetmesh_check.regions import (
 )
 from tetmesh_check.report.drawing import drawing
 from tetmesh_check.sizing import SizingField, read_sizing_field, uniform_sizing_field
-from tetmesh_check.spline import DistanceField, read_distance_field
 from tetmesh_check.surface import Surface, check_surface, read_surface
 from tetmesh_check.tets.fill import Filled, Task, fill
 from tetmesh_check.topology import Topology, changed_triangles, measure_topology, tetrahedron_boundary
@@ -50,7 +51,7 @@ def _size(surface: Surface, sizing: SizingField | None, context: Context) -> tup
     if sizing is not None:
         at_surface = sizing.at(surface.points)
         bins = np.linspace(0.0, float(at_surface.max()), 51)
-        context.results["sizing"] = {"voxel_mm": sizing.voxel, "at_surface": summarize(at_surface, bins)}
+        context.results["sizing"] = {"voxel_mm": sizing.grid.voxel, "at_surface": summarize(at_surface, bins)}
         return sizing, at_surface
     lengths = triangle_quality(surface.points, surface.triangles).edge_length
     median = float(np.median(lengths))
@@ -163,7 +164,7 @@ def _mark(surface: Surface, mesh: VolumeMesh, labels: LabelVolume | None, contex
     return MarkedMesh(mesh.points, mesh.tetrahedra, regions, outside, mesh.boundary.owners, marks, labels=known)
 
 
-def _curve(marked: MarkedMesh, field: DistanceField, arguments: Arguments, context: Context) -> Quadratic:
+def _curve(marked: MarkedMesh, field: GridField, arguments: Arguments, context: Context) -> Quadratic:
     """Put a node amid each edge, write that mesh, and tell of it."""
     with context.step("quadratic"):
         curved = make_quadratic(marked, field)
