@@ -21,17 +21,17 @@ import tetmesh_check
 HERE = Path(__file__).resolve().parent
 STAGES = ("distfield", "sizefield", "seed", "particles", "reconstruct", "tetmesh-check")
 VOLUME_GOALS = {
-    "info": "what the volume is, and what to ask for",
-    "mesh": "from the volume to tetrahedra and the page about them",
-    "surface": "as far as the triangles",
+    "info": "describe a volume and suggest options",
+    "mesh": "mesh a volume with tetrahedra and write a report page",
+    "surface": "mesh only the surface of a volume",
 }
 """Goals whose first argument is the volume. Unlike in the Makefile, the stages are not goals."""
 TOOLS = {"convert": "write a volume as a VTK image (.vti)"}
 """Subcommands of ``isoparticles-volume`` that run without a case."""
 NAME_GOALS = {
-    "verdict": "how it went",
-    "page": "the page once more",
-    "clean": "remove the folder of results",
+    "verdict": "print the outcome of a case",
+    "page": "regenerate the page of a case",
+    "clean": "remove the results folder of a case",
 }
 """Goals whose first argument is the name of the results."""
 SHORT = {"-o": "OUT", "--output": "OUT"}
@@ -62,9 +62,9 @@ def scripts() -> Path:
     found = shutil.which("tetmesh-check")
     if found is None:
         raise UsageError(
-            "tetmesh-check: not found beside isoparticles, nor in PATH",
+            "tetmesh-check: not found beside isoparticles or in PATH",
             "it makes the tetrahedra",
-            "install the wheel anew, and run the isoparticles that comes with it",
+            "reinstall the package isoparticles",
         )
     return Path(found).parent
 
@@ -120,7 +120,7 @@ def settings_of(words: Sequence[str], first: str, known: dict[str, str]) -> tupl
             name, equals, value = word.partition("=")
             if not equals:
                 if not rest:
-                    raise UsageError(f"{name}: has no value", "every option takes one", "isoparticles help lists them")
+                    raise UsageError(f"{name}: has no value", "every option needs a value", "see `isoparticles help`")
                 value = rest.pop(0)
             if name in known:
                 options += [known[name], value]
@@ -131,8 +131,8 @@ def settings_of(words: Sequence[str], first: str, known: dict[str, str]) -> tupl
         elif has_first:
             raise UsageError(
                 f"{word}: a second {first}",
-                "a run is over one case",
-                "isoparticles batch makes many; put quotes round names with blanks",
+                "each run meshes one case",
+                "use `isoparticles batch` for several cases; put names with spaces in quotes",
             )
         else:
             has_first = True
@@ -164,11 +164,11 @@ Volumes in, simulation-ready meshes out.
 
 {goals}
 {named}
-  batch LIST.csv          every row of a list (--goal surface, --time-limit 2h a case)
-  index                   a page over all cases in --out
+  batch LIST.csv          mesh the case in each row of a list (--goal surface, --time-limit 2h per case)
+  index                   write an index page of all cases in --out
   demo                    mesh a phantom
   {", ".join(STAGES)}
-                          one stage by itself; --help tells its options
+                          run a single stage; see --help
 
 Options of mesh and surface (also as KEY=VALUE):
 {options}
@@ -198,7 +198,7 @@ def command_of(arguments: Sequence[str]) -> list[str]:
         return case_arguments(goal, settings_of(rest, "INPUT", {})[0])
     raise UsageError(
         f"{goal}: no such goal or stage",
-        "the first word says what to do",
+        "the first argument must be a goal or a stage",
         f"choose one of {', '.join((*VOLUME_GOALS, *TOOLS, *NAME_GOALS, 'batch', 'index', 'demo', *STAGES))}",
     )
 
