@@ -8,7 +8,8 @@
 //!   on the order of evaluation.
 //! - [`topology`]: components, Euler characteristics and critical points of F.
 //! - [`marching_cubes`]: a triangle mesh of F = 0.
-//! - [`materials`]: implicit functions for many materials, one per material.
+//! - [`materials`]: implicit functions for many materials, one per material. [`label_lookup`]: labels
+//!   at positions.
 //!
 //! ```
 //! use glam::DVec3;
@@ -29,6 +30,7 @@ pub mod background;
 pub mod curvature;
 pub mod enclosed;
 pub mod energy;
+pub mod label_lookup;
 pub mod marching_cubes;
 pub mod materials;
 pub mod neighbours;
