@@ -5,6 +5,7 @@ use crate::pool;
 use glam::DVec3;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_stage::cli::Listener;
+use isoparticles_volume::{Endian, Voxels};
 use pyo3::buffer::{Element, PyBuffer};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -44,6 +45,13 @@ impl Array {
     /// Returns an array of shape `(n, N)`.
     pub(crate) fn rows<T: Number, const N: usize>(rows: &[[T; N]]) -> Self {
         Self { shape: vec![rows.len(), N], ..Self::column(rows.as_flattened()) }
+    }
+
+    /// Returns voxels as an array with the axes z, y and x.
+    pub(crate) fn voxels(voxels: &Voxels, [nx, ny, nz]: [usize; 3]) -> PyResult<Self> {
+        let mut bytes = Vec::new();
+        voxels.write_to(&mut bytes, Endian::Little)?;
+        Ok(Self { dtype: voxels.type_name(), shape: vec![nz, ny, nx], bytes })
     }
 
     /// Returns the array with another shape, which must have as many entries.

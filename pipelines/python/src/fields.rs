@@ -2,16 +2,19 @@
 //! `tetmesh-check`. Positions are arrays of shape `(n, 3)` in mm.
 
 use crate::arrays::{Array, cells, compute, mesh, points, values};
+use crate::errors::raised;
 use glam::{DMat3, DVec3};
 use isoparticles_field::background::{BackgroundMesh, WorldGrid};
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::{CubicSpline, distance_estimate};
 use isoparticles_mesh::tetrahedra::quadratic::{self, Quadratic};
-use isoparticles_volume::{Geometry, Image, Space};
-use pyo3::buffer::PyBuffer;
+use isoparticles_volume::{Geometry, Image, ReadOptions, Space, read_volume_with};
+use pyo3::buffer::{Element, PyBuffer};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
 /// Distance from F = 0 at which a projection ends, in voxels: a tenth of the error of the spline for
@@ -34,17 +37,10 @@ impl GridField {
     /// of the axes.
     #[new]
     fn new(array: &Bound<'_, PyAny>, spacing: [f64; 3], origin: [f64; 3], axes: [[f64; 3]; 3]) -> PyResult<Self> {
-        let shape: Vec<usize> = array.getattr("shape")?.extract()?;
-        let size = <[usize; 3]>::try_from(shape).ok().filter(|size| size.iter().all(|&count| count > 1));
-        let size = size.ok_or_else(|| PyValueError::new_err("the array must have three axes of two nodes or more"))?;
-        let geometry = Geometry {
-            size,
-            spacing: DVec3::from_array(spacing),
-            directions: DMat3::from_cols_array_2d(&axes),
-            origin: DVec3::from_array(origin),
-            space: Space::Unnamed,
-        };
-        let data = PyBuffer::<f32>::get(array)?.to_fortran_vec(array.py())?;
+        let (geometry, data) = grid(array, spacing, origin, axes)?;
+        if geometry.size.contains(&1) {
+            return Err(PyValueError::new_err("the array must have two nodes or more along each axis"));
+        }
         let field = SizingField::new(Image { geometry, data });
         Ok(Self(Arc::new(Samples { field, spline: OnceLock::new() })))
     }
@@ -222,6 +218,87 @@ impl Curved {
             node_distances: distances(&found.nodes, &found.on_surface),
         }
     }
+}
+
+/// A volume as read from a file.
+#[derive(IntoPyObject)]
+pub(crate) struct VolumeFile {
+    /// Voxels of the first layer, in the type of the file, with the axes z, y and x.
+    values: Array,
+    spacing: [f64; 3],
+    /// World position of the first voxel, mm.
+    origin: [f64; 3],
+    /// Unit vectors of the axes, which may be oblique.
+    axes: [[f64; 3]; 3],
+    /// Names of the labels of the first layer.
+    names: BTreeMap<i64, String>,
+    layers: usize,
+    /// Whether the world frame is LPS.
+    is_lps: bool,
+}
+
+/// Reads a volume in any format that `distfield` reads. `series` selects a series of a folder of
+/// DICOM slices.
+#[pyfunction]
+#[pyo3(signature = (path, series=None))]
+pub(crate) fn read_volume(py: Python<'_>, path: PathBuf, series: Option<String>) -> PyResult<VolumeFile> {
+    let read = move || read_volume_with(&path, &ReadOptions { series: series.as_deref() });
+    let volume = compute(py, read)?.map_err(|error| raised(py, error.into()))?;
+    let geometry = &volume.geometry;
+    let named = volume.segments.iter().filter(|segment| segment.at.layer == 0);
+    Ok(VolumeFile {
+        values: Array::voxels(&volume.voxels, geometry.size)?,
+        spacing: geometry.spacing.to_array(),
+        origin: geometry.origin.to_array(),
+        axes: geometry.directions.to_cols_array_2d(),
+        names: named.map(|segment| (segment.at.label, segment.name.clone())).collect(),
+        layers: volume.layer_count(),
+        is_lps: geometry.space == Space::Lps,
+    })
+}
+
+/// Returns the label at each position: that of its voxel, or of the nearest voxel with a wanted
+/// label. Without `wanted`, all labels but 0 are wanted. `labels` is an array of type `int32` with
+/// the axes x, y and z, and `step` contains the vectors from a voxel to the next along each axis.
+#[pyfunction]
+pub(crate) fn labels_at(
+    py: Python<'_>,
+    labels: &Bound<'_, PyAny>,
+    step: [[f64; 3]; 3],
+    origin: [f64; 3],
+    positions: &Bound<'_, PyAny>,
+    wanted: Option<Vec<i32>>,
+) -> PyResult<Array> {
+    let step = DMat3::from_cols_array_2d(&step);
+    let spacing = DVec3::new(step.x_axis.length(), step.y_axis.length(), step.z_axis.length());
+    let axes = (step * DMat3::from_diagonal(spacing.recip())).to_cols_array_2d();
+    let (geometry, data) = grid(labels, spacing.to_array(), origin, axes)?;
+    let (labels, positions) = (Image { geometry, data }, points(positions)?);
+    compute(py, move || {
+        let is_wanted = |label: i32| wanted.as_ref().map_or(label != 0, |wanted| wanted.contains(&label));
+        let found = isoparticles_field::label_lookup::labels_at(&labels, is_wanted, &positions);
+        Array::column(&found.into_iter().map(i64::from).collect::<Vec<_>>())
+    })
+}
+
+/// Copies an array of numbers on a grid with the axes x, y and z.
+fn grid<T: Element>(
+    array: &Bound<'_, PyAny>,
+    spacing: [f64; 3],
+    origin: [f64; 3],
+    axes: [[f64; 3]; 3],
+) -> PyResult<(Geometry, Vec<T>)> {
+    let buffer = PyBuffer::<T>::get(array)?;
+    let size =
+        <[usize; 3]>::try_from(buffer.shape()).map_err(|_| PyValueError::new_err("the array must have three axes"))?;
+    let geometry = Geometry {
+        size,
+        spacing: DVec3::from_array(spacing),
+        directions: DMat3::from_cols_array_2d(&axes),
+        origin: DVec3::from_array(origin),
+        space: Space::Unnamed,
+    };
+    Ok((geometry, buffer.to_fortran_vec(array.py())?))
 }
 
 /// Returns the Bezier coefficients of the Jacobian of quadratic tetrahedra, shape `(m, 20)`. `nodes`

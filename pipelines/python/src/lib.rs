@@ -23,7 +23,7 @@ mod _native {
     #[pymodule_export]
     use crate::data::{Data, load};
     #[pymodule_export]
-    use crate::fields::{GridField, jacobian_coefficients};
+    use crate::fields::{GridField, jacobian_coefficients, labels_at, read_volume};
     #[pymodule_export]
     use crate::meshes::{
         changed_triangles, check_complex, describe_complex, distances_between, morton_order, nearest,

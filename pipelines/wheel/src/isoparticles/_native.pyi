@@ -183,3 +183,21 @@ class GridField:
     ) -> Curved: ...
 
 def jacobian_coefficients(nodes: Floats) -> Floats: ...
+
+class VolumeFile(TypedDict):
+    values: NDArray[Any]
+    spacing: list[float]
+    origin: list[float]
+    axes: list[list[float]]
+    names: dict[int, str]
+    layers: int
+    is_lps: bool
+
+def read_volume(path: str | PathLike[str], series: str | None = None) -> VolumeFile: ...
+def labels_at(
+    labels: NDArray[np.int32],
+    step: list[list[float]],
+    origin: tuple[float, float, float],
+    positions: Floats,
+    wanted: list[int] | None,
+) -> Integers: ...
