@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import signal
 import sys
 import time
@@ -41,7 +40,11 @@ class CommonArguments:
     @property
     def thread_count(self) -> int:
         """Threads to use, with 0 resolved to the cores this process may run on."""
-        return self.threads if self.threads > 0 else len(os.sched_getaffinity(0))
+        if self.threads > 0:
+            return self.threads
+        if sys.platform == "linux":
+            return len(os.sched_getaffinity(0))
+        return os.cpu_count() or 1
 
 
 class Progress:
@@ -91,8 +94,12 @@ class Progress:
             sys.stderr.flush()
 
 
-def peak_memory_bytes() -> int:
-    """Largest resident memory of this process or of any of its children so far, in bytes."""
+def peak_memory_bytes() -> int | None:
+    """Largest resident memory of this process or of any of its children so far, in bytes; ``None`` on Windows."""
+    if sys.platform == "win32":
+        return None
+    import resource
+
     own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     unit = 1 if sys.platform == "darwin" else 1024
@@ -213,7 +220,8 @@ class Context:
     def _closing_table(self) -> str:
         rows = [(name, f"{seconds:.2f} s") for name, seconds in self.steps.items()]
         rows.append(("total", f"{time.monotonic() - self._started:.2f} s"))
-        rows.append(("peak memory", f"{peak_memory_bytes() / 2**20:.0f} MiB"))
+        if (peak := peak_memory_bytes()) is not None:
+            rows.append(("peak memory", f"{peak / 2**20:.0f} MiB"))
         rows.append(("threads", str(self.common.thread_count)))
         rows.extend(self.closing)
         width = max(len(name) for name, _ in rows)
@@ -306,7 +314,7 @@ class Interruptible:
         What the run was doing, for the message.
     """
 
-    _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    _SIGNALS = tuple(one for one in signal.Signals if one.name in ("SIGINT", "SIGTERM", "SIGHUP"))
 
     def __init__(self, during: str) -> None:
         self._during = during

@@ -142,6 +142,10 @@ def last_match(pattern: re.Pattern[str], text: str) -> str | None:
 
 def _end_group(process: subprocess.Popen[bytes]) -> None:
     """End the process and whatever it started: first politely, then for sure."""
+    if sys.platform == "win32":
+        process.kill()
+        process.wait()
+        return
     for number in (signal.SIGTERM, signal.SIGKILL):
         if process.poll() is not None:
             return
@@ -174,7 +178,7 @@ def _how_it_ended(worker: Worker, code: int, log: Path) -> StageError:
         return temporary_error(_last_words(log))
     if code < 0:
         name = signal.Signals(-code).name if -code in {int(s) for s in signal.Signals} else f"signal {-code}"
-        hint = " (often: out of memory)" if -code == signal.SIGKILL else ""
+        hint = " (often: out of memory)" if name == "SIGKILL" else ""
         what = f"the tetrahedralizer ({worker.name}) crashed: {name}{hint}"
     else:
         what = f"the tetrahedralizer ({worker.name}) failed with exit code {code}: {_last_words(log)}"
