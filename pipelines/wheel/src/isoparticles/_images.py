@@ -117,7 +117,7 @@ def _scalars(arrays: Any) -> NDArray[Any] | None:
 
 
 def _volume(array: NDArray[Any], steps: NDArray[Any], origin: NDArray[Any], *, is_lps: bool) -> Source:
-    """Copy an array once. The columns of ``steps`` lead to the next voxel along each axis, in mm."""
+    """Copy an array once. The columns of ``steps`` lead to the next voxel along each axis, mm."""
     if isinstance(array, np.ma.MaskedArray):
         raise TypeError("masked arrays are not supported: use array.filled(value)")
     name = array.dtype.newbyteorder("=").name
