@@ -39,7 +39,7 @@ KEYS := NAME INPUT PHANTOM SERIES ISO LABELS MATERIALS INSIDE BORDER SCALE EPSIL
         BACKEND TET_ORDER ACCEPT_LOSSES ACCEPT_FORCED MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # Other variables of this file.
-OTHERS := CASE CASES LIST TIME_LIMIT PROFILE CLUSTER_OPTIONS SNAKEMAKE SNAKEMAKE_VENV BIN NO_BUILD CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
+OTHERS := CASE CASES LIST TIME_LIMIT PROFILE CLUSTER_OPTIONS SNAKEMAKE SNAKEMAKE_VENV BIN NO_BUILD SDIST_TEST CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
           BENCH_OPTIONS FUZZ_SECONDS FUZZ_JOBS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES REMESHER_CASES REMESHER_VERTICES MATERIALS_CASES PEER_CASES N KILL_SEED DOCS_VENV
 # Goals for one case.
 CASE_GOALS := distfield sizefield seed particles reconstruct surface mesh page verdict info clean
@@ -95,7 +95,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 
 # --- Goals ----------------------------------------------------------------------------------------
 
-.PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel completions doctor test format lint documentation docs test-rust test-python fuzz deny bench-stages \
+.PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel sdist completions doctor test format lint documentation docs test-rust test-python fuzz deny bench-stages \
         bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers bench-paper bench-growth results-page notebooks
 
 define HELP
@@ -122,6 +122,7 @@ Volumes in, simulation-ready meshes out.
   make clean CASE=heart                        remove its results folder (or give NAME=...)
   make wheel                                   build target/wheel/isoparticles-*.whl; pip install it, then run
                                                `isoparticles help`
+  make sdist                                   build target/wheel/isoparticles-*.tar.gz, which needs Rust
   make completions                             write completions for bash, zsh and fish, and man pages, to target/share
   make test                                    check format, lints and documentation, and run all tests
   make docs                                    build the documentation site, target/docs/index.html (Sphinx)
@@ -263,19 +264,27 @@ ifeq ($(NO_BUILD),)
 endif
 
 # Builds a wheel of all programs for `pip install`: target/wheel/isoparticles-*.whl. hatch_build.py
-# takes stripped copies of the programs from ISOPARTICLES_BIN, and of the native module of the
-# Python package from ISOPARTICLES_NATIVE. auditwheel tags the wheel with the oldest Linux platform
-# on which they run.
+# takes stripped copies of the programs and of the native module from ISOPARTICLES_BIN. auditwheel
+# checks the versions of their symbols, and tags the wheel with the oldest glibc that has them.
 WHEEL = $(CARGO_TARGET_DIR)/wheel
 WHEEL_PROGRAMS = distfield sizefield seed particles reconstruct phantom isoparticles-case isoparticles-volume
 wheel: build env $(WHEEL)/venv/.made completions
 	@rm -rf $(WHEEL)/bin $(WHEEL)/raw $(WHEEL)/*.whl && mkdir -p $(WHEEL)/bin
-	@for name in $(WHEEL_PROGRAMS); do strip -o $(WHEEL)/bin/$$name $(BIN)/$$name || exit $$?; done
-	@strip -o $(WHEEL)/_native.abi3.so $(BIN)/libisoparticles_python.so
-	@ISOPARTICLES_BIN=$(abspath $(WHEEL)/bin) ISOPARTICLES_NATIVE=$(abspath $(WHEEL)/_native.abi3.so) \
-	  ISOPARTICLES_SHARE=$(abspath $(SHARE)) $(WHEEL)/venv/bin/python -m pip wheel --quiet --no-deps --no-build-isolation -w $(WHEEL)/raw pipelines/wheel
+	@for name in $(WHEEL_PROGRAMS) libisoparticles_python.so; do strip -o $(WHEEL)/bin/$$name $(BIN)/$$name || exit $$?; done
+	@ISOPARTICLES_BIN=$(abspath $(WHEEL)/bin) $(WHEEL)/venv/bin/python -m pip wheel --quiet --no-deps --no-build-isolation -w $(WHEEL)/raw .
 	@PATH=$(abspath $(WHEEL)/venv/bin):$$PATH auditwheel repair -w $(WHEEL) $(WHEEL)/raw/*.whl
 	@ls $(WHEEL)/*.whl
+
+# Builds the source distribution, target/wheel/isoparticles-*.tar.gz; to install it, pip needs Rust.
+# SDIST_TEST=yes also installs it in a fresh environment, and runs the tests of the wheel there.
+sdist: $(WHEEL)/venv/.made completions
+	@rm -rf $(WHEEL)/*.tar.gz $(WHEEL)/fresh
+	@$(WHEEL)/venv/bin/python -m hatchling build -t sdist -d $(WHEEL)
+ifneq ($(SDIST_TEST),)
+	@$(VENV)/bin/python -m venv $(WHEEL)/fresh
+	@env -u ISOPARTICLES_BIN -u CARGO_TARGET_DIR $(WHEEL)/fresh/bin/pip install --quiet "$$(ls $(WHEEL)/*.tar.gz)[hxt]" pytest pytest-timeout
+	@env -u WHEEL -u ISOPARTICLES_BIN $(WHEEL)/fresh/bin/pytest -q -c pipelines/wheel/pytest.ini pipelines/wheel/tests
+endif
 
 $(WHEEL)/venv/.made: pipelines/wheel/requirements.lock | env
 	@$(VENV)/bin/python -m venv --clear $(WHEEL)/venv

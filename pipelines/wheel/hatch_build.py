@@ -1,8 +1,11 @@
-"""Build hooks that add the programs, the native module, tetmesh-check and the demo to the wheel."""
+"""Build hooks that add the programs and the native module to the wheel."""
 
 from __future__ import annotations
 
 import os
+import platform
+import subprocess
+import sys
 import sysconfig
 import tomllib
 from pathlib import Path
@@ -12,7 +15,9 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 from hatchling.metadata.plugin.interface import MetadataHookInterface
 
 ROOT = Path(__file__).resolve().parents[2]
-TETMESH_CHECK = ROOT / "stages" / "tetmesh-check"
+TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+SHARE = "target/share"
+"""Folder of the completions and man pages in a source distribution."""
 PROGRAMS = (
     "distfield",
     "sizefield",
@@ -23,7 +28,14 @@ PROGRAMS = (
     "isoparticles-case",
     "isoparticles-volume",
 )
-LIBRARY = "libisoparticles_python.so"
+LIBRARIES = {
+    "win32": ("isoparticles_python.dll", "_native.pyd"),
+    "darwin": ("libisoparticles_python.dylib", "_native.abi3.so"),
+    "linux": ("libisoparticles_python.so", "_native.abi3.so"),
+}
+"""The library of the native module, and the name by which Python imports it."""
+MACOS = os.environ.get("MACOSX_DEPLOYMENT_TARGET", "11.0")
+"""Oldest macOS on which the programs run. 11.0 is the first version for ARM."""
 
 
 class Metadata(MetadataHookInterface):
@@ -31,7 +43,7 @@ class Metadata(MetadataHookInterface):
 
     def update(self, metadata: dict[str, Any]) -> None:
         """Fill in the dynamic fields."""
-        with (TETMESH_CHECK / "pyproject.toml").open("rb") as file:
+        with (ROOT / "stages" / "tetmesh-check" / "pyproject.toml").open("rb") as file:
             stage = tomllib.load(file)["project"]
         metadata["version"] = stage["version"]
         metadata["dependencies"] = stage["dependencies"]
@@ -41,41 +53,29 @@ class Metadata(MetadataHookInterface):
 
 
 class Programs(BuildHookInterface[Any]):
-    """Adds the programs and tetmesh-check to the wheel, and sets its platform tag."""
+    """Adds the programs to the wheel and sets its platform tag. Adds the completions to both."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """List the files of the wheel.
+        """List the files.
 
-        ISOPARTICLES_BIN is the folder of the programs; ISOPARTICLES_NATIVE is the library of the
-        native module; ISOPARTICLES_SHARE is the folder of the completions and man pages.
+        ISOPARTICLES_BIN is the folder of the programs; without it, Cargo builds them. The
+        completions and man pages are there after ``make completions``.
         """
         del version  # "standard" or "editable": the files are the same
-        folder = Path(os.environ.get("ISOPARTICLES_BIN", ROOT / "target" / "release"))
+        share = TARGET / "share" if (TARGET / "share").is_dir() else ROOT / SHARE
+        texts = [file for file in sorted(share.rglob("*")) if file.is_file()]
+        if self.target_name == "sdist":
+            build_data["force_include"].update({str(file): f"{SHARE}/{file.relative_to(share)}" for file in texts})
+            return
+        folder = Path(os.environ["ISOPARTICLES_BIN"]) if "ISOPARTICLES_BIN" in os.environ else build()
         ending = sysconfig.get_config_var("EXE") or ""
-        included: dict[str, str] = build_data["force_include"]
-        for name in PROGRAMS:
-            program = folder / f"{name}{ending}"
-            if not program.is_file():
-                raise FileNotFoundError(f"{program}: not built (cargo build --release)")
-            included[str(program)] = f"isoparticles/bin/{program.name}"
-        native = Path(os.environ.get("ISOPARTICLES_NATIVE", ROOT / "target" / "release" / LIBRARY))
-        if not native.is_file():
-            raise FileNotFoundError(f"{native}: not built (cargo build --release)")
-        included[str(native)] = "isoparticles/_native.abi3.so"
-        source = TETMESH_CHECK / "src"
-        for file in sorted(source.rglob("*")):
-            if file.is_file() and "__pycache__" not in file.parts and not file.parts[-2].endswith(".egg-info"):
-                included[str(file)] = str(file.relative_to(source))
-        included[str(ROOT / "pipelines" / "demo.mk")] = "isoparticles/cases/demo.mk"
-        for licence in ("LICENSE-MIT", "LICENSE-APACHE"):
-            included[str(ROOT / licence)] = f"isoparticles/{licence}"
-        share = Path(os.environ.get("ISOPARTICLES_SHARE", ROOT / "target" / "share"))
+        library, module = LIBRARIES[sys.platform]
+        wanted = {f"{name}{ending}": f"isoparticles/bin/{name}{ending}" for name in PROGRAMS}
+        for name, place in {**wanted, library: f"isoparticles/{module}"}.items():
+            build_data["force_include"][str(folder / name)] = place
         # The wheel does not install the stages as commands of their own, so the man page of a stage
         # is named `isoparticles-STAGE`.
-        own = [file for file in sorted(share.rglob("*")) if file.is_file()]
-        if not own:
-            raise FileNotFoundError(f"{share}: no completions and man pages there (make completions)")
-        for file in own:
+        for file in texts:
             of_stage = file.stem.lstrip("_") in PROGRAMS
             if not of_stage:
                 build_data["shared_data"][str(file)] = f"share/{file.relative_to(share)}"
@@ -83,4 +83,18 @@ class Programs(BuildHookInterface[Any]):
                 build_data["shared_data"][str(file)] = f"share/man/man1/isoparticles-{file.name}"
         build_data["pure_python"] = False
         # the native module uses the stable interface of Python 3.11
-        build_data["tag"] = f"cp311-abi3-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+        build_data["tag"] = f"cp311-abi3-{system()}"
+
+
+def build() -> Path:
+    """Build the programs and return their folder."""
+    environment = {"CARGO_PROFILE_RELEASE_STRIP": "symbols", **os.environ, "MACOSX_DEPLOYMENT_TARGET": MACOS}
+    subprocess.run(["cargo", "build", "--release", "--locked"], cwd=ROOT, env=environment, check=True)
+    return TARGET / "release"
+
+
+def system() -> str:
+    """Return the platform tag."""
+    # Python itself may be built for another macOS, and for both processors
+    name = f"macosx-{MACOS}-{platform.machine()}" if sys.platform == "darwin" else sysconfig.get_platform()
+    return name.replace("-", "_").replace(".", "_")
