@@ -54,6 +54,16 @@ def test_advice_names_the_variable_that_is_set() -> None:
     )
 
 
+def test_advice_has_no_size_beside_a_number_of_vertices() -> None:
+    for message in (
+        "5 pairs of intersecting triangles",
+        "surface against the voxels: the volume changes by 3 %",
+        "2 materials have more or fewer separate parts",
+    ):
+        assert "--size NAME=MM" in advice_for(message, SEVERAL)
+        assert "--size" not in advice_for(message, {"MATERIALS": "all", "VERTICES": "900"})
+
+
 def test_open_edges_of_an_open_border_are_capped() -> None:
     message = "3 open edges (edges of only one triangle)"
     assert "BORDER=cap" in advice_for(message, {"BORDER": "open"})
