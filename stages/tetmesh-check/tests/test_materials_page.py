@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,11 +15,14 @@ import pytest
 import pyvista as pv
 from complexes import nested_balls
 from conftest import NEEDS_HXT, write_status
+from PIL import Image
+from test_view import CLOCK, NEEDS_BROWSER, browse
 
 from tetmesh_check.polydata import from_polydata
-from tetmesh_check.report.colours import region_colours
+from tetmesh_check.report.colours import material_colours
 from tetmesh_check.report.page import program
 from tetmesh_check.report.page.advice import advice_for
+from tetmesh_check.report.page.scan import Scan
 from tetmesh_check.report.page.view3d import view_meshes
 from tetmesh_check.topology import measure_topology
 
@@ -43,6 +49,20 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def labelled(case: Path) -> Path:
+    """Return the page of the case with its label map, which has a label that was not meshed."""
+    radius = np.linalg.norm(np.indices((24, 24, 24)) - 11.5, axis=0)
+    values = np.digitize(-radius, [-10.0, -7.0, -4.0]).astype(np.uint8)
+    values[:, 0] = 9
+    scan = Scan(values, np.eye(3), np.full(3, -11.5), True, True, {9: "a table"})
+    path = case / "labelled.html"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(program, "read_scan", lambda *_: scan)
+        assert program.main([str(case / "c.status.json"), "-o", str(path)]) == 0
+    return path
+
+
 @NEEDS_HXT
 def test_the_page_tells_of_regions_and_interfaces(case: Path) -> None:
     assert program.main([str(case / "c.status.json"), "-o", str(case / "c.report.html")]) == 0
@@ -50,6 +70,7 @@ def test_the_page_tells_of_regions_and_interfaces(case: Path) -> None:
     assert "Left out: the reports lack" not in text
     assert "body &lt;skin&gt;" in text
     assert "<skin>" not in text
+    text = re.sub(r'<i class="swatch"[^>]*></i>', "", text)
     for words in (
         "Interfaces",
         "lung / body &lt;skin&gt;",
@@ -70,7 +91,7 @@ def test_the_page_tells_of_regions_and_interfaces(case: Path) -> None:
 @NEEDS_HXT
 def test_a_material_can_be_looked_at_by_itself(case: Path) -> None:
     surface = pv.read(case / "c.surface.vtp")
-    meshes = {mesh.name: mesh for mesh in view_meshes(surface, case / "c.volume.vtu")}
+    meshes = {mesh.name: mesh for mesh in view_meshes(surface, case / "c.volume.vtu", [])}
     assert list(meshes) == ["surface", "cut", "worst tetrahedra", "only body <skin>", "only lung", "only heart"]
     points, triangles = from_polydata(surface)
     inside, outside = (np.asarray(surface.cell_data[f"material_{side}"]) for side in ("inside", "outside"))
@@ -84,7 +105,8 @@ def test_a_material_can_be_looked_at_by_itself(case: Path) -> None:
         )
         np.testing.assert_array_equal(mesh.points[: len(points)], points)
     on_cut = meshes["cut"].colours[-1]
-    assert on_cut.name == "number of the material"
+    assert on_cut.name == "material"
+    assert [name for name, _ in on_cut.names] == ["outside", "body <skin>", "lung", "heart"]
     assert set(on_cut.values) == {1.0, 2.0, 3.0}
 
 
@@ -92,23 +114,67 @@ def test_a_material_can_be_looked_at_by_itself(case: Path) -> None:
 def test_a_cut_is_coloured_by_material(case: Path) -> None:
     if not (case / "pictures" / "c.surface.png").is_file():
         pytest.skip("no off-screen renderer on this machine")
-    from PIL import Image
-
     with Image.open(case / "pictures" / "c.regions.png") as image:
         pixels = np.asarray(image.convert("RGB")).astype(float)
     # each material's colour (compared by hue) covers more than 1 % of the picture
     shown = pixels[np.ptp(pixels, axis=2) > 40]
     shown /= np.linalg.norm(shown, axis=1, keepdims=True)
-    for colour in region_colours(4)[1:].astype(float):
+    for colour in material_colours(4)[1:].astype(float):
         near = (shown @ (colour / np.linalg.norm(colour)) > 0.995).sum()
         assert near > 0.01 * pixels.shape[0] * pixels.shape[1]
 
 
-def test_colours_differ() -> None:
-    colours = region_colours(16).astype(int)
-    apart = np.abs(colours[:, None] - colours[None]).sum(axis=2) + 1000 * np.eye(16, dtype=int)
-    assert apart.min() > 20
-    np.testing.assert_array_equal(region_colours(5), region_colours(16)[:5])
+@NEEDS_HXT
+def test_a_label_has_one_colour_on_the_page(labelled: Path) -> None:
+    text = labelled.read_text()
+    assert "labels: 4, and the background 0" in text
+    part = text.partition('<section id="the-mesh-in-the-volume">')[2].partition("</section>")[0]
+    swatch = r'<i class="swatch" style="background:rgb\((\d+, \d+, \d+)\)"></i>'
+    legend = {name: tuple(map(int, rgb.split(", "))) for rgb, name in re.findall(f"<li>{swatch}([^<]*)</li>", part)}
+    assert list(legend) == ["body &lt;skin&gt;", "lung", "heart", "a table"]
+    assert [legend[name] for name in list(legend)[:3]] == [tuple(c) for c in material_colours(4).tolist()[1:]]
+    # the same in tables
+    for name in ("lung", "heart"):
+        told = re.findall(f"<td class=text>{swatch}{name}</td>", text)
+        assert len(told) >= 3
+        assert {tuple(map(int, rgb.split(", "))) for rgb in told} == {legend[name]}
+    # an axial slice, from the middle to the right: nearest values, so no other colours
+    size = r'viewBox="(\d+) (\d+) (\d+) (\d+)" preserveAspectRatio="none"><image href="data:image/webp;base64,([^"]+)"'
+    x, y, width, height, data = re.search(size, part).groups()
+    x, y, width, height = map(int, (x, y, width, height))
+    with Image.open(io.BytesIO(base64.b64decode(data))) as opened:
+        shown = np.asarray(opened.convert("RGB"))[y : y + height, x : x + width]
+    scale = width / 24.0
+    for name, radius in (("heart", 0.5), ("lung", 5.5), ("body &lt;skin&gt;", 8.5)):
+        np.testing.assert_array_equal(shown[height // 2, round(width / 2 + scale * radius)], legend[name])
+    expected = {(0, 0, 0), *legend.values()}
+    assert {tuple(colour) for colour in np.unique(shown.reshape(-1, 3), axis=0).tolist()} == expected
+
+
+@NEEDS_HXT
+@NEEDS_BROWSER
+def test_the_page_tells_the_name_under_the_pointer(labelled: Path, tmp_path: Path) -> None:
+    script = """<script>setTimeout(() => {
+      const point = (element, type) => {
+        const box = element.getBoundingClientRect(), [clientX, clientY] = [box.left + box.width / 2, box.top + box.height / 2];
+        element.dispatchEvent(new PointerEvent(type, { clientX, clientY, pointerType: "mouse", bubbles: true }));
+      };
+      point(document.querySelector(".slice"), "pointermove");
+      const set = (id, value) => {
+        const element = document.getElementById(id); element.value = value;
+        for (const kind of ["change", "input"]) element.dispatchEvent(new Event(kind));
+      };
+      set("view-mesh", "1");
+      set("view-colour", [...document.getElementById("view-colour").options].find(o => o.text === "material").value);
+      setTimeout(() => point(document.getElementById("view"), "pointermove"), 1000);
+    }, 3000);</script></body>"""
+    opened = tmp_path / "pointed.html"
+    opened.write_text(labelled.read_text().replace("<body>", f"<body>{CLOCK}").replace("</body>", script))
+    document, console = browse(opened, tmp_path / "profile", "--dump-dom")
+    assert console == []
+    assert re.search(r"<output>slice \d+: heart</output>", document)
+    assert re.search(r'<output id="view-value">[^<]*material: heart;? ?[^<]*</output>', document)
+    assert '<div id="view-key">' in document
 
 
 @NEEDS_HXT

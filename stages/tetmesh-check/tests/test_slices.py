@@ -12,6 +12,7 @@ from conftest import ball, volume_with_ball
 from PIL import Image
 
 from tetmesh_check.polydata import from_polydata
+from tetmesh_check.report.page.key import Entry
 from tetmesh_check.report.page.scan import Scan
 from tetmesh_check.report.page.slices import Window, _stack, outline, path_of, planes_of, slices, window_of
 
@@ -62,7 +63,7 @@ def test_the_patient_is_seen_as_radiologists_do(name: str) -> None:
     scan = volume_with_ball(GRIDS[name])
     planes = planes_of(scan)
     assert [scan.plane(plane.axis) for plane in planes] == ["axial", "coronal", "sagittal"]
-    window = window_of(scan, set())
+    window = window_of(scan, [])
     letters = [_stack(scan, plane, window, None)["letters"] for plane in planes]
     assert letters == [["R", "L", "A", "P"], ["R", "L", "S", "I"], ["A", "P", "S", "I"]]
     assert scan.tilt == pytest.approx(np.degrees(np.arccos(0.96)) if name == "oblique" else 0.0, abs=1e-6)
@@ -77,9 +78,8 @@ def test_the_outline_lies_where_the_ball_is(name: str) -> None:
     scan = volume_with_ball(GRIDS[name], labels=True)
     surface = ball(10.0, 4)
     points, triangles = from_polydata(surface)
-    window = window_of(scan, {2})
-    bright, dull = window.colours[2], window.colours[1]
-    assert max(bright) > max(dull)
+    bright, dull = (230, 159, 0), (60, 50, 40)
+    window = window_of(scan, [Entry("ball", bright, (2,)), Entry("floor", dull, (1,), False)])
     for plane in planes_of(scan):
         stack = _stack(scan, plane, window, (scan.to_index(points), triangles))
         with Image.open(io.BytesIO(base64.b64decode(stack["image"].partition(",")[2]))) as opened:
@@ -101,19 +101,19 @@ def test_the_outline_lies_where_the_ball_is(name: str) -> None:
 def test_a_scan_is_shown_by_its_percentiles() -> None:
     scan = volume_with_ball()
     scan.values[0, 0, 0] = 30_000
-    window = window_of(scan, set())
+    window = window_of(scan, [])
     assert 0.0 < window.low < 20.0
     assert 200.0 < window.high < 230.0
     shades = np.asarray(Window(0.0, 100.0, {}).image(np.array([[-5.0, 50.0], [np.nan, 200.0]])))
     np.testing.assert_array_equal(shades, [[0, 0], [128, 255]])
     flat = Scan(np.zeros((3, 3, 3), dtype=np.int16), np.eye(3), np.zeros(3), True, False)
-    assert slices(flat, None, set()).count('class="window"') == 3
+    assert slices(flat, None, []).count('class="window"') == 3
 
 
 def test_a_page_stays_small() -> None:
     values = np.random.default_rng(1).normal(size=(300, 300, 200)).astype(np.float32)
     scan = Scan(values, np.eye(3), np.zeros(3), True, False)
-    text = slices(scan, None, set())
+    text = slices(scan, None, [])
     assert text.count('type="range"') == 3
     assert 'max="39"' in text
     assert len(text) < 6e6

@@ -76,7 +76,7 @@ def test_what_the_view_shows(case: Path) -> None:
     surface = pv.read(case / "a&b.surface.vtp")
     assert is_anatomical(surface)
     assert not is_anatomical(ball())
-    shown, cut, worst = view_meshes(surface, case / "a&b.volume.vtu")
+    shown, cut, worst = view_meshes(surface, case / "a&b.volume.vtu", [])
     assert [colour.name for colour in shown.colours] == ["radius ratio", "edge length", "deviation from F = 0"]
     np.testing.assert_allclose(shown.colours[2].values, np.abs(surface.cell_data["deviation"]))
     assert [mesh.name for mesh in (shown, cut, worst)] == ["surface", "cut", "worst tetrahedra"]

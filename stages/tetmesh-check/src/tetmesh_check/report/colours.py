@@ -1,31 +1,64 @@
-"""Colours of materials: the same in pictures and on the page."""
+"""Colours of materials and labels: the same in slices, pictures and tables."""
 
 from __future__ import annotations
 
-import colorsys
+from collections import Counter
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-_GOLDEN = 0.6180339887
-"""Step from hue to hue: by the golden section no two of any few in a row are alike."""
-_FIRST_HUE = 0.08
-_LIGHTNESS = (0.62, 0.48, 0.74)
-"""In turn, because there are more materials than hues that can be told apart."""
-_SATURATION = 0.55
+PALETTE = [
+    "#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00", "#cc79a7", "#8700f0", "#b4e196", "#695a2d",
+    "#9678ff", "#ff005a", "#3cf0d2", "#963c78", "#5a4bc3", "#c3a54b", "#ff7896", "#96e1ff", "#a50096", "#7896f0",
+]  # fmt: skip
+"""Okabe and Ito's seven colours (2008), and 13 more, each the farthest from those before it.
+
+Distances are those of CIELAB for normal vision, protanopia, deuteranopia and tritanopia (Machado et al. 2009), of which
+the smallest counts: 16.0 among the first seven, 13.9 among all. ``tests/test_colours.py`` measures them.
+"""
 
 
-def region_colours(count: int) -> NDArray[np.uint8]:
-    """Colours of materials by their numbers, bytes, shape ``(count, 3)``; neighbours in number differ in hue.
+def material_colours(count: int, sides: ArrayLike = ()) -> NDArray[np.uint8]:
+    """Return the colours of materials by number, bytes, shape ``(count, 3)``; the outside (0) is black.
+
+    All colours differ. More materials than :data:`PALETTE` has colours share them with changes that the eye does not see,
+    but neighbours get different ones as far as possible.
 
     Parameters
     ----------
     count
-        How many, the outside included.
+        Number of materials, including the outside.
+    sides
+        Pairs of materials that touch, shape ``(m, 2)``.
     """
-    colours = [
-        colorsys.hls_to_rgb((_FIRST_HUE + number * _GOLDEN) % 1.0, _LIGHTNESS[number % len(_LIGHTNESS)], _SATURATION)
-        for number in range(count)
-    ]
-    shades: NDArray[np.uint8] = np.round(255.0 * np.array(colours).reshape(-1, 3)).astype(np.uint8)
-    return shades
+    touching: list[set[int]] = [set() for _ in range(count)]
+    for a, b in np.unique(np.reshape(sides, (-1, 2)).astype(np.int64), axis=0).tolist():
+        touching[a].add(b)
+        touching[b].add(a)
+    size = len(PALETTE)
+    chosen: dict[int, int] = {}
+    for number in range(1, count):
+        uses = Counter(chosen[other] for other in touching[number] if other in chosen)
+        order = [(number - 1 + step) % size for step in range(size)]
+        chosen[number] = min(order, key=lambda place: uses[place])
+    return distinct(["#000000", *(PALETTE[place] for place in chosen.values())][:count])
+
+
+def distinct(colours: list[str]) -> NDArray[np.uint8]:
+    """Return colours as bytes, shape ``(n, 3)``; repeated ones are changed by as little as makes all differ.
+
+    Parameters
+    ----------
+    colours
+        Hexadecimal, as in :data:`PALETTE`.
+    """
+    found: dict[int, None] = {}
+    uses: Counter[int] = Counter()
+    for colour in colours:
+        first = number = int(colour[1:], 16)
+        while number in found:
+            uses[first] += 1
+            # the bits of the count go to the lowest bits of red, green and blue in turn
+            number = first ^ sum(((uses[first] >> bit) & 1) << (8 * (bit % 3) + bit // 3) for bit in range(24))
+        found[number] = None
+    return np.array(list(found), dtype=">u4").view(np.uint8).reshape(-1, 4)[:, 1:]

@@ -250,14 +250,30 @@ def _edge_width(shown_height: float, edge_length: float) -> float:
     return float(np.clip(pixels / 16.0, 0.25, 2.0))
 
 
-def _draw_surface(surface: Any, _volume: Any, path: Path) -> None:
+def _materials_of(surface: Any, volume: Any) -> tuple[list[str], Any]:
+    """Return the names and the colours of materials by number."""
+    from tetmesh_check.field_data import text_of
+    from tetmesh_check.materials import INSIDE, OUTSIDE
+    from tetmesh_check.report.colours import material_colours
+
+    names = [entry["name"] for entry in json.loads(text_of(volume, "materials") or "[]")]
+    return names, material_colours(len(names), np.column_stack([surface.cell_data[k] for k in (INSIDE, OUTSIDE)]))
+
+
+def _draw_surface(surface: Any, volume: Any, path: Path) -> None:
+    from tetmesh_check.materials import INSIDE
+
     plotter = _plotter()
     points = np.asarray(surface.points)
     height = _height_in_view(points, _VIEW)
     edge = float(np.sqrt(2.3 * surface.area / surface.n_cells))
+    colours: dict[str, Any] = {"color": _SURFACE_COLOUR}
+    if INSIDE in surface.cell_data:
+        surface.cell_data["colour"] = _materials_of(surface, volume)[1][surface.cell_data[INSIDE]]
+        colours = {"scalars": "colour", "rgb": True}
     plotter.add_mesh(
         surface,
-        color=_SURFACE_COLOUR,
+        **colours,
         show_edges=True,
         edge_color=_EDGE_COLOUR,
         line_width=_edge_width(height, edge),
@@ -356,15 +372,11 @@ def _draw_cut(_surface: Any, volume: Any, path: Path) -> None:
     _save_with_bar(plotter, path, "radius ratio of the tetrahedra", limits)
 
 
-def _draw_regions(_surface: Any, volume: Any, path: Path) -> None:
-    from tetmesh_check.field_data import text_of
-    from tetmesh_check.report.colours import region_colours
-
+def _draw_regions(surface: Any, volume: Any, path: Path) -> None:
     plotter = _plotter(_WINDOW[1] - _BAR)
     kept, cut, edge = _cut_of(volume)
     region = np.asarray(volume.cell_data["region"])[cut.owners]
-    names = [entry["name"] for entry in json.loads(text_of(volume, "materials") or "[]")]
-    colours = region_colours(len(names))
+    names, colours = _materials_of(surface, volume)
     kept.cell_data["colour"] = colours[region]
     _show_cut(plotter, kept, cut, edge, scalars="colour", rgb=True)
     # the largest on the cut first, as many as there is room for

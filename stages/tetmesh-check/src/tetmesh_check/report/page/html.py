@@ -201,6 +201,17 @@ def filled(image: Image) -> Image:
     return whole
 
 
+def without_strip(image: Image) -> Image:
+    """Return a picture without the names below the mesh, which the page writes as text.
+
+    Parameters
+    ----------
+    image
+        A picture.
+    """
+    return image.crop((0, 0, image.width, round(_MESH_SHARE * image.height)))
+
+
 def picture_data(
     path: Path, width: int = _PICTURE_WIDTH, change: Callable[[Image], Image] | None = None
 ) -> tuple[str, int, int]:

@@ -40,6 +40,8 @@ class Colour:
     on_triangles: bool
     worst: str = ""
     """``low`` or ``high``: which end is bad; empty where none is."""
+    names: tuple[tuple[str, tuple[int, int, int]], ...] = ()
+    """For values that are whole numbers from 0: the name and the colour of each."""
 
 
 @dataclass(frozen=True)
@@ -165,6 +167,8 @@ def _colour(colour: Colour, values: Values, triangles: int, add: Callable[[bytes
         "low": low,
         "high": high if high > low else low + max(abs(low), 1.0) * 1e-6,
         "worst": colour.worst,
+        "names": [name for name, _ in colour.names],
+        "palette": [part for _, shade in colour.names for part in shade],
         "threshold": None if worst is None else float(np.percentile(values, worst)),
     }
 

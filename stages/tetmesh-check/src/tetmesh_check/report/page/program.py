@@ -20,12 +20,15 @@ from tetmesh_check.polydata import from_polydata
 from tetmesh_check.report.page import measured, places, provenance, regions, sections
 from tetmesh_check.report.page.case import Case, dig, read_case
 from tetmesh_check.report.page.html import contents, section
+from tetmesh_check.report.page.key import Entry, key_of
 from tetmesh_check.report.page.scan import Scan, read_scan
 from tetmesh_check.report.page.slices import facts, slices
 from tetmesh_check.report.page.view3d import is_anatomical, view, view_meshes
 from tetmesh_check.surface import read_dataset
 
 TOOL = "tetmesh-check-page"
+_OTHER_VERSION = (KeyError, IndexError, TypeError, ValueError)
+"""Errors that reports of another version cause."""
 
 
 def document(title: str, body: str, scripts: Sequence[str] = ()) -> str:
@@ -49,21 +52,6 @@ def document(title: str, body: str, scripts: Sequence[str] = ()) -> str:
         f'<link rel="icon" href="data:,">\n<style>\n{style}</style></head>\n<body><main>\n{body}\n'
         f"<footer>Written by tetmesh-check {escape(__version__)}. Lengths in mm, angles in degrees.</footer></main>\n{code}</body></html>\n"
     )
-
-
-def _meshed_labels(case: Case) -> set[int]:
-    """The labels of the first layer that ``distfield`` took, by its report; empty where it took an iso value, or nobody says."""
-    parameters = dig(case.reports, "distfield", "parameters")
-    # the first material is the outside
-    materials = (dig(parameters, "materials") or [])[1:]
-    labels = dig(parameters, "labels") or [entry for material in materials for entry in material["labels"]]
-    found = set()
-    for entry in labels if isinstance(labels, list) else []:
-        if isinstance(entry, int):
-            found.add(entry)
-        elif isinstance(entry, dict) and entry.get("layer") == 0:
-            found.add(int(entry["label"]))
-    return found
 
 
 def _is_labels(case: Case) -> bool:
@@ -90,13 +78,13 @@ def scan_of(case: Case) -> Scan | StageError | None:
         raise
     except StageError as error:
         return error
-    except (KeyError, IndexError, TypeError, ValueError) as error:  # a report of another version
+    except _OTHER_VERSION as error:
         return StageError(
             f"{type(error).__name__} {error}", "the page shows its slices", "run make for this case again"
         )
 
 
-def anatomy(case: Case, scan: Scan | StageError | None, surface: pv.PolyData | None) -> str:
+def anatomy(case: Case, scan: Scan | StageError | None, surface: pv.PolyData | None, key: list[Entry]) -> str:
     """Write what the input is, and its slices with the outline of the mesh; or why it cannot be shown.
 
     Parameters
@@ -107,14 +95,15 @@ def anatomy(case: Case, scan: Scan | StageError | None, surface: pv.PolyData | N
         The volume, as :func:`scan_of` gives it.
     surface
         The triangles as read.
+    key
+        What the labels are called, and their colours.
     """
     if scan is None or case.input is None:
         return ""
     if isinstance(scan, StageError):
         return section("Input", f"<p>The volume is not shown: {escape(scan.what)}. {escape(scan.next_step)}.</p>")
-    meshed = _meshed_labels(case)
     mesh = None if surface is None else from_polydata(surface)
-    return facts(scan, case.input.name, meshed) + "\n" + slices(scan, mesh, meshed)
+    return facts(scan, case.input.name, key) + "\n" + slices(scan, mesh, key)
 
 
 def _only_if_it_can_be_read(path: Path | None) -> pv.PolyData | None:
@@ -141,15 +130,19 @@ def page(case: Case, folder: Path) -> str:
     scan = scan_of(case)
     by_scan = isinstance(scan, Scan) and scan.anatomical
     anatomical = by_scan if surface is None else is_anatomical(surface)
+    try:
+        key = key_of(case, scan if isinstance(scan, Scan) else None, surface)
+    except _OTHER_VERSION:
+        key = []
     writers: list[tuple[str, Callable[[], str]]] = [
         ("what went wrong", lambda: sections.trouble(case)),
         ("checks", lambda: sections.checks(case)),
         ("places", lambda: places.places(case, anatomical)),
-        ("volumes", lambda: regions.volumes(case)),
-        ("the mesh in the volume", lambda: anatomy(case, scan, surface)),
-        ("in three dimensions", lambda: view(view_meshes(surface, case.volume), anatomical)),
-        ("pictures", lambda: sections.pictures(case)),
-        ("materials", lambda: regions.materials(case)),
+        ("volumes", lambda: regions.volumes(case, key)),
+        ("the mesh in the volume", lambda: anatomy(case, scan, surface, key)),
+        ("in three dimensions", lambda: view(view_meshes(surface, case.volume, key), anatomical, key)),
+        ("pictures", lambda: sections.pictures(case, key)),
+        ("materials", lambda: regions.materials(case, key)),
         ("quality", lambda: measured.quality(case)),
         ("solve", lambda: measured.solve(case)),
         ("particles", lambda: measured.particles(case)),
@@ -162,7 +155,7 @@ def page(case: Case, folder: Path) -> str:
     for name, write in writers:
         try:
             parts.append(write())
-        except (KeyError, IndexError, TypeError, ValueError) as error:  # a report of another version
+        except _OTHER_VERSION as error:
             parts.append(sections.left_out(name, error))
     body = "\n".join(part for part in parts if part)
     scripts = [

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from html import escape
-from typing import Any
 
-from tetmesh_check.report.colours import region_colours
 from tetmesh_check.report.page.case import Case, dig
 from tetmesh_check.report.page.charts import number
 from tetmesh_check.report.page.html import section, table
+from tetmesh_check.report.page.key import Entry, swatch
 from tetmesh_check.volume_table import COLUMNS, with_changes
 
 _MANY = 24
 """Rows that are shown at once; the rest is there to be opened."""
 
 
-def _swatch(colour: Any, name: str) -> str:
-    red, green, blue = (int(part) for part in colour)
-    style = f"display:inline-block;width:.8em;height:.8em;margin-right:.4em;background:rgb({red},{green},{blue})"
-    return f'<i style="{style}"></i>{escape(name)}'
+def _named(name: str, key: list[Entry]) -> str:
+    """Write a name with its colour, or two names of an interface with theirs."""
+    colours = {entry.name: entry.colour for entry in key}
+    parts = [name] if name in colours else name.split("/")
+    return " / ".join(swatch(part, colours.get(part)) for part in parts)
 
 
 def _change(change: float) -> str:
@@ -34,9 +34,8 @@ def _long_table(head: tuple[str, ...], rows: list[tuple[str, ...]], words: str) 
     return f"{shown}<details><summary>{len(rows) - _MANY} more {words}</summary><div>{rest}</div></details>"
 
 
-def _region_rows(case: Case) -> list[tuple[str, ...]]:
+def _region_rows(case: Case, key: list[Entry]) -> list[tuple[str, ...]]:
     counted = case.results["complex"]["materials"]
-    colours = region_colours(1 + max(entry["number"] for entry in counted))
     by_number = {entry["number"]: entry for entry in dig(case.results, "volume", "regions") or []}
     rows: list[tuple[str, ...]] = []
     for material in sorted(counted, key=lambda entry: -(entry["volume_mm3"] or 0.0)):
@@ -54,7 +53,7 @@ def _region_rows(case: Case) -> list[tuple[str, ...]]:
             )
         rows.append(
             (
-                _swatch(colours[material["number"]], material["name"]),
+                _named(material["name"], key),
                 number(material["volume_mm3"]),
                 str(material["components"]),
                 number(region["tetrahedra"]) if region else "-",
@@ -64,14 +63,14 @@ def _region_rows(case: Case) -> list[tuple[str, ...]]:
     return rows
 
 
-def _interface_rows(case: Case) -> list[tuple[str, ...]]:
+def _interface_rows(case: Case, key: list[Entry]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for pair in sorted(case.results["complex"]["interfaces"], key=lambda entry: -entry["area_mm2"]):
         quality = pair["quality"]
         turn = pair["rms_turn_degrees"]
         rows.append(
             (
-                escape(pair["name"].replace("/", " / ")),
+                _named(pair["name"], key),
                 number(pair["area_mm2"]),
                 str(pair["pieces"]),
                 number(pair["triangles"]),
@@ -85,13 +84,13 @@ def _interface_rows(case: Case) -> list[tuple[str, ...]]:
     return rows
 
 
-def _currents(case: Case) -> str:
+def _currents(case: Case, key: list[Entry]) -> str:
     figures = dig(case.results, "solve", "forward")
     if figures is None:
         return ""
     rows = [
         (
-            escape(entry["name"]),
+            _named(entry["name"], key),
             number(entry["conductivity_s_per_m"]),
             *(number(entry["potential_mv"][key]) for key in ("min", "mean", "max")),
             number(entry["passing_ua"]),
@@ -121,13 +120,15 @@ def _mended(case: Case) -> str:
     )
 
 
-def volumes(case: Case) -> str:
+def volumes(case: Case, key: list[Entry]) -> str:
     """Write the table of volumes, a row a material; nothing where none are known.
 
     Parameters
     ----------
     case
         The case.
+    key
+        What the materials are called, and their colours.
     """
     told = case.results.get("volumes") or dig(case.reports, "reconstruct", "results", "volumes") or []
     rows = []
@@ -139,7 +140,7 @@ def volumes(case: Case) -> str:
             else number(row[key]) + (f" ({_change(changes[key])})" if key in changes else "")
             for key in COLUMNS
         ]
-        rows.append((escape(str(row["name"])), *cells))
+        rows.append((_named(str(row["name"]), key), *cells))
     if not rows:
         return ""
     words = (
@@ -150,13 +151,15 @@ def volumes(case: Case) -> str:
     return section("Volumes", _long_table(head, rows, "materials") + words)
 
 
-def materials(case: Case) -> str:
+def materials(case: Case, key: list[Entry]) -> str:
     """Write a row a material and a row an interface; nothing for one object.
 
     Parameters
     ----------
     case
         The case.
+    key
+        What the materials are called, and their colours.
     """
     counted = case.results.get("complex")
     if counted is None:
@@ -166,7 +169,7 @@ def materials(case: Case) -> str:
             "material", "volume, mm\u00b3", "parts", "tetrahedra", "minimum dihedral angle", "maximum",
             "minimum radius ratio", "mean",
         ),
-        _region_rows(case),
+        _region_rows(case, key),
         "materials",
     )  # fmt: skip
     interfaces = _long_table(
@@ -174,7 +177,7 @@ def materials(case: Case) -> str:
             "interface", "area, mm\u00b2", "pieces", "triangles", "minimum radius ratio", "mean", "minimum angle",
             "maximum", "turn",
         ),
-        _interface_rows(case),
+        _interface_rows(case, key),
         "interfaces",
     )  # fmt: skip
     turn = counted["rms_turn_degrees"]
@@ -184,4 +187,4 @@ def materials(case: Case) -> str:
         "angle between the normals of neighbouring triangles of an interface, "
         f"degrees{'' if turn is None else f' ({number(turn)} over all interfaces)'}.</p>"
     )
-    return section("Materials", f"{regions}<h3>Interfaces</h3>{interfaces}{words}{_mended(case)}{_currents(case)}")
+    return section("Materials", f"{regions}<h3>Interfaces</h3>{interfaces}{words}{_mended(case)}{_currents(case, key)}")

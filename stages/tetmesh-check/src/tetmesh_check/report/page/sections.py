@@ -12,7 +12,18 @@ from urllib.parse import quote
 from tetmesh_check.report.page.advice import advice_for
 from tetmesh_check.report.page.case import ENDED, STAGES, Case, dig
 from tetmesh_check.report.page.charts import number
-from tetmesh_check.report.page.html import amount, duration, figure, filled, memory, picture_data, section, table
+from tetmesh_check.report.page.html import (
+    amount,
+    duration,
+    figure,
+    filled,
+    memory,
+    picture_data,
+    section,
+    table,
+    without_strip,
+)
+from tetmesh_check.report.page.key import Entry, legend
 from tetmesh_check.report.page.places import pointer
 
 _VERDICTS = {"pass": "passed", "warning": "warning", "fail": "failed"}
@@ -222,26 +233,31 @@ def files(case: Case, page_folder: Path) -> str:
     return section("Files", table(("file", "what it is", "stage", "size"), rows, (0, 1, 2))) if rows else ""
 
 
-def pictures(case: Case) -> str:
+def pictures(case: Case, key: list[Entry]) -> str:
     """Write the pictures.
 
     Parameters
     ----------
     case
         The case.
+    key
+        What the materials are called, and their colours.
     """
     count = dig(case.results, "complex", "triangles") or dig(case.results, "surface", "topology", "triangles")
     triangles = number(count or 0)
+    materials = [entry for entry in key if entry.meshed] if "regions" in case.pictures else []
     words = {
-        "surface": f"The surface, {triangles} triangles.",
+        "surface": f"The surface, {triangles} triangles{', coloured by the materials' if materials else ''}.",
         "closeup": "Detail of the surface, coloured by the radius ratio of its triangles (1 is equilateral).",
         "cut": "Cut through the tetrahedra, coloured by their radius ratio (1 is regular).",
-        "regions": "Cut through the tetrahedra, coloured by their materials. The section Materials names all colours.",
+        "regions": "Cut through the tetrahedra, coloured by their materials.",
     }
+    changes = {"closeup": filled, "regions": without_strip}
     parts = []
     for kind, path in case.pictures.items():
-        address, width, height = picture_data(path, change=filled if kind == "closeup" else None)
+        address, width, height = picture_data(path, change=changes.get(kind))
         alt = escape(f"{case.name}: {words[kind]}", quote=True)
         image = f'<img src="{address}" width="{width}" height="{height}" alt="{alt}" loading="lazy">'
         parts.append(figure(image, words[kind]))
-    return section("Pictures", f'<div class="grid pictures">{"".join(parts)}</div>') if parts else ""
+    grid = f'<div class="grid pictures">{"".join(parts)}</div>{legend(materials)}'
+    return section("Pictures", grid) if parts else ""

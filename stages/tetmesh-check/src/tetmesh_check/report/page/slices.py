@@ -17,6 +17,7 @@ from tetmesh_check.numerals import plain
 from tetmesh_check.quality import Cells, Points
 from tetmesh_check.report.page.charts import number
 from tetmesh_check.report.page.html import image_data, section, table
+from tetmesh_check.report.page.key import Colour, Entry, legend, swatch
 from tetmesh_check.report.page.scan import Scan
 
 SLICES = 40
@@ -32,8 +33,6 @@ _NEAR = 0.35
 _TENTHS = 10
 """Outlines are kept to a tenth of a pixel."""
 _BACKGROUND = (0, 0, 0)
-_OTHER_HUE = (0.55, 0.62, 0.02, 0.92, 0.75, 0.30, 0.48, 0.83, 0.40, 0.68)
-"""Hues of labels, a turn is 1; they repeat."""
 
 
 @dataclass(frozen=True)
@@ -149,28 +148,14 @@ def path_of(chains: list[Points]) -> str:
     return "".join(word for word in words if not word.endswith(("l", "lz")))
 
 
-def _colours(labels: NDArray[Any], meshed: set[int]) -> dict[int, tuple[int, int, int]]:
-    """A colour for every label: those that were meshed bright, the others muted, 0 dark."""
-    import colorsys
-
-    found = {}
-    for rank, label in enumerate(value for value in labels.tolist() if value != 0):
-        bright = not meshed or label in meshed
-        hue = _OTHER_HUE[rank % len(_OTHER_HUE)]
-        red, green, blue = colorsys.hsv_to_rgb(hue, 0.55 if bright else 0.25, 0.85 if bright else 0.42)
-        found[int(label)] = (round(255 * red), round(255 * green), round(255 * blue))
-    found[0] = _BACKGROUND
-    return found
-
-
 @dataclass(frozen=True)
 class Window:
     """How values become shades: those of a scan by their range, labels by colours."""
 
     low: float
     high: float
-    colours: dict[int, tuple[int, int, int]]
-    """Empty for a scan."""
+    colours: dict[int, Colour]
+    """Of labels; empty for a scan."""
 
     def image(self, values: NDArray[Any]) -> Image.Image:
         """Turn a slice into a picture, one pixel a voxel; the first axis runs to the right.
@@ -188,18 +173,18 @@ class Window:
         return Image.fromarray(np.round(255 * share.clip(0, 1)).astype(np.uint8).T)
 
 
-def window_of(scan: Scan, meshed: set[int]) -> Window:
+def window_of(scan: Scan, key: list[Entry]) -> Window:
     """Choose shades or colours for a volume.
 
     Parameters
     ----------
     scan
         The volume.
-    meshed
-        Labels that were meshed; empty if all or none.
+    key
+        What its labels are called, and their colours.
     """
     if scan.labels:
-        return Window(0.0, 0.0, _colours(np.unique(scan.values), meshed))
+        return Window(0.0, 0.0, {0: _BACKGROUND} | {label: entry.colour for entry in key for label in entry.labels})
     stride = max(1, round((scan.values.size / 4e6) ** (1 / 3)))
     sample = scan.values[::stride, ::stride, ::stride]
     low, high = np.percentile(sample[np.isfinite(sample)], _PERCENTILES)
@@ -301,7 +286,7 @@ def _svg(plane: dict[str, Any]) -> str:
     )
 
 
-def slices(scan: Scan, mesh: tuple[Points, Cells] | None, meshed: set[int]) -> str:
+def slices(scan: Scan, mesh: tuple[Points, Cells] | None, key: list[Entry]) -> str:
     """Write three orthogonal stacks of slices along the grid of the volume, each with a slider and the outline of the mesh.
 
     Parameters
@@ -310,10 +295,10 @@ def slices(scan: Scan, mesh: tuple[Points, Cells] | None, meshed: set[int]) -> s
         The volume.
     mesh
         Positions in the world, mm, and triangles; ``None`` where no surface was made.
-    meshed
-        Labels that were meshed; empty if all or none.
+    key
+        What the labels are called, and their colours.
     """
-    window = window_of(scan, meshed)
+    window = window_of(scan, key)
     placed = None if mesh is None else (scan.to_index(mesh[0]), mesh[1])
     stacks = [_stack(scan, plane, window, placed) for plane in planes_of(scan)]
     figures = []
@@ -321,16 +306,20 @@ def slices(scan: Scan, mesh: tuple[Points, Cells] | None, meshed: set[int]) -> s
         count = len(plane["slices"])
         said = f"slice {plane['slices'][plane['first']] + 1}"
         figures.append(
-            f'<figure class="slices" data-plane="{place}">{_svg(plane)}<div class="controls">'
+            f'<figure class="slices{" labels" if window.colours else ""}" data-plane="{place}">{_svg(plane)}<div class="controls">'
             f'<label><span>{escape(plane["name"])}</span><input type="range" min="0" max="{count - 1}" value="{plane["first"]}" '
             f'aria-label="Slice, {escape(plane["name"], quote=True)}: {escape(plane["towards"][0])} to {escape(plane["towards"][1])}"></label>'
             f"<output>{said}</output></div></figure>"
         )
     kept = ("size", "columns", "slices", "paths", "spacing")
-    text = json.dumps([{key: plane[key] for key in kept} for plane in stacks], separators=(",", ":"))
+    about = {
+        "planes": [{name: plane[name] for name in kept} for plane in stacks],
+        "names": {",".join(map(str, entry.colour)): entry.name for entry in key if window.colours},
+    }
+    text = json.dumps(about, separators=(",", ":"))
     data = base64.b64encode(zlib.compress(text.encode("utf-8"), 9)).decode("ascii")
     shades = (
-        "Colours are labels; meshed labels are bright."
+        "Colours are labels, and labels that were not meshed are dark. Point at a slice to read the name."
         if window.colours
         else f"Shades go from {plain(window.low, 4)} (black) to {plain(window.high, 4)} (white)."
     )
@@ -352,11 +341,12 @@ def slices(scan: Scan, mesh: tuple[Points, Cells] | None, meshed: set[int]) -> s
     return section(
         "Slices of the volume" if mesh is None else "The mesh in the volume",
         f'<p>{drawn} {shades}{tilt}</p>{toggle}<div class="grid three">{"".join(figures)}</div>'
+        f"{legend(key) if window.colours else ''}"
         f'<script type="text/plain" id="slices-data">{data}</script>',
     )
 
 
-def facts(scan: Scan, name: str, meshed: set[int]) -> str:
+def facts(scan: Scan, name: str, key: list[Entry]) -> str:
     """Write what the input is.
 
     Parameters
@@ -365,8 +355,8 @@ def facts(scan: Scan, name: str, meshed: set[int]) -> str:
         The volume.
     name
         Of its file.
-    meshed
-        Labels that were meshed; empty if all or none.
+    key
+        What the labels are called, and their colours.
     """
     shape, spacing = scan.values.shape, scan.spacing
     tilt = f", tilted by {scan.tilt:.1f} degrees" if scan.tilt > 0.5 else ""
@@ -385,13 +375,14 @@ def facts(scan: Scan, name: str, meshed: set[int]) -> str:
     if scan.labels:
         found, counts = np.unique(scan.values, return_counts=True)
         volume = float(abs(np.linalg.det(scan.step)))
+        entries = {label: entry for entry in key for label in entry.labels}
         listed = [
             (
-                str(label), escape(scan.names.get(int(label), "-")), number(count), number(count * volume / 1000.0),
-                "yes" if label in meshed or (not meshed and label != 0) else "",
+                str(label), swatch(entries[label].name, entries[label].colour), number(count),
+                number(count * volume / 1000.0), "yes" if entries[label].meshed else "",
             )
             for label, count in zip(found.tolist(), counts.tolist(), strict=True)
-            if label != 0
+            if label in entries
         ]  # fmt: skip
         rows.append(("kind", f"labels: {len(listed)}" + (", and the background 0" if 0 in found else "")))
         columns = ("label", "name", "voxels", "volume, cm\u00b3", "meshed")

@@ -57,6 +57,7 @@
     precision highp float; precision highp int;
     in vec3 eye; in vec3 body; in vec3 corner; in vec2 v; flat in int triangle;
     uniform bool coloured; uniform bool edges; uniform bool worst; uniform bool ghost; uniform bool picking; uniform vec4 clip; out vec4 result;
+    uniform bool named; uniform sampler2D palette;
     vec3 viridis(float t) {  // polynomial fit by Matt Zucker, CC0
       return vec3(0.27773, 0.00541, 0.33410) + t * (vec3(0.10509, 1.40461, 1.38459) + t * (vec3(-0.33086, 0.21485, 0.09510)
         + t * (vec3(-4.63423, -5.79910, -19.33244) + t * (vec3(6.22827, 14.17993, 56.69055)
@@ -68,7 +69,7 @@
       vec3 n = normalize(cross(dFdx(eye), dFdy(eye)));
       float light = 0.30 + 0.55 * abs(dot(n, normalize(vec3(0.35, 0.45, 0.82)))) + 0.15 * abs(n.z);
       if (ghost) { result = vec4(vec3(0.55, 0.60, 0.66) * 0.16, 0.16) * (1.2 - abs(n.z)); return; }
-      vec3 base = coloured ? viridis(clamp(v.x, 0.0, 1.0)) : vec3(0.95, 0.86, 0.76);
+      vec3 base = named ? texelFetch(palette, ivec2(int(v.x + 0.5), 0), 0).rgb : coloured ? viridis(clamp(v.x, 0.0, 1.0)) : vec3(0.95, 0.86, 0.76);
       if (worst) base = v.y > 0.5 ? vec3(0.93, 0.11, 0.36) : mix(vec3(dot(base, vec3(0.3, 0.6, 0.1))), vec3(0.62), 0.7);
       else if (!gl_FrontFacing) base = vec3(0.62, 0.38, 0.33);  // what a clipped surface shows of its inside
       vec3 width = fwidth(corner), near = smoothstep(vec3(0.0), 1.2 * width, corner);
@@ -81,13 +82,16 @@
     if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) return fail(`The 3-D view cannot be drawn: ${gl.getShaderInfoLog(shader)}`);
   }
   gl.linkProgram(program); gl.useProgram(program); gl.enable(gl.DEPTH_TEST);
-  const at = Object.fromEntries(["turn", "place", "coloured", "edges", "worst", "ghost", "picking", "clip"].map(name => [name, gl.getUniformLocation(program, name)]));
+  const palette = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, palette); gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+  const at = Object.fromEntries(["turn", "place", "coloured", "edges", "worst", "ghost", "picking", "clip", "named"].map(name => [name, gl.getUniformLocation(program, name)]));
 
   // --- camera: orthographic; yaw about the body's long axis z, pitch towards the eye
   const start = () => ({ yaw: about.yaw, pitch: about.pitch, zoom: 1, x: 0, y: 0 });
   let camera = start(), waiting = false, picked = null;
   const mesh = () => meshes[+pick("view-mesh").value];
   const colour = () => mesh().colours[pick("view-colour").value];  // "" is plain
+  const named = () => colour()?.names.length > 0;
   const turn = () => {  // columns
     const [cy, sy, cp, sp] = [Math.cos(camera.yaw), Math.sin(camera.yaw), Math.cos(camera.pitch), Math.sin(camera.pitch)];
     return [cy, -sp * sy, cp * sy, sy, sp * cy, -cp * cy, 0, cp, sp];
@@ -100,11 +104,12 @@
     return [0, 1, 2].map(axis => axis === +mode ? 1 : 0).concat(depth);
   };
   const paint = (picking, w, h) => {
+    gl.bindTexture(gl.TEXTURE_2D, palette);
     gl.viewport(0, 0, w, h); gl.clearColor(0, 0, 0, 0); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.uniformMatrix3fv(at.turn, false, turn());
     gl.uniform4f(at.place, camera.x, camera.y, scale() * canvas.clientHeight / canvas.clientWidth, scale());
     gl.uniform4fv(at.clip, clipping());
-    gl.uniform1i(at.coloured, colour() ? 1 : 0); gl.uniform1i(at.edges, pick("view-edges").checked ? 1 : 0);
+    gl.uniform1i(at.coloured, colour() ? 1 : 0); gl.uniform1i(at.named, named() ? 1 : 0); gl.uniform1i(at.edges, pick("view-edges").checked ? 1 : 0);
     gl.uniform1i(at.worst, pick("view-worst").checked && !mesh().within ? 1 : 0);
     gl.uniform1i(at.picking, picking ? 1 : 0); gl.uniform1i(at.ghost, 0);
     gl.bindVertexArray(mesh().array); gl.drawArrays(gl.TRIANGLES, 0, mesh().count);
@@ -131,17 +136,22 @@
   const redraw = () => { if (!waiting) { waiting = true; requestAnimationFrame(draw); } };
 
   // --- what is shown, and the colour bar beside it
-  const say = (value, c) => `${+value.toPrecision(3)}${c.unit}`;
+  const say = (value, c) => c.names.length ? c.names[Math.round(value)] : `${+value.toPrecision(3)}${c.unit}`;
   const recolour = () => {
     const m = mesh(), c = colour(), judge = c && c.worst ? c : m.colours[0], shown = new Float32Array(2 * m.count);
     const at = (k, i) => k.values[k.on_triangles ? (i / 3) | 0 : m.t[i]];
     for (let i = 0; i < m.count; i++) {
-      shown[2 * i] = c ? (at(c, i) - c.low) / (c.high - c.low) : 0;
+      shown[2 * i] = !c ? 0 : named() ? at(c, i) : (at(c, i) - c.low) / (c.high - c.low);
       shown[2 * i + 1] = judge.worst === "high" ? at(judge, i) >= judge.threshold : at(judge, i) <= judge.threshold;
     }
     gl.bindBuffer(gl.ARRAY_BUFFER, m.shown); gl.bufferData(gl.ARRAY_BUFFER, shown, gl.STATIC_DRAW);
+    if (named()) {  // one pixel a name; rows are not padded to four bytes
+      gl.bindTexture(gl.TEXTURE_2D, palette); gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB, c.names.length, 1, 0, gl.RGB, gl.UNSIGNED_BYTE, Uint8Array.from(c.palette));
+    }
     const worst = pick("view-worst").checked && !m.within, bar = pick("view-bar"), words = bar.querySelectorAll("span");
-    bar.hidden = !c && !worst;
+    bar.hidden = (!c || named()) && !worst;
+    pick("view-key").hidden = !named() || worst;
     bar.querySelector("i").style.display = worst ? "none" : "";
     const sign = judge.worst === "high" ? "from" : "up to";
     [words[0].textContent, words[1].textContent, words[2].textContent] = worst

@@ -15,6 +15,7 @@ from tetmesh_check.quality import Cells, Labels, Points, Values, triangle_qualit
 from tetmesh_check.report.cut import cut_of
 from tetmesh_check.report.page.charts import number
 from tetmesh_check.report.page.html import colour_bar, section
+from tetmesh_check.report.page.key import Entry, legend
 from tetmesh_check.report.page.payload import MAX_TRIANGLES, WORST, Colour, ViewMesh, pack
 from tetmesh_check.surface import read_dataset
 from tetmesh_check.topology import tetrahedron_boundary
@@ -79,13 +80,15 @@ def view_of_surface(surface: pv.PolyData) -> ViewMesh:
     return ViewMesh("surface", points, triangles, colours)
 
 
-def views_of_volume(grid: pv.UnstructuredGrid) -> list[ViewMesh]:
+def views_of_volume(grid: pv.UnstructuredGrid, key: list[Entry]) -> list[ViewMesh]:
     """Take the half of the tetrahedra behind a cut, and the worst of all tetrahedra.
 
     Parameters
     ----------
     grid
         The volume mesh as read.
+    key
+        What the materials are called, and their colours.
     """
     points = np.asarray(grid.points, dtype=np.float64)
     cells = np.asarray(grid.cells_dict[pv.CellType.TETRA], dtype=np.int64)
@@ -102,8 +105,10 @@ def views_of_volume(grid: pv.UnstructuredGrid) -> list[ViewMesh]:
     on_cut = [*colours(cut.owners), _edge_length(points, cut.triangles)]
     if (text := text_of(grid, "materials")) is not None:
         region = np.asarray(grid.cell_data["region"], dtype=np.int64)
-        on_cut.append(Colour("number of the material", "", region[cut.owners].astype(np.float64), True))
         names = [str(entry["name"]) for entry in json.loads(text)]
+        shades = {entry.name: entry.colour for entry in key}
+        shown = tuple((name, shades.get(name, (0, 0, 0))) for name in names)
+        on_cut.append(Colour("material", "", region[cut.owners].astype(np.float64), True, names=shown))
         singly = _views_of_regions(points, cells, region, names)
     else:
         singly = []
@@ -133,7 +138,7 @@ def _views_of_regions(points: Points, cells: Cells, region: Labels, names: list[
     return views
 
 
-def view_meshes(surface: pv.PolyData | None, volume: Path | None) -> list[ViewMesh]:
+def view_meshes(surface: pv.PolyData | None, volume: Path | None, key: list[Entry]) -> list[ViewMesh]:
     """Gather what the 3-D view shows.
 
     Parameters
@@ -142,16 +147,18 @@ def view_meshes(surface: pv.PolyData | None, volume: Path | None) -> list[ViewMe
         The surface as read.
     volume
         The file of the tetrahedra. Meshes of more than :data:`.MAX_TRIANGLES` triangles are left out.
+    key
+        What the materials are called, and their colours.
     """
     meshes = [] if surface is None else [view_of_surface(surface)]
     if volume is not None:
         grid = read_dataset(volume)
         if isinstance(grid, pv.UnstructuredGrid) and pv.CellType.TETRA in grid.cells_dict:
-            meshes += views_of_volume(grid)
+            meshes += views_of_volume(grid, key)
     return [mesh for mesh in meshes if 0 < len(mesh.triangles) <= MAX_TRIANGLES]
 
 
-def view(meshes: list[ViewMesh], anatomical: bool) -> str:
+def view(meshes: list[ViewMesh], anatomical: bool, key: list[Entry]) -> str:
     """Write the 3-D view.
 
     Parameters
@@ -160,6 +167,8 @@ def view(meshes: list[ViewMesh], anatomical: bool) -> str:
         What it shows; empty where there is nothing.
     anatomical
         Whether the world is that of the body.
+    key
+        What the materials are called, and their colours.
     """
     if not meshes:
         return ""
@@ -187,7 +196,8 @@ def view(meshes: list[ViewMesh], anatomical: bool) -> str:
         'mouse, two fingers or the arrow keys"></canvas>'
         '<svg id="view-cube" viewBox="-50 -50 100 100" role="group" aria-label="Orientation: a cube whose sides turn the view"></svg>'
         '<div id="view-ruler" aria-hidden="true"><i></i><span></span></div></div>'
-        f'<div id="view-bar" hidden>{colour_bar("", "", "")}</div><output id="view-value">Point at the mesh to read its values.</output>'
+        f'<div id="view-bar" hidden>{colour_bar("", "", "")}</div><div id="view-key" hidden>{legend(key)}</div>'
+        '<output id="view-value">Point at the mesh to read its values.</output>'
         f'<figcaption id="view-note">{_HOW}</figcaption></figure>'
         f'<script type="application/json" id="view-about">{text}</script>'
         f'<script type="text/plain" id="view-data">{data}</script>',

@@ -1,0 +1,117 @@
+"""The key of a label map: what its labels are called, and their colours on the page."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+
+from tetmesh_check.field_data import text_of
+from tetmesh_check.materials import INSIDE, OUTSIDE
+from tetmesh_check.report.colours import PALETTE, distinct, material_colours
+from tetmesh_check.report.page.case import Case, dig
+from tetmesh_check.report.page.scan import Scan
+
+Colour = tuple[int, int, int]
+_OPEN = len(PALETTE)
+"""Longer keys are closed at first: their colours repeat, and slices tell the name under the pointer."""
+_MUTED = 3
+"""Labels that were not meshed keep this fraction of their colour's difference from dark grey: 1/3."""
+_GREY = 48
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A material, or a label that was not meshed as part of one."""
+
+    name: str
+    colour: Colour
+    labels: tuple[int, ...] = ()
+    """Labels of the first layer."""
+    meshed: bool = True
+
+
+def _told(case: Case, surface: pv.PolyData | None) -> tuple[list[dict[str, Any]], Any]:
+    """Find the table of materials, the outside first, and pairs of materials that touch."""
+    if surface is None or not {INSIDE, OUTSIDE} <= set(surface.cell_data):
+        return dig(case.reports, "distfield", "parameters", "materials") or [], ()
+    sides = np.column_stack([surface.cell_data[INSIDE], surface.cell_data[OUTSIDE]])
+    return json.loads(text_of(surface, "meta") or "{}").get("materials") or [], sides
+
+
+def _labels(entries: Any) -> tuple[int, ...]:
+    """Return the labels of the first layer in a list of labels of a report."""
+    found = [entry if isinstance(entry, dict) else {"label": entry, "layer": 0} for entry in entries or []]
+    return tuple(int(entry["label"]) for entry in found if entry["layer"] == 0)
+
+
+def key_of(case: Case, scan: Scan | None, surface: pv.PolyData | None) -> list[Entry]:
+    """Return the materials by number, followed by other labels of the volume except 0; empty for a scan.
+
+    Parameters
+    ----------
+    case
+        The case.
+    scan
+        The volume, if it could be read.
+    surface
+        The surface, if there is one.
+    """
+    table, sides = _told(case, surface)
+    colours = material_colours(len(table), sides).tolist()
+    entries = [
+        Entry(str(row["name"]), tuple(colour), _labels(row.get("labels")))
+        for row, colour in list(zip(table, colours, strict=True))[1:]
+    ]
+    if scan is None or not scan.labels:
+        return entries
+    known = {label for entry in entries for label in entry.labels}
+    meshed = set(_labels(dig(case.reports, "distfield", "parameters", "labels")))
+    other = [int(label) for label in np.unique(scan.values).tolist() if label != 0 and label not in known]
+    bright = [not entries and (not meshed or label in meshed) for label in other]
+    shades = [PALETTE[place % len(PALETTE)] for place in range(len(other))]
+    shades = [shade if own else _muted(shade) for shade, own in zip(shades, bright, strict=True)]
+    used = [f"#{bytes(entry.colour).hex()}" for entry in entries]
+    for label, colour, own in zip(other, distinct([*used, *shades]).tolist()[len(used) :], bright, strict=True):
+        name = scan.names.get(label, f"label {label}")
+        entries.append(Entry(name, tuple(colour), (label,), own))
+    return entries
+
+
+def _muted(shade: str) -> str:
+    return "#" + bytes(_GREY + (part - _GREY) // _MUTED for part in bytes.fromhex(shade[1:])).hex()
+
+
+def swatch(name: str, colour: Colour | None) -> str:
+    """Write a name after a square of its colour; the name alone where it has none.
+
+    Parameters
+    ----------
+    name
+        Plain text.
+    colour
+        The colour.
+    """
+    square = "" if colour is None else f'<i class="swatch" style="background:rgb{tuple(colour)}"></i>'
+    return square + escape(name)
+
+
+def legend(entries: list[Entry]) -> str:
+    """Write the names of entries with their colours; nothing where there are none.
+
+    Parameters
+    ----------
+    entries
+        Those of :func:`key_of`.
+    """
+    if not entries:
+        return ""
+    items = "".join(f"<li>{swatch(entry.name, entry.colour)}</li>" for entry in entries)
+    shown = f'<ul class="legend">{items}</ul>'
+    if len(entries) <= _OPEN:
+        return shown
+    return f"<details><summary>The colours of {len(entries)} names</summary><div>{shown}</div></details>"
