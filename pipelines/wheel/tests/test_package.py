@@ -617,17 +617,12 @@ def test_results_come_back_from_files(iso: ModuleType, field: Any, tmp_path: Pat
 
 def test_surfaces_are_filled_with_tetrahedra(iso: ModuleType, tmp_path: Path) -> None:
     pytest.importorskip("gmsh")
-    made = iso.mesh(ball(), labels=1, size=2.5, name="ball")
-    steps: set[str] = set()
+    steps: list[str] = []
+    watch = {"progress": lambda *state: steps.append(f"{state[0]} {state[1]}")}
+    made = iso.mesh(ball(), labels=1, size=2.5, name="ball", **watch)
     with pytest.warns(iso.MeshWarning, match="the volume changes by"):
-        filled = iso.fill(
-            made.result,
-            made.size,
-            method="hxt",
-            solve="no",
-            progress=lambda *state: steps.add(f"{state[0]} {state[1]}"),
-        )
-    assert {"tetmesh-check read", "tetmesh-check tetrahedralize"} <= steps
+        filled = iso.fill(made.result, made.size, method="hxt", solve="no", **watch)
+    assert {"tetmesh-check read", "tetmesh-check tetrahedralize"} <= set(steps)
     assert filled.failed_checks == []
     grid = filled.to_pyvista()
     assert grid.n_cells > 100
@@ -645,7 +640,9 @@ def test_surfaces_are_filled_with_tetrahedra(iso: ModuleType, tmp_path: Path) ->
     filled.save(again)
     assert again.read_bytes() == (tmp_path / "volume.vtu").read_bytes()
     assert iso.fill(made.result, made.size, method="hxt", solve="no", min_dihedral=69).failed_checks
+    steps.clear()
     assert made.tetrahedra.n_cells > 100
+    assert "tetmesh-check solve" in steps
     assert filled.quadratic is None
     second = iso.fill(
         made.result, made.size, made.field, order=2, name="ball.volume.vtu", method="hxt", solve="no"

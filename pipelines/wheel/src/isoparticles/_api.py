@@ -299,8 +299,8 @@ def mesh(
     seeds = _seed(field, size, *called("seed"))
     particles = _settle(seeds, field, size, *called("particles"))
     surface = _reconstruct(particles, field, size, *called("reconstruct"))
-    filling = {key: value for key, value in settings.items() if key in ("accept_forced", "threads", "max_memory")}
-    return Mesh(name, field, size, seeds, particles, surface, filling)
+    passed = {key: value for key, value in settings.items() if key in ("accept_forced", "threads", "max_memory")}
+    return Mesh(name, field, size, seeds, particles, surface, {"progress": progress, **passed})
 
 
 def load(path: str | PathLike[str]) -> DistanceField | SizeField | Particles | Surface:
