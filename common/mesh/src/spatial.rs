@@ -99,18 +99,18 @@ impl Eight {
         Bounds { low: place(&self.low), high: place(&self.high) }
     }
 
-    /// Returns the squared distance from a point to each box: 0 inside, NaN for an unused lane.
-    fn squared_distances(&self, p: DVec3) -> [f64; LANES] {
-        let mut squares = [0.0; LANES];
-        for axis in 0..3 {
-            for (lane, square) in squares.iter_mut().enumerate() {
-                let (below, above) = (self.low[axis][lane] - p[axis], p[axis] - self.high[axis][lane]);
-                // unlike `max`, the comparisons keep NaN
-                let larger = if below > above { below } else { above };
-                *square += if larger < 0.0 { 0.0 } else { larger * larger };
-            }
-        }
-        squares
+    /// Returns the squared distance from a point to each box. The values of unused lanes are
+    /// arbitrary.
+    #[inline(always)]
+    fn squared_distances<S: Simd>(&self, simd: S, p: DVec3) -> f64x8<S> {
+        let zero = f64x8::splat(simd, 0.0);
+        let along = |axis: usize| {
+            let below = f64x8::simd_from(simd, self.low[axis]) - p[axis];
+            let above = -(f64x8::simd_from(simd, self.high[axis]) - p[axis]);
+            let outside = below.max(above).max(zero);
+            outside * outside
+        };
+        along(0) + along(1) + along(2)
     }
 
     /// Returns a bit mask of the boxes that intersect `other`. Touching boxes intersect.
@@ -207,31 +207,45 @@ impl BoxTree {
         })
     }
 
-    /// Returns the box with the smallest value of `distance`, and this value. If several boxes have
-    /// it, returns the lowest index. `distance` must be at least the distance from `p` to the box.
-    pub fn nearest(&self, p: DVec3, distance: impl Fn(u32) -> f64) -> Option<(u32, f64)> {
-        let mut nearest: Option<(u32, f64)> = None;
-        let mut waiting = vec![(0.0, self.levels.len() - 1, 0)];
-        while let Some((square, level, group)) = waiting.pop() {
-            let is_near = |square: f64| nearest.is_none_or(|(_, least)| square <= least * least);
-            let Some(eight) = self.levels[level].get(group).filter(|_| is_near(square)) else { continue };
-            let squares = eight.squared_distances(p);
-            let mut near: Vec<usize> =
-                (0..LANES).filter(|&lane| is_near(squares[lane]) && !squares[lane].is_nan()).collect();
-            near.sort_by(|&a, &b| squares[b].total_cmp(&squares[a]));
-            if level > 0 {
-                waiting.extend(near.into_iter().map(|lane| (squares[lane], level - 1, group * LANES + lane)));
+    /// Returns the box with the smallest value of `square`, and this value. `square` must be at
+    /// least the squared distance from `p` to the box, up to rounding.
+    pub fn nearest(&self, p: DVec3, square: impl Fn(u32) -> f64) -> Option<(u32, f64)> {
+        dispatch!(Level::new(), simd => self.nearest_by(simd, p, square))
+    }
+
+    #[inline(always)]
+    fn nearest_by<S: Simd>(&self, simd: S, p: DVec3, square: impl Fn(u32) -> f64) -> Option<(u32, f64)> {
+        let mut nearest = (u32::MAX, f64::INFINITY);
+        // squared distance, level and group of eight
+        let mut waiting = Vec::with_capacity(LANES * self.levels.len());
+        waiting.push((0.0, self.levels.len() - 1, 0));
+        while let Some((least, level, group)) = waiting.pop() {
+            if least > nearest.1 {
                 continue;
             }
-            for lane in near {
-                let index = self.order[group * LANES + lane];
-                let own = distance(index);
-                if nearest.is_none_or(|(other, least)| own < least || own == least && index < other) {
-                    nearest = Some((index, own));
+            let below = if level > 0 { self.levels[level - 1].len() } else { self.order.len() };
+            let lanes = LANES.min(below.saturating_sub(group * LANES));
+            let Some(eight) = self.levels[level].get(group) else { continue };
+            let squares = eight.squared_distances(simd, p);
+            let mut near = squares.simd_le(nearest.1).to_bitmask() & ((1 << lanes) - 1);
+            let first = waiting.len();
+            while near != 0 {
+                let lane = near.trailing_zeros() as usize;
+                near &= near - 1;
+                let child = group * LANES + lane;
+                if level > 0 {
+                    waiting.push((squares[lane], level - 1, child));
+                    continue;
+                }
+                let own = (self.order[child], square(self.order[child]));
+                if own.1 < nearest.1 {
+                    nearest = own;
                 }
             }
+            // the nearest group is visited first
+            waiting[first..].sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
         }
-        nearest
+        (nearest.0 != u32::MAX).then_some(nearest)
     }
 
     /// Returns the indices of the boxes in the order of the Morton curve.
