@@ -318,8 +318,9 @@ def slices(scan: Scan, mesh: tuple[Points, Cells] | None, key: list[Entry]) -> s
     }
     text = json.dumps(about, separators=(",", ":"))
     data = base64.b64encode(zlib.compress(text.encode("utf-8"), 9)).decode("ascii")
+    dark = "" if all(entry.meshed for entry in key) else ", and labels that were not meshed are dark"
     shades = (
-        "Colours are labels, and labels that were not meshed are dark. Point at a slice to read the name."
+        f"Colours are labels{dark}. Point at a slice to read the name."
         if window.colours
         else f"Shades go from {plain(window.low, 4)} (black) to {plain(window.high, 4)} (white)."
     )
