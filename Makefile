@@ -86,7 +86,7 @@ set = $(if $(call by_user,$(1)),$(call quote,$(1)=$($(1))),$(if $($(1)),--preset
 TETMESH = stages/tetmesh-check/src/tetmesh_check
 TETMESH_FILES = $(wildcard $(BIN)/libisoparticles_python.so stages/tetmesh-check/requirements*.lock) \
                 $(sort $(wildcard $(TETMESH)/*.* $(TETMESH)/*/*.py))
-PAGE_FILES = $(sort $(wildcard $(TETMESH)/report/page/*.*))
+PAGE_FILES = $(sort $(wildcard $(TETMESH)/report/page/*.* $(TETMESH)/report/page/*/*.html))
 
 # $(call case,GOAL)
 case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VERBOSITY THREADS $(if $(without_hxt),HXT) $(unknown),$(call set,$(key))) \

@@ -18,7 +18,7 @@ from tetmesh_check import cli
 from tetmesh_check.errors import StageError
 from tetmesh_check.quality import summarize
 from tetmesh_check.report import pictures
-from tetmesh_check.report.page import index, measured, program
+from tetmesh_check.report.page import index, program, sections
 from tetmesh_check.report.page.advice import advice_for
 from tetmesh_check.report.page.case import Case, read_case
 from tetmesh_check.report.page.charts import Axis, Limit, curve, histogram, number, ticks
@@ -432,7 +432,10 @@ def test_reports_that_lack_keys_are_read(case: Path, tmp_path: Path) -> None:
         return words
 
     del whole["results"]["volume"]["quality"]["radius_ratio"], whole["results"]["surface"]["topology"], whole["outcome"]
-    assert "Left out: the reports lack the data for this section (KeyError 'radius_ratio')" in said()
+    assert (
+        "Left out: the reports lack the data for this section (UndefinedError 'dict object' has no attribute 'radius_ratio')"
+        in said()
+    )
     for name in list(whole["results"]):
         del whole["results"][name]
         said()
@@ -484,9 +487,10 @@ def test_charts() -> None:
     above = histogram([0.0, 0.5, 1.0], [1, 3], axis, {"maximum": 3.0}, Limit(0.75, above=True), beyond=4)
     assert "above it the check fails; 4 beyond; 8 counted" in above
     summary = summarize(np.array([0.5, 1.5, 2.5, 9.0, np.inf]), np.linspace(0.0, 3.0, 4))
-    assert "1 beyond; 4 counted" in measured._histogram(summary, axis, "maximum")
+    words = ("Things", "size, mm", "things")
+    assert "1 beyond; 4 counted" in sections.chart(summary, *words, "maximum")
     jacobian = summarize(np.array([0.5, 0.7]), np.linspace(-1.0, 1.0, 21))
-    assert ">-0.5<" not in measured._histogram(jacobian, axis, "minimum")
+    assert ">-0.5<" not in sections.chart(jacobian, *words, "minimum")
     flat = curve([1.0, 2.0], [5.0, 5.0], "Flat", "x", "y")
     assert "nan" not in flat
     assert "from 5 to 5 after 2" in flat
@@ -494,7 +498,7 @@ def test_charts() -> None:
 
 def test_histograms_have_the_limits_of_the_checks(case: Path) -> None:
     whole = read_case(case / "a&b.status.json")
-    drawn = measured.quality(whole)
+    drawn = program.quality(whole)
     limits = {check["name"]: check["limit"] for check in whole.checks}
     for name in ("min_dihedral", "min_scaled_jacobian"):
         assert f"limit {number(limits[name])}: below it the check fails" in drawn
@@ -504,4 +508,4 @@ def test_histograms_have_the_limits_of_the_checks(case: Path) -> None:
         type(whole.stages[0])("reconstruct", "done", report=report),
     ]
     again = Case(whole.name, whole.goal, whole.verdict, "", whole.folder, stages=stages)
-    assert "limit 0.3: below it the check fails" in measured.quality(again)
+    assert "limit 0.3: below it the check fails" in program.quality(again)

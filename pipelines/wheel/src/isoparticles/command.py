@@ -73,7 +73,7 @@ def case_arguments(goal: str, settings: Sequence[str], options: Sequence[str] = 
     """Return the command line of ``isoparticles-case``."""
     package = Path(tetmesh_check.__file__).parent
     tetrahedra = sorted(map(str, [*package.glob("*.*"), *package.glob("*/*.py")]))
-    pages = sorted(str(file) for file in (package / "report" / "page").glob("*.*"))
+    pages = sorted(str(file) for file in (package / "report" / "page").rglob("*.*"))
     return [
         program("isoparticles-case"),
         goal,

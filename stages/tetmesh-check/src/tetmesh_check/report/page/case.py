@@ -116,6 +116,14 @@ class Case:
         checks = self.results.get("checks", [])
         return [check for check in checks if isinstance(check, dict) and {"verdict", "words"} <= set(check)]
 
+    def limit(self, name: str) -> float | None:
+        """Return the limit of a check of ``tetmesh-check``."""
+        return next((check.get("limit") for check in self.checks if check.get("name") == name), None)
+
+    def has_ended(self, name: str) -> bool:
+        """Return whether a stage ended in the last run without an error."""
+        return any(s.name == name and s.state in ENDED and s.error is None for s in self.stages)
+
     @property
     def contents(self) -> str:
         """What the case makes, for titles."""

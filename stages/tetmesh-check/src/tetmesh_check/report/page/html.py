@@ -62,13 +62,7 @@ def section(title: str, body: str) -> str:
 
 
 def anchor(title: str) -> str:
-    """Name the place of a part in the page.
-
-    Parameters
-    ----------
-    title
-        Of the part.
-    """
+    """Return the identifier of the section with a title."""
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
 
 
@@ -83,19 +77,6 @@ def contents(body: str) -> str:
     titles = re.findall(r'<section id="([^"]+)"><h2>(.*?)</h2>', body)
     items = "".join(f'<li><a href="#{place}">{title}</a></li>' for place, title in titles)
     return f'<nav aria-label="Contents"><ul>{items}</ul></nav>' if len(titles) > 1 else ""
-
-
-def figure(content: str, caption: str) -> str:
-    """Write a figure with what is to be seen in it.
-
-    Parameters
-    ----------
-    content
-        Picture or chart.
-    caption
-        Plain text.
-    """
-    return f"<figure>{content}<figcaption>{escape(caption)}</figcaption></figure>"
 
 
 def colour_bar(label: str, low: str, high: str) -> str:

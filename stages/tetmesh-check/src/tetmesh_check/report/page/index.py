@@ -7,7 +7,6 @@ import io
 import os
 import sys
 from collections.abc import Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -17,9 +16,9 @@ from tetmesh_check.errors import ExitCode, InterruptedRunError, StageError
 from tetmesh_check.files import refuse_existing, write_text
 from tetmesh_check.parsing import program_parser
 from tetmesh_check.report.page.case import STAGES, Case, count_of, dig, read_case
-from tetmesh_check.report.page.charts import number
-from tetmesh_check.report.page.html import duration, memory, picture_data, table
+from tetmesh_check.report.page.html import picture_data
 from tetmesh_check.report.page.program import document
+from tetmesh_check.report.page.templates import render
 
 TOOL = "tetmesh-check-index"
 _THUMBNAIL_WIDTH = 320
@@ -103,34 +102,16 @@ def _tag(case: Case) -> str:
     return words
 
 
-def _row(case: Case, output: Path) -> tuple[str, ...]:
-    line = summary(case)
-    name = escape(case.name)
-    if case.page is not None and case.page.is_file():
-        name = f'<a href="{quote(Path(os.path.relpath(case.page, output.parent)).as_posix())}">{name}</a>'
-    picture = ""
-    if "surface" in case.pictures:
-        address, width, height = picture_data(case.pictures["surface"], _THUMBNAIL_WIDTH)
-        alt = f"{escape(case.name, quote=True)}: the surface"
-        picture = f'<img src="{address}" width="{width}" height="{height}" alt="{alt}">'
-
-    def known(key: str, digits: int = 3) -> str:
-        return "-" if line[key] is None else number(line[key], digits)
-
-    solved = [known(f"{problem}_cg_multigrid") for problem in ("poisson", "conduction", "elasticity")]
-    return (
-        picture,
-        f'<b>{name}</b><br><span class="tag {case.kind}">{escape(_tag(case))}</span>'
-        + (f"<small>{escape(case.headline)}</small>" if case.kind == "fail" else ""),
-        known("surface_triangles"),
-        known("triangle_radius_ratio_mean"),
-        known("tetrahedra"),
-        f"{known('radius_ratio_min')} / {known('radius_ratio_mean')}",
-        known("min_dihedral"),
-        " / ".join(solved),
-        duration(line["seconds"]),
-        memory(line["peak_memory_bytes"]),
-    )
+def _row(case: Case, output: Path) -> dict[str, Any]:
+    there = case.page is not None and case.page.is_file()
+    picture = case.pictures.get("surface")
+    return {
+        "case": case,
+        "line": summary(case),
+        "tag": _tag(case),
+        "link": quote(Path(os.path.relpath(case.page, output.parent)).as_posix()) if case.page and there else "",
+        "picture": picture and picture_data(picture, _THUMBNAIL_WIDTH),
+    }
 
 
 def _verdict(cases: Sequence[Case]) -> tuple[str, str]:
@@ -159,18 +140,8 @@ def index(cases: Sequence[Case], output: Path) -> str:
         Where the page goes; it links to those of the cases.
     """
     kind, verdict = _verdict(cases)
-    head = (
-        "", "case", "triangles", "mean radius ratio", "tetrahedra", "radius ratio, minimum / mean",
-        "minimum dihedral angle", "CG: Poisson / conduction / elasticity", "all stages", "peak memory",
-    )  # fmt: skip
     rows = [_row(case, output) for case in cases]
-    body = (
-        '<header><p class="kicker">isoparticles</p><h1>Cases</h1>'
-        f'<p class="verdict {kind}">{escape(verdict)}</p></header>'
-        f"<section>{table(head, rows, (0, 1), 'cases')}<p class=soft>The same data as CSV: "
-        f'<a href="{quote(output.with_suffix(".csv").name)}">{escape(output.with_suffix(".csv").name)}</a>. CG: iterations of conjugate '
-        "gradients with multigrid, where problems were solved.</p></section>"
-    )
+    body = render("index", kind=kind, verdict=verdict, rows=rows, csv=output.with_suffix(".csv").name)
     return document("Cases of isoparticles", body)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
+from markupsafe import Markup
 
 from tetmesh_check.field_data import text_of
 from tetmesh_check.materials import INSIDE, OUTSIDE
@@ -98,6 +99,13 @@ def swatch(name: str, colour: Colour | None) -> str:
     """
     square = "" if colour is None else f'<i class="swatch" style="background:rgb{tuple(colour)}"></i>'
     return square + escape(name)
+
+
+def named(name: str, key: list[Entry]) -> Markup:
+    """Write a name with its colour, or the two names of an interface with theirs."""
+    colours = {entry.name: entry.colour for entry in key}
+    parts = [name] if name in colours else name.split("/")
+    return Markup(" / ".join(swatch(part, colours.get(part)) for part in parts))
 
 
 def legend(entries: list[Entry]) -> str:

@@ -1,6 +1,6 @@
-"""The section of the page that lists places.
+"""The lists of places on the page.
 
-It reads the lists in the reports of all stages: tetrahedra and triangles below a limit, and parts
+They are those in the reports of all stages: tetrahedra and triangles below a limit, and parts
 of the volume that a stage changed.
 """
 
@@ -8,19 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from html import escape
 from typing import Any
 
 from tetmesh_check.report.page.case import STAGES, Case, dig
-from tetmesh_check.report.page.charts import number
-from tetmesh_check.report.page.html import anchor, section, table
 from tetmesh_check.report.page.payload import world_letters
 
-TITLE = "Places"
-"""Title of the section."""
-_SHOWN = 10
+SHOWN = 10
 """Rows of a table that are visible at once."""
-_LISTED = 200
+LISTED = 200
 """Maximum number of rows of a table; the JSON report has the rest."""
 _EVENTS = {
     "broken": "broken into pieces",
@@ -157,63 +152,3 @@ def found_in(case: Case) -> Iterator[tuple[PlaceList, list[Entry]]]:
         entries = listed.find(dig(case.reports, listed.stage, "results"))
         if entries:
             yield listed, entries
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return number(value)
-    return "-" if value is None else escape(str(value))
-
-
-def _table(listed: PlaceList, entries: list[Entry], anatomical: bool) -> str:
-    head = ("place, mm", *(name for _, name in listed.columns))
-    text = (0, *(1 + k for k, (key, _) in enumerate(listed.columns) if key in ("material", "name", "kind")))
-    rows = [
-        (place_of(entry, anatomical), *(_cell(entry.get(key)) for key, _ in listed.columns))
-        for entry in entries[:_LISTED]
-    ]
-    shown = table(head, rows[:_SHOWN], text)
-    if len(rows) > _SHOWN:
-        rest = table(head, rows[_SHOWN:], text)
-        shown += f"<details><summary>{len(rows) - _SHOWN} more</summary><div>{rest}</div></details>"
-    if len(entries) > len(rows):
-        shown += f"<p>The JSON report of {listed.stage} lists all {number(len(entries))}.</p>"
-    return shown
-
-
-def pointer(case: Case) -> str:
-    """Write a link to the section of places; nothing where there is none.
-
-    Parameters
-    ----------
-    case
-        The case.
-    """
-    if next(found_in(case), None) is None:
-        return ""
-    return f'<p>The places are listed under <a href="#{anchor(TITLE)}">{TITLE}</a>.</p>'
-
-
-def places(case: Case, anatomical: bool) -> str:
-    """Write a table for each list of places; nothing where there is none.
-
-    Parameters
-    ----------
-    case
-        The case.
-    anatomical
-        Whether the world is that of the body.
-    """
-    parts = [
-        f"<h3>{listed.title}: {number(len(entries))}</h3><p>{listed.words}</p>{_table(listed, entries, anatomical)}"
-        for listed, entries in found_in(case)
-    ]
-    axes = (
-        "L, P and S are towards the left, the back (posterior) and the head (superior); R, A and I are the opposite "
-        "directions."
-        if anatomical
-        else "x, y and z are world coordinates."
-    )
-    if not parts:
-        return ""
-    return section(TITLE, f"<p>{axes}</p>{''.join(parts)}")

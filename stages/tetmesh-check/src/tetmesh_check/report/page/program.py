@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pyvista as pv
+from jinja2 import UndefinedError
+from markupsafe import Markup
 
 from tetmesh_check import __version__
 from tetmesh_check.context import guarded
@@ -17,41 +19,42 @@ from tetmesh_check.errors import ExitCode, InterruptedRunError, StageError
 from tetmesh_check.files import refuse_existing, write_text
 from tetmesh_check.parsing import program_parser
 from tetmesh_check.polydata import from_polydata
-from tetmesh_check.report.page import measured, places, provenance, regions, sections
+from tetmesh_check.report.page import places, sections
 from tetmesh_check.report.page.case import Case, dig, read_case
 from tetmesh_check.report.page.html import contents, section
-from tetmesh_check.report.page.key import Entry, key_of
+from tetmesh_check.report.page.key import Entry, key_of, named
 from tetmesh_check.report.page.scan import Scan, read_scan
 from tetmesh_check.report.page.slices import facts, slices
+from tetmesh_check.report.page.templates import render
 from tetmesh_check.report.page.view3d import is_anatomical, view, view_meshes
 from tetmesh_check.surface import read_dataset
+from tetmesh_check.volume_table import COLUMNS
 
 TOOL = "tetmesh-check-page"
-_OTHER_VERSION = (KeyError, IndexError, TypeError, ValueError)
+_MANY = 24
+"""Rows of a table of materials that are visible at once."""
+_OTHER_VERSION = (KeyError, IndexError, TypeError, ValueError, UndefinedError)
 """Errors that reports of another version cause."""
 
 
 def document(title: str, body: str, scripts: Sequence[str] = ()) -> str:
-    """Write a page that needs nothing but itself.
+    """Write a page that needs no other files.
 
     Parameters
     ----------
     title
         Of the window.
     body
-        What it shows.
+        HTML.
     scripts
         Names of files of JavaScript beside this one.
     """
-    folder = files("tetmesh_check.report.page")
-    style = folder.joinpath("page.css").read_text(encoding="utf-8")
-    code = "".join(f"<script>\n{folder.joinpath(name).read_text(encoding='utf-8')}</script>\n" for name in scripts)
-    return (
-        f'<!doctype html>\n<html lang="en">\n<head><meta charset="utf-8"><title>{escape(title)}</title>\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<link rel="icon" href="data:,">\n<style>\n{style}</style></head>\n<body><main>\n{body}\n'
-        f"<footer>Written by tetmesh-check {escape(__version__)}. Lengths in mm, angles in degrees.</footer></main>\n{code}</body></html>\n"
-    )
+
+    def text(name: str) -> Markup:
+        return Markup(files("tetmesh_check.report.page").joinpath(name).read_text(encoding="utf-8"))
+
+    code = [text(name) for name in scripts]
+    return render("document", title=title, body=Markup(body), style=text("page.css"), scripts=code, version=__version__)
 
 
 def _is_labels(case: Case) -> bool:
@@ -116,6 +119,11 @@ def _only_if_it_can_be_read(path: Path | None) -> pv.PolyData | None:
     return surface
 
 
+def quality(case: Case) -> str:
+    """Write histograms and percentiles of quality."""
+    return render("quality", case=case, chart=sections.chart, chart_of_counts=sections.chart_of_counts)
+
+
 def page(case: Case, folder: Path) -> str:
     """Write the page of a case.
 
@@ -134,34 +142,37 @@ def page(case: Case, folder: Path) -> str:
         key = key_of(case, scan if isinstance(scan, Scan) else None, surface)
     except _OTHER_VERSION:
         key = []
-    writers: list[tuple[str, Callable[[], str]]] = [
-        ("what went wrong", lambda: sections.trouble(case)),
-        ("checks", lambda: sections.checks(case)),
-        ("places", lambda: places.places(case, anatomical)),
-        ("volumes", lambda: regions.volumes(case, key)),
-        ("the mesh in the volume", lambda: anatomy(case, scan, surface, key)),
-        ("in three dimensions", lambda: view(view_meshes(surface, case.volume, key), anatomical, key)),
-        ("pictures", lambda: sections.pictures(case, key)),
-        ("materials", lambda: regions.materials(case, key)),
-        ("quality", lambda: measured.quality(case)),
-        ("solve", lambda: measured.solve(case)),
-        ("particles", lambda: measured.particles(case)),
-        ("stages", lambda: sections.stage_states(case)),
-        ("files", lambda: sections.files(case, folder)),
-        ("how this was made", lambda: provenance.provenance(case)),
-        ("methods", lambda: provenance.methods(case)),
-    ]
+    found = list(places.found_in(case))
+    many = {"case": case, "key": key, "named": named, "many": _MANY}
+    shown = {"found": found, "anatomical": anatomical, "place_of": places.place_of}
+    writers: dict[str, Callable[[], str]] = {
+        "what went wrong": lambda: render("trouble", case=case),
+        "checks": lambda: render("checks", rows=sections.check_rows(case), places=found),
+        "places": lambda: render("places", shown=places.SHOWN, limit=places.LISTED, **shown),
+        "volumes": lambda: render("volumes", columns=COLUMNS, **many),
+        "the mesh in the volume": lambda: anatomy(case, scan, surface, key),
+        "in three dimensions": lambda: view(view_meshes(surface, case.volume, key), anatomical, key),
+        "pictures": lambda: render("pictures", case=case, **sections.pictures(case, key)),
+        "materials": lambda: render("materials", regions=sections.region_rows(case), **many),
+        "quality": lambda: quality(case),
+        "solve": lambda: render("solve", case=case),
+        "particles": lambda: render("particles", case=case, curve_of=sections.curve_of),
+        "stages": lambda: render("stages", case=case),
+        "files": lambda: render("files", rows=list(sections.file_rows(case, folder))),
+        "how this was made": lambda: render("provenance", case=case),
+        "methods": lambda: render("methods", case=case),
+    }
     parts = []
-    for name, write in writers:
+    for name, write in writers.items():
         try:
             parts.append(write())
         except _OTHER_VERSION as error:
-            parts.append(sections.left_out(name, error))
+            parts.append(render("left_out", name=name, why=f"{type(error).__name__} {error}"))
     body = "\n".join(part for part in parts if part)
     scripts = [
         name for mark, name in (("slices-data", "slices.js"), ("view-data", "view.js")) if f'id="{mark}"' in body
     ]
-    return document(f"{case.name}: {case.contents}", f"{sections.head(case)}\n{contents(body)}\n{body}", scripts)
+    return document(f"{case.name}: {case.contents}", f"{render('head', case=case)}\n{contents(body)}\n{body}", scripts)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
