@@ -64,9 +64,9 @@ class Arguments:
         """Where the tetrahedra with a node amid each edge go."""
         return self.output.with_name(f"{self.name}.volume.quadratic.vtu")
 
-    def export_paths(self) -> list[Path]:
-        """The files of other formats that are written, too."""
-        return export_paths(self.output, self.name, self.exports)
+    def export_paths(self, many: bool = False) -> list[Path]:
+        """Return the files of other formats, which many materials write under other names."""
+        return export_paths(self.output, self.name, self.exports, many)
 
     def other_paths(self) -> list[Path]:
         """All files that are written beside the volume mesh, but for pictures."""

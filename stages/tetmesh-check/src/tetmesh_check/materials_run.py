@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -14,25 +14,19 @@ from tetmesh_check.checks import (
     Check,
     Forced,
     Limits,
-    conclude,
     counted,
     percent,
-    poor_tetrahedra,
     shape_checks,
     smallest_elsewhere,
-    surface_volume_checks,
     verdict,
 )
 from tetmesh_check.complex import Complex, check_complex, describe_complex
 from tetmesh_check.conform import NOBODY, outside_of
 from tetmesh_check.context import Context
 from tetmesh_check.errors import StageError
-from tetmesh_check.export.formats import export, export_paths
 from tetmesh_check.export.mesh import RESERVED, MarkedMesh, Materials, plain_names
-from tetmesh_check.export.volume import write_volume
 from tetmesh_check.fem.forward import Forward, RegionMesh, Source, resolve_source
-from tetmesh_check.fem.solve import VolumeMesh, solve_on
-from tetmesh_check.files import refuse_existing
+from tetmesh_check.fem.solve import VolumeMesh
 from tetmesh_check.forced import INSIDE, ForcedSides, forced_sides, largest_jacobians
 from tetmesh_check.materials import NOTHING, Sides
 from tetmesh_check.mend import goal_of
@@ -42,13 +36,9 @@ from tetmesh_check.quality import (
     TetrahedronQuality,
     Values,
     centres_of,
-    summarize,
     summarize_all,
-    triangle_quality,
 )
-from tetmesh_check.regions import has_scale
-from tetmesh_check.report.drawing import drawing
-from tetmesh_check.sizing import SizingField
+from tetmesh_check.subject import Subject
 from tetmesh_check.surface import Surface
 from tetmesh_check.tets.materials_fill import ComplexTask, FilledComplex, fill_complex, on_needles, refuse_method
 from tetmesh_check.topology import members_of, tetrahedron_boundary
@@ -157,43 +147,6 @@ def _forced_tetrahedra(sides: ForcedSides, checked: Complex, filled: FilledCompl
     return listed
 
 
-def _measure(
-    task: ComplexTask, filled: FilledComplex, sizing: SizingField | None, factor: float, context: Context
-) -> VolumeMesh:
-    checked = task.checked
-    points, tetrahedra, quality = filled.points, filled.tetrahedra, filled.quality
-    found = filled.conformity
-    outside = outside_of(found, checked.surface.triangles) if found.faults == 0 else tetrahedron_boundary(tetrahedra)
-    context.results["volume"] = {
-        "points": len(points),
-        "tetrahedra": len(tetrahedra),
-        "bodies": int(outside.bodies.max()) + 1,
-        "volume_mm3": float(quality.volume.sum()),
-        "quality": summarize_all(quality),
-        "boundary_quality": summarize_all(triangle_quality(points, outside.triangles)),
-        "interfaces_kept": found.missing == found.added == 0,
-        "interface_triangles": {"missing": found.missing, "added": found.added},
-        "crowded_faces": found.crowded,
-        "undecided_tetrahedra": found.undecided,
-        "poor_tetrahedra": poor_tetrahedra(points, tetrahedra, quality, task.limits),
-        "forced_by_surface": _forced_tetrahedra(task.sides, checked, filled),
-        "forced_by_triangle": _on_needles(task, filled),
-        "smallest_elsewhere": {
-            "min_dihedral": smallest_elsewhere(filled.quality.min_dihedral, filled.forced.dihedral),
-            "scaled_jacobian": smallest_elsewhere(filled.quality.scaled_jacobian, filled.forced.jacobian),
-        },
-        "regions": _regions(checked, filled),
-    }
-    filling = {entry["name"]: entry["volume_mm3"] for entry in context.results["volume"]["regions"]}
-    context.results["volumes"] = volume_table(checked.surface.volumes, filling)
-    if sizing is not None:
-        wanted = factor * sizing.at(centres_of(points, tetrahedra))
-        context.results["volume"]["edge_length_over_target"] = summarize(
-            quality.edge_length / wanted, np.linspace(0.0, 3.0, 61)
-        )
-    return VolumeMesh(points, tetrahedra, quality.volume, outside)
-
-
 def interface_names(names: list[str], pairs: Cells) -> list[str]:
     """Names of interfaces in sets and groups, none that of a region.
 
@@ -236,19 +189,6 @@ def mark_materials(sides: Sides, surface: Surface, filled: FilledComplex) -> Mar
         which + 1,
         materials,
     )
-
-
-def _forward(source: Source | None, checked: Complex, filled: FilledComplex) -> Forward | None:
-    """The problem of currents on this mesh, where it is asked for."""
-    found = filled.conformity
-    if source is None or found.faults:
-        return None
-    pairs, which = checked.sides.pairs()
-    names = [checked.sides.pair_name((a, b)) for a, b in pairs.tolist()]
-    mesh = RegionMesh(
-        found.regions, checked.sides.names, checked.surface.triangles, found.behind, found.before, which, names
-    )
-    return Forward(source, mesh)
 
 
 def complex_checks(
@@ -335,79 +275,95 @@ def refuse_arguments(arguments: Arguments) -> None:
         )
 
 
-def run_materials(
-    arguments: Arguments, surface: Surface, sizing: tuple[SizingField, SizingField | None], context: Context
-) -> list[str]:
-    """Do the work of the stage for a surface of many materials.
+class ManyMaterials(Subject):
+    """Materials that share the triangles between them."""
 
-    Parameters
-    ----------
-    arguments
-        What the user asked for.
-    surface
-        As read, with its ``sides``.
-    sizing
-        Edge lengths everywhere, and the size field where there is one.
-    context
-        The frame of the run.
+    many = True
 
-    Returns
-    -------
-    list of str
-        The checks that failed, in words; empty when the mesh is fit.
-    """
-    assert surface.sides is not None, "the caller looked"
-    refuse_arguments(arguments)
-    source: Source | None = resolve_source(arguments.forward, surface.sides)
-    exported = export_paths(arguments.output, arguments.name, arguments.exports, many=True)
-    refuse_existing(exported, context.common.force)
-    with context.step("check surface"):
-        checked = check_complex(arguments.surface, surface)
-        context.results["complex"] = describe_complex(checked)
-    counts = context.results["complex"]
-    context.verbose(
-        f"{len(checked.sides.present)} materials, {len(counts['interfaces'])} interfaces, {counts['junction_edges']} junction edges, "
-        f"{len(checked.shells.materials)} volumes"
-    )
-    with context.step("find forced tetrahedra"):
-        limits = arguments.limits
-        goal = goal_of(limits)
-        sides, beyond_goal = _sides(checked, limits, goal, context)
-        needles = _needles(checked, limits, context)
-    task = ComplexTask(
-        checked=checked,
-        sides=sides,
-        beyond_goal=beyond_goal,
-        needles=needles,
-        goal=goal,
-        field=sizing[0],
-        tet_size_factor=arguments.tet_size_factor,
-        method=arguments.method,
-        max_seconds=arguments.max_seconds,
-        limits=arguments.limits,
-        log=arguments.log,
-    )
-    filled = fill_complex(task, context)
-    with context.step("measure quality"):
-        mesh = _measure(task, filled, sizing[1], arguments.tet_size_factor, context)
-    marked = mark_materials(checked.sides, checked.surface, filled)
-    context.results["boundary"] = {
-        "surface": {
-            "triangles": int((checked.sides.outside == NOTHING).sum()),
-            "area_mm2": float(checked.quality.area[checked.sides.outside == NOTHING].sum()),
-        }
-    }
-    with context.step("write"):
-        write_volume(arguments.output, marked, filled.quality, context.history())
-    for kind in arguments.exports:
-        with context.step(f"export {kind}"):
-            export(marked, arguments.output, arguments.name, kind, arguments.unit)
-    context.results["exports"] = [path.name for path in exported]
-    job = arguments.picture_job
-    with drawing(None if job is None else replace(job, many=True), context):
-        checks = complex_checks(context.results["volume"], filled.quality, arguments.limits, filled.forced)
-        checks += surface_volume_checks(context.results["volumes"], has_scale(surface.history))
-        checks += solve_on(mesh, arguments.solve, context, _forward(source, checked, filled))
-    interfaces = len(counts["interfaces"])
-    context.closing.append(("materials", f"{len(checked.sides.present)}, {interfaces} interfaces"))
-    return conclude(checks, filled.quality, context)
+    def check_surface(self) -> None:
+        """Refuse a surface that bounds no volumes; find where it forces tetrahedra below a limit."""
+        arguments, context, surface = self.arguments, self.context, self.inputs.surface
+        assert surface.sides is not None, "the caller looked"
+        self.field, _ = self.inputs.edge_lengths(context)
+        refuse_arguments(arguments)
+        self.source: Source | None = resolve_source(arguments.forward, surface.sides)
+        with context.step("check surface"):
+            self.checked = check_complex(arguments.surface, surface)
+            counts = context.results["complex"] = describe_complex(self.checked)
+        context.verbose(
+            f"{len(self.checked.sides.present)} materials, {len(counts['interfaces'])} interfaces, "
+            f"{counts['junction_edges']} junction edges, {len(self.checked.shells.materials)} volumes"
+        )
+        with context.step("find forced tetrahedra"):
+            self.goal = goal_of(arguments.limits)
+            self.sides, self.beyond_goal = _sides(self.checked, arguments.limits, self.goal, context)
+            self.needles = _needles(self.checked, arguments.limits, context)
+
+    def fill(self) -> None:
+        """Fill all volumes at once."""
+        arguments = self.arguments
+        self.task = ComplexTask(
+            checked=self.checked,
+            sides=self.sides,
+            beyond_goal=self.beyond_goal,
+            needles=self.needles,
+            goal=self.goal,
+            field=self.field,
+            tet_size_factor=arguments.tet_size_factor,
+            method=arguments.method,
+            max_seconds=arguments.max_seconds,
+            limits=arguments.limits,
+            log=arguments.log,
+        )
+        self.filled = fill_complex(self.task, self.context)
+
+    def measure(self) -> tuple[VolumeMesh, TetrahedronQuality]:
+        """Measure the tetrahedra, as a whole and by region, and what became of the interfaces."""
+        checked, filled, results = self.checked, self.filled, self.context.results
+        found, quality = filled.conformity, filled.quality
+        with self.context.step("measure quality"):
+            triangles, tetrahedra = checked.surface.triangles, filled.tetrahedra
+            outside = outside_of(found, triangles) if found.faults == 0 else tetrahedron_boundary(tetrahedra)
+            mesh = VolumeMesh(filled.points, tetrahedra, quality.volume, outside)
+            results["volume"] = {
+                **self.measured(mesh, quality),
+                "interfaces_kept": found.missing == found.added == 0,
+                "interface_triangles": {"missing": found.missing, "added": found.added},
+                "crowded_faces": found.crowded,
+                "undecided_tetrahedra": found.undecided,
+                "forced_by_surface": _forced_tetrahedra(self.sides, checked, filled),
+                "forced_by_triangle": _on_needles(self.task, filled),
+                "smallest_elsewhere": {
+                    "min_dihedral": smallest_elsewhere(quality.min_dihedral, filled.forced.dihedral),
+                    "scaled_jacobian": smallest_elsewhere(quality.scaled_jacobian, filled.forced.jacobian),
+                },
+                "regions": _regions(checked, filled),
+            }
+            filling = {entry["name"]: entry["volume_mm3"] for entry in results["volume"]["regions"]}
+            results["volumes"] = volume_table(checked.surface.volumes, filling)
+        return mesh, quality
+
+    def mark(self) -> MarkedMesh:
+        """Name the regions and the interfaces."""
+        outermost = self.checked.sides.outside == NOTHING
+        area = float(self.checked.quality.area[outermost].sum())
+        self.context.results["boundary"] = {"surface": {"triangles": int(outermost.sum()), "area_mm2": area}}
+        return mark_materials(self.checked.sides, self.checked.surface, self.filled)
+
+    def checks(self) -> list[Check]:
+        """Judge the tetrahedra, and whether each region is that of the surface."""
+        filled, context = self.filled, self.context
+        interfaces = len(context.results["complex"]["interfaces"])
+        context.closing.append(("materials", f"{len(self.checked.sides.present)}, {interfaces} interfaces"))
+        return complex_checks(context.results["volume"], filled.quality, self.arguments.limits, filled.forced)
+
+    def currents(self) -> Forward | None:
+        """Return the problem of currents, if a source is given and every tetrahedron has a material."""
+        found, sides = self.filled.conformity, self.checked.sides
+        if self.source is None or found.faults:
+            return None
+        pairs, which = sides.pairs()
+        names = [sides.pair_name((a, b)) for a, b in pairs.tolist()]
+        triangles = self.checked.surface.triangles
+        mesh = RegionMesh(found.regions, sides.names, triangles, found.behind, found.before, which, names)
+        return Forward(self.source, mesh)
