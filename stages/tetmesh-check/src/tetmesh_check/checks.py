@@ -211,14 +211,15 @@ def percent(change: float) -> str:
     return "0 %" if abs(change) < _NO_PERCENT else f"{'+' if change > 0 else ''}{plain(change)} %"
 
 
-def _distance(value: float, limit: float) -> str:
-    """A distance beside its limit, mm."""
-    return f"{plain(0.0 if value < _NO_DISTANCE * limit else value)} mm (limit {plain(limit)} mm)"
-
-
 def verdict(name: str, passed: bool, value: float, limit: float, words: str, required: bool = True) -> Check:
     """Make a check; the arguments are its fields."""
     return Check(name, bool(passed), required, float(value), float(limit), words)
+
+
+def _distance(start: str, way: str, value: float, limit: float) -> Check:
+    """Compare a maximum distance, mm, with its limit."""
+    told = f"{plain(0.0 if value < _NO_DISTANCE * limit else value)} mm (limit {plain(limit)} mm)"
+    return verdict(f"{start}_distance", value <= limit, value, limit, f"the maximum distance from {way} is {told}")
 
 
 def shape_checks(quality: TetrahedronQuality, limits: Limits, forced: Forced | None = None) -> list[Check]:
@@ -312,22 +313,10 @@ def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
             f"the tetrahedra form {counted(measured.bodies, 'separate body', 'separate bodies')}; the surface encloses "
             f"{measured.surface_bodies}",
         ),
-        verdict(
-            "boundary_distance",
-            measured.boundary_distance <= max_distance,
-            measured.boundary_distance,
-            max_distance,
-            "the maximum distance from the boundary of the tetrahedra to the surface is "
-            f"{_distance(measured.boundary_distance, max_distance)}",
+        _distance(
+            "boundary", "the boundary of the tetrahedra to the surface", measured.boundary_distance, max_distance
         ),
-        verdict(
-            "surface_distance",
-            measured.surface_distance <= max_distance,
-            measured.surface_distance,
-            max_distance,
-            "the maximum distance from the surface to the boundary of the tetrahedra is "
-            f"{_distance(measured.surface_distance, max_distance)}",
-        ),
+        _distance("surface", "the surface to the boundary of the tetrahedra", measured.surface_distance, max_distance),
         verdict(
             "boundary_manifold",
             loose == 0,

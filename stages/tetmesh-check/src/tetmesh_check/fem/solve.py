@@ -97,6 +97,31 @@ def _conserved(done: dict[str, dict[str, Any]]) -> list[Check]:
     return [verdict("current_conserved", imbalance <= MAX_IMBALANCE, imbalance, MAX_IMBALANCE, words)]
 
 
+def _solve_all(
+    problems: dict[str, Callable[[], tuple[dict[str, Any], bool]]], seconds: float, context: Context
+) -> tuple[dict[str, dict[str, Any]], list[str], dict[str, str]]:
+    """Solve in turn; return figures by problem, the problems that did not converge, and why others have no figures."""
+    done: dict[str, dict[str, Any]] = {}
+    stuck: list[str] = []
+    unfinished: dict[str, str] = {}
+    for name, problem in problems.items():
+        started = time.monotonic()
+        try:
+            figures, converged = problem()
+        except OutOfTimeError:
+            unfinished[name] = f"not finished within {seconds:g} s (--solve-seconds)"
+            continue
+        except MemoryError:
+            unfinished[name] = "not enough memory"
+            continue
+        done[name] = {**figures, "seconds": time.monotonic() - started}
+        if not converged:
+            stuck.append(name)
+        elif figures.get("solved_with") == "jacobi":
+            context.warn(f"{name}: multigrid did not converge; the solution was computed with Jacobi's preconditioner")
+    return done, stuck, unfinished
+
+
 def solve_on(
     mesh: VolumeMesh, settings: SolveSettings, context: Context, currents: Forward | None = None
 ) -> list[Check]:
@@ -111,12 +136,12 @@ def solve_on(
     context
         For messages, times, and ``solve`` in the results.
     currents
-        Solved, too, where it is given.
+        The problem of currents, if there is one.
 
     Returns
     -------
     list of Check
-        Empty where nothing was solved: no check has passed then.
+        Empty if nothing was solved: no check has passed then.
     """
     results: dict[str, Any] = {"done": False, "reason": _why_not(mesh, settings)}
     context.results["solve"] = results
@@ -134,38 +159,14 @@ def solve_on(
     }
     if currents is not None:
         problems["forward"] = lambda: forward(assembler, currents, solver)
-    done: dict[str, dict[str, Any]] = {}
-    stuck: list[str] = []
-    unfinished: dict[str, str] = {}
     with context.step("solve"):
-        for name, problem in problems.items():
-            started = time.monotonic()
-            try:
-                figures, converged = problem()
-            except OutOfTimeError:
-                unfinished[name] = f"not finished within {settings.max_seconds:g} s (--solve-seconds)"
-                continue
-            except MemoryError:
-                unfinished[name] = "not enough memory"
-                continue
-            done[name] = {**figures, "seconds": time.monotonic() - started}
-            if not converged:
-                stuck.append(name)
-            elif figures.get("solved_with") == "jacobi":
-                context.warn(
-                    f"{name}: multigrid did not converge; the solution was computed with Jacobi's preconditioner"
-                )
+        done, stuck, unfinished = _solve_all(problems, settings.max_seconds, context)
     results.update(done=not unfinished, **done)
     if unfinished:
-        reason = "; ".join(f"{name}: {why}" for name, why in unfinished.items())
-        results["reason"] = reason
-        context.warn(
-            f"not every problem was solved: {reason}"
-            if done
-            else f"no problem was solved, and none was checked: {reason}"
-        )
-    iterations = [
-        f"{name} {figures['multigrid']['iterations']}" for name, figures in done.items() if "multigrid" in figures
-    ]
+        reason = results["reason"] = "; ".join(f"{name}: {why}" for name, why in unfinished.items())
+        told = "not every problem was solved" if done else "no problem was solved, and none was checked"
+        context.warn(f"{told}: {reason}")
+    runs = {name: figures["multigrid"] for name, figures in done.items() if "multigrid" in figures}
+    iterations = [f"{name} {run['iterations']}" for name, run in runs.items()]
     context.closing.append(("CG iterations, multigrid", ", ".join(iterations) or "none"))
     return _checks(done, stuck) + _conserved(done)

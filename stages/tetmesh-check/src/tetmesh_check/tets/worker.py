@@ -220,6 +220,33 @@ def _version(library: str) -> str | None:
         return None
 
 
+def _run_process(
+    worker: Worker, words: list[str], folder: Path, log: Path, limit: TimeLimit, context: Context
+) -> tuple[int, int]:
+    """Run the module of a worker; return where its output starts in the log, and its exit code."""
+    try:
+        stream = log.open("ab")
+        start = stream.tell()
+    except OSError as error:
+        raise StageError.file(log, "write", error, "check the permissions of its folder") from error
+    with stream:
+        # Some write debugging files to the current folder, which is a temporary one.
+        # In a session of its own, it receives Ctrl-C through this process only.
+        process = subprocess.Popen(
+            [sys.executable, "-m", worker.module, *words],
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        try:
+            _watch(process, worker, log, limit, context)
+        finally:
+            _end_group(process)
+    return start, process.returncode
+
+
 def run_worker(
     worker: Worker, arrays: dict[str, Any], settings: Any, log: Path, limit: TimeLimit, context: Context
 ) -> WorkerResult:
@@ -253,29 +280,10 @@ def run_worker(
         given = {name: told.pop(name) for name in asdict(settings)}
         np.savez(job, settings=np.array(json.dumps(given)), **told)
         started = time.monotonic()
-        try:
-            stream = log.open("ab")
-            start = stream.tell()
-        except OSError as error:
-            raise StageError.file(log, "write", error, "check the permissions of its folder") from error
-        with stream:
-            # Some write debugging files where they stand: let them stand in the temporary folder.
-            # A session of its own, so that a Ctrl-C reaches it through us and in order.
-            process = subprocess.Popen(
-                [sys.executable, "-m", worker.module, str(job), str(result)],
-                cwd=folder,
-                stdin=subprocess.DEVNULL,
-                stdout=stream,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
-            try:
-                _watch(process, worker, log, limit, context)
-            finally:
-                _end_group(process)
+        start, code = _run_process(worker, [str(job), str(result)], folder, log, limit, context)
         seconds = time.monotonic() - started
-        if process.returncode != 0 or not result.is_file():
-            raise _how_it_ended(worker, process.returncode, log)
+        if code != 0 or not result.is_file():
+            raise _how_it_ended(worker, code, log)
         with np.load(result) as loaded:
             points = loaded["points"].astype(np.float64) / scale
             tetrahedra = loaded["tetrahedra"].astype(np.int64)

@@ -122,6 +122,21 @@ def _svg(words: str, content: str) -> str:
     )
 
 
+def _beyond(
+    frame: _Frame, limit: Limit, edges: Sequence[float], ground: float, row: int
+) -> tuple[str, tuple[str, str], str]:
+    """The area in which the check fails, the line at its limit, and both in words."""
+    side = "above" if limit.above else "below"
+    start, end = (limit.value, edges[-1]) if limit.above else (edges[0], limit.value)
+    left, right = (frame.x(min(max(v, edges[0]), edges[-1])) for v in (start, end))
+    area = (
+        f'<rect class="fails" x="{left:.1f}" y="{frame.top:.1f}" width="{max(right - left, 0.0):.1f}" '
+        f'height="{ground - frame.top:.1f}"/>'
+    )
+    words = f"limit {number(limit.value)}: {side} it the check fails"
+    return area, frame.mark("limit", limit.value, words, row), words
+
+
 def histogram(
     edges: Sequence[float],
     counts: Sequence[int],
@@ -170,15 +185,8 @@ def histogram(
     said = ", ".join(f"{name} {number(value)}" for name, value in marks.items())
     fails = ""
     if limit is not None:
-        side = "above" if limit.above else "below"
-        start, end = (limit.value, edges[-1]) if limit.above else (edges[0], limit.value)
-        left, right = (frame.x(min(max(v, edges[0]), edges[-1])) for v in (start, end))
-        fails = (
-            f'<rect class="fails" x="{left:.1f}" y="{frame.top:.1f}" width="{max(right - left, 0.0):.1f}" '
-            f'height="{frame.y(ground) - frame.top:.1f}"/>'
-        )
-        words = f"limit {number(limit.value)}: {side} it the check fails"
-        drawn.append(frame.mark("limit", limit.value, words, rows - 1))
+        fails, line, words = _beyond(frame, limit, edges, frame.y(ground), rows - 1)
+        drawn.append(line)
         said += f", {words}"
     if beyond:
         said += f"; {number(beyond)} beyond"
