@@ -41,7 +41,8 @@ class Arguments:
     envelope: float | None = None
     """Largest distance of the boundary from the surface, mm."""
     stop_energy: float | None = None
-    """Largest AMIPS energy at which fTetWild stops; by default each of :data:`.STOP_ENERGIES` in turn."""
+    """Largest AMIPS energy at which fTetWild stops; by default each of :data:`.STOP_ENERGIES` in
+    turn."""
     max_passes: int = 80
     max_seconds: float = 3600.0
     limits: Limits = made_by(default_factory=Limits)

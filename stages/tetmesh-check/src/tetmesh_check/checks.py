@@ -1,4 +1,4 @@
-"""What makes a volume mesh fit for simulation: each check with its value, its limit and its verdict in words."""
+"""Checks of a volume mesh: value, limit and verdict in words."""
 
 from __future__ import annotations
 
@@ -30,10 +30,11 @@ _NO_DISTANCE = 1e-6
 
 
 SURFACE_CHANGES = {False: 5.0, True: 2.0}
-"""Largest change of the volume of the surface against the voxels, percent, without a scale and with one.
+"""Largest change of the volume of the surface against the voxels, percent, without a scale and with
+one.
 
-``distfield`` warns of changes of F above the same limits (``VOLUME_LIMITS``, ``SCALED_VOLUME_LIMITS``).
-"""
+``distfield`` warns of changes of F above the same limits (``VOLUME_LIMITS``,
+``SCALED_VOLUME_LIMITS``)."""
 _MOST_NAMES = 3
 """Most materials that a message names."""
 
@@ -43,13 +44,16 @@ class Limits:
     """Beyond these the mesh is not fit."""
 
     min_dihedral: float = 5.0
-    """Smallest dihedral angle, degrees. The condition number of the stiffness matrix grows with the inverse of its sine."""
+    """Smallest dihedral angle, degrees. The condition number of the stiffness matrix grows with the
+    inverse of its sine."""
     min_scaled_jacobian: float = 0.05
     """Smallest scaled Jacobian."""
     max_volume_change: float = 1.0
-    """Largest difference between the volume of the tetrahedra and that inside the surface, percent."""
+    """Largest difference between the volume of the tetrahedra and that inside the surface,
+    percent."""
     max_distance: float | None = None
-    """Largest distance between the boundary of the tetrahedra and the surface, either way, mm; default twice the envelope."""
+    """Largest distance between the boundary of the tetrahedra and the surface, either way, mm;
+    default twice the envelope."""
     accept_forced: bool = False
     """Whether tetrahedra below a limit of shape pass where the surface forces them below it."""
 
@@ -340,7 +344,7 @@ def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
 
 
 def surface_volume_checks(rows: Sequence[dict[str, Any]], scaled: bool) -> list[Check]:
-    """Compare the volume inside the surface with that of the voxels, or of F if the voxels have none.
+    """Compare the volume inside the surface with that of the voxels, or of F.
 
     Parameters
     ----------
@@ -377,7 +381,7 @@ def surface_volume_checks(rows: Sequence[dict[str, Any]], scaled: bool) -> list[
 
 
 def conclude(checks: list[Check], quality: TetrahedronQuality, context: Context) -> list[str]:
-    """Put the verdicts into the results and the shapes into the closing table; warn of what is only worth a warning.
+    """Report the verdicts and the shapes; warn about doubtful checks.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the command line takes, as JSON for the command that calls this stage: the twin of ``CommandLine`` in common/stage/src/cli/shell.rs."""
+"""The options as JSON, the twin of ``CommandLine`` in common/stage/src/cli/shell.rs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ CHECK_OPTIONS = "--check-options"
 twin of ``Known`` in common/stage/src/cli/check.rs."""
 
 WORD = "--command-line"
-"""Alone on the command line, it asks for this; it stands beside the options, because the stage cannot run without its files."""
+"""Alone on the command line, it asks for this; it stands beside the options, because the stage
+cannot run without its files."""
 
 
 def told(parser: argparse.ArgumentParser) -> str:

@@ -1,4 +1,4 @@
-"""A surface of many materials as a complex: refused where it bounds no volumes, and counted anew whatever its maker says of it."""
+"""Checks and measures of a surface of many materials."""
 
 from __future__ import annotations
 
@@ -64,7 +64,8 @@ def check_complex(path: Path, surface: Surface) -> Complex:
     Raises
     ------
     StageError
-        If it has triangles without area or twice, is not closed for each material, has triangles on the wrong side, or cuts through itself.
+        If it has triangles without area or twice, is not closed for each material, has triangles on
+        the wrong side, or cuts through itself.
     """
     assert surface.sides is not None, "the caller looked"
     sides = surface.sides
@@ -146,11 +147,13 @@ def describe_complex(checked: Complex) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``vertices, triangles, area_mm2``; ``junction_edges`` (edges with other than two triangles), ``junction_vertices`` (where
-        junction edges end, or more than two of them meet), ``edges_by_triangles``, ``vertices_by_materials``; ``quality`` of all triangles;
-        ``rms_turn_degrees`` between the normals of neighbouring triangles of one sheet; ``materials``, each with volume, parts, the
-        smallest angle between two of its facets and the topology of its own closed surface; ``interfaces``, each pair with area,
-        connected pieces, quality and turn.
+        ``vertices, triangles, area_mm2``; ``junction_edges`` (edges with other than two triangles),
+        ``junction_vertices`` (where junction edges end, or more than two of them meet),
+        ``edges_by_triangles``, ``vertices_by_materials``; ``quality`` of all triangles;
+        ``rms_turn_degrees`` between the normals of neighbouring triangles of one sheet;
+        ``materials``, each with volume, parts, the smallest angle between two of its facets and the
+        topology of its own closed surface; ``interfaces``, each pair with area, connected pieces,
+        quality and turn.
     """
     surface, sides, quality = checked.surface, checked.sides, checked.quality
     found = _native.describe_complex(surface.points, surface.triangles, sides.inside, sides.outside, len(sides.table))

@@ -14,8 +14,8 @@ from tetmesh_check.quality import Cells, Labels, Points, Values
 class Components:
     """The components of a closed surface.
 
-    A component that lies in the open, or in a cavity, bounds a body from outside and must have a positive volume; one
-    that lies in a body bounds a cavity and must have a negative one.
+    A component that lies in the open, or in a cavity, bounds a body from outside and must have a
+    positive volume; one that lies in a body bounds a cavity and must have a negative one.
     """
 
     labels: Labels
@@ -34,7 +34,7 @@ class Components:
         return wrong
 
     def bodies(self) -> Labels:
-        """Return for each component the one that bounds its body from outside: itself, or a cavity's parent."""
+        """Return the component that bounds the body of each component from outside."""
         bodies: Labels = np.where(self.depths % 2 == 0, np.arange(len(self.depths)), self.parents)
         return bodies
 
@@ -47,6 +47,7 @@ def measure_components(points: Points, triangles: Cells) -> Components:
     points
         Positions, mm, shape ``(n, 3)``.
     triangles
-        Vertex indices of a closed surface, shape ``(m, 3)``; components do not cut through each other.
+        Vertex indices of a closed surface, shape ``(m, 3)``; components do not cut through each
+        other.
     """
     return Components(**_native.surface_components(points, triangles))

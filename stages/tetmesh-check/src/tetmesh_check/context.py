@@ -1,4 +1,4 @@
-"""The frame a run happens in: messages, progress, steps, warnings, history and report; the same as in every stage."""
+"""Messages, progress, steps, warnings, history and report of a run."""
 
 from __future__ import annotations
 
@@ -53,7 +53,8 @@ class Progress:
     Parameters
     ----------
     mode
-        ``bar`` redraws one line in place, ``lines`` prints a plain line every few seconds, ``none`` says nothing.
+        ``bar`` redraws one line in place, ``lines`` prints a plain line every few seconds, ``none``
+        says nothing.
     label
         The name of the work.
     """
@@ -95,7 +96,7 @@ class Progress:
 
 
 def peak_memory_bytes() -> int | None:
-    """Largest resident memory of this process or of any of its children so far, in bytes; ``None`` on Windows."""
+    """Peak memory of this process or any child, bytes; ``None`` on Windows."""
     if sys.platform == "win32":
         return None
     import resource
@@ -306,7 +307,7 @@ def canonical_command_line(arguments: list[str], outputs: list[Path]) -> str:
 
 
 class Interruptible:
-    """Turns SIGINT, SIGTERM and SIGHUP into :class:`InterruptedRunError` while the ``with`` block runs.
+    """Turns signals into :class:`InterruptedRunError` inside a ``with`` block.
 
     Parameters
     ----------

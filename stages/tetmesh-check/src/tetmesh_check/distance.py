@@ -27,7 +27,7 @@ def summarize_distances(distances: Values) -> dict[str, Any]:
 
 
 def distances_both_ways(first: tuple[Points, Cells], second: tuple[Points, Cells]) -> tuple[Values, Values]:
-    """Distances of vertices and centroids of the first mesh from the second, and the other way round, mm.
+    """Distances of vertices and centroids of each mesh from the other, mm.
 
     If a mesh has more than 200,000 of them, they are thinned evenly.
 

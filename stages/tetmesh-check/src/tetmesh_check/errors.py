@@ -1,4 +1,4 @@
-"""One error type: what happened (file, value), why it matters, what to do next; and the exit codes."""
+"""Errors in three parts, and the exit codes."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class StageError(Exception):
 
 
 def unexpected(error: Exception) -> StageError:
-    """Describe an exception that nobody foresaw, so that it does not end as Python ends: with the code of a failed check.
+    """Describe an unexpected exception; its exit code is not that of a failed check.
 
     Parameters
     ----------

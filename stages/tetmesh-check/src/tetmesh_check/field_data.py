@@ -1,7 +1,8 @@
 """Texts in the field data of VTK files.
 
-VTK has a type for strings, but not every program reads it: meshio stops at it. Texts are therefore written as their bytes (UTF-8), one unsigned
-number of 8 bits each, in every file of this project. Files of before, with strings, are read as well.
+VTK has a type for strings, but not every program reads it: meshio stops at it. Texts are therefore
+written as their bytes (UTF-8), one unsigned number of 8 bits each, in every file of this project.
+Files of before, with strings, are read as well.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Fields on grids: read from files, and given to the Rust code, which evaluates them at world positions."""
+"""Fields on grids, read from files and evaluated by the Rust code."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DISTANCE = "signed_distance"
 
 
 def _placement(image: pv.ImageData) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """World vectors from a voxel centre to the next, one a column, and position of the first centre, mm."""
+    """World vectors between voxel centres, one a column, and the first centre, mm."""
     step = np.asarray(image.direction_matrix, dtype=np.float64) * np.asarray(image.spacing)
     return step, np.asarray(image.origin, dtype=np.float64) + step @ np.array(image.extent[::2], dtype=np.float64)
 

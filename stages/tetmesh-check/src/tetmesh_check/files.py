@@ -1,4 +1,4 @@
-"""Outputs that are whole or absent: temporary name beside the target, then rename; and the hash of an input."""
+"""Atomic output, by a temporary name and a rename; hashes of inputs."""
 
 from __future__ import annotations
 
@@ -159,8 +159,8 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     path
         The target.
     write
-        Writes the content to the path it is handed, which keeps the target's suffix because some writers choose the
-        format by it.
+        Writes the content to the path it is handed, which keeps the target's suffix because some
+        writers choose the format by it.
 
     Raises
     ------

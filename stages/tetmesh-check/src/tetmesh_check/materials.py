@@ -1,7 +1,8 @@
-"""The materials of a surface of many: which lies on either side of each triangle, and what they are called.
+"""The materials on both sides of each triangle, and their names.
 
-Such a surface is a complex: triangles, each between two materials, that meet along junction edges and share their vertices. Material 0 is the
-outside. The triangle is counter-clockwise seen from the material of the lower number; the higher one is called its inside.
+Such a surface is a complex: triangles, each between two materials, that meet along junction edges
+and share their vertices. Material 0 is the outside. The triangle is counter-clockwise seen from the
+material of the lower number; the higher one is called its inside.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class Sides:
         return sorted(set(found) | (set(np.unique(self.outside).tolist()) - {NOTHING}))
 
     def pairs(self) -> tuple[Cells, Labels]:
-        """Pairs of materials that touch, ``(inside, outside)`` ascending, shape ``(k, 2)``, and the pair of each triangle, shape ``(m,)``."""
+        """Return pairs ``(inside, outside)`` that touch, and the pair of each triangle."""
         pairs, which = np.unique(np.stack([self.inside, self.outside], 1), axis=0, return_inverse=True)
         return pairs, which.ravel().astype(np.int64)
 
@@ -98,7 +99,8 @@ def read_sides(path: Path, surface: pv.PolyData) -> Sides | None:
     Raises
     ------
     StageError
-        If the arrays or the table of materials (field data ``meta``, ``materials``) are incomplete or do not fit together.
+        If the arrays or the table of materials (field data ``meta``, ``materials``) are incomplete
+        or do not fit together.
     """
     there = [name for name in (INSIDE, OUTSIDE) if name in surface.cell_data]
     if not there:

@@ -11,14 +11,15 @@ from tetmesh_check.errors import StageError
 BYTES_AT_LEAST = 600 * 2**20
 """What the packages take before there is a mesh: see :data:`BYTES_PER_VERTEX`."""
 BYTES_PER_VERTEX = 5100
-"""Bytes for each vertex of the surface. Both are the line through 896 MiB for the 55,626 vertices of `heart` and 2,050 MiB for the 292,825
-of `ribs`, with 15 to 20 tetrahedra a vertex (docs/developer/performance.md, real volumes, `make CASE=heart` and `make CASE=ribs`)."""
+"""Bytes for each vertex of the surface. Both are the line through 896 MiB for the 55,626 vertices
+of `heart` and 2,050 MiB for the 292,825 of `ribs`, with 15 to 20 tetrahedra a vertex
+(docs/developer/performance.md, real volumes, `make CASE=heart` and `make CASE=ribs`)."""
 
 _UNITS = {"": 0, "k": 1, "m": 2, "g": 3, "t": 4}
 
 
 def number_of_bytes(text: str) -> int:
-    """Parse a number of bytes: a number with K, M, G or T for powers of 1024, such as ``8G`` or ``500M``.
+    """Parse a number of bytes, such as ``8G``; K, M, G and T are powers of 1024.
 
     Parameters
     ----------
@@ -33,7 +34,7 @@ def number_of_bytes(text: str) -> int:
 
 
 def available_memory_bytes() -> int | None:
-    """Memory that can be had without swapping: the machine's, or the control group's where that is less; ``None`` where nothing tells."""
+    """Free memory of the machine or control group, bytes; ``None`` if unknown."""
     found = []
     lines = _read(Path("/proc/meminfo")).splitlines()
     found += [int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")]

@@ -32,7 +32,8 @@ from tetmesh_check.volume_table import volume_table
 MAX_SHARE_OUTSIDE = 0.05
 """Share of the tetrahedra outside the label volume above which there is a warning."""
 ENVELOPE_FRACTION = 0.05
-"""Default envelope over the edge length that 95 % of the surface exceed: small enough that thin walls stay apart."""
+"""Default envelope over the edge length that 95 % of the surface exceed: small enough that thin
+walls stay apart."""
 
 
 class OneObject(Subject):
@@ -152,7 +153,7 @@ class OneObject(Subject):
         return regions
 
     def mark(self) -> MarkedMesh:
-        """Find the region of each tetrahedron, and whether each triangle of the boundary belongs to a cap."""
+        """Find the regions, and the triangles of the boundary that are caps."""
         mesh = self.mesh
         regions = self._regions(mesh)
         surface, outside = self.inputs.surface, mesh.boundary

@@ -28,7 +28,7 @@ class Parser(argparse.ArgumentParser):
         raise SystemExit(int(ExitCode.BAD_INPUT))
 
     def command(self) -> str:
-        """Return the command that starts this program; in a clone, its path, because it is not on the PATH."""
+        """Return the command of this program; in a clone, its path."""
         if front := os.environ.get("ISOPARTICLES_FRONT"):
             return f"{front} {self.prog}"
         return self.prog if sys.argv[0].endswith(".py") else sys.argv[0]

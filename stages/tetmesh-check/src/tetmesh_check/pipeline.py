@@ -59,7 +59,8 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     Raises
     ------
     StageError
-        If there is no volume mesh; then only the log is written. An interrupt after that leaves the complete mesh.
+        If there is no volume mesh; then only the log is written. An interrupt after that leaves the
+        complete mesh.
     """
     with context.step("read"):
         inputs = _read(arguments, context)

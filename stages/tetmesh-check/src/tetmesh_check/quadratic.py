@@ -1,6 +1,7 @@
-"""Tetrahedra with ten nodes: those amid the edges of the surface lie on F = 0, and the map of every element can be inverted everywhere.
+"""Quadratic tetrahedra whose surface nodes lie on F = 0.
 
-The Rust code (``common/mesh/src/tetrahedra/quadratic.rs``) places the nodes, and bounds the Jacobian of every element.
+The Rust code (``common/mesh/src/tetrahedra/quadratic.rs``) places the nodes, and bounds the
+Jacobian of every element.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ class Quadratic:
 
     mesh: MarkedMesh
     jacobian: Values
-    """Smallest Bezier coefficient of each element's Jacobian over that of the straight tetrahedron, shape ``(m,)``; 1 where it is straight."""
+    """Smallest Bezier coefficient of each element's Jacobian over that of the straight tetrahedron,
+    shape ``(m,)``; 1 where it is straight."""
     results: dict[str, Any]
     """For the report."""
 
@@ -52,7 +54,7 @@ class Quadratic:
 
 
 def make_quadratic(mesh: MarkedMesh, field: GridField) -> Quadratic:
-    """Put a node amid each edge: on F = 0 on the surface, in the middle elsewhere and on the flat caps.
+    """Add mid-edge nodes: on F = 0 on the surface, at midpoints elsewhere.
 
     Parameters
     ----------

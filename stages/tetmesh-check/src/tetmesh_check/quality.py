@@ -1,9 +1,9 @@
-"""Quality of triangles and tetrahedra, as the mesh-generation field measures it. The Rust code computes it.
+"""Quality of triangles and tetrahedra, computed by the Rust code.
 
-All measures are 1 for the equilateral triangle or the regular tetrahedron and 0 for a degenerate one, except the
-aspect ratio and the edge ratio (1 is best, larger is worse) and the angles. Definitions follow the Verdict library
-(Stimpson et al., SAND2007-1751), with the radius ratio turned over so that it lies in [0, 1] like the figure in
-Table 1 of Kim, Chen and Hansen 2012.
+All measures are 1 for the equilateral triangle or the regular tetrahedron and 0 for a degenerate
+one, except the aspect ratio and the edge ratio (1 is best, larger is worse) and the angles.
+Definitions follow the Verdict library (Stimpson et al., SAND2007-1751), with the radius ratio
+turned over so that it lies in [0, 1] like the figure in Table 1 of Kim, Chen and Hansen 2012.
 """
 
 from __future__ import annotations
@@ -56,7 +56,8 @@ class TetrahedronQuality:
     radius_ratio: Values
     """Three times the inradius over the circumradius, [0, 1]; the reciprocal of Verdict's."""
     scaled_jacobian: Values
-    """sqrt(2) times the Jacobian over the largest product of the three edges at a vertex, [-1, 1]; 1 is regular."""
+    """sqrt(2) times the Jacobian over the largest product of the three edges at a vertex, [-1, 1];
+    1 is regular."""
     min_dihedral: Values
     """Smallest dihedral angle, degrees."""
     max_dihedral: Values
@@ -100,8 +101,8 @@ def tetrahedron_quality(points: Points, tetrahedra: Cells) -> TetrahedronQuality
     Returns
     -------
     TetrahedronQuality
-        Arrays of shape ``(m,)``. Flat tetrahedra have radius ratio and scaled Jacobian 0, inverted ones a negative
-        volume and a negative scaled Jacobian.
+        Arrays of shape ``(m,)``. Flat tetrahedra have radius ratio and scaled Jacobian 0, inverted
+        ones a negative volume and a negative scaled Jacobian.
     """
     return TetrahedronQuality(*_native.tetrahedron_quality(points, tetrahedra))
 
@@ -149,8 +150,9 @@ def summarize(values: Values, bins: NDArray[np.float64] | None = None) -> dict[s
     Returns
     -------
     dict
-        ``count, min, max, mean, median``, ``percentiles`` by name, and ``histogram`` with ``edges`` and ``counts``.
-        Infinite values (degenerate cells) are left out of the mean and counted in ``infinite``.
+        ``count, min, max, mean, median``, ``percentiles`` by name, and ``histogram`` with ``edges``
+        and ``counts``. Infinite values (degenerate cells) are left out of the mean and counted in
+        ``infinite``.
     """
     found = _native.statistics(values, PERCENTILES, [] if bins is None else bins)
     summary: dict[str, Any] = {"count": int(values.size), "infinite": found["infinite"]}

@@ -59,7 +59,7 @@ def has_scale(history: Any) -> bool:
 
 
 def _voxels(positions: Points, volume: LabelVolume) -> Labels:
-    """Grid indices of the voxels that positions lie in, shape ``(n, 3)``; some may lie outside the grid."""
+    """Grid indices of the voxels of positions, shape ``(n, 3)``; may lie outside."""
     index: Labels = np.round(np.linalg.solve(volume.step, (positions - volume.origin).T).T).astype(np.int64)
     return index
 
@@ -106,7 +106,7 @@ def check_labels(positions: Points, volume: LabelVolume, wanted: list[int] | Non
 
 
 def regions_of(centres: Points, volume: LabelVolume, wanted: list[int] | None) -> Labels:
-    """Label of the voxel that each position lies in, or of the nearest voxel of a wanted label; shape ``(n,)``.
+    """Label of the voxel of each position, or of the nearest wanted voxel.
 
     Parameters
     ----------
@@ -115,7 +115,8 @@ def regions_of(centres: Points, volume: LabelVolume, wanted: list[int] | None) -
     volume
         The labels.
     wanted
-        Those that were meshed, one of them at least in the volume (:func:`check_labels`); all but 0 by default.
+        Those that were meshed, one of them at least in the volume (:func:`check_labels`); all but 0
+        by default.
     """
     inside = np.clip(_voxels(centres, volume), 0, np.array(volume.values.shape) - 1)
     found: Labels = volume.values[tuple(inside.T)].astype(np.int64)
@@ -135,15 +136,16 @@ def regions_of(centres: Points, volume: LabelVolume, wanted: list[int] | None) -
 
 
 def boundary_marks(surface: Surface, points: Points, boundary: Cells) -> Labels:
-    """Say for each triangle of the boundary whether it is :data:`SURFACE` or :data:`CAP`; shape ``(k,)``.
+    """Return :data:`SURFACE` or :data:`CAP` for each triangle of the boundary.
 
     Parameters
     ----------
     surface
         The input, with its own marks.
     points, boundary
-        The boundary of the tetrahedra; a triangle is marked like that of the input nearest to its centre, and where a
-        marked and another one are equally near, like the one whose normal is more like its own.
+        The boundary of the tetrahedra; a triangle is marked like that of the input nearest to its
+        centre, and where a marked and another one are equally near, like the one whose normal is
+        more like its own.
     """
     marks = np.full(len(boundary), SURFACE, dtype=np.int64)
     if surface.cap is None or not surface.cap.any():

@@ -20,16 +20,20 @@ class Shells:
     of_inside: Labels
     """Volume behind each triangle, shape ``(m,)``."""
     of_outside: Labels
-    """Volume before it, shape ``(m,)``; where there is no material below 0, another number for each shell of the outside."""
+    """Volume before it, shape ``(m,)``; where there is no material below 0, another number for each
+    shell of the outside."""
     mixed: int
-    """Wedges between sides of different materials: at such an edge the order of the triangles contradicts their materials."""
+    """Wedges between sides of different materials: at such an edge the order of the triangles
+    contradicts their materials."""
     narrowest: Values
-    """Smallest wedge of each material, degrees, shape ``(t,)``: no tetrahedron there has a wider smallest dihedral angle."""
+    """Smallest wedge of each material, degrees, shape ``(t,)``: no tetrahedron there has a wider
+    smallest dihedral angle."""
     inside_out: int
-    """Shells that bound a cavity which lies in no volume of its material: turned the wrong way round."""
+    """Shells that bound a cavity which lies in no volume of its material: turned the wrong way
+    round."""
 
     def sheets(self) -> tuple[Cells, Labels]:
-        """Pairs of volumes that touch, shape ``(s, 2)``, and the pair of each triangle, shape ``(m,)``.
+        """Pairs of volumes that touch, and the pair of each triangle.
 
         Neither two volumes nor two hollows have the same sheets round them.
         """

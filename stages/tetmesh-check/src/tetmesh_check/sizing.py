@@ -1,9 +1,10 @@
 """The size field h as the background sizing of the tetrahedra.
 
-``sizefield`` writes h on the grid of the distance field. fTetWild wants it on a tetrahedral background mesh, which it
-searches for every vertex. Only the grid cells in and near the object matter, and h varies slowly (its gradient is at
-most the delta of ``sizefield``), so the grid is thinned until the background mesh is small beside the result. Gmsh wants
-it on a grid along the world's axes, which is cheap to search and may have more nodes.
+``sizefield`` writes h on the grid of the distance field. fTetWild wants it on a tetrahedral
+background mesh, which it searches for every vertex. Only the grid cells in and near the object
+matter, and h varies slowly (its gradient is at most the delta of ``sizefield``), so the grid is
+thinned until the background mesh is small beside the result. Gmsh wants it on a grid along the
+world's axes, which is cheap to search and may have more nodes.
 """
 
 from __future__ import annotations
@@ -147,7 +148,8 @@ def background_mesh(field: SizingField, surface: Surface, max_nodes: int = MAX_B
     surface
         The surface of the object, world coordinates.
     max_nodes
-        The grid is thinned to every second, third, ... voxel until no more nodes than this are needed.
+        The grid is thinned to every second, third, ... voxel until no more nodes than this are
+        needed.
 
     Returns
     -------
@@ -169,7 +171,8 @@ def world_grid(field: SizingField, surface: Surface, factor: float, max_nodes: i
     factor
         What the edge lengths are multiplied by.
     max_nodes
-        The spacing is the smallest of the field, or larger where that would take more nodes than this.
+        The spacing is the smallest of the field, or larger where that would take more nodes than
+        this.
     """
     values, origin, spacing = field.grid.world_grid(surface.points, max_nodes)
     return WorldGrid(factor * values, np.array(origin), spacing)

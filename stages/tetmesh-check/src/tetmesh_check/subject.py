@@ -1,4 +1,4 @@
-"""What a run knows of its subject, one object or many materials, and what it measures alike on both."""
+"""The common part of runs for one object and for many materials."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Subject(ABC):
 
     @abstractmethod
     def check_surface(self) -> None:
-        """Refuse a surface or arguments that no tetrahedra can be made of; results of the surface."""
+        """Refuse an invalid surface or arguments; report the surface."""
 
     @abstractmethod
     def fill(self) -> None:
@@ -79,14 +79,14 @@ class Subject(ABC):
 
     @abstractmethod
     def mark(self) -> MarkedMesh:
-        """Find the regions of the tetrahedra and the parts of the boundary; results of the boundary."""
+        """Find regions and parts of the boundary; report the boundary."""
 
     @abstractmethod
     def checks(self) -> list[Check]:
         """Judge what was measured."""
 
     def curve(self, marked: MarkedMesh) -> tuple[MarkedMesh, list[Check]]:
-        """Make the mesh that is exported, and judge it: with quadratic tetrahedra if they are asked for."""
+        """Return the mesh to export, quadratic if asked for, and its checks."""
         return marked, []
 
     def currents(self) -> Forward | None:

@@ -1,4 +1,4 @@
-"""The input surface: read, and refused unless it is a closed, outward, non-crossing triangle mesh."""
+"""Reads the input surface; refuses open, inward or crossing triangles."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ class Surface:
     merged_points: int
     """Vertices that lay exactly on another one and were joined to it."""
     cap: NDArray[np.bool_] | None = None
-    """Whether each triangle lies where the border of the volume cut the object, shape ``(m,)``; ``None`` if nobody says."""
+    """Whether each triangle lies where the border of the volume cut the object, shape ``(m,)``;
+    ``None`` if nobody says."""
     sides: Sides | None = None
     """The materials on both sides of each triangle; ``None`` for the surface of one object."""
     volumes: list[dict[str, Any]] = field(default_factory=list)
@@ -102,7 +103,8 @@ def read_surface(path: Path) -> Surface:
     Raises
     ------
     StageError
-        If it is no surface, empty, has other polygons than triangles, or coordinates that are not finite.
+        If it is no surface, empty, has other polygons than triangles, or coordinates that are not
+        finite.
     """
     dataset = read_dataset(path)
     if not isinstance(dataset, pv.PolyData):

@@ -1,4 +1,4 @@
-"""Volumes of every kind that the stages read, read by the one reader that there is: that of ``distfield``, which writes them as VTK images."""
+"""Volumes of all formats, read by ``isoparticles-volume``."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ class InputVolume:
     """One number a voxel on a regular grid placed in the world that the meshes are written in."""
 
     values: NDArray[Any]
-    """Numbers in the file's own type, shape ``(nx, ny, nz)``; the first layer where there are several."""
+    """Numbers in the file's own type, shape ``(nx, ny, nz)``; the first layer where there are
+    several."""
     step: Points
     """World vectors from a voxel centre to the next along each grid axis, mm; one a column."""
     origin: Points
@@ -45,7 +46,7 @@ class InputVolume:
 
 
 def find_program(name: str) -> Path:
-    """Find the program of a stage: in the folder ``ISOPARTICLES_BIN``, beside the Python interpreter, or in the ``PATH``.
+    """Find a program in ``ISOPARTICLES_BIN``, beside the interpreter or in ``PATH``.
 
     Parameters
     ----------

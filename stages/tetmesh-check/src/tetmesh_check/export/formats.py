@@ -1,4 +1,4 @@
-"""The tetrahedra for other programs: Abaqus and CalculiX, Gmsh, MED, XDMF, VTK, FEBio, openCARP, SimVascular; and their boundary alone."""
+"""Writers of the tetrahedra, or of their boundary, for other programs."""
 
 from __future__ import annotations
 
@@ -52,11 +52,12 @@ def _list(members: Labels) -> str:
 
 
 _ABAQUS_FACE = np.array([3, 4, 2, 1])
-"""Number of the face of a C3D4 that lies opposite its first, second, ... node: S1 is 1-2-3, S2 1-4-2, S3 2-4-3, S4 3-4-1."""
+"""Number of the face of a C3D4 that lies opposite its first, second, ... node: S1 is 1-2-3, S2
+1-4-2, S3 2-4-3, S4 3-4-1."""
 
 
 def _abaqus(mesh: MarkedMesh, path: Path) -> None:
-    """C3D4 or C3D10 elements; ELSET of each region; NSET and SURFACE of each part of the boundary (a point on its rim is in both sets).
+    """Abaqus: an ELSET for each region; an NSET and a SURFACE for each part of the boundary.
 
     The surface of an interface consists of faces of the elements behind it.
     """
@@ -81,12 +82,13 @@ def _abaqus(mesh: MarkedMesh, path: Path) -> None:
 
 
 def _abaqus_nodes(points: Points) -> str:
-    # a field has 20 characters, and CalculiX refuses more: 13 digits with both signs and an exponent are 19
+    # a field has 20 characters, and CalculiX refuses more: 13 digits with both signs and an
+    # exponent are 19
     return _rows(np.column_stack([np.arange(1, len(points) + 1), points]), "%d, %.13g, %.13g, %.13g")
 
 
 def _febio(mesh: MarkedMesh, path: Path) -> None:
-    """FEBio 4.0: tet4 or tet10 elements and a material for each region, to be replaced; a surface for each part of the boundary."""
+    """FEBio 4.0: a placeholder material for each region, a surface for each boundary part."""
 
     def elements(tag: str, first: int, cells: Cells) -> str:
         columns = ",".join(["%d"] * cells.shape[1])
@@ -143,12 +145,12 @@ def _carp_elements(mesh: MarkedMesh, path: Path) -> None:
 
 
 def _carp_fibres(mesh: MarkedMesh, path: Path) -> None:
-    """The fibres of openCARP, one direction an element: x everywhere, since a volume of tissues tells none."""
+    """The fibres of openCARP: x for all elements, because a label map has no fibres."""
     path.write_text("1\n" + "1 0 0\n" * len(mesh.tetrahedra), encoding="ascii")
 
 
 def _vtk(mesh: MarkedMesh, path: Path) -> None:
-    """Legacy VTK 4.2, binary, which more programs read than later ones: tetrahedra with ``region``, points with ``boundary``."""
+    """Legacy VTK 4.2, binary, with ``region`` of cells and ``boundary`` of points."""
     from vtkmodules.vtkIOLegacy import vtkUnstructuredGridWriter
 
     grid = unstructured(mesh)
@@ -175,7 +177,7 @@ def _simvascular_volume(mesh: MarkedMesh, path: Path) -> None:
 
 
 def _simvascular_boundary(mesh: MarkedMesh, path: Path) -> None:
-    """SimVascular's mesh-complete.exterior.vtp: faces by their part of the boundary, and the element behind each."""
+    """SimVascular's exterior.vtp: boundary part and element of each triangle."""
     shown = mesh.outermost()
     used, local = np.unique(mesh.boundary[shown], return_inverse=True)
     surface = to_polydata(mesh.points[used], local.reshape(-1, 3))
@@ -186,9 +188,10 @@ def _simvascular_boundary(mesh: MarkedMesh, path: Path) -> None:
 
 
 def _triangles(mesh: MarkedMesh, path: Path) -> None:
-    """The boundary with ``mark``, ``tetrahedron`` (its owner), ``region`` of that, and ``point`` in the volume mesh.
+    """The boundary with ``mark``, ``tetrahedron`` (its owner), ``region`` and ``point``.
 
-    Of many materials all interfaces: ``region`` is that behind the triangle, ``region_before`` the other.
+    Of many materials all interfaces: ``region`` is that behind the triangle, ``region_before`` the
+    other.
     """
     used, local = np.unique(mesh.boundary, return_inverse=True)
     surface = to_polydata(mesh.points[used], local.reshape(-1, 3))

@@ -1,4 +1,4 @@
-"""The tetrahedra in MED, the format of Salome and Code_Aster (HDF5): regions and parts of the boundary as groups. By meshio and h5py."""
+"""MED, the format of Salome and Code_Aster (HDF5), with regions as groups."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from tetmesh_check.export.mesh import MarkedMesh
 
 _TETRAHEDRON = np.array([0, 2, 1, 3, 6, 5, 4, 7, 9, 8])
-"""Nodes in the order of MED: its tetrahedra (but not its triangles) are wound the other way, and the nodes amid the edges follow."""
+"""Nodes in the order of MED: its tetrahedra (but not its triangles) are wound the other way, and
+the nodes amid the edges follow."""
 
 
 def write_med(mesh: MarkedMesh, path: Path) -> None:

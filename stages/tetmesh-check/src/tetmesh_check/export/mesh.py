@@ -34,15 +34,17 @@ class Materials:
     table: list[dict[str, Any]]
     """What each number stands for, as the surface has it."""
     regions: dict[int, str]
-    """Names of the regions by number, such as every format takes: letters, digits and underscores."""
+    """Names of the regions by number, such as every format takes: letters, digits and
+    underscores."""
     pairs: dict[int, str]
     """Names of the interfaces by mark, both regions' with ``_to_`` between them."""
     before: Labels
-    """Tetrahedron before each triangle of the interfaces, shape ``(k,)``; -1 where the outside is."""
+    """Tetrahedron before each triangle of the interfaces, shape ``(k,)``; -1 where the outside
+    is."""
 
 
 def plain_names(names: list[str], taken: Iterable[str] = RESERVED) -> list[str]:
-    """Write names with letters, digits and underscores alone, no two the same but for the case of letters.
+    """Rewrite names with letters, digits and underscores; all differ, ignoring case.
 
     Parameters
     ----------
@@ -92,17 +94,21 @@ class MarkedMesh:
     tetrahedra: Cells
     """Vertex indices in VTK order, shape ``(m, 4)``."""
     regions: Labels
-    """Label of each tetrahedron, shape ``(m,)``; all 1 where no label volume is given. Of many materials the number of its own."""
+    """Label of each tetrahedron, shape ``(m,)``; all 1 where no label volume is given. Of many
+    materials the number of its own."""
     boundary: Cells
-    """Triangles of the boundary, outward, shape ``(k, 3)``. Of many materials those of all interfaces."""
+    """Triangles of the boundary, outward, shape ``(k, 3)``. Of many materials those of all
+    interfaces."""
     owners: Labels
     """Tetrahedron behind each of them, shape ``(k,)``."""
     marks: Labels
-    """:data:`.SURFACE` or :data:`.CAP`, shape ``(k,)``. Of many materials the number of the pair, from 1 on."""
+    """:data:`.SURFACE` or :data:`.CAP`, shape ``(k,)``. Of many materials the number of the pair,
+    from 1 on."""
     materials: Materials | None = None
     """What is known of many materials; ``None`` for one object."""
     middle: Cells | None = None
-    """Nodes amid the edges of each tetrahedron in VTK order, shape ``(m, 6)``; ``None`` where all edges are straight."""
+    """Nodes amid the edges of each tetrahedron in VTK order, shape ``(m, 6)``; ``None`` where all
+    edges are straight."""
     boundary_middle: Cells | None = None
     """Nodes amid the edges of each triangle of the boundary, shape ``(k, 3)``."""
     labels: list[int] | None = None
@@ -151,7 +157,7 @@ class MarkedMesh:
         return alone
 
     def point_marks(self) -> Labels:
-        """Mark of each point, shape ``(n,)``: 0 inside, else that of its triangles, :data:`.CAP` only where all are.
+        """Mark of each point, shape ``(n,)``: 0 inside, else that of its triangles.
 
         Of many materials it is :data:`.SURFACE` on the boundary of the whole.
         """

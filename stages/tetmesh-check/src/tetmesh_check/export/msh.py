@@ -1,6 +1,7 @@
-"""The tetrahedra in Gmsh's own format, versions 4.1 and 2.2: regions and parts of the boundary as physical groups of their names.
+"""Gmsh 4.1 and 2.2: regions and parts of the boundary as physical groups.
 
-4.1 is written by hand, because meshio leaves out an entity all of whose nodes belong to another, and Gmsh refuses such a file.
+4.1 is written by hand, because meshio leaves out an entity all of whose nodes belong to another,
+and Gmsh refuses such a file.
 """
 
 from __future__ import annotations
@@ -18,16 +19,17 @@ if TYPE_CHECKING:
 _KIND = {3: 2, 6: 9, 4: 4, 10: 11}
 """Gmsh's number of a triangle or tetrahedron, by its nodes."""
 _NODES = np.array([0, 1, 2, 3, 4, 5, 6, 7, 9, 8])
-"""Nodes of a tetrahedron in Gmsh's order: of the last two nodes amid edges VTK has the other one first."""
+"""Nodes of a tetrahedron in Gmsh's order: of the last two nodes amid edges VTK has the other one
+first."""
 
 
 def _numbers(mesh: MarkedMesh) -> tuple[dict[int, str], Labels, dict[int, str], Labels]:
     """Numbers and names of the regions, the number of each tetrahedron; likewise of the boundary.
 
-    Gmsh leaves out groups of a number below 1. Such a region has a number above all regions, and its
-    name tells its label.
-    The parts have numbers above those of the regions, because GetDP does not tell a region from a surface of its number: to each mark
-    is added the first power of ten above all regions, so that with the one region 1 ``surface`` is 11 and ``cap`` 12.
+    Gmsh leaves out groups of a number below 1. Such a region has a number above all regions, and
+    its name tells its label. The parts have numbers above those of the regions, because GetDP does
+    not tell a region from a surface of its number: to each mark is added the first power of ten
+    above all regions, so that with the one region 1 ``surface`` is 11 and ``cap`` 12.
     """
     labels, which = np.unique(mesh.regions, return_inverse=True)
     tags = labels.copy()
@@ -66,7 +68,7 @@ def write_msh2(mesh: MarkedMesh, path: Path) -> None:
 
 
 def write_msh(mesh: MarkedMesh, path: Path) -> None:
-    """Write version 4.1, binary: an entity and a physical group for each region (dimension 3) and each part of the boundary (2).
+    """Write version 4.1, binary: an entity and a group for each region and boundary part.
 
     Parameters
     ----------
@@ -104,7 +106,7 @@ def _tags(*numbers: int) -> bytes:
 
 
 def _entities(mesh: MarkedMesh, parts: list[tuple[int, int, Cells]]) -> bytes:
-    """Each with its box, its one physical group and, as a mesh without geometry has it, nothing that bounds it."""
+    """Each entity with its box and its physical group; without bounding entities."""
     dimensions = [dimension for dimension, _, _ in parts]
     written = [_sizes(0, 0, dimensions.count(2), dimensions.count(3))]
     for _, tag, cells in parts:

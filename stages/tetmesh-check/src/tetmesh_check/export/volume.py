@@ -52,10 +52,11 @@ def write_volume(path: Path, mesh: MarkedMesh, quality: TetrahedronQuality, hist
     path
         A ``.vtu`` file.
     mesh
-        Its points are written in double precision, the regions of its tetrahedra and the marks of its points as data; the table of
-        many materials as a text, ``materials``.
+        Its points are written in double precision, the regions of its tetrahedra and the marks of
+        its points as data; the table of many materials as a text, ``materials``.
     quality
-        Its radius ratio, scaled Jacobian and smallest dihedral angle (degrees) go along as cell data.
+        Its radius ratio, scaled Jacobian and smallest dihedral angle (degrees) go along as cell
+        data.
     history
         What made the file, with which parameters, from what.
     """

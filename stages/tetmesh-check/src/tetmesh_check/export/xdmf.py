@@ -1,7 +1,8 @@
-"""The tetrahedra in XDMF, a pair of files for the elements and one for the boundary: a description in XML, the numbers in HDF5.
+"""XDMF: a description in XML and numbers in HDF5, for elements and boundary.
 
-By h5py: meshio writes points and cells of each pair anew, and FEniCS, which takes the triangles as tags of facets, wants the same points. It
-opens the HDF5 file of the description's own name whatever stands in it.
+By h5py: meshio writes points and cells of each pair anew, and FEniCS, which takes the triangles as
+tags of facets, wants the same points. It opens the HDF5 file of the description's own name whatever
+stands in it.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def elements(mesh: MarkedMesh) -> Grid:
 
 
 def facets(mesh: MarkedMesh) -> Grid:
-    """Triangles of the boundary with their ``mark``, or of the interfaces of many materials with their ``pair``.
+    """Triangles with their ``mark`` or, for many materials, their ``pair``.
 
     Parameters
     ----------

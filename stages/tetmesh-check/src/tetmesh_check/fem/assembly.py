@@ -1,4 +1,4 @@
-"""Stiffness matrices and load vectors on tetrahedra with linear elements, by scikit-fem, in blocks of bounded memory."""
+"""Stiffness matrices and load vectors by scikit-fem, in blocks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ _STIFFNESS_ORDER = 1
 DATA_ORDER = 3
 """Order of quadrature of loads."""
 ERROR_ORDER = 4
-"""Order of quadrature of squared errors: that of linear elements is a square of quadratic polynomials, to first order."""
+"""Order of quadrature of squared errors: that of linear elements is a square of quadratic
+polynomials, to first order."""
 
 
 def _unknowns(points: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -49,7 +50,7 @@ class Assembler:
         self.deadline = deadline
 
     def _blocks(self, vector: bool, order: int, timed: bool = True) -> Iterator[tuple[Labels, Any]]:
-        """Points in use and basis of one block after the other; to scikit-fem each is a mesh of its own."""
+        """Used points and basis of each block; each block is a mesh of its own."""
         element = ElementVector(ElementTetP1()) if vector else ElementTetP1()
         for start in range(0, len(self.tetrahedra), BLOCK):
             if timed and time.monotonic() > self.deadline:
@@ -89,10 +90,10 @@ class Assembler:
         return total
 
     def elastic_stiffness(self, shear: float, lame: float) -> Any:
-        """Assemble the stiffness of isotropic linear elasticity, ``2 shear sym grad u : sym grad v + lame div u div v``.
+        """Assemble the stiffness matrix of isotropic linear elasticity.
 
-        Its blocks of 3 x 3 are made of the products of the gradients of two hat functions, which takes a tenth of the time of a
-        form of vector fields.
+        Its blocks of 3 x 3 are made of the products of the gradients of two hat functions, which
+        takes a tenth of the time of a form of vector fields.
 
         Parameters
         ----------
@@ -158,7 +159,7 @@ class Assembler:
 
 
 def held_at_one_side(tetrahedra: Cells, heights: Values, bodies: Labels, share: float) -> NDArray[np.bool_]:
-    """Mark the tetrahedra at the lower end of every body, so that none can move or turn; shape ``(m,)``.
+    """Mark the tetrahedra at the lower end of each body; shape ``(m,)``.
 
     Parameters
     ----------

@@ -1,10 +1,12 @@
-"""The potential that a current in one of many materials makes in all of them: the forward problem of electrocardiography in short.
+"""The potential of a current in one material: the forward problem of electrocardiography.
 
-A density J of impressed current flows in one material, as that of an excited heart, and every material conducts with a constant sigma of its
-own: div(J - sigma grad u) = 0, with no current through the boundary of the whole (Gulrajani, "Bioelectricity and Biomagnetism", 1998, chapter
-5). What leaves a material must enter its neighbours. The current through a part of the surface of a material is taken as the finite elements
-have it, from the equations of the vertices there: the sum over all of them is zero but for the error of the solver, on any mesh. The
-currents on both sides of a triangle, from the gradients alone, differ by the error of the elements, which falls with h.
+A density J of impressed current flows in one material, as that of an excited heart, and every
+material conducts with a constant sigma of its own: div(J - sigma grad u) = 0, with no current
+through the boundary of the whole (Gulrajani, "Bioelectricity and Biomagnetism", 1998, chapter 5).
+What leaves a material must enter its neighbours. The current through a part of the surface of a
+material is taken as the finite elements have it, from the equations of the vertices there: the sum
+over all of them is zero but for the error of the solver, on any mesh. The currents on both sides of
+a triangle, from the gradients alone, differ by the error of the elements, which falls with h.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ from tetmesh_check.topology import members_of
 DEFAULT_CONDUCTIVITY = 1.0
 """Of a material that the user does not name, S/m."""
 MAX_IMBALANCE = 1e-6
-"""Largest share of the current through the surface of a material that may be lost or gained there."""
+"""Largest share of the current through the surface of a material that may be lost or gained
+there."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +146,7 @@ def resolve_source(arguments: ForwardArguments, sides: Sides | None) -> Source |
 
 
 def _hat_gradients(points: Points, tetrahedra: Cells) -> tuple[Values, Values]:
-    """Gradient of the hat function of each corner times the volume, mm^2, shape ``(m, 4, 3)``; and the volumes, mm^3."""
+    """Gradients of the hat functions times the volume, mm^2, and volumes, mm^3."""
     corners = points[tetrahedra]
     gradients = np.empty((len(tetrahedra), 4, 3))
     for face in OUTWARD_FACES:
@@ -177,8 +180,9 @@ def potential_of(
     Returns
     -------
     tuple
-        Potential at the points, mV, with mean zero over the volume of every part that hangs together, shape ``(n,)``; current density in
-        the tetrahedra, uA/mm^2, shape ``(m, 3)``; figures of the solver, and whether it converged.
+        Potential at the points, mV, with mean zero over the volume of every part that hangs
+        together, shape ``(n,)``; current density in the tetrahedra, uA/mm^2, shape ``(m, 3)``;
+        figures of the solver, and whether it converged.
     """
     points, tetrahedra = assembler.points, assembler.tetrahedra
     sigma = source.conductivity[regions]
@@ -201,7 +205,7 @@ def potential_of(
 
 
 def _balance(points: Points, tetrahedra: Cells, current: Values, mesh: RegionMesh) -> list[dict[str, Any]]:
-    """Currents through the closed surface of each material, by the equations of the vertices on it."""
+    """Currents through the surface of each material, from the equations there."""
     gradients, _volumes = _hat_gradients(points, tetrahedra)
     share = np.einsum("ikj,ij->ik", gradients, current)
     count = len(mesh.names)
@@ -258,15 +262,17 @@ def forward(assembler: Assembler, problem: Forward, solver: Solver) -> tuple[dic
     Returns
     -------
     tuple
-        Figures, and whether the solver converged. ``imbalance`` is the largest net current through the closed surface of a material over
-        the current that passes there; ``interfaces`` has for each pair the net current from the inside to the outside, what
-        passes either way, and ``jump_ua``, the difference between both sides summed over the triangles.
+        Figures, and whether the solver converged. ``imbalance`` is the largest net current through
+        the closed surface of a material over the current that passes there; ``interfaces`` has for
+        each pair the net current from the inside to the outside, what passes either way, and
+        ``jump_ua``, the difference between both sides summed over the triangles.
     """
     mesh, source = problem.mesh, problem.source
     points, tetrahedra = assembler.points, assembler.tetrahedra
     potential, current, figures, converged = potential_of(assembler, mesh.regions, source, solver)
     balances = _balance(points, tetrahedra, current, mesh)
-    # a material in which nothing flows has nothing to lose: what passes the source is the scale of all
+    # a material in which nothing flows has nothing to lose: what passes the source is the scale of
+    # all
     scale = max((entry["passing_ua"] for entry in balances), default=0.0)
     weight = _hat_gradients(points, tetrahedra)[1]
     middle = potential[tetrahedra].mean(axis=1)

@@ -1,8 +1,9 @@
-"""Three problems solved on the tetrahedra with linear elements: what 'fit for simulation' means in numbers.
+"""Three test problems with linear elements.
 
-Poisson's equation with a known solution says whether the mesh approximates as it should; linear elasticity and the
-conduction of currents in anisotropic tissue (the elliptic half of the bidomain equations, Keener and Sneyd, "Mathematical
-Physiology", 2009, chapter 12) say whether a solver has an easy time with it.
+Poisson's equation with a known solution says whether the mesh approximates as it should; linear
+elasticity and the conduction of currents in anisotropic tissue (the elliptic half of the bidomain
+equations, Keener and Sneyd, "Mathematical Physiology", 2009, chapter 12) say whether a solver has
+an easy time with it.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ POISSON_RATIO = 0.4
 WEIGHT = 1060.0e-9 * 9.81
 """Weight of muscle, N/mm^3."""
 LINEAR_SHARE = 0.01
-"""Displacement over the diagonal of the bounding box up to which linear elasticity is trusted: rotations that it leaves out are of second
-order, 1e-4 here."""
+"""Displacement over the diagonal of the bounding box up to which linear elasticity is trusted:
+rotations that it leaves out are of second order, 1e-4 here."""
 CLAMPED_SHARE = 0.1
 """Share of the length of each body that is held."""
 _SIDES = tuple((axis, sign) for axis in range(3) for sign in (1.0, -1.0))
@@ -39,7 +40,7 @@ def _gradients(u: Any, v: Any, _w: Any) -> Any:
 
 
 class _Wave:
-    """A product of sines, one period long over the longest side of the object, and its derivatives."""
+    """A product of sines with one period along the longest side, and its derivatives."""
 
     def __init__(self, points: Values) -> None:
         low, high = points.min(axis=0), points.max(axis=0)
@@ -77,9 +78,10 @@ def poisson(assembler: Assembler, boundary: NDArray[np.bool_], solver: Solver) -
     Returns
     -------
     tuple
-        Figures, and whether the solver converged. ``best_approximation`` is the error of the gradient over that of the
-        interpolated exact solution: at most 1 on any mesh by Cea's lemma, but for the quadrature of the load, so that it
-        says whether the solution is right and nothing about the mesh.
+        Figures, and whether the solver converged. ``best_approximation`` is the error of the
+        gradient over that of the interpolated exact solution: at most 1 on any mesh by Cea's lemma,
+        but for the quadrature of the load, so that it says whether the solution is right and
+        nothing about the mesh.
     """
     wave = _Wave(assembler.points)
     exact = wave.value(assembler.points.T)
@@ -120,11 +122,13 @@ def poisson(assembler: Assembler, boundary: NDArray[np.bool_], solver: Solver) -
 
 
 def elasticity(assembler: Assembler, volumes: Values, bodies: Labels, solver: Solver) -> tuple[dict[str, Any], bool]:
-    """Clamp the organ at one side and let its own weight pull it away from there, as much of it as linear theory can bear.
+    """Clamp the organ at one side and pull it by a share of its own weight.
 
-    In the body an organ is carried by what surrounds it. Held at one side alone, soft tissue would sag by more than its own size, of
-    which linear theory knows nothing. The solution is proportional to the load, hence ``load_share`` of the weight is what moves it by
-    :data:`LINEAR_SHARE` of its size (all of it, where that moves it less), and displacement, energy, work and reaction are those of this load.
+    In the body an organ is carried by what surrounds it. Held at one side alone, soft tissue would
+    sag by more than its own size, of which linear theory knows nothing. The solution is
+    proportional to the load, hence ``load_share`` of the weight is what moves it by
+    :data:`LINEAR_SHARE` of its size (all of it, where that moves it less), and displacement,
+    energy, work and reaction are those of this load.
 
     Parameters
     ----------
@@ -133,8 +137,8 @@ def elasticity(assembler: Assembler, volumes: Values, bodies: Labels, solver: So
     volumes
         Of each tetrahedron, mm^3, shape ``(m,)``.
     bodies
-        Body of each tetrahedron, shape ``(m,)``; every body is clamped, all at the same one of the six sides along the axes:
-        the one where most of the matter is held.
+        Body of each tetrahedron, shape ``(m,)``; every body is clamped, all at the same one of the
+        six sides along the axes: the one where most of the matter is held.
     solver
         How the system is solved.
     """
@@ -180,7 +184,7 @@ def elasticity(assembler: Assembler, volumes: Values, bodies: Labels, solver: So
 
 
 def _fibres(x: Any, centre: Values, along: Values, radius: float) -> Any:
-    """Unit fibre directions: helices round the long axis, from +60 degrees at the axis to -60 at the farthest point."""
+    """Unit fibre directions: helices from +60 degrees at the axis to -60 outside."""
     out = np.moveaxis(x, 0, -1) - centre
     out -= (out @ along)[..., None] * along
     distance = np.linalg.norm(out, axis=-1, keepdims=True)
@@ -191,10 +195,11 @@ def _fibres(x: Any, centre: Values, along: Values, radius: float) -> Any:
 
 
 def conduction(assembler: Assembler, solver: Solver) -> tuple[dict[str, Any], bool]:
-    """Find the extracellular potential of a wave front of excitation in insulated tissue with fibres.
+    """Find the extracellular potential of a wave front in tissue with fibres.
 
-    div((sigma_i + sigma_e) grad phi) = -div(sigma_i grad V) with no current through the boundary, for a front across
-    the middle of the object. It has a solution up to a constant in every part that hangs together.
+    div((sigma_i + sigma_e) grad phi) = -div(sigma_i grad V) with no current through the boundary,
+    for a front across the middle of the object. It has a solution up to a constant in every part
+    that hangs together.
 
     Parameters
     ----------

@@ -100,7 +100,7 @@ def _conserved(done: dict[str, dict[str, Any]]) -> list[Check]:
 def _solve_all(
     problems: dict[str, Callable[[], tuple[dict[str, Any], bool]]], seconds: float, context: Context
 ) -> tuple[dict[str, dict[str, Any]], list[str], dict[str, str]]:
-    """Solve in turn; return figures by problem, the problems that did not converge, and why others have no figures."""
+    """Solve in turn; return figures, unconverged problems, and unfinished ones."""
     done: dict[str, dict[str, Any]] = {}
     stuck: list[str] = []
     unfinished: dict[str, str] = {}

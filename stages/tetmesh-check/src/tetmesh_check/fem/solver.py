@@ -24,9 +24,9 @@ dominate this norm, so it is smaller than the error of 1e-8 that the solution ne
 MAX_MULTIGRID_ITERATIONS = 500
 """Of conjugate gradients with multigrid; a good mesh takes 10 to 50."""
 STRENGTH = 0.03
-"""Weaker entries, relative to the root of the product of both diagonal entries, do not join unknowns
-to an aggregate. Elasticity of a heart (568,806 unknowns): 37 iterations with 0, 24 with 0.03, 26
-with 0.05."""
+"""Weaker entries, relative to the root of the product of both diagonal entries, do not join
+unknowns to an aggregate. Elasticity of a heart (568,806 unknowns): 37 iterations with 0, 24 with
+0.03, 26 with 0.05."""
 COARSEST = 300
 """Unknowns below which a level is solved directly; PyAMG's own default is 10 for one field."""
 _SEED = 1

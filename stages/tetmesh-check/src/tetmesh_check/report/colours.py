@@ -13,16 +13,16 @@ PALETTE = [
 ]  # fmt: skip
 """Okabe and Ito's seven colours (2008), and 13 more, each the farthest from those before it.
 
-Distances are those of CIELAB for normal vision, protanopia, deuteranopia and tritanopia (Machado et al. 2009), of which
-the smallest counts: 16.0 among the first seven, 13.9 among all. ``tests/test_colours.py`` measures them.
-"""
+Distances are those of CIELAB for normal vision, protanopia, deuteranopia and tritanopia (Machado et
+al. 2009), of which the smallest counts: 16.0 among the first seven, 13.9 among all.
+``tests/test_colours.py`` measures them."""
 
 
 def material_colours(count: int, sides: ArrayLike = ()) -> NDArray[np.uint8]:
-    """Return the colours of materials by number, bytes, shape ``(count, 3)``; the outside (0) is black.
+    """Return the colours of materials by number, bytes, shape ``(count, 3)``.
 
-    All colours differ. More materials than :data:`PALETTE` has colours share them with changes that the eye does not see,
-    but neighbours get different ones as far as possible.
+    All colours differ. More materials than :data:`PALETTE` has colours share them with changes that
+    the eye does not see, but neighbours get different ones as far as possible.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def material_colours(count: int, sides: ArrayLike = ()) -> NDArray[np.uint8]:
 
 
 def distinct(colours: list[str]) -> NDArray[np.uint8]:
-    """Return colours as bytes, shape ``(n, 3)``; repeated ones are changed by as little as makes all differ.
+    """Return colours as bytes, shape ``(n, 3)``, changed slightly where they repeat.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A cut through the middle of a volume mesh, along faces of whole tetrahedra: for the picture and for the page."""
+"""A cut through the middle of a volume mesh, along faces of tetrahedra."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Cut:
 
 
 def cut_through_the_middle(points: Points, tetrahedra: Cells) -> Cut:
-    """Cut across the shortest side of the object, so that as many tetrahedra lie before the cut as behind it.
+    """Cut across the shortest side of the object, at the median of the tetrahedra.
 
     Parameters
     ----------

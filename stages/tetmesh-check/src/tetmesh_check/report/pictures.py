@@ -1,7 +1,7 @@
-"""Pictures of the result: ``python -m tetmesh_check.report.pictures JOB.json`` draws, :class:`Drawing` has it drawn.
+"""Pictures of the result, drawn by separate processes.
 
-Drawing happens in processes of its own because VTK may end them where it finds no renderer (see :mod:`.rendering`), and so that the rest
-of the work goes on beside it.
+Drawing happens in processes of its own because VTK may end them where it finds no renderer (see
+:mod:`.rendering`), and so that the rest of the work goes on beside it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ _BAR = 170
 _INK = "#7d858e"
 """Colour of words: legible on white and on black, because what is round the mesh is transparent."""
 _SPREAD = 1.0
-"""Percentile at the lower end of the colours: the few worst do not decide what all others look like."""
+"""Percentile at the lower end of the colours: the few worst do not decide what all others look
+like."""
 _VIEW = np.array([0.55, -0.75, 0.37])
 """From the object towards the eye."""
 _UP = (0.0, 0.0, 1.0)
@@ -74,7 +75,7 @@ class PictureJob:
 
 
 class Drawing:
-    """Pictures while they are drawn, by processes beside this one; leaving the context ends those that are still at it.
+    """Pictures that other processes draw; leaving the context ends these.
 
     Parameters
     ----------
@@ -125,7 +126,8 @@ class Drawing:
         Returns
         -------
         tuple
-            The file names of the pictures that are there, and for each that is not, by its name, the reason.
+            The file names of the pictures that are there, and for each that is not, by its name,
+            the reason.
         """
         drawn = set()
         for wanted, process in self._processes:
@@ -177,7 +179,7 @@ def _plotter(height: int = _WINDOW[1]) -> Any:
 
 
 def _look(plotter: Any, focus: Any, towards_eye: Any, height: float, up: Any = _UP) -> None:
-    """Look at a point without perspective, so that triangles of one size look alike near and far."""
+    """Look at a point without perspective, so that sizes can be compared."""
     direction = np.asarray(towards_eye) / np.linalg.norm(towards_eye)
     plotter.camera.focal_point = tuple(focus)
     plotter.camera.position = tuple(np.asarray(focus) + 10.0 * height * direction)
@@ -330,7 +332,7 @@ def _edge_length(points: Any, cells: Any) -> float:
 
 
 def _cut_of(volume: Any) -> tuple[Any, Any, Any]:
-    """Triangles on the outside of the farther half, the cut itself, and the edge length of the tetrahedra, mm."""
+    """The farther half, the cut, and the edge length of the tetrahedra, mm."""
     import pyvista as pv
 
     from tetmesh_check.polydata import to_polydata
@@ -477,7 +479,8 @@ def _main(description: Path) -> None:
     surface, volume = pv.read(job["surface"]), pv.read(job["volume"])
     folder = Path(job["folder"])
     failed = []
-    # the histogram first: it needs no renderer and is kept if one of the others brings the process down
+    # the histogram first: it needs no renderer and is kept if one of the others brings the process
+    # down
     for picture in sorted(job["pictures"], key=lambda name: name in _RENDERED):
         target = folder / f"{job['name']}.{picture}.png"
         part = folder / f"part.{picture}.png"

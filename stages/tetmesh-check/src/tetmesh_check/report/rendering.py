@@ -1,7 +1,8 @@
-"""A way to draw without a screen, found by trying; ``python -m tetmesh_check.report.rendering`` tells whether there is one.
+"""Finds an off-screen renderer: ``python -m tetmesh_check.report.rendering``.
 
-VTK looks for its renderer (GLX, EGL, OSMesa) at run time and may end the whole process with a segmentation fault when
-it finds none. Everything that draws therefore runs in a process of its own, with the environment found here.
+VTK looks for its renderer (GLX, EGL, OSMesa) at run time and may end the whole process with a
+segmentation fault when it finds none. Everything that draws therefore runs in a process of its own,
+with the environment found here.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import sys
 from collections.abc import Iterator
 
 _PROBE_SECONDS = 60.0
-_PROBE = """
+_PROBE ="""
 import vtkmodules.vtkRenderingOpenGL2
 from vtkmodules.vtkRenderingCore import vtkRenderWindow, vtkRenderer, vtkWindowToImageFilter
 window = vtkRenderWindow()

@@ -1,8 +1,8 @@
-"""HXT, the parallel Delaunay tetrahedralizer of Gmsh: keeps the triangles of the surface exactly as they are.
+"""HXT, the parallel Delaunay tetrahedralizer of Gmsh.
 
-Marot, Pellerin and Remacle, "One machine, one minute, three billion tetrahedra" (2019), and the optimization of Marot
-and Remacle, "Quality tetrahedral mesh generation with HXT" (2020). Gmsh is GPL-2.0-or-later and an optional package: it
-is imported in the worker's process only.
+Marot, Pellerin and Remacle, "One machine, one minute, three billion tetrahedra" (2019), and the
+optimization of Marot and Remacle, "Quality tetrahedral mesh generation with HXT" (2020). Gmsh is
+GPL-2.0-or-later and an optional package: it is imported in the worker's process only.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ from tetmesh_check.surface import Surface
 from tetmesh_check.tets.worker import TimeLimit, Worker, WorkerResult, run_worker
 
 OPTIMIZE_THRESHOLD = 0.4
-"""HXT improves the tetrahedra whose quality (1 is regular) is below this. A heart of 54,859 vertices: 0.35 takes 1.5 s for a
-smallest dihedral angle of 15.4 degrees, 0.4 takes 2.2 s for 17.0, 0.45 takes 7 s and 0.5 43 s for no larger angle
-(before :data:`LENGTH_FACTOR`)."""
+"""HXT improves the tetrahedra whose quality (1 is regular) is below this. A heart of 54,859
+vertices: 0.35 takes 1.5 s for a smallest dihedral angle of 15.4 degrees, 0.4 takes 2.2 s for 17.0,
+0.45 takes 7 s and 0.5 43 s for no larger angle (before :data:`LENGTH_FACTOR`)."""
 
 LENGTH_FACTOR = 0.66
-"""What the edge lengths are multiplied by for HXT, which drops new vertices that are nearer than that to another: without this,
-the edges came out 1.36 to 1.41 times as long as asked for; with it, 1.00 to 1.02 times (medians of four surfaces)."""
+"""What the edge lengths are multiplied by for HXT, which drops new vertices that are nearer than
+that to another: without this, the edges came out 1.36 to 1.41 times as long as asked for; with it,
+1.00 to 1.02 times (medians of four surfaces)."""
 
 WORKER = Worker(
     name="HXT",
@@ -56,7 +57,8 @@ class HxtSettings:
     optimize_threshold: float = OPTIMIZE_THRESHOLD
     """See :data:`OPTIMIZE_THRESHOLD`."""
     algorithm: str = "hxt"
-    """Or ``delaunay``, Gmsh's older one, for complexes: slower, and it takes some that HXT does not."""
+    """Or ``delaunay``, Gmsh's older one, for complexes: slower, and it takes some that HXT does
+    not."""
 
 
 def fill_by_hxt(

@@ -1,4 +1,4 @@
-"""The process that Gmsh's HXT runs in: ``python -m tetmesh_check.tets.hxt_worker JOB.npz RESULT.npz``."""
+"""The process of HXT: ``python -m tetmesh_check.tets.hxt_worker JOB RESULT``."""
 
 from __future__ import annotations
 
@@ -38,14 +38,16 @@ def write_structured_field(path: Path, values: Any, origin: Any, spacing: float)
 def _set_options(gmsh: Any, settings: dict[str, Any], extends: bool) -> None:
     for name, value in {
         "General.Terminal": 1,
-        # One thread gives the same bytes however many the machine has. With more, the result depends on their number even
-        # with Mesh.Reproducible, and Gmsh failed to read the background field on a surface of several bodies.
+        # One thread gives the same bytes however many the machine has. With more, the result
+        # depends on their number even with Mesh.Reproducible, and Gmsh failed to read the
+        # background field on a surface of several bodies.
         "General.NumThreads": 1,
         "Mesh.Algorithm3D": _ALGORITHMS[settings["algorithm"]],
         "Mesh.OptimizeThreshold": settings["optimize_threshold"],
-        # The background field alone says how large the tetrahedra of one object are. Where sheets of many materials meet, triangles
-        # may be far smaller than it: what stands on them is to be as small, and to grow from there. The chest of thorax_labels at
-        # 3 mm has 284 scaled Jacobians below 0.05 in place of 748 by that, and 0.1 % more vertices.
+        # The background field alone says how large the tetrahedra of one object are. Where sheets
+        # of many materials meet, triangles may be far smaller than it: what stands on them is to be
+        # as small, and to grow from there. The chest of thorax_labels at 3 mm has 284 scaled
+        # Jacobians below 0.05 in place of 748 by that, and 0.1 % more vertices.
         "Mesh.MeshSizeExtendFromBoundary": int(extends),
         "Mesh.MeshSizeFromPoints": 0,
         "Mesh.MeshSizeFromCurvature": 0,
@@ -56,7 +58,7 @@ def _set_options(gmsh: Any, settings: dict[str, Any], extends: bool) -> None:
 
 
 def _add_volumes(gmsh: Any, arrays: dict[str, Any]) -> list[int]:
-    """Hand over the surface, one discrete surface a component, and one volume a body; returns their tags."""
+    """Add a discrete surface for each component; return the tags of the bodies."""
     points, triangles, labels = arrays["points"], arrays["triangles"], arrays["labels"]
     order = np.argsort(labels, kind="stable")
     loops = []
@@ -77,10 +79,10 @@ def _add_volumes(gmsh: Any, arrays: dict[str, Any]) -> list[int]:
 
 
 def _add_regions(gmsh: Any, arrays: dict[str, Any]) -> list[int]:
-    """Hand over a complex, one discrete surface a sheet, and one volume for those round it; returns their tags.
+    """Add a discrete surface for each interface sheet; return the tags of the volumes.
 
-    Sheets share the vertices on their rims: each is handed over once, by the first sheet that has it. Two volumes never have the
-    same sheets, by which Gmsh knows what lies in which.
+    Sheets share the vertices on their rims: each is handed over once, by the first sheet that has
+    it. Two volumes never have the same sheets, by which Gmsh knows what lies in which.
     """
     points, triangles, sheet, bounds = arrays["points"], arrays["triangles"], arrays["sheet"], arrays["bounds"]
     order = np.argsort(sheet, kind="stable")
@@ -112,9 +114,10 @@ def fill(gmsh: Any, arrays: dict[str, Any], settings: dict[str, Any]) -> tuple[A
     gmsh
         The library.
     arrays
-        ``points, triangles``; ``labels`` (component of each triangle); ``bodies`` (for each component the number of the
-        one round its body), or for a complex ``sheet`` (that of each triangle) and ``bounds`` (the two volumes of each sheet, below 0
-        for none); ``sizing, sizing_origin, sizing_spacing`` (edge lengths on a grid).
+        ``points, triangles``; ``labels`` (component of each triangle); ``bodies`` (for each
+        component the number of the one round its body), or for a complex ``sheet`` (that of each
+        triangle) and ``bounds`` (the two volumes of each sheet, below 0 for none); ``sizing,
+        sizing_origin, sizing_spacing`` (edge lengths on a grid).
     settings
         Those of :class:`.HxtSettings`.
 

@@ -1,7 +1,8 @@
-"""TetGen: keeps the triangles of the surface exactly as they are, and refines the inside by the shape of the tetrahedra.
+"""TetGen: keeps the triangles of the surface.
 
-Si, "TetGen, a Delaunay-based quality tetrahedral mesh generator" (2015). TetGen is AGPL-3.0-or-later and an optional
-package that setup-env.sh never installs: it is chosen by hand only, and imported in the worker's process only.
+Si, "TetGen, a Delaunay-based quality tetrahedral mesh generator" (2015). TetGen is
+AGPL-3.0-or-later and an optional package that setup-env.sh never installs: it is chosen by hand
+only, and imported in the worker's process only.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ MAX_RADIUS_EDGE_RATIO = 1.414
 MIN_DIHEDRAL = 10.0
 """Smallest dihedral angle aimed at, degrees, where the surface allows it."""
 _NEAR = 1e-3
-"""How far into a cavity the point lies that tells of it, over the length of the triangle that it lies before."""
+"""How far into a cavity the point lies that tells of it, over the length of the triangle that it
+lies before."""
 
 WORKER = Worker(
     name="TetGen",
@@ -43,7 +45,8 @@ class TetgenSettings:
     """What TetGen is told."""
 
     max_volume: float
-    """Largest volume of a tetrahedron aimed at, mm^3; its optimization at the end may make them larger."""
+    """Largest volume of a tetrahedron aimed at, mm^3; its optimization at the end may make them
+    larger."""
     max_radius_edge_ratio: float = MAX_RADIUS_EDGE_RATIO
     min_dihedral: float = MIN_DIHEDRAL
 
@@ -60,7 +63,7 @@ def regular_volume(edge_length: float) -> float:
 
 
 def cavity_points(surface: Surface, components: Components) -> Points:
-    """Find a point in every cavity, just before the middle of its largest triangle; shape ``(k, 3)``, mm.
+    """Find a point in every cavity, near its largest triangle; shape ``(k, 3)``, mm.
 
     Parameters
     ----------

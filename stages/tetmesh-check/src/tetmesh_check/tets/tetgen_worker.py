@@ -1,4 +1,4 @@
-"""The process that TetGen runs in: ``python -m tetmesh_check.tets.tetgen_worker JOB.npz RESULT.npz``."""
+"""The process of TetGen: ``python -m tetmesh_check.tets.tetgen_worker JOB RESULT``."""
 
 from __future__ import annotations
 

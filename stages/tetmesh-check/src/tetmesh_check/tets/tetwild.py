@@ -1,4 +1,4 @@
-"""fTetWild: fills any surface, within an envelope of it, by optimizing a background triangulation step by step."""
+"""fTetWild: fills any surface, within an envelope of it."""
 
 from __future__ import annotations
 
@@ -34,9 +34,11 @@ class TetwildSettings:
     """What fTetWild is told."""
 
     epsilon: float
-    """Largest distance of the new boundary from the surface over the diagonal of the bounding box."""
+    """Largest distance of the new boundary from the surface over the diagonal of the bounding
+    box."""
     edge_length: float
-    """Edge length where the background says nothing, mm; not below any of its values (fTetWild only refines from it)."""
+    """Edge length where the background says nothing, mm; not below any of its values (fTetWild only
+    refines from it)."""
     stop_energy: float
     """Optimization stops at this largest AMIPS energy (3 is regular, larger is worse)."""
     max_passes: int

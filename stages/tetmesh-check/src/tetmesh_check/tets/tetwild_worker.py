@@ -1,4 +1,4 @@
-"""The process that fTetWild runs in: ``python -m tetmesh_check.tets.tetwild_worker JOB.npz RESULT.npz``."""
+"""The process of fTetWild: ``python -m tetmesh_check.tets.tetwild_worker JOB RESULT``."""
 
 from __future__ import annotations
 

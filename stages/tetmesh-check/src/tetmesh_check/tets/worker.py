@@ -1,8 +1,9 @@
-"""A tetrahedralizer in a process of its own: with progress, a time limit, its log kept, and a clean end however it ends.
+"""A tetrahedralizer in a separate process, with progress, a time limit and a log.
 
-Tetrahedralizers are native code that may run for hours, crash, or take all memory; none of that may take this program
-with it. This file holds both ends of the way there and back: :func:`run_worker` writes ``job.npz``, starts
-``python -m MODULE job.npz result.npz`` and reads the result; that module calls :func:`serve`.
+Tetrahedralizers are native code that may run for hours, crash, or take all memory; none of that may
+take this program with it. This file holds both ends of the way there and back: :func:`run_worker`
+writes ``job.npz``, starts ``python -m MODULE job.npz result.npz`` and reads the result; that module
+calls :func:`serve`.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ from tetmesh_check.files import temporary_error, temporary_folder
 from tetmesh_check.quality import Cells, Points
 
 Fill = Callable[[Any, dict[str, Any], dict[str, Any]], tuple[Any, Any]]
-"""What a worker does: from its library, the arrays and the settings of the job to points and tetrahedra."""
+"""What a worker does: from its library, the arrays and the settings of the job to points and
+tetrahedra."""
 
 _POLL_SECONDS = 0.05
 _GRACE_SECONDS = 2.0
@@ -270,7 +272,8 @@ def run_worker(
     Raises
     ------
     StageError
-        If it crashes, fails, returns nothing, or takes longer than its limit; the process is ended then.
+        If it crashes, fails, returns nothing, or takes longer than its limit; the process is ended
+        then.
     """
     with temporary_folder("tetmesh-check-") as folder:
         job, result = folder / "job.npz", folder / "result.npz"
@@ -314,7 +317,8 @@ def serve(library: str, fill: Fill) -> None:
     Parameters
     ----------
     library
-        The Python package to import; the process ends with a code of its own if that cannot be done.
+        The Python package to import; the process ends with a code of its own if that cannot be
+        done.
     fill
         What does the work.
     """

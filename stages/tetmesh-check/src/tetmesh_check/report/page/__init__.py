@@ -1,1 +1,1 @@
-"""What people read: one self-contained page a case (``tetmesh-check-page``), and an index over many (``tetmesh-check-index``)."""
+"""The page of a case (``tetmesh-check-page``), and the index of many."""

@@ -1,7 +1,7 @@
-"""What is known about a case: its status, and what the status lists: reports, passes of the particles, meshes and pictures.
+"""The status of a case, and the files that it lists.
 
-``NAME.status.json`` says what the last run made or confirmed. Nothing is looked for beside it: a file that it does not list may be of
-an earlier run, whatever its name.
+``NAME.status.json`` says what the last run made or confirmed. Nothing is looked for beside it: a
+file that it does not list may be of an earlier run, whatever its name.
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ class Stage:
 
     name: str
     state: str
-    """``done``, ``failed`` (a check did), ``error``, ``interrupted``, ``running``, ``stale`` or ``not reached``."""
+    """``done``, ``failed`` (a check did), ``error``, ``interrupted``, ``running``, ``stale`` or
+    ``not reached``."""
     seconds: float | None = None
     command: str = ""
     outputs: tuple[str, ...] = ()
@@ -163,7 +164,7 @@ class Case:
 
     @property
     def kind(self) -> str:
-        """``pass``, ``warning``, ``fail`` or ``neutral``; a case that passed with warnings is a warning."""
+        """``pass``, ``warning`` (also passed with warnings), ``fail`` or ``neutral``."""
         kind = _KINDS.get(self.verdict, "fail")
         return "warning" if kind == "pass" and self.warnings else kind
 
@@ -194,14 +195,15 @@ class Case:
         return f"{fit}: all {len(self.checks)} checks passed" if self.checks else f"{fit}: no warnings"
 
     def outputs(self, stage: str, ending: str) -> Iterator[Path]:
-        """Find files of a stage that the status lists and that are there, by the ending of their names.
+        """Find existing files of a stage, listed by the status, by the end of their names.
 
         Parameters
         ----------
         stage
             The stage that made them.
         ending
-            As in ``.surface.vtp``; a result that was set aside because a check failed ends in ``.surface.failed.vtp``.
+            As in ``.surface.vtp``; a result that was set aside because a check failed ends in
+            ``.surface.failed.vtp``.
         """
         stem, dot, suffix = ending.rpartition(".")
         aside = f"{stem}.failed{dot}{suffix}"

@@ -38,7 +38,7 @@ class Axis:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Write a number for people: whole numbers and those from 1000 on without decimals, others with few digits.
+    """Write a number for people, with few digits, and without decimals from 1000 on.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class _Frame:
         return "".join(parts)
 
     def mark(self, kind: str, value: float, words: str, row: int) -> tuple[str, str]:
-        """A line, and its words, which stand in a row of their own over the plot and are drawn over all lines."""
+        """A line, and its label in a row of its own over the plot."""
         x = self.x(min(max(value, self._x[0]), self._x[1]))
         y = _TOP + _ROW * row
         right = x < 0.5 * _WIDTH
@@ -146,9 +146,10 @@ def histogram(
     second: bool = False,
     beyond: int = 0,
 ) -> str:
-    """Draw how many things have which measure, with named lines at the mean, at the worst value and at the limit of the check.
+    """Draw a histogram with lines at the mean, the worst value and the limit.
 
-    The counts go up in powers of ten: the few worst triangles are what matters, and beside the many good ones they would not be seen.
+    The counts go up in powers of ten: the few worst triangles are what matters, and beside the many
+    good ones they would not be seen.
 
     Parameters
     ----------

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 _PICTURE_WIDTH = 1400
 _MESH_SHARE = 1030 / 1200
-"""Share of the height of a picture above its colour bar, as in :mod:`tetmesh_check.report.pictures`."""
+"""Share of the height of a picture above its colour bar, as in
+:mod:`tetmesh_check.report.pictures`."""
 _ZOOMS = (1.0, 0.85, 0.7, 0.6, 0.5)
 """Sizes of the part that :func:`filled` tries, over that of the picture."""
 _FULL = 0.9

@@ -19,9 +19,11 @@ from tetmesh_check.report.page.scan import Scan
 
 Colour = tuple[int, int, int]
 _OPEN = len(PALETTE)
-"""Longer keys are closed at first: their colours repeat, and slices tell the name under the pointer."""
+"""Longer keys are closed at first: their colours repeat, and slices tell the name under the
+pointer."""
 _MUTED = 3
-"""Labels that were not meshed keep this fraction of their colour's difference from dark grey: 1/3."""
+"""Labels that were not meshed keep this fraction of their colour's difference from dark grey:
+1/3."""
 _GREY = 48
 
 
@@ -51,7 +53,7 @@ def _labels(entries: Any) -> tuple[int, ...]:
 
 
 def key_of(case: Case, scan: Scan | None, surface: pv.PolyData | None) -> list[Entry]:
-    """Return the materials by number, followed by other labels of the volume except 0; empty for a scan.
+    """Return the materials by number, then other labels; empty for a scan.
 
     Parameters
     ----------

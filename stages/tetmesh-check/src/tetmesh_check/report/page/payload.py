@@ -14,15 +14,19 @@ from isoparticles import _native
 from tetmesh_check.quality import Cells, Points, Values
 
 STEPS = 8191
-"""Steps over half of the longest side of the object: a ten-thousandth of it is well below a pixel."""
+"""Steps over half of the longest side of the object: a ten-thousandth of it is well below a
+pixel."""
 MAX_TRIANGLES = 1_000_000
-"""Larger meshes are left out of the view: a page of ribs with 579,140 triangles and 287,010 on the cut holds 5.5 MB of them."""
+"""Larger meshes are left out of the view: a page of ribs with 579,140 triangles and 287,010 on the
+cut holds 5.5 MB of them."""
 
 
 _WHOLE_VALUES = 300_000
-"""Values of larger meshes are kept to 8 bits of their range instead of 16, which deflate to half as much."""
+"""Values of larger meshes are kept to 8 bits of their range instead of 16, which deflate to half as
+much."""
 _RANGE = (1.0, 99.0)
-"""Percentiles at the ends of the colour bar: the few best and worst do not decide what all others look like."""
+"""Percentiles at the ends of the colour bar: the few best and worst do not decide what all others
+look like."""
 WORST = 1.0
 """Percent of the triangles that 'worst' shows."""
 
@@ -61,14 +65,14 @@ class ViewMesh:
 
 
 def _bytes_of_differences(values: Any) -> bytes:
-    """Zigzag differences of whole numbers, as four planes of bytes: mostly zeros, which deflate well."""
+    """Zigzag differences of whole numbers, as four planes of bytes."""
     differences = np.diff(values.astype(np.int64), prepend=0)
     zigzag = np.where(differences < 0, -2 * differences - 1, 2 * differences).astype("<u4")
     return bytes(zigzag.view(np.uint8).reshape(-1, 4).T.tobytes())
 
 
 def _in_order_of_use(triangles: Cells) -> tuple[Cells, Any]:
-    """Renumber vertices by first use, so that neighbours have near numbers; new triangles, old numbers."""
+    """Renumber vertices by first use; return new triangles and old numbers."""
     used, first, local = np.unique(triangles, return_index=True, return_inverse=True)
     order = np.argsort(first, kind="stable")
     rank = np.empty(len(used), dtype=np.int64)
@@ -150,7 +154,7 @@ def pack(meshes: list[ViewMesh], yaw: float, pitch: float, anatomical: bool = Tr
 
 
 def _colour(colour: Colour, values: Values, triangles: int, add: Callable[[bytes], int]) -> dict[str, Any]:
-    """What the script must know about a measure, whose values are added to the data as whole numbers in two planes of bytes."""
+    """Describe a measure for the script, and add its values to the data."""
     least, largest = float(values.min()), float(values.max())
     share = (values - least) / max(largest - least, 1e-300)
     steps = 65535 if triangles <= _WHOLE_VALUES else 255
@@ -174,7 +178,7 @@ def _colour(colour: Colour, values: Values, triangles: int, add: Callable[[bytes
 
 
 def _reach(points: Points, yaw: float, pitch: float) -> Any:
-    """How far points reach from the middle of the picture, to the side and upwards; shape ``(2,)``."""
+    """Largest distances from the middle of the picture, sideways and upwards."""
     across = points @ [np.cos(yaw), np.sin(yaw), 0.0]
     upwards = points @ [-np.sin(pitch) * np.sin(yaw), np.sin(pitch) * np.cos(yaw), np.cos(pitch)]
     return np.array([np.abs(across).max(), np.abs(upwards).max()])

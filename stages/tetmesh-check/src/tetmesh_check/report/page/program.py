@@ -1,4 +1,4 @@
-"""``tetmesh-check-page``: one self-contained page about a case, from its status and what that lists."""
+"""``tetmesh-check-page``: one self-contained page about a case."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def scan_of(case: Case) -> Scan | StageError | None:
 
 
 def anatomy(case: Case, scan: Scan | StageError | None, surface: pv.PolyData | None, key: list[Entry]) -> str:
-    """Write what the input is, and its slices with the outline of the mesh; or why it cannot be shown.
+    """Write facts and slices of the input, or why it cannot be shown.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The input volume as the page needs it: numbers on a grid that is placed in the world, and what the world's axes are called."""
+"""The input volume: values on a grid in the world, and names of its axes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from tetmesh_check.volumes import read_volume
 _PLANES = ("sagittal", "coronal", "axial")
 """The plane across each axis of the body's world."""
 _BODY = (("L", "R"), ("P", "A"), ("S", "I"))
-"""Letters towards the positive and the negative end of each axis of LPS, the world that meshes are written in."""
+"""Letters towards the positive and the negative end of each axis of LPS, the world that meshes are
+written in."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Scan:
 
     @property
     def tilt(self) -> float:
-        """Largest angle between a grid axis and the axis of the world that it is nearest to, degrees."""
+        """Largest angle between a grid axis and the nearest world axis, degrees."""
         cosines = [abs(self.step[world, grid]) / self.spacing[grid] for grid, world in enumerate(self.world_axes)]
         return float(np.degrees(np.arccos(np.clip(min(cosines), -1.0, 1.0))))
 

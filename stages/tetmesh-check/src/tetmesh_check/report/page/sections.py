@@ -56,7 +56,7 @@ def file_rows(case: Case, page_folder: Path) -> Iterator[Row]:
 
 
 def pictures(case: Case, key: list[Entry]) -> Row:
-    """Return the pictures by kind (data address, width and height), and the legend of their colours."""
+    """Return the pictures by kind, and the legend of their colours."""
     changes = {"closeup": filled, "regions": without_strip}
     drawn = {kind: picture_data(path, change=changes.get(kind)) for kind, path in case.pictures.items()}
     materials = [entry for entry in key if entry.meshed] if "regions" in drawn else []

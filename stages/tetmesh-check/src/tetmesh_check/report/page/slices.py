@@ -1,4 +1,4 @@
-"""Slices of the input volume with the outline of the mesh on them: whether this is the right anatomy."""
+"""Slices of the input volume with the outline of the mesh."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Plane:
 
 
 def planes_of(scan: Scan) -> list[Plane]:
-    """Lay out the three planes as radiologists do: the patient's right on the left, front and head up; else x to the right, y and z up.
+    """Lay out the three planes in radiological convention, or with z up.
 
     Parameters
     ----------
@@ -75,7 +75,8 @@ def planes_of(scan: Scan) -> list[Plane]:
 def outline(points: Points, triangles: Cells, axis: int, at: float) -> list[Points]:
     """Cut a surface by a plane: closed polygons (open ones where the surface is).
 
-    Each crossed edge has one point, computed once, so that neighbours share it to the last bit. A vertex on the plane counts as above it.
+    Each crossed edge has one point, computed once, so that neighbours share it to the last bit. A
+    vertex on the plane counts as above it.
 
     Parameters
     ----------
@@ -194,7 +195,7 @@ def window_of(scan: Scan, key: list[Entry]) -> Window:
 
 
 def _shown(scan: Scan, index: Points | None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First and last voxel along each axis that the page shows: the mesh with some of what is round it."""
+    """First and last voxel along each axis that the page shows."""
     last = np.array(scan.values.shape) - 1
     if index is None:
         return np.zeros(3, dtype=np.int64), last
@@ -287,7 +288,7 @@ def _svg(plane: dict[str, Any]) -> str:
 
 
 def slices(scan: Scan, mesh: tuple[Points, Cells] | None, key: list[Entry]) -> str:
-    """Write three orthogonal stacks of slices along the grid of the volume, each with a slider and the outline of the mesh.
+    """Write three stacks of slices with the outline of the mesh.
 
     Parameters
     ----------

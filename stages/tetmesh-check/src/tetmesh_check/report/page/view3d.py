@@ -34,7 +34,7 @@ _MAX_REGIONS = 12
 
 
 def _edge_lengths(points: Points, triangles: Cells) -> Values:
-    """Mean length of the edges round each vertex, mm, shape ``(n,)``; 0 at vertices without a triangle."""
+    """Mean length of the edges at each vertex, mm, shape ``(n,)``; 0 if unused."""
     total, uses = np.zeros(len(points)), np.zeros(len(points))
     for k in range(3):
         a, b = triangles[:, k], triangles[:, (k + 1) % 3]
@@ -61,7 +61,7 @@ def is_anatomical(dataset: pv.DataSet) -> bool:
 
 
 def view_of_surface(surface: pv.PolyData) -> ViewMesh:
-    """Take a surface, with its quality, edge lengths and, where ``reconstruct`` wrote it, the deviation from F = 0.
+    """Take a surface, its quality, edge lengths and deviation from F = 0.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def views_of_volume(grid: pv.UnstructuredGrid, key: list[Entry]) -> list[ViewMes
 
 
 def _views_of_regions(points: Points, cells: Cells, region: Labels, names: list[str]) -> list[ViewMesh]:
-    """Each material by itself within a ghost of the whole, those of most tetrahedra first; no more triangles than one mesh may have."""
+    """Each material inside a ghost of the whole, the largest first."""
     numbers, counts = np.unique(region, return_counts=True)
     views: list[ViewMesh] = []
     left = MAX_TRIANGLES
@@ -146,7 +146,8 @@ def view_meshes(surface: pv.PolyData | None, volume: Path | None, key: list[Entr
     surface
         The surface as read.
     volume
-        The file of the tetrahedra. Meshes of more than :data:`.MAX_TRIANGLES` triangles are left out.
+        The file of the tetrahedra. Meshes of more than :data:`.MAX_TRIANGLES` triangles are left
+        out.
     key
         What the materials are called, and their colours.
     """
