@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterator
 
 _PROBE_SECONDS = 60.0
-_PROBE ="""
+_PROBE = """
 import vtkmodules.vtkRenderingOpenGL2
 from vtkmodules.vtkRenderingCore import vtkRenderWindow, vtkRenderer, vtkWindowToImageFilter
 window = vtkRenderWindow()

@@ -5,8 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import re
-from collections.abc import Callable, Iterable, Sequence
-from html import escape
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,41 +26,6 @@ _FULL = 0.9
 """Share of a part that the mesh must cover for :func:`filled` to stop there."""
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], text: Sequence[int] = (), kind: str = "") -> str:
-    """Write a table; cells are HTML already.
-
-    Parameters
-    ----------
-    head
-        Names of the columns.
-    rows
-        Their cells.
-    text
-        Columns of words rather than numbers.
-    kind
-        Class of the table.
-    """
-    kinds = [" class=text" if column in text else "" for column in range(len(head))]
-    top = "".join(f'<th scope="col"{named}>{name}</th>' for named, name in zip(kinds, head, strict=True))
-    lines = ("".join(f"<td{named}>{cell}</td>" for named, cell in zip(kinds, row, strict=True)) for row in rows)
-    body = "".join(f"<tr>{line}</tr>" for line in lines)
-    named = f' class="{kind}"' if kind else ""
-    return f'<div class="wide"><table{named}><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
-
-
-def section(title: str, body: str) -> str:
-    """Write a part of the page with a title that the table of contents leads to.
-
-    Parameters
-    ----------
-    title
-        Plain text.
-    body
-        HTML.
-    """
-    return f'<section id="{anchor(title)}"><h2>{escape(title)}</h2>{body}</section>'
-
-
 def anchor(title: str) -> str:
     """Return the identifier of the section with a title."""
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
@@ -78,22 +42,6 @@ def contents(body: str) -> str:
     titles = re.findall(r'<section id="([^"]+)"><h2>(.*?)</h2>', body)
     items = "".join(f'<li><a href="#{place}">{title}</a></li>' for place, title in titles)
     return f'<nav aria-label="Contents"><ul>{items}</ul></nav>' if len(titles) > 1 else ""
-
-
-def colour_bar(label: str, low: str, high: str) -> str:
-    """Write the colours of a picture with what they mean, to stand beside it.
-
-    Parameters
-    ----------
-    label
-        What is shown.
-    low, high
-        At the ends.
-    """
-    return (
-        f'<div class="scale"><span>{escape(low)}</span><i></i><span>{escape(high)}</span>'
-        f'<span class="label">{escape(label)}</span></div>'
-    )
 
 
 def duration(seconds: float) -> str:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from html import escape
 from typing import Any
 
 import numpy as np
 import pyvista as pv
-from markupsafe import Markup
 
 from tetmesh_check.field_data import text_of
 from tetmesh_check.materials import INSIDE, OUTSIDE
@@ -18,9 +16,6 @@ from tetmesh_check.report.page.case import Case, dig
 from tetmesh_check.report.page.scan import Scan
 
 Colour = tuple[int, int, int]
-_OPEN = len(PALETTE)
-"""Longer keys are closed at first: their colours repeat, and slices tell the name under the
-pointer."""
 _MUTED = 3
 """Labels that were not meshed keep this fraction of their colour's difference from dark grey:
 1/3."""
@@ -87,41 +82,3 @@ def key_of(case: Case, scan: Scan | None, surface: pv.PolyData | None) -> list[E
 
 def _muted(shade: str) -> str:
     return "#" + bytes(_GREY + (part - _GREY) // _MUTED for part in bytes.fromhex(shade[1:])).hex()
-
-
-def swatch(name: str, colour: Colour | None) -> str:
-    """Write a name after a square of its colour; the name alone where it has none.
-
-    Parameters
-    ----------
-    name
-        Plain text.
-    colour
-        The colour.
-    """
-    square = "" if colour is None else f'<i class="swatch" style="background:rgb{tuple(colour)}"></i>'
-    return square + escape(name)
-
-
-def named(name: str, key: list[Entry]) -> Markup:
-    """Write a name with its colour, or the two names of an interface with theirs."""
-    colours = {entry.name: entry.colour for entry in key}
-    parts = [name] if name in colours else name.split("/")
-    return Markup(" / ".join(swatch(part, colours.get(part)) for part in parts))
-
-
-def legend(entries: list[Entry]) -> str:
-    """Write the names of entries with their colours; nothing where there are none.
-
-    Parameters
-    ----------
-    entries
-        Those of :func:`key_of`.
-    """
-    if not entries:
-        return ""
-    items = "".join(f"<li>{swatch(entry.name, entry.colour)}</li>" for entry in entries)
-    shown = f'<ul class="legend">{items}</ul>'
-    if len(entries) <= _OPEN:
-        return shown
-    return f"<details><summary>The colours of {len(entries)} names</summary><div>{shown}</div></details>"

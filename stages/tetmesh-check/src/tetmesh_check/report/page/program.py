@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from html import escape
 from importlib.resources import files
 from pathlib import Path
 
@@ -21,8 +20,8 @@ from tetmesh_check.parsing import program_parser
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.report.page import places, sections
 from tetmesh_check.report.page.case import Case, dig, read_case
-from tetmesh_check.report.page.html import contents, section
-from tetmesh_check.report.page.key import Entry, key_of, named
+from tetmesh_check.report.page.html import contents
+from tetmesh_check.report.page.key import Entry, key_of
 from tetmesh_check.report.page.scan import Scan, read_scan
 from tetmesh_check.report.page.slices import facts, slices
 from tetmesh_check.report.page.templates import render
@@ -104,7 +103,7 @@ def anatomy(case: Case, scan: Scan | StageError | None, surface: pv.PolyData | N
     if scan is None or case.input is None:
         return ""
     if isinstance(scan, StageError):
-        return section("Input", f"<p>The volume is not shown: {escape(scan.what)}. {escape(scan.next_step)}.</p>")
+        return render("unreadable", error=scan)
     mesh = None if surface is None else from_polydata(surface)
     return facts(scan, case.input.name, key) + "\n" + slices(scan, mesh, key)
 
@@ -143,7 +142,7 @@ def page(case: Case, folder: Path) -> str:
     except _OTHER_VERSION:
         key = []
     found = list(places.found_in(case))
-    many = {"case": case, "key": key, "named": named, "many": _MANY}
+    many = {"case": case, "key": key, "many": _MANY}
     shown = {"found": found, "anatomical": anatomical, "place_of": places.place_of}
     writers: dict[str, Callable[[], str]] = {
         "what went wrong": lambda: render("trouble", case=case),
@@ -152,7 +151,7 @@ def page(case: Case, folder: Path) -> str:
         "volumes": lambda: render("volumes", columns=COLUMNS, **many),
         "the mesh in the volume": lambda: anatomy(case, scan, surface, key),
         "in three dimensions": lambda: view(view_meshes(surface, case.volume, key), anatomical, key),
-        "pictures": lambda: render("pictures", case=case, **sections.pictures(case, key)),
+        "pictures": lambda: render("pictures", case=case, key=key, pictures=sections.pictures(case)),
         "materials": lambda: render("materials", regions=sections.region_rows(case), **many),
         "quality": lambda: quality(case),
         "solve": lambda: render("solve", case=case),

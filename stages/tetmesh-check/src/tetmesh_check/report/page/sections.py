@@ -14,7 +14,6 @@ from tetmesh_check.report.page.advice import advice_for
 from tetmesh_check.report.page.case import ENDED, STAGES, Case, dig
 from tetmesh_check.report.page.charts import Axis, Limit, curve, histogram
 from tetmesh_check.report.page.html import filled, picture_data, without_strip
-from tetmesh_check.report.page.key import Entry, legend
 
 Row = dict[str, Any]
 
@@ -55,12 +54,10 @@ def file_rows(case: Case, page_folder: Path) -> Iterator[Row]:
                 yield {"name": name, "link": link, "kept": name in stage.kept, "stage": stage.name, "size": size}
 
 
-def pictures(case: Case, key: list[Entry]) -> Row:
-    """Return the pictures by kind, and the legend of their colours."""
+def pictures(case: Case) -> dict[str, tuple[str, int, int]]:
+    """Return the pictures by kind: data address, width and height."""
     changes = {"closeup": filled, "regions": without_strip}
-    drawn = {kind: picture_data(path, change=changes.get(kind)) for kind, path in case.pictures.items()}
-    materials = [entry for entry in key if entry.meshed] if "regions" in drawn else []
-    return {"pictures": drawn, "legend": Markup(legend(materials))}
+    return {kind: picture_data(path, change=changes.get(kind)) for kind, path in case.pictures.items()}
 
 
 def region_rows(case: Case) -> list[Row]:

@@ -6,19 +6,17 @@ import base64
 import json
 import zlib
 from dataclasses import dataclass
-from html import escape
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from tetmesh_check.numerals import plain
 from tetmesh_check.quality import Cells, Points
-from tetmesh_check.report.page.charts import number
-from tetmesh_check.report.page.html import image_data, section, table
-from tetmesh_check.report.page.key import Colour, Entry, legend, swatch
+from tetmesh_check.report.page.html import image_data
+from tetmesh_check.report.page.key import Colour, Entry
 from tetmesh_check.report.page.scan import Scan
+from tetmesh_check.report.page.templates import render
 
 SLICES = 40
 """Largest number of slices a plane."""
@@ -266,27 +264,6 @@ def _stack(scan: Scan, plane: Plane, window: Window, mesh: tuple[Points, Cells] 
     }
 
 
-def _svg(plane: dict[str, Any]) -> str:
-    width, height = plane["size"]
-    start = plane["first"]
-    left, right, top, bottom = (escape(letter) for letter in plane["letters"])
-    words = escape(
-        f"Slice of the volume, {plane['name']}, with the outline of the mesh; {plane['letters'][0]} is on the left and "
-        f"{plane['letters'][2]} on top.", quote=True
-    )  # fmt: skip
-    x, y = (start % plane["columns"]) * width, (start // plane["columns"]) * height
-    return (
-        f'<svg class="slice" viewBox="0 0 {width} {height}" role="img" aria-label="{words}">'
-        f'<svg class="window" width="{width}" height="{height}" viewBox="{x} {y} {width} {height}" preserveAspectRatio="none">'
-        f'<image href="{plane["image"]}" width="{plane["sheet"][0]}" height="{plane["sheet"][1]}"/></svg>'
-        f'<g class="outlines" transform="scale({1 / _TENTHS:g})"><path class="under" d="{plane["paths"][start]}"/>'
-        f'<path class="over" d="{plane["paths"][start]}"/></g>'
-        f'<text x="6" y="{height / 2:.0f}">{left}</text><text x="{width - 6}" y="{height / 2:.0f}" text-anchor="end">{right}</text>'
-        f'<text x="{width / 2:.0f}" y="17" text-anchor="middle">{top}</text>'
-        f'<text x="{width / 2:.0f}" y="{height - 7}" text-anchor="middle">{bottom}</text></svg>'
-    )
-
-
 def slices(scan: Scan, mesh: tuple[Points, Cells] | None, key: list[Entry]) -> str:
     """Write three stacks of slices with the outline of the mesh.
 
@@ -295,57 +272,22 @@ def slices(scan: Scan, mesh: tuple[Points, Cells] | None, key: list[Entry]) -> s
     scan
         The volume.
     mesh
-        Positions in the world, mm, and triangles; ``None`` where no surface was made.
+        Positions in the world, mm, and triangles; ``None`` if no surface was made.
     key
-        What the labels are called, and their colours.
+        Names and colours of the labels.
     """
     window = window_of(scan, key)
     placed = None if mesh is None else (scan.to_index(mesh[0]), mesh[1])
-    stacks = [_stack(scan, plane, window, placed) for plane in planes_of(scan)]
-    figures = []
-    for place, plane in enumerate(stacks):
-        count = len(plane["slices"])
-        said = f"slice {plane['slices'][plane['first']] + 1}"
-        figures.append(
-            f'<figure class="slices{" labels" if window.colours else ""}" data-plane="{place}">{_svg(plane)}<div class="controls">'
-            f'<label><span>{escape(plane["name"])}</span><input type="range" min="0" max="{count - 1}" value="{plane["first"]}" '
-            f'aria-label="Slice, {escape(plane["name"], quote=True)}: {escape(plane["towards"][0])} to {escape(plane["towards"][1])}"></label>'
-            f"<output>{said}</output></div></figure>"
-        )
+    planes = [_stack(scan, plane, window, placed) for plane in planes_of(scan)]
     kept = ("size", "columns", "slices", "paths", "spacing")
     about = {
-        "planes": [{name: plane[name] for name in kept} for plane in stacks],
+        "planes": [{name: plane[name] for name in kept} for plane in planes],
         "names": {",".join(map(str, entry.colour)): entry.name for entry in key if window.colours},
     }
     text = json.dumps(about, separators=(",", ":"))
     data = base64.b64encode(zlib.compress(text.encode("utf-8"), 9)).decode("ascii")
-    dark = "" if all(entry.meshed for entry in key) else ", and labels that were not meshed are dark"
-    shades = (
-        f"Colours are labels{dark}. Point at a slice to read the name."
-        if window.colours
-        else f"Shades go from {plain(window.low, 4)} (black) to {plain(window.high, 4)} (white)."
-    )
-    drawn = (
-        "The line is the intersection of the slice with the triangles of the surface."
-        if mesh is not None
-        else "No surface was made, so there is no outline."
-    )
-    tilt = (
-        f" The grid of the volume is tilted by {scan.tilt:.1f} degrees; the letters name the nearest direction."
-        if scan.tilt > 0.5
-        else ""
-    )
-    toggle = (
-        '<label class="toggle"><input type="checkbox" id="outlines" checked> outline</label>'
-        if mesh is not None
-        else ""
-    )
-    return section(
-        "Slices of the volume" if mesh is None else "The mesh in the volume",
-        f'<p>{drawn} {shades}{tilt}</p>{toggle}<div class="grid three">{"".join(figures)}</div>'
-        f"{legend(key) if window.colours else ''}"
-        f'<script type="text/plain" id="slices-data">{data}</script>',
-    )
+    shown = {"scan": scan, "window": window, "planes": planes, "key": key, "outlined": mesh is not None}
+    return render("slices", data=data, scale=f"{1 / _TENTHS:g}", **shown)
 
 
 def facts(scan: Scan, name: str, key: list[Entry]) -> str:
@@ -356,44 +298,23 @@ def facts(scan: Scan, name: str, key: list[Entry]) -> str:
     scan
         The volume.
     name
-        Of its file.
+        Name of its file.
     key
-        What the labels are called, and their colours.
+        Names and colours of the labels.
     """
-    shape, spacing = scan.values.shape, scan.spacing
-    tilt = f", tilted by {scan.tilt:.1f} degrees" if scan.tilt > 0.5 else ""
-    world = "towards " if scan.anatomical else "the file names no anatomical space; towards "
-    rows = [
-        ("file", escape(name)),
-        ("voxels", " \u00d7 ".join(map(str, shape))),
-        ("spacing", " \u00d7 ".join(plain(value, 4) for value in spacing) + " mm"),
-        ("extent", " \u00d7 ".join(plain(n * h, 4) for n, h in zip(shape, spacing, strict=True)) + " mm"),
-        ("grid axes run", world + ", ".join(escape(scan.letters(axis)[1]) for axis in range(3)) + tilt),
-        ("stored as", escape(str(scan.values.dtype))),
-    ]
-    if scan.layers > 1:
-        rows.append(("layers", f"{scan.layers}; the first one is shown"))
-    body = ""
+    about: dict[str, Any] = {
+        "spacing": scan.spacing.tolist(),
+        "extent": [float(n * h) for n, h in zip(scan.values.shape, scan.spacing, strict=True)],
+        "directions": [scan.letters(axis)[1] for axis in range(3)],
+    }
     if scan.labels:
-        found, counts = np.unique(scan.values, return_counts=True)
-        volume = float(abs(np.linalg.det(scan.step)))
+        found, counts = (part.tolist() for part in np.unique(scan.values, return_counts=True))
         entries = {label: entry for entry in key for label in entry.labels}
-        listed = [
-            (
-                str(label), swatch(entries[label].name, entries[label].colour), number(count),
-                number(count * volume / 1000.0), "yes" if entries[label].meshed else "",
-            )
-            for label, count in zip(found.tolist(), counts.tolist(), strict=True)
-            if label in entries
-        ]  # fmt: skip
-        rows.append(("kind", f"labels: {len(listed)}" + (", and the background 0" if 0 in found else "")))
-        columns = ("label", "name", "voxels", "volume, cm\u00b3", "meshed")
-        body = f"<details><summary>The labels</summary><div>{table(columns, listed, (1,))}</div></details>"
+        pairs = zip(found, counts, strict=True)
+        about["listed"] = [(label, entries[label], count) for label, count in pairs if label in entries]
+        about |= {"background": 0 in found, "voxel": float(abs(np.linalg.det(scan.step)))}
     else:
         finite = scan.values[np.isfinite(scan.values)]
-        low, high = (plain(float(value), 4) for value in (finite.min(), finite.max()))
-        middle = ", ".join(
-            plain(value, 4) for value in np.percentile(finite[:: max(1, finite.size // 1_000_000)], [5, 50, 95])
-        )
-        rows += [("kind", "scan"), ("range", f"{low} to {high} (5, 50, 95 %: {middle})")]
-    return section("Input", table(("property", "value"), rows, (0, 1), "plain") + body)
+        middle = np.percentile(finite[:: max(1, finite.size // 1_000_000)], [5, 50, 95]).tolist()
+        about |= {"low": float(finite.min()), "high": float(finite.max()), "middle": middle}
+    return render("facts", scan=scan, name=name, **about)

@@ -10,6 +10,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from tetmesh_check.checks import percent
+from tetmesh_check.numerals import plain
+from tetmesh_check.report.colours import PALETTE
 from tetmesh_check.report.page.case import dig
 from tetmesh_check.report.page.charts import number
 from tetmesh_check.report.page.html import amount, anchor, duration, memory
@@ -40,8 +42,11 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.globals.update({f.__name__: f for f in (number, duration, memory, amount, percent, dig, small, change, known)})
-    made.filters.update({f.__name__: f for f in (anchor, number, with_changes, known)})
+    made.globals.update(
+        {f.__name__: f for f in (number, plain, duration, memory, amount, percent, dig, small, change, known)}
+    )
+    made.filters.update({f.__name__: f for f in (anchor, number, plain, with_changes, known)})
+    made.globals["palette"] = len(PALETTE)
     made.filters.update(json=json.dumps, suffixed=lambda text, end: f"{text}{end}")
     made.tests["ends"] = lambda ending, name: name.endswith(ending)
     return made

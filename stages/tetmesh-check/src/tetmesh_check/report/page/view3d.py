@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 import json
-from html import escape
 from pathlib import Path
 
 import numpy as np
 import pyvista as pv
+from markupsafe import Markup
 
 from tetmesh_check.field_data import text_of
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.quality import Cells, Labels, Points, Values, triangle_quality
 from tetmesh_check.report.cut import cut_of
-from tetmesh_check.report.page.charts import number
-from tetmesh_check.report.page.html import colour_bar, section
-from tetmesh_check.report.page.key import Entry, legend
+from tetmesh_check.report.page.key import Entry
 from tetmesh_check.report.page.payload import MAX_TRIANGLES, WORST, Colour, ViewMesh, pack
+from tetmesh_check.report.page.templates import render
 from tetmesh_check.surface import read_dataset
 from tetmesh_check.topology import tetrahedron_boundary
 
 _YAW, _PITCH = 0.63, 0.38
 """Where the eye is at first, radians: that of the pictures."""
-_HOW = (
-    "Drag to rotate, Shift-drag to pan. The wheel zooms after a click into the view (Esc releases it) or with Ctrl; "
-    "otherwise it scrolls the page. One finger scrolls, two fingers rotate and zoom. Keys: arrows rotate, Shift-arrows "
-    "pan, + and \u2212 zoom, 0 resets. The cut shows whole tetrahedra."
-)
 _MAX_WORST = 5000
 """Largest number of tetrahedra among the worst: more only hide each other."""
 _MAX_REGIONS = 12
@@ -174,32 +168,5 @@ def view(meshes: list[ViewMesh], anatomical: bool, key: list[Entry]) -> str:
     if not meshes:
         return ""
     about, data = pack(meshes, _YAW, _PITCH, anatomical)
-    options = "".join(
-        f'<option value="{k}">{escape(mesh.name)}, {number(len(mesh.triangles))} triangles</option>'
-        for k, mesh in enumerate(meshes)
-    )
-    axes = "".join(
-        f'<option value="{axis}">across {"xyz"[axis]} ({about["letters"][axis][1]} to {about["letters"][axis][0]})</option>'
-        for axis in range(3)
-    )
-    text = json.dumps(about).replace("<", "\\u003c")
-    return section(
-        "In three dimensions",
-        '<figure class="viewer"><div class="controls">'
-        f'<label>Show <select id="view-mesh">{options}</select></label>'
-        '<label>Colour <select id="view-colour"></select></label>'
-        f'<label>Clip <select id="view-clip"><option value="">off</option><option value="view">along the view</option>{axes}</select></label>'
-        '<input type="range" id="view-depth" min="-100" max="100" value="0" aria-label="Place of the clipping plane" disabled>'
-        '<label><input type="checkbox" id="view-edges" checked> edges</label>'
-        f'<label><input type="checkbox" id="view-worst"> worst {WORST:g} %</label>'
-        '<button type="button" id="view-reset">reset</button></div>'
-        '<div class="stage"><canvas id="view" tabindex="0" role="img" aria-label="The mesh in three dimensions, to be turned with the '
-        'mouse, two fingers or the arrow keys"></canvas>'
-        '<svg id="view-cube" viewBox="-50 -50 100 100" role="group" aria-label="Orientation: a cube whose sides turn the view"></svg>'
-        '<div id="view-ruler" aria-hidden="true"><i></i><span></span></div></div>'
-        f'<div id="view-bar" hidden>{colour_bar("", "", "")}</div><div id="view-key" hidden>{legend(key)}</div>'
-        '<output id="view-value">Point at the mesh to read its values.</output>'
-        f'<figcaption id="view-note">{_HOW}</figcaption></figure>'
-        f'<script type="application/json" id="view-about">{text}</script>'
-        f'<script type="text/plain" id="view-data">{data}</script>',
-    )
+    text = Markup(json.dumps(about).replace("<", "\\u003c"))
+    return render("view", meshes=meshes, about=about, text=text, data=data, key=key, worst=WORST)
