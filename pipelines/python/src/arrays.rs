@@ -11,6 +11,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyByteArray;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
 /// A number that NumPy knows.
 pub(crate) trait Number: bytemuck::NoUninit {
@@ -137,7 +138,16 @@ pub(crate) fn mesh(points: &Bound<'_, PyAny>, triangles: &Bound<'_, PyAny>) -> P
     Ok(TriangleMesh { vertices, triangles })
 }
 
+/// Number of threads of [`compute`]; 0 means one per core.
+static THREADS: AtomicUsize = AtomicUsize::new(0);
+
+/// Sets the number of threads for checks and measures of meshes and fields; 0 means one per core.
+#[pyfunction]
+pub(crate) fn set_threads(count: usize) {
+    THREADS.store(count, Relaxed);
+}
+
 /// Runs a job without Python's global lock.
 pub(crate) fn compute<T: Send + 'static>(py: Python<'_>, job: impl FnOnce() -> T + Send + 'static) -> PyResult<T> {
-    pool::run(py, 0, &Arc::new(Listener::default()), None, job)
+    pool::run(py, THREADS.load(Relaxed), &Arc::new(Listener::default()), None, job)
 }

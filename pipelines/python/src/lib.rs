@@ -21,6 +21,8 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _native {
     #[pymodule_export]
+    use crate::arrays::set_threads;
+    #[pymodule_export]
     use crate::data::{Data, load};
     #[pymodule_export]
     use crate::fields::{GridField, jacobian_coefficients, labels_at, read_volume};
