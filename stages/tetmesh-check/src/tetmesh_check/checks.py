@@ -280,15 +280,7 @@ def shape_checks(quality: TetrahedronQuality, limits: Limits, forced: Forced | N
 
 
 def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
-    """Judge a volume mesh.
-
-    Parameters
-    ----------
-    measured
-        What was measured on it.
-    limits
-        What is demanded of it.
-    """
+    """Judge the tetrahedra of one object against its surface."""
     quality = measured.quality
     volume = float(quality.volume.sum())
     change = 100.0 * (volume / measured.surface_volume - 1.0)

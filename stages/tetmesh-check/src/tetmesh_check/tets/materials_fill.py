@@ -18,7 +18,7 @@ from tetmesh_check.export.volume import orient_positive
 from tetmesh_check.forced import INSIDE, ForcedSides
 from tetmesh_check.mend import mend
 from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, Values, tetrahedron_quality
-from tetmesh_check.sizing import SizingField, world_grid
+from tetmesh_check.sizing import SizingField, WorldGrid, world_grid
 from tetmesh_check.tets.fill import Method
 from tetmesh_check.tets.hxt import HxtSettings, fill_complex_by_gmsh
 from tetmesh_check.tets.worker import TimeLimit, TimeLimitError, UnavailableError, WorkerResult
@@ -174,15 +174,29 @@ def _forced(task: ComplexTask, standing: Labels, found: Conformity, quality: Tet
     return kept
 
 
-def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
-    """Fill every volume of a complex.
+def _attempt(
+    task: ComplexTask, settings: HxtSettings, grid: WorldGrid, limit: TimeLimit, context: Context
+) -> tuple[WorkerResult, FilledComplex]:
+    """Fill the volumes once, and find the materials of the tetrahedra."""
+    with context.step("tetrahedralize"):
+        checked = task.checked
+        raw = fill_complex_by_gmsh(checked.surface, checked.shells, grid, settings, task.log, limit, context)
+    with context.step("find regions"):
+        return raw, _judge(task, raw)
 
-    Parameters
-    ----------
-    task
-        What is to be filled, and how.
-    context
-        For messages, times, and ``tetrahedralizer`` in the results.
+
+def _refuse_undecided(found: Conformity, log: Path) -> None:
+    if found.undecided:
+        raise StageError(
+            f"the material of {found.undecided} tetrahedra is unknown: the tetrahedralizer lost "
+            f"{found.missing} triangles of the interfaces",
+            "without these triangles the materials are not separated; nothing was written",
+            f"see its log, {log}, or try another --tet-size-factor",
+        )
+
+
+def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
+    """Fill every volume of a complex; ``tetrahedralizer`` in the results describes the attempts.
 
     Raises
     ------
@@ -207,18 +221,7 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
     for settings in ATTEMPTS if task.method is Method.AUTO else ATTEMPTS[:1]:
         tried: dict[str, Any] = {"algorithm": settings.algorithm}
         try:
-            with context.step("tetrahedralize"):
-                raw = fill_complex_by_gmsh(
-                    task.checked.surface,
-                    task.checked.shells,
-                    grid,
-                    settings,
-                    task.log,
-                    limit,
-                    context,
-                )
-            with context.step("find regions"):
-                filled = _judge(task, raw)
+            raw, filled = _attempt(task, settings, grid, limit, context)
         except StageError as error:
             final = error.code == ExitCode.INTERRUPTED or isinstance(error, (TimeLimitError, UnavailableError))
             if final and best is None:
@@ -247,13 +250,7 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
     if best is None:
         assert failure is not None, "an attempt is made or fails"
         raise failure
-    if best.conformity.undecided:
-        raise StageError(
-            f"the material of {best.conformity.undecided} tetrahedra is unknown: the tetrahedralizer lost "
-            f"{best.conformity.missing} triangles of the interfaces",
-            "without these triangles the materials are not separated; nothing was written",
-            f"see its log, {task.log}, or try another --tet-size-factor",
-        )
+    _refuse_undecided(best.conformity, task.log)
     if best.conformity.faults == 0:
         with context.step("mend tetrahedra"):
             best = _mend(task, best, results)

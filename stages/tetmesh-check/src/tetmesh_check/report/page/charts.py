@@ -148,8 +148,7 @@ def histogram(
 ) -> str:
     """Draw a histogram with lines at the mean, the worst value and the limit.
 
-    The counts go up in powers of ten: the few worst triangles are what matters, and beside the many
-    good ones they would not be seen.
+    Counts are in powers of ten, so that the few worst elements are visible beside the many good ones.
 
     Parameters
     ----------
@@ -158,9 +157,9 @@ def histogram(
     counts
         In each bin.
     axis
-        What is measured, and of what.
+        Title, measure and things counted.
     marks
-        ``mean``, and ``minimum`` or ``maximum``; drawn at the rim where it lies beyond the bins.
+        ``mean``, and ``minimum`` or ``maximum``; drawn at the edge if it lies beyond the bins.
     limit
         That of the check, if there is one.
     second
