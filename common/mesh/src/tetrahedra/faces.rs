@@ -44,9 +44,9 @@ impl Group<'_> {
 }
 
 impl Matching<'_> {
-    /// Calls `visit` for each group of equal faces and triangles. Each task has its own value, which
-    /// `visit` changes. Returns these values, in an order that does not depend on the number of
-    /// threads.
+    /// Calls `visit` for each group of equal faces and triangles. Each task has its own value,
+    /// which `visit` changes. Returns these values, in an order that does not depend on the number
+    /// of threads.
     pub(super) fn visit<T: Default + Send>(&self, visit: impl Fn(&mut T, Group<'_>) + Sync) -> Vec<T> {
         let of_cells = Buckets::new(self.cells.as_flattened(), self.vertex_count);
         let of_triangles = Buckets::new(self.triangles.as_flattened(), self.vertex_count);

@@ -80,7 +80,7 @@ impl Frame {
         self.centre + way(side) * slope * self.radius * self.normal
     }
 
-    /// Returns whether another triangle enters the roof on one side, by the separating axis theorem.
+    /// Returns whether another triangle enters the roof on one side (separating axis theorem).
     fn is_entered(&self, other: &[DVec3; 3], side: Side, slope: f64) -> bool {
         !self.is_apart_by_faces(other, side, slope) && !self.is_apart_by_edges(other, side, slope)
     }
@@ -138,9 +138,9 @@ fn way(side: Side) -> f64 {
     if side == Side::Before { 1.0 } else { -1.0 }
 }
 
-/// Finds the sides of facets on which every tetrahedron has a dihedral angle below `angle` (degrees,
-/// between 0 and 60). Every facet must have an area, and no two may cross. The result is in the
-/// order of the facets and their sides.
+/// Finds the sides of facets on which every tetrahedron has a dihedral angle below `angle`
+/// (degrees, between 0 and 60). Every facet must have an area, and no two may cross. The result is
+/// in the order of the facets and their sides.
 pub fn forced_sides(points: &[DVec3], facets: &[[u32; 3]], angle: f64) -> Vec<ForcedSide> {
     let frame = |facet: &[u32; 3]| Frame::of(facet.map(|v| points[v as usize]));
     let frames: Vec<Frame> = facets.par_iter().map(frame).collect();
@@ -200,7 +200,7 @@ mod tests {
 
     const FACETS: [[u32; 3]; 2] = [[0, 1, 2], [1, 0, 3]];
 
-    /// An equilateral triangle with the normal +z. The radius of its inscribed circle is 1 / sqrt(3).
+    /// An equilateral triangle with the normal +z. Its inscribed circle has the radius 1 / sqrt(3).
     fn flat() -> [DVec3; 3] {
         [DVec3::ZERO, 2.0 * DVec3::X, DVec3::new(1.0, 3f64.sqrt(), 0.0)]
     }
