@@ -12,6 +12,11 @@ All functions raise :class:`Error` if an input or an option is invalid, and Type
 if an argument is unknown or cannot be converted. Ctrl-C stops a running function. A result that
 fails a check is returned, with the checks in ``failed_checks``.
 
+An array is copied once, whatever its type and the order of its axes. Stages do not copy the voxels
+of their inputs. In addition to them, :func:`distance_field` and :func:`size_field` need 14 bytes
+per voxel while they run, :func:`seed` 11, :func:`settle` 8 and :func:`reconstruct` 13 (measured for
+balls of 4 to 8 million float32 voxels with few particles).
+
 Examples
 --------
 >>> import numpy as np
