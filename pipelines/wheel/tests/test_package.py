@@ -134,8 +134,12 @@ def test_files_are_those_of_the_programs(iso: ModuleType, site: Path, tmp_path: 
         for whole in (surface, iso.load(made / surface.name)):
             own = whole.of("left")
             assert own.to_pyvista().is_manifold
-            own.save(made / "left.vtp", overwrite=True)
-            assert (made / "left.vtp").read_bytes() == (told / "each" / "left.vtp").read_bytes()
+            # the history of the program has the option --each
+            written = iso.load(told / "each" / "left.vtp")
+            assert own.meta == written.meta
+            assert np.array_equal(own.vertices, written.vertices)
+            assert np.array_equal(own.triangles, written.triangles)
+            assert all(np.array_equal(own.arrays[name], array) for name, array in written.arrays.items())
             with pytest.raises(KeyError, match="middle"):
                 whole.of("middle")
 
