@@ -104,13 +104,15 @@ impl Eight {
     #[inline(always)]
     fn squared_distances<S: Simd>(&self, simd: S, p: DVec3) -> f64x8<S> {
         let zero = f64x8::splat(simd, 0.0);
-        let along = |axis: usize| {
+        let mut squares = zero;
+        // a closure would not be compiled for the instruction set of the caller
+        for axis in 0..3 {
             let below = f64x8::simd_from(simd, self.low[axis]) - p[axis];
-            let above = -(f64x8::simd_from(simd, self.high[axis]) - p[axis]);
+            let above = f64x8::splat(simd, p[axis]) - f64x8::simd_from(simd, self.high[axis]);
             let outside = below.max(above).max(zero);
-            outside * outside
-        };
-        along(0) + along(1) + along(2)
+            squares = squares + outside * outside;
+        }
+        squares
     }
 
     /// Returns a bit mask of the boxes that intersect `other`. Touching boxes intersect.
@@ -235,6 +237,9 @@ impl BoxTree {
                 let child = group * LANES + lane;
                 if level > 0 {
                     waiting.push((squares[lane], level - 1, child));
+                    continue;
+                }
+                if squares[lane] > nearest.1 {
                     continue;
                 }
                 let own = (self.order[child], square(self.order[child]));
