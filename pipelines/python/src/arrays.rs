@@ -149,5 +149,15 @@ pub(crate) fn set_threads(count: usize) {
 
 /// Runs a job without Python's global lock.
 pub(crate) fn compute<T: Send + 'static>(py: Python<'_>, job: impl FnOnce() -> T + Send + 'static) -> PyResult<T> {
-    pool::run(py, THREADS.load(Relaxed), &Arc::new(Listener::default()), None, job)
+    compute_unless_stopped(py, |_| job())
+}
+
+/// Works like [`compute`], for a long job that asks the listener whether to stop.
+pub(crate) fn compute_unless_stopped<T: Send + 'static>(
+    py: Python<'_>,
+    job: impl FnOnce(&Listener) -> T + Send + 'static,
+) -> PyResult<T> {
+    let listener = Arc::new(Listener::default());
+    let told = Arc::clone(&listener);
+    pool::run(py, THREADS.load(Relaxed), &listener, None, move || job(&told))
 }

@@ -13,6 +13,7 @@ mod meshes;
 mod options;
 mod pool;
 mod stages;
+mod tetrahedra;
 mod volume;
 
 use pyo3::prelude::*;
@@ -36,6 +37,8 @@ mod _native {
     use crate::options::{case_keys, case_name, case_words, options};
     #[pymodule_export]
     use crate::stages::{distance_field, reconstruct, seed, settle, size_field};
+    #[pymodule_export]
+    use crate::tetrahedra::{conform, forced_sides, largest_jacobians, mend};
     #[pymodule_export]
     use crate::volume::Volume;
 }

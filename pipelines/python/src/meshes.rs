@@ -368,11 +368,20 @@ fn complex(
     materials: usize,
 ) -> PyResult<(TriangleMesh, Vec<[u32; 2]>)> {
     let mesh = mesh(points, triangles)?;
-    let sides = [inside, outside].map(|side| indices(side, materials));
-    let [inside, outside] = sides;
-    let between: Vec<[u32; 2]> = inside?.into_iter().zip(outside?).map(|(inside, outside)| [inside, outside]).collect();
-    if between.len() != mesh.triangles.len() {
+    let between = between(inside, outside, materials, mesh.triangles.len())?;
+    Ok((mesh, between))
+}
+
+/// Copies the materials, all below `materials`, on both sides of so many triangles.
+pub(crate) fn between(
+    inside: Argument,
+    outside: Argument,
+    materials: usize,
+    triangles: usize,
+) -> PyResult<Vec<[u32; 2]>> {
+    let (inside, outside) = (indices(inside, materials)?, indices(outside, materials)?);
+    if inside.len() != triangles || outside.len() != triangles {
         return Err(PyValueError::new_err("each triangle must have a material on each side"));
     }
-    Ok((mesh, between))
+    Ok(inside.into_iter().zip(outside).map(|(inside, outside)| [inside, outside]).collect())
 }

@@ -146,6 +146,41 @@ def describe_complex(
     points: Floats, triangles: Integers, inside: Integers, outside: Integers, materials: int
 ) -> Description: ...
 
+class Fit(TypedDict):
+    regions: Integers
+    parts: Integers
+    bodies: Integers
+    behind: Integers
+    before: Integers
+    missing: int
+    added: int
+    crowded: int
+    undecided: int
+
+def conform(
+    vertices: int, tetrahedra: Integers, triangles: Integers, inside: Integers, outside: Integers
+) -> Fit: ...
+def forced_sides(points: Floats, triangles: Integers, angle: float) -> tuple[Integers, Integers, Floats]: ...
+def largest_jacobians(points: Floats, triangles: Integers, angle: float) -> Floats: ...
+
+class MendedMesh(TypedDict):
+    points: Floats
+    tetrahedra: Integers
+    fit: Fit
+    goal_degrees: float
+    below: list[int]
+    moves: int
+    changed_tetrahedra: list[int]
+    changed_vertices: list[int]
+
+def mend(
+    points: Floats,
+    tetrahedra: Integers,
+    interfaces: tuple[Integers, Integers, Integers],
+    min_dihedral: float,
+    min_scaled_jacobian: float,
+) -> MendedMesh | None: ...
+
 class Curved(TypedDict):
     nodes: Floats
     of_cells: Integers
