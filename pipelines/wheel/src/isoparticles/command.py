@@ -72,7 +72,7 @@ def scripts() -> Path:
 def case_arguments(goal: str, settings: Sequence[str], options: Sequence[str] = ()) -> list[str]:
     """Return the command line of ``isoparticles-case``."""
     package = Path(tetmesh_check.__file__).parent
-    tetrahedra = sorted(map(str, [*package.glob("*.*"), *package.glob("*/*.py")]))
+    tetrahedra = sorted(map(str, [*package.glob("*.*"), *package.glob("*/*.py"), *HERE.glob("_native.*")]))
     pages = sorted(str(file) for file in (package / "report" / "page").rglob("*.*"))
     return [
         program("isoparticles-case"),
