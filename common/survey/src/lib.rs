@@ -33,6 +33,7 @@ use orientation::Orientation;
 use parts::{Parts, parts};
 use rayon::prelude::*;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use survey::Survey;
 use thresholds::{IsoValue, is_hounsfield, iso_values};
 
@@ -104,6 +105,8 @@ pub struct VolumeInfo {
     pub distinct: Option<usize>,
     /// All labels except 0; empty for a scan.
     pub labels: Vec<LabelInfo>,
+    /// The pairs of labels that overlap, the largest overlap first.
+    pub overlaps: Vec<Overlap>,
     /// The object that the user specified, or all candidates if the user specified none.
     pub objects: Vec<Object>,
     /// Remarks on assumptions made while reading the file, on NaN in a label map, and on shear.
@@ -129,6 +132,15 @@ pub struct LabelInfo {
     pub parts: Option<Parts>,
     /// Predicted number of vertices of a mesh of this label alone, with default sizes.
     pub vertices: usize,
+}
+
+/// Two labels of different layers that overlap.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Overlap {
+    /// Positions of the two labels in the list of labels.
+    pub labels: [usize; 2],
+    /// Number of voxels with both labels.
+    pub voxels: usize,
 }
 
 /// An object that could be meshed.
@@ -201,6 +213,7 @@ pub fn examine(volume: &Volume, wishes: &Wishes, monitor: &dyn Monitor) -> Resul
         judgement,
         distinct: values.distinct(),
         values,
+        overlaps: overlaps(volume, &labels),
         labels,
         objects,
         remarks: volume.remarks.iter().cloned().chain(nan_remark).chain(shear.iter().map(Shear::remark)).collect(),
@@ -257,6 +270,24 @@ fn label_table(volume: &Volume, shear: Option<&Shear>) -> Result<Vec<LabelInfo>>
         }
     }
     Ok(table)
+}
+
+/// Returns the pairs of labels that overlap.
+fn overlaps(volume: &Volume, labels: &[LabelInfo]) -> Vec<Overlap> {
+    if volume.layer_count() == 1 {
+        return Vec::new();
+    }
+    let numbers: BTreeMap<LayerLabel, u16> = labels.iter().map(|label| label.at).zip(1..).collect();
+    let mut pairs: BTreeMap<[usize; 2], usize> = BTreeMap::new();
+    for (set, count) in volume.combinations(|at| numbers.get(&at).copied().unwrap_or(0)) {
+        let set: Vec<usize> = set.into_iter().map(|number| usize::from(number) - 1).collect();
+        for (n, &b) in set.iter().enumerate() {
+            set[..n].iter().for_each(|&a| *pairs.entry([a, b]).or_default() += count);
+        }
+    }
+    let mut overlaps: Vec<Overlap> = pairs.into_iter().map(|(labels, voxels)| Overlap { labels, voxels }).collect();
+    overlaps.sort_by_key(|overlap| std::cmp::Reverse(overlap.voxels));
+    overlaps
 }
 
 /// An object that could be meshed: its description, the `make` variables that select it, the reason

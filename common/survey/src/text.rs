@@ -120,7 +120,23 @@ impl VolumeInfo {
         if left_out > 0 {
             writeln!(out, "  and {left_out} smaller ones (--json FILE has all)")?;
         }
+        self.write_overlaps(out)?;
         self.write_boxes(&labels, out)
+    }
+
+    fn write_overlaps(&self, out: &mut String) -> std::fmt::Result {
+        let name = |n: usize| {
+            let LabelInfo { at, name, .. } = &self.labels[n];
+            name.clone().unwrap_or_else(|| format!("{} of layer {}", at.label, at.layer))
+        };
+        if !self.overlaps.is_empty() {
+            writeln!(out, "\n  overlaps        voxels  of ({} pairs)", self.overlaps.len())?;
+        }
+        for overlap in self.overlaps.iter().take(MOST_LISTED) {
+            let [a, b] = overlap.labels.map(name);
+            writeln!(out, "            {:>12}  {a} and {b}", grouped(overlap.voxels))?;
+        }
+        Ok(())
     }
 
     /// Writes the bounding box of each label and its centre in world coordinates, for use in

@@ -5,6 +5,8 @@ use crate::error::{Error, Result};
 use crate::geometry::Geometry;
 use crate::segments::{LayerLabel, Segment};
 use crate::voxels::Voxels;
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Maximum number of segments that an error message lists. At an average of 20 characters per name
 /// and label, the list fills eight lines of 100 columns.
@@ -18,7 +20,8 @@ pub struct Volume {
     /// Voxel values of the first layer.
     pub voxels: Voxels,
     /// The other layers, which are on the same grid and contain overlapping segments. Only
-    /// `.seg.nrrd` files of 3D Slicer and `.vti` files converted from them have such layers.
+    /// `.seg.nrrd` files of 3D Slicer, folders of masks, and `.vti` files converted from them have
+    /// such layers.
     pub more_layers: Vec<Voxels>,
     /// The named labels, in the same order as in the file.
     pub segments: Vec<Segment>,
@@ -126,6 +129,36 @@ impl Volume {
         }
     }
 
+    /// Counts the voxels by the numbers that `number` assigns to their labels in all layers. Each
+    /// set of numbers is in ascending order, without 0 and duplicates.
+    pub fn combinations(&self, number: impl Fn(LayerLabel) -> u16 + Sync) -> BTreeMap<Vec<u16>, usize> {
+        let [nx, ny, nz] = self.geometry.size;
+        let of_slice = |k: usize| {
+            // for each voxel, the numbers in all layers
+            let layers = self.layer_count();
+            let mut numbers = vec![0; nx * ny * layers];
+            for (layer, voxels) in self.layers().enumerate() {
+                let mut voxel = 0;
+                voxels.each_run(k * nx * ny..(k + 1) * nx * ny, |label, count| {
+                    let own = label.map_or(0, |label| number(LayerLabel { layer, label }));
+                    (voxel..voxel + count).for_each(|voxel| numbers[voxel * layers + layer] = own);
+                    voxel += count;
+                });
+            }
+            let mut counts: BTreeMap<Vec<u16>, usize> = BTreeMap::new();
+            let numbers: Vec<&[u16]> = numbers.chunks(layers).collect();
+            for run in numbers.chunk_by(|a, b| a == b) {
+                let set: BTreeSet<u16> = run[0].iter().copied().filter(|&number| number != 0).collect();
+                *counts.entry(set.into_iter().collect()).or_default() += run.len();
+            }
+            counts
+        };
+        (0..nz).into_par_iter().map(of_slice).reduce(BTreeMap::new, |mut all, counts| {
+            counts.into_iter().for_each(|(set, count)| *all.entry(set).or_default() += count);
+            all
+        })
+    }
+
     /// Returns a mask of the voxels that have any of the given labels in the layer of that label.
     pub fn label_mask(&self, labels: &[LayerLabel]) -> Vec<bool> {
         let of_layer =
@@ -183,6 +216,15 @@ mod tests {
         assert_eq!(volume.label_numbered(9).expect("nowhere"), LayerLabel { layer: 0, label: 9 });
         let twice = Volume { segments: [volume.segments.clone(), volume.segments.clone()].concat(), ..volume };
         assert!(twice.segment_named("heart").is_err());
+    }
+
+    #[test]
+    fn voxels_are_counted_by_their_labels_in_all_layers() {
+        let number = |at: LayerLabel| if at.label == 0 { 0 } else { 10 * at.layer as u16 + at.label as u16 };
+        let counts = [(vec![], 4), (vec![1], 1), (vec![1, 11], 1), (vec![2], 1), (vec![2, 11], 1)];
+        assert_eq!(overlapping().combinations(number), BTreeMap::from(counts));
+        let same = [(vec![], 4), (vec![7], 4)];
+        assert_eq!(overlapping().combinations(|at| 7 * u16::from(at.label != 0)), BTreeMap::from(same));
     }
 
     #[test]

@@ -295,10 +295,13 @@ impl Voxels {
             .collect())
     }
 
-    /// Calls `visit` with the label of each value in order. The label of NaN is 0. Values that are
-    /// not labels give `None`.
-    pub fn each_label(&self, mut visit: impl FnMut(Option<i64>)) {
-        each_type!(self, values => values.iter().for_each(|&value| visit(Number::to_label(value))));
+    /// Calls `visit` with the label of each run of equal values in `range` and the length of the
+    /// run, in order. The label of NaN is 0. Values that are not labels give `None`.
+    pub fn each_run(&self, range: Range<usize>, mut visit: impl FnMut(Option<i64>, usize)) {
+        each_type!(self, values => {
+            let runs = values[range].chunk_by(|a, b| a == b);
+            runs.for_each(|run| visit(Number::to_label(run[0]), run.len()));
+        });
     }
 
     /// Reverses the order of slices of `length` values; see [`reverse_slices`].

@@ -34,7 +34,7 @@ enum Verb {
 #[derive(Clone, Debug, clap::Args)]
 struct Input {
     /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha,
-    /// .mhd), VTK image (.vti), or a folder of DICOM slices
+    /// .mhd), VTK image (.vti), or a folder of DICOM slices or of masks, one file per object
     #[arg(value_name = "VOLUME", help_heading = FILES)]
     path: PathBuf,
     /// Series to read if the folder contains several, given by its description, number or UID

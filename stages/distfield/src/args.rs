@@ -3,6 +3,7 @@
 use crate::choose::{ScaleArgs, inside_name};
 use crate::crop::Grid;
 use crate::materials::MaterialChoice;
+use crate::materials::overlaps::Overlap;
 use crate::{Border, Inside, Keep};
 use isoparticles_stage::cli::{CommonArgs, FILES, METHOD};
 use isoparticles_survey::kind::KindChoice;
@@ -28,7 +29,7 @@ use std::path::PathBuf;
 )]
 pub struct Args {
     /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha,
-    /// .mhd), VTK image (.vti), or a folder of DICOM slices
+    /// .mhd), VTK image (.vti), or a folder of DICOM slices or of masks, one file per object
     #[arg(value_name = "IN.nrrd", help_heading = FILES)]
     pub input: PathBuf,
     /// Series to read if the folder contains several, given by its description, number or UID
@@ -57,9 +58,10 @@ pub struct Args {
     #[arg(long, value_name = "A,B", allow_hyphen_values = true, help_heading = METHOD)]
     pub labels: Option<Selection>,
     /// Define a material by its labels, such as lung=2+3; may be repeated. NAME alone selects the
-    /// label of that name in the file. The word all defines one material for each label except 0
-    /// that no other --material contains. The remaining labels form the material "outside". The
-    /// output contains one field for each material, including the outside
+    /// label of that name in the file, or the mask of that name in the folder. The word all defines
+    /// one material for each label except 0 that no other --material contains. The remaining labels
+    /// form the material "outside". The output contains one field for each material, including the
+    /// outside
     #[arg(
         long,
         value_name = "NAME=A+B",
@@ -68,6 +70,11 @@ pub struct Args {
         help_heading = METHOD
     )]
     pub material: Vec<MaterialChoice>,
+    /// With --material: rule for the voxels of several materials, which segments and masks can
+    /// share; listed prefers the material listed first, then the smallest of those that all adds;
+    /// smaller prefers the smallest. Reassignments are reported
+    #[arg(long, value_enum, value_name = "WHICH", default_value_t = Overlap::Listed, requires = "material", help_heading = METHOD)]
+    pub overlap: Overlap,
     /// With --material: reassign each connected component with fewer voxels than this, including
     /// components of the outside, to the material with which it shares the most voxel faces; 1
     /// changes nothing. Reassignments are reported
@@ -128,6 +135,7 @@ impl Args {
             _ if !self.material.is_empty() => json!({
                 "material": self.material.iter().map(MaterialChoice::to_string).collect::<Vec<_>>(), "border": border,
                 "margin": self.margin, "clearance": self.clearance, "smallest_island": self.smallest_island,
+                "overlap": self.overlap,
             }),
             (Some(labels), _) => json!({
                 "labels": labels.to_string(), "border": border, "margin": self.margin, "keep": keep,

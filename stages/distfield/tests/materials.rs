@@ -40,7 +40,7 @@ fn make(volume: Volume, border: Border) -> Made {
 
 fn make_with(volume: Volume, border: Border, options: MaterialOptions) -> Made {
     let chosen = resolve(&[MaterialChoice::All], &volume).expect("labels");
-    let grid = LabelGrid::new(&volume, &chosen, border, MARGIN).expect("one material a voxel");
+    let grid = LabelGrid::new(&volume, &chosen, border, MARGIN);
     let extracted = extract(&grid, &chosen, &options, &Silent).expect("indicators");
     let materials = &extracted.materials;
     let survey = survey(materials, materials.geometry(), &grid, chosen.table.len(), &Silent).expect("surveyed");

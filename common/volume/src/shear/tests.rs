@@ -28,7 +28,7 @@ fn middle(geometry: &Geometry) -> DVec3 {
 
 fn counts(voxels: &Voxels) -> BTreeMap<i64, usize> {
     let mut counts = BTreeMap::new();
-    voxels.each_label(|label| *counts.entry(label.expect("a label")).or_default() += 1);
+    voxels.each_run(0..voxels.len(), |label, count| *counts.entry(label.expect("a label")).or_default() += count);
     counts
 }
 

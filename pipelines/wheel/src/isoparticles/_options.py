@@ -28,6 +28,9 @@ class DistfieldOptions(TypedDict, total=False):
     material: Materials
     #: The same as material.
     materials: Materials
+    #: With ``--material``: rule for the voxels of several materials, which segments and masks can
+    #: share. Default: listed.
+    overlap: Literal["listed", "smaller"]
     #: With ``--material``: reassign each connected component with fewer voxels than this, including
     #: components of the outside, to the material with which it shares the most voxel faces.
     #: Default: 1.

@@ -1,5 +1,5 @@
-//! Parses and resolves the materials given by the user: `lung=2+3`, `heart` if the file contains
-//! that name, or `all`.
+//! Parses and resolves the materials given by the user: `lung=2+3` or `2+3=lung`, `heart` if the
+//! file contains that name, or `all`.
 
 use isoparticles_field::materials::{MOST_MATERIALS, Material, MaterialId};
 use isoparticles_stage::error::{Error, Result};
@@ -33,6 +33,10 @@ impl FromStr for MaterialChoice {
         let choice = match text.split_once('=') {
             _ if text.eq_ignore_ascii_case("all") => return Ok(Self::All),
             None => Self::Named(text.to_owned()),
+            // only labels are joined, so they may also come first
+            Some((labels, name)) if labels.contains('+') && !name.contains('+') => {
+                return format!("{name}={labels}").parse();
+            }
             Some((name, labels)) => {
                 let labels: std::result::Result<Vec<Selection>, String> = labels.split('+').map(str::parse).collect();
                 Self::Labels(name.trim().to_owned(), labels?)
@@ -69,9 +73,19 @@ pub struct Chosen {
     /// Names and labels, indexed by material number.
     pub table: Vec<Material>,
     number: BTreeMap<LayerLabel, u16>,
+    /// Number of materials, without the outside, that are not added by `all`.
+    pub(crate) listed: usize,
+    /// Rank of each material: of several, a voxel belongs to the one with the lowest rank. The rank
+    /// of the outside is the highest.
+    pub(crate) rank: Vec<usize>,
 }
 
 impl Chosen {
+    /// Returns which of two materials a voxel in both belongs to.
+    pub fn first(&self, a: u16, b: u16) -> u16 {
+        if self.rank[usize::from(b)] < self.rank[usize::from(a)] { b } else { a }
+    }
+
     /// Returns the material number of a label, or 0 if the label belongs to no material.
     pub fn number(&self, label: LayerLabel) -> u16 {
         self.number.get(&label).copied().unwrap_or(MaterialId::OUTSIDE.0)
@@ -131,6 +145,7 @@ pub fn resolve(choices: &[MaterialChoice], volume: &Volume) -> Result<Chosen> {
         }
         named.push(Material { name: name.clone(), labels: own });
     }
+    let listed_count = named.len();
     if choices.contains(&MaterialChoice::All) {
         add_rest(volume, &present, &mut named, &mut number);
     }
@@ -143,7 +158,8 @@ pub fn resolve(choices: &[MaterialChoice], volume: &Volume) -> Result<Chosen> {
     }
     let rest = present.iter().copied().filter(|label| !number.contains_key(label)).collect();
     let outside = Material { name: OUTSIDE.to_owned(), labels: rest };
-    Ok(Chosen { table: std::iter::once(outside).chain(named).collect(), number })
+    let rank = std::iter::once(usize::MAX).chain(0..named.len()).collect();
+    Ok(Chosen { table: std::iter::once(outside).chain(named).collect(), number, listed: listed_count, rank })
 }
 
 /// Adds one material for each label except 0 that belongs to no material yet.
@@ -275,6 +291,8 @@ mod tests {
         for text in ["", "=3", "outside=3", "a=", "a=1++2"] {
             assert!(text.parse::<MaterialChoice>().is_err(), "{text}");
         }
-        assert_eq!("a= 1 + 2".parse::<MaterialChoice>().expect("a choice").to_string(), "a=1+2");
+        for text in ["a= 1 + 2", "1 + 2=a"] {
+            assert_eq!(text.parse::<MaterialChoice>().expect("a choice").to_string(), "a=1+2");
+        }
     }
 }

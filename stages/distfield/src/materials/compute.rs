@@ -5,7 +5,8 @@ use super::choice::{Chosen, resolve};
 use super::contacts::ContactReport;
 use super::extract::{Extracted, MaterialOptions, Quiet, Tally, extract};
 use super::grid::LabelGrid;
-use super::islands::remove_islands;
+use super::islands::{remove_empty, remove_islands};
+use super::overlaps::{Reassigned, settle};
 use super::scaled::edge_length;
 use super::scales::Scales;
 use super::survey::{Survey, distance_limit, survey};
@@ -45,6 +46,7 @@ pub(crate) fn compute(args: &Args, mut volume: Volume, context: &Context) -> Res
     check_options(args)?;
     let step = context.step("materials read");
     let mut chosen = resolve(&args.material, &volume)?;
+    let overlaps = settle(&mut chosen, &volume, args.overlap);
     let base = scale(args, &volume, &chosen, context)?;
     let voxel = volume.geometry.mean_spacing();
     Given::new(&args.scale.size, &names(&chosen))?;
@@ -55,8 +57,9 @@ pub(crate) fn compute(args: &Args, mut volume: Volume, context: &Context) -> Res
     // beyond them
     let room = longest.map_or([LABEL_ROOM; 3], |scale| room_round(0.5 * scale / volume.geometry.spacing));
     take_out(args, &mut volume, found, room, context)?;
-    let mut grid = LabelGrid::new(&volume, &chosen, args.border, args.margin.into())?;
+    let mut grid = LabelGrid::new(&volume, &chosen, args.border, args.margin.into());
     drop((volume, step));
+    tell_overlaps(&overlaps, &mut grid, &mut chosen, context);
     remove_small(&mut grid, &mut chosen, args.smallest_island as usize, context);
     context.set_parameter("materials", json!(chosen.table));
     tell_grid(&whole, &grid.padded(), context);
@@ -115,6 +118,31 @@ fn tell_contacts(contacts: ContactReport, context: &Context) {
     }
 }
 
+/// Reports the voxels of several materials, and removes the materials that lost all their voxels.
+fn tell_overlaps(overlaps: &[Reassigned], grid: &mut LabelGrid, chosen: &mut Chosen, context: &Context) {
+    let Some(Reassigned { kept, lost, voxels }) = overlaps.first() else { return };
+    context.report("overlaps", json!(overlaps));
+    let total: usize = overlaps.iter().map(|pair| pair.voxels).sum();
+    context.summary("overlapping voxels reassigned", format!("{total}, of {} pairs of materials", overlaps.len()));
+    context.warn(format!(
+        "{total} voxels were in several materials, in {} pairs; most of them, {voxels}, belong to '{kept}' now and no \
+         longer to '{lost}' (`overlaps` in the report lists all). The order of MATERIALS (--material) or \
+         DISTFIELD_OPTIONS=\"--overlap smaller\" chooses the material that keeps a voxel",
+        overlaps.len()
+    ));
+    let names = names(chosen);
+    let is_left = remove_empty(grid, &mut chosen.table);
+    let gone: Vec<String> = names.into_iter().zip(is_left).filter(|(_, left)| !left).map(|(name, _)| name).collect();
+    if !gone.is_empty() {
+        context.warn(format!(
+            "{} materials lost all their voxels to others and were removed: {}; to keep them, list them first in \
+             MATERIALS (--material)",
+            gone.len(),
+            listed(&gone)
+        ));
+    }
+}
+
 /// Merges islands into the surrounding materials and reports the islands.
 fn remove_small(grid: &mut LabelGrid, chosen: &mut Chosen, least: usize, context: &Context) {
     if least < 2 {
@@ -132,14 +160,13 @@ fn remove_small(grid: &mut LabelGrid, chosen: &mut Chosen, least: usize, context
          materials; the largest, of '{name}', has {most} voxels at ({x:.1}, {y:.1}, {z:.1}) mm (`islands` in the \
          report lists all)"
     ));
-    let gone: Vec<&str> = found.iter().filter(|own| own.is_all).map(|own| own.name.as_str()).collect();
+    let gone: Vec<String> = found.iter().filter(|own| own.is_all).map(|own| own.name.clone()).collect();
     if !gone.is_empty() {
-        let more = if gone.len() > MOST_NAMES { ", ..." } else { "" };
-        let named = gone[..gone.len().min(MOST_NAMES)].join(", ");
         context.warn(format!(
-            "{} materials consisted of such islands only and were removed: {named}{more}; to keep them, lower the \
-             number in DISTFIELD_OPTIONS=\"--smallest-island VOXELS\"",
-            gone.len()
+            "{} materials consisted of such islands only and were removed: {}; to keep them, lower the number in \
+             DISTFIELD_OPTIONS=\"--smallest-island VOXELS\"",
+            gone.len(),
+            listed(&gone)
         ));
     }
 }
@@ -170,7 +197,7 @@ fn scale(args: &Args, volume: &Volume, chosen: &Chosen, context: &Context) -> Re
         Some(choice) => choice,
         None => {
             let _step = context.step("choose the scale");
-            let mut grid = LabelGrid::new(volume, chosen, args.border, args.margin.into())?;
+            let mut grid = LabelGrid::new(volume, chosen, args.border, args.margin.into());
             let mut table = chosen.table.clone();
             remove_islands(&mut grid, &mut table, args.smallest_island as usize);
             let voxels = grid.numbers.iter().filter(|&&number| number != MaterialId::OUTSIDE.0).count();

@@ -6,10 +6,8 @@ use crate::mask::Mask;
 use crate::scale::Coarser;
 use crate::{Border, bits::Bits};
 use isoparticles_field::materials::MaterialId;
-use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::{Geometry, LayerLabel, Volume};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 
 /// The material of every voxel of a volume, and of the nodes of the padded grid around the volume.
 pub struct LabelGrid {
@@ -58,45 +56,22 @@ impl Extent {
 }
 
 impl LabelGrid {
-    /// Maps the labels of a volume to the chosen materials.
-    ///
-    /// # Errors
-    /// If overlapping layers assign one voxel to two materials.
-    pub fn new(volume: &Volume, chosen: &Chosen, border: Border, margin: usize) -> Result<Self> {
+    /// Maps the labels of a volume to the chosen materials. A voxel with several materials belongs
+    /// to the one with the lowest rank.
+    pub fn new(volume: &Volume, chosen: &Chosen, border: Border, margin: usize) -> Self {
         let mut numbers = vec![0u16; volume.voxels.len()];
-        let mut overlaps: BTreeMap<(u16, u16), usize> = BTreeMap::new();
         for (layer, voxels) in volume.layers().enumerate() {
-            let mut last = (None, 0);
             let mut voxel = 0;
-            voxels.each_label(|label| {
-                if label != last.0 {
-                    last = (label, label.map_or(0, |label| chosen.number(LayerLabel { layer, label })));
+            voxels.each_run(0..voxels.len(), |label, count| {
+                let own = label.map_or(0, |label| chosen.number(LayerLabel { layer, label }));
+                if own != 0 {
+                    let run = numbers[voxel..voxel + count].iter_mut();
+                    run.for_each(|number| *number = chosen.first(*number, own));
                 }
-                if last.1 != 0 {
-                    match numbers[voxel] {
-                        0 => numbers[voxel] = last.1,
-                        other if other == last.1 => {}
-                        other => *overlaps.entry((other, last.1)).or_default() += 1,
-                    }
-                }
-                voxel += 1;
+                voxel += count;
             });
         }
-        let name = |id: u16| &chosen.table[usize::from(id)].name;
-        if let Some(((a, b), count)) = overlaps.first_key_value() {
-            return Err(Error::input(
-                format!(
-                    "{count} voxels belong to two materials, '{}' and '{}' ({} pairs of materials overlap)",
-                    name(*a),
-                    name(*b),
-                    overlaps.len()
-                ),
-                "layers of the file overlap, but each voxel must belong to one material",
-                "remove one of the two from MATERIALS (--material), or join them: MATERIALS=NAME:LABEL+LABEL \
-                 (--material NAME=LABEL+LABEL)",
-            ));
-        }
-        Ok(Self { geometry: volume.geometry.clone(), numbers, border, margin })
+        Self { geometry: volume.geometry.clone(), numbers, border, margin }
     }
 
     /// Returns the padded grid.

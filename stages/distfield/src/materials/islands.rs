@@ -49,20 +49,25 @@ pub fn remove_islands(grid: &mut LabelGrid, table: &mut Vec<Material>, least: us
     let mut found: BTreeMap<u16, Islands> = BTreeMap::new();
     while remove_outermost(grid, least, &mut found) {}
     let mut islands: Vec<Islands> = found.into_values().collect();
+    islands.iter_mut().for_each(|own| own.name.clone_from(&table[own.material.index()].name));
+    let is_left = remove_empty(grid, table);
+    islands.iter_mut().for_each(|own| own.is_all = !is_left[own.material.index()]);
+    islands
+}
+
+/// Removes the materials without voxels from the table; the materials after them move up. Returns
+/// which materials are left.
+pub fn remove_empty(grid: &mut LabelGrid, table: &mut Vec<Material>) -> Vec<bool> {
     let is_left: Vec<bool> =
         grid.extents(table.len()).iter().enumerate().map(|(id, own)| id == 0 || own.count > 0).collect();
-    for own in &mut islands {
-        own.name.clone_from(&table[own.material.index()].name);
-        own.is_all = !is_left[own.material.index()];
-    }
-    if islands.iter().any(|own| own.is_all) {
+    if is_left.contains(&false) {
         let number = |id: usize| is_left[..id].iter().filter(|&&left| left).count() as u16;
         let numbers: Vec<u16> = (0..table.len()).map(number).collect();
         grid.numbers.par_iter_mut().for_each(|own| *own = numbers[usize::from(*own)]);
         let mut kept = is_left.iter();
         table.retain(|_| kept.next() == Some(&true));
     }
-    islands
+    is_left
 }
 
 /// Reassigns the islands next to larger components. Returns false if there are none.

@@ -101,6 +101,13 @@ LISTS = (
         "Each of these components needed more particles than h allows, and got them.",
     ),
     PlaceList(
+        "Voxels of overlapping materials",
+        "distfield",
+        _at("overlaps"),
+        (("kept", "kept by"), ("lost", "lost by"), ("voxels", "voxels")),
+        "These voxels were in two segments or masks.",
+    ),
+    PlaceList(
         "Small islands given to the materials around them",
         "distfield",
         _at("islands"),
