@@ -2,7 +2,7 @@
 //! in world coordinates.
 //!
 //! [`read_volume`] reads NRRD, 3D Slicer segmentations, NIfTI, MetaImage, VTK images and folders of
-//! DICOM slices. Lengths are in mm. Unless stated otherwise, positions are in the *grid frame*
+//! DICOM slices or of masks. Lengths are in mm. Unless stated otherwise, positions are in the *grid frame*
 //! (index times spacing, axis-aligned, right-handed). [`Geometry`] converts them to the world
 //! frame.
 //!
@@ -30,6 +30,7 @@ mod error;
 mod geometry;
 mod image;
 mod limit;
+mod masks;
 mod meta_image;
 mod nifti;
 pub mod nrrd;

@@ -4,9 +4,9 @@
 use crate::error::bad;
 use crate::error::{Content, Error, Result};
 use crate::volume::Volume;
-use crate::{dicom, meta_image, nifti, nrrd, vti};
+use crate::{dicom, masks, meta_image, nifti, nrrd, vti};
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Number of bytes used to detect the format. DICOM needs the first 132 bytes. The XML declaration
 /// and the `VTKFile` tag that VTK writes have up to 151 bytes in total; a comment may precede the
@@ -31,7 +31,7 @@ enum Format {
 }
 
 /// Reads a volume from an NRRD file, a 3D Slicer segmentation, a MetaImage, a NIfTI file, a VTK
-/// image, or a folder of DICOM slices.
+/// image, or a folder of DICOM slices or of masks, one file per object.
 ///
 /// # Errors
 /// If the file cannot be read, is not a volume with one number per voxel, is damaged or truncated,
@@ -47,7 +47,7 @@ pub fn read_volume(path: &Path) -> Result<Volume> {
 /// requested from a file.
 pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     if path.is_dir() {
-        return dicom::read_folder(path, options.series);
+        return read_folder(path, options.series);
     }
     // if this is the voxel file of a NIfTI pair, start from its header
     let header = nifti::partner(path).filter(|other| other.to_string_lossy().trim_end_matches(".gz").ends_with(".hdr"));
@@ -59,15 +59,48 @@ pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume
         Format::Nifti => nifti::read_nifti,
         Format::VtkImage => vti::read_vti,
     };
-    match options.series {
+    without_series(path, options.series)?;
+    read(path)
+}
+
+/// Fails if a series is requested from anything but a folder of DICOM files.
+fn without_series(path: &Path, series: Option<&str>) -> Result<()> {
+    match series {
         Some(series) => Err(bad(
             path,
             format!("has no series, and '{series}' was requested"),
             "only a folder of DICOM files has series",
             "leave out the series, or use the folder",
         )),
-        None => read(path),
+        None => Ok(()),
     }
+}
+
+/// Reads a folder: the slices of a DICOM series or, if it contains no DICOM files, masks.
+fn read_folder(folder: &Path, series: Option<&str>) -> Result<Volume> {
+    let cannot = |error: std::io::Error| Error::file(folder, "read", error, "check the name of the folder");
+    let entries = std::fs::read_dir(folder).map_err(cannot)?.map(|entry| entry.map(|entry| entry.path()));
+    let mut entries: Vec<PathBuf> = entries.collect::<std::io::Result<_>>().map_err(cannot)?;
+    entries.sort();
+    let (folders, mut files): (Vec<PathBuf>, Vec<PathBuf>) = entries.into_iter().partition(|path| path.is_dir());
+    let slices: Vec<PathBuf> = files.iter().filter(|path| dicom::is_dicom_file(path)).cloned().collect();
+    if !slices.is_empty() {
+        return dicom::read_series(folder, &slices, series);
+    }
+    files.retain(|path| masks::mask_name(path).is_some());
+    if !files.is_empty() {
+        without_series(folder, series)?;
+        return masks::read_masks(folder, &files);
+    }
+    let names: Vec<String> = folders.iter().take(10).map(|folder| folder.display().to_string()).collect();
+    let hint = if names.is_empty() { String::new() } else { format!("; its subfolders are {}", names.join(", ")) };
+    Err(bad(
+        folder,
+        "is a folder without DICOM files or masks",
+        "a folder is read as the slices of one DICOM series, or as masks: one volume file per object, such as \
+         heart.nii.gz",
+        format!("use the volume's file, or the folder that contains the slices or masks{hint}"),
+    ))
 }
 
 fn start(path: &Path) -> Result<Vec<u8>> {
@@ -116,7 +149,7 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
         path,
         "has an unknown format",
         "volumes can be read from NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha, .mhd), VTK \
-         image files (.vti) and folders of DICOM slices",
+         image files (.vti) and folders of DICOM slices or masks",
         "convert it, for example with 3D Slicer, ITK-SNAP or SimpleITK",
     ))
 }

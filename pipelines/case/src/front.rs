@@ -41,7 +41,7 @@ pub fn stage(path: &Path) -> Result<CommandLine> {
 pub fn command(known: &[CommandLine]) -> Command {
     let options = || KEYS.iter().filter(|key| !["CASE", "INPUT"].contains(&key.name)).map(option);
     let of_volume = |name: &'static str, about: &'static str| {
-        let volume = Arg::new("VOLUME").value_hint(ValueHint::AnyPath).help("Volume file, or folder of DICOM slices");
+        let volume = Arg::new("VOLUME").value_hint(ValueHint::AnyPath).help("Volume file, or folder of DICOM slices or masks");
         Command::new(name).about(about).arg(volume).args(options())
     };
     let of_name = |name: &'static str, about: &'static str| {
@@ -71,7 +71,7 @@ pub fn command(known: &[CommandLine]) -> Command {
         Command::new(name).about(about).arg(more.help("See `isoparticles STAGE --help`"))
     });
     let convert = Command::new("convert").about("Write a volume as a VTK image (.vti)").args([
-        Arg::new("VOLUME").value_hint(ValueHint::AnyPath).help("Volume file, or folder of DICOM slices"),
+        Arg::new("VOLUME").value_hint(ValueHint::AnyPath).help("Volume file, or folder of DICOM slices or masks"),
         Arg::new("output").short('o').long("output").value_name("V.vti").value_hint(ValueHint::FilePath),
     ]);
     Command::new("isoparticles")

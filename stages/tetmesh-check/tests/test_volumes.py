@@ -57,8 +57,9 @@ def test_names_layers_and_errors(tmp_path: Path) -> None:
     assert (volume.names, volume.layers, volume.anatomical) == ({1: "left lung"}, 2, True)
     with pytest.raises(StageError, match="2 layers of segments"):
         read_label_volume(path)
-    with pytest.raises(StageError, match="is a folder without DICOM files") as refused:
-        read_volume(tmp_path)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(StageError, match="is a folder without DICOM files or masks") as refused:
+        read_volume(tmp_path / "empty")
     assert "contains the slices" in refused.value.next_step
     ball().save(tmp_path / "ball.vtp")
     with pytest.raises(StageError, match="is a surface"):

@@ -11,8 +11,8 @@ mod slice;
 mod source;
 mod stack;
 
+use crate::error::Result;
 use crate::error::bad;
-use crate::error::{Error, Result};
 use crate::volume::Volume;
 use crate::voxels::Voxels;
 use isoparticles_file::limit::check_memory;
@@ -25,12 +25,11 @@ pub(crate) fn is_dicom(start: &[u8]) -> bool {
     source::missing(start).is_some()
 }
 
-/// Reads the series that `wanted` selects from a folder. If `wanted` is `None`, there must be
-/// exactly one series of slices.
-pub(crate) fn read_folder(folder: &Path, wanted: Option<&str>) -> Result<Volume> {
-    let files = dicom_files(folder)?;
+/// Reads the series that `wanted` selects from `files`, the DICOM files in a folder. If `wanted` is
+/// `None`, there must be exactly one series of slices.
+pub(crate) fn read_series(folder: &Path, files: &[PathBuf], wanted: Option<&str>) -> Result<Volume> {
     let (mut pictures, mut no_images) = (Vec::new(), Vec::new());
-    for path in &files {
+    for path in files {
         match Picture::read(path)? {
             Found::Image(picture) => pictures.push(*picture),
             Found::NoImage { path, class } => no_images.push((path, class)),
@@ -56,42 +55,9 @@ pub(crate) fn read_folder(folder: &Path, wanted: Option<&str>) -> Result<Volume>
     Ok(Volume { remarks, ..Volume::new(stack.geometry, voxels) })
 }
 
-/// Returns the DICOM files directly in a folder, sorted by name.
-fn dicom_files(folder: &Path) -> Result<Vec<PathBuf>> {
-    let cannot = |error: std::io::Error| Error::file(folder, "read", error, "check the name of the folder");
-    let mut files = Vec::new();
-    let mut folders = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(cannot)? {
-        let path = entry.map_err(cannot)?.path();
-        if path.is_dir() {
-            folders.push(path);
-        } else if is_dicom_file(&path) {
-            files.push(path);
-        }
-    }
-    files.sort();
-    if !files.is_empty() {
-        return Ok(files);
-    }
-    folders.sort();
-    let names: Vec<String> = folders.iter().take(10).map(|folder| folder.display().to_string()).collect();
-    Err(bad(
-        folder,
-        "is a folder without DICOM files",
-        "a folder is read as the slices of one DICOM series",
-        match names.is_empty() {
-            true => "use the volume's file, or the folder that contains the slices".to_owned(),
-            false => format!(
-                "use the volume's file, or the folder that contains the slices; its subfolders are {}",
-                names.join(", ")
-            ),
-        },
-    ))
-}
-
 /// Returns whether a file starts like a DICOM file. Unreadable files are skipped; if one of them is
 /// an inner slice, the gap in the stack is reported later.
-fn is_dicom_file(path: &Path) -> bool {
+pub(crate) fn is_dicom_file(path: &Path) -> bool {
     let mut start = Vec::new();
     let read = std::fs::File::open(path).and_then(|file| file.take(source::START as u64).read_to_end(&mut start));
     read.is_ok() && is_dicom(&start)

@@ -2,6 +2,7 @@
 //! written with dicom-rs.
 
 use super::*;
+use crate::error::Error;
 use crate::geometry::Space;
 use crate::read::{ReadOptions, read_volume, read_volume_with};
 use dicom_core::{DataElement, PrimitiveValue, VR};

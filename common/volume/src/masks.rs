@@ -1,0 +1,276 @@
+//! Reads a folder of masks, with one file per object, as a label volume with named segments.
+//!
+//! Each mask becomes a segment with the name of its file. Masks that overlap go to different
+//! layers, so every mask keeps all its voxels. Besides one byte per voxel and layer, only one mask
+//! at a time is in memory.
+//!
+//! The grid is that of the finest mask, extended to contain all masks. A voxel is inside a mask if
+//! the nearest voxel of the mask is. If the mask is coarser than the grid, no voxel of the grid
+//! contains the centres of several voxels of the mask, so there is nothing to average.
+
+use crate::error::{Result, bad};
+use crate::geometry::Geometry;
+use crate::limit::voxel_count;
+use crate::read::read_volume;
+use crate::segments::{LayerLabel, Segment};
+use crate::volume::Volume;
+use crate::voxels::{ScalarType, Voxels};
+use glam::{DMat3, DVec3};
+use isoparticles_file::history::file_name;
+use isoparticles_file::limit::check_memory;
+use rayon::prelude::*;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+/// Endings of the names of volume files. A mask has the name of its file without the ending.
+const ENDINGS: [&str; 10] =
+    [".nii.gz", ".nii", ".hdr.gz", ".hdr", ".seg.nrrd", ".nrrd", ".nhdr", ".mha", ".mhd", ".vti"];
+
+/// Maximum number of masks: a byte holds this many labels besides 0. TotalSegmentator writes 117.
+const MOST_MASKS: usize = u8::MAX as usize;
+
+/// Share of the maximum from which a voxel is inside: for probabilities, more likely than not.
+const INSIDE: f64 = 0.5;
+
+/// Index positions that differ by less than this are the same. NIfTI headers store positions of up
+/// to 1000 mm with rounding errors of 3e-5 mm; this is 1e-3 of a voxel of 0.03 mm.
+const TOLERANCE: f64 = 1e-3;
+
+/// Returns the name of a mask, or `None` if a file with this name is not read as a mask.
+pub(crate) fn mask_name(path: &Path) -> Option<String> {
+    let name = file_name(path);
+    let lower = name.to_ascii_lowercase();
+    let ending = ENDINGS.iter().find(|ending| lower.ends_with(*ending))?;
+    (!name.starts_with('.')).then(|| name[..name.len() - ending.len()].to_owned())
+}
+
+/// Reads `files`, the masks in a folder, of which there is at least one.
+///
+/// # Errors
+/// If a file is not a mask, if the masks are not in one space, or if they do not fit in memory.
+pub(crate) fn read_masks(folder: &Path, files: &[PathBuf]) -> Result<Volume> {
+    if files.len() > MOST_MASKS {
+        return Err(bad(
+            folder,
+            format!("contains {} volume files", files.len()),
+            format!("the files of a folder are read as masks, at most {MOST_MASKS}"),
+            "move the files that you do not need to another folder",
+        ));
+    }
+    let mut masks = Masks::read(files, None)?;
+    let grid = common_grid(&masks.grids);
+    if masks.grids[0] != grid {
+        masks = Masks::read(files, Some(&grid))?;
+        let [nx, ny, nz] = grid.size;
+        masks.remarks.push(format!(
+            "the masks have different grids; they are resampled to {nx} x {ny} x {nz} voxels of the finest mask"
+        ));
+    }
+    let Masks { layers, segments, empty, mut remarks, .. } = masks;
+    if !empty.is_empty() {
+        remarks.push(format!("{} of {} masks are empty: {}", empty.len(), files.len(), empty.join(", ")));
+    }
+    let mut layers = layers.into_iter().map(Voxels::U8);
+    let first = layers.next().unwrap_or_else(|| Voxels::empty(ScalarType::U8));
+    Ok(Volume { more_layers: layers.collect(), segments, remarks, ..Volume::new(grid, first) })
+}
+
+/// The masks read so far.
+#[derive(Default)]
+struct Masks {
+    /// The labels of each layer.
+    layers: Vec<Vec<u8>>,
+    segments: Vec<Segment>,
+    /// The grid of each mask.
+    grids: Vec<Geometry>,
+    /// The names of the masks without a voxel.
+    empty: Vec<String>,
+    remarks: Vec<String>,
+}
+
+impl Masks {
+    /// Reads all masks onto a grid. Without a grid, uses that of the first mask.
+    fn read(files: &[PathBuf], grid: Option<&Geometry>) -> Result<Self> {
+        let mut masks = Self::default();
+        for path in files {
+            let mask = read_volume(path)?;
+            masks.grids.push(mask.geometry.clone());
+            let grid = grid.unwrap_or(&masks.grids[0]).clone();
+            masks.add(path, mask, &grid)?;
+        }
+        Ok(masks)
+    }
+
+    fn add(&mut self, path: &Path, mask: Volume, grid: &Geometry) -> Result<()> {
+        if mask.geometry.space != grid.space {
+            return Err(bad(
+                path,
+                "is not in the same space as the other masks of the folder",
+                "some of them specify an anatomical space and others do not, so their positions cannot be compared",
+                "write all masks with the same program, in the frame of the scan",
+            ));
+        }
+        for remark in &mask.remarks {
+            if !self.remarks.iter().any(|known| known.ends_with(remark)) {
+                self.remarks.push(format!("{}: {remark}", file_name(path)));
+            }
+        }
+        // the voxels inside the mask, and a layer if the others are taken
+        check_memory(path, (mask.voxels.len() + voxel_count(path, grid.size)?) as u64)?;
+        let level = level(path, &mask)?;
+        let Volume { geometry, voxels, .. } = mask;
+        let placed = Placed::new(inside(voxels, geometry.size[0], level), &geometry, grid);
+        let layer = self.layers.iter().position(|layer| placed.is_free(layer)).unwrap_or(self.layers.len());
+        if layer == self.layers.len() {
+            self.layers.push(vec![0; grid.voxel_count()]);
+        }
+        let (name, label) = (mask_name(path).unwrap_or_default(), self.segments.len() as u8 + 1);
+        if placed.paint(&mut self.layers[layer], label) == 0 {
+            self.empty.push(name.clone());
+        }
+        self.segments.push(Segment { name, at: LayerLabel { layer, label: label.into() } });
+        Ok(())
+    }
+}
+
+/// Returns the value from which a voxel is inside a mask. A mask contains probabilities from 0 to
+/// 1, or 0 and one positive label.
+fn level(path: &Path, mask: &Volume) -> Result<f32> {
+    let (low, high) = mask.voxels.range().unwrap_or_default();
+    let has_one_label = || mask.voxels.label_set().is_ok_and(|labels| labels.iter().filter(|&&n| n != 0).count() == 1);
+    if mask.more_layers.is_empty() && low >= 0.0 && (high <= 1.0 || has_one_label()) {
+        return Ok((INSIDE * high.max(1.0)) as f32);
+    }
+    Err(bad(
+        path,
+        format!("is not a mask; it contains values from {low} to {high}"),
+        "the volume files of a folder are read as masks: 0 and one other value, or probabilities from 0 to 1",
+        "move it to another folder; for a label map or a scan, use the file instead of the folder",
+    ))
+}
+
+/// Marks the voxels with at least the value `level`. `nx` is the length of a row.
+fn inside(voxels: Voxels, nx: usize, level: f32) -> Vec<bool> {
+    let mut inside = vec![false; voxels.len()];
+    inside.par_chunks_mut(nx).enumerate().for_each_init(
+        || vec![0.0; nx],
+        |values, (row, inside)| {
+            voxels.copy_as_f32(row * nx, values);
+            inside.iter_mut().zip(values).for_each(|(inside, value)| *inside = *value >= level);
+        },
+    );
+    inside
+}
+
+/// Returns the grid of the finest mask, extended by whole voxels to contain all masks.
+fn common_grid(grids: &[Geometry]) -> Geometry {
+    let voxel = |grid: &Geometry| grid.spacing.element_product();
+    // of masks with the same voxels but for rounding, the first one counts
+    let finest = grids.iter().fold(&grids[0], |a, b| if voxel(b) < (1.0 - TOLERANCE) * voxel(a) { b } else { a });
+    let size = DVec3::from_array(finest.size.map(|n| n as f64));
+    let (mut low, mut high) = (DVec3::ZERO, size);
+    for grid in grids {
+        let index = index_of(finest, grid);
+        for corner in 0..8 {
+            let at = [0, 1, 2].map(|a| if corner >> a & 1 == 0 { -0.5 } else { grid.size[a] as f64 - 0.5 });
+            let at = index.0 * DVec3::from_array(at) + index.1;
+            low = low.min((at + TOLERANCE).ceil());
+            high = high.max((at - TOLERANCE).floor() + 1.0);
+        }
+    }
+    if (low, high) == (DVec3::ZERO, size) {
+        return finest.clone();
+    }
+    let size = (high - low).to_array().map(|n| n as usize);
+    Geometry { size, origin: finest.grid_to_world(finest.index_to_grid(low)), ..finest.clone() }
+}
+
+/// Returns the matrix and the offset that convert the index positions of `from` to those of `to`.
+fn index_of(to: &Geometry, from: &Geometry) -> (DMat3, DVec3) {
+    let at = |index: DVec3| to.grid_to_index(to.world_to_grid(from.grid_to_world(from.index_to_grid(index))));
+    let origin = at(DVec3::ZERO);
+    (DMat3::from_cols(at(DVec3::X) - origin, at(DVec3::Y) - origin, at(DVec3::Z) - origin), origin)
+}
+
+/// A mask over the grid of the layers.
+struct Placed {
+    inside: Vec<bool>,
+    /// Size of the mask.
+    size: [usize; 3],
+    /// Converts index positions of the layers to those of the mask.
+    index: (DMat3, DVec3),
+    /// Size of the layers.
+    layer: [usize; 3],
+    /// A box of the layers with all voxels that can be inside.
+    bounds: [Range<usize>; 3],
+}
+
+impl Placed {
+    fn new(inside: Vec<bool>, mask: &Geometry, grid: &Geometry) -> Self {
+        let index = index_of(mask, grid);
+        let bounds = bounds(&inside, mask, grid);
+        Self { inside, size: mask.size, index, layer: grid.size, bounds }
+    }
+
+    /// Returns whether the voxel of the mask that is nearest to a voxel of the layers is inside.
+    fn holds(&self, i: usize, j: usize, k: usize) -> bool {
+        let index = self.index.0 * DVec3::new(i as f64, j as f64, k as f64) + self.index.1;
+        // halfway between two voxels, rounding errors must not decide
+        let [i, j, k] = (index + 0.5 + TOLERANCE).floor().to_array();
+        let [nx, ny, nz] = self.size;
+        let is_within = |i: f64, n: usize| i >= 0.0 && i < n as f64;
+        is_within(i, nx)
+            && is_within(j, ny)
+            && is_within(k, nz)
+            && self.inside[(k as usize * ny + j as usize) * nx + i as usize]
+    }
+
+    /// Returns the positions in slice `k` of the voxels of the mask.
+    fn voxels(&self, k: usize) -> impl Iterator<Item = usize> {
+        let [x, y, _] = &self.bounds;
+        y.clone().flat_map(move |j| x.clone().filter(move |&i| self.holds(i, j, k)).map(move |i| j * self.layer[0] + i))
+    }
+
+    /// Returns whether a layer is 0 throughout the mask.
+    fn is_free(&self, layer: &[u8]) -> bool {
+        let plane = self.layer[0] * self.layer[1];
+        self.bounds[2].clone().into_par_iter().all(|k| self.voxels(k).all(|voxel| layer[k * plane + voxel] == 0))
+    }
+
+    /// Sets the voxels of the mask to a label. Returns their number.
+    fn paint(&self, layer: &mut [u8], label: u8) -> usize {
+        let Range { start, end } = self.bounds[2];
+        let plane = self.layer[0] * self.layer[1];
+        let slices = layer[start * plane..end * plane].par_chunks_mut(plane).enumerate();
+        let painted = slices.map(|(n, slice)| self.voxels(start + n).map(|voxel| slice[voxel] = label).count());
+        painted.sum()
+    }
+}
+
+/// Returns a box of voxels of `grid` that contains all inside voxels of a mask.
+fn bounds(inside: &[bool], mask: &Geometry, grid: &Geometry) -> [Range<usize>; 3] {
+    let [nx, ny, _] = mask.size;
+    let rows = inside.par_chunks(nx).enumerate().filter_map(|(row, inside)| {
+        let ends = [inside.iter().position(|&inside| inside)?, inside.iter().rposition(|&inside| inside)?];
+        Some(ends.map(|i| DVec3::new(i as f64, (row % ny) as f64, (row / ny) as f64)))
+    });
+    let none = || [DVec3::INFINITY, DVec3::NEG_INFINITY];
+    let joined = |a: [DVec3; 2], b: [DVec3; 2]| [a[0].min(b[0]), a[1].max(b[1])];
+    let [low, high] = rows.reduce(none, joined);
+    if low.x > high.x {
+        return [0..0, 0..0, 0..0];
+    }
+    // half a voxel around the centres, and one more against rounding
+    let (matrix, origin) = index_of(grid, mask);
+    let (centre, half) = (0.5 * (low + high), 0.5 * (high - low) + 0.5);
+    let reach = DMat3::from_cols(matrix.x_axis.abs(), matrix.y_axis.abs(), matrix.z_axis.abs()) * half + 1.0;
+    let centre = matrix * centre + origin;
+    // the conversion of a negative number gives 0
+    [0, 1, 2].map(|a| {
+        let end = ((centre + reach)[a].ceil() as usize).saturating_add(1).min(grid.size[a]);
+        ((centre - reach)[a].floor() as usize).min(end)..end
+    })
+}
+
+#[cfg(test)]
+mod tests;
