@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -27,14 +26,6 @@ def _is_there(library: str) -> bool:
 NEEDS_HXT = pytest.mark.skipif(not _is_there("gmsh"), reason="Gmsh (HXT) is not installed: see setup-env.sh --help")
 NEEDS_TETGEN = pytest.mark.skipif(
     not _is_there("tetgen"), reason="TetGen (AGPL) is not installed: see requirements-tetgen.lock"
-)
-
-_BUILT = Path(__file__).parents[3] / "target" / "release"
-# the tests read volumes with isoparticles-volume, which `make test-python` builds first
-os.environ.setdefault("ISOPARTICLES_BIN", str(_BUILT))
-NEEDS_DISTFIELD = pytest.mark.skipif(
-    shutil.which("isoparticles-volume", path=os.environ["ISOPARTICLES_BIN"]) is None,
-    reason="isoparticles-volume is not built: cargo build --release, or name its folder in ISOPARTICLES_BIN",
 )
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

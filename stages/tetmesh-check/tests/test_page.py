@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import NEEDS_DISTFIELD, volume_with_ball, write_nrrd, write_status
+from conftest import volume_with_ball, write_nrrd, write_status
 from PIL import Image
 
 from tetmesh_check import cli
@@ -295,7 +295,6 @@ def test_a_volume_that_cannot_be_read_does_not_stop_the_page(
     assert "In three dimensions" in words
 
 
-@NEEDS_DISTFIELD
 @pytest.mark.parametrize("kind", ["scan", "labels", "materials"])
 def test_the_input_is_read_as_the_stages_read_it(case: Path, tmp_path: Path, kind: str) -> None:
     labels = kind != "scan"

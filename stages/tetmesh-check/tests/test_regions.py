@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import pyvista as pv
 from complexes import nested_balls
-from conftest import NEEDS_DISTFIELD, NEEDS_HXT, Run, ball, write_nrrd
+from conftest import NEEDS_HXT, Run, ball, write_nrrd
 from test_solve import block
 from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
 
@@ -62,7 +62,6 @@ def halves(path: Path, header: dict[str, str] | None = None) -> Path:
     return write_nrrd(path, values, **(header or placed("left-posterior-superior", np.eye(3), [-12.0] * 3)))
 
 
-@NEEDS_DISTFIELD
 def test_labels_are_sampled_in_the_world(tmp_path: Path) -> None:
     plain = read_label_volume(halves(tmp_path / "l.nrrd"))
     centres = np.array([[-3.0, 1, 1], [4.0, 2, -2], [-9.9, 0, 0], [2.0, 0, 9.7]])
@@ -85,7 +84,6 @@ def test_labels_are_sampled_in_the_world(tmp_path: Path) -> None:
     np.testing.assert_array_equal(regions_of(centres, read_label_volume(tmp_path / "l.vti"), [3, 7]), [3, 7, 3, 7])
 
 
-@NEEDS_DISTFIELD
 def test_bad_label_volumes_are_refused(tmp_path: Path) -> None:
     volume = read_label_volume(halves(tmp_path / "l.nrrd"))
     with pytest.raises(StageError, match="outside the label volume"):
@@ -114,7 +112,6 @@ TURN = np.array([[0.8, 0.6, 0.0], [-0.48, 0.64, 0.6], [0.36, -0.48, 0.8]])
 """A rotation matrix."""
 
 
-@NEEDS_DISTFIELD
 @pytest.mark.parametrize(
     "steps", [2.0 * TURN, np.diag([-1.0, 1.0, 2.0]), np.array([[1.0, 0.2, 0], [0, 1, 0.3], [0, 0, 3]])]
 )
@@ -131,7 +128,6 @@ def test_oblique_and_left_handed_grids(tmp_path: Path, steps: np.ndarray, space:
     assert share_outside(world, volume) == 0.0
 
 
-@NEEDS_DISTFIELD
 def test_a_vti_with_direction(tmp_path: Path) -> None:
     values = read_label_volume(halves(tmp_path / "l.nrrd")).values
     image = pv.ImageData(dimensions=(25,) * 3, spacing=(1.0, 2.0, 3.0), origin=(5.0, 6.0, 7.0))
@@ -452,7 +448,6 @@ def test_gmsh_opens_its_file(tmp_path: Path) -> None:
     assert done.stdout.strip() == "['surface', 'cap', 'region_2', 'region_5', 'region_37']"
 
 
-@NEEDS_DISTFIELD
 def test_a_wrong_label_volume_is_refused_before_anything_is_filled(tmp_path: Path, run: Run) -> None:
     ball(9.0, 3).save(tmp_path / "ball.vtp")
     halves(tmp_path / "l.nrrd", placed("LPS", np.eye(3), [100.0] * 3))
@@ -463,7 +458,6 @@ def test_a_wrong_label_volume_is_refused_before_anything_is_filled(tmp_path: Pat
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ball.vtp", "l.nrrd"]
 
 
-@NEEDS_DISTFIELD
 def test_tetrahedra_outside_the_label_volume_are_told(tmp_path: Path, run: Run) -> None:
     ball(9.0).save(tmp_path / "ball.vtp")
     halves(tmp_path / "l.nrrd", placed("LPS", np.eye(3), [-5.0, -12.0, -12.0]))
@@ -472,7 +466,6 @@ def test_tetrahedra_outside_the_label_volume_are_told(tmp_path: Path, run: Run) 
     assert "% of the tetrahedra lie outside the label volume" in done.stderr
 
 
-@NEEDS_DISTFIELD
 @NEEDS_HXT
 def test_regions_and_exports_from_the_command_line(tmp_path: Path, run: Run) -> None:
     surface = ball(9.0, 3)

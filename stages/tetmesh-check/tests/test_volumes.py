@@ -1,4 +1,4 @@
-"""Tests of reading volumes with isoparticles-volume, and of our files in other programs."""
+"""Tests of reading volumes, and of our files in other programs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import pyvista as pv
 import trimesh
-from conftest import NEEDS_DISTFIELD, ball, write_nrrd
+from conftest import ball, write_nrrd
 from test_regions import marked_block
 
 from tetmesh_check.errors import StageError
@@ -21,7 +21,7 @@ from tetmesh_check.labels import read_label_volume
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.quality import tetrahedron_quality
 from tetmesh_check.surface import history_of
-from tetmesh_check.volumes import find_program, read_volume
+from tetmesh_check.volumes import read_volume
 
 _COMMON = Path(__file__).parents[3] / "common"
 _FIXTURES = _COMMON / "volume" / "tests" / "data"
@@ -30,7 +30,6 @@ _TOLD = json.loads((_FIXTURES / "expected.json").read_text())["volumes"]
 """Contents of the fixtures according to the programs that made them."""
 
 
-@NEEDS_DISTFIELD
 @pytest.mark.parametrize("name", [name for name in _TOLD if not name.startswith("nrrd/type")][::3])
 def test_fixtures_lie_where_the_programs_that_made_them_say(name: str) -> None:
     volume = read_volume(_FIXTURES / name)
@@ -43,7 +42,6 @@ def test_fixtures_lie_where_the_programs_that_made_them_say(name: str) -> None:
     np.testing.assert_allclose(index @ volume.step.T + volume.origin, _TOLD[name]["positions"], atol=1e-5)
 
 
-@NEEDS_DISTFIELD
 def test_names_layers_and_errors(tmp_path: Path) -> None:
     header = {
         "space": "left-posterior-superior", "space_directions": "none (1,0,0) (0,1,0) (0,0,1)", "kinds": "list domain domain domain",
@@ -64,19 +62,6 @@ def test_names_layers_and_errors(tmp_path: Path) -> None:
     ball().save(tmp_path / "ball.vtp")
     with pytest.raises(StageError, match="is a surface"):
         read_volume(tmp_path / "ball.vtp")
-
-
-def test_a_program_that_is_not_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setenv("ISOPARTICLES_BIN", str(tmp_path))
-    with pytest.raises(StageError, match="program isoparticles-volume is not there") as refused:
-        find_program("isoparticles-volume")
-    assert "cargo build" in refused.value.next_step
-    (tmp_path / "isoparticles-volume").write_text("#!/bin/sh\necho old >&2; exit 2\n")
-    (tmp_path / "isoparticles-volume").chmod(0o755)
-    assert find_program("isoparticles-volume") == tmp_path / "isoparticles-volume"
-    with pytest.raises(StageError, match="ended with code 2: old"):
-        read_volume(tmp_path / "l.nrrd")
 
 
 def test_a_folder_has_a_hash(tmp_path: Path) -> None:

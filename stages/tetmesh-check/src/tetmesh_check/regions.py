@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from isoparticles import _native
-from scipy.spatial import cKDTree
 
 from tetmesh_check.errors import StageError
 from tetmesh_check.labels import LabelVolume
@@ -118,21 +117,8 @@ def regions_of(centres: Points, volume: LabelVolume, wanted: list[int] | None) -
         Those that were meshed, one of them at least in the volume (:func:`check_labels`); all but 0
         by default.
     """
-    inside = np.clip(_voxels(centres, volume), 0, np.array(volume.values.shape) - 1)
-    found: Labels = volume.values[tuple(inside.T)].astype(np.int64)
-    is_wanted = volume.values != 0 if wanted is None else np.isin(volume.values, wanted)
-    missing = np.flatnonzero(~is_wanted[tuple(inside.T)])
-    if len(missing):
-        # the nearest voxel of a wanted label is one that has another kind of neighbour
-        padded = np.pad(is_wanted, 1)
-        core = np.ones_like(is_wanted)
-        for axis in range(3):
-            for shift in (-1, 1):
-                core &= np.roll(padded, shift, axis)[1:-1, 1:-1, 1:-1]
-        rim = np.argwhere(is_wanted & ~core)
-        nearest = cKDTree(rim @ volume.step.T + volume.origin).query(centres[missing])[1]
-        found[missing] = volume.values[tuple(rim[nearest].T)]
-    return found
+    labels = volume.values.astype(np.int32, copy=False)
+    return _native.labels_at(labels, volume.step.T.tolist(), tuple(volume.origin), centres, wanted)
 
 
 def boundary_marks(surface: Surface, points: Points, boundary: Cells) -> Labels:
