@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from isoparticles import _native
+
 from tetmesh_check.arguments import Arguments
 from tetmesh_check.checks import conclude, surface_volume_checks
 from tetmesh_check.context import Context
@@ -62,6 +64,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         If there is no volume mesh; then only the log is written. An interrupt after that leaves the
         complete mesh.
     """
+    _native.set_threads(context.common.threads)
     with context.step("read"):
         inputs = _read(arguments, context)
     surface = inputs.surface
