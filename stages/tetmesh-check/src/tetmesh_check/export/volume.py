@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyvista as pv
+from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from tetmesh_check.export.mesh import MarkedMesh, unstructured
 from tetmesh_check.field_data import add_text
@@ -92,4 +94,17 @@ def _write(path: Path, mesh: MarkedMesh, kind: str, measures: dict[str, Values],
     if mesh.materials is not None:
         add_text(grid, "materials", json.dumps(mesh.materials.table))
     add_text(grid, "history", json.dumps(history))
-    write_atomically(path, lambda temporary: grid.save(temporary, binary=True))
+    write_atomically(path, lambda temporary: _save(grid, temporary))
+
+
+def _save(grid: pv.UnstructuredGrid, path: Path) -> None:
+    writer = vtkXMLUnstructuredGridWriter()
+    writer.SetFileName(str(path))
+    writer.SetInputData(grid)
+    # 1.1 million tetrahedra take 0.8 s of CPU time and 36 MB. PyVista's `save` (level 5, text) takes
+    # 1.5 s and 48 MB.
+    writer.SetCompressionLevel(1)
+    writer.SetDataModeToAppended()
+    writer.EncodeAppendedDataOff()
+    if not writer.Write():
+        raise OSError(f"cannot write {path}")
