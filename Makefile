@@ -15,7 +15,7 @@ CARGO_TARGET_DIR ?= target
 # Folder of the programs. With NO_BUILD=yes, they are used without being built first, as in the
 # tests of this file.
 BIN ?= $(CARGO_TARGET_DIR)/release
-# Folder in which tetmesh-check looks for isoparticles-volume, the program that reads volumes.
+# Folder of the programs for the tests and for the wheel.
 export ISOPARTICLES_BIN := $(abspath $(BIN))
 NO_BUILD ?=
 # The Python environment of tetmesh-check.
