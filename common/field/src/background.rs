@@ -71,9 +71,9 @@ pub struct BackgroundMesh {
 }
 
 impl BackgroundMesh {
-    /// Covers a closed surface (in the world frame) with cubes of five tetrahedra, and with one more
-    /// layer of cubes beyond it. Each cube has the size of the smallest number of voxels with which
-    /// there are at most `max_nodes` points.
+    /// Covers a closed surface (in the world frame) with cubes of five tetrahedra, and with one
+    /// more layer of cubes beyond it. Each cube has the size of the smallest number of voxels with
+    /// which there are at most `max_nodes` points.
     pub fn new(field: &SizingField, surface: &TriangleMesh, max_nodes: usize) -> Self {
         for stride in 1.. {
             let grid = covering_grid(&field.image().geometry, &surface.vertices, stride);
@@ -107,8 +107,8 @@ impl BackgroundMesh {
     }
 }
 
-/// Returns a grid whose nodes are `stride` voxels apart. It reaches two steps beyond world positions
-/// unless the volume ends before.
+/// Returns a grid whose nodes are `stride` voxels apart. It reaches two steps beyond world
+/// positions unless the volume ends before.
 fn covering_grid(geometry: &Geometry, positions: &[DVec3], stride: usize) -> Geometry {
     let indices = || positions.iter().map(|&p| geometry.grid_to_index(geometry.world_to_grid(p)));
     let margin = DVec3::splat(2.0 * stride as f64);

@@ -8,8 +8,8 @@
 //!   on the order of evaluation.
 //! - [`topology`]: components, Euler characteristics and critical points of F.
 //! - [`marching_cubes`]: a triangle mesh of F = 0.
-//! - [`materials`]: implicit functions for many materials, one per material. [`label_lookup`]: labels
-//!   at positions.
+//! - [`materials`]: implicit functions for many materials, one per material. [`label_lookup`]:
+//!   labels at positions.
 //!
 //! ```
 //! use glam::DVec3;

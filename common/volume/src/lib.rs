@@ -2,9 +2,9 @@
 //! in world coordinates.
 //!
 //! [`read_volume`] reads NRRD, 3D Slicer segmentations, NIfTI, MetaImage, VTK images and folders of
-//! DICOM slices or of masks. Lengths are in mm. Unless stated otherwise, positions are in the *grid frame*
-//! (index times spacing, axis-aligned, right-handed). [`Geometry`] converts them to the world
-//! frame.
+//! DICOM slices or masks. Lengths are in mm. Unless stated otherwise, positions are in the *grid
+//! frame* (index times spacing, axis-aligned, right-handed). [`Geometry`] converts them to the
+//! world frame.
 //!
 //! [`vtk_xml`] reads and writes VTK XML files of any kind, and [`vti`] reads and writes VTK images.
 //! Other crates build their file formats on these two modules.

@@ -17,8 +17,8 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
-/// Distance from F = 0 at which a projection ends, in voxels: a tenth of the error of the spline for
-/// a ball with a radius of ten voxels (1.6e-5).
+/// Distance from F = 0 at which a projection ends, in voxels: a tenth of the error of the spline
+/// for a ball with a radius of ten voxels (1.6e-5).
 const TOLERANCE: f64 = 1e-6;
 
 /// Numbers at the nodes of a grid.
@@ -125,8 +125,8 @@ impl GridField {
         })
     }
 
-    /// Places a node on each edge of tetrahedra. `curved` states which triangles of the boundary lie
-    /// on the zero set of the spline; the nodes of their edges are moved onto it.
+    /// Places a node on each edge of tetrahedra. `curved` states which triangles of the boundary
+    /// lie on the zero set of the spline; the nodes of their edges are moved onto it.
     fn quadratic(
         &self,
         py: Python<'_>,
@@ -301,8 +301,8 @@ fn grid<T: Element>(
     Ok((geometry, buffer.to_fortran_vec(array.py())?))
 }
 
-/// Returns the Bezier coefficients of the Jacobian of quadratic tetrahedra, shape `(m, 20)`. `nodes`
-/// contains their ten nodes in VTK order, shape `(10 m, 3)`.
+/// Returns the Bezier coefficients of the Jacobian of quadratic tetrahedra, shape `(m, 20)`.
+/// `nodes` contains their ten nodes in VTK order, shape `(10 m, 3)`.
 #[pyfunction]
 pub(crate) fn jacobian_coefficients(py: Python<'_>, nodes: &Bound<'_, PyAny>) -> PyResult<Array> {
     let nodes = points(nodes)?;

@@ -237,8 +237,8 @@ pub(crate) fn morton_order(py: Python<'_>, points: Argument) -> PyResult<Array> 
     compute(py, move || Array::indices(BoxTree::new(&boxes()).morton_order()))
 }
 
-/// Returns the boundary of tetrahedra with so many vertices: its triangles, the tetrahedron of each,
-/// and the body of each tetrahedron.
+/// Returns the boundary of tetrahedra with so many vertices: its triangles, the tetrahedron of
+/// each, and the body of each tetrahedron.
 #[pyfunction]
 pub(crate) fn tetrahedron_boundary(
     py: Python<'_>,

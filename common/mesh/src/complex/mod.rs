@@ -2,8 +2,9 @@
 //! meet. Material 0 is the outside. A triangle is counter-clockwise as seen from the second of its
 //! two materials.
 //!
-//! [`Complex::open_edges`] finds edges at which a material is not closed, [`Complex::shells`] finds the
-//! volumes that the triangles bound, and [`Complex::describe`] counts and measures materials and interfaces.
+//! [`Complex::open_edges`] finds edges at which a material is not closed, [`Complex::shells`] finds
+//! the volumes that the triangles bound, and [`Complex::describe`] counts and measures materials
+//! and interfaces.
 
 mod describe;
 mod shells;

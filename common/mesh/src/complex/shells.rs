@@ -22,7 +22,8 @@ pub struct Shells {
     /// Size of each volume without its cavities, mm^3.
     pub sizes: Vec<f64>,
     /// The volumes inside and outside of each triangle. -1 for a shell of a cavity that lies in no
-    /// volume of its material. Next to the outside, -1 minus the number of the shell of the outside.
+    /// volume of its material. Next to the outside, -1 minus the number of the shell of the
+    /// outside.
     pub of_triangle: Vec<[i64; 2]>,
     /// Number of wedges between sides of different materials. At such an edge, the order of the
     /// triangles contradicts their materials.

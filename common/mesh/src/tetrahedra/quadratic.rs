@@ -46,8 +46,8 @@ pub struct Quadratic {
     pub drawn_back: usize,
     /// Number of nodes that should lie on the surface, but are too far from it.
     pub too_far: usize,
-    /// Smallest Bezier coefficient of the Jacobian of each element, relative to that of the straight
-    /// tetrahedron; 1 if the element is straight.
+    /// Smallest Bezier coefficient of the Jacobian of each element, relative to that of the
+    /// straight tetrahedron; 1 if the element is straight.
     pub jacobian: Vec<f64>,
     /// Volume of each element, mm^3.
     pub volumes: Vec<f64>,
@@ -56,9 +56,9 @@ pub struct Quadratic {
 }
 
 impl Quadratic {
-    /// Places the nodes. `triangles` are the boundary, and `curved` states for each triangle whether
-    /// it lies on the surface; an edge of any other triangle remains straight. `project` moves a
-    /// point onto the surface, by at most a given distance.
+    /// Places the nodes. `triangles` are the boundary, and `curved` states for each triangle
+    /// whether it lies on the surface; an edge of any other triangle remains straight. `project`
+    /// moves a point onto the surface, by at most a given distance.
     pub fn new(
         points: &[DVec3],
         cells: &[[u32; 4]],

@@ -1,12 +1,12 @@
 //! Computes one smooth indicator for each of several materials, including the outside (Meyer,
 //! Whitaker, Kirby, Ledergerber and Pfister 2008).
 //!
-//! [`choice`] maps labels to materials, [`overlaps`] ranks materials that overlap, and [`grid`] maps
-//! voxels to materials; [`islands`] removes small components. [`mod@extract`] computes the indicators one after the other, by the method for
-//! a single object or, if there are [`scales`], from the level sets of [`scaled`]. [`contacts`]
-//! corrects the indicators where several materials meet. [`survey`] measures the result: the
-//! material of every node, volumes, areas, junctions and changed voxel centres. `compute` performs
-//! these steps.
+//! [`choice`] maps labels to materials, [`overlaps`] ranks materials that overlap, and [`grid`]
+//! maps voxels to materials; [`islands`] removes small components. [`mod@extract`] computes the
+//! indicators one after the other, by the method for a single object or, if there are [`scales`],
+//! from the level sets of [`scaled`]. [`contacts`] corrects the indicators where several materials
+//! meet. [`survey`] measures the result: the material of every node, volumes, areas, junctions and
+//! changed voxel centres. `compute` performs these steps.
 
 pub mod choice;
 mod compute;
