@@ -13,7 +13,7 @@ import pytest
 import pyvista as pv
 from conftest import Run, ball, tetrahedra
 
-from tetmesh_check import cli, mend
+from tetmesh_check import cli
 from tetmesh_check.errors import StageError
 from tetmesh_check.tets import fill, tetwild, worker
 from tetmesh_check.tets.tetwild import TetwildSettings
@@ -88,6 +88,13 @@ FLAT = 0.9999
 """Flatness at which the tetrahedra at the top of the ball are flat."""
 
 
+@pytest.fixture
+def no_mending(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no tetrahedron get better by mending."""
+    monkeypatch.setattr(fill, "mend", lambda *_: None)
+
+
+@pytest.mark.usefixtures("no_mending")
 @pytest.mark.parametrize(("most", "method"), [(20_000, "ftetwild"), (10, "hxt")])
 def test_ftetwild_fills_small_surfaces_that_hxt_fills_with_flat_tetrahedra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: int, method: str
@@ -105,8 +112,6 @@ def test_single_flat_tetrahedra_of_hxt_are_mended_and_ftetwild_is_left_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fill, "MAX_FTETWILD_VERTICES", 5)
-    # four of 323 tetrahedra are below the goal
-    monkeypatch.setattr(mend, "SHARE", 0.02)
     told, asked, _ = program(tmp_path, monkeypatch, [dented()], [])
     assert told["method"] == "hxt"
     assert "miss a limit" not in told["reason"]
@@ -117,6 +122,7 @@ def test_single_flat_tetrahedra_of_hxt_are_mended_and_ftetwild_is_left_alone(
     assert (after["mended"]["below_before"], after["mended"]["below_after"]) == (4, 0)
 
 
+@pytest.mark.usefixtures("no_mending")
 @pytest.mark.parametrize("hxt", [[], [filled(1.0, FLAT)]])
 def test_ftetwild_takes_more_patience_while_a_limit_of_shape_is_missed_after_hxt_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hxt: Attempts
@@ -132,6 +138,7 @@ def test_ftetwild_takes_more_patience_while_a_limit_of_shape_is_missed_after_hxt
     assert abs(points[-1, 2]) < 1e-9
 
 
+@pytest.mark.usefixtures("no_mending")
 def test_what_hxt_made_is_kept_where_ftetwild_does_no_better(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fill, "MAX_FTETWILD_VERTICES", 5)
     told, asked, points = program(tmp_path, monkeypatch, [filled(1.0, FLAT)], [filled(1.2, 0.0)] * len(fill.ENVELOPES))
@@ -154,6 +161,7 @@ def test_a_boundary_that_strays_is_made_again_in_a_smaller_envelope(
 NO_LUCK = StageError("no luck", "there is no mesh", "try again")
 
 
+@pytest.mark.usefixtures("no_mending")
 def test_what_hxt_made_is_kept_where_ftetwild_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fill, "MAX_FTETWILD_VERTICES", 5)
     told, _, points = program(tmp_path, monkeypatch, [filled(1.0, FLAT)], [NO_LUCK])

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from tetmesh_check.arguments import Arguments
-from tetmesh_check.cavity import Goal
 from tetmesh_check.checks import (
     REMEDY,
     Check,
@@ -29,7 +28,6 @@ from tetmesh_check.fem.forward import Forward, RegionMesh, Source, resolve_sourc
 from tetmesh_check.fem.solve import VolumeMesh
 from tetmesh_check.forced import INSIDE, ForcedSides, forced_sides, largest_jacobians
 from tetmesh_check.materials import NOTHING, Sides
-from tetmesh_check.mend import goal_of
 from tetmesh_check.quality import (
     Cells,
     Labels,
@@ -72,16 +70,14 @@ def _regions(checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
     return listed
 
 
-def _sides(checked: Complex, limits: Limits, goal: Goal, context: Context) -> tuple[ForcedSides, ForcedSides]:
-    """Find where the triangles allow no tetrahedra within the limit of the dihedral angle, and warn of it; and where none at the goal."""
+def _sides(checked: Complex, limits: Limits, context: Context) -> ForcedSides:
+    """Find where the triangles allow no tetrahedra within the limit of the dihedral angle, and warn of it."""
     sides, surface = checked.sides, checked.surface
-    every = forced_sides(surface.points, surface.triangles, goal.min_dihedral)
-    material = np.where(every.side == INSIDE, sides.inside[every.facet], sides.outside[every.facet])
-    every, material = every.where(material != NOTHING), material[material != NOTHING]
-    below = every.bound < limits.min_dihedral
-    found = every.where(below)
+    found = forced_sides(surface.points, surface.triangles, limits.min_dihedral)
+    material = np.where(found.side == INSIDE, sides.inside[found.facet], sides.outside[found.facet])
+    found, material = found.where(material != NOTHING), material[material != NOTHING]
     if len(found.facet):
-        material, sharpest = material[below], int(found.bound.argmin())
+        sharpest = int(found.bound.argmin())
         x, y, z = surface.points[surface.triangles[found.facet[sharpest]]].mean(axis=0)
         context.warn(
             f"on {counted(len(found.facet), 'triangle')}, no tetrahedron can reach the minimum dihedral angle of "
@@ -90,7 +86,7 @@ def _sides(checked: Complex, limits: Limits, goal: Goal, context: Context) -> tu
             f"{sides.names[material[sharpest]]} at ({x:.6g}, {y:.6g}, {z:.6g}) mm (all places: forced_by_surface in "
             f"the report); {REMEDY}"
         )
-    return found, every
+    return found
 
 
 def _needles(checked: Complex, limits: Limits, context: Context) -> tuple[Labels, Values]:
@@ -295,8 +291,7 @@ class ManyMaterials(Subject):
             f"{counts['junction_edges']} junction edges, {len(self.checked.shells.materials)} volumes"
         )
         with context.step("find forced tetrahedra"):
-            self.goal = goal_of(arguments.limits)
-            self.sides, self.beyond_goal = _sides(self.checked, arguments.limits, self.goal, context)
+            self.sides = _sides(self.checked, arguments.limits, context)
             self.needles = _needles(self.checked, arguments.limits, context)
 
     def fill(self) -> None:
@@ -305,9 +300,7 @@ class ManyMaterials(Subject):
         self.task = ComplexTask(
             checked=self.checked,
             sides=self.sides,
-            beyond_goal=self.beyond_goal,
             needles=self.needles,
-            goal=self.goal,
             field=self.field,
             tet_size_factor=arguments.tet_size_factor,
             method=arguments.method,

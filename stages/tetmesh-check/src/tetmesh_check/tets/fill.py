@@ -11,14 +11,12 @@ import numpy as np
 
 from tetmesh_check.checks import Limits, well_shaped
 from tetmesh_check.components import Components
-from tetmesh_check.conform import conform
 from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways
 from tetmesh_check.errors import ExitCode, StageError
 from tetmesh_check.export.volume import orient_positive
-from tetmesh_check.forced import INSIDE, forced_sides
 from tetmesh_check.materials import NOTHING, Sides
-from tetmesh_check.mend import goal_of, mend
+from tetmesh_check.mend import mend
 from tetmesh_check.quality import Cells, Points, tetrahedron_quality
 from tetmesh_check.sizing import Background, SizingField, background_mesh, world_grid
 from tetmesh_check.surface import Surface
@@ -204,15 +202,9 @@ def _mended(task: Task, points: Points, tetrahedra: Cells) -> WorkerResult | Non
     """Mend tetrahedra that have the triangles of the surface as their faces; ``None`` where they do not, or nothing is mended."""
     triangles, vertices = task.surface.triangles, task.surface.points
     inside, outside = np.ones(len(triangles), dtype=np.int64), np.full(len(triangles), NOTHING, dtype=np.int64)
-    found = conform(tetrahedra, triangles, Sides(inside, outside, []))
-    if found.faults or not np.array_equal(points[: len(vertices)], vertices):
+    if not np.array_equal(points[: len(vertices)], vertices):
         return None
-    goal = goal_of(task.limits)
-    forced = forced_sides(vertices, triangles, goal.min_dihedral)
-    forced = forced.where(forced.side == INSIDE)
-    standing = found.behind[forced.facet]
-    quality = tetrahedron_quality(points, tetrahedra)
-    mended = mend((points, tetrahedra), found, quality, triangles, (forced, standing), goal)
+    mended = mend(points, tetrahedra, triangles, Sides(inside, outside, []), task.limits)
     if mended is None:
         return None
     return WorkerResult(mended.points, mended.tetrahedra, "", {"mended": mended.results})

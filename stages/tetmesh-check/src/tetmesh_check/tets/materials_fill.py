@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from tetmesh_check.cavity import Goal
 from tetmesh_check.checks import Forced, Limits, smallest_elsewhere
 from tetmesh_check.complex import Complex
 from tetmesh_check.conform import NOBODY, Conformity, conform
@@ -39,11 +38,8 @@ class ComplexTask:
     checked: Complex
     sides: ForcedSides
     """Where its triangles allow no tetrahedra within the limits."""
-    beyond_goal: ForcedSides
-    """Where they allow none that reaches the goal of mending."""
     needles: tuple[Labels, Values]
     """Numbers of the triangles on which none within the limit of the dihedral angle reaches that of the scaled Jacobian, and what one can."""
-    goal: Goal
     field: SizingField
     """Edge lengths, without the factor."""
     tet_size_factor: float
@@ -104,37 +100,21 @@ def _judge(task: ComplexTask, raw: WorkerResult) -> FilledComplex:
             "try another --tet-size-factor",
         )
     tetrahedra, _turned = orient_positive(points, raw.tetrahedra)
-    found = conform(tetrahedra, surface.triangles, task.checked.sides)
-    return _measured(task, points, tetrahedra, found, tetrahedron_quality(points, tetrahedra))
+    return _measured(task, points, tetrahedra, conform(len(points), tetrahedra, surface.triangles, task.checked.sides))
 
 
-def _measured(
-    task: ComplexTask, points: Points, tetrahedra: Cells, found: Conformity, quality: TetrahedronQuality
-) -> FilledComplex:
-    standing = _standing(task.sides, found)
+def _measured(task: ComplexTask, points: Points, tetrahedra: Cells, found: Conformity) -> FilledComplex:
+    quality, sides = tetrahedron_quality(points, tetrahedra), task.sides
+    standing = np.where(sides.side == INSIDE, found.behind[sides.facet], found.before[sides.facet])
     return FilledComplex(points, tetrahedra, quality, found, standing, _forced(task, standing, found, quality))
-
-
-def _standing(sides: ForcedSides, found: Conformity) -> Labels:
-    """The tetrahedron on each of some sides of triangles."""
-    standing: Labels = np.where(sides.side == INSIDE, found.behind[sides.facet], found.before[sides.facet])
-    return standing
 
 
 def _mend(task: ComplexTask, filled: FilledComplex, results: dict[str, Any]) -> FilledComplex:
     """Mend the tetrahedra that miss the goal, where that is possible."""
-    mended = mend(
-        (filled.points, filled.tetrahedra),
-        filled.conformity,
-        filled.quality,
-        task.checked.surface.triangles,
-        (task.beyond_goal, _standing(task.beyond_goal, filled.conformity)),
-        task.goal,
-    )
+    mended = mend(filled.points, filled.tetrahedra, task.checked.surface.triangles, task.checked.sides, task.limits)
     if mended is None:
         return filled
-    quality = tetrahedron_quality(mended.points, mended.tetrahedra)
-    after = _measured(task, mended.points, mended.tetrahedra, mended.conformity, quality)
+    after = _measured(task, mended.points, mended.tetrahedra, mended.conformity)
     smallest = [smallest_elsewhere(one.quality.min_dihedral, one.forced.dihedral) for one in (filled, after)]
     results["mended"] = {**mended.results, "min_dihedral_before": smallest[0], "min_dihedral_after": smallest[1]}
     return after
