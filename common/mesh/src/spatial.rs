@@ -110,7 +110,7 @@ impl Eight {
             let below = f64x8::simd_from(simd, self.low[axis]) - p[axis];
             let above = f64x8::splat(simd, p[axis]) - f64x8::simd_from(simd, self.high[axis]);
             let outside = below.max(above).max(zero);
-            squares = squares + outside * outside;
+            squares += outside * outside;
         }
         squares
     }
