@@ -11,7 +11,6 @@
 use crate::error::{Result, bad};
 use crate::geometry::Geometry;
 use crate::limit::voxel_count;
-use crate::read::read_volume;
 use crate::segments::{LayerLabel, Segment};
 use crate::volume::Volume;
 use crate::voxels::{ScalarType, Voxels};
@@ -44,11 +43,11 @@ pub(crate) fn mask_name(path: &Path) -> Option<String> {
     (!name.starts_with('.')).then(|| name[..name.len() - ending.len()].to_owned())
 }
 
-/// Reads `files`, the masks in a folder, of which there is at least one.
+/// Reads `files`, the masks in a folder, of which there is at least one. `read` reads a file.
 ///
 /// # Errors
 /// If a file is not a mask, if the masks are not in one space, or if they do not fit in memory.
-pub(crate) fn read_masks(folder: &Path, files: &[PathBuf]) -> Result<Volume> {
+pub(crate) fn read_masks(folder: &Path, files: &[PathBuf], read: Reader) -> Result<Volume> {
     if files.len() > MOST_MASKS {
         return Err(bad(
             folder,
@@ -57,10 +56,10 @@ pub(crate) fn read_masks(folder: &Path, files: &[PathBuf]) -> Result<Volume> {
             "move the files that you do not need to another folder",
         ));
     }
-    let mut masks = Masks::read(files, None)?;
+    let mut masks = Masks::read(files, read, None)?;
     let grid = common_grid(&masks.grids);
     if masks.grids[0] != grid {
-        masks = Masks::read(files, Some(&grid))?;
+        masks = Masks::read(files, read, Some(&grid))?;
         let [nx, ny, nz] = grid.size;
         masks.remarks.push(format!(
             "the masks have different grids; they are resampled to {nx} x {ny} x {nz} voxels of the finest mask"
@@ -74,6 +73,9 @@ pub(crate) fn read_masks(folder: &Path, files: &[PathBuf]) -> Result<Volume> {
     let first = layers.next().unwrap_or_else(|| Voxels::empty(ScalarType::U8));
     Ok(Volume { more_layers: layers.collect(), segments, remarks, ..Volume::new(grid, first) })
 }
+
+/// Reads a volume file.
+type Reader = fn(&Path) -> Result<Volume>;
 
 /// The masks read so far.
 #[derive(Default)]
@@ -90,10 +92,10 @@ struct Masks {
 
 impl Masks {
     /// Reads all masks onto a grid. Without a grid, uses that of the first mask.
-    fn read(files: &[PathBuf], grid: Option<&Geometry>) -> Result<Self> {
+    fn read(files: &[PathBuf], read: Reader, grid: Option<&Geometry>) -> Result<Self> {
         let mut masks = Self::default();
         for path in files {
-            let mask = read_volume(path)?;
+            let mask = read(path)?;
             masks.grids.push(mask.geometry.clone());
             let grid = grid.unwrap_or(&masks.grids[0]).clone();
             masks.add(path, mask, &grid)?;

@@ -90,7 +90,7 @@ fn read_folder(folder: &Path, series: Option<&str>) -> Result<Volume> {
     files.retain(|path| masks::mask_name(path).is_some());
     if !files.is_empty() {
         without_series(folder, series)?;
-        return masks::read_masks(folder, &files);
+        return masks::read_masks(folder, &files, read_volume);
     }
     let names: Vec<String> = folders.iter().take(10).map(|folder| folder.display().to_string()).collect();
     let hint = if names.is_empty() { String::new() } else { format!("; its subfolders are {}", names.join(", ")) };

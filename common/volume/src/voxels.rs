@@ -295,13 +295,10 @@ impl Voxels {
             .collect())
     }
 
-    /// Calls `visit` with the label of each run of equal values in `range` and the length of the
-    /// run, in order. The label of NaN is 0. Values that are not labels give `None`.
+    /// Calls `visit` with the label and the length of each run of equal values in `range`. The
+    /// label of NaN is 0. Values that are not labels give `None`.
     pub fn each_run(&self, range: Range<usize>, mut visit: impl FnMut(Option<i64>, usize)) {
-        each_type!(self, values => {
-            let runs = values[range].chunk_by(|a, b| a == b);
-            runs.for_each(|run| visit(Number::to_label(run[0]), run.len()));
-        });
+        each_type!(self, all => all[range].chunk_by(|a, b| a == b).for_each(|run| visit(run[0].to_label(), run.len())));
     }
 
     /// Reverses the order of slices of `length` values; see [`reverse_slices`].

@@ -3,7 +3,7 @@
 use super::*;
 use crate::geometry::Space;
 use crate::nrrd::{Encoding, write_nrrd};
-use crate::read::{ReadOptions, read_volume_with};
+use crate::read::{ReadOptions, read_volume, read_volume_with};
 
 fn grid(size: [usize; 3], spacing: f64, origin: f64) -> Geometry {
     let origin = DVec3::splat(origin);
