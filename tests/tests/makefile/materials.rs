@@ -5,7 +5,8 @@ use super::make;
 use super::support::{root, run, skip};
 use glam::{DMat3, DVec3};
 use isoparticles_tests::nrrd::{self, FileSpace, Voxels};
-use isoparticles_volume::Geometry;
+use isoparticles_volume::{Geometry, read_volume};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
@@ -86,4 +87,68 @@ fn materials_become_one_mesh_that_keeps_every_voxel() {
         ended.stdout,
         ended.stderr
     );
+}
+
+/// Writes twelve overlapping masks: three slabs of each of the four tissues of the torso phantom,
+/// grown by a voxel. Returns the voxels of each mask by name.
+fn write_organs(folder: &Path) -> BTreeMap<String, Vec<bool>> {
+    let torso = folder.with_extension("nrrd");
+    let mut phantom = Command::new(super::binaries().join("phantom"));
+    phantom.args(["torso", "--kind", "label", "--size", "67,33,45", "--spacing", "5.2", "-o"]).arg(&torso);
+    run(&mut phantom).expect_success("the phantom");
+    let volume = read_volume(&torso).expect("the phantom");
+    let [nx, ny, nz] = volume.geometry.size;
+    std::fs::create_dir(folder).expect("a folder");
+    let organ = |organ: usize| {
+        let (tissue, slab) = (1 + organ as i64 / 3, organ % 3);
+        let tissue = volume.voxels.label_mask(&[tissue]);
+        let is_inside = |n: usize| {
+            let [i, j, k] = [n % nx, n / nx % ny, n / (nx * ny)];
+            let is_near = || (i.saturating_sub(1)..(i + 2).min(nx)).any(|i| tissue[volume.geometry.linear(i, j, k)]);
+            (slab * nz / 3..(slab + 1) * nz / 3 + 2).contains(&k) && is_near()
+        };
+        let inside: Vec<bool> = (0..nx * ny * nz).map(is_inside).collect();
+        let name = format!("organ_{organ}");
+        let voxels = Voxels::U8(inside.iter().map(|&inside| u8::from(inside)).collect());
+        nrrd::write(&folder.join(format!("{name}.nrrd")), &volume.geometry, FileSpace::Ras, &voxels, true)
+            .expect("written");
+        (name, inside)
+    };
+    (0..12).map(organ).collect()
+}
+
+#[test]
+fn a_folder_of_overlapping_masks_becomes_one_mesh() {
+    let folder = tempfile::tempdir().expect("folder");
+    let organs = write_organs(&folder.path().join("organs"));
+    let mut command = make();
+    // slabs of ribs are too thin for these edges
+    command.args(["surface", "MATERIALS=organ_5,organ_0,all", "SIZE=12", "ACCEPT_LOSSES=yes", "ACCEPT_FORCED=yes"]);
+    command.arg("VERBOSITY=-q");
+    command.arg(format!("INPUT={}", folder.path().join("organs").display()));
+    command.arg(format!("OUT={}", folder.path().join("out").display()));
+    run(&mut command).expect_success("make surface INPUT=organs/");
+
+    let mut order: Vec<&str> = organs.keys().map(String::as_str).collect();
+    let voxels = |name: &str| organs[name].iter().filter(|&&inside| inside).count();
+    order.sort_by_key(|name| match *name {
+        "organ_5" => 0,
+        "organ_0" => 1,
+        name => 2 + voxels(name),
+    });
+    let mut expected: BTreeMap<(&str, &str), usize> = BTreeMap::new();
+    for voxel in 0..organs["organ_0"].len() {
+        let mut owners = order.iter().copied().filter(|name| organs[*name][voxel]);
+        let kept = owners.next().unwrap_or_default();
+        owners.for_each(|lost| *expected.entry((kept, lost)).or_default() += 1);
+    }
+    let report = folder.path().join("out/organs/reports/distfield.json");
+    let report: serde_json::Value = serde_json::from_slice(&std::fs::read(report).expect("the report")).expect("JSON");
+    let pairs = report["results"]["overlaps"].as_array().expect("overlaps");
+    let text = |pair: &serde_json::Value, key: &str| pair[key].as_str().expect("a name").to_owned();
+    let told = pairs.iter().map(|pair| ((text(pair, "kept"), text(pair, "lost")), pair["voxels"].as_u64()));
+    let expected =
+        expected.iter().map(|(&(kept, lost), &voxels)| ((kept.to_owned(), lost.to_owned()), Some(voxels as u64)));
+    assert!(pairs.len() >= 12, "{report}");
+    assert_eq!(told.collect::<BTreeMap<_, _>>(), expected.collect());
 }
