@@ -137,11 +137,11 @@ fn a_folder_of_overlapping_masks_becomes_one_mesh() {
         name => 2 + voxels(name),
     });
     let mut expected: BTreeMap<(&str, &str), usize> = BTreeMap::new();
-    for voxel in 0..organs["organ_0"].len() {
+    (0..organs["organ_0"].len()).for_each(|voxel| {
         let mut owners = order.iter().copied().filter(|name| organs[*name][voxel]);
         let kept = owners.next().unwrap_or_default();
         owners.for_each(|lost| *expected.entry((kept, lost)).or_default() += 1);
-    }
+    });
     let report = folder.path().join("out/organs/reports/distfield.json");
     let report: serde_json::Value = serde_json::from_slice(&std::fs::read(report).expect("the report")).expect("JSON");
     let pairs = report["results"]["overlaps"].as_array().expect("overlaps");
