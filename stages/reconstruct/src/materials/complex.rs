@@ -14,7 +14,6 @@ use crate::labelled::{Facet, Labelled};
 use crate::object::DEFAULT_DEVIATION;
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
-use isoparticles_field::materials::complex::SAME_JUNCTION;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::LEAST_GRADIENT;
 use std::collections::{BTreeMap, BTreeSet};
@@ -63,20 +62,18 @@ impl<'a> Complex<'a> {
     /// is the last corner of the volume (grid frame, mm).
     pub fn new(prepared: Prepared, indicators: &'a dyn Indicators, upper: DVec3, max_deviation: Option<f64>) -> Self {
         let Prepared { delaunay, strata, sizes, segments, .. } = prepared;
-        let crowded = (0..strata.len() as u32)
-            .filter(|&v| strata[v as usize].dimension() == 0)
-            .filter_map(|v| {
-                let near = indicators.near(delaunay.points()[v as usize]);
-                let last = near.entries().get(3)?.1;
-                let equal =
-                    near.entries().iter().filter(|(_, value)| value - last < SAME_JUNCTION * indicators.voxel());
-                let ids: Vec<MaterialId> = equal.map(|(id, _)| *id).collect();
-                (ids.len() > 4).then_some((v, ids))
-            })
-            .collect();
-        let points = Points { indicators, strata: &strata, sizes: &sizes, crowded: &crowded };
+        let points = Points { indicators, strata: &strata, sizes: &sizes, crowded: &BTreeMap::new() };
         let labelled = Labelled::new(delaunay, upper, |delaunay, t, centre| points.material(delaunay, t, centre));
-        Self { labelled, indicators, strata, sizes, segments, joined: BTreeSet::new(), crowded, max_deviation }
+        Self {
+            labelled,
+            indicators,
+            strata,
+            sizes,
+            segments,
+            joined: BTreeSet::new(),
+            crowded: BTreeMap::new(),
+            max_deviation,
+        }
     }
 
     /// Assigns materials to the tetrahedra that were created or marked for reconsideration since

@@ -13,15 +13,6 @@ use glam::DVec3;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::LEAST_GRADIENT;
 
-/// A segment with a wrong set of materials around it is split if the surface Delaunay balls there
-/// have radii below this share of its length. Points inserted so close to the segment do not add
-/// the missing material.
-const SMALL_BALL: f64 = 0.5;
-
-/// Maximum distance from a circumcentre, relative to the circumradius, at which a point counts as
-/// inside the circumsphere. The remainder covers rounding.
-const WITHIN: f64 = 1.0 - 1e-9;
-
 /// The remedy for a violation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Mend {
@@ -71,8 +62,7 @@ impl Complex<'_> {
 
     /// Returns the surface Delaunay ball of a facet. Its centre is the point where the dual Voronoi
     /// edge leaves the material inside, or else the centroid of the facet, each projected onto the
-    /// interface. The first of the two whose insertion removes the facet is preferred. Returns
-    /// `None` if neither can be projected.
+    /// interface. Returns `None` if neither can be projected.
     pub fn ball(&self, facet: &Facet) -> Option<Ball> {
         let corners = facet.vertices.map(|v| self.points()[v as usize]);
         let voxel = self.indicators.voxel();
@@ -81,28 +71,13 @@ impl Complex<'_> {
             Some((super::prepare::onto(self.indicators, stratum, start, limit * voxel)?, stratum))
         };
         let crossing = self.crossing(facet).and_then(|(place, sheet)| on_sheet(sheet, place, 0.5));
-        let parts = |found: &(DVec3, Stratum)| self.parts(found.0, facet);
         let at_centroid = || {
             let centroid = (corners[0] + corners[1] + corners[2]) / 3.0;
             on_sheet(self.sheet(facet), centroid, 2.0)
         };
-        let (place, stratum) =
-            crossing.filter(parts).or_else(|| at_centroid().filter(parts)).or(crossing).or_else(at_centroid)?;
+        let (place, stratum) = crossing.or_else(at_centroid)?;
         let radius = corners.iter().map(|p| p.distance(place)).fold(f64::INFINITY, f64::min);
         Some(Ball { place, stratum, radius })
-    }
-
-    /// Returns whether the insertion of a point removes a facet, that is, whether the point lies
-    /// inside the circumsphere of a tetrahedron at the facet. After its projection onto the
-    /// interface, the centre of a surface Delaunay ball can lie outside, for example at a vertex
-    /// that was inserted for the same facet.
-    fn parts(&self, place: DVec3, facet: &Facet) -> bool {
-        let delaunay = self.labelled.delaunay();
-        let corner = self.points()[facet.vertices[0] as usize];
-        [facet.tetrahedron, self.labelled.across(facet)].into_iter().any(|t| {
-            let centre = if delaunay.is_ghost(t) { None } else { delaunay.circumcentre(t) };
-            centre.is_none_or(|centre| centre.distance(place) < WITHIN * centre.distance(corner))
-        })
     }
 
     /// Returns the point next to a facet where the dual Voronoi edge leaves the material inside,
@@ -115,16 +90,13 @@ impl Complex<'_> {
     }
 
     /// Returns a violation at some facets. Its remedy is the centre of the largest of their surface
-    /// Delaunay balls, if possible of one whose insertion removes its facet.
+    /// Delaunay balls.
     fn by_largest_ball(&self, reason: Reason, simplex: Simplex, facets: &[Facet]) -> Option<Violation> {
         let first = facets.first()?;
-        let balls = facets.iter().filter_map(|f| self.ball(f).map(|ball| (self.parts(ball.place, f), ball, f)));
-        let largest = balls.max_by(|a, b| {
-            let by_room = a.0.cmp(&b.0).then(a.1.radius.total_cmp(&b.1.radius));
-            by_room.then(b.2.vertices.cmp(&a.2.vertices))
-        });
+        let balls = facets.iter().filter_map(|f| Some((self.ball(f)?, f)));
+        let largest = balls.max_by(|a, b| a.0.radius.total_cmp(&b.0.radius).then(b.1.vertices.cmp(&a.1.vertices)));
         Some(match largest {
-            Some((_, ball, facet)) => Violation {
+            Some((ball, facet)) => Violation {
                 reason,
                 simplex,
                 remedy: Mend::Point { place: ball.place, stratum: ball.stratum },
@@ -152,8 +124,7 @@ impl Complex<'_> {
         let reason = self.wrong_segment(pair, curve, start)?;
         let Some(start) = start else { return Some(self.by_split(reason, simplex, pair)) };
         let by_ball = self.by_largest_ball(reason, simplex, &self.facets_between(pair, &self.runs_round(pair, start)));
-        let is_small = |v: &Violation| v.radius < SMALL_BALL * self.length(pair);
-        Some(by_ball.filter(|v| !is_small(v)).unwrap_or_else(|| self.by_split(reason, simplex, pair)))
+        Some(by_ball.unwrap_or_else(|| self.by_split(reason, simplex, pair)))
     }
 
     /// Returns the violation at an edge that is not a segment, if there is one. `start` is a

@@ -5,7 +5,7 @@
 use super::prepare::onto;
 use super::refine::Refinement;
 use super::way::{self, LONGEST_WAY, ONE_CURVE};
-use crate::interfaces::{Segment, segment};
+use crate::interfaces::Segment;
 use glam::DVec3;
 use isoparticles_field::materials::Stratum;
 use isoparticles_field::materials::complex::{way_from, ways_along};
@@ -74,7 +74,7 @@ impl Refinement<'_> {
         if let Some(point) = way.as_ref().and_then(|way| first(self.on_way(way, pair[0]))) {
             return Some((curve, Cut::At(point)));
         }
-        if let Some(place) = self.new_place(pair, curve, way.as_deref(), is_between) {
+        if let Some(place) = self.new_place(pair, curve, way.as_deref()).filter(is_between) {
             return self.cut_near(pair, curve, place);
         }
         if let Some(point) = first(self.linked(pair, curve)) {
@@ -84,29 +84,14 @@ impl Refinement<'_> {
         self.cut_near(pair, curve, on_curve.filter(is_between)?)
     }
 
-    /// Returns a new position on the curve of a segment that passes the test `is_between`. It is
-    /// next to the deepest point in the diametral ball of the segment, if there is one. Otherwise,
-    /// or if this position fails the test, it is the middle of the path. If the curve cannot be
-    /// followed to the other end, it is the farthest position that can be reached
+    /// Returns a new position on the curve of a segment: the middle of the path between its ends or,
+    /// if the curve cannot be followed to the other end, the farthest position that can be reached
     /// ([`Self::farthest`]).
-    ///
-    /// The deepest point matters where two curves run side by side, closer than their points.
-    /// Points in pairs make the segments of both curves edges, because the diametral ball of a side
-    /// of a rectangle contains no corner.
-    fn new_place(
-        &self,
-        pair: Segment,
-        curve: Stratum,
-        way: Option<&[DVec3]>,
-        is_between: impl Fn(&DVec3) -> bool,
-    ) -> Option<DVec3> {
-        let Some(way) = way else { return self.farthest(pair, curve).filter(is_between) };
-        let [a, b] = pair.map(|v| self.complex.points()[v as usize]);
-        let (deepest, distance) = self.complex.labelled.nearest(a.midpoint(b), pair[0]);
-        let is_within = !pair.contains(&deepest) && distance < 0.5 * a.distance(b);
-        let beside = is_within.then(|| way::foot(way, self.complex.points()[deepest as usize]).0);
-        let places = beside.into_iter().chain([0.5 * way::length(way)]);
-        places.filter_map(|along| self.place_on(curve, way, along)).find(is_between)
+    fn new_place(&self, pair: Segment, curve: Stratum, way: Option<&[DVec3]>) -> Option<DVec3> {
+        match way {
+            Some(way) => self.place_on(curve, way, 0.5 * way::length(way)),
+            None => self.farthest(pair, curve),
+        }
     }
 
     /// Returns a cut at a new position, or at an existing point of the curve within `ONE_CURVE` of
@@ -168,22 +153,15 @@ impl Refinement<'_> {
 
     /// Returns whether a segment can be split at an existing point that its curve passes. A segment
     /// is split at the same point at most once, unless other segments of its curve already connect
-    /// the point to both ends. The split must not leave an end of the segment with a single
-    /// segment.
+    /// the point to both ends.
     ///
     /// Without such splits, two curves that coincide over some length would be refined
     /// indefinitely. The points of each curve prevent segments of the other from being edges.
     fn can_pass(&self, pair: Segment, point: u32) -> bool {
         let segments = &self.complex.segments;
         let is_new = || !self.passes.contains(&(pair, point)) || segments.is_covered(pair, point);
-        let strata = &self.complex.strata;
-        let is_left_open = |&end: &u32| {
-            let is_linked = segments.curve(segment(end, point)).is_some();
-            strata[end as usize].dimension() == 1 && is_linked && segments.at(end).count() < 3
-        };
-        strata[point as usize].dimension() < 2
+        self.complex.strata[point as usize].dimension() < 2
             && is_new()
-            && !pair.iter().any(is_left_open)
             && segments.can_pass(pair, point, self.complex.points())
     }
 
