@@ -41,7 +41,8 @@ pub fn stage(path: &Path) -> Result<CommandLine> {
 pub fn command(known: &[CommandLine]) -> Command {
     let options = || KEYS.iter().filter(|key| !["CASE", "INPUT"].contains(&key.name)).map(option);
     let of_volume = |name: &'static str, about: &'static str| {
-        let volume = Arg::new("VOLUME").value_hint(ValueHint::AnyPath).help("Volume file, or folder of DICOM slices or masks");
+        let volume =
+            Arg::new("VOLUME").value_hint(ValueHint::AnyPath).help("Volume file, or folder of DICOM slices or masks");
         Command::new(name).about(about).arg(volume).args(options())
     };
     let of_name = |name: &'static str, about: &'static str| {
