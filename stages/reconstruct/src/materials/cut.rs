@@ -84,9 +84,9 @@ impl Refinement<'_> {
         self.cut_near(pair, curve, on_curve.filter(is_between)?)
     }
 
-    /// Returns a new position on the curve of a segment: the middle of the path between its ends or,
-    /// if the curve cannot be followed to the other end, the farthest position that can be reached
-    /// ([`Self::farthest`]).
+    /// Returns a new position on the curve of a segment: the middle of the path between its ends
+    /// or, if the curve cannot be followed to the other end, the farthest position that can be
+    /// reached ([`Self::farthest`]).
     fn new_place(&self, pair: Segment, curve: Stratum, way: Option<&[DVec3]>) -> Option<DVec3> {
         match way {
             Some(way) => self.place_on(curve, way, 0.5 * way::length(way)),
