@@ -28,7 +28,8 @@ const ENDINGS: [&str; 10] =
 /// Maximum number of masks: a byte holds this many labels besides 0. TotalSegmentator writes 117.
 const MOST_MASKS: usize = u8::MAX as usize;
 
-/// Share of the maximum from which a voxel is inside: for probabilities, more likely than not.
+/// Smallest value of a voxel inside a mask, relative to the maximum. For probabilities, such a
+/// voxel is at least as likely inside as outside.
 const INSIDE: f64 = 0.5;
 
 /// Index positions that differ by less than this are the same. NIfTI headers store positions of up
@@ -59,6 +60,8 @@ pub(crate) fn read_masks(folder: &Path, files: &[PathBuf], read: Reader) -> Resu
     let mut masks = Masks::read(files, read, None)?;
     let grid = common_grid(&masks.grids);
     if masks.grids[0] != grid {
+        // frees the layers before the masks are read again
+        drop(masks);
         masks = Masks::read(files, read, Some(&grid))?;
         let [nx, ny, nz] = grid.size;
         masks.remarks.push(format!(
@@ -217,7 +220,7 @@ impl Placed {
     /// Returns whether the voxel of the mask that is nearest to a voxel of the layers is inside.
     fn holds(&self, i: usize, j: usize, k: usize) -> bool {
         let index = self.index.0 * DVec3::new(i as f64, j as f64, k as f64) + self.index.1;
-        // halfway between two voxels, rounding errors must not decide
+        // the tolerance keeps rounding errors from deciding halfway between two voxels
         let [i, j, k] = (index + 0.5 + TOLERANCE).floor().to_array();
         let [nx, ny, nz] = self.size;
         let is_within = |i: f64, n: usize| i >= 0.0 && i < n as f64;
