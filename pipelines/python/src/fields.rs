@@ -17,8 +17,8 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
-/// Distance from F = 0 at which a projection ends, in voxels: a tenth of the error of the spline
-/// for a ball with a radius of ten voxels (1.6e-5).
+/// Distance from F = 0 at which a projection ends, in voxels: less than a tenth of the error of the
+/// spline for a ball with a radius of ten voxels (1.6e-5).
 const TOLERANCE: f64 = 1e-6;
 
 /// Numbers at the nodes of a grid.
@@ -27,7 +27,7 @@ pub(crate) struct GridField(Arc<Samples>);
 
 struct Samples {
     field: SizingField,
-    /// The spline through the numbers, made when it is needed first.
+    /// The spline through the numbers, computed on first use.
     spline: OnceLock<CubicSpline>,
 }
 
@@ -38,7 +38,7 @@ impl GridField {
     #[new]
     fn new(array: &Bound<'_, PyAny>, spacing: [f64; 3], origin: [f64; 3], axes: [[f64; 3]; 3]) -> PyResult<Self> {
         let (geometry, data) = grid(array, spacing, origin, axes)?;
-        if geometry.size.contains(&1) {
+        if geometry.size.iter().any(|&count| count < 2) {
             return Err(PyValueError::new_err("the array must have two nodes or more along each axis"));
         }
         let field = SizingField::new(Image { geometry, data });
@@ -109,7 +109,7 @@ impl GridField {
     }
 
     /// Covers a closed surface with tetrahedra. Returns their points, their vertices, the field at
-    /// the points, and the number of voxels from a point to the next.
+    /// the points, and the distance between adjacent points in voxels.
     fn background(
         &self,
         py: Python<'_>,
