@@ -15,8 +15,8 @@ const FIVE_TETRAHEDRA: [[[usize; 4]; 5]; 2] = [
     [[0, 1, 3, 5], [0, 3, 2, 6], [0, 3, 5, 6], [0, 4, 5, 6], [3, 5, 7, 6]],
 ];
 
-/// Factor by which the spacing grows at least if a grid has too many nodes. It bounds the number of
-/// attempts.
+/// Minimum factor between the spacings of two attempts at a grid with few enough nodes. It bounds
+/// the number of attempts.
 const LEAST_GROWTH: f64 = 1.01;
 
 /// Edge lengths on a grid along the world axes.
@@ -66,14 +66,14 @@ pub struct BackgroundMesh {
     pub cells: Vec<[u32; 4]>,
     /// Edge length at each point, mm.
     pub values: Vec<f64>,
-    /// Number of voxels from a point to the next.
+    /// Distance between adjacent points, in voxels.
     pub stride: usize,
 }
 
 impl BackgroundMesh {
     /// Covers a closed surface (in the world frame) with cubes of five tetrahedra, and with one
-    /// more layer of cubes beyond it. Each cube has the size of the smallest number of voxels with
-    /// which there are at most `max_nodes` points.
+    /// more layer of cubes beyond it. The size of the cubes is the smallest whole number of voxels
+    /// that gives at most `max_nodes` points.
     pub fn new(field: &SizingField, surface: &TriangleMesh, max_nodes: usize) -> Self {
         for stride in 1.. {
             let grid = covering_grid(&field.image().geometry, &surface.vertices, stride);
@@ -107,8 +107,8 @@ impl BackgroundMesh {
     }
 }
 
-/// Returns a grid whose nodes are `stride` voxels apart. It reaches two steps beyond world
-/// positions unless the volume ends before.
+/// Returns a grid whose nodes are `stride` voxels apart. It extends two steps beyond the world
+/// positions, but not beyond the volume.
 fn covering_grid(geometry: &Geometry, positions: &[DVec3], stride: usize) -> Geometry {
     let indices = || positions.iter().map(|&p| geometry.grid_to_index(geometry.world_to_grid(p)));
     let margin = DVec3::splat(2.0 * stride as f64);

@@ -18,11 +18,11 @@ pub struct Nesting {
     pub measures: Vec<Measure>,
     /// Number of other components that enclose each component.
     pub depths: Vec<usize>,
-    /// The smallest of them.
+    /// The smallest component that encloses each component.
     pub parents: Vec<Option<u32>>,
 }
 
-/// Measures the components of a closed surface, and finds which lies in which. Components must not
+/// Measures the components of a closed surface, and finds their nesting. Components must not
 /// intersect each other. `component_of_triangle` contains numbers below `count`, each at least
 /// once.
 pub fn nest(mesh: &TriangleMesh, component_of_triangle: &[u32], count: usize) -> Nesting {
@@ -46,8 +46,8 @@ pub fn nest(mesh: &TriangleMesh, component_of_triangle: &[u32], count: usize) ->
 }
 
 /// Returns the closed surfaces that enclose each point, ascending. `surface_of_triangle` contains
-/// the number of the surface to which each triangle belongs. A surface that contains the point
-/// itself is found or not found at random.
+/// the number of the surface to which each triangle belongs. For a point on a surface, it is
+/// unspecified whether the result contains this surface.
 pub fn enclosing(mesh: &TriangleMesh, surface_of_triangle: &[u32], starts: &[DVec3]) -> Vec<Vec<u32>> {
     let mut by_y: Vec<usize> = (0..starts.len()).collect();
     by_y.sort_by(|&a, &b| starts[a].y.total_cmp(&starts[b].y));

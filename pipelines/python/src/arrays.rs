@@ -13,7 +13,7 @@ use pyo3::types::PyByteArray;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
-/// A number that NumPy knows.
+/// A type of numbers that NumPy has as well.
 pub(crate) trait Number: bytemuck::NoUninit {
     const DTYPE: &str;
 }
@@ -55,7 +55,7 @@ impl Array {
         Ok(Self { dtype: voxels.type_name(), shape: vec![nz, ny, nx], bytes })
     }
 
-    /// Returns the array with another shape, which must have as many entries.
+    /// Returns the array with another shape that has the same number of entries.
     pub(crate) fn shaped(self, shape: &[usize]) -> Self {
         Self { shape: shape.to_vec(), ..self }
     }

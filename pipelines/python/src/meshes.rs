@@ -137,7 +137,7 @@ impl Counts {
     }
 }
 
-/// Counts the edges, fans and components of a mesh with so many vertices.
+/// Counts the edges, fans and components of a mesh with this number of vertices.
 #[pyfunction]
 pub(crate) fn surface_topology(py: Python<'_>, vertices: usize, triangles: Argument) -> PyResult<Counts> {
     let triangles = cells(triangles, vertices)?;
@@ -154,11 +154,11 @@ pub(crate) struct Components {
     volumes: Array,
     /// Number of components that enclose each component.
     depths: Array,
-    /// The smallest of them, or -1.
+    /// The smallest component that encloses each component, or -1.
     parents: Array,
 }
 
-/// Finds the components of a closed surface, and which lies in which.
+/// Finds the components of a closed surface and their nesting.
 #[pyfunction]
 pub(crate) fn surface_components(py: Python<'_>, points: Argument, triangles: Argument) -> PyResult<Components> {
     let mesh = mesh(points, triangles)?;
@@ -195,8 +195,8 @@ pub(crate) fn changed_triangles(
     compute(py, move || differing_triangles(&first, &second))
 }
 
-/// Returns the distances from the vertices and centroids of a mesh to another mesh. If there are
-/// more than 200,000, they are thinned evenly.
+/// Returns the distances from the vertices and centroids of a mesh to another mesh, or from every
+/// n-th of them if there are more than 200,000.
 #[pyfunction]
 pub(crate) fn distances_between(
     py: Python<'_>,
@@ -237,8 +237,8 @@ pub(crate) fn morton_order(py: Python<'_>, points: Argument) -> PyResult<Array> 
     compute(py, move || Array::indices(BoxTree::new(&boxes()).morton_order()))
 }
 
-/// Returns the boundary of tetrahedra with so many vertices: its triangles, the tetrahedron of
-/// each, and the body of each tetrahedron.
+/// Returns the boundary of tetrahedra with this number of vertices: its triangles, the tetrahedron
+/// of each, and the body of each tetrahedron.
 #[pyfunction]
 pub(crate) fn tetrahedron_boundary(
     py: Python<'_>,
@@ -252,7 +252,7 @@ pub(crate) fn tetrahedron_boundary(
     })
 }
 
-/// What is wrong with a complex, and the volumes that it bounds.
+/// Faults of a complex, and the volumes that it bounds.
 #[derive(IntoPyObject)]
 pub(crate) struct ComplexCheck {
     /// Triangles without area.
@@ -372,7 +372,7 @@ fn complex(
     Ok((mesh, between))
 }
 
-/// Copies the materials, all below `materials`, on both sides of so many triangles.
+/// Copies the materials on both sides of `triangles` triangles. All must be below `materials`.
 pub(crate) fn between(
     inside: Argument,
     outside: Argument,

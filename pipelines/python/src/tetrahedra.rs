@@ -12,7 +12,7 @@ use pyo3::prelude::*;
 
 type Argument<'a, 'py> = &'a Bound<'py, PyAny>;
 
-/// How tetrahedra fit interfaces.
+/// Conformity of tetrahedra and interfaces.
 #[derive(IntoPyObject)]
 pub(crate) struct Fit {
     /// Material of each tetrahedron; 0 if unknown.
@@ -51,7 +51,7 @@ impl Fit {
     }
 }
 
-/// A mended mesh, and what was changed.
+/// A mended mesh, and the changes.
 #[derive(IntoPyObject)]
 pub(crate) struct MendedMesh {
     points: Array,
@@ -66,7 +66,7 @@ pub(crate) struct MendedMesh {
     changed_vertices: [usize; 2],
 }
 
-/// Finds the material of each tetrahedron between interfaces with so many vertices.
+/// Finds the material of each tetrahedron between interfaces. `vertices` is the number of vertices.
 #[pyfunction]
 pub(crate) fn conform(
     py: Python<'_>,

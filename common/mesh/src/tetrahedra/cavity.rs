@@ -24,16 +24,16 @@ const STEPS: usize = 14;
 /// Length of the first step in mean edges. 0.6 leaves 35 (with 10 steps).
 const FIRST_STEP: f64 = 0.3;
 
-/// Share by which the badness of a cavity must decrease, so that no move is made for rounding. With
-/// 10 steps, 0.01 to 0.1 leave 31 or 32.
+/// Minimum relative decrease of the badness of a cavity. It prevents moves that only change
+/// rounding errors. With 10 steps, 0.01 to 0.1 leave 31 or 32.
 const GAIN: f64 = 0.02;
 
 /// Weight of the deficits below the limits of the checks. 30 leaves 30 and 10; 4 leaves 32 (with 10
 /// steps).
 const FAILING_WEIGHT: f64 = 16.0;
 
-/// Returns how bad tetrahedra with these scores are together: the sum of the squared deficits. 0 if
-/// all reach their targets, and infinite if one is not positive.
+/// Returns the badness of tetrahedra with these scores: the sum of their squared deficits. It is 0
+/// if all tetrahedra reach their targets, and infinite if one is not positive.
 fn badness(scores: impl Iterator<Item = f64>) -> f64 {
     let of_one = |score: f64| {
         if score <= 0.0 {
@@ -93,7 +93,7 @@ impl Patch {
         best.map(|(_, filling)| filling)
     }
 
-    /// Passes fillings of a cavity, and of the cavities that it grows to.
+    /// Calls `found` with fillings of a cavity and of the larger cavities that are grown from it.
     fn each_filling(&self, mut cavity: Vec<u32>, mut found: impl FnMut(Filling)) {
         let part = self.cells[cavity[0] as usize].part;
         self.flips(&cavity, part, &mut found);
@@ -114,7 +114,7 @@ impl Patch {
         }
     }
 
-    /// Passes the positive stars of the vertices of a cavity.
+    /// Calls `found` with the positive stars of the vertices of a cavity.
     fn flips(&self, cavity: &[u32], part: u32, found: &mut impl FnMut(Filling)) {
         let faces = self.faces(cavity);
         let mut apexes: Vec<u32> = faces.iter().flat_map(|face| face.vertices).collect();
@@ -147,7 +147,7 @@ impl Patch {
             a.distance(b) + b.distance(c) + c.distance(a)
         };
         let mut step = FIRST_STEP * bases.iter().map(perimeter).sum::<f64>() / (3 * bases.len()) as f64;
-        // The faces in the order in which they are tested, with the last that fell short first.
+        // the order in which faces are tested: a face that falls short moves to the front
         let mut order: Vec<u32> = (0..bases.len() as u32).collect();
         let mut minimum = |place: DVec3, bound: f64| {
             let mut least = f64::INFINITY;

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 /// Stands for a tetrahedron that does not exist.
 pub const NOBODY: u32 = u32::MAX;
 
-/// How tetrahedra and interfaces fit together.
+/// Conformity of tetrahedra and interfaces.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Conformity {
     /// Material of each tetrahedron, or [`OUTSIDE`] if the triangles state none or several.

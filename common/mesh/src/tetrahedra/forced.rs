@@ -139,7 +139,7 @@ fn way(side: Side) -> f64 {
 }
 
 /// Finds the sides of facets on which every tetrahedron has a dihedral angle below `angle`
-/// (degrees, between 0 and 60). Every facet must have an area, and no two may cross. The result is
+/// (degrees, between 0 and 90). Every facet must have an area, and no two may cross. The result is
 /// in the order of the facets and their sides.
 pub fn forced_sides(points: &[DVec3], facets: &[[u32; 3]], angle: f64) -> Vec<ForcedSide> {
     let frame = |facet: &[u32; 3]| Frame::of(facet.map(|v| points[v as usize]));

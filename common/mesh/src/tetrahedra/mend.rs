@@ -48,13 +48,13 @@ pub struct Mended {
     pub points: Vec<DVec3>,
     /// Vertices of the tetrahedra. Those of the old mesh come first.
     pub cells: Vec<[u32; 4]>,
-    /// How they fit the interfaces.
+    /// Their conformity with the interfaces.
     pub conformity: Conformity,
-    /// What was changed.
+    /// The changes.
     pub changes: Changes,
 }
 
-/// What mending has changed.
+/// Changes made by mending.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Changes {
     /// Number of tetrahedra that miss their targets, before and after.
@@ -67,7 +67,7 @@ pub struct Changes {
     pub vertices: [usize; 2],
 }
 
-/// A mesh, and how it fits the interfaces.
+/// A mesh, and its conformity with the interfaces.
 struct Conforming<'a> {
     mesh: Filled<'a>,
     found: Conformity,

@@ -16,13 +16,14 @@ const EDGES: [[usize; 2]; 6] = [[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]];
 /// The edges of a triangle, in the order of its nodes 4 to 6.
 const FACE_EDGES: [[usize; 2]; 3] = [[0, 1], [1, 2], [2, 0]];
 
-/// Minimum bound of the Jacobian, relative to that of the straight tetrahedron, to which a node on
-/// the surface may reduce it. Gmsh optimises high-order elements below this value
-/// (`Mesh.HighOrderThresholdMin`).
+/// Smallest allowed lower bound of the Jacobian, relative to the Jacobian of the straight
+/// tetrahedron. Nodes that reduce the bound further are moved back. Gmsh optimises high-order
+/// elements below this value (`Mesh.HighOrderThresholdMin`).
 pub const LEAST_JACOBIAN: f64 = 0.1;
 
 /// Maximum distance of a node from the midpoint of its edge, relative to the edge length: the
-/// height of an arc that turns by 106 degrees. A surface farther away is another part.
+/// height of an arc that turns by 106 degrees. A surface farther away belongs to another part of
+/// the object.
 const LONGEST_MOVE: f64 = 0.25;
 
 /// Number of times that the distance of a node from the midpoint is halved before it is set to 0.

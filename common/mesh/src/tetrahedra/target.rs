@@ -1,4 +1,4 @@
-//! What each tetrahedron should reach, and how near it comes.
+//! Targets for the shape of each tetrahedron, and its score against them.
 
 use super::quality::{Sizes, degrees};
 use glam::DVec3;
@@ -6,8 +6,8 @@ use glam::DVec3;
 /// Minimum dihedral angle in degrees that mending aims at, unless the limit of the check is larger.
 const GOAL_DEGREES: f64 = 12.0;
 
-/// Share of the possible value that is the aim where the surface limits it. Only one tetrahedron
-/// reaches all of it: the one that fills the place exactly.
+/// Aim relative to the largest possible value, where the surface limits this value. Only the
+/// tetrahedron that fills the place exactly reaches the largest value itself.
 const NEARLY: f64 = 0.9;
 
 /// Score of a tetrahedron at a limit of the checks.
@@ -27,7 +27,7 @@ pub struct Goal {
 /// Two values of one measure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Target {
-    /// The check requires this value; 0 if the surface does not allow to keep the limit.
+    /// Value that the check requires; 0 if the surface does not allow it.
     pub(super) limit: f64,
     /// The value to reach, at least the limit.
     pub(super) aim: f64,
@@ -98,9 +98,9 @@ impl Targets {
         Self { dihedral: self.dihedral.least(other.dihedral), jacobian: self.jacobian.least(other.jacobian) }
     }
 
-    /// Returns how near a tetrahedron comes to its targets: 1 if it reaches them, less than
-    /// [`AT_LIMIT`] if it fails a check, and 0 or less if it is not positive. The worse of the two
-    /// measures counts. So no aim that cannot be reached is traded for a failed check.
+    /// Returns the score of a tetrahedron: 1 if it reaches its targets, less than [`AT_LIMIT`] if
+    /// it fails a check, and 0 or less if it is not positive. The worse of the two measures counts,
+    /// so an unreachable aim does not outweigh a failed check.
     #[inline]
     pub(super) fn score(&self, corners: &[DVec3; 4]) -> f64 {
         let sizes = Sizes::of(corners);

@@ -75,13 +75,13 @@ pub struct Chosen {
     number: BTreeMap<LayerLabel, u16>,
     /// Number of materials, without the outside, that are not added by `all`.
     pub(crate) listed: usize,
-    /// Rank of each material: of several, a voxel belongs to the one with the lowest rank. The rank
-    /// of the outside is the highest.
+    /// Rank of each material. A voxel of several materials belongs to the one with the lowest rank.
+    /// The outside has the highest rank.
     pub(crate) rank: Vec<usize>,
 }
 
 impl Chosen {
-    /// Returns which of two materials a voxel in both belongs to.
+    /// Returns the material that keeps the voxels of both of two materials.
     pub fn first(&self, a: u16, b: u16) -> u16 {
         if self.rank[usize::from(b)] < self.rank[usize::from(a)] { b } else { a }
     }

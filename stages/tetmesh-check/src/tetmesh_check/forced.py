@@ -1,4 +1,4 @@
-"""Where the surface itself allows no good tetrahedron.
+"""Finds where the surface itself allows no good tetrahedron.
 
 There, facets meet at a small angle or lie close in front of each other. The Rust module
 ``tetrahedra::forced`` explains and computes the bounds.
@@ -44,7 +44,7 @@ def forced_sides(points: Points, triangles: Cells, angle: float) -> ForcedSides:
     triangles
         Vertex indices, shape ``(m, 3)``; each has an area, and no two cross.
     angle
-        Dihedral angle, degrees, above 0 and below 60.
+        Dihedral angle, degrees, above 0 and below 90.
     """
     return ForcedSides(*_native.forced_sides(points, triangles, angle))
 
