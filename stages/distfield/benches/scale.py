@@ -294,8 +294,7 @@ def peer_row(case: Case, vertices: int, ours: int, before: float, program: str) 
     """Returns the row of another remesher for the same field, with about `ours` vertices."""
     import numpy as np
     import pyvista as pv
-
-    from tetmesh_check.intersections import self_intersections
+    from isoparticles._native import self_intersections
 
     key = str(vertices)
     start = time.monotonic()
