@@ -203,8 +203,8 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
         try:
             raw, filled = _attempt(task, settings, grid, limit, context)
         except StageError as error:
-            final = error.code == ExitCode.INTERRUPTED or isinstance(error, (TimeLimitError, UnavailableError))
-            if final and best is None:
+            final = isinstance(error, (TimeLimitError, UnavailableError))
+            if error.code == ExitCode.INTERRUPTED or (final and best is None):
                 raise
             attempts.append({**tried, "error": error.what})
             failure = error
