@@ -98,7 +98,7 @@ def measure(name: str, points: Points, tetrahedra: Cells) -> Row:
 
 
 def orders(rows: Sequence[Row], error: str) -> list[float]:
-    """Return the order of convergence of an error (``relative_l2_error``) from each mesh to the next."""
+    """Return the order of convergence of ``relative_l2_error`` from each mesh to the next."""
     return [
         math.log(before.figures[error] / after.figures[error]) / math.log(before.size / after.size)
         for before, after in pairwise(rows)

@@ -19,25 +19,25 @@ from tetmesh_check.tets.fill import Method
 
 @dataclass(frozen=True)
 class Arguments:
-    """What the user asked for."""
+    """The arguments of the command line."""
 
     surface: Path
     output: Path
     sizefield: Path | None = None
     distfield: Path | None = None
-    """The field that the surface is F = 0 of; needed for quadratic tetrahedra alone."""
+    """The field F whose zero set is the surface. Required for quadratic tetrahedra only."""
     order: int = 1
-    """Order of the tetrahedra, 1 or 2: with 2 those with a node amid each edge are written, too."""
+    """Order of the tetrahedra: with 2, tetrahedra with a node on each edge are written as well."""
     pictures: Path | None = None
     labels_volume: Path | None = None
     exports: tuple[str, ...] = ()
-    """What of :data:`.FORMATS` is written, too."""
+    """The other :data:`.FORMATS` to write."""
     unit: str = "mm"
-    """Unit of the coordinates there."""
+    """Unit of the coordinates in these formats."""
     tet_size_factor: float = 1.0
     """Tetrahedron edge length over h."""
     method: Method = Method.AUTO
-    """Who makes the tetrahedra."""
+    """The tetrahedralizer."""
     envelope: float | None = None
     """Largest distance of the boundary from the surface, mm."""
     stop_energy: float | None = None
@@ -48,7 +48,7 @@ class Arguments:
     limits: Limits = made_by(default_factory=Limits)
     solve: SolveSettings = made_by(default_factory=SolveSettings)
     forward: ForwardArguments = made_by(default_factory=ForwardArguments)
-    """For many materials: what conducts how well, and where a current arises."""
+    """For many materials: conductivities and the source of a current."""
 
     @property
     def name(self) -> str:
@@ -57,12 +57,12 @@ class Arguments:
 
     @property
     def log(self) -> Path:
-        """Where the tetrahedralizer's log goes."""
+        """Path of the log of the tetrahedralizer."""
         return self.output.with_name(f"{self.name}.tetrahedra.log")
 
     @property
     def quadratic(self) -> Path:
-        """Where the tetrahedra with a node amid each edge go."""
+        """Path of the quadratic tetrahedra."""
         return self.output.with_name(f"{self.name}.volume.quadratic.vtu")
 
     def export_paths(self, many: bool = False) -> list[Path]:
@@ -70,11 +70,11 @@ class Arguments:
         return export_paths(self.output, self.name, self.exports, many)
 
     def other_paths(self) -> list[Path]:
-        """All files that are written beside the volume mesh, but for pictures."""
+        """Return the files that are written in addition to the volume mesh, without pictures."""
         return [*([self.quadratic] if self.order == 2 else []), *self.export_paths()]
 
     def refuse_order(self) -> None:
-        """Refuse quadratic tetrahedra without what they need, or in a format that has none."""
+        """Refuse quadratic tetrahedra without a field, or in a format that cannot store them."""
         if self.order == 1:
             return
         if self.distfield is None:
@@ -97,7 +97,7 @@ class Arguments:
         return None if self.pictures is None else PictureJob(self.surface, self.output, self.pictures, self.name)
 
     def parameters(self) -> dict[str, Any]:
-        """Parameters for the history, as given; what is resolved later is set during the run."""
+        """Return the parameters for the history. Defaults that depend on inputs are set later."""
         return {
             "tet_size_factor": self.tet_size_factor,
             "method": self.method,

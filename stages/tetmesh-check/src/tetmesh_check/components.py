@@ -1,4 +1,4 @@
-"""Connected components of a closed surface: their volumes, and which lies in which."""
+"""Connected components of a closed surface: their volumes and nesting."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Components:
     depths: Labels
     """Number of other components that enclose each component."""
     parents: Labels
-    """The innermost of them, -1 where there is none."""
+    """The innermost component that encloses each component, or -1."""
 
     def inside_out(self) -> Labels:
         """Return the numbers of the components with the wrong orientation."""
@@ -40,14 +40,14 @@ class Components:
 
 
 def measure_components(points: Points, triangles: Cells) -> Components:
-    """Find the components of a closed surface, and which lies in which.
+    """Find the components of a closed surface and their nesting.
 
     Parameters
     ----------
     points
         Positions, mm, shape ``(n, 3)``.
     triangles
-        Vertex indices of a closed surface, shape ``(m, 3)``; components do not cut through each
+        Vertex indices of a closed surface, shape ``(m, 3)``; components must not intersect each
         other.
     """
     return Components(**_native.surface_components(points, triangles))

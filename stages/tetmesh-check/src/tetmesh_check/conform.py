@@ -1,4 +1,4 @@
-"""Which material each tetrahedron belongs to, and whether tetrahedra and interfaces fit together.
+"""Finds the material of each tetrahedron, and whether tetrahedra and interfaces fit together.
 
 The tetrahedralizer's own volumes are not used. The Rust code finds the materials from connectivity
 alone: tetrahedra are connected through faces that are not triangles of an interface, and each

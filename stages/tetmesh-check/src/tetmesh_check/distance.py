@@ -1,4 +1,4 @@
-"""Distance between the boundary of the tetrahedra and the input surface, both ways."""
+"""Distance between the boundary of the tetrahedra and the input surface, in both directions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tetmesh_check.quality import Cells, Points, Values
 
 
 def summarize_distances(distances: Values) -> dict[str, Any]:
-    """Condense distances into mean, 99th percentile, largest and number of samples; mm.
+    """Return mean, 99th percentile, maximum (mm) and number of distances.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def summarize_distances(distances: Values) -> dict[str, Any]:
 def distances_both_ways(first: tuple[Points, Cells], second: tuple[Points, Cells]) -> tuple[Values, Values]:
     """Distances of vertices and centroids of each mesh from the other, mm.
 
-    If a mesh has more than 200,000 of them, they are thinned evenly.
+    If a mesh has more than 200,000 of them, only every n-th is used.
 
     Parameters
     ----------

@@ -19,20 +19,20 @@ DISTANCE = "signed_distance"
 
 
 def _placement(image: pv.ImageData) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """World vectors between voxel centres, one a column, and the first centre, mm."""
+    """Return the world vectors between voxel centres, as columns, and the first centre, mm."""
     step = np.asarray(image.direction_matrix, dtype=np.float64) * np.asarray(image.spacing)
     return step, np.asarray(image.origin, dtype=np.float64) + step @ np.array(image.extent[::2], dtype=np.float64)
 
 
 def grid_field(image: pv.ImageData, values: NDArray[np.floating[Any]]) -> GridField:
-    """Give numbers at the points of an image to the Rust code.
+    """Convert numbers at the points of an image to a field of the Rust code.
 
     Parameters
     ----------
     image
-        Says where they are.
+        The grid.
     values
-        One number a point, x fastest.
+        One number per point, x fastest.
     """
     _, origin = _placement(image)
     shaped = values.astype(np.float32, copy=False).reshape(image.dimensions, order="F")

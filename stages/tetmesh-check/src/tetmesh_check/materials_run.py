@@ -1,4 +1,4 @@
-"""The run of the stage for a surface of many materials: check the complex, fill its volumes, measure, judge, write."""
+"""The run for a surface of many materials."""
 
 from __future__ import annotations
 
@@ -71,7 +71,10 @@ def _regions(checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
 
 
 def _sides(checked: Complex, limits: Limits, context: Context) -> ForcedSides:
-    """Find where the triangles allow no tetrahedra within the limit of the dihedral angle, and warn of it."""
+    """Find the sides of triangles on which no tetrahedron reaches the limit of the dihedral angle.
+
+    Warn if there are any.
+    """
     sides, surface = checked.sides, checked.surface
     found = forced_sides(surface.points, surface.triangles, limits.min_dihedral)
     material = np.where(found.side == INSIDE, sides.inside[found.facet], sides.outside[found.facet])
@@ -90,7 +93,10 @@ def _sides(checked: Complex, limits: Limits, context: Context) -> ForcedSides:
 
 
 def _needles(checked: Complex, limits: Limits, context: Context) -> tuple[Labels, Values]:
-    """Find the triangles of so small an angle that no tetrahedron on them keeps both limits of shape, with what they allow; warn of them."""
+    """Find the triangles on which no tetrahedron reaches both limits of shape.
+
+    Also return the largest scaled Jacobian that each allows. Warn if there are any.
+    """
     surface = checked.surface
     possible = largest_jacobians(surface.points, surface.triangles, limits.min_dihedral)
     found = np.flatnonzero(possible < limits.min_scaled_jacobian)
@@ -108,7 +114,7 @@ def _needles(checked: Complex, limits: Limits, context: Context) -> tuple[Labels
 
 
 def _on_needles(task: ComplexTask, filled: FilledComplex) -> list[dict[str, Any]]:
-    """What triangles of a small angle force on either side, the sharpest first: place, material, what is possible, and what came out."""
+    """List the tetrahedra on triangles with a small angle for the report, the sharpest first."""
     surface, (facets, possible) = task.checked.surface, task.needles
     centres = centres_of(surface.points, surface.triangles[facets])
     return [
@@ -124,7 +130,7 @@ def _on_needles(task: ComplexTask, filled: FilledComplex) -> list[dict[str, Any]
 
 
 def _forced_tetrahedra(sides: ForcedSides, checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
-    """What the surface forces, the sharpest first: place, material, the dihedral angle possible there at most, and what came out."""
+    """List the tetrahedra on forced sides of triangles for the report, the sharpest first."""
     centres = centres_of(checked.surface.points, checked.surface.triangles[sides.facet])
     listed = []
     for k in np.argsort(sides.bound, kind="stable").tolist():
@@ -277,7 +283,7 @@ class ManyMaterials(Subject):
     many = True
 
     def check_surface(self) -> None:
-        """Refuse a surface that bounds no volumes; find where it forces tetrahedra below a limit."""
+        """Refuse a surface that bounds no volumes; find triangles that force poor tetrahedra."""
         arguments, context, surface = self.arguments, self.context, self.inputs.surface
         assert surface.sides is not None, "the caller looked"
         self.field, _ = self.inputs.edge_lengths(context)
@@ -351,7 +357,7 @@ class ManyMaterials(Subject):
         return complex_checks(context.results["volume"], filled.quality, self.arguments.limits, filled.forced)
 
     def currents(self) -> Forward | None:
-        """Return the problem of currents, if a source is given and every tetrahedron has a material."""
+        """Return the problem of currents if there is a source and all tetrahedra have materials."""
         found, sides = self.filled.conformity, self.checked.sides
         if self.source is None or found.faults:
             return None

@@ -32,8 +32,8 @@ from tetmesh_check.volume_table import volume_table
 MAX_SHARE_OUTSIDE = 0.05
 """Share of the tetrahedra outside the label volume above which there is a warning."""
 ENVELOPE_FRACTION = 0.05
-"""Default envelope over the edge length that 95 % of the surface exceed: small enough that thin
-walls stay apart."""
+"""Default envelope, relative to the edge length that 95 % of the surface exceeds. It is small
+enough to keep thin walls apart."""
 
 
 class OneObject(Subject):
@@ -173,7 +173,7 @@ class OneObject(Subject):
         return run_checks(self.measurements, self.arguments.limits)
 
     def curve(self, marked: MarkedMesh) -> tuple[MarkedMesh, list[Check]]:
-        """Put a node on each edge, and write that mesh, if quadratic tetrahedra are asked for."""
+        """Put a node on each edge, and write this mesh, with ``--order 2``."""
         if self.inputs.field is None:
             return super().curve(marked)
         path = self.arguments.quadratic

@@ -3,7 +3,7 @@
 All measures are 1 for the equilateral triangle or the regular tetrahedron and 0 for a degenerate
 one, except the aspect ratio and the edge ratio (1 is best, larger is worse) and the angles.
 Definitions follow the Verdict library (Stimpson et al., SAND2007-1751), with the radius ratio
-turned over so that it lies in [0, 1] like the figure in Table 1 of Kim, Chen and Hansen 2012.
+inverted, so that it lies in [0, 1] as in Table 1 of Kim, Chen and Hansen 2012.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ Points = NDArray[np.float64]
 Cells = NDArray[np.int64]
 """Vertex indices, shape ``(m, 3)`` for triangles and ``(m, 4)`` for tetrahedra."""
 Labels = NDArray[np.int64]
-"""One component number a cell, shape ``(m,)``."""
+"""One component number per cell, shape ``(m,)``."""
 Values = NDArray[np.float64]
-"""One number a cell, shape ``(m,)``."""
+"""One number per cell, shape ``(m,)``."""
 
 PERCENTILES = (1, 5, 10, 25, 50, 75, 90, 95, 99)
 """The percentiles that a summary lists."""
@@ -143,7 +143,7 @@ def summarize(values: Values, bins: NDArray[np.float64] | None = None) -> dict[s
     Parameters
     ----------
     values
-        One number a cell.
+        One number per cell.
     bins
         Edges of the histogram; without them there is none.
 

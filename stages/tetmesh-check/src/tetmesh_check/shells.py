@@ -16,26 +16,26 @@ class Shells:
     materials: Labels
     """Material of each volume, shape ``(v,)``, ascending."""
     sizes: Values
-    """Size of each volume, mm^3, cavities taken off, shape ``(v,)``."""
+    """Size of each volume without its cavities, mm^3, shape ``(v,)``."""
     of_inside: Labels
     """Volume behind each triangle, shape ``(m,)``."""
     of_outside: Labels
     """Volume before it, shape ``(m,)``; where there is no material below 0, another number for each
     shell of the outside."""
     mixed: int
-    """Wedges between sides of different materials: at such an edge the order of the triangles
-    contradicts their materials."""
+    """Number of wedges between sides of different materials. At such an edge, the order of the
+    triangles contradicts their materials."""
     narrowest: Values
     """Smallest wedge of each material, degrees, shape ``(t,)``: no tetrahedron there has a wider
     smallest dihedral angle."""
     inside_out: int
-    """Shells that bound a cavity which lies in no volume of its material: turned the wrong way
-    round."""
+    """Number of cavities that lie in no volume of their material, because their triangles are
+    inside out."""
 
     def sheets(self) -> tuple[Cells, Labels]:
-        """Pairs of volumes that touch, and the pair of each triangle.
+        """Return the pairs of volumes that touch, and the pair of each triangle.
 
-        Neither two volumes nor two hollows have the same sheets round them.
+        No two volumes or hollows have the same sheets as their boundary.
         """
         pairs, which = np.unique(np.stack([self.of_inside, self.of_outside], 1), axis=0, return_inverse=True)
         return pairs, which.ravel().astype(np.int64)

@@ -1,10 +1,10 @@
 """The size field h as the background sizing of the tetrahedra.
 
-``sizefield`` writes h on the grid of the distance field. fTetWild wants it on a tetrahedral
+``sizefield`` writes h on the grid of the distance field. fTetWild reads it from a tetrahedral
 background mesh, which it searches for every vertex. Only the grid cells in and near the object
-matter, and h varies slowly (its gradient is at most the delta of ``sizefield``), so the grid is
-thinned until the background mesh is small beside the result. Gmsh wants it on a grid along the
-world's axes, which is cheap to search and may have more nodes.
+matter, and h varies slowly (its gradient is at most the delta of ``sizefield``). So the grid is
+coarsened until the background mesh is much smaller than the result. Gmsh reads h from a grid along
+the world axes, which is cheap to search and may have more nodes.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from tetmesh_check.surface import Surface, history_of, read_dataset
 ARRAY_NAME = "sizing"
 """Point array of a size field: target edge length h, mm."""
 MAX_BACKGROUND_NODES = 200_000
-"""Nodes of the background mesh that are cheap beside the tetrahedra themselves."""
+"""Maximum number of nodes of the background mesh. They cost little compared with the tetrahedra."""
 MAX_GRID_NODES = 4_000_000
-"""Nodes of the grid along the world's axes: 32 MB."""
+"""Maximum number of nodes of the grid along the world axes: 32 MB."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def read_sizing_field(path: Path) -> SizingField:
 
 
 def uniform_sizing_field(surface: Surface, edge_length: float) -> SizingField:
-    """Build a size field of one length, on a coarse grid round the object.
+    """Build a constant size field on a coarse grid around the object.
 
     Parameters
     ----------
@@ -148,8 +148,7 @@ def background_mesh(field: SizingField, surface: Surface, max_nodes: int = MAX_B
     surface
         The surface of the object, world coordinates.
     max_nodes
-        The grid is thinned to every second, third, ... voxel until no more nodes than this are
-        needed.
+        Maximum number of nodes. The grid takes every second, third, ... voxel until they suffice.
 
     Returns
     -------

@@ -49,7 +49,7 @@ class Inputs:
 
 
 class Subject(ABC):
-    """What differs between one object and many materials.
+    """The steps that differ between one object and many materials.
 
     Parameters
     ----------
@@ -83,10 +83,10 @@ class Subject(ABC):
 
     @abstractmethod
     def checks(self) -> list[Check]:
-        """Judge what was measured."""
+        """Judge the measurements."""
 
     def curve(self, marked: MarkedMesh) -> tuple[MarkedMesh, list[Check]]:
-        """Return the mesh to export, quadratic if asked for, and its checks."""
+        """Return the mesh to export, quadratic with ``order=2``, and its checks."""
         return marked, []
 
     def currents(self) -> Forward | None:

@@ -39,11 +39,11 @@ class Surface:
     """Vertices that lay exactly on another one and were joined to it."""
     cap: NDArray[np.bool_] | None = None
     """Whether each triangle lies where the border of the volume cut the object, shape ``(m,)``;
-    ``None`` if nobody says."""
+    ``None`` if unknown."""
     sides: Sides | None = None
     """The materials on both sides of each triangle; ``None`` for the surface of one object."""
     volumes: list[dict[str, Any]] = field(default_factory=list)
-    """Volumes by material that the surface tells of, mm^3 (:mod:`.volume_table`)."""
+    """Volumes by material in the metadata of the surface, mm^3 (:mod:`.volume_table`)."""
 
     @property
     def bounding_box_diagonal(self) -> float:

@@ -1,4 +1,4 @@
-"""Topology of triangle meshes and of tetrahedra, from their connectivity alone. The Rust code computes it."""
+"""Topology of triangle meshes and of tetrahedra, computed by the Rust code from connectivity."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tetmesh_check.quality import Cells, Labels, Points
 
 
 def members_of(labels: Labels, count: int) -> list[Labels]:
-    """Indices of the members of each group, ascending; one array a group.
+    """Return the indices of the members of each group, ascending, as one array per group.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def members_of(labels: Labels, count: int) -> list[Labels]:
 
 @dataclass(frozen=True)
 class Topology:
-    """Counts that say whether a triangle mesh is a closed oriented surface."""
+    """Counts that state whether a triangle mesh is a closed oriented surface."""
 
     vertices: int
     triangles: int
@@ -39,7 +39,7 @@ class Topology:
     badly_oriented_edges: int
     """Edges whose two triangles disagree on which side is out."""
     nonmanifold_vertices: int
-    """Vertices round which the triangles form more than one fan."""
+    """Vertices whose triangles form more than one fan."""
     components: int
     euler_characteristic: int
     """Vertices in use minus edges plus triangles: 2 for each sphere, 0 for a torus."""
@@ -72,11 +72,11 @@ class Boundary:
     """The outside of a volume mesh."""
 
     triangles: Cells
-    """Those that belong to one tetrahedron only, wound to point out of positive ones, shape ``(k, 3)``."""
+    """Faces of only one tetrahedron, counter-clockwise as seen from outside, shape ``(k, 3)``."""
     owners: Labels
     """The tetrahedron of each, shape ``(k,)``."""
     bodies: Labels
-    """Body of each tetrahedron, shape ``(m,)``, numbered from 0; bodies hang together through faces."""
+    """Body of each tetrahedron, shape ``(m,)``, from 0; a body is connected through faces."""
 
 
 def tetrahedron_boundary(tetrahedra: Cells) -> Boundary:
@@ -91,17 +91,17 @@ def tetrahedron_boundary(tetrahedra: Cells) -> Boundary:
 
 
 def changed_triangles(before: tuple[Points, Cells], after: tuple[Points, Cells]) -> tuple[int, int]:
-    """Compare two triangle meshes by the coordinates of their corners, bit for bit, and by their winding.
+    """Compare two triangle meshes by the exact coordinates and the cyclic order of corners.
 
     Parameters
     ----------
     before, after
-        Points and triangles of the two meshes; no two vertices of one lie on each other.
+        Points and triangles of the two meshes; the vertices of one have different positions.
 
     Returns
     -------
     tuple
-        How many triangles of the first are not in the second, and the other way round.
+        Number of triangles of the first that the second lacks, and the reverse.
     """
     missing, added = _native.changed_triangles(*before, *after)
     return missing, added

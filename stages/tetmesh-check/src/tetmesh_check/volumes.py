@@ -17,7 +17,7 @@ from tetmesh_check.quality import Points
 
 @dataclass(frozen=True)
 class InputVolume:
-    """One number a voxel on a regular grid placed in the world that the meshes are written in."""
+    """Numbers on a regular grid in the world frame of the meshes."""
 
     values: NDArray[Any]
     """Numbers in the file's own type, shape ``(nx, ny, nz)``; the first layer where there are

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 _TETRAHEDRON = np.array([0, 2, 1, 3, 6, 5, 4, 7, 9, 8])
 """Nodes in the order of MED: its tetrahedra (but not its triangles) are wound the other way, and
-the nodes amid the edges follow."""
+the nodes on the edges follow."""
 
 
 def write_med(mesh: MarkedMesh, path: Path) -> None:

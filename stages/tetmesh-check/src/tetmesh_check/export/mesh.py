@@ -19,20 +19,20 @@ if TYPE_CHECKING:
     import pyvista as pv
 
 NAMES = {SURFACE: "surface", CAP: "cap"}
-"""What the parts of the boundary are called in sets and groups."""
+"""Names of the parts of the boundary in sets and groups."""
 RESERVED = ("volume", "nodes", "all")
-"""Names of sets that are no region's: all elements in ``inp``, all nodes in ``feb``, everything in
-the viewer of CalculiX."""
+"""Names of sets that no region may have: all elements in ``inp``, all nodes in ``feb``, everything
+in the viewer of CalculiX."""
 LONGEST_NAME = 80
 """Characters of the name of a set in CalculiX and of a group in MED."""
 
 
 @dataclass(frozen=True)
 class Materials:
-    """What a mesh of many materials has beside one of one object."""
+    """The additional data of a mesh of many materials."""
 
     table: list[dict[str, Any]]
-    """What each number stands for, as the surface has it."""
+    """Name and labels of each material, by number, as in the surface."""
     regions: dict[int, str]
     """Names of the regions by number, such as every format takes: letters, digits and
     underscores."""
@@ -105,12 +105,12 @@ class MarkedMesh:
     """:data:`.SURFACE` or :data:`.CAP`, shape ``(k,)``. Of many materials the number of the pair,
     from 1 on."""
     materials: Materials | None = None
-    """What is known of many materials; ``None`` for one object."""
+    """Data of many materials; ``None`` for one object."""
     middle: Cells | None = None
-    """Nodes amid the edges of each tetrahedron in VTK order, shape ``(m, 6)``; ``None`` where all
-    edges are straight."""
+    """Nodes on the edges of each tetrahedron in VTK order, shape ``(m, 6)``; ``None`` for linear
+    tetrahedra."""
     boundary_middle: Cells | None = None
-    """Nodes amid the edges of each triangle of the boundary, shape ``(k, 3)``."""
+    """Nodes on the edges of each triangle of the boundary, shape ``(k, 3)``."""
     labels: list[int] | None = None
     """Labels of the one region of an object, empty where they are not known; ``None`` where the
     regions are labels or materials."""
@@ -127,15 +127,15 @@ class MarkedMesh:
 
     @property
     def kinds(self) -> tuple[str, str]:
-        """What meshio calls the elements and the triangles."""
+        """Names of the types of elements and triangles in meshio."""
         return ("tetra", "triangle") if self.middle is None else ("tetra10", "triangle6")
 
     def region_name(self, label: int) -> str:
-        """What a region is called in sets and groups."""
+        """Return the name of a region in sets and groups."""
         return f"region_{label}".replace("-", "minus_") if self.materials is None else self.materials.regions[label]
 
     def region_table(self) -> list[Region]:
-        """What each number of a region stands for, ascending."""
+        """Return the regions, ascending by number."""
         return [self._region(number) for number in np.unique(self.regions).tolist()]
 
     def _region(self, number: int) -> Region:
@@ -146,11 +146,11 @@ class MarkedMesh:
         return Region(number, name, str(entry["name"]), [one["label"] for one in entry.get("labels", [])])
 
     def mark_name(self, mark: int) -> str:
-        """What a part of the boundary, or an interface, is called in sets and groups."""
+        """Return the name of a part of the boundary, or of an interface, in sets and groups."""
         return NAMES[mark] if self.materials is None else self.materials.pairs[mark]
 
     def outermost(self) -> NDArray[np.bool_]:
-        """Which triangles lie on the boundary of the whole, shape ``(k,)``."""
+        """Return whether each triangle lies on the boundary of the whole mesh, shape ``(k,)``."""
         if self.materials is None:
             return np.ones(len(self.boundary), dtype=bool)
         alone: NDArray[np.bool_] = self.materials.before < 0

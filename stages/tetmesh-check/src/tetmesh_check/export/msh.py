@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 _KIND = {3: 2, 6: 9, 4: 4, 10: 11}
 """Gmsh's number of a triangle or tetrahedron, by its nodes."""
 _NODES = np.array([0, 1, 2, 3, 4, 5, 6, 7, 9, 8])
-"""Nodes of a tetrahedron in Gmsh's order: of the last two nodes amid edges VTK has the other one
-first."""
+"""Nodes of a tetrahedron in the order of Gmsh, which exchanges the last two nodes of VTK."""
 
 
 def _numbers(mesh: MarkedMesh) -> tuple[dict[int, str], Labels, dict[int, str], Labels]:

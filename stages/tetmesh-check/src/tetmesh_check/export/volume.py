@@ -101,8 +101,8 @@ def _save(grid: pv.UnstructuredGrid, path: Path) -> None:
     writer = vtkXMLUnstructuredGridWriter()
     writer.SetFileName(str(path))
     writer.SetInputData(grid)
-    # 1.1 million tetrahedra take 0.8 s of CPU time and 36 MB. PyVista's `save` (level 5, text) takes
-    # 1.5 s and 48 MB.
+    # 1.1 million tetrahedra take 0.8 s of CPU time and 36 MB. PyVista's `save` (level 5, text)
+    # takes 1.5 s and 48 MB.
     writer.SetCompressionLevel(1)
     writer.SetDataModeToAppended()
     writer.EncodeAppendedDataOff()

@@ -1,8 +1,8 @@
 """XDMF: a description in XML and numbers in HDF5, for elements and boundary.
 
-By h5py: meshio writes points and cells of each pair anew, and FEniCS, which takes the triangles as
-tags of facets, wants the same points. It opens the HDF5 file of the description's own name whatever
-stands in it.
+h5py writes the files: meshio would write points and cells of each file again, but FEniCS reads the
+triangles as tags of facets, which must use the same points. FEniCS opens the HDF5 file with the
+name of the description, whatever file the description states.
 """
 
 from __future__ import annotations

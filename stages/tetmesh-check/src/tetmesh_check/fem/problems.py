@@ -198,8 +198,8 @@ def conduction(assembler: Assembler, solver: Solver) -> tuple[dict[str, Any], bo
     """Find the extracellular potential of a wave front in tissue with fibres.
 
     div((sigma_i + sigma_e) grad phi) = -div(sigma_i grad V) with no current through the boundary,
-    for a front across the middle of the object. It has a solution up to a constant in every part
-    that hangs together.
+    for a front across the middle of the object. The solution is unique up to a constant in each
+    connected part.
 
     Parameters
     ----------

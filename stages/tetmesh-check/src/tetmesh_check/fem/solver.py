@@ -88,7 +88,7 @@ def jacobi(matrix: Any, _near_null: Values | None = None) -> Any:
 
 @dataclass
 class Solver:
-    """How the systems are solved."""
+    """Solves linear systems."""
 
     max_iterations: int
     """Of conjugate gradients with Jacobi's preconditioner."""

@@ -1,4 +1,4 @@
-"""Which tetrahedralizer fills the surface, and how often it is tried."""
+"""Chooses the tetrahedralizer of a surface, and repeats attempts that fail a limit."""
 
 from __future__ import annotations
 
@@ -27,42 +27,47 @@ from tetmesh_check.tets.worker import TimeLimit, TimeLimitError, WorkerResult
 from tetmesh_check.topology import tetrahedron_boundary
 
 MAX_FTETWILD_VERTICES = 5_000
-"""Largest surface that fTetWild is given by default: it takes about half a minute for that many vertices on two cores, two for
-10,000, and twenty to hours from 50,000 on, where HXT takes seconds. Its tetrahedra are the better ones (mean radius ratio 0.86
-in place of 0.79), but those of both pass the checks on nearly every surface."""
+"""Maximum number of vertices of the surfaces that fTetWild fills by default. On two cores, fTetWild
+takes about half a minute for this number, two minutes for 10,000, and from twenty minutes to hours
+for 50,000 or more. HXT takes seconds. The tetrahedra of fTetWild are better (mean radius ratio 0.86
+instead of 0.79), but nearly all surfaces pass the checks with both."""
 
 MAX_SECOND_TRY_VERTICES = 20_000
-"""Largest surface that ``auto`` gives to fTetWild, too, where a tetrahedron of HXT's misses a limit of shape and cannot be mended: sheets of
-a surface that nearly touch leave flat ones between its fixed triangles. Some four minutes for each of :data:`STOP_ENERGIES` that it takes."""
+"""Maximum number of vertices of the surfaces that ``auto`` fills again by fTetWild if a tetrahedron
+of HXT misses a limit of shape and cannot be mended. This happens where parts of a surface nearly
+touch: its fixed triangles leave only flat tetrahedra between them. Each of :data:`STOP_ENERGIES`
+takes about four minutes."""
 
 ENVELOPES = (1.0, 0.5, 0.25)
-"""Envelopes that fTetWild is given in turn, over the one asked for, while the boundary strays by more than may be: it keeps its own
-samples of the boundary within the envelope, and a thin tip may lose more."""
+"""Envelopes of the attempts of fTetWild, relative to the given one. The next is used if the
+boundary is too far from the surface: fTetWild keeps only samples of the boundary within the
+envelope, so thin tips can lose more."""
 
 COARSE_FRACTION = 0.05
-"""Edge length outside the object over the diagonal of its bounding box, where h is smaller; fTetWild's own default."""
+"""Minimum edge length outside the object, relative to the diagonal of its bounding box. The default
+of fTetWild."""
 
 STOP_ENERGIES = (1000.0, 30.0, 10.0)
-"""Default ends of fTetWild's optimization, before it turns to the background and after: the first is the quickest and enough
-for a good surface, because refinement to the background optimizes anyway; when the tetrahedra then miss a limit of
-shape, the next is tried."""
+"""Default stop energies of the attempts of fTetWild. The first is the fastest and suffices for a
+good surface, because the refinement to the background also optimizes. The next is used if
+tetrahedra miss a limit of shape."""
 
 
 class Method(StrEnum):
-    """Who makes the tetrahedra."""
+    """The tetrahedralizer."""
 
     AUTO = "auto"
-    """fTetWild up to :data:`MAX_FTETWILD_VERTICES`, HXT beyond; fTetWild also where HXT cannot be had or fails, or misses a limit of shape
-    that mending does not cure."""
+    """fTetWild up to :data:`MAX_FTETWILD_VERTICES`, HXT above. fTetWild also if HXT is missing or
+    fails, or if its tetrahedra miss a limit of shape after mending."""
     FTETWILD = "ftetwild"
     HXT = "hxt"
     TETGEN = "tetgen"
-    """By hand only."""
+    """Only on request."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be filled, and how."""
+    """A surface to fill, and the settings."""
 
     surface: Surface
     """A checked surface."""
@@ -76,17 +81,19 @@ class Task:
     envelope: float
     """For fTetWild: largest distance of the boundary from the surface, mm."""
     stop_energy: float | None
-    """For fTetWild: largest AMIPS energy at which it stops; by default each of :data:`STOP_ENERGIES` in turn."""
+    """For fTetWild: largest AMIPS energy at which it stops; by default each of
+    :data:`STOP_ENERGIES` in turn."""
     max_passes: int
     """For fTetWild."""
     max_seconds: float
     """The time that all attempts together may take, s."""
     limits: Limits
-    """fTetWild is tried again with more patience while a limit of shape is missed, in a smaller envelope while the boundary strays."""
+    """fTetWild is tried again with a lower stop energy if a limit of shape is missed, and with a
+    smaller envelope if the boundary is too far from the surface."""
     log: Path
-    """Where the tetrahedralizer's output goes."""
+    """File for the output of the tetrahedralizer."""
     keep_vertices: bool = False
-    """Whether the vertices have to stay where the surface has them: ``auto`` is HXT then."""
+    """Whether the vertices of the surface must stay in place. If so, ``auto`` chooses HXT."""
 
 
 @dataclass(frozen=True)
@@ -100,12 +107,12 @@ class Filled:
 
     @property
     def mesh(self) -> tuple[Points, Cells]:
-        """Both."""
+        """The points and the tetrahedra."""
         return self.points, self.tetrahedra
 
 
 def _choose(method: Method, vertices: int, keep_vertices: bool) -> tuple[Method, str]:
-    """Resolve ``auto``, and say why."""
+    """Resolve ``auto``; return the method and the reason."""
     if method is not Method.AUTO:
         return method, f"--method {method} was given"
     if keep_vertices:
@@ -123,14 +130,14 @@ def _choose(method: Method, vertices: int, keep_vertices: bool) -> tuple[Method,
 
 @dataclass(frozen=True, order=True)
 class _Verdict:
-    """How good an attempt is, the worst first."""
+    """The quality of an attempt. Better attempts compare as greater."""
 
     near: bool
-    """Whether boundary and surface are no farther apart than may be."""
+    """Whether the distance between boundary and surface is within the limit."""
     well: bool
     """Whether no limit of shape is missed."""
     scaled_jacobian: float
-    """The smallest."""
+    """The minimum scaled Jacobian."""
 
 
 class _Attempts:
@@ -142,7 +149,7 @@ class _Attempts:
         self._best: tuple[_Verdict, Filled, Method] | None = None
 
     def add(self, raw: WorkerResult, method: Method) -> tuple[_Verdict, str]:
-        """Judge a result; returns how good it is, and that in words."""
+        """Judge a result; return the verdict, and a text about it."""
         task = self._task
         tetrahedra, turned = orient_positive(raw.points, raw.tetrahedra)
         quality = tetrahedron_quality(raw.points, tetrahedra)
@@ -165,7 +172,7 @@ class _Attempts:
                 **({"max_distance": distance} if method is Method.FTETWILD else {}),
             }
         )
-        # of equals the later: what was mended in part is better than what was not
+        # the later of equal attempts counts: it may be partly mended
         if self._best is None or verdict >= self._best[0]:
             self._best = verdict, Filled(raw.points, tetrahedra), method
         smallest = float(quality.min_dihedral.min())
@@ -173,18 +180,18 @@ class _Attempts:
 
     @property
     def is_any(self) -> bool:
-        """Whether there is any."""
+        """Whether an attempt has succeeded."""
         return self._best is not None
 
     @property
     def best(self) -> tuple[Filled, Method]:
-        """The best of them, and whose it is."""
+        """The best result and its method."""
         assert self._best is not None, "an attempt is added or an error raised"
         return self._best[1:]
 
 
 def _by_hxt(task: Task, attempts: _Attempts, limit: TimeLimit, context: Context) -> _Verdict:
-    """Have the surface filled by HXT, and single tetrahedra that miss a limit of shape mended."""
+    """Fill the surface by HXT, and mend single tetrahedra that miss a limit of shape."""
     with context.step("background sizing"):
         grid = world_grid(task.field, task.surface, task.tet_size_factor)
     with context.step("tetrahedralize"):
@@ -199,7 +206,10 @@ def _by_hxt(task: Task, attempts: _Attempts, limit: TimeLimit, context: Context)
 
 
 def _mended(task: Task, points: Points, tetrahedra: Cells) -> WorkerResult | None:
-    """Mend tetrahedra that have the triangles of the surface as their faces; ``None`` where they do not, or nothing is mended."""
+    """Mend tetrahedra whose boundary consists of the triangles of the surface.
+
+    Return ``None`` if it does not, or if nothing is mended.
+    """
     triangles, vertices = task.surface.triangles, task.surface.points
     inside, outside = np.ones(len(triangles), dtype=np.int64), np.full(len(triangles), NOTHING, dtype=np.int64)
     if not np.array_equal(points[: len(vertices)], vertices):
@@ -223,13 +233,17 @@ def _by_tetgen(task: Task, attempts: _Attempts, limit: TimeLimit, context: Conte
 
 
 def _by_tetwild(task: Task, attempts: _Attempts, limit: TimeLimit, context: Context) -> None:
-    """Have the surface filled, again with more patience where tetrahedra are ill-shaped, in a smaller envelope where the boundary strays."""
+    """Fill the surface by fTetWild, in several attempts if necessary.
+
+    The next attempt has a lower stop energy if tetrahedra miss a limit of shape, and a smaller
+    envelope if the boundary is too far from the surface.
+    """
     diagonal = task.surface.bounding_box_diagonal
     with context.step("background sizing"):
         plain = background_mesh(task.field, task.surface)
         background = Background(plain.points, plain.tetrahedra, task.tet_size_factor * plain.values, plain.stride)
-    # fTetWild meshes the whole box at this length and only then refines to the background: the coarser, the less work
-    # goes into tetrahedra outside the object, which are thrown away.
+    # fTetWild first meshes the whole box at this length, then refines to the background. A large
+    # length saves work on tetrahedra outside the object, which are removed.
     coarse = min(max(float(background.values.max()), COARSE_FRACTION * diagonal), diagonal)
     energies = list(STOP_ENERGIES if task.stop_energy is None else (task.stop_energy,))
     envelopes = [share * task.envelope for share in ENVELOPES]
@@ -257,19 +271,19 @@ def _by_tetwild(task: Task, attempts: _Attempts, limit: TimeLimit, context: Cont
 
 
 def fill(task: Task, context: Context) -> Filled:
-    """Have a surface filled by the tetrahedralizer that was asked for, or that suits it.
+    """Fill a surface by the given tetrahedralizer, or by one that suits it.
 
     Parameters
     ----------
     task
-        What is to be filled, and how.
+        The surface and the settings.
     context
         For messages, times, and ``tetrahedralizer`` in the results.
 
     Raises
     ------
     StageError
-        If no tetrahedralizer that may be used fills it.
+        If no permitted tetrahedralizer fills it.
     """
     chosen, reason = _choose(task.method, len(task.surface.points), task.keep_vertices)
     results: dict[str, Any] = {"method": chosen, "reason": reason, "log": task.log.name}

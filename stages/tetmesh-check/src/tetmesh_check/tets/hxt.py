@@ -27,9 +27,9 @@ vertices: 0.35 takes 1.5 s for a smallest dihedral angle of 15.4 degrees, 0.4 ta
 0.45 takes 7 s and 0.5 43 s for no larger angle (before :data:`LENGTH_FACTOR`)."""
 
 LENGTH_FACTOR = 0.66
-"""What the edge lengths are multiplied by for HXT, which drops new vertices that are nearer than
-that to another: without this, the edges came out 1.36 to 1.41 times as long as asked for; with it,
-1.00 to 1.02 times (medians of four surfaces)."""
+"""Factor of the edge lengths for HXT, which drops new vertices closer than this length to another.
+Without the factor, edges are 1.36 to 1.41 times as long as the target; with it, 1.00 to 1.02 times
+(medians of four surfaces)."""
 
 WORKER = Worker(
     name="HXT",

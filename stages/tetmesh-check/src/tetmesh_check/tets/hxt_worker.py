@@ -82,7 +82,7 @@ def _add_regions(gmsh: Any, arrays: dict[str, Any]) -> list[int]:
     """Add a discrete surface for each interface sheet; return the tags of the volumes.
 
     Sheets share the vertices on their rims: each is handed over once, by the first sheet that has
-    it. Two volumes never have the same sheets, by which Gmsh knows what lies in which.
+    it. Gmsh identifies a volume by its sheets, and no two volumes have the same sheets.
     """
     points, triangles, sheet, bounds = arrays["points"], arrays["triangles"], arrays["sheet"], arrays["bounds"]
     order = np.argsort(sheet, kind="stable")

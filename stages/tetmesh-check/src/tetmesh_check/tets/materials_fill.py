@@ -1,4 +1,4 @@
-"""The tetrahedra of many materials: Gmsh fills all volumes at once, and the triangles between them stay as they are."""
+"""Fills a surface of many materials by Gmsh, which keeps the triangles between the volumes."""
 
 from __future__ import annotations
 
@@ -23,23 +23,25 @@ from tetmesh_check.tets.hxt import HxtSettings, fill_complex_by_gmsh
 from tetmesh_check.tets.worker import TimeLimit, TimeLimitError, UnavailableError, WorkerResult
 
 ATTEMPTS = (HxtSettings(), HxtSettings(algorithm="delaunay"))
-"""What is tried in turn, until an attempt keeps all interfaces: HXT, and Gmsh's older Delaunay, which takes some complexes that HXT does not.
-``--method hxt`` leaves the last out. Single tetrahedra beyond the limits of shape are no reason to make all anew: they are
-mended (:mod:`.mend`)."""
+"""Attempts until one keeps all interfaces: HXT, then the older Delaunay of Gmsh, which fills some
+complexes that HXT cannot fill. ``--method hxt`` omits the last. Single tetrahedra beyond a limit of
+shape do not cause another attempt; they are mended (:mod:`.mend`)."""
 
 _FAIR = 0.5
-"""Share of the scaled Jacobian possible on a triangle of a small angle that is asked for; mending aims at nine tenths."""
+"""Required scaled Jacobian on a triangle with a small angle, relative to the largest possible
+value. Mending aims at nine tenths of the possible value."""
 
 
 @dataclass(frozen=True)
 class ComplexTask:
-    """What is to be filled, and how."""
+    """A complex to fill, and the settings."""
 
     checked: Complex
     sides: ForcedSides
-    """Where its triangles allow no tetrahedra within the limits."""
+    """The sides of triangles on which no tetrahedron reaches the limit of the dihedral angle."""
     needles: tuple[Labels, Values]
-    """Numbers of the triangles on which none within the limit of the dihedral angle reaches that of the scaled Jacobian, and what one can."""
+    """The triangles on which no tetrahedron reaches both limits of shape, and the largest scaled
+    Jacobian that is possible on each within the limit of the dihedral angle."""
     field: SizingField
     """Edge lengths, without the factor."""
     tet_size_factor: float
@@ -60,13 +62,14 @@ class FilledComplex:
     quality: TetrahedronQuality
     conformity: Conformity
     standing: Labels
-    """Tetrahedron on each forced side of a triangle, shape ``(k,)``; :data:`.NOBODY` where it is missing."""
+    """Tetrahedron on each forced side of a triangle, shape ``(k,)``; :data:`.NOBODY` if it is
+    missing."""
     forced: Forced
-    """Which of them the surface keeps from the limits."""
+    """The tetrahedra that the surface forces below a limit."""
 
     @property
     def rank(self) -> tuple[int, float]:
-        """The larger, the better."""
+        """A value that is larger for better attempts."""
         return -self.conformity.faults, smallest_elsewhere(self.quality.scaled_jacobian, self.forced.jacobian)
 
 
@@ -121,12 +124,14 @@ def _mend(task: ComplexTask, filled: FilledComplex, results: dict[str, Any]) -> 
 
 
 def on_needles(task: ComplexTask, found: Conformity) -> tuple[Labels, Labels]:
-    """Give the tetrahedra on triangles of a small angle, and for each which of these it stands on, the sharpest first.
+    """Return the tetrahedra on triangles with a small angle, the sharpest first.
+
+    Also return, for each, the position of its triangle in ``task.needles``.
 
     Parameters
     ----------
     task
-        Where the triangles are told.
+        Contains the triangles.
     found
         How the tetrahedra fit the interfaces.
     """
@@ -137,11 +142,12 @@ def on_needles(task: ComplexTask, found: Conformity) -> tuple[Labels, Labels]:
 
 
 def _forced(task: ComplexTask, standing: Labels, found: Conformity, quality: TetrahedronQuality) -> Forced:
-    """The tetrahedra on forced sides and on triangles of a small angle, by what they are kept from.
+    """Return the tetrahedra that the surface forces below each limit.
 
-    In a corner at an edge with the dihedral angle b, where the faces on it have the angles s and t, six times the volume over the product of
-    the three edges is sin b sin s sin t, so that the scaled Jacobian is at most sqrt(2) sin b. A tetrahedron on a triangle of a small angle is
-    to have half of what is possible there.
+    At a corner of an edge with the dihedral angle b, whose two faces have the angles s and t, six
+    times the volume over the product of the three edges is sin b sin s sin t. So the scaled
+    Jacobian is at most sqrt(2) sin b. A tetrahedron on a triangle with a small angle must reach
+    :data:`_FAIR` times the largest possible value there.
     """
     kept = Forced(*(np.zeros(quality.volume.size, dtype=np.bool_) for _ in range(2)))
     there = standing != NOBODY

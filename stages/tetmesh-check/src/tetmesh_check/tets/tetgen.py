@@ -24,8 +24,8 @@ MAX_RADIUS_EDGE_RATIO = 1.414
 MIN_DIHEDRAL = 10.0
 """Smallest dihedral angle aimed at, degrees, where the surface allows it."""
 _NEAR = 1e-3
-"""How far into a cavity the point lies that tells of it, over the length of the triangle that it
-lies before."""
+"""Distance from its triangle of the point that marks a cavity, relative to the length of this
+triangle."""
 
 WORKER = Worker(
     name="TetGen",
@@ -42,7 +42,7 @@ WORKER = Worker(
 
 @dataclass(frozen=True)
 class TetgenSettings:
-    """What TetGen is told."""
+    """Settings of TetGen."""
 
     max_volume: float
     """Largest volume of a tetrahedron aimed at, mm^3; its optimization at the end may make them

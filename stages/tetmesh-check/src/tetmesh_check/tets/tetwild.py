@@ -31,7 +31,7 @@ WORKER = Worker(
 
 @dataclass(frozen=True)
 class TetwildSettings:
-    """What fTetWild is told."""
+    """Settings of fTetWild."""
 
     epsilon: float
     """Largest distance of the new boundary from the surface over the diagonal of the bounding

@@ -148,7 +148,7 @@ def histogram(
 ) -> str:
     """Draw a histogram with lines at the mean, the worst value and the limit.
 
-    Counts are in powers of ten, so that the few worst elements are visible beside the many good ones.
+    The axis of counts is logarithmic, so a few poor elements are visible next to many good ones.
 
     Parameters
     ----------
