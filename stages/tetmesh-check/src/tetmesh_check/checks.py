@@ -20,7 +20,7 @@ REMEDY = (
     "to remove them, set a scale (SCALE, or SIZE or VERTICES without SCALE=0) or use smaller edges (SIZE, MIN_SIZE, "
     "more VERTICES); to accept them, use --accept-forced (ACCEPT_FORCED=yes)"
 )
-"""What removes elements that the triangles of the surface force below a limit."""
+"""Remedies for elements that the triangles of the surface force below a limit."""
 FORCED_LISTS = "forced_by_surface and forced_by_triangle"
 """Lists of the report that give the places of forced tetrahedra."""
 _NO_PERCENT = 5e-4
@@ -41,7 +41,7 @@ _MOST_NAMES = 3
 
 @dataclass(frozen=True)
 class Limits:
-    """Beyond these the mesh is not fit."""
+    """Limits of a fit mesh."""
 
     min_dihedral: float = 5.0
     """Smallest dihedral angle, degrees. The condition number of the stiffness matrix grows with the
@@ -73,9 +73,9 @@ class Check:
     required: bool
     """Whether a failure makes the mesh unfit (exit code 1) or is only worth a warning."""
     value: float
-    """What was measured."""
+    """The measured value."""
     limit: float
-    """What it is compared with."""
+    """The limit of the value."""
     words: str
     """The verdict as a sentence."""
     accepted: int = 0
@@ -94,7 +94,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Measurements:
-    """What the checks look at."""
+    """The input of the checks."""
 
     quality: TetrahedronQuality
     surface_volume: float
@@ -124,7 +124,7 @@ class Forced:
 
     @classmethod
     def none(cls, count: int) -> Forced:
-        """Of a mesh of so many tetrahedra, no one."""
+        """Return no forced tetrahedra for a mesh with this number of tetrahedra."""
         nobody = np.zeros(count, dtype=np.bool_)
         return cls(nobody, nobody)
 

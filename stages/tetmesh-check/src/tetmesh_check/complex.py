@@ -29,7 +29,7 @@ class Complex:
     sides: Sides
     shells: Shells
     quality: TriangleQuality
-    """Of its triangles."""
+    """Quality of the triangles."""
 
 
 def _place(points: Points, corners: Cells) -> str:

@@ -22,7 +22,7 @@ NOBODY = -1
 
 @dataclass(frozen=True)
 class Conformity:
-    """How tetrahedra and interfaces fit together."""
+    """Conformity of tetrahedra and interfaces."""
 
     regions: Labels
     """Material of each tetrahedron, shape ``(m,)``; 0 if the triangles state none or several."""
@@ -72,7 +72,7 @@ def outside_of(found: Conformity, triangles: Cells) -> Boundary:
     Parameters
     ----------
     found
-        How it fits the interfaces.
+        Its conformity with the interfaces.
     triangles
         Triangles of the interfaces, shape ``(k, 3)``.
     """

@@ -108,7 +108,7 @@ def peak_memory_bytes() -> int | None:
 
 
 class Context:
-    """What is said, timed and gathered during one run.
+    """Messages, times and results of one run.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ class Context:
         failed_checks
             The checks that failed, in words.
         error
-            What ended the run, if anything did.
+            The error that ended the run, if any.
         """
         if error is None:
             code = ExitCode.CHECK_FAILED if failed_checks else ExitCode.OK
@@ -277,7 +277,7 @@ def canonical_command_line(arguments: list[str], outputs: list[Path]) -> str:
     Parameters
     ----------
     arguments
-        What followed the program's name.
+        The words after the name of the program.
     outputs
         The files that the run writes; they appear as ``OUTPUT``.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 class ExitCode(IntEnum):
-    """How the program ends; the same numbers as every other stage."""
+    """Exit codes, the same for all stages."""
 
     OK = 0
     """The output is written and every check passed."""
@@ -26,13 +26,13 @@ class StageError(Exception):
     Parameters
     ----------
     what
-        What happened: the file and the value.
+        The problem, with the file and the value.
     why
         Why the stage cannot go on.
     next_step
         What the user can do next.
     code
-        How the program should exit.
+        The exit code.
     """
 
     def __init__(self, what: str, why: str, next_step: str, code: ExitCode = ExitCode.BAD_INPUT) -> None:
@@ -54,7 +54,7 @@ class StageError(Exception):
         path
             The file.
         doing
-            What was tried, as in "cannot *read*".
+            The failed action, as in "cannot *read*".
         source
             The exception of the operating system or of the reader.
         next_step
@@ -87,7 +87,7 @@ class InterruptedRunError(StageError):
     Parameters
     ----------
     during
-        What was running.
+        The program or step.
     """
 
     def __init__(self, during: str) -> None:

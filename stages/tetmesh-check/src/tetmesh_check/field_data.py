@@ -17,7 +17,7 @@ def add_text(dataset: pv.DataSet, name: str, text: str) -> None:
     Parameters
     ----------
     dataset
-        Where it goes.
+        The data set.
     name
         Name of the array.
     text

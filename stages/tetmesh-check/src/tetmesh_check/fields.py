@@ -45,7 +45,7 @@ def read_distance_field(path: Path, points: Points) -> tuple[GridField, object]:
     Parameters
     ----------
     path
-        What ``distfield`` wrote.
+        File of ``distfield``.
     points
         The object's vertices, world coordinates, mm.
 

@@ -79,7 +79,7 @@ def check_report(report: Path, others: Iterable[Path]) -> None:
     Parameters
     ----------
     report
-        Where the report is to go; an older report there is replaced.
+        Path of the report; an existing report is replaced.
     others
         The inputs and the other outputs of the run.
 
@@ -119,7 +119,7 @@ def temporary_error(reason: str) -> StageError:
     Parameters
     ----------
     reason
-        What the operating system says.
+        Message of the operating system.
     """
     return StageError(
         f"{tempfile.gettempdir()}: cannot hold temporary files: {reason}",
@@ -135,7 +135,7 @@ def temporary_folder(prefix: str) -> Iterator[Path]:
     Parameters
     ----------
     prefix
-        How its name begins.
+        Beginning of its name.
 
     Raises
     ------

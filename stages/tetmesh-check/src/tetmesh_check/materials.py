@@ -36,7 +36,7 @@ class Sides:
     outside: Labels
     """Number of the one before it, shape ``(m,)``; 0 where there is none."""
     table: list[dict[str, Any]]
-    """What each number stands for: ``name`` and, from the pipeline, ``labels``."""
+    """The material of each number: ``name`` and, from the pipeline, ``labels``."""
 
     @property
     def names(self) -> list[str]:
@@ -55,7 +55,7 @@ class Sides:
         return pairs, which.ravel().astype(np.int64)
 
     def pair_name(self, pair: tuple[int, int]) -> str:
-        """What an interface is called: both names, the inside first.
+        """Return the name of an interface: both names, the inside first.
 
         Parameters
         ----------
@@ -65,7 +65,7 @@ class Sides:
         return f"{self.names[pair[0]]}/{self.names[pair[1]]}"
 
     def of(self, kept: NDArray[np.bool_]) -> Sides:
-        """Those of some of the triangles.
+        """Return the sides of some of the triangles.
 
         Parameters
         ----------

@@ -155,7 +155,7 @@ def interface_names(names: list[str], pairs: Cells) -> list[str]:
     Parameters
     ----------
     names
-        Those of the regions by number.
+        Names of the regions by number.
     pairs
         Numbers of the inside and of the outside of each interface.
     """
@@ -170,7 +170,7 @@ def mark_materials(sides: Sides, surface: Surface, filled: FilledComplex) -> Mar
     sides
         The materials of the triangles.
     surface
-        Whose vertices come first among those of the mesh.
+        The surface, whose vertices come first in the mesh.
     filled
         The tetrahedra.
     """
@@ -201,13 +201,13 @@ def complex_checks(
     Parameters
     ----------
     results
-        What was measured, as in the report under ``volume``.
+        The measures, as in the report under ``volume``.
     quality
-        Of its tetrahedra.
+        Quality of its tetrahedra.
     limits
-        What is demanded of it.
+        The limits.
     forced
-        Which tetrahedra the surface keeps from the limits of shape; without it none.
+        The tetrahedra that the surface forces below a limit of shape; by default none.
     """
     regions = results["regions"]
     changes = {entry["name"]: 100.0 * (entry["volume_mm3"] / entry["surface_volume_mm3"] - 1.0) for entry in regions}
@@ -260,7 +260,7 @@ def refuse_arguments(arguments: Arguments) -> None:
     Parameters
     ----------
     arguments
-        What the user asked for.
+        The arguments.
     """
     refuse_method(arguments.method)
     if arguments.order != 1:

@@ -1,4 +1,4 @@
-"""How much memory a run may take, and how much it is expected to take."""
+"""The memory that a run may use, and an estimate of what it uses."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from tetmesh_check.errors import StageError
 
 BYTES_AT_LEAST = 600 * 2**20
-"""What the packages take before there is a mesh: see :data:`BYTES_PER_VERTEX`."""
+"""Memory of the packages without a mesh; see :data:`BYTES_PER_VERTEX`."""
 BYTES_PER_VERTEX = 5100
 """Bytes for each vertex of the surface. Both are the line through 896 MiB for the 55,626 vertices
 of `heart` and 2,050 MiB for the 292,825 of `ribs`, with 15 to 20 tetrahedra a vertex
@@ -24,7 +24,7 @@ def number_of_bytes(text: str) -> int:
     Parameters
     ----------
     text
-        What the user gave.
+        Text from the command line.
     """
     match = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*([kmgt]?)(?:ib|b)?", text.strip().lower())
     count = 0 if match is None else int(float(match[1]) * 1024 ** _UNITS[match[2]])

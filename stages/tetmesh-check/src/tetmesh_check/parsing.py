@@ -13,9 +13,9 @@ from tetmesh_check import __version__
 from tetmesh_check.errors import ExitCode, StageError
 
 FORMATS = ("inp", "msh", "msh2", "med", "xdmf", "vtp", "vtk", "feb", "carp", "simvascular")
-"""What ``--export`` takes."""
+"""Formats of ``--export``."""
 LINEAR_FORMATS = ("vtp", "carp", "simvascular")
-"""Those of them that have no tetrahedron, or triangle, with nodes amid its edges."""
+"""Formats without quadratic tetrahedra or triangles."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -42,7 +42,7 @@ def program_parser(tool: str, description: str, epilog: str) -> Parser:
     tool
         Name of the program.
     description, epilog
-        What it is for; its exit codes and an example, line by line.
+        Purpose, exit codes and an example, as lines.
     """
     parser = Parser(
         prog=tool,
@@ -118,7 +118,7 @@ def named_number(text: str) -> tuple[str, float]:
     Parameters
     ----------
     text
-        What the user gave.
+        Text from the command line.
     """
     name, equals, value = text.rpartition("=")
     if not name or not equals:
@@ -132,7 +132,7 @@ def source_of_current(text: str) -> tuple[str, tuple[float, float, float]]:
     Parameters
     ----------
     text
-        What the user gave.
+        Text from the command line.
     """
     name, equals, value = text.rpartition("=")
     if not equals:

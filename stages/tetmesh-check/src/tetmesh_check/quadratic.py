@@ -20,14 +20,14 @@ from tetmesh_check.regions import SURFACE
 
 @dataclass(frozen=True)
 class Quadratic:
-    """The mesh, and how its nodes came to lie where they do."""
+    """A quadratic mesh, and measures of its nodes."""
 
     mesh: MarkedMesh
     jacobian: Values
     """Smallest Bezier coefficient of each element's Jacobian over that of the straight tetrahedron,
     shape ``(m,)``; 1 where it is straight."""
     results: dict[str, Any]
-    """For the report."""
+    """Results for the report."""
 
     def checks(self) -> list[Check]:
         """Judge the elements."""

@@ -1,4 +1,4 @@
-"""Which tissue a tetrahedron lies in, and which part of the boundary a triangle belongs to."""
+"""Finds the tissue of each tetrahedron, and the part of the boundary of each triangle."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from tetmesh_check.quality import Cells, Labels, Points
 from tetmesh_check.surface import Surface
 
 SURFACE, CAP = 1, 2
-"""Marks of the boundary: the object's own surface, and where the border of the volume cut it."""
+"""Marks of the boundary: the surface of the object, and its cut by the border of the volume."""
 _TIE = 0.01
-"""Two distances of a triangle that differ by less than this share of its longest edge are alike."""
+"""Distances that differ by less than this share of the longest edge of a triangle are equal."""
 _ADVICE = "give the label volume that the case was made from"
 
 
@@ -34,7 +34,7 @@ def meshed_labels(history: Any) -> list[int] | None:
     Parameters
     ----------
     history
-        That of the surface.
+        The history of the surface.
     """
     for entry in _histories(history):
         labels = entry.get("parameters", {}).get("labels") if entry.get("tool") == "distfield" else None
@@ -49,7 +49,7 @@ def has_scale(history: Any) -> bool:
     Parameters
     ----------
     history
-        That of the surface.
+        The history of the surface.
     """
     scales = (
         entry.get("parameters", {}).get("scale") for entry in _histories(history) if entry.get("tool") == "distfield"
@@ -83,11 +83,11 @@ def check_labels(positions: Points, volume: LabelVolume, wanted: list[int] | Non
     Parameters
     ----------
     positions
-        Of its vertices, mm, shape ``(n, 3)``.
+        Positions of its vertices, mm, shape ``(n, 3)``.
     volume
         The labels.
     wanted
-        Those that were meshed; all but 0 by default.
+        The meshed labels; all but 0 by default.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def regions_of(centres: Points, volume: LabelVolume, wanted: list[int] | None) -
     volume
         The labels.
     wanted
-        Those that were meshed, one of them at least in the volume (:func:`check_labels`); all but 0
+        The meshed labels, at least one of which is in the volume (:func:`check_labels`); all but 0
         by default.
     """
     labels = volume.values.astype(np.int32, copy=False)

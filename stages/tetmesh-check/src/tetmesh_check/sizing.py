@@ -168,7 +168,7 @@ def world_grid(field: SizingField, surface: Surface, factor: float, max_nodes: i
     surface
         The surface of the object, world coordinates.
     factor
-        What the edge lengths are multiplied by.
+        Factor of the edge lengths.
     max_nodes
         The spacing is the smallest of the field, or larger where that would take more nodes than
         this.

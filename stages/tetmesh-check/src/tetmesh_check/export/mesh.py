@@ -176,9 +176,9 @@ def add_regions(dataset: pv.DataSet, mesh: MarkedMesh) -> None:
     Parameters
     ----------
     dataset
-        Where it goes.
+        The data set.
     mesh
-        Whose regions they are.
+        The mesh with the regions.
     """
     add_text(dataset, "regions", json.dumps([asdict(row) for row in mesh.region_table()]))
 

@@ -60,7 +60,7 @@ def write_volume(path: Path, mesh: MarkedMesh, quality: TetrahedronQuality, hist
         Its radius ratio, scaled Jacobian and smallest dihedral angle (degrees) go along as cell
         data.
     history
-        What made the file, with which parameters, from what.
+        Program, parameters and inputs of the file.
     """
     measures = {name: getattr(quality, name) for name in ("radius_ratio", "scaled_jacobian", "min_dihedral")}
     _write(path, mesh, KIND, measures, history)
@@ -78,7 +78,7 @@ def write_quadratic(path: Path, mesh: MarkedMesh, jacobian: Values, history: dic
     jacobian
         Lower bound of each element's Jacobian over that of the straight one.
     history
-        What made the file, with which parameters, from what.
+        Program, parameters and inputs of the file.
     """
     _write(path, mesh, QUADRATIC_KIND, {"jacobian_bound": jacobian}, history)
 

@@ -33,9 +33,9 @@ class Grid:
     cells: str
     """Which of ``arrays`` are the cells."""
     data: dict[tuple[str, str], str]
-    """What there is by name and place (``Cell`` or ``Node``)."""
+    """Arrays by name and place (``Cell`` or ``Node``)."""
     arrays: dict[str, Points | Cells | Labels]
-    """What stands in the HDF5 file of the grid."""
+    """Contents of the HDF5 file of the grid."""
 
 
 def elements(mesh: MarkedMesh) -> Grid:

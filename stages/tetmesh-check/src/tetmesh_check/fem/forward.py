@@ -26,7 +26,7 @@ from tetmesh_check.quality import OUTWARD_FACES, Cells, Labels, Points, Values
 from tetmesh_check.topology import members_of
 
 DEFAULT_CONDUCTIVITY = 1.0
-"""Of a material that the user does not name, S/m."""
+"""Conductivity of a material that the user does not name, S/m."""
 MAX_IMBALANCE = 1e-6
 """Largest share of the current through the surface of a material that may be lost or gained
 there."""
@@ -34,7 +34,7 @@ there."""
 
 @dataclass(frozen=True)
 class ForwardArguments:
-    """What the user asked for, by the names of materials."""
+    """The options of the problem of currents, by the names of materials."""
 
     conductivity: Mapping[str, float] = field(default_factory=dict)
     """S/m."""
@@ -52,7 +52,7 @@ class Source:
     density: Values
     """Shape ``(3,)``."""
     conductivity: Values
-    """Of each material, S/m, shape ``(len(table),)``."""
+    """Conductivity of each material, S/m, shape ``(len(table),)``."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +62,9 @@ class RegionMesh:
     regions: Labels
     """Material of each tetrahedron, shape ``(m,)``."""
     names: list[str]
-    """Of the materials, by number."""
+    """Names of the materials, by number."""
     triangles: Cells
-    """Those between two materials, shape ``(k, 3)``."""
+    """Triangles between two materials, shape ``(k, 3)``."""
     behind: Labels
     """Tetrahedron behind each, shape ``(k,)``."""
     before: Labels
@@ -72,7 +72,7 @@ class RegionMesh:
     pair: Labels
     """Number of the pair of each, shape ``(k,)``."""
     pair_names: list[str]
-    """Of the pairs, by number."""
+    """Names of the pairs, by number."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def check_names(arguments: ForwardArguments, names: Sequence[str]) -> None:
     Parameters
     ----------
     arguments
-        What the user asked for.
+        The options.
     names
         The names of the materials; empty for one object.
 
@@ -126,7 +126,7 @@ def resolve_source(arguments: ForwardArguments, sides: Sides | None) -> Source |
     Parameters
     ----------
     arguments
-        What the user asked for.
+        The options.
     sides
         The materials of the surface; ``None`` for one object.
 
@@ -173,9 +173,9 @@ def potential_of(
     regions
         Material of each, shape ``(m,)``.
     source
-        Where the current arises, and what conducts how well.
+        The source of the current, and the conductivities.
     solver
-        How the system is solved.
+        The solver.
 
     Returns
     -------
@@ -257,7 +257,7 @@ def forward(assembler: Assembler, problem: Forward, solver: Solver) -> tuple[dic
     problem
         The materials and the source.
     solver
-        How the system is solved.
+        The solver.
 
     Returns
     -------

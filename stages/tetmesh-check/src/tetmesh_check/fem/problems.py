@@ -71,9 +71,9 @@ def poisson(assembler: Assembler, boundary: NDArray[np.bool_], solver: Solver) -
     assembler
         The tetrahedra.
     boundary
-        Which points lie on the boundary, shape ``(n,)``.
+        Whether each point lies on the boundary, shape ``(n,)``.
     solver
-        How the system is solved.
+        The solver.
 
     Returns
     -------
@@ -140,7 +140,7 @@ def elasticity(assembler: Assembler, volumes: Values, bodies: Labels, solver: So
         Body of each tetrahedron, shape ``(m,)``; every body is clamped, all at the same one of the
         six sides along the axes: the one where most of the matter is held.
     solver
-        How the system is solved.
+        The solver.
     """
     shear = YOUNG / (2.0 * (1.0 + POISSON_RATIO))
     lame = YOUNG * POISSON_RATIO / ((1.0 + POISSON_RATIO) * (1.0 - 2.0 * POISSON_RATIO))
@@ -206,7 +206,7 @@ def conduction(assembler: Assembler, solver: Solver) -> tuple[dict[str, Any], bo
     assembler
         The tetrahedra.
     solver
-        How the system is solved.
+        The solver.
     """
     points = assembler.points
     centre = points.mean(axis=0)

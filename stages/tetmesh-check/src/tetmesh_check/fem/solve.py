@@ -24,7 +24,7 @@ AUTO_MAX_TETRAHEDRA = 150_000
 MAX_SECONDS = 600.0
 """Default time limit for all problems together, s."""
 MAX_ITERATIONS = 50_000
-"""Of conjugate gradients with Jacobi's preconditioner."""
+"""Maximum iterations of conjugate gradients with Jacobi's preconditioner."""
 
 
 class SolveMode(StrEnum):
@@ -38,23 +38,23 @@ class SolveMode(StrEnum):
 
 @dataclass(frozen=True)
 class SolveSettings:
-    """What the user asked for."""
+    """The options of the solves."""
 
     mode: SolveMode = SolveMode.AUTO
     max_seconds: float = MAX_SECONDS
-    """For all problems together, s."""
+    """Time limit of all problems together, s."""
 
 
 @dataclass(frozen=True)
 class VolumeMesh:
-    """What is solved on."""
+    """The mesh of the problems."""
 
     points: Points
     """Positions, mm, shape ``(n, 3)``."""
     tetrahedra: Cells
     """Vertex indices, shape ``(m, 4)``."""
     volumes: Values
-    """Of each tetrahedron, mm^3, shape ``(m,)``."""
+    """Volume of each tetrahedron, mm^3, shape ``(m,)``."""
     boundary: Boundary
     """Its outside, and its bodies."""
 
@@ -132,7 +132,7 @@ def solve_on(
     mesh
         The tetrahedra.
     settings
-        What the user asked for.
+        The options of the solves.
     context
         For messages, times, and ``solve`` in the results.
     currents

@@ -22,7 +22,7 @@ TOLERANCE = 1e-10
 """Norm of the residual over that of the right-hand side. The residual of a few flat tetrahedra can
 dominate this norm, so it is smaller than the error of 1e-8 that the solution needs."""
 MAX_MULTIGRID_ITERATIONS = 500
-"""Of conjugate gradients with multigrid; a good mesh takes 10 to 50."""
+"""Maximum iterations of conjugate gradients with multigrid. A good mesh takes 10 to 50."""
 STRENGTH = 0.03
 """Weaker entries, relative to the root of the product of both diagonal entries, do not join
 unknowns to an aggregate. Elasticity of a heart (568,806 unknowns): 37 iterations with 0, 24 with
@@ -91,7 +91,7 @@ class Solver:
     """Solves linear systems."""
 
     max_iterations: int
-    """Of conjugate gradients with Jacobi's preconditioner."""
+    """Maximum iterations with Jacobi's preconditioner."""
     deadline: float
     """Time limit by the monotonic clock, s."""
 

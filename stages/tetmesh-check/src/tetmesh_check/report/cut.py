@@ -22,7 +22,7 @@ class Cut:
     normal: Points
     """From the half that is kept towards the eye, along an axis of the world; shape ``(3,)``."""
     up: Points
-    """What is up in the picture; shape ``(3,)``."""
+    """Upward direction of the picture, shape ``(3,)``."""
 
 
 def cut_through_the_middle(points: Points, tetrahedra: Cells) -> Cut:

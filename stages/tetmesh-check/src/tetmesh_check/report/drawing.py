@@ -16,7 +16,7 @@ def drawing(job: PictureJob | None, context: Context) -> Iterator[None]:
     Parameters
     ----------
     job
-        What is to be drawn, if anything.
+        The pictures to draw, if any.
     context
         For times, warnings, and ``pictures`` in the results.
     """

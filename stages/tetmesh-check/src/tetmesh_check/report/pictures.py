@@ -24,7 +24,7 @@ PICTURES = ("surface", "closeup", "cut", "regions", "quality")
 """The pictures, in the order they are drawn; ``regions`` of many materials only."""
 _RENDERED = frozenset({"surface", "closeup", "cut", "regions"})
 _SHARES = (("surface", "quality"), ("closeup", "cut", "regions"))
-"""What each of the processes draws, about the same work each."""
+"""Pictures of each process, with about equal work."""
 _DRAWING_SECONDS = 300.0
 _WINDOW = (1600, 1200)
 _BAR = 170
@@ -56,14 +56,14 @@ _POINTS = 72 / 100
 
 @dataclass(frozen=True)
 class PictureJob:
-    """What is to be drawn."""
+    """The pictures to draw."""
 
     surface: Path
     """The input surface."""
     volume: Path
     """The volume mesh, with cell data ``radius_ratio`` and ``min_dihedral``."""
     folder: Path
-    """Where the pictures go."""
+    """Folder of the pictures."""
     name: str
     """Name of the case; a picture is called ``NAME.PICTURE.png``."""
     many: bool = False
@@ -80,7 +80,7 @@ class Drawing:
     Parameters
     ----------
     job
-        What is to be drawn; its files must be there.
+        The pictures to draw; the files of the job must exist.
     """
 
     def __init__(self, job: PictureJob) -> None:

@@ -52,7 +52,7 @@ _COMPLEX_FAILS = "try a larger or smaller --tet-size-factor, or mesh fewer mater
 
 @dataclass(frozen=True)
 class HxtSettings:
-    """What HXT is told."""
+    """Settings of HXT."""
 
     optimize_threshold: float = OPTIMIZE_THRESHOLD
     """See :data:`OPTIMIZE_THRESHOLD`."""
@@ -81,7 +81,7 @@ def fill_by_hxt(
     grid
         Edge lengths over the bounding box of the surface, already multiplied by the size factor.
     settings
-        What HXT is told.
+        The settings.
     log, limit, context
         See :func:`.run_worker`, also for the errors.
     """

@@ -69,7 +69,7 @@ def _add_volumes(gmsh: Any, arrays: dict[str, Any]) -> list[int]:
         gmsh.model.mesh.addElementsByType(surface, _TRIANGLE, [], (triangles[part] + 1).ravel())
         loops.append(gmsh.model.geo.addSurfaceLoop([surface]))
     body = arrays["bodies"]
-    # the loop round the body first, then those of its cavities
+    # the loop around the body first, then those of its cavities
     volumes = [
         gmsh.model.geo.addVolume([loops[outer], *(loops[k] for k in np.flatnonzero(body == outer) if k != outer)])
         for outer in np.unique(body)
@@ -119,7 +119,7 @@ def fill(gmsh: Any, arrays: dict[str, Any], settings: dict[str, Any]) -> tuple[A
         triangle) and ``bounds`` (the two volumes of each sheet, below 0 for none); ``sizing,
         sizing_origin, sizing_spacing`` (edge lengths on a grid).
     settings
-        Those of :class:`.HxtSettings`.
+        The values of :class:`.HxtSettings`.
 
     Returns
     -------

@@ -79,7 +79,7 @@ def refuse_method(method: Method) -> None:
     Parameters
     ----------
     method
-        What the user asked for.
+        The value of ``--method``.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def on_needles(task: ComplexTask, found: Conformity) -> tuple[Labels, Labels]:
     task
         Contains the triangles.
     found
-        How the tetrahedra fit the interfaces.
+        Conformity of the tetrahedra and the interfaces.
     """
     order = np.argsort(task.needles[1], kind="stable")
     beside = np.stack([side[task.needles[0][order]] for side in (found.behind, found.before)], axis=1)

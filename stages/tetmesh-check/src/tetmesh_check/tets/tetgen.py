@@ -95,7 +95,7 @@ def fill_by_tetgen(
     components
         Its components, and which lies in which.
     settings
-        What TetGen is told.
+        The settings.
     log, limit, context
         See :func:`.run_worker`, also for the errors.
     """

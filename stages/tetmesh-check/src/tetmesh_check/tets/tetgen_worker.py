@@ -22,7 +22,7 @@ def fill(tetgen: Any, arrays: dict[str, Any], settings: dict[str, Any]) -> tuple
     arrays
         ``points, triangles``, and ``cavities``, a point in each.
     settings
-        Those of :class:`.TetgenSettings`.
+        The values of :class:`.TetgenSettings`.
 
     Returns
     -------

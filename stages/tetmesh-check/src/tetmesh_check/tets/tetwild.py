@@ -37,8 +37,8 @@ class TetwildSettings:
     """Largest distance of the new boundary from the surface over the diagonal of the bounding
     box."""
     edge_length: float
-    """Edge length where the background says nothing, mm; not below any of its values (fTetWild only
-    refines from it)."""
+    """Edge length outside the background mesh, mm. At least its largest value, because fTetWild
+    only refines."""
     stop_energy: float
     """Optimization stops at this largest AMIPS energy (3 is regular, larger is worse)."""
     max_passes: int
@@ -59,7 +59,7 @@ def fill_by_tetwild(
     background
         Edge lengths over the object, already multiplied by the size factor.
     settings
-        What fTetWild is told.
+        The settings.
     log, limit, context
         See :func:`.run_worker`, also for the errors.
     """

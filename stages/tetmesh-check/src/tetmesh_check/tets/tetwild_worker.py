@@ -20,7 +20,7 @@ def fill(pytetwild: Any, arrays: dict[str, Any], settings: dict[str, Any]) -> tu
     arrays
         ``points, triangles`` and ``background_points, background_tetrahedra, background_values``.
     settings
-        Those of :class:`.TetwildSettings`.
+        The values of :class:`.TetwildSettings`.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """A tetrahedralizer in a separate process, with progress, a time limit and a log.
 
-Tetrahedralizers are native code that may run for hours, crash, or take all memory; none of that may
-take this program with it. This file holds both ends of the way there and back: :func:`run_worker`
+Tetrahedralizers are native code that may run for hours, crash, or use all memory. A separate
+process protects this program from that. This file contains both sides: :func:`run_worker`
 writes ``job.npz``, starts ``python -m MODULE job.npz result.npz`` and reads the result; that module
 calls :func:`serve`.
 """
@@ -33,7 +33,7 @@ from tetmesh_check.files import temporary_error, temporary_folder
 from tetmesh_check.quality import Cells, Points
 
 Fill = Callable[[Any, dict[str, Any], dict[str, Any]], tuple[Any, Any]]
-"""What a worker does: from its library, the arrays and the settings of the job to points and
+"""Function of a worker: converts the library, the arrays and the settings of the job to points and
 tetrahedra."""
 
 _POLL_SECONDS = 0.05
@@ -60,19 +60,19 @@ class Worker:
     """One kind of tetrahedralizer."""
 
     name: str
-    """What people call it."""
+    """Name for messages."""
     module: str
     """The Python module that calls :func:`serve`."""
     library: str
     """The Python package that it needs."""
     shown: tuple[tuple[str, re.Pattern[str]], ...]
-    """What of its log is shown as progress: a name, and a pattern whose group is the value."""
+    """Values in its log that are shown as progress: names, and patterns with the value as group."""
     when_it_fails: str
-    """What to try when it fails."""
+    """Advice if it fails."""
     when_it_is_empty: str
-    """What to try when it returns nothing."""
+    """Advice if it returns no tetrahedra."""
     when_it_is_missing: str
-    """How to get its library."""
+    """Advice if its library is missing."""
     powers: dict[str, int]
     """Arrays and settings that are lengths (1) or volumes (3), by the power of the length unit."""
 
@@ -82,9 +82,9 @@ class TimeLimit:
     """The time that all attempts together may take."""
 
     max_seconds: float
-    """What the user set, s."""
+    """The time limit of the user, s."""
     deadline: float
-    """When it is over, by the monotonic clock, s."""
+    """End of the limit by the monotonic clock, s."""
 
     @classmethod
     def start(cls, max_seconds: float) -> TimeLimit:
@@ -94,16 +94,16 @@ class TimeLimit:
 
 @dataclass(frozen=True)
 class WorkerResult:
-    """What came back."""
+    """The result of a worker."""
 
     points: Points
     """Positions, mm, shape ``(n, 3)``."""
     tetrahedra: Cells
     """Vertex indices, shape ``(m, 4)``."""
     said: str
-    """What it wrote into its log."""
+    """Its output in the log."""
     summary: dict[str, Any]
-    """For the report: its library's version and the time it took, s, or what was mended."""
+    """For the report: version of the library and time in s, or the changes by mending."""
 
 
 def refuse_missing(worker: Worker) -> None:
@@ -130,7 +130,7 @@ def scale_of(points: Points) -> float:
     Parameters
     ----------
     points
-        What the box is of, shape ``(n, 3)``.
+        Positions in the box, shape ``(n, 3)``.
     """
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
     return 1.0 if 1.0 <= diagonal <= 1000.0 else float(2.0 ** round(math.log2(100.0 / diagonal)))
@@ -143,7 +143,7 @@ def last_match(pattern: re.Pattern[str], text: str) -> str | None:
 
 
 def _end_group(process: subprocess.Popen[bytes]) -> None:
-    """End the process and whatever it started: first politely, then for sure."""
+    """End the process and its children: by SIGTERM, then by SIGKILL."""
     if sys.platform == "win32":
         process.kill()
         process.wait()
@@ -252,18 +252,18 @@ def _run_process(
 def run_worker(
     worker: Worker, arrays: dict[str, Any], settings: Any, log: Path, limit: TimeLimit, context: Context
 ) -> WorkerResult:
-    """Have a surface filled with tetrahedra by another process.
+    """Fill a surface with tetrahedra in another process.
 
     Parameters
     ----------
     worker
-        Which tetrahedralizer.
+        The tetrahedralizer.
     arrays
         The meshes and fields of the job, by name.
     settings
-        What else it is told: a dataclass of numbers.
+        Settings, a dataclass of numbers.
     log
-        Where its output goes, after what is there already; kept.
+        File to which its output is appended.
     limit
         When it is ended.
     context
@@ -301,7 +301,7 @@ def run_worker(
 
 
 def _prepare_process() -> None:
-    """Write the log line by line, and end with the parent even when that is killed."""
+    """Write the log line by line, and end this process when the parent ends, even by SIGKILL."""
     # stdout and stderr are the log; Python's own buffer must not come after the C library's
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     if sys.platform != "linux":
@@ -312,7 +312,7 @@ def _prepare_process() -> None:
 
 
 def serve(library: str, fill: Fill) -> None:
-    """Be a worker: read the job, fill the surface, write the result, whole or not at all.
+    """Run a worker: read the job, fill the surface, and write the result atomically.
 
     Parameters
     ----------
@@ -320,7 +320,7 @@ def serve(library: str, fill: Fill) -> None:
         The Python package to import; the process ends with a code of its own if that cannot be
         done.
     fill
-        What does the work.
+        The function that fills the surface.
     """
     _prepare_process()
     job, result = (Path(word) for word in sys.argv[1:3])

@@ -48,16 +48,16 @@ def count_of(number: int, word: str) -> str:
     Parameters
     ----------
     number
-        How many.
+        The number.
     word
-        What one of them is called; more get an ``s``.
+        The singular; the plural gets an ``s``.
     """
     return f"{number} {word}{'' if number == 1 else 's'}"
 
 
 @dataclass(frozen=True)
 class Stage:
-    """How a stage ended, and what it left."""
+    """The status of a stage, and its files."""
 
     name: str
     state: str
@@ -75,7 +75,7 @@ class Stage:
     """``what``, ``why`` and ``next``."""
     report_file: str | None = None
     report: dict[str, Any] | None = None
-    """What the stage itself wrote."""
+    """The report of the stage."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Case:
     """All of them, in order."""
     page: Path | None = None
     passes: list[dict[str, float]] = field(default_factory=list)
-    """What ``particles`` logged, one entry a pass."""
+    """Log of ``particles``, with one entry per pass."""
 
     @property
     def reports(self) -> dict[str, dict[str, Any]]:
@@ -127,7 +127,7 @@ class Case:
 
     @property
     def contents(self) -> str:
-        """What the case makes, for titles."""
+        """The result of the case, for titles."""
         if self.goal in ("mesh", STAGES[-1]):
             return "surface and tetrahedra"
         return "surface" if self.goal in ("surface", "reconstruct") else self.goal

@@ -27,14 +27,14 @@ class Limit:
 
 @dataclass(frozen=True)
 class Axis:
-    """What is measured, and of what."""
+    """The measure, and the measured items."""
 
     title: str
-    """Of the chart."""
+    """Title of the chart."""
     measure: str
     """With its unit."""
     things: str
-    """What is counted."""
+    """Name of the counted items."""
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -62,7 +62,7 @@ def ticks(low: float, high: float, about: int = 5) -> list[float]:
     low, high
         The range; ``high`` is larger.
     about
-        How many are wanted.
+        The approximate number.
     """
     rough = (high - low) / about
     power = 10.0 ** math.floor(math.log10(rough))
@@ -161,11 +161,11 @@ def histogram(
     marks
         ``mean``, and ``minimum`` or ``maximum``; drawn at the edge if it lies beyond the bins.
     limit
-        That of the check, if there is one.
+        The limit of the check, if there is one.
     second
         Whether the second colour is used.
     beyond
-        How many lie outside all bins; it is said that they are not shown.
+        Number of values outside all bins. The chart states that they are not shown.
     """
     powers = max(1, math.ceil(math.log10(max(*counts, 2))))
     rows = len(marks) + (limit is not None)

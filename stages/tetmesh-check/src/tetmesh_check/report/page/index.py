@@ -135,9 +135,9 @@ def index(cases: Sequence[Case], output: Path) -> str:
     Parameters
     ----------
     cases
-        Those to list; each says where its page lies.
+        The cases to list, each with the path of its page.
     output
-        Where the page goes; it links to those of the cases.
+        Path of the page, which links to the pages of the cases.
     """
     kind, verdict = _verdict(cases)
     rows = [_row(case, output) for case in cases]

@@ -53,13 +53,13 @@ class ViewMesh:
     """One of the meshes to look at."""
 
     name: str
-    """What the page calls it."""
+    """Name on the page."""
     points: Points
     """Positions, mm, shape ``(n, 3)``."""
     triangles: Cells
     """Vertex indices, shape ``(m, 3)``."""
     colours: list[Colour]
-    """Of which the first one says what is worst where the chosen one does not."""
+    """Colours to choose from. The first states which end is bad if the chosen one does not."""
     within: bool = False
     """Whether it lies inside the object, and is shown within a ghost of the first mesh."""
 
@@ -97,16 +97,16 @@ def pack(meshes: list[ViewMesh], yaw: float, pitch: float, anatomical: bool = Tr
     Parameters
     ----------
     meshes
-        Those to look at; the first one is shown first.
+        The meshes; the first is shown first.
     yaw, pitch
-        Where the eye is at first, radians.
+        Initial direction of view, radians.
     anatomical
         Whether the world is that of the body (LPS).
 
     Returns
     -------
     tuple
-        What the script must know about the data, and the data.
+        Description of the data for the script, and the data.
     """
     low = np.min([mesh.points[np.unique(mesh.triangles)].min(axis=0) for mesh in meshes], axis=0)
     high = np.max([mesh.points[np.unique(mesh.triangles)].max(axis=0) for mesh in meshes], axis=0)

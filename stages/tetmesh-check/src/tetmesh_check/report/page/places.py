@@ -24,7 +24,7 @@ _EVENTS = {
     "shortened": "thin end removed",
     "filled": "narrow gap filled",
 }
-"""What the scale did to a part, by the report of ``distfield``."""
+"""Effects of the scale on a part, by the names in the report of ``distfield``."""
 
 Entry = dict[str, Any]
 

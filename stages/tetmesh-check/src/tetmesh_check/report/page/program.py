@@ -98,7 +98,7 @@ def anatomy(case: Case, scan: Scan | StageError | None, surface: pv.PolyData | N
     surface
         The triangles as read.
     key
-        What the labels are called, and their colours.
+        Names and colours of the labels.
     """
     if scan is None or case.input is None:
         return ""
@@ -131,7 +131,7 @@ def page(case: Case, folder: Path) -> str:
     case
         The case.
     folder
-        Where the page goes: links lead from there.
+        Path of the page; links are relative to it.
     """
     surface = _only_if_it_can_be_read(case.surface)
     scan = scan_of(case)

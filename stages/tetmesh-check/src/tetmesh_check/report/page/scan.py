@@ -36,7 +36,7 @@ class Scan:
     names: dict[int, str] = field(default_factory=dict)
     """Names of labels, where the file has them."""
     layers: int = 1
-    """Of which the first one is shown."""
+    """Number of layers, of which the first is shown."""
 
     @property
     def spacing(self) -> Values:
@@ -93,7 +93,7 @@ class Scan:
 
     @property
     def orientation(self) -> str:
-        """Where the grid axes lead, as in ``LPS``."""
+        """Directions of the grid axes, as in ``LPS``."""
         return "".join(self.letters(axis)[1] for axis in range(3))
 
 

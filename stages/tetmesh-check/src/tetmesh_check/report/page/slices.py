@@ -23,9 +23,9 @@ SLICES = 40
 PIXELS = 288
 """Longest side of a slice in the page: three planes of 40 slices of a CT then take about 1.5 MB."""
 _MARGIN = 0.25
-"""How much of the volume is shown round the mesh, in its longest sides."""
+"""Margin of the volume around the mesh, relative to its longest side."""
 _PERCENTILES = (0.5, 99.5)
-"""Of the values, black and white: a few bright or dark voxels do not decide how the rest looks."""
+"""Percentiles of the values shown as black and white, so that few voxels do not set the range."""
 _NEAR = 0.35
 """Points of an outline nearer to each other than this are thinned out, pixels."""
 _TENTHS = 10
@@ -149,12 +149,12 @@ def path_of(chains: list[Points]) -> str:
 
 @dataclass(frozen=True)
 class Window:
-    """How values become shades: those of a scan by their range, labels by colours."""
+    """Conversion of values to shades: by their range for a scan, by colours for labels."""
 
     low: float
     high: float
     colours: dict[int, Colour]
-    """Of labels; empty for a scan."""
+    """Colours of the labels; empty for a scan."""
 
     def image(self, values: NDArray[Any]) -> Image.Image:
         """Turn a slice into a picture, one pixel a voxel; the first axis runs to the right.
@@ -180,7 +180,7 @@ def window_of(scan: Scan, key: list[Entry]) -> Window:
     scan
         The volume.
     key
-        What its labels are called, and their colours.
+        Names and colours of its labels.
     """
     if scan.labels:
         return Window(0.0, 0.0, {0: _BACKGROUND} | {label: entry.colour for entry in key for label in entry.labels})

@@ -20,7 +20,7 @@ from tetmesh_check.surface import read_dataset
 from tetmesh_check.topology import tetrahedron_boundary
 
 _YAW, _PITCH = 0.63, 0.38
-"""Where the eye is at first, radians: that of the pictures."""
+"""Initial direction of view, radians; the same as in the pictures."""
 _MAX_WORST = 5000
 """Largest number of tetrahedra among the worst: more only hide each other."""
 _MAX_REGIONS = 12
@@ -82,7 +82,7 @@ def views_of_volume(grid: pv.UnstructuredGrid, key: list[Entry]) -> list[ViewMes
     grid
         The volume mesh as read.
     key
-        What the materials are called, and their colours.
+        Names and colours of the materials.
     """
     points = np.asarray(grid.points, dtype=np.float64)
     cells = np.asarray(grid.cells_dict[pv.CellType.TETRA], dtype=np.int64)
@@ -143,7 +143,7 @@ def view_meshes(surface: pv.PolyData | None, volume: Path | None, key: list[Entr
         The file of the tetrahedra. Meshes of more than :data:`.MAX_TRIANGLES` triangles are left
         out.
     key
-        What the materials are called, and their colours.
+        Names and colours of the materials.
     """
     meshes = [] if surface is None else [view_of_surface(surface)]
     if volume is not None:
@@ -159,11 +159,11 @@ def view(meshes: list[ViewMesh], anatomical: bool, key: list[Entry]) -> str:
     Parameters
     ----------
     meshes
-        What it shows; empty where there is nothing.
+        The content; empty if there is none.
     anatomical
         Whether the world is that of the body.
     key
-        What the materials are called, and their colours.
+        Names and colours of the materials.
     """
     if not meshes:
         return ""
