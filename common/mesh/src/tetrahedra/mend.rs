@@ -1,12 +1,12 @@
 //! Replaces poor tetrahedra and their surroundings with better ones. The interfaces and the rest of
 //! the mesh stay as they are, and every tetrahedron keeps its material.
 //!
-//! Poor tetrahedra and their neighbours form a [`Patch`], in which cavities are filled in rounds.
+//! Poor tetrahedra and their neighbours form a patch, in which cavities are filled in rounds.
 //! Each round chooses poor tetrahedra far from each other, the worst first, and computes a filling
 //! for each in parallel. The fillings are then applied in order, so the result does not depend on
 //! the number of threads. A tetrahedron without a better filling is tried again only after a
 //! change next to it. Every filling reduces the total badness by a share of that of its cavity
-//! ([`super::cavity`]), so the rounds end.
+//! (`cavity.rs`), so the rounds end.
 
 use super::conform::{Conformity, NOBODY, conform};
 use super::forced::{Side, forced_sides, largest_jacobians};
