@@ -91,11 +91,6 @@ class Scan:
         world = self.world_axes[grid_axis]
         return _PLANES[world] if self.anatomical else f"across {'xyz'[world]}"
 
-    @property
-    def orientation(self) -> str:
-        """Directions of the grid axes, as in ``LPS``."""
-        return "".join(self.letters(axis)[1] for axis in range(3))
-
 
 def read_scan(path: Path, labels: bool, series: str | None = None) -> Scan:
     """Read the input of a case.
