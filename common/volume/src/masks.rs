@@ -5,8 +5,8 @@
 //! at a time is in memory.
 //!
 //! The grid is that of the finest mask, extended to contain all masks. A voxel is inside a mask if
-//! the nearest voxel of the mask is. If the mask is coarser than the grid, no voxel of the grid
-//! contains the centres of several voxels of the mask, so there is nothing to average.
+//! the nearest voxel of the mask is. No average is taken, because a voxel of the grid rarely
+//! contains several voxel centres of a mask: only if the mask is finer along one axis.
 
 use crate::error::{Result, bad};
 use crate::geometry::Geometry;
