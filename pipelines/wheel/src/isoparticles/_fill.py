@@ -129,14 +129,16 @@ def fill(
     names = [name, LOG, REPORT, *(given.name for _, given in inputs)]
     if len(set(names)) < len(names):
         raise ValueError(f"two of the files have the same name: {', '.join(names)}")
-    files = [word for option, given in inputs for word in (*option, _word(given.name))]
-    _refuse_usage([*files, "-o", name, *words])
+    command = [word for option, given in inputs for word in (*option, _word(given.name))]
+    command += ["-o", name, *words]
+    _refuse_usage(command)
     with TemporaryDirectory(prefix="isoparticles-") as place, shown(progress) as callback:
         folder = Path(place)
         for _, given in inputs:
             given.save(folder / given.name)
-        report = _run([*files, "-o", name, *words], folder, callback)
-        quadratic = [Tetrahedra(file.name, file.read_bytes(), report) for file in folder.glob("*.quadratic.vtu")]
+        report = _run(command, folder, callback)
+        files = [file for file in folder.glob("*.quadratic.vtu") if file.name != name]
+        quadratic = [Tetrahedra(file.name, file.read_bytes(), report) for file in files]
         return Tetrahedra(name, (folder / name).read_bytes(), report, *quadratic)
 
 
@@ -161,7 +163,7 @@ def _run(words: list[str], folder: Path, callback: Callback | None) -> dict[str,
     """Run the program in a folder and return its report."""
     command = [sys.executable, "-m", "isoparticles._filling", *words, "--quiet", "--report", REPORT]
     # the process finds the same packages
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))}
     with (
         (folder / LOG).open("wb") as log,
         subprocess.Popen(
