@@ -19,7 +19,6 @@ from tetmesh_check.quality import (
     TetrahedronQuality,
     centres_of,
     summarize_all,
-    tetrahedron_quality,
     triangle_quality,
 )
 from tetmesh_check.regions import CAP, boundary_marks, check_labels, meshed_labels, regions_of, share_outside
@@ -93,9 +92,8 @@ class OneObject(Subject):
     def measure(self) -> tuple[VolumeMesh, TetrahedronQuality]:
         """Measure the tetrahedra, and the distances of their boundary from the surface."""
         surface, results = self.inputs.surface, self.context.results
-        points, tetrahedra = self.filled.points, self.filled.tetrahedra
+        points, tetrahedra, quality = self.filled.points, self.filled.tetrahedra, self.filled.quality
         with self.context.step("measure quality"):
-            quality = tetrahedron_quality(points, tetrahedra)
             outside = tetrahedron_boundary(tetrahedra)
             self.mesh = mesh = VolumeMesh(points, tetrahedra, quality.volume, outside)
             topology = measure_topology(points, outside.triangles)

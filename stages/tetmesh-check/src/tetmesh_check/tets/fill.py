@@ -17,7 +17,7 @@ from tetmesh_check.errors import ExitCode, StageError
 from tetmesh_check.export.volume import orient_positive
 from tetmesh_check.materials import NOTHING, Sides
 from tetmesh_check.mend import mend
-from tetmesh_check.quality import Cells, Points, tetrahedron_quality
+from tetmesh_check.quality import Cells, Points, TetrahedronQuality, tetrahedron_quality
 from tetmesh_check.sizing import Background, SizingField, background_mesh, world_grid
 from tetmesh_check.surface import Surface
 from tetmesh_check.tets.hxt import HxtSettings, fill_by_hxt
@@ -104,6 +104,8 @@ class Filled:
     """Positions, mm, shape ``(n, 3)``."""
     tetrahedra: Cells
     """Vertex indices in VTK order, shape ``(m, 4)``."""
+    quality: TetrahedronQuality
+    """Their measures."""
 
     @property
     def mesh(self) -> tuple[Points, Cells]:
@@ -174,7 +176,7 @@ class _Attempts:
         )
         # the later of equal attempts counts: it may be partly mended
         if self._best is None or verdict >= self._best[0]:
-            self._best = verdict, Filled(raw.points, tetrahedra), method
+            self._best = verdict, Filled(raw.points, tetrahedra, quality), method
         smallest = float(quality.min_dihedral.min())
         return verdict, f"minimum dihedral angle {smallest:.3g} degrees, {distance:.3g} mm from the surface"
 
