@@ -5,6 +5,7 @@ use crate::sizing::SizingField;
 use glam::DVec3;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::inside::nodes_on_wrong_side;
+use isoparticles_mesh::measure::measure;
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
@@ -75,8 +76,12 @@ impl BackgroundMesh {
     /// more layer of cubes beyond it. The size of the cubes is the smallest whole number of voxels
     /// that gives at most `max_nodes` points.
     pub fn new(field: &SizingField, surface: &TriangleMesh, max_nodes: usize) -> Self {
-        for stride in 1.. {
-            let grid = covering_grid(&field.image().geometry, &surface.vertices, stride);
+        // The cubes cover the object, and there are at least as many points as cubes.
+        let geometry = &field.image().geometry;
+        let voxels = measure(surface).volume.abs() / geometry.spacing.element_product();
+        let least = ((voxels / max_nodes as f64).cbrt() as usize).max(1);
+        for stride in least.. {
+            let grid = covering_grid(geometry, &surface.vertices, stride);
             let cubes = cubes_around(surface, &grid);
             let mut used = vec![false; grid.voxel_count()];
             cubes.iter().flat_map(|&cube| corners(cube, &grid)).for_each(|node| used[node] = true);
