@@ -57,6 +57,15 @@ pub(crate) fn read_masks(folder: &Path, files: &[PathBuf], read: Reader) -> Resu
             "move the files that you do not need to another folder",
         ));
     }
+    let names: Vec<Option<String>> = files.iter().map(|file| mask_name(file)).collect();
+    if let Some(Some(name)) = (1..names.len()).find(|&n| names[..n].contains(&names[n])).map(|n| &names[n]) {
+        return Err(bad(
+            folder,
+            format!("contains two masks of '{name}'"),
+            "the name of a file is the name of its object",
+            "rename one of the files, or move it to another folder",
+        ));
+    }
     let mut masks = Masks::read(files, read, None)?;
     let grid = common_grid(&masks.grids);
     if masks.grids[0] != grid {
