@@ -122,13 +122,12 @@ fn tell_contacts(contacts: ContactReport, context: &Context) {
 fn tell_overlaps(overlaps: &[Reassigned], grid: &mut LabelGrid, chosen: &mut Chosen, context: &Context) {
     let Some(Reassigned { kept, lost, voxels }) = overlaps.first() else { return };
     context.report("overlaps", json!(overlaps));
-    let total: usize = overlaps.iter().map(|pair| pair.voxels).sum();
-    context.summary("overlapping voxels reassigned", format!("{total}, of {} pairs of materials", overlaps.len()));
+    let pairs = overlaps.len();
+    context.summary("pairs of materials that overlap", pairs);
     context.warn(format!(
-        "{total} voxels were in several materials, in {} pairs; most of them, {voxels}, belong to '{kept}' now and no \
-         longer to '{lost}' (`overlaps` in the report lists all). The order of MATERIALS (--material) or \
-         DISTFIELD_OPTIONS=\"--overlap smaller\" chooses the material that keeps a voxel",
-        overlaps.len()
+        "materials overlap (pairs: {pairs}; the report lists all under `overlaps`). In the largest overlap, '{kept}' \
+         keeps {voxels} voxels that are also in '{lost}'. The order of MATERIALS (--material) or \
+         DISTFIELD_OPTIONS=\"--overlap smaller\" chooses the material that keeps a voxel"
     ));
     let names = names(chosen);
     let is_left = remove_empty(grid, &mut chosen.table);
