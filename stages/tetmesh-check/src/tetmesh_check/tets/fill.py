@@ -26,11 +26,13 @@ from tetmesh_check.tets.tetwild import TetwildSettings, fill_by_tetwild
 from tetmesh_check.tets.worker import TimeLimit, TimeLimitError, WorkerResult
 from tetmesh_check.topology import tetrahedron_boundary
 
-MAX_FTETWILD_VERTICES = 5_000
+MAX_FTETWILD_VERTICES = 2_500
 """Maximum number of vertices of the surfaces that fTetWild fills by default. On two cores, fTetWild
-takes about half a minute for this number, two minutes for 10,000, and from twenty minutes to hours
-for 50,000 or more. HXT takes seconds. The tetrahedra of fTetWild are better (mean radius ratio 0.86
-instead of 0.79), but nearly all surfaces pass the checks with both."""
+takes 10 s for 2,538 vertices (`make surface INPUT=mickey_labels.nrrd LABELS=2 VERTICES=2500`) and
+12.7 s for 4,731, two minutes for 10,000, and from twenty minutes to hours for 50,000 or more. HXT
+takes 0.5 s for the first two, and then seconds. The tetrahedra of fTetWild are better (mean radius
+ratio 0.90 and 0.85 instead of 0.79, minimum dihedral angle 22 instead of 19 degrees), but nearly
+all surfaces pass the checks with both."""
 
 MAX_SECOND_TRY_VERTICES = 20_000
 """Maximum number of vertices of the surfaces that ``auto`` fills again by fTetWild if a tetrahedron
