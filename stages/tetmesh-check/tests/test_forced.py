@@ -10,7 +10,7 @@ import pytest
 from complexes import Made, sphere
 from conftest import NEEDS_HXT, Run
 
-from tetmesh_check.checks import Check, Forced, Limits, poor_tetrahedra, shape_checks, well_shaped
+from tetmesh_check.checks import SHAPE, Check, Limits, OfShape, poor_tetrahedra, shape_checks, well_shaped
 from tetmesh_check.forced import INSIDE, OUTSIDE, forced_sides
 from tetmesh_check.quality import tetrahedron_quality
 
@@ -42,12 +42,12 @@ def test_forced_tetrahedra_fail_unless_accepted() -> None:
     quality = tetrahedron_quality(points, tetrahedra)
     only = np.array([True, False])
 
-    def judged(forced: Forced | None, accept: bool) -> dict[str, Check]:
+    def judged(forced: OfShape, accept: bool) -> dict[str, Check]:
         limits = Limits(min_dihedral=12.0, accept_forced=accept)
         return {check.name: check for check in shape_checks(quality, limits, forced)}
 
     assert not well_shaped(quality, Limits(min_dihedral=12.0))
-    strict, accepting = (judged(Forced(only, only), accept)["min_dihedral"] for accept in (False, True))
+    strict, accepting = (judged(dict.fromkeys(SHAPE, only), accept)["min_dihedral"] for accept in (False, True))
     assert strict.value == accepting.value == pytest.approx(quality.min_dihedral[0])
     assert strict.as_dict()["verdict"] == "fail"
     assert "1 of them forced by triangles" in strict.words
@@ -56,16 +56,16 @@ def test_forced_tetrahedra_fail_unless_accepted() -> None:
     assert accepting.as_dict()["verdict"] == "warning"
     assert accepting.words.startswith("fit but for 1 accepted tetrahedron: the minimum dihedral angle is ")
     # a poor tetrahedron without a forcing triangle must fail even if forced ones are accepted
-    for forced in (None, Forced(~only, ~only)):
+    for forced in ({}, dict.fromkeys(SHAPE, ~only)):
         assert judged(forced, True)["min_dihedral"].as_dict()["verdict"] == "fail"
     # its position is listed
-    assert "poor_tetrahedra" in judged(None, False)["min_dihedral"].words
+    assert "poor_tetrahedra" in judged({}, False)["min_dihedral"].words
     listed = poor_tetrahedra(points, tetrahedra, quality, Limits(min_dihedral=12.0))
     assert [entry["place_mm"] for entry in listed] == [pytest.approx([0.3, 0.3, 0.005])]
     assert listed[0]["min_dihedral"] == quality.min_dihedral[0]
     # a tetrahedron with zero volume is not accepted either
     flat = tetrahedron_quality(np.vstack([points, [0.2, 0.2, 0.0]]), np.array([[0, 1, 2, 5], [0, 1, 2, 4]]))
-    positive = shape_checks(flat, Limits(accept_forced=True), Forced(only, only))[0]
+    positive = shape_checks(flat, Limits(accept_forced=True), dict.fromkeys(SHAPE, only))[0]
     assert (positive.name, positive.passed) == ("positive_volumes", False)
 
 

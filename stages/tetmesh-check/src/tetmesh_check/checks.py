@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from tetmesh_check.context import Context
 from tetmesh_check.numerals import plain
-from tetmesh_check.quality import Cells, Points, TetrahedronQuality, Values, centres_of
-from tetmesh_check.topology import Topology
+from tetmesh_check.quality import Cells, Points, TetrahedronQuality, centres_of
 
 FIT_BUT_FOR = "fit but for "
 """Beginning of the warning that names accepted elements; the verdict and the page repeat it."""
@@ -21,14 +20,10 @@ REMEDY = (
     "more VERTICES); to accept them, use --accept-forced (ACCEPT_FORCED=yes)"
 )
 """Remedies for elements that the triangles of the surface force below a limit."""
-FORCED_LISTS = "forced_by_surface and forced_by_triangle"
-"""Lists of the report that give the places of forced tetrahedra."""
 _NO_PERCENT = 5e-4
 """Changes below this, percent, are rounding errors and print as 0 %."""
 _NO_DISTANCE = 1e-6
 """Distances below this share of their limit are rounding errors and print as 0 mm."""
-
-
 SURFACE_CHANGES = {False: 5.0, True: 2.0}
 """Largest change of the volume of the surface against the voxels, percent, without a scale and with
 one.
@@ -37,6 +32,43 @@ one.
 ``SCALED_VOLUME_LIMITS``)."""
 _MOST_NAMES = 3
 """Most materials that a message names."""
+SHAPE = {
+    "min_dihedral": ("min_dihedral", "dihedral angle", " degrees"),
+    "scaled_jacobian": ("min_scaled_jacobian", "scaled Jacobian", ""),
+}
+"""Measures of shape that have a limit: name of the limit and of its check, words, and unit."""
+OfShape = dict[str, NDArray[np.bool_]]
+"""Some of the tetrahedra for each measure in :data:`SHAPE`, shape ``(m,)``."""
+_REQUIRED = {
+    "positive_volumes": "{value} of {total} tetrahedra are inverted or flat",
+    "interfaces_kept": "the interfaces between materials lost {missing} of the surface and gained {added}",
+    "conforming": "{crowded} to more than two tetrahedra, {undecided} no material",
+    "region_parts": "{value} of {total} materials have more or fewer separate parts than in the surface{apart}",
+    "volume_change": "tetrahedra against the surface: the volume changes by {told} (limit {limit:g} %){between}",
+    "bodies": "the tetrahedra form {told}; the surface encloses {limit}",
+    "boundary_distance": "the maximum distance from the boundary of the tetrahedra to the surface is {told}",
+    "surface_distance": "the maximum distance from the surface to the boundary of the tetrahedra is {told}",
+    "quadratic_jacobian": "{value} quadratic tetrahedra may have a Jacobian that is not positive everywhere",
+    "current_conserved": (
+        "the currents into and out of a material differ by a share of at most {value:.2g} (limit {limit:g})"
+    ),
+    "solve_converged": "conjugate gradients solved {told}",
+}
+"""Words of the checks that make a mesh unfit."""
+_DOUBTS = {
+    "boundary_manifold": "{value} edges and vertices of the boundary are not manifold{but}",
+    "euler_characteristic": "the Euler characteristic of the boundary is {value}, that of the surface {limit}{but}",
+    "surface_volume": "surface against {base}: the volume changes by {told} (limit {limit:g} %)",
+    "nodes_on_surface": (
+        "{value} of {surface_nodes} mid-edge nodes of the surface do not lie on F = 0: {drawn_back} were moved back so "
+        "that no element folds, {too_far} are too far from it"
+    ),
+}
+"""Words of the checks that are only worth a warning."""
+_NOT_MANIFOLD = ("open_edges", "nonmanifold_edges", "badly_oriented_edges", "nonmanifold_vertices")
+"""Counts of a topology that are 0 for a closed manifold."""
+_EXACT = ("bodies", "euler_characteristic")
+"""Checks whose value must equal the limit. The absolute value of others must not exceed it."""
 
 
 @dataclass(frozen=True)
@@ -92,71 +124,43 @@ class Check:
         return {**asdict(self), "verdict": verdict}
 
 
-@dataclass(frozen=True)
-class Measurements:
-    """The input of the checks."""
-
-    quality: TetrahedronQuality
-    surface_volume: float
-    """Volume inside the input surface, mm^3."""
-    surface_bodies: int
-    """Components of the input surface that bound a body from outside (cavities not counted)."""
-    surface_topology: Topology
-    boundary_topology: Topology
-    bodies: int
-    """Face-connected components of the tetrahedra."""
-    boundary_distance: float
-    """Largest distance of the boundary from the surface, mm."""
-    surface_distance: float
-    """Largest distance of the surface from the boundary, mm."""
-    envelope: float
-    """The envelope, mm: how far fTetWild may move the boundary."""
-
-
-@dataclass(frozen=True)
-class Forced:
-    """Tetrahedra that the surface keeps from a limit of shape, whoever makes them."""
-
-    dihedral: NDArray[np.bool_]
-    """Which cannot reach the smallest dihedral angle, shape ``(m,)``."""
-    jacobian: NDArray[np.bool_]
-    """Which cannot reach the smallest scaled Jacobian, shape ``(m,)``."""
-
-    @classmethod
-    def none(cls, count: int) -> Forced:
-        """Return no forced tetrahedra for a mesh with this number of tetrahedra."""
-        nobody = np.zeros(count, dtype=np.bool_)
-        return cls(nobody, nobody)
-
-
-def smallest_elsewhere(values: NDArray[np.float64], forced: NDArray[np.bool_]) -> float:
-    """Smallest value of the tetrahedra that are not forced, infinite where all are.
+def check(name: str, value: float, limit: float = 0, **told: Any) -> Check:
+    """Compare a value with its limit.
 
     Parameters
     ----------
-    values
-        One number a tetrahedron.
-    forced
-        Which are forced.
+    name
+        Name of the check.
+    value, limit
+        The value and its limit.
+    told
+        What the words of the check tell in addition.
     """
-    return float(values.min(where=~forced, initial=np.inf))
+    passed = value == limit if name in _EXACT else abs(value) <= limit
+    words = (_REQUIRED | _DOUBTS)[name].format(value=value, limit=limit, **told)
+    return Check(name, bool(passed), name in _REQUIRED, float(value), float(limit), words)
+
+
+def below_limits(quality: TetrahedronQuality, limits: Limits) -> OfShape:
+    """Find the tetrahedra below each limit of shape."""
+    return {measure: getattr(quality, measure) < getattr(limits, name) for measure, (name, *_) in SHAPE.items()}
 
 
 def well_shaped(quality: TetrahedronQuality, limits: Limits) -> bool:
-    """Whether every tetrahedron is positive and within the limits of shape.
+    """Whether every tetrahedron is positive and within the limits of shape."""
+    return bool(quality.volume.min() > 0) and not np.any([*below_limits(quality, limits).values()])
 
-    Parameters
-    ----------
-    quality
-        The measures.
-    limits
-        What is demanded.
-    """
-    return bool(
-        quality.volume.min() > 0
-        and quality.min_dihedral.min() >= limits.min_dihedral
-        and quality.scaled_jacobian.min() >= limits.min_scaled_jacobian
-    )
+
+def smallest_elsewhere(quality: TetrahedronQuality, forced: OfShape) -> dict[str, float]:
+    """Smallest value of each measure among tetrahedra that are not forced; infinite if all are."""
+    return {
+        measure: float(getattr(quality, measure).min(where=~kept, initial=np.inf)) for measure, kept in forced.items()
+    }
+
+
+def shape_of(quality: TetrahedronQuality, tetrahedron: int) -> dict[str, float]:
+    """Write the measures of shape of one tetrahedron for the report."""
+    return {name: float(getattr(quality, measure)[tetrahedron]) for measure, (name, *_) in SHAPE.items()}
 
 
 def poor_tetrahedra(
@@ -175,17 +179,12 @@ def poor_tetrahedra(
     limits
         What is demanded.
     """
-    below = (quality.min_dihedral < limits.min_dihedral) | (quality.scaled_jacobian < limits.min_scaled_jacobian)
-    poor = np.flatnonzero(below)
+    poor = np.flatnonzero(np.any([*below_limits(quality, limits).values()], axis=0))
     poor = poor[np.argsort(quality.min_dihedral[poor], kind="stable")]
     centres = centres_of(points, tetrahedra[poor])
     return [
-        {
-            "place_mm": place.tolist(),
-            "min_dihedral": float(quality.min_dihedral[tetrahedron]),
-            "min_scaled_jacobian": float(quality.scaled_jacobian[tetrahedron]),
-        }
-        for tetrahedron, place in zip(poor, centres, strict=True)
+        {"place_mm": place, **shape_of(quality, tetrahedron)}
+        for tetrahedron, place in zip(poor.tolist(), centres.tolist(), strict=True)
     ]
 
 
@@ -215,18 +214,7 @@ def percent(change: float) -> str:
     return "0 %" if abs(change) < _NO_PERCENT else f"{'+' if change > 0 else ''}{plain(change)} %"
 
 
-def verdict(name: str, passed: bool, value: float, limit: float, words: str, required: bool = True) -> Check:
-    """Make a check; the arguments are its fields."""
-    return Check(name, bool(passed), required, float(value), float(limit), words)
-
-
-def _distance(start: str, way: str, value: float, limit: float) -> Check:
-    """Compare a maximum distance, mm, with its limit."""
-    told = f"{plain(0.0 if value < _NO_DISTANCE * limit else value)} mm (limit {plain(limit)} mm)"
-    return verdict(f"{start}_distance", value <= limit, value, limit, f"the maximum distance from {way} is {told}")
-
-
-def shape_checks(quality: TetrahedronQuality, limits: Limits, forced: Forced | None = None) -> list[Check]:
+def shape_checks(quality: TetrahedronQuality, limits: Limits, forced: OfShape) -> list[Check]:
     """Judge the shape of the tetrahedra.
 
     Parameters
@@ -236,102 +224,111 @@ def shape_checks(quality: TetrahedronQuality, limits: Limits, forced: Forced | N
     limits
         What is demanded.
     forced
-        Which the surface keeps from it; without it none. They fail unless the limits accept them.
+        Which tetrahedra the surface keeps from it; empty if none. They fail unless the limits
+        accept them.
     """
-    forced = forced or Forced.none(quality.volume.size)
-    not_positive = int((quality.volume <= 0).sum())
-
-    def judged(name: str, what: str, values: Values, kept: NDArray[np.bool_], limit: float, unit: str) -> Check:
-        below = values < limit
-        count, on_surface = int(below.sum()), int((below & kept).sum())
-        poor = counted(count, "tetrahedron is", "tetrahedra are")
-        words = f"the minimum {what} is {plain(float(values.min()))}{unit}; {poor} below the limit of {limit:g}"
-        if on_surface:
-            words += f", {on_surface} of them forced by triangles of the surface (places: {FORCED_LISTS} in the report)"
+    checks = [check("positive_volumes", int((quality.volume <= 0).sum()), total=quality.volume.size)]
+    for measure, below in below_limits(quality, limits).items():
+        name, what, unit = SHAPE[measure]
+        smallest, limit = float(getattr(quality, measure).min()), getattr(limits, name)
+        count, on_surface = int(below.sum()), int((below & forced.get(measure, False)).sum())
         accepted = on_surface if limits.accept_forced else 0
+        poor = counted(count, "tetrahedron is", "tetrahedra are")
+        words = f"the minimum {what} is {plain(smallest)}{unit}; {poor} below the limit of {limit:g}"
+        if on_surface:
+            words += (
+                f", {on_surface} of them forced by triangles of the surface (places: forced_by_surface and "
+                "forced_by_triangle in the report)"
+            )
         if accepted:
             words = f"{FIT_BUT_FOR}{counted(accepted, 'accepted tetrahedron', 'accepted tetrahedra')}: {words}"
         elif on_surface:
             words += f"; {REMEDY}"
         elif count:
             words += " (places: poor_tetrahedra in the report)"
-        return Check(name, count == accepted, True, float(values.min()), limit, words, accepted)
+        checks.append(Check(name, count == accepted, True, smallest, limit, words, accepted))
+    return checks
 
+
+def _change(region: dict[str, Any]) -> float:
+    """Change of the volume from the surface to the tetrahedra, percent."""
+    ratio: float = region["volume_mm3"] / region["surface_volume_mm3"]
+    return 100.0 * (ratio - 1.0)
+
+
+def object_checks(results: dict[str, Any], region: dict[str, Any], limits: Limits, max_distance: float) -> list[Check]:
+    """Judge the tetrahedra of one object against its surface, apart from their shape.
+
+    Parameters
+    ----------
+    results
+        The measures, as in the report.
+    region
+        Volume and parts of the tetrahedra and of the surface.
+    limits
+        The limits.
+    max_distance
+        Largest distance between boundary and surface, mm.
+    """
+    boundary, wanted = results["volume"]["boundary_topology"], results["surface"]["topology"]["euler_characteristic"]
+    euler, bodies = boundary["euler_characteristic"], counted(region["parts"], "separate body", "separate bodies")
+    loose = sum(boundary[key] for key in _NOT_MANIFOLD)
+    between = f", from {plain(region['surface_volume_mm3'])} mm^3 to {plain(region['volume_mm3'])} mm^3"
+    change = _change(region)
+    checks = [
+        check("volume_change", change, limits.max_volume_change, told=percent(change), between=between),
+        check("bodies", region["parts"], region["surface_parts"], told=bodies),
+    ]
+    for start, way in (("boundary", "boundary_to_surface"), ("surface", "surface_to_boundary")):
+        distance = results["distance_mm"][way]["max"]
+        near = 0.0 if distance < _NO_DISTANCE * max_distance else distance
+        told = f"{plain(near)} mm (limit {plain(max_distance)} mm)"
+        checks.append(check(f"{start}_distance", distance, max_distance, told=told))
+    touching = "; parts of the boundary touch there, which most solvers accept" if loose else ""
+    opened = "" if euler == wanted else "; the tetrahedralizer opened or closed handles or gaps"
     return [
-        verdict(
-            "positive_volumes",
-            not_positive == 0,
-            not_positive,
-            0,
-            f"{not_positive} of {quality.volume.size} tetrahedra are inverted or flat",
-        ),
-        judged(
-            "min_dihedral", "dihedral angle", quality.min_dihedral, forced.dihedral, limits.min_dihedral, " degrees"
-        ),
-        judged(
-            "min_scaled_jacobian",
-            "scaled Jacobian",
-            quality.scaled_jacobian,
-            forced.jacobian,
-            limits.min_scaled_jacobian,
-            "",
-        ),
+        *checks,
+        check("boundary_manifold", loose, but=touching),
+        check("euler_characteristic", euler, wanted, but=opened),
     ]
 
 
-def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
-    """Judge the tetrahedra of one object against its surface."""
-    quality = measured.quality
-    volume = float(quality.volume.sum())
-    change = 100.0 * (volume / measured.surface_volume - 1.0)
-    max_distance = limits.distance(measured.envelope)
-    boundary = measured.boundary_topology
-    same_euler = boundary.euler_characteristic == measured.surface_topology.euler_characteristic
-    loose = (
-        boundary.open_edges + boundary.nonmanifold_edges + boundary.badly_oriented_edges + boundary.nonmanifold_vertices
-    )
+def complex_checks(volume: dict[str, Any], limits: Limits) -> list[Check]:
+    """Judge the tetrahedra of many materials against the surface, apart from their shape.
 
+    Parameters
+    ----------
+    volume
+        The measures, as in the report under ``volume``.
+    limits
+        The limits.
+    """
+    regions = volume["regions"]
+    worst = max(regions, key=lambda entry: abs(_change(entry)))
+    told = percent(_change(worst))
+    told = told if told == "0 %" else f"at most {told} in {worst['name']}"
+    parts = [
+        f"; {entry['name']} has {entry['parts']} instead of {entry['surface_parts']}"
+        for entry in regions
+        if entry["parts"] != entry["surface_parts"]
+    ]
+    missing, added = volume["interface_triangles"].values()
+    crowded, undecided = volume["crowded_faces"], volume["undecided_tetrahedra"]
     return [
-        *shape_checks(quality, limits),
-        verdict(
-            "volume_change",
-            np.abs(change) <= limits.max_volume_change,
-            change,
-            limits.max_volume_change,
-            f"tetrahedra against the surface: the volume changes by {percent(change)} (limit "
-            f"{limits.max_volume_change:g} %), from {plain(measured.surface_volume)} mm^3 to {plain(volume)} mm^3",
+        check(
+            "interfaces_kept",
+            missing + added,
+            missing=counted(missing, "triangle"),
+            added=counted(added, "other face"),
         ),
-        verdict(
-            "bodies",
-            measured.bodies == measured.surface_bodies,
-            measured.bodies,
-            measured.surface_bodies,
-            f"the tetrahedra form {counted(measured.bodies, 'separate body', 'separate bodies')}; the surface encloses "
-            f"{measured.surface_bodies}",
+        check(
+            "conforming",
+            crowded + undecided,
+            crowded=counted(crowded, "face belongs", "faces belong"),
+            undecided=counted(undecided, "tetrahedron has", "tetrahedra have"),
         ),
-        _distance(
-            "boundary", "the boundary of the tetrahedra to the surface", measured.boundary_distance, max_distance
-        ),
-        _distance("surface", "the surface to the boundary of the tetrahedra", measured.surface_distance, max_distance),
-        verdict(
-            "boundary_manifold",
-            loose == 0,
-            loose,
-            0,
-            f"{loose} edges and vertices of the boundary are not manifold"
-            + ("; parts of the boundary touch there, which most solvers accept" if loose else ""),
-            required=False,
-        ),
-        verdict(
-            "euler_characteristic",
-            same_euler,
-            boundary.euler_characteristic,
-            measured.surface_topology.euler_characteristic,
-            f"the Euler characteristic of the boundary is {boundary.euler_characteristic}, that of the surface "
-            f"{measured.surface_topology.euler_characteristic}"
-            + ("" if same_euler else "; the tetrahedralizer opened or closed handles or gaps"),
-            required=False,
-        ),
+        check("region_parts", len(parts), total=len(regions), apart="".join(parts[:3])),
+        check("volume_change", _change(worst), limits.max_volume_change, told=told, between=""),
     ]
 
 
@@ -357,19 +354,15 @@ def surface_volume_checks(rows: Sequence[dict[str, Any]], scaled: bool) -> list[
     names = sorted(changes, key=lambda name: -abs(changes[name]))
     limit = SURFACE_CHANGES[scaled]
     above = [name for name in names if abs(changes[name]) > limit]
+    told = ", ".join(f"{percent(changes[name])} in {name}" for name in above[:_MOST_NAMES] or names[:1])
     if len(known) == 1:
-        told = f"the volume changes by {percent(changes[names[0]])}"
-    else:
-        listed = ", ".join(
-            f"{percent(changes[name])} in {name}" for name in (above or names)[: max(1, min(len(above), _MOST_NAMES))]
-        )
-        told = f"the volume changes by {'' if above else 'at most '}{listed}"
-        if len(above) > _MOST_NAMES:
-            told += f" and more than the limit in {len(above) - _MOST_NAMES} more materials"
+        told = percent(changes[names[0]])
+    elif not above:
+        told = f"at most {told}"
+    elif len(above) > _MOST_NAMES:
+        told += f" and more than the limit in {len(above) - _MOST_NAMES} more materials"
     base = "F" if all(row["voxels_mm3"] is None for row in known) else "the voxels"
-    worst = changes[names[0]]
-    words = f"surface against {base}: {told} (limit {limit:g} %)"
-    return [verdict("surface_volume", not above, worst, limit, words, required=False)]
+    return [check("surface_volume", changes[names[0]], limit, base=base, told=told)]
 
 
 def conclude(checks: list[Check], quality: TetrahedronQuality, context: Context) -> list[str]:

@@ -32,7 +32,16 @@ class Complex:
     """Quality of the triangles."""
 
 
-def _place(points: Points, corners: Cells) -> str:
+def place_of(points: Points, corners: Cells) -> str:
+    """Write the mean position of vertices.
+
+    Parameters
+    ----------
+    points
+        Positions, mm, shape ``(n, 3)``.
+    corners
+        Indices of the vertices.
+    """
     x, y, z = points[corners].reshape(-1, 3).mean(axis=0)
     return f"({x:.6g}, {y:.6g}, {z:.6g}) mm"
 
@@ -76,14 +85,14 @@ def check_complex(path: Path, surface: Surface) -> Complex:
     wrong, crossing = found["open_edges"], found["crossing"]
     if len(flat):
         raise StageError(
-            f"{path}: {len(flat)} triangles have no area, the first near {_place(points, triangles[flat[0]])}",
+            f"{path}: {len(flat)} triangles have no area, the first near {place_of(points, triangles[flat[0]])}",
             "no tetrahedron with a positive volume can have such a face",
             _ADVICE,
         )
     if len(twice):
         raise StageError(
             f"{path}: {len(twice)} triangles occur more than once, the first near "
-            f"{_place(points, triangles[twice[0]])}",
+            f"{place_of(points, triangles[twice[0]])}",
             "the space between two equal triangles is empty",
             _ADVICE,
         )
@@ -98,7 +107,7 @@ def check_complex(path: Path, surface: Surface) -> Complex:
     if found["shells"] is None:
         raise StageError(
             f"{path}: intersects itself: {len(np.unique(crossing))} triangles in {len(crossing)} pairs, the first near "
-            f"{_place(points, triangles[crossing[0, 0]])}",
+            f"{place_of(points, triangles[crossing[0, 0]])}",
             "points there would belong to two materials",
             _ADVICE,
         )

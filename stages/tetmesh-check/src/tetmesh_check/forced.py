@@ -6,13 +6,20 @@ There, facets meet at a small angle or lie close in front of each other. The Rus
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from isoparticles import _native
 from numpy.typing import NDArray
 
-from tetmesh_check.quality import Cells, Labels, Points, Values
+from tetmesh_check.checks import REMEDY, Limits, counted, shape_of
+from tetmesh_check.complex import Complex, place_of
+from tetmesh_check.conform import NOBODY, Conformity
+from tetmesh_check.context import Context
+from tetmesh_check.materials import NOTHING
+from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, Values, centres_of
+from tetmesh_check.surface import Surface
 
 INSIDE, OUTSIDE = 0, 1
 """Sides of a facet: behind it, and in front of it, where its normal points."""
@@ -20,18 +27,27 @@ INSIDE, OUTSIDE = 0, 1
 
 @dataclass(frozen=True)
 class ForcedSides:
-    """The sides of facets on which no tetrahedron reaches a minimum dihedral angle."""
+    """The sides of facets on which no tetrahedron reaches a limit of shape."""
 
     facet: Labels
     """Index of the facet, ascending, shape ``(k,)``."""
     side: Labels
     """:data:`INSIDE` or :data:`OUTSIDE`, shape ``(k,)``."""
     bound: Values
-    """Largest minimum dihedral angle of a tetrahedron there, degrees, shape ``(k,)``."""
+    """The largest value that a tetrahedron reaches there: of the minimum dihedral angle, degrees,
+    or of the scaled Jacobian, shape ``(k,)``."""
 
-    def where(self, kept: NDArray[np.bool_]) -> ForcedSides:
-        """Select some of the sides; ``kept`` has the shape ``(k,)``."""
+    def where(self, kept: NDArray[Any]) -> ForcedSides:
+        """Select some of the sides by a mask or by their indices."""
         return ForcedSides(self.facet[kept], self.side[kept], self.bound[kept])
+
+    def occupied(self, found: Conformity) -> tuple[ForcedSides, Labels]:
+        """Return the sides that have a tetrahedron, the sharpest first, and these tetrahedra."""
+        order = np.argsort(self.bound, kind="stable")
+        facet = self.facet[order]
+        standing = np.where(self.side[order] == INSIDE, found.behind[facet], found.before[facet])
+        there = standing != NOBODY
+        return self.where(order[there]), standing[there]
 
 
 def forced_sides(points: Points, triangles: Cells, angle: float) -> ForcedSides:
@@ -49,16 +65,78 @@ def forced_sides(points: Points, triangles: Cells, angle: float) -> ForcedSides:
     return ForcedSides(*_native.forced_sides(points, triangles, angle))
 
 
-def largest_jacobians(points: Points, triangles: Cells, angle: float) -> Values:
-    """Return the largest scaled Jacobian of a tetrahedron on each triangle.
+def find_forced(checked: Complex, limits: Limits, context: Context) -> tuple[ForcedSides, ForcedSides]:
+    """Find where the surface allows no tetrahedron within the limits of shape, and warn of it.
 
     Parameters
     ----------
-    points
-        Positions, mm, shape ``(n, 3)``.
-    triangles
-        Vertex indices, shape ``(m, 3)``; each has an area.
-    angle
-        Minimum dihedral angle of the tetrahedron, degrees, below 180.
+    checked
+        The surface.
+    limits
+        The limits of shape.
+    context
+        For the warnings.
+
+    Returns
+    -------
+    tuple
+        Sides on which no tetrahedron reaches the limit of the dihedral angle, because of other
+        triangles; both sides of the triangles whose own angles are too small for both limits.
     """
-    return _native.largest_jacobians(points, triangles, angle)
+    surface, sides, angle = checked.surface, checked.sides, limits.min_dihedral
+    found = forced_sides(surface.points, surface.triangles, angle)
+    material = np.where(found.side == INSIDE, sides.inside[found.facet], sides.outside[found.facet])
+    by_surface, material = found.where(material != NOTHING), material[material != NOTHING]
+    if len(material):
+        triangles, bound, place = _sharpest(by_surface, surface)
+        context.warn(
+            f"on {triangles}, no tetrahedron can reach the minimum dihedral angle of {angle:g} degrees "
+            "(--min-dihedral), because other triangles meet them at a smaller angle or lie close in front of them. "
+            f"The worst place allows {bound} degrees, in {sides.names[material[by_surface.bound.argmin()]]} at {place} "
+            f"(all places: forced_by_surface in the report); {REMEDY}"
+        )
+    possible = _native.largest_jacobians(surface.points, surface.triangles, angle)
+    thin = np.flatnonzero(possible < limits.min_scaled_jacobian)
+    by_triangle = ForcedSides(thin, np.full(len(thin), INSIDE), possible[thin])
+    if len(thin):
+        triangles, bound, place = _sharpest(by_triangle, surface)
+        context.warn(
+            f"on {triangles} with a small angle, no tetrahedron can reach both a dihedral angle of {angle:g} degrees "
+            f"and a scaled Jacobian of {limits.min_scaled_jacobian:g} (--min-dihedral, --min-scaled-jacobian). The "
+            f"worst place allows a scaled Jacobian of {bound}, at {place} (all places: forced_by_triangle in the "
+            f"report); {REMEDY}"
+        )
+    both = by_triangle.where(np.repeat(np.arange(len(thin)), 2))
+    return by_surface, replace(both, side=np.tile([INSIDE, OUTSIDE], len(thin)))
+
+
+def _sharpest(found: ForcedSides, surface: Surface) -> tuple[str, str, str]:
+    """Write the number of triangles, and the bound and the place of the sharpest."""
+    sharpest = int(found.bound.argmin())
+    place = place_of(surface.points, surface.triangles[found.facet[sharpest]])
+    return counted(len(found.facet), "triangle"), f"{found.bound[sharpest]:.3g}", place
+
+
+def list_forced(
+    sides: ForcedSides, possible: str, checked: Complex, found: Conformity, quality: TetrahedronQuality
+) -> list[dict[str, Any]]:
+    """List the tetrahedra on forced sides of triangles for the report, the sharpest first.
+
+    Parameters
+    ----------
+    sides
+        The sides.
+    possible
+        Key of the bound in the report.
+    checked
+        The surface.
+    found, quality
+        Conformity and quality of the tetrahedra.
+    """
+    occupied, tetrahedra = sides.occupied(found)
+    centres = centres_of(checked.surface.points, checked.surface.triangles[occupied.facet])
+    names = checked.sides.names
+    return [
+        {"place_mm": place, "material": names[found.regions[cell]], possible: bound, **shape_of(quality, cell)}
+        for place, bound, cell in zip(centres.tolist(), occupied.bound.tolist(), tetrahedra.tolist(), strict=True)
+    ]

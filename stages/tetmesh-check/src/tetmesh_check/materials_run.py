@@ -8,37 +8,23 @@ from typing import Any
 import numpy as np
 
 from tetmesh_check.arguments import Arguments
-from tetmesh_check.checks import (
-    REMEDY,
-    Check,
-    Forced,
-    Limits,
-    counted,
-    percent,
-    shape_checks,
-    smallest_elsewhere,
-    verdict,
-)
+from tetmesh_check.checks import Check, complex_checks, shape_checks, smallest_elsewhere
 from tetmesh_check.complex import Complex, check_complex, describe_complex
-from tetmesh_check.conform import NOBODY, outside_of
-from tetmesh_check.context import Context
+from tetmesh_check.conform import outside_of
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.mesh import RESERVED, MarkedMesh, Materials, plain_names
 from tetmesh_check.fem.forward import Forward, RegionMesh, Source, resolve_source
 from tetmesh_check.fem.solve import VolumeMesh
-from tetmesh_check.forced import INSIDE, ForcedSides, forced_sides, largest_jacobians
+from tetmesh_check.forced import find_forced, list_forced
 from tetmesh_check.materials import NOTHING, Sides
 from tetmesh_check.quality import (
     Cells,
-    Labels,
     TetrahedronQuality,
-    Values,
-    centres_of,
     summarize_all,
 )
 from tetmesh_check.subject import Subject
 from tetmesh_check.surface import Surface
-from tetmesh_check.tets.materials_fill import ComplexTask, FilledComplex, fill_complex, on_needles, refuse_method
+from tetmesh_check.tets.materials_fill import ComplexTask, FilledComplex, fill_complex, refuse_method
 from tetmesh_check.topology import members_of, tetrahedron_boundary
 from tetmesh_check.volume_table import volume_table
 
@@ -65,87 +51,8 @@ def _regions(checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
         }
         if len(own):
             entry["quality"] = summarize_all(_part(filled.quality, own))
-            entry["forced"] = int(filled.forced.dihedral[own].sum())
+            entry["forced"] = int(filled.forced["min_dihedral"][own].sum())
         listed.append(entry)
-    return listed
-
-
-def _sides(checked: Complex, limits: Limits, context: Context) -> ForcedSides:
-    """Find the sides of triangles on which no tetrahedron reaches the limit of the dihedral angle.
-
-    Warn if there are any.
-    """
-    sides, surface = checked.sides, checked.surface
-    found = forced_sides(surface.points, surface.triangles, limits.min_dihedral)
-    material = np.where(found.side == INSIDE, sides.inside[found.facet], sides.outside[found.facet])
-    found, material = found.where(material != NOTHING), material[material != NOTHING]
-    if len(found.facet):
-        sharpest = int(found.bound.argmin())
-        x, y, z = surface.points[surface.triangles[found.facet[sharpest]]].mean(axis=0)
-        context.warn(
-            f"on {counted(len(found.facet), 'triangle')}, no tetrahedron can reach the minimum dihedral angle of "
-            f"{limits.min_dihedral:g} degrees (--min-dihedral), because other triangles meet them at a smaller angle "
-            f"or lie close in front of them. The worst place allows {found.bound[sharpest]:.3g} degrees, in "
-            f"{sides.names[material[sharpest]]} at ({x:.6g}, {y:.6g}, {z:.6g}) mm (all places: forced_by_surface in "
-            f"the report); {REMEDY}"
-        )
-    return found
-
-
-def _needles(checked: Complex, limits: Limits, context: Context) -> tuple[Labels, Values]:
-    """Find the triangles on which no tetrahedron reaches both limits of shape.
-
-    Also return the largest scaled Jacobian that each allows. Warn if there are any.
-    """
-    surface = checked.surface
-    possible = largest_jacobians(surface.points, surface.triangles, limits.min_dihedral)
-    found = np.flatnonzero(possible < limits.min_scaled_jacobian)
-    if len(found):
-        sharpest = found[int(possible[found].argmin())]
-        x, y, z = surface.points[surface.triangles[sharpest]].mean(axis=0)
-        context.warn(
-            f"on {counted(len(found), 'triangle')} with a small angle, no tetrahedron can reach both a dihedral angle "
-            f"of {limits.min_dihedral:g} degrees and a scaled Jacobian of {limits.min_scaled_jacobian:g} "
-            "(--min-dihedral, --min-scaled-jacobian). The worst place allows a scaled Jacobian of "
-            f"{possible[sharpest]:.3g}, at ({x:.6g}, {y:.6g}, {z:.6g}) mm (all places: forced_by_triangle in the "
-            f"report); {REMEDY}"
-        )
-    return found, possible[found]
-
-
-def _on_needles(task: ComplexTask, filled: FilledComplex) -> list[dict[str, Any]]:
-    """List the tetrahedra on triangles with a small angle for the report, the sharpest first."""
-    surface, (facets, possible) = task.checked.surface, task.needles
-    centres = centres_of(surface.points, surface.triangles[facets])
-    return [
-        {
-            "place_mm": centres[k].tolist(),
-            "material": task.checked.sides.names[filled.conformity.regions[tetrahedron]],
-            "possible_scaled_jacobian": float(possible[k]),
-            "min_dihedral": float(filled.quality.min_dihedral[tetrahedron]),
-            "min_scaled_jacobian": float(filled.quality.scaled_jacobian[tetrahedron]),
-        }
-        for tetrahedron, k in zip(*(found.tolist() for found in on_needles(task, filled.conformity)), strict=True)
-    ]
-
-
-def _forced_tetrahedra(sides: ForcedSides, checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
-    """List the tetrahedra on forced sides of triangles for the report, the sharpest first."""
-    centres = centres_of(checked.surface.points, checked.surface.triangles[sides.facet])
-    listed = []
-    for k in np.argsort(sides.bound, kind="stable").tolist():
-        tetrahedron = int(filled.standing[k])
-        if tetrahedron == NOBODY:
-            continue
-        listed.append(
-            {
-                "place_mm": centres[k].tolist(),
-                "material": checked.sides.names[filled.conformity.regions[tetrahedron]],
-                "possible_degrees": float(sides.bound[k]),
-                "min_dihedral": float(filled.quality.min_dihedral[tetrahedron]),
-                "min_scaled_jacobian": float(filled.quality.scaled_jacobian[tetrahedron]),
-            }
-        )
     return listed
 
 
@@ -193,67 +100,6 @@ def mark_materials(sides: Sides, surface: Surface, filled: FilledComplex) -> Mar
     )
 
 
-def complex_checks(
-    results: dict[str, Any], quality: TetrahedronQuality, limits: Limits, forced: Forced | None = None
-) -> list[Check]:
-    """Judge a mesh of many materials.
-
-    Parameters
-    ----------
-    results
-        The measures, as in the report under ``volume``.
-    quality
-        Quality of its tetrahedra.
-    limits
-        The limits.
-    forced
-        The tetrahedra that the surface forces below a limit of shape; by default none.
-    """
-    regions = results["regions"]
-    changes = {entry["name"]: 100.0 * (entry["volume_mm3"] / entry["surface_volume_mm3"] - 1.0) for entry in regions}
-    worst = max(changes, key=lambda name: abs(changes[name]))
-    apart = [entry for entry in regions if entry["parts"] != entry["surface_parts"]]
-    triangles = results["interface_triangles"]
-    return [
-        *shape_checks(quality, limits, forced),
-        verdict(
-            "interfaces_kept",
-            results["interfaces_kept"],
-            triangles["missing"] + triangles["added"],
-            0,
-            f"the interfaces between materials lost {counted(triangles['missing'], 'triangle')} of the surface and "
-            f"gained {counted(triangles['added'], 'other face')}",
-        ),
-        verdict(
-            "conforming",
-            results["crowded_faces"] == results["undecided_tetrahedra"] == 0,
-            results["crowded_faces"] + results["undecided_tetrahedra"],
-            0,
-            f"{counted(results['crowded_faces'], 'face belongs', 'faces belong')} to more than two tetrahedra, "
-            f"{counted(results['undecided_tetrahedra'], 'tetrahedron has', 'tetrahedra have')} no material",
-        ),
-        verdict(
-            "region_parts",
-            not apart,
-            len(apart),
-            0,
-            f"{len(apart)} of {len(regions)} materials have more or fewer separate parts than in the surface"
-            + "".join(
-                f"; {entry['name']} has {entry['parts']} instead of {entry['surface_parts']}" for entry in apart[:3]
-            ),
-        ),
-        verdict(
-            "volume_change",
-            abs(changes[worst]) <= limits.max_volume_change,
-            changes[worst],
-            limits.max_volume_change,
-            "tetrahedra against the surface: the volume changes by "
-            + ("0 %" if percent(changes[worst]) == "0 %" else f"at most {percent(changes[worst])} in {worst}")
-            + f" (limit {limits.max_volume_change:g} %)",
-        ),
-    ]
-
-
 def refuse_arguments(arguments: Arguments) -> None:
     """Refuse what is for one object only, by name.
 
@@ -297,8 +143,7 @@ class ManyMaterials(Subject):
             f"{counts['junction_edges']} junction edges, {len(self.checked.shells.materials)} volumes"
         )
         with context.step("find forced tetrahedra"):
-            self.sides = _sides(self.checked, arguments.limits, context)
-            self.needles = _needles(self.checked, arguments.limits, context)
+            self.sides, self.needles = find_forced(self.checked, arguments.limits, context)
 
     def fill(self) -> None:
         """Fill all volumes at once."""
@@ -330,12 +175,9 @@ class ManyMaterials(Subject):
                 "interface_triangles": {"missing": found.missing, "added": found.added},
                 "crowded_faces": found.crowded,
                 "undecided_tetrahedra": found.undecided,
-                "forced_by_surface": _forced_tetrahedra(self.sides, checked, filled),
-                "forced_by_triangle": _on_needles(self.task, filled),
-                "smallest_elsewhere": {
-                    "min_dihedral": smallest_elsewhere(quality.min_dihedral, filled.forced.dihedral),
-                    "scaled_jacobian": smallest_elsewhere(quality.scaled_jacobian, filled.forced.jacobian),
-                },
+                "forced_by_surface": list_forced(self.sides, "possible_degrees", checked, found, quality),
+                "forced_by_triangle": list_forced(self.needles, "possible_scaled_jacobian", checked, found, quality),
+                "smallest_elsewhere": smallest_elsewhere(quality, filled.forced),
                 "regions": _regions(checked, filled),
             }
             filling = {entry["name"]: entry["volume_mm3"] for entry in results["volume"]["regions"]}
@@ -354,7 +196,11 @@ class ManyMaterials(Subject):
         filled, context = self.filled, self.context
         interfaces = len(context.results["complex"]["interfaces"])
         context.closing.append(("materials", f"{len(self.checked.sides.present)}, {interfaces} interfaces"))
-        return complex_checks(context.results["volume"], filled.quality, self.arguments.limits, filled.forced)
+        limits = self.arguments.limits
+        return [
+            *shape_checks(filled.quality, limits, filled.forced),
+            *complex_checks(context.results["volume"], limits),
+        ]
 
     def currents(self) -> Forward | None:
         """Return the problem of currents if there is a source and all tetrahedra have materials."""

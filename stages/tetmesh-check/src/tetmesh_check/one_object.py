@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tetmesh_check.checks import Check, Measurements, run_checks
+from tetmesh_check.checks import Check, object_checks, shape_checks
 from tetmesh_check.distance import distances_both_ways, summarize_distances
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.mesh import MarkedMesh
@@ -71,7 +71,7 @@ class OneObject(Subject):
                 "the tetrahedra could differ from the object by that much",
                 "choose a smaller envelope, or omit --envelope",
             )
-        self.envelope = parameters["envelope"] = envelope
+        parameters["envelope"] = envelope
         parameters["max_distance"] = arguments.limits.distance(envelope)
         task = Task(
             surface=surface,
@@ -113,17 +113,6 @@ class OneObject(Subject):
                 "boundary_to_surface": summarize_distances(to_surface),
                 "surface_to_boundary": summarize_distances(to_boundary),
             }
-        self.measurements = Measurements(
-            quality=quality,
-            surface_volume=self.volume,
-            surface_bodies=int((self.components.volumes > 0).sum()),
-            surface_topology=self.topology,
-            boundary_topology=topology,
-            bodies=results["volume"]["bodies"],
-            boundary_distance=float(to_surface.max()),
-            surface_distance=float(to_boundary.max()),
-            envelope=self.envelope,
-        )
         return mesh, quality
 
     def _regions(self, mesh: VolumeMesh) -> Labels:
@@ -168,7 +157,17 @@ class OneObject(Subject):
 
     def checks(self) -> list[Check]:
         """Judge the tetrahedra against the surface."""
-        return run_checks(self.measurements, self.arguments.limits)
+        results, limits = self.context.results, self.arguments.limits
+        region = {
+            "volume_mm3": results["volume"]["volume_mm3"],
+            "surface_volume_mm3": self.volume,
+            "parts": results["volume"]["bodies"],
+            "surface_parts": int((self.components.volumes > 0).sum()),
+        }
+        return [
+            *shape_checks(self.filled.quality, limits, {}),
+            *object_checks(results, region, limits, self.context.parameters["max_distance"]),
+        ]
 
     def curve(self, marked: MarkedMesh) -> tuple[MarkedMesh, list[Check]]:
         """Put a node on each edge, and write this mesh, with ``--order 2``."""

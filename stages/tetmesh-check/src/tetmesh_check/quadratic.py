@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from isoparticles._native import GridField
 
-from tetmesh_check.checks import Check, verdict
+from tetmesh_check.checks import Check, check
 from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.quality import Values, summarize
 from tetmesh_check.regions import SURFACE
@@ -31,25 +31,10 @@ class Quadratic:
 
     def checks(self) -> list[Check]:
         """Judge the elements."""
-        folded, off = self.results["folded"], self.results["not_on_surface"]
+        found = self.results
         return [
-            verdict(
-                "quadratic_jacobian",
-                folded == 0,
-                folded,
-                0,
-                f"{folded} quadratic tetrahedra may have a Jacobian that is not positive everywhere",
-            ),
-            verdict(
-                "nodes_on_surface",
-                off == 0,
-                off,
-                0,
-                f"{off} of {self.results['surface_nodes']} mid-edge nodes of the surface do not lie on F = 0: "
-                f"{self.results['drawn_back']} were moved back so that no element folds, {self.results['too_far']} are too "
-                "far from it",
-                required=False,
-            ),
+            check("quadratic_jacobian", found["folded"]),
+            check("nodes_on_surface", found["not_on_surface"], **found),
         ]
 
 

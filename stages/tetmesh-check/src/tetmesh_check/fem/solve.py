@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tetmesh_check.checks import Check, verdict
+from tetmesh_check.checks import Check, check
 from tetmesh_check.context import Context
 from tetmesh_check.fem.assembly import Assembler
 from tetmesh_check.fem.forward import MAX_IMBALANCE, Forward, forward
@@ -77,24 +77,20 @@ def _checks(done: dict[str, dict[str, Any]], stuck: list[str]) -> list[Check]:
     solved = [name for name, figures in done.items() if "multigrid" in figures]
     if not solved:
         return []
-    words = f"conjugate gradients solved {len(solved) - len(stuck)} of {len(solved)} problems"
+    told = f"{len(solved) - len(stuck)} of {len(solved)} problems"
     stood_in = [name for name in solved if done[name]["solved_with"] == "jacobi" and name not in stuck]
     if stood_in:
-        words += f"; {', '.join(stood_in)} with Jacobi's preconditioner instead of multigrid"
+        told += f"; {', '.join(stood_in)} with Jacobi's preconditioner instead of multigrid"
     if stuck:
-        words += f"; not solved: {', '.join(stuck)}, because the matrix is close to singular"
-    return [Check("solve_converged", not stuck, True, float(len(stuck)), 0.0, words)]
+        told += f"; not solved: {', '.join(stuck)}, because the matrix is close to singular"
+    return [check("solve_converged", len(stuck), told=told)]
 
 
 def _conserved(done: dict[str, dict[str, Any]]) -> list[Check]:
     if "forward" not in done:
         return []
     imbalance = done["forward"]["imbalance"]
-    words = (
-        f"the currents into and out of a material differ by a share of at most {imbalance:.2g} (limit "
-        f"{MAX_IMBALANCE:g})"
-    )
-    return [verdict("current_conserved", imbalance <= MAX_IMBALANCE, imbalance, MAX_IMBALANCE, words)]
+    return [check("current_conserved", imbalance, MAX_IMBALANCE)]
 
 
 def _solve_all(

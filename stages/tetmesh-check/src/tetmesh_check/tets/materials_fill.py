@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from tetmesh_check.checks import Forced, Limits, smallest_elsewhere
+from tetmesh_check.checks import SHAPE, Limits, OfShape, smallest_elsewhere
 from tetmesh_check.complex import Complex
-from tetmesh_check.conform import NOBODY, Conformity, conform
+from tetmesh_check.conform import Conformity, conform
 from tetmesh_check.context import Context
 from tetmesh_check.errors import ExitCode, StageError
 from tetmesh_check.export.volume import orient_positive
-from tetmesh_check.forced import INSIDE, ForcedSides
+from tetmesh_check.forced import ForcedSides
 from tetmesh_check.mend import mend
-from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, Values, tetrahedron_quality
+from tetmesh_check.quality import Cells, Points, TetrahedronQuality, tetrahedron_quality
 from tetmesh_check.sizing import SizingField, WorldGrid, world_grid
 from tetmesh_check.tets.fill import Method
 from tetmesh_check.tets.hxt import HxtSettings, fill_complex_by_gmsh
@@ -38,10 +38,9 @@ class ComplexTask:
 
     checked: Complex
     sides: ForcedSides
-    """The sides of triangles on which no tetrahedron reaches the limit of the dihedral angle."""
-    needles: tuple[Labels, Values]
-    """The triangles on which no tetrahedron reaches both limits of shape, and the largest scaled
-    Jacobian that is possible on each within the limit of the dihedral angle."""
+    """Where other triangles keep tetrahedra from the limit of the dihedral angle."""
+    needles: ForcedSides
+    """Both sides of the triangles with a small angle."""
     field: SizingField
     """Edge lengths, without the factor."""
     tet_size_factor: float
@@ -61,16 +60,13 @@ class FilledComplex:
     """Vertex indices in VTK order, shape ``(m, 4)``."""
     quality: TetrahedronQuality
     conformity: Conformity
-    standing: Labels
-    """Tetrahedron on each forced side of a triangle, shape ``(k,)``; :data:`.NOBODY` if it is
-    missing."""
-    forced: Forced
+    forced: OfShape
     """The tetrahedra that the surface forces below a limit."""
 
     @property
     def rank(self) -> tuple[int, float]:
         """A value that is larger for better attempts."""
-        return -self.conformity.faults, smallest_elsewhere(self.quality.scaled_jacobian, self.forced.jacobian)
+        return -self.conformity.faults, smallest_elsewhere(self.quality, self.forced)["scaled_jacobian"]
 
 
 def refuse_method(method: Method) -> None:
@@ -107,9 +103,8 @@ def _judge(task: ComplexTask, raw: WorkerResult) -> FilledComplex:
 
 
 def _measured(task: ComplexTask, points: Points, tetrahedra: Cells, found: Conformity) -> FilledComplex:
-    quality, sides = tetrahedron_quality(points, tetrahedra), task.sides
-    standing = np.where(sides.side == INSIDE, found.behind[sides.facet], found.before[sides.facet])
-    return FilledComplex(points, tetrahedra, quality, found, standing, _forced(task, standing, found, quality))
+    quality = tetrahedron_quality(points, tetrahedra)
+    return FilledComplex(points, tetrahedra, quality, found, _forced(task, found, quality))
 
 
 def _mend(task: ComplexTask, filled: FilledComplex, results: dict[str, Any]) -> FilledComplex:
@@ -118,30 +113,12 @@ def _mend(task: ComplexTask, filled: FilledComplex, results: dict[str, Any]) -> 
     if mended is None:
         return filled
     after = _measured(task, mended.points, mended.tetrahedra, mended.conformity)
-    smallest = [smallest_elsewhere(one.quality.min_dihedral, one.forced.dihedral) for one in (filled, after)]
+    smallest = [smallest_elsewhere(one.quality, one.forced)["min_dihedral"] for one in (filled, after)]
     results["mended"] = {**mended.results, "min_dihedral_before": smallest[0], "min_dihedral_after": smallest[1]}
     return after
 
 
-def on_needles(task: ComplexTask, found: Conformity) -> tuple[Labels, Labels]:
-    """Return the tetrahedra on triangles with a small angle, the sharpest first.
-
-    Also return, for each, the position of its triangle in ``task.needles``.
-
-    Parameters
-    ----------
-    task
-        Contains the triangles.
-    found
-        Conformity of the tetrahedra and the interfaces.
-    """
-    order = np.argsort(task.needles[1], kind="stable")
-    beside = np.stack([side[task.needles[0][order]] for side in (found.behind, found.before)], axis=1)
-    there = beside != NOBODY
-    return beside[there], np.repeat(order, there.sum(axis=1))
-
-
-def _forced(task: ComplexTask, standing: Labels, found: Conformity, quality: TetrahedronQuality) -> Forced:
+def _forced(task: ComplexTask, found: Conformity, quality: TetrahedronQuality) -> OfShape:
     """Return the tetrahedra that the surface forces below each limit.
 
     At a corner of an edge with the dihedral angle b, whose two faces have the angles s and t, six
@@ -149,14 +126,14 @@ def _forced(task: ComplexTask, standing: Labels, found: Conformity, quality: Tet
     Jacobian is at most sqrt(2) sin b. A tetrahedron on a triangle with a small angle must reach
     :data:`_FAIR` times the largest possible value there.
     """
-    kept = Forced(*(np.zeros(quality.volume.size, dtype=np.bool_) for _ in range(2)))
-    there = standing != NOBODY
-    kept.dihedral[standing[there]] = True
-    flat = np.sqrt(2.0) * np.sin(np.radians(task.sides.bound)) < task.limits.min_scaled_jacobian
-    kept.jacobian[standing[there & flat]] = True
-    tetrahedra, which = on_needles(task, found)
-    fair = quality.scaled_jacobian[tetrahedra] >= _FAIR * task.needles[1][which]
-    kept.jacobian[tetrahedra[fair]] = True
+    kept = {measure: np.zeros(quality.volume.size, dtype=np.bool_) for measure in SHAPE}
+    sides, standing = task.sides.occupied(found)
+    kept["min_dihedral"][standing] = True
+    flat = np.sqrt(2.0) * np.sin(np.radians(sides.bound)) < task.limits.min_scaled_jacobian
+    kept["scaled_jacobian"][standing[flat]] = True
+    needles, standing = task.needles.occupied(found)
+    fair = quality.scaled_jacobian[standing] >= _FAIR * needles.bound
+    kept["scaled_jacobian"][standing[fair]] = True
     return kept
 
 
@@ -217,14 +194,14 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
             if final:
                 break
             continue
-        smallest = smallest_elsewhere(filled.quality.min_dihedral, filled.forced.dihedral)
+        smallest = smallest_elsewhere(filled.quality, filled.forced)
         attempts.append(
             {
                 **raw.summary,
                 **tried,
                 "faults": filled.conformity.faults,
-                "min_dihedral": smallest,
-                "min_scaled_jacobian": filled.rank[1],
+                "min_dihedral": smallest["min_dihedral"],
+                "min_scaled_jacobian": smallest["scaled_jacobian"],
             }
         )
         if best is None or filled.rank > best.rank:
