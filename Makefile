@@ -85,7 +85,7 @@ set = $(if $(call by_user,$(1)),$(call quote,$(1)=$($(1))),$(if $($(1)),--preset
 # If one of these files changes, the tetrahedra or the page must be made again.
 TETMESH = stages/tetmesh-check/src/tetmesh_check
 TETMESH_FILES = $(wildcard $(BIN)/libisoparticles_python.so stages/tetmesh-check/requirements*.lock) \
-                $(sort $(wildcard $(TETMESH)/*.* $(TETMESH)/*/*.py))
+                $(sort $(wildcard $(TETMESH)/*.* $(TETMESH)/*/*.py $(TETMESH)/export/templates/*))
 PAGE_FILES = $(sort $(wildcard $(TETMESH)/report/page/*.* $(TETMESH)/report/page/*/*.html))
 
 # $(call case,GOAL)

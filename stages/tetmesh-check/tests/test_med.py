@@ -68,7 +68,7 @@ def test_gmsh_reads_groups_and_the_sense_of_every_element(tmp_path: Path, order:
     numbers, points, groups, jacobians = json.loads(done.stdout)
     at = np.empty((max(numbers) + 1, 3))
     at[numbers] = np.reshape(points, (-1, 3))
-    names = [mesh.mark_name(mark) for mark in np.unique(mesh.marks).tolist()]
+    names = [part.name for part in mesh.part_sets]
     assert set(groups) == {"region_2", "region_5", *names}
     # A wrong orientation of an element would give negative Jacobians. Mid-edge nodes on the wrong
     # edges would fold the curved elements, with the same effect.

@@ -23,12 +23,12 @@ from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
 
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export
-from tetmesh_check.export.mesh import MarkedMesh
+from tetmesh_check.export.mesh import MarkedMesh, object_mesh
 from tetmesh_check.fields import read_distance_field
 from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS
 from tetmesh_check.quadratic import make_quadratic
 from tetmesh_check.regions import SURFACE
-from tetmesh_check.topology import tetrahedron_boundary
+from tetmesh_check.topology import Boundary, tetrahedron_boundary
 
 RADIUS = 10.0
 
@@ -143,8 +143,8 @@ def thin_element(height: float) -> MarkedMesh:
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     top = corners.mean(axis=0) + height * normal / np.linalg.norm(normal)
     points, cells = np.concatenate([corners, top[None]]), np.array([[0, 1, 2, 3]])
-    on_ball = np.array([[0, 2, 1]])
-    return MarkedMesh(points, cells, np.ones(1, np.int64), on_ball, np.zeros(1, np.int64), np.array([SURFACE]))
+    on_ball = Boundary(np.array([[0, 2, 1]]), np.zeros(1, np.int64), np.zeros(1, np.int64))
+    return object_mesh(points, cells, np.ones(1, np.int64), on_ball, np.array([SURFACE]))
 
 
 def test_nodes_that_would_fold_an_element_are_drawn_back(field: GridField) -> None:
@@ -159,8 +159,7 @@ def test_nodes_that_would_fold_an_element_are_drawn_back(field: GridField) -> No
     mesh = thin.mesh
     assert jacobian_coefficients(mesh.points[mesh.elements]).min() > 0.0
     # with the full displacement of its mid-edge nodes, the element would be folded
-    assert mesh.middle is not None
-    full, _ = field.project(mesh.points[mesh.middle[0, :3]], np.full(3, 2.0))
+    full, _ = field.project(mesh.points[mesh.elements[0, 4:7]], np.full(3, 2.0))
     nodes = mesh.points[mesh.elements]
     nodes[0, 4:7] = full
     assert jacobian_coefficients(nodes).min() < 0.0
@@ -168,7 +167,7 @@ def test_nodes_that_would_fold_an_element_are_drawn_back(field: GridField) -> No
 
 def test_an_inverted_tetrahedron_fails_the_check(field: GridField) -> None:
     mesh = thin_element(4.0)
-    curved = make_quadratic(replace(mesh, tetrahedra=mesh.tetrahedra[:, [1, 0, 2, 3]]), field)
+    curved = make_quadratic(replace(mesh, elements=mesh.tetrahedra[:, [1, 0, 2, 3]]), field)
     assert [check.passed for check in curved.checks() if check.required] == [False]
 
 
@@ -246,7 +245,7 @@ def small_mesh(field: GridField) -> MarkedMesh:
     outside = tetrahedron_boundary(cells)
     marks = np.full(len(outside.triangles), SURFACE)
     regions = np.where(np.arange(8) < 4, 2, 5)
-    curved = make_quadratic(MarkedMesh(points, cells, regions, outside.triangles, outside.owners, marks), field)
+    curved = make_quadratic(object_mesh(points, cells, regions, outside, marks), field)
     assert curved.results["not_on_surface"] == curved.results["folded"] == 0
     return curved.mesh
 

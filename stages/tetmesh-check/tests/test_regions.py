@@ -21,13 +21,13 @@ from conftest import NEEDS_HXT, Run, ball, write_nrrd
 from test_solve import block
 from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
 
+from tetmesh_check.conform import conform
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export
-from tetmesh_check.export.mesh import MarkedMesh, Materials, plain_names
+from tetmesh_check.export.mesh import MarkedMesh, Region, materials_mesh, object_mesh, plain_names
 from tetmesh_check.field_data import text_of
 from tetmesh_check.labels import read_label_volume
 from tetmesh_check.materials import Sides
-from tetmesh_check.materials_run import interface_names
 from tetmesh_check.parsing import FORMATS
 from tetmesh_check.quality import signed_tetrahedron_volumes
 from tetmesh_check.regions import (
@@ -148,15 +148,15 @@ def test_meshed_labels_come_from_the_history() -> None:
     assert meshed_labels(None) is None
 
 
-def marked_block() -> MarkedMesh:
-    """A block whose lower half is region 2 and whose side x = 0 is a cap."""
+def marked_block(lower: int = 2, upper: int = 5) -> MarkedMesh:
+    """A block whose halves are two regions and whose side x = 0 is a cap."""
     points, cells = block((3, 2, 4))
     outside = tetrahedron_boundary(cells)
     boundary = outside.triangles
     surface = Surface(points, boundary, None, 0, (points[boundary][..., 0] == 0.0).all(axis=1))
     marks = boundary_marks(surface, points, boundary)
-    regions = np.where(points[cells].mean(axis=1)[:, 2] < 2.0, 2, 5)
-    return MarkedMesh(points, cells, regions, boundary, outside.owners, marks)
+    regions = np.where(points[cells].mean(axis=1)[:, 2] < 2.0, lower, upper)
+    return object_mesh(points, cells, regions, outside, marks)
 
 
 def test_exported_files_are_read_back(tmp_path: Path) -> None:
@@ -232,8 +232,7 @@ def table_of(path: Path) -> list[dict[str, str]]:
 
 
 def test_negative_labels_have_groups_of_their_own(tmp_path: Path) -> None:
-    block = marked_block()
-    mesh = replace(block, regions=np.where(block.regions == 2, -5, 7))
+    mesh = marked_block(-5, 7)
     for kind in FORMATS:
         export(mesh, tmp_path / "b.volume.vtu", "b", kind)
     counts = {"region_minus_5": int((mesh.regions == -5).sum()), "region_7": int((mesh.regions == 7).sum())}
@@ -252,14 +251,11 @@ def test_negative_labels_have_groups_of_their_own(tmp_path: Path) -> None:
 
 def materials_of_block(names: tuple[str, str], labels: tuple[int, int]) -> MarkedMesh:
     """Return the block as two materials with one label each; the first is the lower half."""
-    block = marked_block()
     entries = [{"name": name, "labels": [{"layer": 0, "label": k}]} for name, k in zip(names, labels, strict=True)]
     table = [{"name": "outside", "labels": []}, *entries]
     plain = plain_names([entry["name"] for entry in table])
-    materials = Materials(
-        table, dict(enumerate(plain)), {1: "inner", 2: "outer"}, np.full(len(block.boundary), -1, dtype=np.int64)
-    )
-    return replace(block, regions=np.where(block.regions == 2, 1, 2), materials=materials)
+    regions = [Region(k, plain[k], names[k - 1], [labels[k - 1]]) for k in (1, 2)]
+    return replace(marked_block(1, 2), table=regions, parts={1: "inner", 2: "outer"}, materials=table)
 
 
 def test_every_export_tells_the_labels_of_its_regions(tmp_path: Path) -> None:
@@ -294,7 +290,7 @@ def test_every_material_has_sets_of_its_own(tmp_path: Path, names: tuple[str, st
     for kind in ("inp", "msh2", "feb", "med"):
         export(mesh, tmp_path / "b.volume.vtu", "b", kind)
     abaqus = meshio.read(tmp_path / "b.volume.inp")
-    own = [mesh.region_name(number).upper() for number in (1, 2)]
+    own = [region.name.upper() for region in mesh.region_sets]
     assert len({*own, "VOLUME", "NODES", "ALL"}) == 5
     assert max(map(len, own)) <= 80
     for number, name in enumerate(own, 1):
@@ -312,10 +308,10 @@ def test_an_interface_called_like_a_material_has_a_name_of_its_own() -> None:
     names = ("a", "b", "b_to_a")
     made = nested_balls((3.0, 2.0, 1.0), (1, 1, 1), names)
     table = [{"name": name, "labels": []} for name in ("outside", *names)]
-    regions = plain_names([str(entry["name"]) for entry in table])
-    pairs, _ = Sides(made.inside, made.outside, table).pairs()
-    called = interface_names(regions, pairs)
-    assert called == ["a_to_outside", "b_to_a_2", "b_to_a_to_b"]
+    sides, cells = Sides(made.inside, made.outside, table), np.zeros((0, 4), dtype=np.int64)
+    found = conform(len(made.points), cells, made.triangles, sides)
+    mesh = materials_mesh(made.points, cells, found, made.triangles, sides)
+    assert list(mesh.parts.values()) == ["a_to_outside", "b_to_a_2", "b_to_a_to_b"]
 
 
 def test_cardiac_and_vascular_solvers_find_their_files(tmp_path: Path) -> None:
@@ -439,7 +435,8 @@ def test_gmsh_opens_its_file(tmp_path: Path) -> None:
     # every node of region 37 also belongs to another region
     regions = block.regions.copy()
     regions[(block.tetrahedra == block.boundary[0, 0]).any(axis=1).argmax()] = 37
-    export(replace(block, regions=regions), tmp_path / "b.vtu", "b", "msh")
+    table = [*block.table, Region(37, "region_37", "region_37", [37])]
+    export(replace(block, regions=regions, table=table), tmp_path / "b.vtu", "b", "msh")
     code = (
         "import gmsh; gmsh.initialize(interruptible=False); gmsh.option.setNumber('General.Terminal', 0); "
         "gmsh.open('b.volume.msh'); print([gmsh.model.getPhysicalName(*g) for g in gmsh.model.getPhysicalGroups()])"

@@ -14,7 +14,7 @@ from conftest import ball, write_nrrd
 from test_regions import marked_block
 
 from tetmesh_check.errors import StageError
-from tetmesh_check.export.volume import write_volume
+from tetmesh_check.export.vtk import write_volume
 from tetmesh_check.field_data import text_of
 from tetmesh_check.files import blake3_of_file
 from tetmesh_check.labels import read_label_volume

@@ -12,18 +12,16 @@ from tetmesh_check.checks import Check, complex_checks, shape_checks, smallest_e
 from tetmesh_check.complex import Complex, check_complex, describe_complex
 from tetmesh_check.conform import outside_of
 from tetmesh_check.errors import StageError
-from tetmesh_check.export.mesh import RESERVED, MarkedMesh, Materials, plain_names
+from tetmesh_check.export.mesh import MarkedMesh, materials_mesh
 from tetmesh_check.fem.forward import Forward, RegionMesh, Source, resolve_source
 from tetmesh_check.fem.solve import VolumeMesh
 from tetmesh_check.forced import find_forced, list_forced
-from tetmesh_check.materials import NOTHING, Sides
+from tetmesh_check.materials import NOTHING
 from tetmesh_check.quality import (
-    Cells,
     TetrahedronQuality,
     summarize_all,
 )
 from tetmesh_check.subject import Subject
-from tetmesh_check.surface import Surface
 from tetmesh_check.tets.materials_fill import ComplexTask, FilledComplex, fill_complex, refuse_method
 from tetmesh_check.topology import members_of, tetrahedron_boundary
 from tetmesh_check.volume_table import volume_table
@@ -54,50 +52,6 @@ def _regions(checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
             entry["forced"] = int(filled.forced["min_dihedral"][own].sum())
         listed.append(entry)
     return listed
-
-
-def interface_names(names: list[str], pairs: Cells) -> list[str]:
-    """Names of interfaces in sets and groups, none that of a region.
-
-    Parameters
-    ----------
-    names
-        Names of the regions by number.
-    pairs
-        Numbers of the inside and of the outside of each interface.
-    """
-    return plain_names([f"{names[a]}_to_{names[b]}" for a, b in pairs.tolist()], [*RESERVED, *names])
-
-
-def mark_materials(sides: Sides, surface: Surface, filled: FilledComplex) -> MarkedMesh:
-    """Name the regions and the interfaces of a mesh for export.
-
-    Parameters
-    ----------
-    sides
-        The materials of the triangles.
-    surface
-        The surface, whose vertices come first in the mesh.
-    filled
-        The tetrahedra.
-    """
-    names = plain_names(sides.names)
-    pairs, which = sides.pairs()
-    materials = Materials(
-        table=sides.table,
-        regions={number: names[number] for number in sides.present},
-        pairs=dict(enumerate(interface_names(names, pairs), 1)),
-        before=filled.conformity.before,
-    )
-    return MarkedMesh(
-        filled.points,
-        filled.tetrahedra,
-        filled.conformity.regions,
-        surface.triangles,
-        filled.conformity.behind,
-        which + 1,
-        materials,
-    )
 
 
 def refuse_arguments(arguments: Arguments) -> None:
@@ -189,7 +143,8 @@ class ManyMaterials(Subject):
         outermost = self.checked.sides.outside == NOTHING
         area = float(self.checked.quality.area[outermost].sum())
         self.context.results["boundary"] = {"surface": {"triangles": int(outermost.sum()), "area_mm2": area}}
-        return mark_materials(self.checked.sides, self.checked.surface, self.filled)
+        filled, triangles = self.filled, self.checked.surface.triangles
+        return materials_mesh(filled.points, filled.tetrahedra, filled.conformity, triangles, self.checked.sides)
 
     def checks(self) -> list[Check]:
         """Judge the tetrahedra, and whether each region is that of the surface."""

@@ -9,8 +9,8 @@ import numpy as np
 from tetmesh_check.checks import Check, object_checks, shape_checks
 from tetmesh_check.distance import distances_both_ways, summarize_distances
 from tetmesh_check.errors import StageError
-from tetmesh_check.export.mesh import MarkedMesh
-from tetmesh_check.export.volume import write_quadratic
+from tetmesh_check.export.mesh import MarkedMesh, object_mesh
+from tetmesh_check.export.vtk import write_quadratic
 from tetmesh_check.fem.forward import resolve_source
 from tetmesh_check.fem.solve import VolumeMesh
 from tetmesh_check.quadratic import make_quadratic
@@ -151,9 +151,7 @@ class OneObject(Subject):
             for name, own in (("surface", marks != CAP), ("cap", marks == CAP))
         }
         known = None if self.inputs.labels is not None else meshed_labels(surface.history) or []
-        return MarkedMesh(
-            mesh.points, mesh.tetrahedra, regions, outside.triangles, outside.owners, marks, labels=known
-        )  # fmt: skip
+        return object_mesh(mesh.points, mesh.tetrahedra, regions, outside, marks, known)
 
     def checks(self) -> list[Check]:
         """Judge the tetrahedra against the surface."""

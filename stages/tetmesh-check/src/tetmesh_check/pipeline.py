@@ -10,7 +10,7 @@ from tetmesh_check.arguments import Arguments
 from tetmesh_check.checks import conclude, surface_volume_checks
 from tetmesh_check.context import Context
 from tetmesh_check.export.formats import export
-from tetmesh_check.export.volume import write_volume
+from tetmesh_check.export.vtk import write_volume
 from tetmesh_check.fem.solve import solve_on
 from tetmesh_check.fields import read_distance_field
 from tetmesh_check.files import refuse_existing

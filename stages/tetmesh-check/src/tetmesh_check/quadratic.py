@@ -69,7 +69,7 @@ def make_quadratic(mesh: MarkedMesh, field: GridField) -> Quadratic:
     curved = replace(
         mesh,
         points=np.concatenate([mesh.points, found["nodes"]]),
-        middle=found["of_cells"] + count,
-        boundary_middle=found["of_triangles"] + count,
+        elements=np.column_stack([mesh.tetrahedra, found["of_cells"] + count]),
+        faces=np.column_stack([mesh.boundary, found["of_triangles"] + count]),
     )
     return Quadratic(curved, found["jacobian"], results)

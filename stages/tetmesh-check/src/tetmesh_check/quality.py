@@ -127,6 +127,29 @@ def signed_tetrahedron_volumes(points: Points, tetrahedra: Cells) -> Values:
     return volumes
 
 
+def orient_positive(points: Points, tetrahedra: Cells) -> tuple[Cells, bool]:
+    """Bring tetrahedra that are all wound the other way into VTK's order.
+
+    Single inverted tetrahedra among positive ones are a fault of the mesh and stay as they are.
+
+    Parameters
+    ----------
+    points
+        Positions, mm, shape ``(n, 3)``.
+    tetrahedra
+        Vertex indices, shape ``(m, 4)``.
+
+    Returns
+    -------
+    tuple
+        The tetrahedra, and whether they were turned.
+    """
+    volumes = signed_tetrahedron_volumes(points, tetrahedra)
+    if (volumes < 0).sum() <= (volumes > 0).sum():
+        return tetrahedra, False
+    return tetrahedra[:, [0, 2, 1, 3]], True
+
+
 def centres_of(points: Points, cells: Cells) -> Points:
     """Mean position of the vertices of each cell, mm, shape ``(m, 3)``.
 

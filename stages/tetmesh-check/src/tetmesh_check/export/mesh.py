@@ -4,46 +4,27 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tetmesh_check.field_data import add_text
+from tetmesh_check.conform import NOBODY, Conformity
+from tetmesh_check.materials import Sides
 from tetmesh_check.quality import Cells, Labels, Points
 from tetmesh_check.regions import CAP, SURFACE
+from tetmesh_check.topology import Boundary
 
-if TYPE_CHECKING:
-    import pyvista as pv
-
-NAMES = {SURFACE: "surface", CAP: "cap"}
-"""Names of the parts of the boundary in sets and groups."""
-RESERVED = ("volume", "nodes", "all")
+_RESERVED = ("volume", "nodes", "all")
 """Names of sets that no region may have: all elements in ``inp``, all nodes in ``feb``, everything
 in the viewer of CalculiX."""
-LONGEST_NAME = 80
+_LONGEST_NAME = 80
 """Characters of the name of a set in CalculiX and of a group in MED."""
 
 
-@dataclass(frozen=True)
-class Materials:
-    """The additional data of a mesh of many materials."""
-
-    table: list[dict[str, Any]]
-    """Name and labels of each material, by number, as in the surface."""
-    regions: dict[int, str]
-    """Names of the regions by number, such as every format takes: letters, digits and
-    underscores."""
-    pairs: dict[int, str]
-    """Names of the interfaces by mark, both regions' with ``_to_`` between them."""
-    before: Labels
-    """Tetrahedron before each triangle of the interfaces, shape ``(k,)``; -1 where the outside
-    is."""
-
-
-def plain_names(names: list[str], taken: Iterable[str] = RESERVED) -> list[str]:
+def plain_names(names: list[str], taken: Iterable[str] = ()) -> list[str]:
     """Rewrite names with letters, digits and underscores; all differ, ignoring case.
 
     Parameters
@@ -51,17 +32,17 @@ def plain_names(names: list[str], taken: Iterable[str] = RESERVED) -> list[str]:
     names
         Any names.
     taken
-        Names that none of them may have.
+        Names that none of them may have, besides those that formats reserve.
     """
-    used = {name.lower() for name in taken}
+    used = {name.lower() for name in (*_RESERVED, *taken)}
     plain: list[str] = []
     for name in names:
         word = re.sub(r"[^A-Za-z0-9_]+", "_", name).strip("_") or "material"
-        unique = word = (word if word[0].isalpha() else f"m_{word}")[:LONGEST_NAME]
+        unique = word = (word if word[0].isalpha() else f"m_{word}")[:_LONGEST_NAME]
         number = 2
         while unique.lower() in used:
             ending = f"_{number}"
-            unique, number = word[: LONGEST_NAME - len(ending)] + ending, number + 1
+            unique, number = word[: _LONGEST_NAME - len(ending)] + ending, number + 1
         used.add(unique.lower())
         plain.append(unique)
     return plain
@@ -85,76 +66,84 @@ class Region:
         return f"region {self.region}: {self.name}, labels {' '.join(map(str, self.labels)) or 'unknown'}"
 
 
+class NamedSet(NamedTuple):
+    """The elements of a region, or the triangles of a part of the boundary."""
+
+    number: int
+    """Number of the region, or mark of the part."""
+    name: str
+    members: Labels
+    """Indices of the elements or triangles, ascending."""
+
+
+def _sets(numbers: Labels, names: Mapping[int, str]) -> list[NamedSet]:
+    """Return the sets that are not empty, in the order of the names."""
+    sets = [NamedSet(number, name, np.flatnonzero(numbers == number)) for number, name in names.items()]
+    return [own for own in sets if len(own.members)]
+
+
 @dataclass(frozen=True)
 class MarkedMesh:
     """Tetrahedra and their boundary, each with its mark."""
 
     points: Points
     """World positions, mm, shape ``(n, 3)``."""
-    tetrahedra: Cells
-    """Vertex indices in VTK order, shape ``(m, 4)``."""
+    elements: Cells
+    """Nodes of the tetrahedra in VTK order, shape ``(m, 4)``, or ``(m, 10)`` for quadratic ones."""
     regions: Labels
-    """Label of each tetrahedron, shape ``(m,)``; all 1 where no label volume is given. Of many
-    materials the number of its own."""
-    boundary: Cells
-    """Triangles of the boundary, outward, shape ``(k, 3)``. Of many materials those of all
-    interfaces."""
+    """Region of each tetrahedron, shape ``(m,)``: its label, all 1 where no label volume is given,
+    or the number of its material."""
+    faces: Cells
+    """Nodes of the triangles of the boundary, outward, shape ``(k, 3)`` or ``(k, 6)``. Of many
+    materials those of all interfaces."""
     owners: Labels
-    """Tetrahedron behind each of them, shape ``(k,)``."""
+    """Tetrahedron behind each triangle, shape ``(k,)``."""
+    before: Labels
+    """Tetrahedron before each triangle, shape ``(k,)``; :data:`.NOBODY` where the outside is."""
     marks: Labels
     """:data:`.SURFACE` or :data:`.CAP`, shape ``(k,)``. Of many materials the number of the pair,
     from 1 on."""
-    materials: Materials | None = None
-    """Data of many materials; ``None`` for one object."""
-    middle: Cells | None = None
-    """Nodes on the edges of each tetrahedron in VTK order, shape ``(m, 6)``; ``None`` for linear
-    tetrahedra."""
-    boundary_middle: Cells | None = None
-    """Nodes on the edges of each triangle of the boundary, shape ``(k, 3)``."""
-    labels: list[int] | None = None
-    """Labels of the one region of an object, empty where they are not known; ``None`` where the
-    regions are labels or materials."""
+    table: list[Region]
+    """The regions, ascending by number."""
+    parts: dict[int, str]
+    """Names of the parts of the boundary, or of the interfaces, by mark."""
+    materials: list[dict[str, Any]] | None = None
+    """Name and labels of each material, by number, as in the surface; ``None`` for one object."""
 
     @property
-    def elements(self) -> Cells:
-        """All nodes of each tetrahedron, shape ``(m, 4)`` or ``(m, 10)``."""
-        return self.tetrahedra if self.middle is None else np.column_stack([self.tetrahedra, self.middle])
+    def tetrahedra(self) -> Cells:
+        """The corners of the tetrahedra, shape ``(m, 4)``."""
+        return self.elements[:, :4]
 
     @property
-    def faces(self) -> Cells:
-        """All nodes of each triangle of the boundary, shape ``(k, 3)`` or ``(k, 6)``."""
-        return self.boundary if self.boundary_middle is None else np.column_stack([self.boundary, self.boundary_middle])
+    def boundary(self) -> Cells:
+        """The corners of the triangles of the boundary, shape ``(k, 3)``."""
+        return self.faces[:, :3]
 
     @property
-    def kinds(self) -> tuple[str, str]:
-        """Names of the types of elements and triangles in meshio."""
-        return ("tetra", "triangle") if self.middle is None else ("tetra10", "triangle6")
+    def is_quadratic(self) -> bool:
+        """Whether there are nodes on the edges."""
+        return bool(self.elements.shape[1] == 10)
 
-    def region_name(self, label: int) -> str:
-        """Return the name of a region in sets and groups."""
-        return f"region_{label}".replace("-", "minus_") if self.materials is None else self.materials.regions[label]
+    @property
+    def region_sets(self) -> list[NamedSet]:
+        """The elements of each region."""
+        return _sets(self.regions, {row.region: row.name for row in self.table})
 
-    def region_table(self) -> list[Region]:
-        """Return the regions, ascending by number."""
-        return [self._region(number) for number in np.unique(self.regions).tolist()]
+    @property
+    def part_sets(self) -> list[NamedSet]:
+        """The triangles of each part of the boundary, or of each interface."""
+        return _sets(self.marks, self.parts)
 
-    def _region(self, number: int) -> Region:
-        name = self.region_name(number)
-        if self.materials is None:
-            return Region(number, name, name, [number] if self.labels is None else self.labels)
-        entry = self.materials.table[number]
-        return Region(number, name, str(entry["name"]), [one["label"] for one in entry.get("labels", [])])
-
-    def mark_name(self, mark: int) -> str:
-        """Return the name of a part of the boundary, or of an interface, in sets and groups."""
-        return NAMES[mark] if self.materials is None else self.materials.pairs[mark]
-
+    @property
     def outermost(self) -> NDArray[np.bool_]:
-        """Return whether each triangle lies on the boundary of the whole mesh, shape ``(k,)``."""
-        if self.materials is None:
-            return np.ones(len(self.boundary), dtype=bool)
-        alone: NDArray[np.bool_] = self.materials.before < 0
+        """Whether each triangle lies on the boundary of the whole mesh, shape ``(k,)``."""
+        alone: NDArray[np.bool_] = self.before == NOBODY
         return alone
+
+    def region_text(self) -> str:
+        """The table of regions as JSON."""
+        return json.dumps([asdict(row) for row in self.table])
 
     def point_marks(self) -> Labels:
         """Mark of each point, shape ``(n,)``: 0 inside, else that of its triangles.
@@ -162,36 +151,71 @@ class MarkedMesh:
         Of many materials it is :data:`.SURFACE` on the boundary of the whole.
         """
         marks = np.zeros(len(self.points), dtype=np.int64)
-        if self.materials is not None:
-            marks[self.faces[self.outermost()]] = SURFACE
-            return marks
-        marks[self.faces[self.marks == CAP]] = CAP
-        marks[self.faces[self.marks == SURFACE]] = SURFACE
+        is_cap = (self.marks == CAP) if self.materials is None else np.zeros(len(self.marks), dtype=bool)
+        marks[self.faces[is_cap]] = CAP
+        marks[self.faces[self.outermost & ~is_cap]] = SURFACE
         return marks
 
 
-def add_regions(dataset: pv.DataSet, mesh: MarkedMesh) -> None:
-    """Put the table of regions into the field data, as JSON in the text ``regions``.
+def object_mesh(
+    points: Points,
+    tetrahedra: Cells,
+    regions: Labels,
+    boundary: Boundary,
+    marks: Labels,
+    labels: list[int] | None = None,
+) -> MarkedMesh:
+    """Name the regions and the parts of the boundary of one object.
 
     Parameters
     ----------
-    dataset
-        The data set.
-    mesh
-        The mesh with the regions.
+    points, tetrahedra
+        Its mesh.
+    regions
+        Label of each tetrahedron.
+    boundary
+        The boundary of the tetrahedra.
+    marks
+        :data:`.SURFACE` or :data:`.CAP` for each triangle.
+    labels
+        Labels of the one region of an object, empty where they are not known; ``None`` where the
+        regions are labels.
     """
-    add_text(dataset, "regions", json.dumps([asdict(row) for row in mesh.region_table()]))
+    numbers = np.unique(regions).tolist()
+    names = [f"region_{number}".replace("-", "minus_") for number in numbers]
+    table = [
+        Region(number, name, name, [number] if labels is None else labels)
+        for number, name in zip(numbers, names, strict=True)
+    ]
+    before = np.full(len(marks), NOBODY)
+    parts = {SURFACE: "surface", CAP: "cap"}
+    return MarkedMesh(points, tetrahedra, regions, boundary.triangles, boundary.owners, before, marks, table, parts)
 
 
-def unstructured(mesh: MarkedMesh) -> pv.UnstructuredGrid:
-    """Turn the mesh into VTK's own.
+def materials_mesh(points: Points, tetrahedra: Cells, found: Conformity, triangles: Cells, sides: Sides) -> MarkedMesh:
+    """Name the regions and the interfaces of many materials.
 
     Parameters
     ----------
-    mesh
-        The tetrahedra.
+    points, tetrahedra
+        The mesh.
+    found
+        Its conformity with the interfaces.
+    triangles
+        Triangles of the interfaces.
+    sides
+        Their materials.
     """
-    import pyvista as pv
-
-    kind = pv.CellType.TETRA if mesh.middle is None else pv.CellType.QUADRATIC_TETRA
-    return pv.UnstructuredGrid({kind: mesh.elements}, mesh.points)
+    names = plain_names(sides.names)
+    table = [
+        Region(
+            number, names[number], sides.names[number], [one["label"] for one in sides.table[number].get("labels", [])]
+        )
+        for number in sides.present
+    ]
+    pairs, which = sides.pairs()
+    interfaces = plain_names([f"{names[a]}_to_{names[b]}" for a, b in pairs.tolist()], names)
+    parts = dict(enumerate(interfaces, 1))
+    return MarkedMesh(
+        points, tetrahedra, found.regions, triangles, found.behind, found.before, which + 1, table, parts, sides.table
+    )

@@ -14,10 +14,9 @@ from tetmesh_check.components import Components
 from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways
 from tetmesh_check.errors import ExitCode, StageError
-from tetmesh_check.export.volume import orient_positive
 from tetmesh_check.materials import NOTHING, Sides
 from tetmesh_check.mend import mend
-from tetmesh_check.quality import Cells, Points, TetrahedronQuality, tetrahedron_quality
+from tetmesh_check.quality import Cells, Points, TetrahedronQuality, orient_positive, tetrahedron_quality
 from tetmesh_check.sizing import Background, SizingField, background_mesh, world_grid
 from tetmesh_check.surface import Surface
 from tetmesh_check.tets.hxt import HxtSettings, fill_by_hxt

@@ -13,10 +13,9 @@ from tetmesh_check.complex import Complex
 from tetmesh_check.conform import Conformity, conform
 from tetmesh_check.context import Context
 from tetmesh_check.errors import ExitCode, StageError
-from tetmesh_check.export.volume import orient_positive
 from tetmesh_check.forced import ForcedSides
 from tetmesh_check.mend import mend
-from tetmesh_check.quality import Cells, Points, TetrahedronQuality, tetrahedron_quality
+from tetmesh_check.quality import Cells, Points, TetrahedronQuality, orient_positive, tetrahedron_quality
 from tetmesh_check.sizing import SizingField, WorldGrid, world_grid
 from tetmesh_check.tets.fill import Method
 from tetmesh_check.tets.hxt import HxtSettings, fill_complex_by_gmsh

@@ -1,0 +1,154 @@
+"""Gmsh 4.1 and 2.2, and MED (Salome, Code_Aster): regions and parts of the boundary as groups.
+
+meshio writes all but 4.1. There, it leaves out an entity all of whose nodes belong to another, and
+Gmsh refuses such a file.
+"""
+
+from __future__ import annotations
+
+from itertools import count
+from pathlib import Path
+from struct import pack
+from typing import TYPE_CHECKING
+
+import meshio
+import numpy as np
+
+if TYPE_CHECKING:
+    from tetmesh_check.export.mesh import MarkedMesh, NamedSet
+    from tetmesh_check.quality import Cells, Labels
+
+_KIND = {3: 2, 6: 9, 4: 4, 10: 11}
+"""Gmsh's number of a triangle or tetrahedron, by its nodes."""
+_GMSH_NODES = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]
+"""Nodes of a tetrahedron in the order of Gmsh, which exchanges the last two nodes of VTK."""
+_MED_NODES = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]
+"""Nodes of a tetrahedron in the order of MED: its tetrahedra (but not its triangles) are wound the
+other way, and the nodes on the edges follow."""
+
+
+def _numbered(mesh: MarkedMesh) -> tuple[list[NamedSet], list[NamedSet]]:
+    """Regions and parts with the numbers of their groups.
+
+    Gmsh leaves out groups of a number below 1. Such a region has a number above all regions, and
+    its name tells its label. The parts have numbers above those of the regions, because GetDP does
+    not tell a region from a surface of its number: to each mark is added the first power of ten
+    above all regions, so that with the one region 1 ``surface`` is 11 and ``cap`` 12.
+    """
+    regions, parts = mesh.region_sets, mesh.part_sets
+    free = count(1 + max([0, *(own.number for own in regions)]))
+    regions = [own if own.number >= 1 else own._replace(number=next(free)) for own in regions]
+    above = 10 ** len(str(max([0, *(own.number for own in regions)])))
+    return regions, [own._replace(number=above + own.number) for own in parts]
+
+
+def _numbers(sets: list[NamedSet], size: int) -> Labels:
+    """Return the number of the set of each element or triangle."""
+    numbers = np.zeros(size, dtype=np.int64)
+    for own in sets:
+        numbers[own.members] = own.number
+    return numbers
+
+
+def _kinds(mesh: MarkedMesh) -> tuple[str, str]:
+    """Return the names of the types of elements and triangles in meshio."""
+    return ("tetra10", "triangle6") if mesh.is_quadratic else ("tetra", "triangle")
+
+
+def write_med(mesh: MarkedMesh, path: Path) -> None:
+    """Write elements and boundary as groups of the names that sets have in other formats.
+
+    Parameters
+    ----------
+    mesh
+        The tetrahedra.
+    path
+        The file.
+    """
+    regions, parts = mesh.region_sets, mesh.part_sets
+    # families of elements have numbers below 0, each with the names of its groups
+    families = count(-1, -1)
+    regions, parts = ([own._replace(number=next(families)) for own in sets] for sets in (regions, parts))
+    tetrahedron, triangle = _kinds(mesh)
+    tags = [_numbers(regions, len(mesh.elements)), _numbers(parts, len(mesh.faces))]
+    elements = mesh.elements[:, _MED_NODES[: mesh.elements.shape[1]]]
+    made = meshio.Mesh(mesh.points, [(tetrahedron, elements), (triangle, mesh.faces)], cell_data={"cell_tags": tags})
+    made.cell_tags = {own.number: [own.name] for own in (*regions, *parts)}
+    # by the name of the format, because a file that is being written has another ending
+    meshio.write(path, made, file_format="med")
+
+
+def write_msh2(mesh: MarkedMesh, path: Path) -> None:
+    """Write version 2.2 as text, which more programs read than 4.1.
+
+    Parameters
+    ----------
+    mesh
+        The tetrahedra.
+    path
+        The file.
+    """
+    regions, parts = _numbered(mesh)
+    tetrahedron, triangle = _kinds(mesh)
+    tags = [_numbers(regions, len(mesh.elements)), _numbers(parts, len(mesh.faces))]
+    tags = [numbers.astype(np.int32) for numbers in tags]
+    made = meshio.Mesh(
+        mesh.points,
+        [(tetrahedron, mesh.elements.astype(np.int32)), (triangle, mesh.faces.astype(np.int32))],
+        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
+        field_data={
+            own.name: np.array([own.number, dimension])
+            for dimension, sets in ((3, regions), (2, parts))
+            for own in sets
+        },
+    )
+    meshio.write(path, made, file_format="gmsh22", binary=False)
+
+
+def write_msh(mesh: MarkedMesh, path: Path) -> None:
+    """Write version 4.1, binary: an entity and a group for each region and boundary part.
+
+    The entities have no bounding entities. The nodes are numbered from 1 as the points are, each
+    with the first entity that has it.
+
+    Parameters
+    ----------
+    mesh
+        The tetrahedra.
+    path
+        The file.
+    """
+    regions, parts = _numbered(mesh)
+    elements = mesh.elements[:, _GMSH_NODES[: mesh.elements.shape[1]]]
+    blocks = [(2, own, mesh.faces[own.members]) for own in parts]
+    blocks += [(3, own, elements[own.members]) for own in regions]
+    names = [f'{dimension} {own.number} "{own.name}"' for dimension, own, _ in blocks]
+    entities = [pack("<4Q", 0, 0, len(parts), len(regions))]
+    nodes: list[bytes] = []
+    cells_of: list[bytes] = []
+    is_left, first = np.ones(len(mesh.points), dtype=bool), 1
+    for dimension, own, cells in blocks:
+        used = np.unique(cells)
+        corners = mesh.points[used]
+        box = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
+        entities.append(pack("<i6dQiQ", own.number, *box, 1, own.number, 0))
+        used = used[is_left[used]]
+        is_left[used] = False
+        nodes += [pack("<3iQ", dimension, own.number, 0, len(used)), _whole(used + 1), mesh.points[used].tobytes()]
+        rows = np.column_stack([np.arange(first, first + len(cells)), cells + 1])
+        cells_of += [pack("<3iQ", dimension, own.number, _KIND[cells.shape[1]], len(cells)), _whole(rows)]
+        first += len(cells)
+    sections = {
+        "MeshFormat": [b"4.1 1 8\n", pack("<i", 1)],
+        "PhysicalNames": ["\n".join([str(len(names)), *names]).encode()],
+        "Entities": entities,
+        "Nodes": [pack("<4Q", len(blocks), int((~is_left).sum()), 1, len(mesh.points)), *nodes],
+        "Elements": [pack("<4Q", len(blocks), first - 1, 1, first - 1), *cells_of],
+    }
+    with path.open("wb") as file:
+        for name, body in sections.items():
+            file.writelines([f"${name}\n".encode(), *body, f"\n$End{name}\n".encode()])
+
+
+def _whole(numbers: Cells | Labels) -> bytes:
+    return numbers.astype(np.uint64).tobytes()
