@@ -91,6 +91,27 @@ class Arguments:
                 f"{', '.join(k for k in FORMATS if k not in LINEAR_FORMATS)}",
             )
 
+    def refuse_for_materials(self) -> None:
+        """Refuse what is for one object only."""
+        if self.method not in (Method.AUTO, Method.HXT):
+            raise StageError(
+                f"--method {self.method} supports one object only, and the surface has several materials",
+                "two materials must share the triangles between them, unchanged",
+                "omit --method, or use --method hxt",
+            )
+        if self.order != 1:
+            raise StageError(
+                f"--order {self.order} supports the surface of one object only, and this one has several materials",
+                "the midpoints of junction edges would have to lie on the zero sets of several fields",
+                "omit --order",
+            )
+        if self.labels_volume is not None:
+            raise StageError(
+                "--labels-volume supports the surface of one object only, and this one has several materials",
+                "the triangles already define the region of each tetrahedron",
+                "omit --labels-volume",
+            )
+
     @property
     def picture_job(self) -> PictureJob | None:
         """The pictures to draw, if any."""

@@ -250,34 +250,38 @@ def shape_checks(quality: TetrahedronQuality, limits: Limits, forced: OfShape) -
     return checks
 
 
-def _change(region: dict[str, Any]) -> float:
-    """Change of the volume from the surface to the tetrahedra, percent."""
-    ratio: float = region["volume_mm3"] / region["surface_volume_mm3"]
-    return 100.0 * (ratio - 1.0)
+def _change(before: float, after: float) -> float:
+    """Change of a volume, percent."""
+    return 100.0 * (after / before - 1.0)
 
 
-def object_checks(results: dict[str, Any], region: dict[str, Any], limits: Limits, max_distance: float) -> list[Check]:
+def object_checks(results: dict[str, Any], bodies: int, limits: Limits, max_distance: float) -> list[Check]:
     """Judge the tetrahedra of one object against its surface, apart from their shape.
 
     Parameters
     ----------
     results
         The measures, as in the report.
-    region
-        Volume and parts of the tetrahedra and of the surface.
+    bodies
+        Number of bodies that the surface bounds.
     limits
         The limits.
     max_distance
         Largest distance between boundary and surface, mm.
     """
-    boundary, wanted = results["volume"]["boundary_topology"], results["surface"]["topology"]["euler_characteristic"]
-    euler, bodies = boundary["euler_characteristic"], counted(region["parts"], "separate body", "separate bodies")
-    loose = sum(boundary[key] for key in _NOT_MANIFOLD)
-    between = f", from {plain(region['surface_volume_mm3'])} mm^3 to {plain(region['volume_mm3'])} mm^3"
-    change = _change(region)
+    volume, surface = results["volume"], results["surface"]
+    boundary, wanted = volume["boundary_topology"], surface["topology"]["euler_characteristic"]
+    euler, loose = boundary["euler_characteristic"], sum(boundary[key] for key in _NOT_MANIFOLD)
+    before, after = surface["volume_mm3"], volume["volume_mm3"]
     checks = [
-        check("volume_change", change, limits.max_volume_change, told=percent(change), between=between),
-        check("bodies", region["parts"], region["surface_parts"], told=bodies),
+        check(
+            "volume_change",
+            _change(before, after),
+            limits.max_volume_change,
+            told=percent(_change(before, after)),
+            between=f", from {plain(before)} mm^3 to {plain(after)} mm^3",
+        ),
+        check("bodies", volume["bodies"], bodies, told=counted(volume["bodies"], "separate body", "separate bodies")),
     ]
     for start, way in (("boundary", "boundary_to_surface"), ("surface", "surface_to_boundary")):
         distance = results["distance_mm"][way]["max"]
@@ -304,9 +308,10 @@ def complex_checks(volume: dict[str, Any], limits: Limits) -> list[Check]:
         The limits.
     """
     regions = volume["regions"]
-    worst = max(regions, key=lambda entry: abs(_change(entry)))
-    told = percent(_change(worst))
-    told = told if told == "0 %" else f"at most {told} in {worst['name']}"
+    changes = {entry["name"]: _change(entry["surface_volume_mm3"], entry["volume_mm3"]) for entry in regions}
+    worst = max(changes, key=lambda name: abs(changes[name]))
+    told = percent(changes[worst])
+    told = told if told == "0 %" else f"at most {told} in {worst}"
     parts = [
         f"; {entry['name']} has {entry['parts']} instead of {entry['surface_parts']}"
         for entry in regions
@@ -328,7 +333,7 @@ def complex_checks(volume: dict[str, Any], limits: Limits) -> list[Check]:
             undecided=counted(undecided, "tetrahedron has", "tetrahedra have"),
         ),
         check("region_parts", len(parts), total=len(regions), apart="".join(parts[:3])),
-        check("volume_change", _change(worst), limits.max_volume_change, told=told, between=""),
+        check("volume_change", changes[worst], limits.max_volume_change, told=told, between=""),
     ]
 
 

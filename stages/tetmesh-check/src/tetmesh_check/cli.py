@@ -136,7 +136,6 @@ def _check_options(known: str, words: list[str]) -> int:
     """Refuse what a run would refuse; print what is known of the case for the next stage."""
     parsed = build_parser().parse_args(words)
     from tetmesh_check.fem.forward import check_names
-    from tetmesh_check.materials_run import refuse_arguments
     from tetmesh_check.tets import hxt, tetgen, tetwild
     from tetmesh_check.tets.fill import Method
     from tetmesh_check.tets.worker import refuse_missing
@@ -147,7 +146,7 @@ def _check_options(known: str, words: list[str]) -> int:
     try:
         arguments = _arguments(parsed)
         if materials:
-            refuse_arguments(arguments)
+            arguments.refuse_for_materials()
         method = Method.HXT if materials else arguments.method
         if method in workers:
             refuse_missing(workers[method])

@@ -170,17 +170,16 @@ def describe_complex(checked: Complex) -> dict[str, Any]:
     interfaces = []
     of_pairs = zip(pairs.tolist(), members_of(which, len(pairs)), found["interfaces"], strict=True)
     for (inside, outside), own, (pieces, turn) in of_pairs:
-        part = TriangleQuality(**{name: getattr(quality, name)[own] for name in TriangleQuality.__dataclass_fields__})
         interfaces.append(
             {
                 "inside": inside,
                 "outside": outside,
                 "name": sides.pair_name((inside, outside)),
                 "triangles": len(own),
-                "area_mm2": float(part.area.sum()),
+                "area_mm2": float(quality.area[own].sum()),
                 "pieces": pieces,
                 "rms_turn_degrees": turn,
-                "quality": summarize_all(part),
+                "quality": summarize_all(quality, own),
             }
         )
     return {

@@ -2,27 +2,52 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import numpy as np
 from isoparticles import _native
+from isoparticles._native import GridField
 
 from tetmesh_check.arguments import Arguments
-from tetmesh_check.checks import conclude, surface_volume_checks
+from tetmesh_check.checks import Check, complex_checks, conclude, object_checks, shape_checks, surface_volume_checks
+from tetmesh_check.complex import check_complex, describe_complex
 from tetmesh_check.context import Context
+from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export
-from tetmesh_check.export.vtk import write_volume
+from tetmesh_check.export.mesh import MarkedMesh
+from tetmesh_check.export.vtk import write_quadratic, write_volume
+from tetmesh_check.fem.forward import Forward, RegionMesh, Source, resolve_source
 from tetmesh_check.fem.solve import solve_on
 from tetmesh_check.fields import read_distance_field
 from tetmesh_check.files import refuse_existing
-from tetmesh_check.labels import read_label_volume
-from tetmesh_check.materials_run import ManyMaterials
+from tetmesh_check.forced import find_forced
+from tetmesh_check.labels import LabelVolume, read_label_volume
+from tetmesh_check.materials import Sides
+from tetmesh_check.measures import mark, measure
 from tetmesh_check.memory import check_memory
-from tetmesh_check.one_object import OneObject
-from tetmesh_check.regions import has_scale
+from tetmesh_check.quadratic import make_quadratic
+from tetmesh_check.quality import Values, summarize, summarize_all, triangle_quality
+from tetmesh_check.regions import check_labels, has_scale, meshed_labels
 from tetmesh_check.report.drawing import drawing
-from tetmesh_check.sizing import read_sizing_field
-from tetmesh_check.subject import Inputs
-from tetmesh_check.surface import read_surface
+from tetmesh_check.sizing import SizingField, read_sizing_field, uniform_sizing_field
+from tetmesh_check.surface import Surface, check_surface, read_surface
+from tetmesh_check.tets.fill import Filled, Task, fill
+from tetmesh_check.tets.materials_fill import ComplexTask, FilledComplex, fill_complex
+
+ENVELOPE_FRACTION = 0.05
+"""Default envelope, relative to the edge length that 95 % of the surface exceeds. It is small
+enough to keep thin walls apart."""
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The files of a run, as read."""
+
+    surface: Surface
+    sizing: SizingField | None
+    field: GridField | None
+    """F, for quadratic tetrahedra."""
+    labels: LabelVolume | None
 
 
 def _read(arguments: Arguments, context: Context) -> Inputs:
@@ -41,6 +66,133 @@ def _read(arguments: Arguments, context: Context) -> Inputs:
         labels = read_label_volume(arguments.labels_volume)
         context.add_input(arguments.labels_volume, None)
     return Inputs(surface, sizing, field, labels)
+
+
+def _edge_lengths(inputs: Inputs, context: Context) -> tuple[SizingField, Values]:
+    """Return the edge lengths everywhere, and those at the surface, mm."""
+    surface, sizing = inputs.surface, inputs.sizing
+    if sizing is not None:
+        at_surface = sizing.at(surface.points)
+        summary = summarize(at_surface, np.linspace(0.0, float(at_surface.max()), 51))
+        context.results["sizing"] = {"voxel_mm": sizing.grid.voxel, "at_surface": summary}
+        return sizing, at_surface
+    lengths = triangle_quality(surface.points, surface.triangles).edge_length
+    median = float(np.median(lengths))
+    context.warn(f"no --sizefield was given: all tetrahedra get the median edge length of the surface, {median:.4g} mm")
+    return uniform_sizing_field(surface, median), lengths
+
+
+def _object_task(arguments: Arguments, inputs: Inputs, context: Context) -> Task:
+    """Refuse a surface that is not closed, or labels that do not belong to it; report the surface."""
+    surface, labels = inputs.surface, inputs.labels
+    with context.step("check surface"):
+        topology, components = check_surface(arguments.surface, surface)
+        quality = triangle_quality(surface.points, surface.triangles)
+        context.results["surface"] = {
+            "topology": topology.as_dict(),
+            "merged_points": surface.merged_points,
+            "area_mm2": float(quality.area.sum()),
+            "volume_mm3": float(components.volumes.sum()),
+            "bounding_box_diagonal_mm": surface.bounding_box_diagonal,
+            "quality": summarize_all(quality),
+        }
+        if labels is not None:
+            check_labels(surface.points, labels, meshed_labels(surface.history))
+    field, at_surface = _edge_lengths(inputs, context)
+    envelope = arguments.envelope
+    if envelope is None:
+        envelope = ENVELOPE_FRACTION * float(np.percentile(at_surface, 5))
+    if envelope >= 0.1 * surface.bounding_box_diagonal:
+        raise StageError(
+            f"--envelope {envelope:g} mm is more than a tenth of the object "
+            f"({surface.bounding_box_diagonal:.4g} mm across)",
+            "the tetrahedra could differ from the object by that much",
+            "choose a smaller envelope, or omit --envelope",
+        )
+    context.parameters.update(envelope=envelope, max_distance=arguments.limits.distance(envelope))
+    return Task(
+        surface=surface,
+        components=components,
+        field=field,
+        tet_size_factor=arguments.tet_size_factor,
+        method=arguments.method,
+        envelope=envelope,
+        stop_energy=arguments.stop_energy,
+        max_passes=arguments.max_passes,
+        max_seconds=arguments.max_seconds,
+        limits=arguments.limits,
+        log=arguments.log,
+        keep_vertices=inputs.field is not None,
+    )
+
+
+def _materials_task(arguments: Arguments, inputs: Inputs, context: Context) -> ComplexTask:
+    """Refuse a surface that bounds no volumes; report it, and where it forces poor tetrahedra."""
+    field, _ = _edge_lengths(inputs, context)
+    with context.step("check surface"):
+        checked = check_complex(arguments.surface, inputs.surface)
+        counts = context.results["complex"] = describe_complex(checked)
+    context.verbose(
+        f"{len(checked.sides.present)} materials, {len(counts['interfaces'])} interfaces, "
+        f"{counts['junction_edges']} junction edges, {len(checked.shells.materials)} volumes"
+    )
+    with context.step("find forced tetrahedra"):
+        sides, needles = find_forced(checked, arguments.limits, context)
+    return ComplexTask(
+        checked=checked,
+        sides=sides,
+        needles=needles,
+        field=field,
+        tet_size_factor=arguments.tet_size_factor,
+        method=arguments.method,
+        max_seconds=arguments.max_seconds,
+        limits=arguments.limits,
+        log=arguments.log,
+    )
+
+
+def _curve(
+    arguments: Arguments, marked: MarkedMesh, field: GridField, context: Context
+) -> tuple[MarkedMesh, list[Check]]:
+    """Put a node on each edge, write this mesh, and judge it."""
+    path = arguments.quadratic
+    with context.step("quadratic"):
+        curved = make_quadratic(marked, field)
+        write_quadratic(path, curved.mesh, curved.jacobian, context.history())
+    found = context.results["quadratic"] = {"file": path.name, **curved.results}
+    nodes, middles = (found["distance_mm"][key].get("max", 0.0) for key in ("mid_edge_nodes", "middles_of_edges"))
+    told = (
+        f"{found['nodes']:,} nodes, minimum Jacobian {float(curved.jacobian.min()):.2f}; surface nodes are at most "
+        f"{nodes:.2g} mm from F = 0 (edge midpoints: {middles:.2g} mm)"
+    )
+    context.closing.append(("quadratic", told))
+    return curved.mesh, curved.checks()
+
+
+def _judge(task: Task | ComplexTask, filled: Filled, context: Context) -> list[Check]:
+    """Judge the tetrahedra, and the volumes and parts of the regions against the surface."""
+    results, limits = context.results, task.limits
+    if isinstance(task, Task):
+        bodies = int((task.components.volumes > 0).sum())
+        own = object_checks(results, bodies, limits, context.parameters["max_distance"])
+    else:
+        materials, interfaces = len(task.checked.sides.present), len(results["complex"]["interfaces"])
+        context.closing.append(("materials", f"{materials}, {interfaces} interfaces"))
+        own = complex_checks(results["volume"], limits)
+    scaled = surface_volume_checks(results["volumes"], has_scale(task.surface.history))
+    forced = filled.forced if isinstance(filled, FilledComplex) else {}
+    return [*shape_checks(filled.quality, limits, forced), *own, *scaled]
+
+
+def _currents(source: Source | None, sides: Sides | None, filled: Filled, marked: MarkedMesh) -> Forward | None:
+    """Return the problem of currents if there is a source and all tetrahedra have materials."""
+    if source is None or sides is None or not isinstance(filled, FilledComplex) or filled.conformity.faults:
+        return None
+    names = [sides.pair_name(pair) for pair in sides.pairs()[0].tolist()]
+    mesh = RegionMesh(
+        marked.regions, sides.names, marked.boundary, marked.owners, marked.before, marked.marks - 1, names
+    )
+    return Forward(source, mesh)
 
 
 def run(arguments: Arguments, context: Context) -> list[str]:
@@ -69,25 +221,34 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         inputs = _read(arguments, context)
     surface = inputs.surface
     context.verbose(f"{arguments.surface}: {len(surface.points)} vertices, {len(surface.triangles)} triangles")
-    subject = (OneObject if surface.sides is None else ManyMaterials)(arguments, inputs, context)
-    exported = arguments.export_paths(subject.many)
+    many = surface.sides is not None
+    exported = arguments.export_paths(many)
     refuse_existing(exported, context.common.force)
-    subject.check_surface()
-    subject.fill()
-    mesh, quality = subject.measure()
-    marked = subject.mark()
+    if many:
+        arguments.refuse_for_materials()
+    source = resolve_source(arguments.forward, surface.sides)
+    task: Task | ComplexTask
+    filled: Filled
+    if many:
+        task = _materials_task(arguments, inputs, context)
+        filled = fill_complex(task, context)
+    else:
+        task = _object_task(arguments, inputs, context)
+        filled = fill(task, context)
+    mesh = measure(task, filled, inputs.sizing, context)
+    marked = mark(task.surface, filled, mesh, inputs.labels, context)
     with context.step("write"):
         # before anything is solved, so that a later failure leaves the mesh
-        write_volume(arguments.output, marked, quality, context.history())
-    checks = subject.checks()
-    checks += surface_volume_checks(context.results["volumes"], has_scale(surface.history))
-    curved, more = subject.curve(marked)
-    checks += more
+        write_volume(arguments.output, marked, filled.quality, context.history())
+    checks = _judge(task, filled, context)
+    if inputs.field is not None:
+        marked, more = _curve(arguments, marked, inputs.field, context)
+        checks += more
     for kind in arguments.exports:
         with context.step(f"export {kind}"):
-            export(curved, arguments.output, arguments.name, kind, arguments.unit)
+            export(marked, arguments.output, arguments.name, kind, arguments.unit)
     context.results["exports"] = [path.name for path in exported]
     job = arguments.picture_job
-    with drawing(None if job is None else replace(job, many=subject.many), context):
-        checks += solve_on(mesh, arguments.solve, context, subject.currents())
-    return conclude(checks, quality, context)
+    with drawing(None if job is None else replace(job, many=many), context):
+        checks += solve_on(mesh, arguments.solve, context, _currents(source, surface.sides, filled, marked))
+    return conclude(checks, filled.quality, context)

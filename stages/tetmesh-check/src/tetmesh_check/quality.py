@@ -210,12 +210,16 @@ _BINS = {
 }
 
 
-def summarize_all(quality: TriangleQuality | TetrahedronQuality) -> dict[str, dict[str, Any]]:
+def summarize_all(quality: TriangleQuality | TetrahedronQuality, own: Any = slice(None)) -> dict[str, dict[str, Any]]:
     """Condense every measure of a mesh (see :func:`summarize`).
 
     Parameters
     ----------
     quality
         The measures of the triangles or of the tetrahedra.
+    own
+        Indices of those to condense; all by default.
     """
-    return {field.name: summarize(getattr(quality, field.name), _BINS.get(field.name)) for field in fields(quality)}
+    return {
+        field.name: summarize(getattr(quality, field.name)[own], _BINS.get(field.name)) for field in fields(quality)
+    }

@@ -17,7 +17,8 @@ from tetmesh_check.forced import ForcedSides
 from tetmesh_check.mend import mend
 from tetmesh_check.quality import Cells, Points, TetrahedronQuality, orient_positive, tetrahedron_quality
 from tetmesh_check.sizing import SizingField, WorldGrid, world_grid
-from tetmesh_check.tets.fill import Method
+from tetmesh_check.surface import Surface
+from tetmesh_check.tets.fill import Filled, Method
 from tetmesh_check.tets.hxt import HxtSettings, fill_complex_by_gmsh
 from tetmesh_check.tets.worker import TimeLimit, TimeLimitError, UnavailableError, WorkerResult
 
@@ -48,16 +49,16 @@ class ComplexTask:
     limits: Limits
     log: Path
 
+    @property
+    def surface(self) -> Surface:
+        """The checked surface."""
+        return self.checked.surface
+
 
 @dataclass(frozen=True)
-class FilledComplex:
-    """The tetrahedra, and how they fit the interfaces."""
+class FilledComplex(Filled):
+    """The tetrahedra, and how they fit the interfaces; the vertices of the surface come first."""
 
-    points: Points
-    """Positions, mm, shape ``(n, 3)``; the vertices of the surface come first, in their order."""
-    tetrahedra: Cells
-    """Vertex indices in VTK order, shape ``(m, 4)``."""
-    quality: TetrahedronQuality
     conformity: Conformity
     forced: OfShape
     """The tetrahedra that the surface forces below a limit."""
@@ -66,27 +67,6 @@ class FilledComplex:
     def rank(self) -> tuple[int, float]:
         """A value that is larger for better attempts."""
         return -self.conformity.faults, smallest_elsewhere(self.quality, self.forced)["scaled_jacobian"]
-
-
-def refuse_method(method: Method) -> None:
-    """Refuse tetrahedralizers that do not keep the triangles between materials.
-
-    Parameters
-    ----------
-    method
-        The value of ``--method``.
-
-    Raises
-    ------
-    StageError
-        If it is not ``auto`` or ``hxt``.
-    """
-    if method not in (Method.AUTO, Method.HXT):
-        raise StageError(
-            f"--method {method} supports one object only, and the surface has several materials",
-            "two materials must share the triangles between them, unchanged",
-            "omit --method, or use --method hxt",
-        )
 
 
 def _judge(task: ComplexTask, raw: WorkerResult) -> FilledComplex:

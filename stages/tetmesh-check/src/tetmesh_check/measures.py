@@ -1,0 +1,175 @@
+"""Measures and marks of the tetrahedra for the report: as a whole, by region and at the boundary."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tetmesh_check.checks import poor_tetrahedra, smallest_elsewhere
+from tetmesh_check.conform import outside_of
+from tetmesh_check.context import Context
+from tetmesh_check.distance import distances_both_ways, summarize_distances
+from tetmesh_check.export.mesh import MarkedMesh, materials_mesh, object_mesh
+from tetmesh_check.fem.solve import VolumeMesh
+from tetmesh_check.forced import list_forced
+from tetmesh_check.labels import LabelVolume
+from tetmesh_check.materials import NOTHING
+from tetmesh_check.quality import Labels, centres_of, summarize, summarize_all, triangle_quality
+from tetmesh_check.regions import CAP, boundary_marks, meshed_labels, regions_of, share_outside
+from tetmesh_check.sizing import SizingField
+from tetmesh_check.surface import Surface
+from tetmesh_check.tets.fill import Filled, Task
+from tetmesh_check.tets.materials_fill import ComplexTask, FilledComplex
+from tetmesh_check.topology import Boundary, changed_triangles, measure_topology, members_of, tetrahedron_boundary
+from tetmesh_check.volume_table import volume_table
+
+MAX_SHARE_OUTSIDE = 0.05
+"""Share of the tetrahedra outside the label volume above which there is a warning."""
+
+
+def _boundary(surface: Surface, filled: Filled, outside: Boundary) -> dict[str, Any]:
+    """Compare the boundary of the tetrahedra with the triangles of the surface of one object."""
+    ours = filled.points, outside.triangles
+    missing, added = changed_triangles((surface.points, surface.triangles), ours)
+    used = len(np.unique(outside.triangles))
+    return {
+        "boundary_kept": missing == added == 0,
+        "boundary_triangles": {"missing": missing, "added": added},
+        "boundary_topology": {**measure_topology(*ours).as_dict(), "unused_vertices": 0, "vertices": used},
+    }
+
+
+def _interfaces(task: ComplexTask, filled: FilledComplex, context: Context) -> dict[str, Any]:
+    """Measure the regions of many materials, and how they fit the triangles between them."""
+    checked, quality, found = task.checked, filled.quality, filled.conformity
+    regions = []
+    members = members_of(found.regions, len(checked.sides.table))
+    for material in context.results["complex"]["materials"]:
+        number = material["number"]
+        if number == NOTHING:
+            continue
+        own = members[number]
+        entry: dict[str, Any] = {
+            "number": number,
+            "name": material["name"],
+            "tetrahedra": len(own),
+            "parts": len(np.unique(found.parts[own])),
+            "surface_parts": material["components"],
+            "volume_mm3": float(quality.volume[own].sum()),
+            "surface_volume_mm3": material["volume_mm3"],
+        }
+        if len(own):
+            entry["quality"] = summarize_all(quality, own)
+            entry["forced"] = int(filled.forced["min_dihedral"][own].sum())
+        regions.append(entry)
+    return {
+        "interfaces_kept": found.missing == found.added == 0,
+        "interface_triangles": {"missing": found.missing, "added": found.added},
+        "crowded_faces": found.crowded,
+        "undecided_tetrahedra": found.undecided,
+        "forced_by_surface": list_forced(task.sides, "possible_degrees", checked, found, quality),
+        "forced_by_triangle": list_forced(task.needles, "possible_scaled_jacobian", checked, found, quality),
+        "smallest_elsewhere": smallest_elsewhere(quality, filled.forced),
+        "regions": regions,
+    }
+
+
+def measure(task: Task | ComplexTask, filled: Filled, sizing: SizingField | None, context: Context) -> VolumeMesh:
+    """Measure the tetrahedra for the report, and their distance from the surface of one object.
+
+    Parameters
+    ----------
+    task, filled
+        The surface, and the tetrahedra that fill it.
+    sizing
+        The edge lengths that the user gave.
+    context
+        For the results.
+    """
+    surface, results = task.surface, context.results
+    points, tetrahedra, quality = filled.points, filled.tetrahedra, filled.quality
+    with context.step("measure quality"):
+        if isinstance(filled, FilledComplex) and filled.conformity.faults == 0:
+            outside = outside_of(filled.conformity, surface.triangles)
+        else:
+            outside = tetrahedron_boundary(tetrahedra)
+        volume = results["volume"] = {
+            "points": len(points),
+            "tetrahedra": len(tetrahedra),
+            "bodies": int(outside.bodies.max()) + 1,
+            "volume_mm3": float(quality.volume.sum()),
+            "quality": summarize_all(quality),
+            "boundary_quality": summarize_all(triangle_quality(points, outside.triangles)),
+            "poor_tetrahedra": poor_tetrahedra(points, tetrahedra, quality, task.limits),
+        }
+        if sizing is not None:
+            wanted = task.tet_size_factor * sizing.at(centres_of(points, tetrahedra))
+            volume["edge_length_over_target"] = summarize(quality.edge_length / wanted, np.linspace(0.0, 3.0, 61))
+        if isinstance(task, ComplexTask) and isinstance(filled, FilledComplex):
+            volume |= _interfaces(task, filled, context)
+        else:
+            volume |= _boundary(surface, filled, outside)
+        regions = volume.get("regions", [{"name": "object", **volume}])
+        results["volumes"] = volume_table(surface.volumes, {one["name"]: one["volume_mm3"] for one in regions})
+    if isinstance(task, Task):
+        with context.step("measure distances"):
+            ways = distances_both_ways((points, outside.triangles), (surface.points, surface.triangles))
+            names = ("boundary_to_surface", "surface_to_boundary")
+            results["distance_mm"] = {name: summarize_distances(way) for name, way in zip(names, ways, strict=True)}
+    return VolumeMesh(points, tetrahedra, quality.volume, outside)
+
+
+def _labels(mesh: VolumeMesh, surface: Surface, labels: LabelVolume, context: Context) -> Labels:
+    """Find the label of each tetrahedron, and measure the regions."""
+    with context.step("regions"):
+        centres = centres_of(mesh.points, mesh.tetrahedra)
+        outside = share_outside(centres, labels)
+        regions = regions_of(centres, labels, meshed_labels(surface.history))
+    if outside > MAX_SHARE_OUTSIDE:
+        context.warn(
+            f"{100.0 * outside:.3g} % of the tetrahedra lie outside the label volume and get the region of "
+            "the nearest voxel; check that the label volume belongs to this case (--labels-volume)"
+        )
+    context.results["regions"] = {
+        str(label): {
+            "tetrahedra": int((regions == label).sum()),
+            "volume_mm3": float(mesh.volumes[regions == label].sum()),
+            "voxels_mm3": float((labels.values == label).sum() * labels.voxel_volume),
+        }
+        for label in np.unique(regions).tolist()
+    }
+    return regions
+
+
+def mark(
+    surface: Surface, filled: Filled, mesh: VolumeMesh, labels: LabelVolume | None, context: Context
+) -> MarkedMesh:
+    """Find the regions of the tetrahedra and the parts of their boundary, and measure the parts.
+
+    Parameters
+    ----------
+    surface, filled, mesh
+        The surface, the tetrahedra that fill it, and their boundary.
+    labels
+        Labels of the tissues of one object.
+    context
+        For the results.
+    """
+    outside = mesh.boundary
+    if surface.sides is not None and isinstance(filled, FilledComplex):
+        marked = materials_mesh(mesh.points, mesh.tetrahedra, filled.conformity, surface.triangles, surface.sides)
+        parts = {"surface": marked.outermost}
+    else:
+        if labels is None:
+            regions, known = np.ones(len(mesh.tetrahedra), dtype=np.int64), meshed_labels(surface.history) or []
+        else:
+            regions, known = _labels(mesh, surface, labels, context), None
+        marks = boundary_marks(surface, mesh.points, outside.triangles)
+        marked = object_mesh(mesh.points, mesh.tetrahedra, regions, outside, marks, known)
+        parts = {"surface": marks != CAP, "cap": marks == CAP}
+    areas = triangle_quality(marked.points, marked.boundary).area
+    context.results["boundary"] = {
+        name: {"triangles": int(own.sum()), "area_mm2": float(areas[own].sum())} for name, own in parts.items()
+    }
+    return marked
