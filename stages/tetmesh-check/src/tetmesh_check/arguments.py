@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from dataclasses import field as made_by
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,18 @@ from tetmesh_check.fem.forward import ForwardArguments
 from tetmesh_check.fem.solve import SolveSettings
 from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS
 from tetmesh_check.report.pictures import PictureJob
-from tetmesh_check.tets.fill import Method
+
+
+class Method(StrEnum):
+    """The tetrahedralizer."""
+
+    AUTO = "auto"
+    """fTetWild up to :data:`.MAX_FTETWILD_VERTICES`, HXT above. fTetWild also if HXT is missing or
+    fails, or if its tetrahedra miss a limit of shape after mending."""
+    FTETWILD = "ftetwild"
+    HXT = "hxt"
+    TETGEN = "tetgen"
+    """Only on request."""
 
 
 @dataclass(frozen=True)

@@ -135,9 +135,9 @@ def main(argv: Sequence[str] | None = None, make_context: type[Context] = Contex
 def _check_options(known: str, words: list[str]) -> int:
     """Refuse what a run would refuse; print what is known of the case for the next stage."""
     parsed = build_parser().parse_args(words)
+    from tetmesh_check.arguments import Method
     from tetmesh_check.fem.forward import check_names
     from tetmesh_check.tets import hxt, tetgen, tetwild
-    from tetmesh_check.tets.fill import Method
     from tetmesh_check.tets.worker import refuse_missing
 
     workers = {Method.FTETWILD: tetwild.WORKER, Method.HXT: hxt.WORKER, Method.TETGEN: tetgen.WORKER}
@@ -173,11 +173,10 @@ def _part(kind: Any, parsed: argparse.Namespace, **known: Any) -> Any:
 def _arguments(parsed: argparse.Namespace) -> Arguments:
     """Collect what the user asked for; refuse what does not go together."""
     # pyvista takes a second to load; --help and usage errors need not wait for it
-    from tetmesh_check.arguments import Arguments
+    from tetmesh_check.arguments import Arguments, Method
     from tetmesh_check.checks import Limits
     from tetmesh_check.fem.forward import ForwardArguments
     from tetmesh_check.fem.solve import SolveMode, SolveSettings
-    from tetmesh_check.tets.fill import Method
 
     forward = {} if parsed.source is None else dict(zip(("source", "density"), parsed.source, strict=True))
     arguments: Arguments = _part(

@@ -101,10 +101,10 @@ def measure(task: Task | ComplexTask, filled: Filled, sizing: SizingField | None
             "volume_mm3": float(quality.volume.sum()),
             "quality": summarize_all(quality),
             "boundary_quality": summarize_all(triangle_quality(points, outside.triangles)),
-            "poor_tetrahedra": poor_tetrahedra(points, tetrahedra, quality, task.limits),
+            "poor_tetrahedra": poor_tetrahedra(points, tetrahedra, quality, task.arguments.limits),
         }
         if sizing is not None:
-            wanted = task.tet_size_factor * sizing.at(centres_of(points, tetrahedra))
+            wanted = task.arguments.tet_size_factor * sizing.at(centres_of(points, tetrahedra))
             volume["edge_length_over_target"] = summarize(quality.edge_length / wanted, np.linspace(0.0, 3.0, 61))
         if isinstance(task, ComplexTask) and isinstance(filled, FilledComplex):
             volume |= _interfaces(task, filled, context)

@@ -110,20 +110,7 @@ def _object_task(arguments: Arguments, inputs: Inputs, context: Context) -> Task
             "choose a smaller envelope, or omit --envelope",
         )
     context.parameters.update(envelope=envelope, max_distance=arguments.limits.distance(envelope))
-    return Task(
-        surface=surface,
-        components=components,
-        field=field,
-        tet_size_factor=arguments.tet_size_factor,
-        method=arguments.method,
-        envelope=envelope,
-        stop_energy=arguments.stop_energy,
-        max_passes=arguments.max_passes,
-        max_seconds=arguments.max_seconds,
-        limits=arguments.limits,
-        log=arguments.log,
-        keep_vertices=inputs.field is not None,
-    )
+    return Task(arguments, surface, components, field, envelope, keep_vertices=inputs.field is not None)
 
 
 def _materials_task(arguments: Arguments, inputs: Inputs, context: Context) -> ComplexTask:
@@ -138,17 +125,7 @@ def _materials_task(arguments: Arguments, inputs: Inputs, context: Context) -> C
     )
     with context.step("find forced tetrahedra"):
         sides, needles = find_forced(checked, arguments.limits, context)
-    return ComplexTask(
-        checked=checked,
-        sides=sides,
-        needles=needles,
-        field=field,
-        tet_size_factor=arguments.tet_size_factor,
-        method=arguments.method,
-        max_seconds=arguments.max_seconds,
-        limits=arguments.limits,
-        log=arguments.log,
-    )
+    return ComplexTask(arguments, checked, sides, needles, field)
 
 
 def _curve(
@@ -171,7 +148,7 @@ def _curve(
 
 def _judge(task: Task | ComplexTask, filled: Filled, context: Context) -> list[Check]:
     """Judge the tetrahedra, and the volumes and parts of the regions against the surface."""
-    results, limits = context.results, task.limits
+    results, limits = context.results, task.arguments.limits
     if isinstance(task, Task):
         bodies = int((task.components.volumes > 0).sum())
         own = object_checks(results, bodies, limits, context.parameters["max_distance"])

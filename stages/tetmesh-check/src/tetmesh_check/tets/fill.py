@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tetmesh_check.checks import Limits, well_shaped
+from tetmesh_check.arguments import Arguments, Method
+from tetmesh_check.checks import well_shaped
 from tetmesh_check.components import Components
 from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways
@@ -54,46 +53,20 @@ good surface, because the refinement to the background also optimizes. The next 
 tetrahedra miss a limit of shape."""
 
 
-class Method(StrEnum):
-    """The tetrahedralizer."""
-
-    AUTO = "auto"
-    """fTetWild up to :data:`MAX_FTETWILD_VERTICES`, HXT above. fTetWild also if HXT is missing or
-    fails, or if its tetrahedra miss a limit of shape after mending."""
-    FTETWILD = "ftetwild"
-    HXT = "hxt"
-    TETGEN = "tetgen"
-    """Only on request."""
-
-
 @dataclass(frozen=True)
 class Task:
-    """A surface to fill, and the settings."""
+    """A surface of one object to fill, and the settings."""
 
+    arguments: Arguments
     surface: Surface
     """A checked surface."""
     components: Components
     """Its components."""
     field: SizingField
     """Edge lengths, without the factor."""
-    tet_size_factor: float
-    """Tetrahedron edge length over h."""
-    method: Method
     envelope: float
     """For fTetWild: largest distance of the boundary from the surface, mm."""
-    stop_energy: float | None
-    """For fTetWild: largest AMIPS energy at which it stops; by default each of
-    :data:`STOP_ENERGIES` in turn."""
-    max_passes: int
-    """For fTetWild."""
-    max_seconds: float
-    """The time that all attempts together may take, s."""
-    limits: Limits
-    """fTetWild is tried again with a lower stop energy if a limit of shape is missed, and with a
-    smaller envelope if the boundary is too far from the surface."""
-    log: Path
-    """File for the output of the tetrahedralizer."""
-    keep_vertices: bool = False
+    keep_vertices: bool
     """Whether the vertices of the surface must stay in place. If so, ``auto`` chooses HXT."""
 
 
@@ -162,8 +135,8 @@ class _Attempts:
             ways = distances_both_ways(boundary, (task.surface.points, task.surface.triangles))
             distance = max(float(way.max()) for way in ways)
         verdict = _Verdict(
-            near=distance <= task.limits.distance(task.envelope),
-            well=well_shaped(quality, task.limits),
+            near=distance <= task.arguments.limits.distance(task.envelope),
+            well=well_shaped(quality, task.arguments.limits),
             scaled_jacobian=float(quality.scaled_jacobian.min()),
         )
         self._list.append(
@@ -196,9 +169,9 @@ class _Attempts:
 def _by_hxt(task: Task, attempts: _Attempts, limit: TimeLimit, context: Context) -> _Verdict:
     """Fill the surface by HXT, and mend single tetrahedra that miss a limit of shape."""
     with context.step("background sizing"):
-        grid = world_grid(task.field, task.surface, task.tet_size_factor)
+        grid = world_grid(task.field, task.surface, task.arguments.tet_size_factor)
     with context.step("tetrahedralize"):
-        raw = fill_by_hxt(task.surface, task.components, grid, HxtSettings(), task.log, limit, context)
+        raw = fill_by_hxt(task.surface, task.components, grid, HxtSettings(), task.arguments.log, limit, context)
     verdict, _ = attempts.add(raw, Method.HXT)
     if not verdict.well:
         with context.step("mend tetrahedra"):
@@ -217,7 +190,7 @@ def _mended(task: Task, points: Points, tetrahedra: Cells) -> WorkerResult | Non
     inside, outside = np.ones(len(triangles), dtype=np.int64), np.full(len(triangles), NOTHING, dtype=np.int64)
     if not np.array_equal(points[: len(vertices)], vertices):
         return None
-    mended = mend(points, tetrahedra, triangles, Sides(inside, outside, []), task.limits)
+    mended = mend(points, tetrahedra, triangles, Sides(inside, outside, []), task.arguments.limits)
     if mended is None:
         return None
     return WorkerResult(mended.points, mended.tetrahedra, "", {"mended": mended.results})
@@ -225,13 +198,13 @@ def _mended(task: Task, points: Points, tetrahedra: Cells) -> WorkerResult | Non
 
 def _by_tetgen(task: Task, attempts: _Attempts, limit: TimeLimit, context: Context) -> None:
     with context.step("background sizing"):
-        largest = task.tet_size_factor * float(background_mesh(task.field, task.surface).values.max())
+        largest = task.arguments.tet_size_factor * float(background_mesh(task.field, task.surface).values.max())
     context.warn(
         "TetGen grades the tetrahedra by the edges of the surface; from the size field it uses only the maximum volume"
     )
     with context.step("tetrahedralize"):
         settings = TetgenSettings(max_volume=regular_volume(largest))
-        raw = fill_by_tetgen(task.surface, task.components, settings, task.log, limit, context)
+        raw = fill_by_tetgen(task.surface, task.components, settings, task.arguments.log, limit, context)
     attempts.add(raw, Method.TETGEN)
 
 
@@ -244,23 +217,25 @@ def _by_tetwild(task: Task, attempts: _Attempts, limit: TimeLimit, context: Cont
     diagonal = task.surface.bounding_box_diagonal
     with context.step("background sizing"):
         plain = background_mesh(task.field, task.surface)
-        background = Background(plain.points, plain.tetrahedra, task.tet_size_factor * plain.values, plain.stride)
+        background = Background(
+            plain.points, plain.tetrahedra, task.arguments.tet_size_factor * plain.values, plain.stride
+        )
     # fTetWild first meshes the whole box at this length, then refines to the background. A large
     # length saves work on tetrahedra outside the object, which are removed.
     coarse = min(max(float(background.values.max()), COARSE_FRACTION * diagonal), diagonal)
-    energies = list(STOP_ENERGIES if task.stop_energy is None else (task.stop_energy,))
+    energies = list(STOP_ENERGIES if task.arguments.stop_energy is None else (task.arguments.stop_energy,))
     envelopes = [share * task.envelope for share in ENVELOPES]
     while energies and envelopes:
         settings = TetwildSettings(
             epsilon=envelopes[0] / diagonal,
             edge_length=coarse,
             stop_energy=energies[0],
-            max_passes=task.max_passes,
+            max_passes=task.arguments.max_passes,
             threads=context.common.thread_count,
         )
         try:
             with context.step("tetrahedralize"):
-                raw = fill_by_tetwild(task.surface, background, settings, task.log, limit, context)
+                raw = fill_by_tetwild(task.surface, background, settings, task.arguments.log, limit, context)
         except StageError as error:
             if not attempts.is_any or error.code == ExitCode.INTERRUPTED:
                 raise
@@ -288,24 +263,28 @@ def fill(task: Task, context: Context) -> Filled:
     StageError
         If no permitted tetrahedralizer fills it.
     """
-    chosen, reason = _choose(task.method, len(task.surface.points), task.keep_vertices)
-    results: dict[str, Any] = {"method": chosen, "reason": reason, "log": task.log.name}
+    chosen, reason = _choose(task.arguments.method, len(task.surface.points), task.keep_vertices)
+    results: dict[str, Any] = {"method": chosen, "reason": reason, "log": task.arguments.log.name}
     context.results["tetrahedralizer"] = results
     attempts = _Attempts(task, results)
-    context.verbose(f"tetrahedralizer {chosen}: {reason}; log: {task.log}")
-    task.log.unlink(missing_ok=True)
-    limit = TimeLimit.start(task.max_seconds)
+    context.verbose(f"tetrahedralizer {chosen}: {reason}; log: {task.arguments.log}")
+    task.arguments.log.unlink(missing_ok=True)
+    limit = TimeLimit.start(task.arguments.max_seconds)
     if chosen is Method.HXT:
         second = ""
         try:
             verdict = _by_hxt(task, attempts, limit, context)
             small_enough = len(task.surface.points) <= MAX_SECOND_TRY_VERTICES and not task.keep_vertices
-            if task.method is Method.AUTO and small_enough and not verdict.well:
+            if task.arguments.method is Method.AUTO and small_enough and not verdict.well:
                 smallest = f"minimum scaled Jacobian {verdict.scaled_jacobian:.3g}"
                 second = f"the tetrahedra of HXT miss a limit of shape ({smallest})"
                 context.info(f"{second}; fTetWild fills the surface as well, which may take minutes")
         except StageError as error:
-            if task.method is Method.HXT or error.code == ExitCode.INTERRUPTED or isinstance(error, TimeLimitError):
+            if (
+                task.arguments.method is Method.HXT
+                or error.code == ExitCode.INTERRUPTED
+                or isinstance(error, TimeLimitError)
+            ):
                 raise
             second = error.what
             context.warn(f"{error.what}. fTetWild fills the surface instead, which may take hours; {error.next_step}")

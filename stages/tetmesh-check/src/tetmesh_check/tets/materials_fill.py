@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from tetmesh_check.checks import SHAPE, Limits, OfShape, smallest_elsewhere
+from tetmesh_check.arguments import Arguments, Method
+from tetmesh_check.checks import SHAPE, OfShape, smallest_elsewhere
 from tetmesh_check.complex import Complex
 from tetmesh_check.conform import Conformity, conform
 from tetmesh_check.context import Context
@@ -18,7 +19,7 @@ from tetmesh_check.mend import mend
 from tetmesh_check.quality import Cells, Points, TetrahedronQuality, orient_positive, tetrahedron_quality
 from tetmesh_check.sizing import SizingField, WorldGrid, world_grid
 from tetmesh_check.surface import Surface
-from tetmesh_check.tets.fill import Filled, Method
+from tetmesh_check.tets.fill import Filled
 from tetmesh_check.tets.hxt import HxtSettings, fill_complex_by_gmsh
 from tetmesh_check.tets.worker import TimeLimit, TimeLimitError, UnavailableError, WorkerResult
 
@@ -36,6 +37,7 @@ value. Mending aims at nine tenths of the possible value."""
 class ComplexTask:
     """A complex to fill, and the settings."""
 
+    arguments: Arguments
     checked: Complex
     sides: ForcedSides
     """Where other triangles keep tetrahedra from the limit of the dihedral angle."""
@@ -43,11 +45,6 @@ class ComplexTask:
     """Both sides of the triangles with a small angle."""
     field: SizingField
     """Edge lengths, without the factor."""
-    tet_size_factor: float
-    method: Method
-    max_seconds: float
-    limits: Limits
-    log: Path
 
     @property
     def surface(self) -> Surface:
@@ -88,7 +85,9 @@ def _measured(task: ComplexTask, points: Points, tetrahedra: Cells, found: Confo
 
 def _mend(task: ComplexTask, filled: FilledComplex, results: dict[str, Any]) -> FilledComplex:
     """Mend the tetrahedra that miss the goal, where that is possible."""
-    mended = mend(filled.points, filled.tetrahedra, task.checked.surface.triangles, task.checked.sides, task.limits)
+    mended = mend(
+        filled.points, filled.tetrahedra, task.checked.surface.triangles, task.checked.sides, task.arguments.limits
+    )
     if mended is None:
         return filled
     after = _measured(task, mended.points, mended.tetrahedra, mended.conformity)
@@ -108,7 +107,7 @@ def _forced(task: ComplexTask, found: Conformity, quality: TetrahedronQuality) -
     kept = {measure: np.zeros(quality.volume.size, dtype=np.bool_) for measure in SHAPE}
     sides, standing = task.sides.occupied(found)
     kept["min_dihedral"][standing] = True
-    flat = np.sqrt(2.0) * np.sin(np.radians(sides.bound)) < task.limits.min_scaled_jacobian
+    flat = np.sqrt(2.0) * np.sin(np.radians(sides.bound)) < task.arguments.limits.min_scaled_jacobian
     kept["scaled_jacobian"][standing[flat]] = True
     needles, standing = task.needles.occupied(found)
     fair = quality.scaled_jacobian[standing] >= _FAIR * needles.bound
@@ -122,7 +121,7 @@ def _attempt(
     """Fill the volumes once, and find the materials of the tetrahedra."""
     with context.step("tetrahedralize"):
         checked = task.checked
-        raw = fill_complex_by_gmsh(checked.surface, checked.shells, grid, settings, task.log, limit, context)
+        raw = fill_complex_by_gmsh(checked.surface, checked.shells, grid, settings, task.arguments.log, limit, context)
     with context.step("find regions"):
         return raw, _judge(task, raw)
 
@@ -149,18 +148,18 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
     results: dict[str, Any] = {
         "method": Method.HXT,
         "reason": "the surface has several materials, and Gmsh keeps the triangles between them",
-        "log": task.log.name,
+        "log": task.arguments.log.name,
         "attempts": attempts,
     }
     context.results["tetrahedralizer"] = results
     context.parameters["method"] = Method.HXT
-    task.log.unlink(missing_ok=True)
-    limit = TimeLimit.start(task.max_seconds)
+    task.arguments.log.unlink(missing_ok=True)
+    limit = TimeLimit.start(task.arguments.max_seconds)
     with context.step("background sizing"):
-        grid = world_grid(task.field, task.checked.surface, task.tet_size_factor)
+        grid = world_grid(task.field, task.checked.surface, task.arguments.tet_size_factor)
     best: FilledComplex | None = None
     failure: StageError | None = None
-    for settings in ATTEMPTS if task.method is Method.AUTO else ATTEMPTS[:1]:
+    for settings in ATTEMPTS if task.arguments.method is Method.AUTO else ATTEMPTS[:1]:
         tried: dict[str, Any] = {"algorithm": settings.algorithm}
         try:
             raw, filled = _attempt(task, settings, grid, limit, context)
@@ -192,7 +191,7 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
     if best is None:
         assert failure is not None, "an attempt is made or fails"
         raise failure
-    _refuse_undecided(best.conformity, task.log)
+    _refuse_undecided(best.conformity, task.arguments.log)
     if best.conformity.faults == 0:
         with context.step("mend tetrahedra"):
             best = _mend(task, best, results)
