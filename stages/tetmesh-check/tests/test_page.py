@@ -6,6 +6,7 @@ import csv
 import json
 import re
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -18,11 +19,11 @@ from tetmesh_check import cli
 from tetmesh_check.errors import StageError
 from tetmesh_check.quality import summarize
 from tetmesh_check.report import pictures
-from tetmesh_check.report.page import index, program, sections
+from tetmesh_check.report.page import index, program
 from tetmesh_check.report.page.advice import advice_for
-from tetmesh_check.report.page.case import Case, read_case
-from tetmesh_check.report.page.charts import Axis, Limit, curve, histogram, number, ticks
-from tetmesh_check.report.page.html import _MESH_SHARE, filled
+from tetmesh_check.report.page.case import read_case
+from tetmesh_check.report.page.images import MESH_SHARE, filled
+from tetmesh_check.report.page.templates import environment, number, render, ticks
 
 ERROR = {"what": "v.nrrd: is <empty>", "why": "there is nothing to mesh", "next": "give another volume"}
 NOTHING = {
@@ -187,7 +188,7 @@ def test_a_closeup_is_enlarged_where_the_mesh_is() -> None:
     np.testing.assert_array_equal(after[1030:], before[1030:])
     pixels[:1030] = (200, 100, 50, 255)
     np.testing.assert_array_equal(np.asarray(filled(Image.fromarray(pixels))), pixels)
-    assert round(_MESH_SHARE * pictures._WINDOW[1]) == pictures._WINDOW[1] - pictures._BAR
+    assert round(MESH_SHARE * pictures._WINDOW[1]) == pictures._WINDOW[1] - pictures._BAR
 
 
 def test_a_case_that_failed_at_the_first_stage_has_a_page(tmp_path: Path) -> None:
@@ -233,7 +234,7 @@ def test_nothing_of_an_earlier_run_is_shown(case: Path, tmp_path: Path) -> None:
 
 def verdict(folder: Path, **changes: object) -> tuple[str, str]:
     case = read_case(write_status(folder, "x", **changes))
-    return case.kind, case.headline
+    return case.kind, render("headline", case=case).unescape()
 
 
 def test_headlines(tmp_path: Path) -> None:
@@ -447,7 +448,7 @@ def test_what_nobody_foresaw_does_not_look_like_a_failed_check(
         raise ZeroDivisionError("nobody foresaw")
 
     monkeypatch.setattr(program, "page", broken)
-    monkeypatch.setattr(index, "index", broken)
+    monkeypatch.setattr(index, "summary", broken)
     monkeypatch.setattr(cli, "_run", broken)
     status = str(case / "a&b.status.json")
     for main, words in (
@@ -468,43 +469,44 @@ def test_charts() -> None:
     assert [number(v) for v in (0.123456, 12345, 1234567.8, 2.0, 999.7, -999.7, 999.4, float("nan"))] == [
         "0.123", "12\u202f345", "1\u202f234\u202f568", "2", "1\u202f000", "-1\u202f000", "999", "-",
     ]  # fmt: skip
-    axis = Axis("Things", "size, mm", "things")
-    drawn = histogram([0.0, 0.5, 1.0], [1, 100], axis, {"mean": 0.7, "minimum": 0.1}, Limit(0.25))
+    charts = environment().get_template("charts.html").module
+    words = ("Things", "size, mm", "things")
+    summary = {
+        "histogram": {"edges": [0.0, 0.5, 1.0], "counts": [1, 100]},
+        "count": 101, "infinite": 0, "mean": 0.7, "min": 0.1,
+    }  # fmt: skip
+    drawn = charts.histogram(summary, *words, "minimum", 0.25)
     bars = re.search(r'<g class="bars">(.*?)</g>', drawn)
     assert bars is not None
     heights = [float(h) for h in re.findall(r'height="([0-9.]+)"', bars.group(1))]
     # the logarithmic axis starts at 0.5, so that a count of 1 is visible next to a count of 100
     assert heights[0] / heights[1] == pytest.approx(np.log10(2.0) / np.log10(200.0), rel=1e-3)
     assert "mean 0.7, minimum 0.1, limit 0.25: below it the check fails; 101 counted" in drawn
-    for words in ("mean 0.7", "minimum 0.1", "limit 0.25: below it the check fails", "size, mm", "things, in powers"):
-        assert f">{words}" in drawn
+    for said in ("mean 0.7", "minimum 0.1", "limit 0.25: below it the check fails", "size, mm", "things, in powers"):
+        assert f">{said}" in drawn
     fails = re.search(r'<rect class="fails" x="([0-9.]+)" y="[0-9.]+" width="([0-9.]+)"', drawn)
     line = re.search(r'<line class="limit" x1="([0-9.]+)"', drawn)
     assert fails is not None
     assert line is not None
     assert float(fails.group(1)) + float(fails.group(2)) == pytest.approx(float(line.group(1)), abs=0.2)
-    above = histogram([0.0, 0.5, 1.0], [1, 3], axis, {"maximum": 3.0}, Limit(0.75, above=True), beyond=4)
-    assert "above it the check fails; 4 beyond; 8 counted" in above
     summary = summarize(np.array([0.5, 1.5, 2.5, 9.0, np.inf]), np.linspace(0.0, 3.0, 4))
-    words = ("Things", "size, mm", "things")
-    assert "1 beyond; 4 counted" in sections.chart(summary, *words, "maximum")
+    assert "maximum 9; 1 beyond; 4 counted" in charts.histogram(summary, *words, "maximum")
     jacobian = summarize(np.array([0.5, 0.7]), np.linspace(-1.0, 1.0, 21))
-    assert ">-0.5<" not in sections.chart(jacobian, *words, "minimum")
-    flat = curve([1.0, 2.0], [5.0, 5.0], "Flat", "x", "y")
+    assert ">-0.5<" not in charts.histogram(jacobian, *words, "minimum")
+    flat = charts.curve([5.0, 5.0], "Flat", "y")
     assert "nan" not in flat
     assert "from 5 to 5 after 2" in flat
 
 
 def test_histograms_have_the_limits_of_the_checks(case: Path) -> None:
     whole = read_case(case / "a&b.status.json")
-    drawn = program.quality(whole)
+    drawn = render("quality", case=whole)
     limits = {check["name"]: check["limit"] for check in whole.checks}
     for name in ("min_dihedral", "min_scaled_jacobian"):
         assert f"limit {number(limits[name])}: below it the check fails" in drawn
     report = {"results": {"check": {"min_radius_ratio_allowed": 0.3}}}
     stages = [
-        *(stage for stage in whole.stages if stage.name != "reconstruct"),
-        type(whole.stages[0])("reconstruct", "done", report=report),
+        {**stage, "report": report if stage["stage"] == "reconstruct" else stage["report"]} for stage in whole.stages
     ]
-    again = Case(whole.name, whole.goal, whole.verdict, "", whole.folder, stages=stages)
-    assert "limit 0.3: below it the check fails" in program.quality(again)
+    again = replace(whole, stages=stages)
+    assert "limit 0.3: below it the check fails" in render("quality", case=again)

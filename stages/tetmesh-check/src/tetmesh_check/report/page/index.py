@@ -9,19 +9,31 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
-from tetmesh_check.context import guarded
-from tetmesh_check.errors import ExitCode, InterruptedRunError, StageError
-from tetmesh_check.files import refuse_existing, write_text
+from tetmesh_check.errors import InterruptedRunError, StageError
 from tetmesh_check.parsing import program_parser
-from tetmesh_check.report.page.case import STAGES, Case, count_of, dig, read_case
-from tetmesh_check.report.page.html import picture_data
-from tetmesh_check.report.page.program import document
+from tetmesh_check.report.page.case import Case, dig, read_case
+from tetmesh_check.report.page.program import write_page
 from tetmesh_check.report.page.templates import render
 
 TOOL = "tetmesh-check-index"
-_THUMBNAIL_WIDTH = 320
+_MEASURES = {
+    "surface_vertices": ("reconstruct", "check", "vertices"),
+    "surface_triangles": ("reconstruct", "check", "triangles"),
+    "triangle_radius_ratio_min": ("reconstruct", "check", "quality", "radius_ratio_min"),
+    "triangle_radius_ratio_mean": ("reconstruct", "check", "quality", "radius_ratio_mean"),
+    "tetrahedralizer": ("tetmesh-check", "tetrahedralizer", "method"),
+    "tetrahedra": ("tetmesh-check", "volume", "tetrahedra"),
+    "radius_ratio_min": ("tetmesh-check", "volume", "quality", "radius_ratio", "min"),
+    "radius_ratio_mean": ("tetmesh-check", "volume", "quality", "radius_ratio", "mean"),
+    "min_dihedral": ("tetmesh-check", "volume", "quality", "min_dihedral", "min"),
+    "max_dihedral": ("tetmesh-check", "volume", "quality", "max_dihedral", "max"),
+    "volume_mm3": ("tetmesh-check", "volume", "volume_mm3"),
+    "poisson_cg_multigrid": ("tetmesh-check", "solve", "poisson", "multigrid", "iterations"),
+    "conduction_cg_multigrid": ("tetmesh-check", "solve", "conduction", "multigrid", "iterations"),
+    "elasticity_cg_multigrid": ("tetmesh-check", "solve", "elasticity", "multigrid", "iterations"),
+}
+"""Columns from reports: stage, and keys of its results."""
 
 
 def summary(case: Case) -> dict[str, Any]:
@@ -32,39 +44,20 @@ def summary(case: Case) -> dict[str, Any]:
     case
         The case.
     """
-    results = case.results
-    stopped = case.broken
-    line: dict[str, Any] = {
+    line = {
         "name": case.name,
         "verdict": case.verdict,
-        "headline": case.headline,
+        "headline": render("headline", case=case).unescape(),
         "goal": case.goal,
-        "stage": stopped.name if stopped else None,
-        "input": str(case.input) if case.input else None,
+        "stage": dig(case.broken, "stage"),
+        "input": case.input,
         "checks": len(case.checks),
         "checks_failed": len(case.failures),
         "warnings": len(case.warnings),
     }
-    check = dig(case.reports, "reconstruct", "results", "check")
-    volume = results.get("volume")
-    line.update(
-        surface_vertices=dig(check, "vertices"),
-        surface_triangles=dig(check, "triangles"),
-        triangle_radius_ratio_min=dig(check, "quality", "radius_ratio_min"),
-        triangle_radius_ratio_mean=dig(check, "quality", "radius_ratio_mean"),
-        tetrahedralizer=dig(results, "tetrahedralizer", "method"),
-        tetrahedra=dig(volume, "tetrahedra"),
-        radius_ratio_min=dig(volume, "quality", "radius_ratio", "min"),
-        radius_ratio_mean=dig(volume, "quality", "radius_ratio", "mean"),
-        min_dihedral=dig(volume, "quality", "min_dihedral", "min"),
-        max_dihedral=dig(volume, "quality", "max_dihedral", "max"),
-        volume_mm3=dig(volume, "volume_mm3"),
-    )
-    for problem in ("poisson", "conduction", "elasticity"):
-        line[f"{problem}_cg_multigrid"] = dig(results, "solve", problem, "multigrid", "iterations")
-    line.update({f"{stage.name}_seconds": stage.seconds for stage in case.stages})
-    line.update(seconds=case.seconds, peak_memory_bytes=int(case.peak_memory))
-    return line
+    line |= {name: dig(case.reports, stage, "results", *keys) for name, (stage, *keys) in _MEASURES.items()}
+    line |= {f"{stage['stage']}_seconds": stage["seconds"] for stage in case.stages}
+    return line | {"seconds": case.seconds, "peak_memory_bytes": case.peak_memory}
 
 
 def as_csv(lines: Sequence[dict[str, Any]]) -> str:
@@ -81,68 +74,6 @@ def as_csv(lines: Sequence[dict[str, Any]]) -> str:
     writer.writeheader()
     writer.writerows(lines)
     return stream.getvalue()
-
-
-_TAGS = {
-    "passed": "fit", "warning": "fit", "failed": "not fit", "error": "no mesh", "interrupted": "interrupted", "running": "running",
-}  # fmt: skip
-
-
-def _tag(case: Case) -> str:
-    """The verdict in a word or two."""
-    words = _TAGS.get(case.verdict, "no mesh")
-    if case.goal not in ("mesh", STAGES[-1]):
-        words = {"fit": "made", "not fit": "not valid", "no mesh": "not made"}.get(words, words)
-    if case.accepted:
-        words += " but for accepted elements"
-    if case.verdict in ("passed", "warning") and case.warnings:
-        words += f", {count_of(len(case.warnings), 'warning')}"
-    if case.verdict == "error" and case.broken:
-        words += f": {case.broken.name}"
-    return words
-
-
-def _row(case: Case, output: Path) -> dict[str, Any]:
-    there = case.page is not None and case.page.is_file()
-    picture = case.pictures.get("surface")
-    return {
-        "case": case,
-        "line": summary(case),
-        "tag": _tag(case),
-        "link": quote(Path(os.path.relpath(case.page, output.parent)).as_posix()) if case.page and there else "",
-        "picture": picture and picture_data(picture, _THUMBNAIL_WIDTH),
-    }
-
-
-def _verdict(cases: Sequence[Case]) -> tuple[str, str]:
-    """Class and words of the verdict over all cases."""
-    unfit = sum(case.kind == "fail" for case in cases)
-    warned = sum(len(case.warnings) for case in cases)
-    open_ends = sum(case.verdict in ("interrupted", "running") for case in cases)
-    total = count_of(len(cases), "case")
-    if unfit:
-        return "fail", f"Not fit: {unfit} of {total}"
-    if open_ends:
-        return "warning", f"Not finished: {open_ends} of {total}"
-    if warned:
-        return "warning", f"{total}, none failed, {count_of(warned, 'warning')}"
-    return "pass", f"{total}, none failed, no warnings"
-
-
-def index(cases: Sequence[Case], output: Path) -> str:
-    """Write the page.
-
-    Parameters
-    ----------
-    cases
-        The cases to list, each with the path of its page.
-    output
-        Path of the page, which links to the pages of the cases.
-    """
-    kind, verdict = _verdict(cases)
-    rows = [_row(case, output) for case in cases]
-    body = render("index", kind=kind, verdict=verdict, rows=rows, csv=output.with_suffix(".csv").name)
-    return document("Cases of isoparticles", body)
 
 
 def read_cases(statuses: Sequence[Path]) -> list[Case]:
@@ -199,17 +130,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--force", action="store_true", help="replace page and CSV if they exist already")
     parsed = parser.parse_args(argv)
-    output: Path = parsed.output
 
-    def work() -> int:
-        if output.suffix != ".html":
-            raise StageError(f"{output}: does not end in .html", "the page is an HTML file", "name it index.html")
-        refuse_existing([output, output.with_suffix(".csv")], parsed.force)
+    def make(folder: Path) -> dict[str, str]:
         cases = read_cases(parsed.statuses)
-        page = index(cases, Path(os.path.realpath(output)))
-        lines = as_csv([summary(case) for case in cases])
-        write_text(output.with_suffix(".csv"), lines)
-        write_text(output, page)
-        return ExitCode.OK
+        lines = [summary(case) for case in cases]
+        rows = list(zip(cases, lines, strict=True))
+        name = parsed.output.with_suffix(".csv").name
+        return {".csv": as_csv(lines), ".html": render("index", rows=rows, folder=folder, csv=name)}
 
-    return guarded(TOOL, work)
+    return write_page(TOOL, parsed, "index.html", (".csv", ".html"), make)

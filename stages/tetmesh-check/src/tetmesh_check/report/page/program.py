@@ -3,124 +3,80 @@
 from __future__ import annotations
 
 import os
+from argparse import Namespace
 from collections.abc import Callable, Sequence
-from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyvista as pv
 from jinja2 import UndefinedError
 from markupsafe import Markup
 
-from tetmesh_check import __version__
 from tetmesh_check.context import guarded
 from tetmesh_check.errors import ExitCode, InterruptedRunError, StageError
 from tetmesh_check.files import refuse_existing, write_text
 from tetmesh_check.parsing import program_parser
 from tetmesh_check.polydata import from_polydata
-from tetmesh_check.report.page import places, sections
 from tetmesh_check.report.page.case import Case, dig, read_case
-from tetmesh_check.report.page.html import contents
-from tetmesh_check.report.page.key import Entry, key_of
+from tetmesh_check.report.page.key import key_of
 from tetmesh_check.report.page.scan import Scan, read_scan
 from tetmesh_check.report.page.slices import facts, slices
 from tetmesh_check.report.page.templates import render
 from tetmesh_check.report.page.view3d import is_anatomical, view, view_meshes
 from tetmesh_check.surface import read_dataset
-from tetmesh_check.volume_table import COLUMNS
 
 TOOL = "tetmesh-check-page"
-_MANY = 24
-"""Rows of a table of materials that are visible at once."""
+_SECTIONS = {
+    "trouble": "what went wrong",
+    "checks": "checks",
+    "places": "places",
+    "volumes": "volumes",
+    "anatomy": "the mesh in the volume",
+    "space": "in three dimensions",
+    "pictures": "pictures",
+    "materials": "materials",
+    "quality": "quality",
+    "solve": "solve",
+    "particles": "particles",
+    "stages": "stages",
+    "files": "files",
+    "provenance": "how this was made",
+    "methods": "methods",
+}
+"""Templates of the sections, in order, and what a section is called if its data are missing."""
 _OTHER_VERSION = (KeyError, IndexError, TypeError, ValueError, UndefinedError)
 """Errors that reports of another version cause."""
 
 
-def document(title: str, body: str, scripts: Sequence[str] = ()) -> str:
-    """Write a page that needs no other files.
-
-    Parameters
-    ----------
-    title
-        Of the window.
-    body
-        HTML.
-    scripts
-        Names of files of JavaScript beside this one.
-    """
-
-    def text(name: str) -> Markup:
-        return Markup(files("tetmesh_check.report.page").joinpath(name).read_text(encoding="utf-8"))
-
-    code = [text(name) for name in scripts]
-    return render("document", title=title, body=Markup(body), style=text("page.css"), scripts=code, version=__version__)
-
-
-def _is_labels(case: Case) -> bool:
-    """Whether the volume holds labels, by what was done with it, or was to be."""
-    if dig(case.reports, "distfield", "parameters", "materials"):
-        return True
-    source = dig(case.reports, "distfield", "results", "meta", "source")
-    return bool(source == "labels") if source else not {"LABELS", "MATERIALS"}.isdisjoint(case.parameters)
-
-
-def scan_of(case: Case) -> Scan | StageError | None:
-    """Read the input volume of a case; the error where it cannot be read.
-
-    Parameters
-    ----------
-    case
-        The case.
-    """
+def _scan_of(case: Case) -> Scan | StageError | None:
+    """Read the input volume; return the error where it cannot be read."""
     if case.input is None:
         return None
+    source = dig(case.reports, "distfield", "results", "meta", "source")
+    asked = dig(case.reports, "distfield", "parameters", "materials")
+    labels = asked or (source == "labels" if source else {"LABELS", "MATERIALS"} & set(case.parameters))
     try:
-        return read_scan(case.input, _is_labels(case), dig(case.reports, "distfield", "parameters", "series"))
+        return read_scan(case.input, bool(labels), dig(case.reports, "distfield", "parameters", "series"))
     except InterruptedRunError:
         raise
     except StageError as error:
         return error
+
+
+def _surface_of(case: Case) -> pv.PolyData | None:
+    """Read the surface; ``None`` also for one that cannot be shown."""
+    surface = read_dataset(case.surface) if case.surface else None
+    if isinstance(surface, pv.PolyData) and surface.n_cells and np.isfinite(surface.points).all():
+        return surface
+    return None
+
+
+def _section(template: str, shown: dict[str, Any]) -> str:
+    try:
+        return render(template, **shown)
     except _OTHER_VERSION as error:
-        return StageError(
-            f"{type(error).__name__} {error}", "the page shows its slices", "run make for this case again"
-        )
-
-
-def anatomy(case: Case, scan: Scan | StageError | None, surface: pv.PolyData | None, key: list[Entry]) -> str:
-    """Write facts and slices of the input, or why it cannot be shown.
-
-    Parameters
-    ----------
-    case
-        The case.
-    scan
-        The volume, as :func:`scan_of` gives it.
-    surface
-        The triangles as read.
-    key
-        Names and colours of the labels.
-    """
-    if scan is None or case.input is None:
-        return ""
-    if isinstance(scan, StageError):
-        return render("unreadable", error=scan)
-    mesh = None if surface is None else from_polydata(surface)
-    return facts(scan, case.input.name, key) + "\n" + slices(scan, mesh, key)
-
-
-def _only_if_it_can_be_read(path: Path | None) -> pv.PolyData | None:
-    """The surface, unless there is none or an empty one."""
-    if path is None:
-        return None
-    surface = read_dataset(path)
-    if not isinstance(surface, pv.PolyData) or surface.n_cells == 0 or not np.isfinite(surface.points).all():
-        return None
-    return surface
-
-
-def quality(case: Case) -> str:
-    """Write histograms and percentiles of quality."""
-    return render("quality", case=case, chart=sections.chart, chart_of_counts=sections.chart_of_counts)
+        return render("left_out", name=_SECTIONS[template], why=f"{type(error).__name__} {error}")
 
 
 def page(case: Case, folder: Path) -> str:
@@ -133,45 +89,61 @@ def page(case: Case, folder: Path) -> str:
     folder
         Path of the page; links are relative to it.
     """
-    surface = _only_if_it_can_be_read(case.surface)
-    scan = scan_of(case)
-    by_scan = isinstance(scan, Scan) and scan.anatomical
-    anatomical = by_scan if surface is None else is_anatomical(surface)
-    try:
-        key = key_of(case, scan if isinstance(scan, Scan) else None, surface)
-    except _OTHER_VERSION:
-        key = []
-    found = list(places.found_in(case))
-    many = {"case": case, "key": key, "many": _MANY}
-    shown = {"found": found, "anatomical": anatomical, "place_of": places.place_of}
-    writers: dict[str, Callable[[], str]] = {
-        "what went wrong": lambda: render("trouble", case=case),
-        "checks": lambda: render("checks", rows=sections.check_rows(case), places=found),
-        "places": lambda: render("places", shown=places.SHOWN, limit=places.LISTED, **shown),
-        "volumes": lambda: render("volumes", columns=COLUMNS, **many),
-        "the mesh in the volume": lambda: anatomy(case, scan, surface, key),
-        "in three dimensions": lambda: view(view_meshes(surface, case.volume, key), anatomical, key),
-        "pictures": lambda: render("pictures", case=case, key=key, pictures=sections.pictures(case)),
-        "materials": lambda: render("materials", regions=sections.region_rows(case), **many),
-        "quality": lambda: quality(case),
-        "solve": lambda: render("solve", case=case),
-        "particles": lambda: render("particles", case=case, curve_of=sections.curve_of),
-        "stages": lambda: render("stages", case=case),
-        "files": lambda: render("files", rows=list(sections.file_rows(case, folder))),
-        "how this was made": lambda: render("provenance", case=case),
-        "methods": lambda: render("methods", case=case),
+    surface = _surface_of(case)
+    found = _scan_of(case)
+    scan = found if isinstance(found, Scan) else None
+    key = key_of(case, scan, surface)
+    anatomical = bool(scan and scan.anatomical) if surface is None else is_anatomical(surface)
+    shown = {
+        "case": case,
+        "folder": folder,
+        "key": key,
+        "anatomical": anatomical,
+        "scan": scan,
+        "unreadable": found if isinstance(found, StageError) else None,
+        "facts": facts,
+        "slices": slices,
+        "mesh": None if surface is None else from_polydata(surface),
+        "view": lambda: view(view_meshes(surface, case.volume, key), anatomical, key),
     }
-    parts = []
-    for name, write in writers.items():
-        try:
-            parts.append(write())
-        except _OTHER_VERSION as error:
-            parts.append(render("left_out", name=name, why=f"{type(error).__name__} {error}"))
-    body = "\n".join(part for part in parts if part)
-    scripts = [
-        name for mark, name in (("slices-data", "slices.js"), ("view-data", "view.js")) if f'id="{mark}"' in body
-    ]
-    return document(f"{case.name}: {case.contents}", f"{render('head', case=case)}\n{contents(body)}\n{body}", scripts)
+    parts = [_section(template, shown) for template in _SECTIONS]
+    return render("page", case=case, body=Markup("\n").join(part for part in parts if part))
+
+
+def write_page(
+    tool: str, parsed: Namespace, usual: str, endings: Sequence[str], make: Callable[[Path], dict[str, str]]
+) -> int:
+    """Write a page and files beside it, as the command line says.
+
+    Parameters
+    ----------
+    tool
+        Name of the program.
+    parsed
+        The arguments, with ``output`` and ``force``.
+    usual
+        The usual name of the page.
+    endings
+        Endings of the files.
+    make
+        Returns the texts by ending; its argument is the folder of the page.
+
+    Returns
+    -------
+    int
+        The exit code.
+    """
+
+    def work() -> int:
+        output: Path = parsed.output
+        if output.suffix != ".html":
+            raise StageError(f"{output}: does not end in .html", "the page is an HTML file", f"name it {usual}")
+        refuse_existing([output.with_suffix(ending) for ending in endings], parsed.force)
+        for ending, text in make(Path(os.path.realpath(output.parent))).items():
+            write_text(output.with_suffix(ending), text)
+        return ExitCode.OK
+
+    return guarded(tool, work)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -195,14 +167,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--force", action="store_true", help="replace the page if it exists already")
     parsed = parser.parse_args(argv)
 
-    def work() -> int:
-        if parsed.output.suffix != ".html":
-            raise StageError(
-                f"{parsed.output}: does not end in .html", "the page is an HTML file", "name it NAME.report.html"
-            )
-        refuse_existing([parsed.output], parsed.force)
-        folder = Path(os.path.realpath(parsed.output.parent))
-        write_text(parsed.output, page(read_case(Path(os.path.realpath(parsed.status))), folder))
-        return ExitCode.OK
+    def make(folder: Path) -> dict[str, str]:
+        return {".html": page(read_case(Path(os.path.realpath(parsed.status))), folder)}
 
-    return guarded(TOOL, work)
+    return write_page(TOOL, parsed, "NAME.report.html", (".html",), make)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from tetmesh_check.quality import Cells, Points
-from tetmesh_check.report.page.html import image_data
+from tetmesh_check.report.page.images import image_data
 from tetmesh_check.report.page.key import Colour, Entry
 from tetmesh_check.report.page.scan import Scan
 from tetmesh_check.report.page.templates import render

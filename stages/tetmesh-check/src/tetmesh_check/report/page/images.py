@@ -1,11 +1,9 @@
-"""Pieces of HTML, and numbers for people, that several parts of the pages share."""
+"""Pictures as data addresses, so that a page needs no other files."""
 
 from __future__ import annotations
 
 import base64
 import io
-import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,70 +14,14 @@ from tetmesh_check.errors import StageError
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-_PICTURE_WIDTH = 1400
-_MESH_SHARE = 1030 / 1200
+MESH_SHARE = 1030 / 1200
 """Share of the height of a picture above its colour bar, as in
 :mod:`tetmesh_check.report.pictures`."""
+_PICTURE_WIDTH = 1400
 _ZOOMS = (1.0, 0.85, 0.7, 0.6, 0.5)
 """Sizes of the part that :func:`filled` tries, over that of the picture."""
 _FULL = 0.9
 """Share of a part that the mesh must cover for :func:`filled` to stop there."""
-
-
-def anchor(title: str) -> str:
-    """Return the identifier of the section with a title."""
-    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
-
-
-def contents(body: str) -> str:
-    """Write the table of contents of a page.
-
-    Parameters
-    ----------
-    body
-        The parts, as :func:`section` writes them.
-    """
-    titles = re.findall(r'<section id="([^"]+)"><h2>(.*?)</h2>', body)
-    items = "".join(f'<li><a href="#{place}">{title}</a></li>' for place, title in titles)
-    return f'<nav aria-label="Contents"><ul>{items}</ul></nav>' if len(titles) > 1 else ""
-
-
-def duration(seconds: float) -> str:
-    """Write a time for people.
-
-    Parameters
-    ----------
-    seconds
-        The time, s.
-    """
-    if seconds >= 90:
-        return f"{seconds / 60:.1f} min"
-    return f"{seconds:.1f} s" if seconds >= 1 else f"{1000 * seconds:.0f} ms"
-
-
-def memory(size: float) -> str:
-    """Write an amount of memory for people.
-
-    Parameters
-    ----------
-    size
-        In bytes.
-    """
-    return f"{size / 2**30:.1f} GiB" if size >= 2**30 else f"{size / 2**20:.0f} MiB"
-
-
-def amount(size: float) -> str:
-    """Write the size of a file for people.
-
-    Parameters
-    ----------
-    size
-        In bytes.
-    """
-    for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if size >= scale:
-            return f"{size / scale:.3g} {unit}"
-    return f"{size:.0f} bytes"
 
 
 def image_data(image: Image, lossless: bool = False) -> str:
@@ -107,7 +49,7 @@ def filled(image: Image) -> Image:
     """
     from PIL import Image as Images
 
-    width, height = image.width, round(_MESH_SHARE * image.height)
+    width, height = image.width, round(MESH_SHARE * image.height)
     cover = np.zeros((height + 1, width + 1))
     cover[1:, 1:] = (np.asarray(image)[:height, :, 3] > 0).cumsum(axis=0).cumsum(axis=1)
     best, box = -1.0, (0, 0, width, height)
@@ -131,30 +73,18 @@ def filled(image: Image) -> Image:
     return whole
 
 
-def without_strip(image: Image) -> Image:
-    """Return a picture without the names below the mesh, which the page writes as text.
-
-    Parameters
-    ----------
-    image
-        A picture.
-    """
-    return image.crop((0, 0, image.width, round(_MESH_SHARE * image.height)))
-
-
-def picture_data(
-    path: Path, width: int = _PICTURE_WIDTH, change: Callable[[Image], Image] | None = None
-) -> tuple[str, int, int]:
+def picture_data(path: Path, kind: str = "", width: int = _PICTURE_WIDTH) -> tuple[str, int, int]:
     """Turn a picture into a data address for the page; with its width and height, pixels.
 
     Parameters
     ----------
     path
         A picture; what is transparent in it stays so.
+    kind
+        A ``closeup`` is enlarged where the mesh is. ``regions`` lose the names below the mesh,
+        which the page writes as text.
     width
         Wider ones are made smaller.
-    change
-        Applied to the picture first.
     """
     from PIL import Image
 
@@ -163,8 +93,10 @@ def picture_data(
             image = opened.convert("RGBA")
     except OSError as error:
         raise StageError.file(path, "read", error, "draw the pictures again (tetmesh-check --pictures)") from error
-    if change is not None:
-        image = change(image)
+    if kind == "closeup":
+        image = filled(image)
+    elif kind == "regions":
+        image = image.crop((0, 0, image.width, round(MESH_SHARE * image.height)))
     if image.width > width:
         image = image.resize((width, round(image.height * width / image.width)), Image.Resampling.LANCZOS)
     return image_data(image), image.width, image.height
