@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from isoparticles import _native
@@ -16,8 +16,6 @@ from tetmesh_check.quality import Cells, Points, TriangleQuality, summarize_all,
 from tetmesh_check.shells import Shells
 from tetmesh_check.surface import Surface
 from tetmesh_check.topology import members_of
-
-_ADVICE = "use a surface from reconstruct, or repair this surface first"
 
 
 @dataclass(frozen=True)
@@ -50,14 +48,7 @@ def _compact(surface: Surface) -> Surface:
     used, local = np.unique(surface.triangles, return_inverse=True)
     if len(used) == len(surface.points):
         return surface
-    return Surface(
-        surface.points[used],
-        local.reshape(-1, 3).astype(np.int64),
-        surface.history,
-        surface.merged_points,
-        surface.cap,
-        surface.sides,
-    )
+    return replace(surface, points=surface.points[used], triangles=local.reshape(-1, 3).astype(np.int64))
 
 
 def check_complex(path: Path, surface: Surface) -> Complex:
@@ -81,43 +72,42 @@ def check_complex(path: Path, surface: Surface) -> Complex:
     surface = _compact(surface)
     points, triangles = surface.points, surface.triangles
     found = _native.check_complex(points, triangles, sides.inside, sides.outside, len(sides.table))
-    flat, twice = found["flat"], found["duplicates"]
-    wrong, crossing = found["open_edges"], found["crossing"]
-    if len(flat):
+    flat, twice, wrong, crossing = found["flat"], found["duplicates"], found["open_edges"], found["crossing"]
+
+    def refuse(what: str, why: str, remedy: str = "") -> NoReturn:
         raise StageError(
-            f"{path}: {len(flat)} triangles have no area, the first near {place_of(points, triangles[flat[0]])}",
+            f"{path}: {what}", why, f"{remedy}use a surface from reconstruct, or repair this surface first"
+        )
+
+    if len(flat):
+        refuse(
+            f"{len(flat)} triangles have no area, the first near {place_of(points, triangles[flat[0]])}",
             "no tetrahedron with a positive volume can have such a face",
-            _ADVICE,
         )
     if len(twice):
-        raise StageError(
-            f"{path}: {len(twice)} triangles occur more than once, the first near "
-            f"{place_of(points, triangles[twice[0]])}",
+        refuse(
+            f"{len(twice)} triangles occur more than once, the first near {place_of(points, triangles[twice[0]])}",
             "the space between two equal triangles is empty",
-            _ADVICE,
         )
     if wrong:
         words = ", ".join(f"{sides.names[number]} {count}" for number, count in sorted(wrong.items()))
-        raise StageError(
-            f"{path}: the surfaces of {len(wrong)} materials are open or inconsistently oriented; number of such "
-            f"edges: {words}",
+        refuse(
+            f"the surfaces of {len(wrong)} materials are open or inconsistently oriented; number of such edges: {words}",
             "such a material has no inside, so there is no volume to fill",
-            _ADVICE,
         )
     if found["shells"] is None:
-        raise StageError(
-            f"{path}: intersects itself: {len(np.unique(crossing))} triangles in {len(crossing)} pairs, the first near "
+        refuse(
+            f"intersects itself: {len(np.unique(crossing))} triangles in {len(crossing)} pairs, the first near "
             f"{place_of(points, triangles[crossing[0, 0]])}",
             "points there would belong to two materials",
-            _ADVICE,
         )
     shells = Shells(**found["shells"])
     if shells.mixed or shells.inside_out or (shells.of_inside < 0).any():
-        raise StageError(
-            f"{path}: is inside out: {shells.mixed} wedges between neighbouring triangles lie in two materials, "
+        refuse(
+            f"is inside out: {shells.mixed} wedges between neighbouring triangles lie in two materials, "
             f"{shells.inside_out} closed surfaces enclose nothing",
             "each triangle must be counter-clockwise as seen from the material of the lower number",
-            "reverse the winding of these triangles; " + _ADVICE,
+            "reverse the winding of these triangles; ",
         )
     return Complex(surface, sides, shells, triangle_quality(points, triangles))
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pyvista as pv
@@ -24,7 +24,6 @@ INSIDE, OUTSIDE = "material_inside", "material_outside"
 """Cell arrays of a surface of many materials."""
 NOTHING = 0
 """Number of the material outside of all others."""
-_ADVICE = "give the surface that reconstruct wrote for many materials"
 
 
 @dataclass(frozen=True)
@@ -75,17 +74,6 @@ class Sides:
         return Sides(self.inside[kept], self.outside[kept], self.table)
 
 
-def _whole(path: Path, surface: pv.PolyData, name: str) -> Labels:
-    values = np.asarray(surface.cell_data[name])
-    if values.ndim != 1 or not np.issubdtype(values.dtype, np.integer) or (values < 0).any():
-        raise StageError(
-            f"{path}: the cell array '{name}' is not one whole number from 0 a triangle",
-            "it is the number of a material",
-            _ADVICE,
-        )
-    return values.astype(np.int64)
-
-
 def read_sides(path: Path, surface: pv.PolyData) -> Sides | None:
     """Find the materials of a surface; ``None`` where it is that of one object.
 
@@ -102,39 +90,40 @@ def read_sides(path: Path, surface: pv.PolyData) -> Sides | None:
         If the arrays or the table of materials (field data ``meta``, ``materials``) are incomplete
         or do not fit together.
     """
+
+    def refuse(what: str, why: str) -> NoReturn:
+        raise StageError(f"{path}: {what}", why, "give the surface that reconstruct wrote for many materials")
+
     there = [name for name in (INSIDE, OUTSIDE) if name in surface.cell_data]
     if not there:
         return None
     if len(there) == 1:
-        raise StageError(
-            f"{path}: has the cell array '{there[0]}' alone of '{INSIDE}' and '{OUTSIDE}'",
-            "a triangle lies between two materials",
-            _ADVICE,
-        )
-    inside, outside = (_whole(path, surface, name) for name in (INSIDE, OUTSIDE))
+        between = "a triangle lies between two materials"
+        refuse(f"has the cell array '{there[0]}' alone of '{INSIDE}' and '{OUTSIDE}'", between)
+    arrays = {name: np.asarray(surface.cell_data[name]) for name in there}
+    for name, values in arrays.items():
+        if values.ndim != 1 or not np.issubdtype(values.dtype, np.integer) or (values < 0).any():
+            whole = f"the cell array '{name}' is not one whole number from 0 a triangle"
+            refuse(whole, "it is the number of a material")
+    inside, outside = (values.astype(np.int64) for values in arrays.values())
+    meaning = "it says what the numbers of the materials stand for"
     try:
         table = json.loads(text_of(surface, "meta") or "{}")["materials"]
-        named = isinstance(table, list) and all(isinstance(entry["name"], str) for entry in table)
+        names = [entry["name"] for entry in table]
+        named = len(set(names)) == len(names) and all(isinstance(name, str) for name in names)
     except (ValueError, KeyError, TypeError):
         named = False
-    if not named or len({entry["name"] for entry in table}) < len(table):
-        raise StageError(
-            f"{path}: has no table of materials ('materials' of the text 'meta' in its field data), or two of one name",
-            "it says what the numbers of the materials stand for",
-            _ADVICE,
-        )
+    if not named:
+        missing = "has no table of materials ('materials' of the text 'meta' in its field data), or two of one name"
+        refuse(missing, meaning)
     if inside.max(initial=0) >= len(table):
-        raise StageError(
-            f"{path}: has a triangle of material {int(inside.max())}; the table knows 0 to {len(table) - 1}",
-            "it says what the numbers of the materials stand for",
-            _ADVICE,
-        )
+        known = f"has a triangle of material {int(inside.max())}; the table knows 0 to {len(table) - 1}"
+        refuse(known, meaning)
     wrong = np.flatnonzero(inside <= outside)
     if len(wrong):
-        raise StageError(
-            f"{path}: the inside of {len(wrong)} triangles is not the higher of their two materials, "
+        refuse(
+            f"the inside of {len(wrong)} triangles is not the higher of their two materials, "
             f"the first is number {int(wrong[0])}",
             "which side of a triangle is which would be unclear",
-            _ADVICE,
         )
     return Sides(inside, outside, table)
