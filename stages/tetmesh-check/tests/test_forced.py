@@ -49,15 +49,15 @@ def test_forced_tetrahedra_fail_unless_accepted() -> None:
     assert not well_shaped(quality, Limits(min_dihedral=12.0))
     strict, accepting = (judged(dict.fromkeys(SHAPE, only), accept)["min_dihedral"] for accept in (False, True))
     assert strict.value == accepting.value == pytest.approx(quality.min_dihedral[0])
-    assert strict.as_dict()["verdict"] == "fail"
+    assert strict.verdict == "fail"
     assert "1 of them forced by triangles" in strict.words
     assert "SCALE" in strict.words
     assert "--accept-forced" in strict.words
-    assert accepting.as_dict()["verdict"] == "warning"
+    assert accepting.verdict == "warning"
     assert accepting.words.startswith("fit but for 1 accepted tetrahedron: the minimum dihedral angle is ")
     # a poor tetrahedron without a forcing triangle must fail even if forced ones are accepted
     for forced in ({}, dict.fromkeys(SHAPE, ~only)):
-        assert judged(forced, True)["min_dihedral"].as_dict()["verdict"] == "fail"
+        assert judged(forced, True)["min_dihedral"].verdict == "fail"
     # its position is listed
     assert "poor_tetrahedra" in judged({}, False)["min_dihedral"].words
     listed = poor_tetrahedra(points, tetrahedra, quality, Limits(min_dihedral=12.0))

@@ -44,13 +44,13 @@ def test_changes_refer_to_the_voxels_or_else_to_f() -> None:
 def test_a_changed_volume_of_the_surface_names_the_material() -> None:
     rows = [with_changes(row(name, 100.0, 100.0, mesh)) for name, mesh in (("head", 97.0), ("nose", 88.0))]
     (check,) = surface_volume_checks(rows, scaled=False)
-    assert check.doubtful
+    assert check.verdict == "warning"
     assert check.words == "surface against the voxels: the volume changes by -12 % in nose (limit 5 %)"
     (check,) = surface_volume_checks(rows[:1], scaled=False)
     assert check.passed
     assert check.words == "surface against the voxels: the volume changes by -3 % (limit 5 %)"
     (check,) = surface_volume_checks([with_changes(row("object", None, 100.0, 97.0))], scaled=True)
-    assert check.doubtful
+    assert check.verdict == "warning"
     assert check.words == "surface against F: the volume changes by -3 % (limit 2 %)"
     assert surface_volume_checks([], scaled=True) == []
 

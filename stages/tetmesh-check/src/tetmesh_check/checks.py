@@ -114,14 +114,11 @@ class Check:
     """Elements beyond the limit that pass because the user accepts them."""
 
     @property
-    def doubtful(self) -> bool:
-        """Whether it is worth a warning, and no failure."""
-        return self.accepted > 0 if self.passed else not self.required
-
-    def as_dict(self) -> dict[str, Any]:
-        """Write the check for the report, with ``verdict`` one of pass, warning, fail."""
-        verdict = "warning" if self.doubtful else "pass" if self.passed else "fail"
-        return {**asdict(self), "verdict": verdict}
+    def verdict(self) -> str:
+        """One of pass, warning and fail."""
+        if self.passed:
+            return "warning" if self.accepted else "pass"
+        return "fail" if self.required else "warning"
 
 
 def check(name: str, value: float, limit: float = 0, **told: Any) -> Check:
@@ -273,14 +270,9 @@ def object_checks(results: dict[str, Any], bodies: int, limits: Limits, max_dist
     boundary, wanted = volume["boundary_topology"], surface["topology"]["euler_characteristic"]
     euler, loose = boundary["euler_characteristic"], sum(boundary[key] for key in _NOT_MANIFOLD)
     before, after = surface["volume_mm3"], volume["volume_mm3"]
+    change, between = _change(before, after), f", from {plain(before)} mm^3 to {plain(after)} mm^3"
     checks = [
-        check(
-            "volume_change",
-            _change(before, after),
-            limits.max_volume_change,
-            told=percent(_change(before, after)),
-            between=f", from {plain(before)} mm^3 to {plain(after)} mm^3",
-        ),
+        check("volume_change", change, limits.max_volume_change, told=percent(change), between=between),
         check("bodies", volume["bodies"], bodies, told=counted(volume["bodies"], "separate body", "separate bodies")),
     ]
     for start, way in (("boundary", "boundary_to_surface"), ("surface", "surface_to_boundary")):
@@ -310,8 +302,8 @@ def complex_checks(volume: dict[str, Any], limits: Limits) -> list[Check]:
     regions = volume["regions"]
     changes = {entry["name"]: _change(entry["surface_volume_mm3"], entry["volume_mm3"]) for entry in regions}
     worst = max(changes, key=lambda name: abs(changes[name]))
-    told = percent(changes[worst])
-    told = told if told == "0 %" else f"at most {told} in {worst}"
+    change = percent(changes[worst])
+    told = change if change == "0 %" else f"at most {change} in {worst}"
     parts = [
         f"; {entry['name']} has {entry['parts']} instead of {entry['surface_parts']}"
         for entry in regions
@@ -321,10 +313,7 @@ def complex_checks(volume: dict[str, Any], limits: Limits) -> list[Check]:
     crowded, undecided = volume["crowded_faces"], volume["undecided_tetrahedra"]
     return [
         check(
-            "interfaces_kept",
-            missing + added,
-            missing=counted(missing, "triangle"),
-            added=counted(added, "other face"),
+            "interfaces_kept", missing + added, missing=counted(missing, "triangle"), added=counted(added, "other face")
         ),
         check(
             "conforming",
@@ -387,13 +376,13 @@ def conclude(checks: list[Check], quality: TetrahedronQuality, context: Context)
     list of str
         The required checks that failed, in words.
     """
-    context.results["checks"] = [check.as_dict() for check in checks]
+    context.results["checks"] = [{**asdict(check), "verdict": check.verdict} for check in checks]
     context.closing += [
         ("tetrahedra", f"{len(quality.volume):,}"),
         ("radius ratio", f"mean {quality.radius_ratio.mean():.3f}, minimum {quality.radius_ratio.min():.3f}"),
         ("dihedral angle", f"{quality.min_dihedral.min():.1f} to {quality.max_dihedral.max():.1f} degrees"),
     ]
     for check in checks:
-        if check.doubtful:
+        if check.verdict == "warning":
             context.warn(check.words)
-    return [check.words for check in checks if check.required and not check.passed]
+    return [check.words for check in checks if check.verdict == "fail"]
