@@ -4,32 +4,30 @@ from __future__ import annotations
 
 import errno
 import json
-import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 import pyvista as pv
-from conftest import Run, ball, tetrahedra
+from conftest import Run, ball, fake_library, tetrahedra
 
 from tetmesh_check import cli
 from tetmesh_check.errors import StageError
-from tetmesh_check.tets import fill, tetwild, worker
-from tetmesh_check.tets.tetwild import TetwildSettings
-from tetmesh_check.tets.worker import WorkerResult
+from tetmesh_check.tets import fill, tetwild
+from tetmesh_check.tets.worker import Job, Raw, Runner, Worker, scale_of
 
 
-def filled(scale: float, flatness: float) -> WorkerResult:
+def filled(scale: float, flatness: float) -> Raw:
     """Join the triangles of a scaled ball to one inner point; ``flatness`` moves it to the top."""
     sphere = ball()
     points = np.vstack([scale * sphere.points, [0.0, 0.0, flatness * scale * sphere.points[:, 2].max()]])
-    triangles = sphere.faces.reshape(-1, 4)[:, 1:]
+    triangles = sphere.faces.reshape(-1, 4)[:, :0:-1]
     cells = np.column_stack([triangles, np.full(len(triangles), len(points) - 1)])
-    return WorkerResult(points.astype(np.float64), cells.astype(np.int64), "", {"version": "0", "seconds": 0.0})
+    return Raw(points.astype(np.float64), cells.astype(np.int64), {"version": "0", "seconds": 0.0})
 
 
-def dented() -> WorkerResult:
+def dented() -> Raw:
     """Add a vertex just inside one triangle: one flat and three narrow tetrahedra."""
     good = filled(1.0, 0.0)
     a, b, c, middle = good.tetrahedra[0]
@@ -39,10 +37,10 @@ def dented() -> WorkerResult:
     cells = np.vstack(
         [good.tetrahedra[1:], [[a, b, c, new], [a, b, new, middle], [b, c, new, middle], [c, a, new, middle]]]
     )
-    return WorkerResult(points, cells, "", good.summary)
+    return Raw(points, cells, good.summary)
 
 
-Attempts = list[WorkerResult | StageError]
+Attempts = list[Raw | StageError]
 
 
 class Asked(NamedTuple):
@@ -53,7 +51,7 @@ class Asked(NamedTuple):
     stop_energies: list[float]
 
 
-def attempt(attempts: Attempts) -> WorkerResult:
+def attempt(attempts: Attempts) -> Raw:
     """Return the next result, or raise the next error."""
     result = attempts.pop(0)
     if isinstance(result, StageError):
@@ -67,21 +65,23 @@ def program(
     """Run the stage on a ball; return results, settings and points (none on failure)."""
     sphere = ball()
     sphere.save(folder / "ball.vtp")
-    asked: list[TetwildSettings] = []
+    asked: list[Job] = []
 
-    def by_tetwild(_surface: object, _background: object, settings: TetwildSettings, *_rest: object) -> WorkerResult:
-        asked.append(settings)
+    def run(runner: Runner, worker: Worker, job: Job) -> Raw:
+        runner.log.touch()
+        if worker is not tetwild.WORKER:
+            return attempt(hxt)
+        asked.append(job)
         return attempt(ftetwild)
 
-    monkeypatch.setattr(fill, "fill_by_hxt", lambda *_: attempt(hxt))
-    monkeypatch.setattr(fill, "fill_by_tetwild", by_tetwild)
+    monkeypatch.setattr(Runner, "run", run)
     monkeypatch.chdir(folder)
     options = ("-o", "ball.vtu", "--report", "r.json", "--solve", "no", "--max-volume-change", "20", *words)
     code = cli.main(["ball.vtp", *options])
     results = json.loads((folder / "r.json").read_text())["results"]
     points = np.empty((0, 3)) if code == 2 else tetrahedra(folder / "ball.vtu")[0]
-    envelopes = [settings.epsilon / asked[0].epsilon for settings in asked]
-    return results["tetrahedralizer"], Asked(envelopes, [settings.stop_energy for settings in asked]), points
+    envelopes = [job["epsilon"] / asked[0]["epsilon"] for job in asked]
+    return results["tetrahedralizer"], Asked(envelopes, [job["stop_energy"] for job in asked]), points
 
 
 FLAT = 0.9999
@@ -198,11 +198,15 @@ def test_a_full_folder_of_temporary_files_is_named(
     assert "ball.vtu" not in said
 
 
-def test_a_worker_without_room_for_its_result_blames_the_temporary_folder(tmp_path: Path) -> None:
-    log = tmp_path / "log"
-    log.write_text("No space left on device\n")
-    error = worker._how_it_ended(tetwild.WORKER, worker._NO_ROOM, log)
-    assert error.what.startswith(f"{tempfile.gettempdir()}: cannot hold temporary files: No space")
+def test_a_worker_without_room_for_its_result_blames_the_temporary_folder(
+    tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ball().save(tmp_path / "ball.vtp")
+    code = "def tetrahedralize(*_, **__): raise OSError(28, 'No space left on device')\n"
+    fake_library(tmp_path, monkeypatch, "pytetwild", code)
+    done = run("ball.vtp", "-o", "ball.vtu")
+    assert done.returncode == 2
+    assert f"{tmp_path}: cannot hold temporary files: No space left on device" in done.stderr
 
 
 @pytest.mark.parametrize("size", [1e-7, 1.0, 1e5])
@@ -219,8 +223,8 @@ def test_surfaces_of_any_size_are_filled_alike(tmp_path: Path, run: Run, size: f
 
 def test_the_scale_for_tetrahedralizers_is_exact_and_spares_usual_boxes() -> None:
     for diagonal in (1.0, 30.0, 1000.0):
-        assert worker.scale_of(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, diagonal]])) == 1.0
+        assert scale_of(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, diagonal]])) == 1.0
     for diagonal in (1e-9, 0.99, 1001.0, 1e9):
-        scale = worker.scale_of(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, diagonal]]))
+        scale = scale_of(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, diagonal]]))
         assert np.frexp(scale)[0] == 0.5
         assert 50.0 < scale * diagonal < 200.0

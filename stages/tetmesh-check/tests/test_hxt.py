@@ -14,6 +14,7 @@ from tetmesh_check.components import measure_components
 from tetmesh_check.quality import signed_tetrahedron_volumes, tetrahedron_quality
 from tetmesh_check.surface import history_of, read_surface
 from tetmesh_check.tets import fill
+from tetmesh_check.tets.hxt import write_structured_field
 from tetmesh_check.topology import changed_triangles, tetrahedron_boundary
 
 MISSING = "raise ImportError('libGLU.so.1: cannot open shared object file')\n"
@@ -134,8 +135,6 @@ def test_ftetwild_steps_in_for_hxt(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_structured_field_is_what_gmsh_reads(tmp_path: Path) -> None:
-    from tetmesh_check.tets.hxt_worker import write_structured_field
-
     values = np.arange(24.0).reshape(2, 3, 4)
     write_structured_field(tmp_path / "f.bin", values, np.array([1.0, 2.0, 3.0]), 0.5)
     content = (tmp_path / "f.bin").read_bytes()

@@ -37,16 +37,17 @@ def test_the_rest_of_the_mesh_stays() -> None:
     below = tetrahedron_quality(points, cells).min_dihedral < 12.0
     mended = mend(points, cells, triangles, sides, Limits())
     assert mended is not None
-    results = mended.results
+    raw, conformity = mended
+    results = raw.summary["mended"]
     assert (results["goal_degrees"], results["below_before"], results["below_after"]) == (12.0, below.sum(), 0)
-    assert tetrahedron_quality(mended.points, mended.tetrahedra).min_dihedral.min() >= 12.0
-    assert len(mended.tetrahedra) == len(cells) - results["tetrahedra_replaced"] + results["tetrahedra_put"]
-    assert len(mended.points) == len(points) - results["vertices_taken"] + results["vertices_put"]
+    assert tetrahedron_quality(raw.points, raw.tetrahedra).min_dihedral.min() >= 12.0
+    assert len(raw.tetrahedra) == len(cells) - results["tetrahedra_replaced"] + results["tetrahedra_put"]
+    assert len(raw.points) == len(points) - results["vertices_taken"] + results["vertices_put"]
     surface = int(triangles.max()) + 1
-    np.testing.assert_array_equal(mended.points[:surface], points[:surface])
-    anew = conform(len(mended.points), mended.tetrahedra, triangles, sides)
+    np.testing.assert_array_equal(raw.points[:surface], points[:surface])
+    anew = conform(len(raw.points), raw.tetrahedra, triangles, sides)
     assert anew.faults == 0
     for field in fields(Conformity):
-        np.testing.assert_array_equal(getattr(mended.conformity, field.name), getattr(anew, field.name))
+        np.testing.assert_array_equal(getattr(conformity, field.name), getattr(anew, field.name))
     # the new mesh needs no mending
-    assert mend(mended.points, mended.tetrahedra, triangles, sides, Limits()) is None
+    assert mend(raw.points, raw.tetrahedra, triangles, sides, Limits()) is None

@@ -178,7 +178,7 @@ def worker_processes(folder: Path) -> list[str]:
             words = entry.read_bytes().decode(errors="replace")
         except OSError:  # it ended in the meantime
             continue
-        if ("tetwild_worker" in words or "hxt_worker" in words) and str(folder) in words:
+        if "tetmesh_check.tets." in words and str(folder) in words:
             found.append(words)
     return found
 

@@ -11,7 +11,7 @@ from conftest import ball, write_sizing
 
 from tetmesh_check.errors import StageError
 from tetmesh_check.quality import signed_tetrahedron_volumes
-from tetmesh_check.sizing import background_mesh, read_sizing_field, world_grid
+from tetmesh_check.sizing import read_sizing_field
 from tetmesh_check.surface import read_surface
 
 
@@ -20,12 +20,12 @@ def linear(world: np.ndarray) -> np.ndarray:
 
 
 def test_trilinear_is_exact_for_a_linear_field_and_clamped_outside(tmp_path: Path) -> None:
-    field = read_sizing_field(write_sizing(tmp_path / "s.vti", linear))
+    field, history = read_sizing_field(write_sizing(tmp_path / "s.vti", linear))
     samples = np.random.default_rng(1).uniform(-12, 12, size=(200, 3))
-    np.testing.assert_allclose(field.at(samples), linear(samples), rtol=1e-6)
-    np.testing.assert_allclose(field.at(np.array([[40.0, 0, 0]])), linear(np.array([[12.0, 0, 0]])), rtol=1e-6)
-    assert field.grid.voxel == pytest.approx(1.0)
-    assert field.history == {"tool": "sizefield", "version": "0"}
+    np.testing.assert_allclose(field.trilinear(samples), linear(samples), rtol=1e-6)
+    np.testing.assert_allclose(field.trilinear(np.array([[40.0, 0, 0]])), linear(np.array([[12.0, 0, 0]])), rtol=1e-6)
+    assert field.voxel == pytest.approx(1.0)
+    assert history == {"tool": "sizefield", "version": "0"}
 
 
 def test_oblique_left_handed_placement(tmp_path: Path) -> None:
@@ -40,31 +40,29 @@ def test_oblique_left_handed_placement(tmp_path: Path) -> None:
     order = np.lexsort(index.T[[0, 1, 2]])  # x fastest
     image["sizing"] = (20 + linear(world[order])).astype(np.float32)
     image.save(tmp_path / "s.vti")
-    field = read_sizing_field(tmp_path / "s.vti")
-    np.testing.assert_allclose(field.at(world), 20 + linear(world), rtol=1e-6)
+    field, _ = read_sizing_field(tmp_path / "s.vti")
+    np.testing.assert_allclose(field.trilinear(world), 20 + linear(world), rtol=1e-6)
 
 
 @pytest.mark.parametrize("max_nodes", [100_000, 800])
 def test_background_covers_the_object_without_gaps(tmp_path: Path, max_nodes: int) -> None:
     ball(8.0).save(tmp_path / "b.vtp")
     surface = read_surface(tmp_path / "b.vtp")
-    field = read_sizing_field(write_sizing(tmp_path / "s.vti", linear))
-    background = background_mesh(field, surface, max_nodes)
-    assert len(background.points) <= max_nodes
-    assert (background.stride == 1) == (max_nodes > 10_000)
+    field, _ = read_sizing_field(write_sizing(tmp_path / "s.vti", linear))
+    points, cells, values, stride = field.background(surface.points, surface.triangles, max_nodes)
+    assert len(points) <= max_nodes
+    assert (stride == 1) == (max_nodes > 10_000)
     # five tetrahedra fill each cube
-    volumes = np.abs(signed_tetrahedron_volumes(background.points, background.tetrahedra))
-    cubes = len(background.tetrahedra) / 5
-    assert volumes.sum() == pytest.approx(cubes * background.stride**3)
-    grid = pv.UnstructuredGrid({pv.CellType.TETRA: background.tetrahedra}, background.points)
+    volumes = np.abs(signed_tetrahedron_volumes(points, cells))
+    cubes = len(cells) / 5
+    assert volumes.sum() == pytest.approx(cubes * stride**3)
+    grid = pv.UnstructuredGrid({pv.CellType.TETRA: cells}, points)
     inside = np.random.default_rng(2).normal(size=(500, 3))
     inside *= 8.0 / np.maximum(np.linalg.norm(inside, axis=1), 1e-9)[:, None] * np.linspace(0, 1, 500)[:, None]
     assert (grid.find_containing_cell(inside) >= 0).all()
-    np.testing.assert_allclose(background.values, linear(background.points), rtol=1e-5)
+    np.testing.assert_allclose(values, linear(points), rtol=1e-5)
     # adjacent cubes share face diagonals, so each face belongs to one or two tetrahedra
-    faces = np.sort(
-        np.concatenate([background.tetrahedra[:, f] for f in ([0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3])]), 1
-    )
+    faces = np.sort(np.concatenate([cells[:, f] for f in ([0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3])]), 1)
     _, uses = np.unique(faces, axis=0, return_counts=True)
     assert uses.max() == 2
     border = (uses == 1).sum()
@@ -76,11 +74,12 @@ def test_background_covers_the_object_without_gaps(tmp_path: Path, max_nodes: in
 def test_world_grid_covers_the_object(tmp_path: Path, max_nodes: int) -> None:
     ball(8.0).save(tmp_path / "b.vtp")
     surface = read_surface(tmp_path / "b.vtp")
-    grid = world_grid(read_sizing_field(write_sizing(tmp_path / "s.vti", linear)), surface, 2.0, max_nodes)
-    assert grid.values.size <= max_nodes
-    assert (grid.spacing == 1.0) == (max_nodes > 10_000)
-    nodes = grid.origin + grid.spacing * np.argwhere(np.ones(grid.values.shape))
-    np.testing.assert_allclose(grid.values.ravel(), 2.0 * linear(nodes), rtol=0.03)  # clamped beyond 12 mm
+    field, _ = read_sizing_field(write_sizing(tmp_path / "s.vti", linear))
+    values, origin, spacing = field.world_grid(surface.points, max_nodes)
+    assert values.size <= max_nodes
+    assert (spacing == 1.0) == (max_nodes > 10_000)
+    nodes = np.array(origin) + spacing * np.argwhere(np.ones(values.shape))
+    np.testing.assert_allclose(values.ravel(), linear(nodes), rtol=0.03)  # clamped beyond 12 mm
     assert (nodes.min(axis=0) <= surface.points.min(axis=0)).all()
     assert (nodes.max(axis=0) >= surface.points.max(axis=0)).all()
 

@@ -138,7 +138,6 @@ def _check_options(known: str, words: list[str]) -> int:
     from tetmesh_check.arguments import Method
     from tetmesh_check.fem.forward import check_names
     from tetmesh_check.tets import hxt, tetgen, tetwild
-    from tetmesh_check.tets.worker import refuse_missing
 
     workers = {Method.FTETWILD: tetwild.WORKER, Method.HXT: hxt.WORKER, Method.TETGEN: tetgen.WORKER}
 
@@ -149,7 +148,7 @@ def _check_options(known: str, words: list[str]) -> int:
             arguments.refuse_for_materials()
         method = Method.HXT if materials else arguments.method
         if method in workers:
-            refuse_missing(workers[method])
+            workers[method].refuse_missing()
         if arguments.labels_volume is not None and not arguments.labels_volume.exists():
             raise StageError.file(
                 arguments.labels_volume, "read", FileNotFoundError("it is not there"), "check --labels-volume"

@@ -33,10 +33,11 @@ class Components:
         wrong: Labels = np.flatnonzero(np.where(outer, self.volumes <= 0, self.volumes >= 0))
         return wrong
 
-    def bodies(self) -> Labels:
-        """Return the component that bounds the body of each component from outside."""
-        bodies: Labels = np.where(self.depths % 2 == 0, np.arange(len(self.depths)), self.parents)
-        return bodies
+    def sheets(self) -> tuple[Cells, Labels]:
+        """Return the body and the outside (-1) of each component, and each triangle's component."""
+        outer = np.where(self.depths % 2 == 0, np.arange(len(self.depths)), self.parents)
+        bodies = np.unique(outer, return_inverse=True)[1].ravel()
+        return np.stack([bodies, np.full_like(bodies, -1)], axis=1), self.labels
 
 
 def measure_components(points: Points, triangles: Cells) -> Components:

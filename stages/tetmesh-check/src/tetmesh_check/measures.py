@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from isoparticles._native import GridField
 
 from tetmesh_check.checks import poor_tetrahedra, smallest_elsewhere
 from tetmesh_check.conform import outside_of
@@ -17,7 +18,6 @@ from tetmesh_check.labels import LabelVolume
 from tetmesh_check.materials import NOTHING
 from tetmesh_check.quality import Labels, centres_of, summarize, summarize_all, triangle_quality
 from tetmesh_check.regions import CAP, boundary_marks, meshed_labels, regions_of, share_outside
-from tetmesh_check.sizing import SizingField
 from tetmesh_check.surface import Surface
 from tetmesh_check.tets.fill import Filled, Task
 from tetmesh_check.tets.materials_fill import ComplexTask, FilledComplex
@@ -75,7 +75,7 @@ def _interfaces(task: ComplexTask, filled: FilledComplex, context: Context) -> d
     }
 
 
-def measure(task: Task | ComplexTask, filled: Filled, sizing: SizingField | None, context: Context) -> VolumeMesh:
+def measure(task: Task | ComplexTask, filled: Filled, sizing: GridField | None, context: Context) -> VolumeMesh:
     """Measure the tetrahedra for the report, and their distance from the surface of one object.
 
     Parameters
@@ -104,7 +104,7 @@ def measure(task: Task | ComplexTask, filled: Filled, sizing: SizingField | None
             "poor_tetrahedra": poor_tetrahedra(points, tetrahedra, quality, task.arguments.limits),
         }
         if sizing is not None:
-            wanted = task.arguments.tet_size_factor * sizing.at(centres_of(points, tetrahedra))
+            wanted = task.arguments.tet_size_factor * sizing.trilinear(centres_of(points, tetrahedra))
             volume["edge_length_over_target"] = summarize(quality.edge_length / wanted, np.linspace(0.0, 3.0, 61))
         if isinstance(task, ComplexTask) and isinstance(filled, FilledComplex):
             volume |= _interfaces(task, filled, context)

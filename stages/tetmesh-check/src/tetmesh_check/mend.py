@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 from isoparticles import _native
 
 from tetmesh_check.checks import Limits
 from tetmesh_check.conform import Conformity
 from tetmesh_check.materials import Sides
 from tetmesh_check.quality import Cells, Points
+from tetmesh_check.tets.worker import Raw
 
 
-@dataclass(frozen=True)
-class Mended:
-    """A mended mesh."""
-
-    points: Points
-    """Positions, mm, shape ``(n, 3)``; the vertices of the surface come first, in their order."""
-    tetrahedra: Cells
-    """Vertex indices in VTK order, shape ``(m, 4)``."""
-    conformity: Conformity
-    results: dict[str, Any]
-    """For the report: the goal, the tetrahedra below it before and after, and the changes."""
-
-
-def mend(points: Points, tetrahedra: Cells, triangles: Cells, sides: Sides, limits: Limits) -> Mended | None:
+def mend(
+    points: Points, tetrahedra: Cells, triangles: Cells, sides: Sides, limits: Limits
+) -> tuple[Raw, Conformity] | None:
     """Mend the tetrahedra below a limit of shape or 12 degrees.
 
     Parameters
@@ -44,15 +31,17 @@ def mend(points: Points, tetrahedra: Cells, triangles: Cells, sides: Sides, limi
 
     Returns
     -------
-    Mended or None
-        ``None`` if nothing changes: if no tetrahedron is poor, if more than 1 % are, if the mesh
-        does not fit the interfaces, or if no tetrahedron gets better.
+    tuple or None
+        The new mesh, and how it fits the interfaces. Its summary has, under ``mended``, the goal,
+        the tetrahedra below it before and after, and the changes. ``None`` if nothing changes: if
+        no tetrahedron is poor, if more than 1 % are, if the mesh does not fit the interfaces, or if
+        no tetrahedron gets better.
     """
     interfaces = triangles, sides.inside, sides.outside
     found = _native.mend(points, tetrahedra, interfaces, limits.min_dihedral, limits.min_scaled_jacobian)
     if found is None:
         return None
-    results = {
+    mended = {
         "goal_degrees": found["goal_degrees"],
         "below_before": found["below"][0],
         "below_after": found["below"][1],
@@ -62,4 +51,4 @@ def mend(points: Points, tetrahedra: Cells, triangles: Cells, sides: Sides, limi
         "vertices_put": found["changed_vertices"][1],
         "vertices_taken": found["changed_vertices"][0],
     }
-    return Mended(found["points"], found["tetrahedra"], Conformity(**found["fit"]), results)
+    return Raw(found["points"], found["tetrahedra"], {"mended": mended}), Conformity(**found["fit"])

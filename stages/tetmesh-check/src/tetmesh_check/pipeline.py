@@ -29,7 +29,7 @@ from tetmesh_check.quadratic import make_quadratic
 from tetmesh_check.quality import Values, summarize, summarize_all, triangle_quality
 from tetmesh_check.regions import check_labels, has_scale, meshed_labels
 from tetmesh_check.report.drawing import drawing
-from tetmesh_check.sizing import SizingField, read_sizing_field, uniform_sizing_field
+from tetmesh_check.sizing import read_sizing_field, uniform_sizing_field
 from tetmesh_check.surface import Surface, check_surface, read_surface
 from tetmesh_check.tets.fill import Filled, Task, fill
 from tetmesh_check.tets.materials_fill import ComplexTask, FilledComplex, fill_complex
@@ -44,7 +44,8 @@ class Inputs:
     """The files of a run, as read."""
 
     surface: Surface
-    sizing: SizingField | None
+    sizing: GridField | None
+    """Target edge lengths h, mm."""
     field: GridField | None
     """F, for quadratic tetrahedra."""
     labels: LabelVolume | None
@@ -57,8 +58,8 @@ def _read(arguments: Arguments, context: Context) -> Inputs:
     check_memory(len(surface.points), arguments.surface, context.common.max_memory)
     sizing = field = labels = None
     if arguments.sizefield is not None:
-        sizing = read_sizing_field(arguments.sizefield)
-        context.add_input(arguments.sizefield, sizing.history)
+        sizing, history = read_sizing_field(arguments.sizefield)
+        context.add_input(arguments.sizefield, history)
     if arguments.order == 2 and arguments.distfield is not None and surface.sides is None:
         field, history = read_distance_field(arguments.distfield, surface.points)
         context.add_input(arguments.distfield, history)
@@ -68,13 +69,13 @@ def _read(arguments: Arguments, context: Context) -> Inputs:
     return Inputs(surface, sizing, field, labels)
 
 
-def _edge_lengths(inputs: Inputs, context: Context) -> tuple[SizingField, Values]:
+def _edge_lengths(inputs: Inputs, context: Context) -> tuple[GridField, Values]:
     """Return the edge lengths everywhere, and those at the surface, mm."""
     surface, sizing = inputs.surface, inputs.sizing
     if sizing is not None:
-        at_surface = sizing.at(surface.points)
+        at_surface = sizing.trilinear(surface.points)
         summary = summarize(at_surface, np.linspace(0.0, float(at_surface.max()), 51))
-        context.results["sizing"] = {"voxel_mm": sizing.grid.voxel, "at_surface": summary}
+        context.results["sizing"] = {"voxel_mm": sizing.voxel, "at_surface": summary}
         return sizing, at_surface
     lengths = triangle_quality(surface.points, surface.triangles).edge_length
     median = float(np.median(lengths))
@@ -110,7 +111,7 @@ def _object_task(arguments: Arguments, inputs: Inputs, context: Context) -> Task
             "choose a smaller envelope, or omit --envelope",
         )
     context.parameters.update(envelope=envelope, max_distance=arguments.limits.distance(envelope))
-    return Task(arguments, surface, components, field, envelope, keep_vertices=inputs.field is not None)
+    return Task(arguments, surface, components, field, envelope)
 
 
 def _materials_task(arguments: Arguments, inputs: Inputs, context: Context) -> ComplexTask:

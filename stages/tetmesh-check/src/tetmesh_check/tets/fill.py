@@ -1,27 +1,27 @@
-"""Chooses the tetrahedralizer of a surface, and repeats attempts that fail a limit."""
+"""Fills the surface of one object, and repeats attempts that miss a limit."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from isoparticles._native import GridField
 
 from tetmesh_check.arguments import Arguments, Method
 from tetmesh_check.checks import well_shaped
 from tetmesh_check.components import Components
 from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways
-from tetmesh_check.errors import ExitCode, StageError
-from tetmesh_check.materials import NOTHING, Sides
+from tetmesh_check.errors import InterruptedRunError, StageError
+from tetmesh_check.materials import Sides
 from tetmesh_check.mend import mend
-from tetmesh_check.quality import Cells, Points, TetrahedronQuality, orient_positive, tetrahedron_quality
-from tetmesh_check.sizing import Background, SizingField, background_mesh, world_grid
+from tetmesh_check.quality import Cells, Points, TetrahedronQuality, tetrahedron_quality
 from tetmesh_check.surface import Surface
-from tetmesh_check.tets.hxt import HxtSettings, fill_by_hxt
-from tetmesh_check.tets.tetgen import TetgenSettings, fill_by_tetgen, regular_volume
-from tetmesh_check.tets.tetwild import TetwildSettings, fill_by_tetwild
-from tetmesh_check.tets.worker import TimeLimit, TimeLimitError, WorkerResult
+from tetmesh_check.tets.hxt import fill_by_hxt, hxt_job
+from tetmesh_check.tets.tetgen import fill_by_tetgen, regular_volume
+from tetmesh_check.tets.tetwild import MAX_BACKGROUND_NODES, fill_by_tetwild
+from tetmesh_check.tets.worker import Raw, Runner, TimeLimitError
 from tetmesh_check.topology import tetrahedron_boundary
 
 MAX_FTETWILD_VERTICES = 2_500
@@ -43,31 +43,24 @@ ENVELOPES = (1.0, 0.5, 0.25)
 boundary is too far from the surface: fTetWild keeps only samples of the boundary within the
 envelope, so thin tips can lose more."""
 
-COARSE_FRACTION = 0.05
-"""Minimum edge length outside the object, relative to the diagonal of its bounding box. The default
-of fTetWild."""
-
 STOP_ENERGIES = (1000.0, 30.0, 10.0)
 """Default stop energies of the attempts of fTetWild. The first is the fastest and suffices for a
 good surface, because the refinement to the background also optimizes. The next is used if
 tetrahedra miss a limit of shape."""
 
 
-@dataclass(frozen=True)
-class Task:
-    """A surface of one object to fill, and the settings."""
+class Task(NamedTuple):
+    """A surface to fill."""
 
     arguments: Arguments
     surface: Surface
     """A checked surface."""
     components: Components
     """Its components."""
-    field: SizingField
-    """Edge lengths, without the factor."""
+    field: GridField
+    """Edge lengths, mm, without the factor."""
     envelope: float
     """For fTetWild: largest distance of the boundary from the surface, mm."""
-    keep_vertices: bool
-    """Whether the vertices of the surface must stay in place. If so, ``auto`` chooses HXT."""
 
 
 @dataclass(frozen=True)
@@ -81,31 +74,8 @@ class Filled:
     quality: TetrahedronQuality
     """Their measures."""
 
-    @property
-    def mesh(self) -> tuple[Points, Cells]:
-        """The points and the tetrahedra."""
-        return self.points, self.tetrahedra
 
-
-def _choose(method: Method, vertices: int, keep_vertices: bool) -> tuple[Method, str]:
-    """Resolve ``auto``; return the method and the reason."""
-    if method is not Method.AUTO:
-        return method, f"--method {method} was given"
-    if keep_vertices:
-        return Method.HXT, "--order 2 needs the vertices of the surface, which lie on F = 0"
-    if vertices > MAX_FTETWILD_VERTICES:
-        return (
-            Method.HXT,
-            f"the surface has {vertices} vertices, more than the limit of {MAX_FTETWILD_VERTICES} for fTetWild",
-        )
-    return (
-        Method.FTETWILD,
-        f"the surface has {vertices} vertices, within the limit of {MAX_FTETWILD_VERTICES} for fTetWild",
-    )
-
-
-@dataclass(frozen=True, order=True)
-class _Verdict:
+class _Verdict(NamedTuple):
     """The quality of an attempt. Better attempts compare as greater."""
 
     near: bool
@@ -119,130 +89,107 @@ class _Verdict:
 class _Attempts:
     """The attempts made so far, for the report, and the best of them."""
 
-    def __init__(self, task: Task, results: dict[str, Any]) -> None:
+    def __init__(self, task: Task, context: Context) -> None:
         self._task = task
-        self._list: list[dict[str, Any]] = results.setdefault("attempts", [])
-        self._best: tuple[_Verdict, Filled, Method] | None = None
+        self._context = context
+        self.entries: list[dict[str, Any]] = []
+        self.best: tuple[_Verdict, Filled, Method] | None = None
 
-    def add(self, raw: WorkerResult, method: Method) -> tuple[_Verdict, str]:
-        """Judge a result; return the verdict, and a text about it."""
-        task = self._task
-        tetrahedra, turned = orient_positive(raw.points, raw.tetrahedra)
-        quality = tetrahedron_quality(raw.points, tetrahedra)
+    def add(self, raw: Raw, method: Method) -> _Verdict:
+        """Judge a result."""
+        surface, limits = self._task.surface, self._task.arguments.limits
+        quality = tetrahedron_quality(raw.points, raw.tetrahedra)
+        smallest = float(quality.scaled_jacobian.min())
+        entry = {**raw.summary, "method": method, "orientation_turned": raw.turned, "min_scaled_jacobian": smallest}
         distance = 0.0
         if method is Method.FTETWILD:
-            boundary = (raw.points, tetrahedron_boundary(tetrahedra).triangles)
-            ways = distances_both_ways(boundary, (task.surface.points, task.surface.triangles))
-            distance = max(float(way.max()) for way in ways)
+            boundary = (raw.points, tetrahedron_boundary(raw.tetrahedra).triangles)
+            ways = distances_both_ways(boundary, (surface.points, surface.triangles))
+            distance = entry["max_distance"] = max(float(way.max()) for way in ways)
+        self.entries.append(entry)
         verdict = _Verdict(
-            near=distance <= task.arguments.limits.distance(task.envelope),
-            well=well_shaped(quality, task.arguments.limits),
-            scaled_jacobian=float(quality.scaled_jacobian.min()),
-        )
-        self._list.append(
-            {
-                **raw.summary,
-                "method": method,
-                "orientation_turned": turned,
-                "min_scaled_jacobian": verdict.scaled_jacobian,
-                **({"max_distance": distance} if method is Method.FTETWILD else {}),
-            }
+            near=distance <= limits.distance(self._task.envelope),
+            well=well_shaped(quality, limits),
+            scaled_jacobian=smallest,
         )
         # the later of equal attempts counts: it may be partly mended
-        if self._best is None or verdict >= self._best[0]:
-            self._best = verdict, Filled(raw.points, tetrahedra, quality), method
-        smallest = float(quality.min_dihedral.min())
-        return verdict, f"minimum dihedral angle {smallest:.3g} degrees, {distance:.3g} mm from the surface"
-
-    @property
-    def is_any(self) -> bool:
-        """Whether an attempt has succeeded."""
-        return self._best is not None
-
-    @property
-    def best(self) -> tuple[Filled, Method]:
-        """The best result and its method."""
-        assert self._best is not None, "an attempt is added or an error raised"
-        return self._best[1:]
+        if self.best is None or verdict >= self.best[0]:
+            self.best = verdict, Filled(raw.points, raw.tetrahedra, quality), method
+        angle = float(quality.min_dihedral.min())
+        self._context.verbose(f"minimum dihedral angle {angle:.3g} degrees, {distance:.3g} mm from the surface")
+        return verdict
 
 
-def _by_hxt(task: Task, attempts: _Attempts, limit: TimeLimit, context: Context) -> _Verdict:
+def _choose(arguments: Arguments, vertices: int) -> tuple[Method, str]:
+    """Resolve ``auto``; return the method and the reason."""
+    if arguments.method is not Method.AUTO:
+        return arguments.method, f"--method {arguments.method} was given"
+    if arguments.order == 2:
+        return Method.HXT, "--order 2 needs the vertices of the surface, which lie on F = 0"
+    method, side = (Method.FTETWILD, "within") if vertices <= MAX_FTETWILD_VERTICES else (Method.HXT, "more than")
+    return method, f"the surface has {vertices} vertices, {side} the limit of {MAX_FTETWILD_VERTICES} for fTetWild"
+
+
+def _by_hxt(task: Task, attempts: _Attempts, runner: Runner, context: Context) -> _Verdict:
     """Fill the surface by HXT, and mend single tetrahedra that miss a limit of shape."""
+    surface, arguments = task.surface, task.arguments
     with context.step("background sizing"):
-        grid = world_grid(task.field, task.surface, task.arguments.tet_size_factor)
+        job = hxt_job(surface, task.components.sheets(), task.field, arguments.tet_size_factor)
     with context.step("tetrahedralize"):
-        raw = fill_by_hxt(task.surface, task.components, grid, HxtSettings(), task.arguments.log, limit, context)
-    verdict, _ = attempts.add(raw, Method.HXT)
+        raw = fill_by_hxt(job, runner)
+    verdict = attempts.add(raw, Method.HXT)
     if not verdict.well:
+        inside = np.ones(len(surface.triangles), dtype=np.int64)
         with context.step("mend tetrahedra"):
-            mended = _mended(task, *attempts.best[0].mesh)
+            sides = Sides(inside, np.zeros_like(inside), [])
+            mended = mend(raw.points, raw.tetrahedra, surface.triangles, sides, arguments.limits)
         if mended is not None:
-            verdict = max(verdict, attempts.add(mended, Method.HXT)[0])
+            verdict = max(verdict, attempts.add(mended[0], Method.HXT))
     return verdict
 
 
-def _mended(task: Task, points: Points, tetrahedra: Cells) -> WorkerResult | None:
-    """Mend tetrahedra whose boundary consists of the triangles of the surface.
-
-    Return ``None`` if it does not, or if nothing is mended.
-    """
-    triangles, vertices = task.surface.triangles, task.surface.points
-    inside, outside = np.ones(len(triangles), dtype=np.int64), np.full(len(triangles), NOTHING, dtype=np.int64)
-    if not np.array_equal(points[: len(vertices)], vertices):
-        return None
-    mended = mend(points, tetrahedra, triangles, Sides(inside, outside, []), task.arguments.limits)
-    if mended is None:
-        return None
-    return WorkerResult(mended.points, mended.tetrahedra, "", {"mended": mended.results})
-
-
-def _by_tetgen(task: Task, attempts: _Attempts, limit: TimeLimit, context: Context) -> None:
+def _by_tetgen(task: Task, attempts: _Attempts, runner: Runner, context: Context) -> None:
     with context.step("background sizing"):
-        largest = task.arguments.tet_size_factor * float(background_mesh(task.field, task.surface).values.max())
+        lengths = task.field.background(task.surface.points, task.surface.triangles, MAX_BACKGROUND_NODES)[2]
+        largest = task.arguments.tet_size_factor * float(lengths.max())
     context.warn(
         "TetGen grades the tetrahedra by the edges of the surface; from the size field it uses only the maximum volume"
     )
     with context.step("tetrahedralize"):
-        settings = TetgenSettings(max_volume=regular_volume(largest))
-        raw = fill_by_tetgen(task.surface, task.components, settings, task.arguments.log, limit, context)
+        raw = fill_by_tetgen(task.surface, task.components, regular_volume(largest), runner)
     attempts.add(raw, Method.TETGEN)
 
 
-def _by_tetwild(task: Task, attempts: _Attempts, limit: TimeLimit, context: Context) -> None:
+def _by_tetwild(task: Task, attempts: _Attempts, runner: Runner, context: Context) -> None:
     """Fill the surface by fTetWild, in several attempts if necessary.
 
     The next attempt has a lower stop energy if tetrahedra miss a limit of shape, and a smaller
     envelope if the boundary is too far from the surface.
     """
-    diagonal = task.surface.bounding_box_diagonal
+    surface, arguments = task.surface, task.arguments
     with context.step("background sizing"):
-        plain = background_mesh(task.field, task.surface)
-        background = Background(
-            plain.points, plain.tetrahedra, task.arguments.tet_size_factor * plain.values, plain.stride
+        points, tetrahedra, lengths, stride = task.field.background(
+            surface.points, surface.triangles, MAX_BACKGROUND_NODES
         )
-    # fTetWild first meshes the whole box at this length, then refines to the background. A large
-    # length saves work on tetrahedra outside the object, which are removed.
-    coarse = min(max(float(background.values.max()), COARSE_FRACTION * diagonal), diagonal)
-    energies = list(STOP_ENERGIES if task.arguments.stop_energy is None else (task.arguments.stop_energy,))
+        background = points, tetrahedra, arguments.tet_size_factor * lengths, stride
+    energies = list(STOP_ENERGIES if arguments.stop_energy is None else (arguments.stop_energy,))
     envelopes = [share * task.envelope for share in ENVELOPES]
     while energies and envelopes:
-        settings = TetwildSettings(
-            epsilon=envelopes[0] / diagonal,
-            edge_length=coarse,
-            stop_energy=energies[0],
-            max_passes=task.arguments.max_passes,
-            threads=context.common.thread_count,
-        )
+        context.verbose(f"stop energy {energies[0]:g}, envelope {envelopes[0]:.3g} mm")
+        settings = {
+            "stop_energy": energies[0],
+            "num_opt_iter": arguments.max_passes,
+            "num_threads": context.common.thread_count,
+        }
         try:
             with context.step("tetrahedralize"):
-                raw = fill_by_tetwild(task.surface, background, settings, task.arguments.log, limit, context)
+                raw = fill_by_tetwild(surface, background, settings, envelopes[0], runner)
         except StageError as error:
-            if not attempts.is_any or error.code == ExitCode.INTERRUPTED:
+            if attempts.best is None or isinstance(error, InterruptedRunError):
                 raise
             context.warn(f"another attempt at better tetrahedra failed: {error.what}")
             break
-        verdict, told = attempts.add(raw, Method.FTETWILD)
-        context.verbose(f"stop energy {energies[0]:g}, envelope {envelopes[0]:.3g} mm: {told}")
+        verdict = attempts.add(raw, Method.FTETWILD)
         if verdict.near and verdict.well:
             break
         (energies if verdict.near else envelopes).pop(0)
@@ -263,28 +210,25 @@ def fill(task: Task, context: Context) -> Filled:
     StageError
         If no permitted tetrahedralizer fills it.
     """
-    chosen, reason = _choose(task.arguments.method, len(task.surface.points), task.keep_vertices)
-    results: dict[str, Any] = {"method": chosen, "reason": reason, "log": task.arguments.log.name}
+    arguments, vertices = task.arguments, len(task.surface.points)
+    chosen, reason = _choose(arguments, vertices)
+    attempts = _Attempts(task, context)
+    results: dict[str, Any] = {"method": chosen, "reason": reason, "log": arguments.log.name}
+    results["attempts"] = attempts.entries
     context.results["tetrahedralizer"] = results
-    attempts = _Attempts(task, results)
-    context.verbose(f"tetrahedralizer {chosen}: {reason}; log: {task.arguments.log}")
-    task.arguments.log.unlink(missing_ok=True)
-    limit = TimeLimit.start(task.arguments.max_seconds)
+    context.verbose(f"tetrahedralizer {chosen}: {reason}; log: {arguments.log}")
+    runner = Runner(arguments.log, arguments.max_seconds, context)
     if chosen is Method.HXT:
         second = ""
         try:
-            verdict = _by_hxt(task, attempts, limit, context)
-            small_enough = len(task.surface.points) <= MAX_SECOND_TRY_VERTICES and not task.keep_vertices
-            if task.arguments.method is Method.AUTO and small_enough and not verdict.well:
+            verdict = _by_hxt(task, attempts, runner, context)
+            may_move = arguments.method is Method.AUTO and arguments.order == 1
+            if may_move and vertices <= MAX_SECOND_TRY_VERTICES and not verdict.well:
                 smallest = f"minimum scaled Jacobian {verdict.scaled_jacobian:.3g}"
                 second = f"the tetrahedra of HXT miss a limit of shape ({smallest})"
                 context.info(f"{second}; fTetWild fills the surface as well, which may take minutes")
         except StageError as error:
-            if (
-                task.arguments.method is Method.HXT
-                or error.code == ExitCode.INTERRUPTED
-                or isinstance(error, TimeLimitError)
-            ):
+            if arguments.method is Method.HXT or isinstance(error, (InterruptedRunError, TimeLimitError)):
                 raise
             second = error.what
             context.warn(f"{error.what}. fTetWild fills the surface instead, which may take hours; {error.next_step}")
@@ -292,10 +236,11 @@ def fill(task: Task, context: Context) -> Filled:
             results["method"] = chosen = Method.FTETWILD
             results["reason"] = f"{reason}, but {second}"
     if chosen is Method.TETGEN:
-        _by_tetgen(task, attempts, limit, context)
+        _by_tetgen(task, attempts, runner, context)
     if chosen is Method.FTETWILD:
-        _by_tetwild(task, attempts, limit, context)
-    filled, results["method"] = attempts.best
+        _by_tetwild(task, attempts, runner, context)
+    assert attempts.best is not None, "an attempt is added or an error raised"
+    _, filled, results["method"] = attempts.best
     if chosen is not results["method"]:
         results["reason"] += ", and the result of fTetWild is not better"
     context.parameters["method"] = results["method"]

@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from isoparticles._native import GridField
 
 from tetmesh_check.arguments import Arguments, Method
 from tetmesh_check.checks import SHAPE, OfShape, smallest_elsewhere
 from tetmesh_check.complex import Complex
 from tetmesh_check.conform import Conformity, conform
 from tetmesh_check.context import Context
-from tetmesh_check.errors import ExitCode, StageError
+from tetmesh_check.errors import InterruptedRunError, StageError
 from tetmesh_check.forced import ForcedSides
 from tetmesh_check.mend import mend
-from tetmesh_check.quality import Cells, Points, TetrahedronQuality, orient_positive, tetrahedron_quality
-from tetmesh_check.sizing import SizingField, WorldGrid, world_grid
+from tetmesh_check.quality import TetrahedronQuality, tetrahedron_quality
 from tetmesh_check.surface import Surface
 from tetmesh_check.tets.fill import Filled
-from tetmesh_check.tets.hxt import HxtSettings, fill_complex_by_gmsh
-from tetmesh_check.tets.worker import TimeLimit, TimeLimitError, UnavailableError, WorkerResult
+from tetmesh_check.tets.hxt import fill_by_hxt, hxt_job
+from tetmesh_check.tets.worker import Raw, Runner, TimeLimitError, UnavailableError
 
-ATTEMPTS = (HxtSettings(), HxtSettings(algorithm="delaunay"))
+ALGORITHMS = ("hxt", "delaunay")
 """Attempts until one keeps all interfaces: HXT, then the older Delaunay of Gmsh, which fills some
 complexes that HXT cannot fill. ``--method hxt`` omits the last. Single tetrahedra beyond a limit of
 shape do not cause another attempt; they are mended (:mod:`.mend`)."""
@@ -33,9 +32,8 @@ _FAIR = 0.5
 value. Mending aims at nine tenths of the possible value."""
 
 
-@dataclass(frozen=True)
-class ComplexTask:
-    """A complex to fill, and the settings."""
+class ComplexTask(NamedTuple):
+    """A complex to fill."""
 
     arguments: Arguments
     checked: Complex
@@ -43,8 +41,8 @@ class ComplexTask:
     """Where other triangles keep tetrahedra from the limit of the dihedral angle."""
     needles: ForcedSides
     """Both sides of the triangles with a small angle."""
-    field: SizingField
-    """Edge lengths, without the factor."""
+    field: GridField
+    """Edge lengths, mm, without the factor."""
 
     @property
     def surface(self) -> Surface:
@@ -54,45 +52,28 @@ class ComplexTask:
 
 @dataclass(frozen=True)
 class FilledComplex(Filled):
-    """The tetrahedra, and how they fit the interfaces; the vertices of the surface come first."""
+    """The tetrahedra, and how they fit the interfaces. The surface's vertices come first."""
 
     conformity: Conformity
     forced: OfShape
     """The tetrahedra that the surface forces below a limit."""
 
-    @property
-    def rank(self) -> tuple[int, float]:
-        """A value that is larger for better attempts."""
-        return -self.conformity.faults, smallest_elsewhere(self.quality, self.forced)["scaled_jacobian"]
 
-
-def _judge(task: ComplexTask, raw: WorkerResult) -> FilledComplex:
-    surface, points = task.checked.surface, raw.points
-    if not np.array_equal(points[: len(surface.points)], surface.points):
-        raise StageError(
-            "the tetrahedralizer did not keep the vertices of the surface",
-            "neighbouring materials share them",
-            "try another --tet-size-factor",
-        )
-    tetrahedra, _turned = orient_positive(points, raw.tetrahedra)
-    return _measured(task, points, tetrahedra, conform(len(points), tetrahedra, surface.triangles, task.checked.sides))
-
-
-def _measured(task: ComplexTask, points: Points, tetrahedra: Cells, found: Conformity) -> FilledComplex:
-    quality = tetrahedron_quality(points, tetrahedra)
-    return FilledComplex(points, tetrahedra, quality, found, _forced(task, found, quality))
+def _measured(task: ComplexTask, raw: Raw, found: Conformity) -> FilledComplex:
+    quality = tetrahedron_quality(raw.points, raw.tetrahedra)
+    return FilledComplex(raw.points, raw.tetrahedra, quality, found, _forced(task, found, quality))
 
 
 def _mend(task: ComplexTask, filled: FilledComplex, results: dict[str, Any]) -> FilledComplex:
     """Mend the tetrahedra that miss the goal, where that is possible."""
-    mended = mend(
-        filled.points, filled.tetrahedra, task.checked.surface.triangles, task.checked.sides, task.arguments.limits
-    )
+    triangles, limits = task.surface.triangles, task.arguments.limits
+    mended = mend(filled.points, filled.tetrahedra, triangles, task.checked.sides, limits)
     if mended is None:
         return filled
-    after = _measured(task, mended.points, mended.tetrahedra, mended.conformity)
+    after = _measured(task, *mended)
     smallest = [smallest_elsewhere(one.quality, one.forced)["min_dihedral"] for one in (filled, after)]
-    results["mended"] = {**mended.results, "min_dihedral_before": smallest[0], "min_dihedral_after": smallest[1]}
+    results.update(mended[0].summary)
+    results["mended"] |= {"min_dihedral_before": smallest[0], "min_dihedral_after": smallest[1]}
     return after
 
 
@@ -115,27 +96,6 @@ def _forced(task: ComplexTask, found: Conformity, quality: TetrahedronQuality) -
     return kept
 
 
-def _attempt(
-    task: ComplexTask, settings: HxtSettings, grid: WorldGrid, limit: TimeLimit, context: Context
-) -> tuple[WorkerResult, FilledComplex]:
-    """Fill the volumes once, and find the materials of the tetrahedra."""
-    with context.step("tetrahedralize"):
-        checked = task.checked
-        raw = fill_complex_by_gmsh(checked.surface, checked.shells, grid, settings, task.arguments.log, limit, context)
-    with context.step("find regions"):
-        return raw, _judge(task, raw)
-
-
-def _refuse_undecided(found: Conformity, log: Path) -> None:
-    if found.undecided:
-        raise StageError(
-            f"the material of {found.undecided} tetrahedra is unknown: the tetrahedralizer lost "
-            f"{found.missing} triangles of the interfaces",
-            "without these triangles the materials are not separated; nothing was written",
-            f"see its log, {log}, or try another --tet-size-factor",
-        )
-
-
 def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
     """Fill every volume of a complex; ``tetrahedralizer`` in the results describes the attempts.
 
@@ -144,55 +104,65 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
     StageError
         If no tetrahedralizer fills it so that each tetrahedron has a material.
     """
+    arguments, checked = task.arguments, task.checked
     attempts: list[dict[str, Any]] = []
     results: dict[str, Any] = {
         "method": Method.HXT,
         "reason": "the surface has several materials, and Gmsh keeps the triangles between them",
-        "log": task.arguments.log.name,
+        "log": arguments.log.name,
         "attempts": attempts,
     }
     context.results["tetrahedralizer"] = results
     context.parameters["method"] = Method.HXT
-    task.arguments.log.unlink(missing_ok=True)
-    limit = TimeLimit.start(task.arguments.max_seconds)
+    runner = Runner(arguments.log, arguments.max_seconds, context)
     with context.step("background sizing"):
-        grid = world_grid(task.field, task.checked.surface, task.arguments.tet_size_factor)
-    best: FilledComplex | None = None
-    failure: StageError | None = None
-    for settings in ATTEMPTS if task.arguments.method is Method.AUTO else ATTEMPTS[:1]:
-        tried: dict[str, Any] = {"algorithm": settings.algorithm}
+        job = hxt_job(task.surface, checked.shells.sheets(), task.field, arguments.tet_size_factor)
+    best: tuple[tuple[int, float], FilledComplex] | None = None
+    failure = None
+    for algorithm in ALGORITHMS if arguments.method is Method.AUTO else ALGORITHMS[:1]:
         try:
-            raw, filled = _attempt(task, settings, grid, limit, context)
+            with context.step("tetrahedralize"):
+                raw = fill_by_hxt(job | {"algorithm": algorithm}, runner)
+        except InterruptedRunError:
+            raise
         except StageError as error:
-            final = isinstance(error, (TimeLimitError, UnavailableError))
-            if error.code == ExitCode.INTERRUPTED or (final and best is None):
-                raise
-            attempts.append({**tried, "error": error.what})
+            attempts.append({"algorithm": algorithm, "error": error.what})
             failure = error
-            if final:
+            if isinstance(error, (TimeLimitError, UnavailableError)):
                 break
             continue
+        with context.step("find regions"):
+            found = conform(len(raw.points), raw.tetrahedra, task.surface.triangles, checked.sides)
+            filled = _measured(task, raw, found)
         smallest = smallest_elsewhere(filled.quality, filled.forced)
         attempts.append(
             {
                 **raw.summary,
-                **tried,
-                "faults": filled.conformity.faults,
+                "algorithm": algorithm,
+                "faults": found.faults,
                 "min_dihedral": smallest["min_dihedral"],
                 "min_scaled_jacobian": smallest["scaled_jacobian"],
             }
         )
-        if best is None or filled.rank > best.rank:
-            best = filled
-            results.update(tried)
-        if filled.conformity.faults == 0:
+        rank = -found.faults, smallest["scaled_jacobian"]
+        if best is None or rank > best[0]:
+            best = rank, filled
+            results["algorithm"] = algorithm
+        if found.faults == 0:
             break
-        context.verbose(f"{settings.algorithm}: {filled.conformity.faults} faults at the interfaces")
+        context.verbose(f"{algorithm}: {found.faults} faults at the interfaces")
     if best is None:
         assert failure is not None, "an attempt is made or fails"
         raise failure
-    _refuse_undecided(best.conformity, task.arguments.log)
-    if best.conformity.faults == 0:
-        with context.step("mend tetrahedra"):
-            best = _mend(task, best, results)
-    return best
+    found = best[1].conformity
+    if found.undecided:
+        raise StageError(
+            f"the material of {found.undecided} tetrahedra is unknown: the tetrahedralizer lost "
+            f"{found.missing} triangles of the interfaces",
+            "without these triangles the materials are not separated; nothing was written",
+            f"see its log, {arguments.log}, or try another --tet-size-factor",
+        )
+    if found.faults:
+        return best[1]
+    with context.step("mend tetrahedra"):
+        return _mend(task, best[1], results)

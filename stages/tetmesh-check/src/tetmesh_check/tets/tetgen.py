@@ -2,53 +2,41 @@
 
 Si, "TetGen, a Delaunay-based quality tetrahedral mesh generator" (2015). TetGen is
 AGPL-3.0-or-later and an optional package that setup-env.sh never installs: it is chosen by hand
-only, and imported in the worker's process only.
+only, and imported in the child process only: ``python -m tetmesh_check.tets.tetgen FOLDER``.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tetmesh_check.components import Components
-from tetmesh_check.context import Context
 from tetmesh_check.quality import Points
-from tetmesh_check.surface import Surface
-from tetmesh_check.tets.worker import TimeLimit, Worker, WorkerResult, run_worker
+from tetmesh_check.tets.worker import Job, Raw, Runner, Worker, scale_of, serve
 
-MAX_RADIUS_EDGE_RATIO = 1.414
-"""Largest ratio of circumradius to shortest edge, where the surface allows it."""
-MIN_DIHEDRAL = 10.0
-"""Smallest dihedral angle aimed at, degrees, where the surface allows it."""
+if TYPE_CHECKING:
+    from tetmesh_check.components import Components
+    from tetmesh_check.surface import Surface
+
+_SHAPE = {"max_radius_edge_ratio": 1.414, "min_dihedral": 10.0}
+"""Largest ratio of circumradius to shortest edge, and smallest dihedral angle (degrees), where the
+surface allows them."""
+_OPTIMIZATION = 4
+"""Level of the optimization at the end."""
 _NEAR = 1e-3
 """Distance from its triangle of the point that marks a cavity, relative to the length of this
 triangle."""
 
 WORKER = Worker(
     name="TetGen",
-    module="tetmesh_check.tets.tetgen_worker",
+    module="tetmesh_check.tets.tetgen",
     library="tetgen",
-    shown=(),
     when_it_fails="try --method hxt or --method ftetwild",
-    when_it_is_empty="try --method hxt or --method ftetwild",
-    when_it_is_missing="it is AGPL-3.0-or-later, so that only you can decide to have it: python -m pip install --require-hashes -r "
-    "stages/tetmesh-check/requirements-tetgen.lock; or use --method hxt",
-    powers={"points": 1, "cavities": 1, "max_volume": 3},
+    when_it_is_missing="it is AGPL-3.0-or-later, so that only you can decide to have it: python -m pip install "
+    "--require-hashes -r stages/tetmesh-check/requirements-tetgen.lock; or use --method hxt",
+    shown={},
 )
-
-
-@dataclass(frozen=True)
-class TetgenSettings:
-    """Settings of TetGen."""
-
-    max_volume: float
-    """Largest volume of a tetrahedron aimed at, mm^3; its optimization at the end may make them
-    larger."""
-    max_radius_edge_ratio: float = MAX_RADIUS_EDGE_RATIO
-    min_dihedral: float = MIN_DIHEDRAL
 
 
 def regular_volume(edge_length: float) -> float:
@@ -75,17 +63,13 @@ def cavity_points(surface: Surface, components: Components) -> Points:
     a, b, c = (surface.points[surface.triangles[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)  # away from the matter, hence into the cavity
     sizes = np.linalg.norm(normals, axis=1)
-    found = []
-    for cavity in np.flatnonzero(components.depths % 2 == 1):
-        at = int(np.argmax(np.where(components.labels == cavity, sizes, -1.0)))
-        found.append((a[at] + b[at] + c[at]) / 3.0 + _NEAR * normals[at] / np.sqrt(sizes[at]))
-    points: Points = np.array(found).reshape(-1, 3)
+    cavities = np.flatnonzero(components.depths % 2 == 1)
+    at = [int(np.argmax(np.where(components.labels == cavity, sizes, -1.0))) for cavity in cavities]
+    points: Points = (a[at] + b[at] + c[at]) / 3.0 + _NEAR * normals[at] / np.sqrt(sizes[at])[:, None]
     return points
 
 
-def fill_by_tetgen(
-    surface: Surface, components: Components, settings: TetgenSettings, log: Path, limit: TimeLimit, context: Context
-) -> WorkerResult:
+def fill_by_tetgen(surface: Surface, components: Components, max_volume: float, runner: Runner) -> Raw:
     """Fill a surface with tetrahedra.
 
     Parameters
@@ -94,20 +78,37 @@ def fill_by_tetgen(
         A checked surface.
     components
         Its components, and which lies in which.
-    settings
-        The settings.
-    log, limit, context
-        See :func:`.run_worker`, also for the errors.
+    max_volume
+        Largest volume of a tetrahedron aimed at, mm^3; the optimization at the end may make them
+        larger.
+    runner
+        Runs TetGen, and raises the errors.
     """
-    arrays = {
-        "points": surface.points,
-        "triangles": surface.triangles,
-        "cavities": cavity_points(surface, components),
+    scale = scale_of(surface.points)
+    job = {
+        "scale": scale,
+        "points": scale * surface.points,
+        "triangles": surface.triangles.astype(np.int32),
+        "cavities": scale * cavity_points(surface, components),
+        "max_volume": scale**3 * max_volume,
+        **_SHAPE,
     }
-    result = run_worker(WORKER, arrays, settings, log, limit, context)
-    result.summary.update(
-        max_volume=settings.max_volume,
-        max_radius_edge_ratio=settings.max_radius_edge_ratio,
-        min_dihedral=settings.min_dihedral,
-    )
-    return result
+    raw = runner.run(WORKER, job)
+    raw.summary.update(max_volume=max_volume, **_SHAPE)
+    return raw
+
+
+def _fill(tetgen: Any, job: Job) -> tuple[Any, Any]:
+    filling = tetgen.TetGen(job["points"], job["triangles"])
+    for point in job["cavities"]:
+        filling.add_hole(point.tolist())
+    # p: fill a surface; Y: leave its triangles as they are; q: shape; a: volume; O: optimize
+    shape = f"q{job['max_radius_edge_ratio']:g}/{job['min_dihedral']:g}"
+    switches = f"pY{shape}a{job['max_volume']:.15f}O{_OPTIMIZATION}"
+    print(f"switches {switches}")
+    points, tetrahedra = filling.tetrahedralize(switches=switches)[:2]
+    return points, tetrahedra
+
+
+if __name__ == "__main__":
+    serve("tetgen", _fill)

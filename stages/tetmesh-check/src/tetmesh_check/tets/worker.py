@@ -1,18 +1,15 @@
-"""A tetrahedralizer in a separate process, with progress, a time limit and a log.
+"""A tetrahedralizer in a child process, with progress, a time limit and a log.
 
-Tetrahedralizers are native code that may run for hours, crash, or use all memory. A separate
-process protects this program from that. This file contains both sides: :func:`run_worker`
-writes ``job.npz``, starts ``python -m MODULE job.npz result.npz`` and reads the result; that module
-calls :func:`serve`.
+Tetrahedralizers are native code that may run for hours, crash, or use all memory. A child process
+protects this program from that. :class:`Runner` writes ``job.npz`` into a temporary folder, starts
+``python -m MODULE FOLDER`` there, and reads ``result.npz``; that module calls :func:`serve`.
 """
 
 from __future__ import annotations
 
 import ctypes
 import importlib
-import importlib.metadata
 import importlib.util
-import json
 import math
 import os
 import re
@@ -21,7 +18,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,19 +27,18 @@ import numpy as np
 from tetmesh_check.context import Context
 from tetmesh_check.errors import StageError
 from tetmesh_check.files import temporary_error, temporary_folder
-from tetmesh_check.quality import Cells, Points
+from tetmesh_check.quality import Cells, Points, orient_positive
 
-Fill = Callable[[Any, dict[str, Any], dict[str, Any]], tuple[Any, Any]]
-"""Function of a worker: converts the library, the arrays and the settings of the job to points and
-tetrahedra."""
+Job = dict[str, Any]
+"""Arrays, numbers and texts for the child process, with lengths in units of 1 / ``scale`` mm."""
 
+_JOB, _RESULT = "job.npz", "result.npz"
 _POLL_SECONDS = 0.05
-_GRACE_SECONDS = 2.0
 _TAIL_BYTES = 4096
 _UNAVAILABLE = 3
-"""Exit code of a worker whose library cannot be imported."""
+"""Exit code of a child whose library cannot be imported."""
 _NO_ROOM = 4
-"""Exit code of a worker that cannot write temporary files; its last words are the reason."""
+"""Exit code of a child that cannot write temporary files; its last words are the reason."""
 _PR_SET_PDEATHSIG = 1
 _LINE_BUFFERED = 1
 
@@ -65,61 +61,42 @@ class Worker:
     """The Python module that calls :func:`serve`."""
     library: str
     """The Python package that it needs."""
-    shown: tuple[tuple[str, re.Pattern[str]], ...]
-    """Values in its log that are shown as progress: names, and patterns with the value as group."""
     when_it_fails: str
     """Advice if it fails."""
-    when_it_is_empty: str
-    """Advice if it returns no tetrahedra."""
     when_it_is_missing: str
     """Advice if its library is missing."""
-    powers: dict[str, int]
-    """Arrays and settings that are lengths (1) or volumes (3), by the power of the length unit."""
+    shown: dict[str, re.Pattern[str]]
+    """Values in its log that are shown as progress: patterns with the value as group."""
+    when_it_is_empty: str = ""
+    """Advice if it returns no tetrahedra; by default as if it fails."""
+
+    def refuse_missing(self) -> None:
+        """Raise an error if the library is not installed."""
+        if importlib.util.find_spec(self.library) is None:
+            raise UnavailableError(
+                f"{self.name} is not available: there is no Python package {self.library}",
+                "it is the tetrahedralizer that is to fill the surface",
+                self.when_it_is_missing,
+            )
+
+    def shown_in(self, text: str) -> dict[str, str]:
+        """Return the last of each of the shown values in a part of the log."""
+        found = {name: pattern.findall(text) for name, pattern in self.shown.items()}
+        return {name: values[-1] for name, values in found.items() if values}
 
 
 @dataclass(frozen=True)
-class TimeLimit:
-    """The time that all attempts together may take."""
-
-    max_seconds: float
-    """The time limit of the user, s."""
-    deadline: float
-    """End of the limit by the monotonic clock, s."""
-
-    @classmethod
-    def start(cls, max_seconds: float) -> TimeLimit:
-        """Count from now."""
-        return cls(max_seconds, time.monotonic() + max_seconds)
-
-
-@dataclass(frozen=True)
-class WorkerResult:
-    """The result of a worker."""
+class Raw:
+    """Tetrahedra as made."""
 
     points: Points
     """Positions, mm, shape ``(n, 3)``."""
     tetrahedra: Cells
-    """Vertex indices, shape ``(m, 4)``."""
-    said: str
-    """Its output in the log."""
+    """Vertex indices in VTK order, shape ``(m, 4)``."""
     summary: dict[str, Any]
     """For the report: version of the library and time in s, or the changes by mending."""
-
-
-def refuse_missing(worker: Worker) -> None:
-    """Refuse a tetrahedralizer whose library is not installed.
-
-    Parameters
-    ----------
-    worker
-        The tetrahedralizer.
-    """
-    if importlib.util.find_spec(worker.library) is None:
-        raise UnavailableError(
-            f"{worker.name} is not available: there is no Python package {worker.library}",
-            "it is the tetrahedralizer that is to fill the surface",
-            worker.when_it_is_missing,
-        )
+    turned: bool = False
+    """Whether all tetrahedra were wound the other way."""
 
 
 def scale_of(points: Points) -> float:
@@ -136,183 +113,118 @@ def scale_of(points: Points) -> float:
     return 1.0 if 1.0 <= diagonal <= 1000.0 else float(2.0 ** round(math.log2(100.0 / diagonal)))
 
 
-def last_match(pattern: re.Pattern[str], text: str) -> str | None:
-    """Find the group of the last match in a text, or ``None``."""
-    found = pattern.findall(text)
-    return str(found[-1]) if found else None
-
-
-def _end_group(process: subprocess.Popen[bytes]) -> None:
-    """End the process and its children: by SIGTERM, then by SIGKILL."""
-    if sys.platform == "win32":
-        process.kill()
-        process.wait()
-        return
-    for number in (signal.SIGTERM, signal.SIGKILL):
-        if process.poll() is not None:
-            return
-        try:
-            os.killpg(process.pid, number)
-            process.wait(timeout=_GRACE_SECONDS)
-        except (ProcessLookupError, subprocess.TimeoutExpired):
-            continue
-
-
-def _tail(path: Path) -> str:
-    with path.open("rb") as stream:
-        stream.seek(max(0, stream.seek(0, os.SEEK_END) - _TAIL_BYTES))
-        return stream.read().decode("utf-8", errors="replace")
-
-
-def _last_words(log: Path) -> str:
-    words = [line for line in _tail(log).splitlines() if line.strip()]
-    return words[-1] if words else "it said nothing"
-
-
-def _how_it_ended(worker: Worker, code: int, log: Path) -> StageError:
-    if code == _UNAVAILABLE:
-        return UnavailableError(
-            f"{worker.name} is not available: {_last_words(log)}",
-            "it is the tetrahedralizer that was to fill the surface; nothing was written",
-            worker.when_it_is_missing,
-        )
-    if code == _NO_ROOM:
-        return temporary_error(_last_words(log))
-    if code < 0:
-        name = signal.Signals(-code).name if -code in {int(s) for s in signal.Signals} else f"signal {-code}"
-        hint = " (often: out of memory)" if name == "SIGKILL" else ""
-        what = f"the tetrahedralizer ({worker.name}) crashed: {name}{hint}"
-    else:
-        what = f"the tetrahedralizer ({worker.name}) failed with exit code {code}: {_last_words(log)}"
-    return StageError(
-        what,
-        "without it there is no volume mesh; nothing was written",
-        f"its log is {log}; {worker.when_it_fails}",
-    )
-
-
-def _watch(process: subprocess.Popen[bytes], worker: Worker, log: Path, limit: TimeLimit, context: Context) -> None:
-    """Wait for the end, showing how far it is."""
-    progress = context.progress("tetrahedralize")
-    current: dict[str, str] = {}
-    try:
-        while process.poll() is None:
-            if time.monotonic() > limit.deadline:
-                raise TimeLimitError(
-                    f"the tetrahedralizer ({worker.name}) was ended after {limit.max_seconds:g} s, its time limit "
-                    "(--max-seconds)",
-                    "without it there is no volume mesh; nothing was written",
-                    f"its log is {log}; raise --max-seconds, or ask for larger tetrahedra with --tet-size-factor",
-                )
-            text = _tail(log)
-            for name, pattern in worker.shown:
-                value = last_match(pattern, text)
-                if value is not None:
-                    current[name] = value
-            progress.show(", ".join(f"{name} {value}" for name, value in current.items()) or "starting")
-            time.sleep(_POLL_SECONDS)
-    finally:
-        progress.close()
-
-
-def _version(library: str) -> str | None:
-    try:
-        return importlib.metadata.version(library)
-    except importlib.metadata.PackageNotFoundError:
-        return None
-
-
-def _run_process(
-    worker: Worker, words: list[str], folder: Path, log: Path, limit: TimeLimit, context: Context
-) -> tuple[int, int]:
-    """Run the module of a worker; return where its output starts in the log, and its exit code."""
-    try:
-        stream = log.open("ab")
-        start = stream.tell()
-    except OSError as error:
-        raise StageError.file(log, "write", error, "check the permissions of its folder") from error
-    with stream:
-        # Some write debugging files to the current folder, which is a temporary one.
-        # In a session of its own, it receives Ctrl-C through this process only.
-        process = subprocess.Popen(
-            [sys.executable, "-m", worker.module, *words],
-            cwd=folder,
-            stdin=subprocess.DEVNULL,
-            stdout=stream,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
-        try:
-            _watch(process, worker, log, limit, context)
-        finally:
-            _end_group(process)
-    return start, process.returncode
-
-
-def run_worker(
-    worker: Worker, arrays: dict[str, Any], settings: Any, log: Path, limit: TimeLimit, context: Context
-) -> WorkerResult:
-    """Fill a surface with tetrahedra in another process.
+class Runner:
+    """Runs tetrahedralizers one after the other, with one log and one time limit.
 
     Parameters
     ----------
-    worker
-        The tetrahedralizer.
-    arrays
-        The meshes and fields of the job, by name.
-    settings
-        Settings, a dataclass of numbers.
     log
-        File to which its output is appended.
-    limit
-        When it is ended.
+        File for their output. An existing one is removed.
+    max_seconds
+        The time that all of them together may take from now, s.
     context
         For progress.
-
-    Raises
-    ------
-    StageError
-        If it crashes, fails, returns nothing, or takes longer than its limit; the process is ended
-        then.
     """
-    with temporary_folder("tetmesh-check-") as folder:
-        job, result = folder / "job.npz", folder / "result.npz"
-        scale = scale_of(arrays["points"])
-        told: dict[str, Any] = {**asdict(settings), **arrays}
-        told.update({name: scale**power * told[name] for name, power in worker.powers.items() if name in told})
-        given = {name: told.pop(name) for name in asdict(settings)}
-        np.savez(job, settings=np.array(json.dumps(given)), **told)
-        started = time.monotonic()
-        start, code = _run_process(worker, [str(job), str(result)], folder, log, limit, context)
-        seconds = time.monotonic() - started
-        if code != 0 or not result.is_file():
-            raise _how_it_ended(worker, code, log)
-        with np.load(result) as loaded:
-            points = loaded["points"].astype(np.float64) / scale
-            tetrahedra = loaded["tetrahedra"].astype(np.int64)
-    if len(tetrahedra) == 0:
-        raise StageError(
-            f"the tetrahedralizer ({worker.name}) returned no tetrahedra",
-            "without them there is no volume mesh; nothing was written",
-            f"its log is {log}; {worker.when_it_is_empty}",
+
+    def __init__(self, log: Path, max_seconds: float, context: Context) -> None:
+        self.log = log
+        self._max_seconds = max_seconds
+        self._deadline = time.monotonic() + max_seconds
+        self._context = context
+        log.unlink(missing_ok=True)
+
+    def run(self, worker: Worker, job: Job) -> Raw:
+        """Fill a surface with tetrahedra in a child process.
+
+        Raises
+        ------
+        StageError
+            If it crashes, fails, returns nothing, or takes longer than the limit; the process is
+            ended then.
+        """
+        with temporary_folder("tetmesh-check-") as folder:
+            np.savez(folder / _JOB, **job)
+            started = time.monotonic()
+            code = self._run_process(worker, folder)
+            seconds = time.monotonic() - started
+            if code != 0 or not (folder / _RESULT).is_file():
+                raise self._failure(worker, code)
+            with np.load(folder / _RESULT) as result:
+                points, tetrahedra = result["points"], result["tetrahedra"]
+                version = str(result["version"])
+        if len(tetrahedra) == 0:
+            raise StageError(
+                f"the tetrahedralizer ({worker.name}) returned no tetrahedra",
+                "without them there is no volume mesh; nothing was written",
+                f"its log is {self.log}; {worker.when_it_is_empty or worker.when_it_fails}",
+            )
+        tetrahedra, turned = orient_positive(points, tetrahedra)
+        return Raw(points, tetrahedra, {"version": version, "seconds": seconds}, turned)
+
+    def _run_process(self, worker: Worker, folder: Path) -> int:
+        """Run the module of a worker and show how far it is; return its exit code."""
+        with self.log.open("ab") as stream:
+            # Some write debugging files to the current folder, which is a temporary one.
+            # In a session of its own, it receives Ctrl-C through this process only.
+            process = subprocess.Popen(
+                [sys.executable, "-u", "-m", worker.module, folder],
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        progress = self._context.progress("tetrahedralize")
+        current: dict[str, str] = {}
+        try:
+            while process.poll() is None:
+                if time.monotonic() > self._deadline:
+                    raise TimeLimitError(
+                        f"the tetrahedralizer ({worker.name}) was ended after {self._max_seconds:g} s, its time limit "
+                        "(--max-seconds)",
+                        "without it there is no volume mesh; nothing was written",
+                        f"its log is {self.log}; raise --max-seconds, or ask for larger tetrahedra with --tet-size-factor",
+                    )
+                current |= worker.shown_in(self._tail())
+                progress.show(", ".join(f"{name} {value}" for name, value in current.items()) or "starting")
+                time.sleep(_POLL_SECONDS)
+        finally:
+            process.kill()
+            process.wait()
+            progress.close()
+        return process.returncode
+
+    def _tail(self) -> str:
+        with self.log.open("rb") as stream:
+            stream.seek(max(0, stream.seek(0, os.SEEK_END) - _TAIL_BYTES))
+            return stream.read().decode("utf-8", errors="replace")
+
+    def _failure(self, worker: Worker, code: int) -> StageError:
+        """Return the error for the exit code of a child without a result."""
+        said = [line for line in self._tail().splitlines() if line.strip()]
+        last_words = said[-1] if said else "it said nothing"
+        if code == _UNAVAILABLE:
+            return UnavailableError(
+                f"{worker.name} is not available: {last_words}",
+                "it is the tetrahedralizer that was to fill the surface; nothing was written",
+                worker.when_it_is_missing,
+            )
+        if code == _NO_ROOM:
+            return temporary_error(last_words)
+        if code < 0:
+            name = signal.Signals(-code).name
+            ended = f"crashed: {name}{' (often: out of memory)' if name == 'SIGKILL' else ''}"
+        else:
+            ended = f"failed with exit code {code}: {last_words}"
+        return StageError(
+            f"the tetrahedralizer ({worker.name}) {ended}",
+            "without it there is no volume mesh; nothing was written",
+            f"its log is {self.log}; {worker.when_it_fails}",
         )
-    said = log.read_bytes()[start:].decode("utf-8", errors="replace")
-    return WorkerResult(points, tetrahedra, said, {"version": _version(worker.library), "seconds": seconds})
 
 
-def _prepare_process() -> None:
-    """Write the log line by line, and end this process when the parent ends, even by SIGKILL."""
-    # stdout and stderr are the log; Python's own buffer must not come after the C library's
-    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
-    if sys.platform != "linux":
-        return
-    libc = ctypes.CDLL(None)
-    libc.setvbuf(ctypes.c_void_p.in_dll(libc, "stdout"), None, _LINE_BUFFERED, 1 << 16)
-    libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-
-
-def serve(library: str, fill: Fill) -> None:
-    """Run a worker: read the job, fill the surface, and write the result atomically.
+def serve(library: str, fill: Callable[[Any, Job], tuple[Any, Any]]) -> None:
+    """Run a child process: read the job, fill the surface, and write the result.
 
     Parameters
     ----------
@@ -320,22 +232,30 @@ def serve(library: str, fill: Fill) -> None:
         The Python package to import; the process ends with a code of its own if that cannot be
         done.
     fill
-        The function that fills the surface.
+        Converts the library and the job to points and tetrahedra.
     """
-    _prepare_process()
-    job, result = (Path(word) for word in sys.argv[1:3])
+    if sys.platform == "linux":
+        libc = ctypes.CDLL(None)
+        # the log shows each line at once
+        libc.setvbuf(ctypes.c_void_p.in_dll(libc, "stdout"), None, _LINE_BUFFERED, 1 << 16)
+        # this process ends with its parent, even with one that SIGKILL ends
+        libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     try:
         loaded = importlib.import_module(library)
     except (ImportError, OSError) as error:
-        print(f"{type(error).__name__}: {error}", flush=True)
+        print(f"{type(error).__name__}: {error}")
         raise SystemExit(_UNAVAILABLE) from None
     try:
-        with np.load(job) as stored:
-            arrays: dict[str, Any] = dict(stored)
-        points, tetrahedra = fill(loaded, arrays, json.loads(str(arrays.pop("settings"))))
-        temporary = result.with_name("part.npz")
-        np.savez(temporary, points=points, tetrahedra=tetrahedra)
-        temporary.replace(result)
+        with np.load(_JOB) as stored:
+            job = {name: values if values.ndim else values.item() for name, values in stored.items()}
+        scale = job.pop("scale")
+        points, tetrahedra = fill(loaded, job)
+        np.savez(
+            _RESULT,
+            points=np.asarray(points, dtype=np.float64) / scale,
+            tetrahedra=np.asarray(tetrahedra, dtype=np.int64),
+            version=loaded.__version__,
+        )
     except OSError as error:
-        print(error.strerror or error, flush=True)
+        print(error.strerror or error)
         raise SystemExit(_NO_ROOM) from None
