@@ -50,9 +50,9 @@ def test_sectors_of_a_ball(tmp_path: Path) -> None:
     # segments
     assert found["junction_edges"] == 8 * (2 + 6)
     assert found["junction_vertices"] == 2
-    assert found["edges_by_triangles"] == {"2": found["edges_by_triangles"]["2"], "3": 64}
-    assert found["vertices_by_materials"]["4"] == 2
-    assert found["vertices_by_materials"]["3"] == 15 + 3 * 15
+    assert found["edges_by_triangles"] == {2: found["edges_by_triangles"][2], 3: 64}
+    assert found["vertices_by_materials"][4] == 2
+    assert found["vertices_by_materials"][3] == 15 + 3 * 15
     parts = by_name(found["materials"])
     third = 4.0 / 9.0 * np.pi * 1000.0
     for name in ("one", "two", "three"):
@@ -86,8 +86,8 @@ def test_four_regions_of_a_cube_meet_in_a_point(tmp_path: Path) -> None:
     assert by_name(found["interfaces"])["d/a"]["area_mm2"] == pytest.approx(8.0)
     # Four materials meet at the centre. The outside and three regions meet at one point of the
     # bottom, and at three points where the plane z = 2 cuts the outer surface.
-    assert found["vertices_by_materials"]["4"] == 1 + 1 + 3
-    assert found["vertices_by_materials"].keys() == {"2", "3", "4"}
+    assert found["vertices_by_materials"][4] == 1 + 1 + 3
+    assert found["vertices_by_materials"].keys() == {2, 3, 4}
 
 
 def test_parts_that_touch_along_an_edge_are_kept_asunder(tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_parts_that_touch_along_an_edge_are_kept_asunder(tmp_path: Path) -> None
     assert complex_.shells.materials.tolist() == [1, 2, 2]
     np.testing.assert_allclose(complex_.shells.sizes, [60.0, 2.0, 2.0])
     found = describe_complex(complex_)
-    assert found["edges_by_triangles"]["4"] == 2
+    assert found["edges_by_triangles"][4] == 2
     columns = by_name(found["materials"])["columns"]
     assert (columns["components"], columns["topology"]["nonmanifold_edges"]) == (2, 2)
 

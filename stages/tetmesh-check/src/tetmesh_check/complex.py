@@ -90,7 +90,7 @@ def check_complex(path: Path, surface: Surface) -> Complex:
             "the space between two equal triangles is empty",
         )
     if wrong:
-        words = ", ".join(f"{sides.names[number]} {count}" for number, count in sorted(wrong.items()))
+        words = ", ".join(f"{sides.names[number]} {count}" for number, count in wrong.items())
         refuse(
             f"the surfaces of {len(wrong)} materials are open or inconsistently oriented; number of such edges: {words}",
             "such a material has no inside, so there is no volume to fill",
@@ -114,25 +114,22 @@ def check_complex(path: Path, surface: Surface) -> Complex:
 
 def _materials(checked: Complex, topologies: Mapping[int, Mapping[str, object]]) -> list[dict[str, Any]]:
     """Each material's own closed surface."""
-    sides, shells = checked.sides, checked.shells
-    listed = []
+    sides, shells, area = checked.sides, checked.shells, checked.quality.area
     count = len(sides.table)
-    behind_of, before_of = members_of(sides.inside, count), members_of(sides.outside, count)
-    for number, topology in sorted(topologies.items()):
-        own = shells.materials == number
-        inner = number != NOTHING
-        listed.append(
-            {
-                "number": number,
-                "name": sides.names[number],
-                "volume_mm3": float(shells.sizes[own].sum()) if inner else None,
-                "components": int(own.sum()) if inner else None,
-                "area_mm2": float(checked.quality.area[np.append(behind_of[number], before_of[number])].sum()),
-                "smallest_wedge_degrees": float(shells.narrowest[number]) if inner else None,
-                "topology": topology,
-            }
-        )
-    return listed
+    areas = np.bincount(sides.inside, area, count) + np.bincount(sides.outside, area, count)
+    volumes = np.bincount(shells.materials, shells.sizes, count)
+    return [
+        {
+            "number": number,
+            "name": sides.names[number],
+            "volume_mm3": None if number == NOTHING else float(volumes[number]),
+            "components": None if number == NOTHING else int((shells.materials == number).sum()),
+            "area_mm2": float(areas[number]),
+            "smallest_wedge_degrees": None if number == NOTHING else float(shells.narrowest[number]),
+            "topology": topology,
+        }
+        for number, topology in topologies.items()
+    ]
 
 
 def describe_complex(checked: Complex) -> dict[str, Any]:
@@ -157,10 +154,21 @@ def describe_complex(checked: Complex) -> dict[str, Any]:
     surface, sides, quality = checked.surface, checked.sides, checked.quality
     found = _native.describe_complex(surface.points, surface.triangles, sides.inside, sides.outside, len(sides.table))
     pairs, which = sides.pairs()
-    interfaces = []
     of_pairs = zip(pairs.tolist(), members_of(which, len(pairs)), found["interfaces"], strict=True)
-    for (inside, outside), own, (pieces, turn) in of_pairs:
-        interfaces.append(
+    return {
+        "vertices": len(surface.points),
+        "triangles": len(surface.triangles),
+        "merged_points": surface.merged_points,
+        "area_mm2": float(quality.area.sum()),
+        "bounding_box_diagonal_mm": surface.bounding_box_diagonal,
+        "junction_edges": found["junction_edges"],
+        "junction_vertices": found["junction_vertices"],
+        "edges_by_triangles": found["edges_by_triangles"],
+        "vertices_by_materials": found["vertices_by_materials"],
+        "quality": summarize_all(quality),
+        "rms_turn_degrees": found["rms_turn_degrees"],
+        "materials": _materials(checked, found["topologies"]),
+        "interfaces": [
             {
                 "inside": inside,
                 "outside": outside,
@@ -171,24 +179,6 @@ def describe_complex(checked: Complex) -> dict[str, Any]:
                 "rms_turn_degrees": turn,
                 "quality": summarize_all(quality, own),
             }
-        )
-    return {
-        "vertices": len(surface.points),
-        "triangles": len(surface.triangles),
-        "merged_points": surface.merged_points,
-        "area_mm2": float(quality.area.sum()),
-        "bounding_box_diagonal_mm": surface.bounding_box_diagonal,
-        "junction_edges": found["junction_edges"],
-        "junction_vertices": found["junction_vertices"],
-        "edges_by_triangles": _by_text(found["edges_by_triangles"]),
-        "vertices_by_materials": _by_text(found["vertices_by_materials"]),
-        "quality": summarize_all(quality),
-        "rms_turn_degrees": found["rms_turn_degrees"],
-        "materials": _materials(checked, found["topologies"]),
-        "interfaces": interfaces,
+            for (inside, outside), own, (pieces, turn) in of_pairs
+        ],
     }
-
-
-def _by_text(counts: Mapping[int, int]) -> dict[str, int]:
-    """Counts by number, ascending, as JSON holds them."""
-    return {str(number): count for number, count in sorted(counts.items())}
