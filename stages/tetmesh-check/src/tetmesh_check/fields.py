@@ -1,9 +1,17 @@
-"""Fields on grids, read from files and evaluated by the Rust code."""
+"""Fields on grids, read from files and evaluated by the Rust code.
+
+``sizefield`` writes the size field h, the target edge lengths of the tetrahedra, on the grid of the
+distance field F. fTetWild reads h from a tetrahedral background mesh, which it searches for every
+vertex. Only the grid cells in and near the object matter, and h varies slowly (its gradient is at
+most the delta of ``sizefield``). So the grid is coarsened until the background mesh is much smaller
+than the result. Gmsh reads h from a grid along the world axes, which is cheap to search and may
+have more nodes.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pyvista as pv
@@ -12,10 +20,34 @@ from numpy.typing import NDArray
 
 from tetmesh_check.errors import StageError
 from tetmesh_check.quality import Points
-from tetmesh_check.surface import history_of, read_dataset
+from tetmesh_check.surface import Surface, history_of, read_dataset
 
 DISTANCE = "signed_distance"
 """Point array of a distance field: F at the voxel centres, mm, negative inside."""
+SIZING = "sizing"
+"""Point array of a size field: target edge length h, mm."""
+
+
+def _read_field(path: Path, name: str, why: str, advice: str, above: float) -> tuple[pv.ImageData, GridField]:
+    """Read an image whose point array ``name`` has finite values above a number."""
+
+    def refuse(what: str) -> NoReturn:
+        raise StageError(f"{path}: {what}", why, advice)
+
+    image = read_dataset(path)
+    if not isinstance(image, pv.ImageData):
+        refuse(f"holds a {type(image).__name__}, not an image")
+    if name not in image.point_data:
+        refuse(f"has no point array named '{name}' (those present: {', '.join(image.point_data.keys()) or 'none'})")
+    values = np.asarray(image.point_data[name])
+    if min(image.dimensions) < 2 or values.ndim != 1:
+        refuse(f"is a two-dimensional image or has several values per voxel {image.dimensions}")
+    bad = int((~np.isfinite(values) | (values <= above)).sum())
+    if bad:
+        refuse(f"{bad} of {values.size} values are not {'positive and ' if above == 0 else ''}finite")
+    shaped = values.astype(np.float32, copy=False).reshape(image.dimensions, order="F")
+    axes = np.asarray(image.direction_matrix).T.tolist()
+    return image, GridField(shaped, tuple(image.spacing), tuple(_placement(image)[1]), axes)
 
 
 def _placement(image: pv.ImageData) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -24,22 +56,7 @@ def _placement(image: pv.ImageData) -> tuple[NDArray[np.float64], NDArray[np.flo
     return step, np.asarray(image.origin, dtype=np.float64) + step @ np.array(image.extent[::2], dtype=np.float64)
 
 
-def grid_field(image: pv.ImageData, values: NDArray[np.floating[Any]]) -> GridField:
-    """Convert numbers at the points of an image to a field of the Rust code.
-
-    Parameters
-    ----------
-    image
-        The grid.
-    values
-        One number per point, x fastest.
-    """
-    _, origin = _placement(image)
-    shaped = values.astype(np.float32, copy=False).reshape(image.dimensions, order="F")
-    return GridField(shaped, tuple(image.spacing), tuple(origin), np.asarray(image.direction_matrix).T.tolist())
-
-
-def read_distance_field(path: Path, points: Points) -> tuple[GridField, object]:
+def read_distance_field(path: Path, points: Points) -> tuple[GridField, Any]:
     """Read the distance field of an object.
 
     Parameters
@@ -59,20 +76,9 @@ def read_distance_field(path: Path, points: Points) -> tuple[GridField, object]:
     StageError
         If it is of another kind, flat, has values that are no numbers, or does not hold the object.
     """
+    why = "mid-edge nodes are brought onto the surface where that distance is 0"
     advice = "give the file that distfield wrote for this surface"
-    image = read_dataset(path)
-    found = ", ".join(image.point_data.keys()) or "none"
-    if not isinstance(image, pv.ImageData) or DISTANCE not in image.point_data:
-        raise StageError(
-            f"{path}: is no image with a point array named '{DISTANCE}' (those present: {found})",
-            "mid-edge nodes are brought onto the surface where that distance is 0",
-            advice,
-        )
-    values = np.asarray(image.point_data[DISTANCE])
-    if min(image.dimensions) < 2 or values.ndim != 1 or not np.isfinite(values).all():
-        raise StageError(
-            f"{path}: is flat, many-valued or not finite {image.dimensions}", "F is one number a voxel in 3-D", advice
-        )
+    image, field = _read_field(path, DISTANCE, why, advice, -np.inf)
     step, origin = _placement(image)
     index = np.linalg.solve(step, (points - origin).T).T
     low, high = index.min(axis=0), index.max(axis=0)
@@ -84,4 +90,44 @@ def read_distance_field(path: Path, points: Points) -> tuple[GridField, object]:
             "F is not known there, so they do not belong together",
             advice,
         )
-    return grid_field(image, values), history_of(image)
+    return field, history_of(image)
+
+
+def read_sizing_field(path: Path) -> tuple[GridField, Any]:
+    """Read a size field.
+
+    Parameters
+    ----------
+    path
+        A VTK image (``.vti``) with the point array ``sizing``.
+
+    Returns
+    -------
+    tuple
+        The edge lengths, mm, and the history that the file carries.
+
+    Raises
+    ------
+    StageError
+        If it is of another kind, flat, or has values that are no edge lengths.
+    """
+    why = "it holds the target edge lengths of the tetrahedra, mm"
+    image, field = _read_field(path, SIZING, why, "give the file that sizefield wrote", 0.0)
+    return field, history_of(image)
+
+
+def uniform_sizing_field(surface: Surface, edge_length: float) -> GridField:
+    """Build a constant size field on a coarse grid around the object.
+
+    Parameters
+    ----------
+    surface
+        The object.
+    edge_length
+        The length, mm.
+    """
+    low, high = surface.points.min(axis=0), surface.points.max(axis=0)
+    spacing = max(float((high - low).max()) / 48.0, edge_length)
+    count = np.ceil((high - low) / spacing).astype(np.int64) + 3
+    values = np.full(tuple(int(n) for n in count), edge_length, dtype=np.float32)
+    return GridField(values, (spacing,) * 3, tuple(low - spacing), np.eye(3).tolist())

@@ -18,7 +18,7 @@ from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.export.vtk import write_quadratic, write_volume
 from tetmesh_check.fem.forward import Forward, RegionMesh, Source, resolve_source
 from tetmesh_check.fem.solve import solve_on
-from tetmesh_check.fields import read_distance_field
+from tetmesh_check.fields import read_distance_field, read_sizing_field, uniform_sizing_field
 from tetmesh_check.files import refuse_existing
 from tetmesh_check.forced import find_forced
 from tetmesh_check.labels import LabelVolume, read_label_volume
@@ -29,7 +29,6 @@ from tetmesh_check.quadratic import make_quadratic
 from tetmesh_check.quality import Values, summarize, summarize_all, triangle_quality
 from tetmesh_check.regions import check_labels, has_scale, meshed_labels
 from tetmesh_check.report.drawing import drawing
-from tetmesh_check.sizing import read_sizing_field, uniform_sizing_field
 from tetmesh_check.surface import Surface, check_surface, read_surface
 from tetmesh_check.tets.fill import Filled, Task, fill
 from tetmesh_check.tets.materials_fill import ComplexTask, FilledComplex, fill_complex

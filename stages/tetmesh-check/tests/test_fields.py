@@ -1,4 +1,4 @@
-"""Tests of the size field: its position, and the background mesh made from it."""
+"""Tests of fields read from files: their position, and the background mesh made from them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pyvista as pv
 from conftest import ball, write_sizing
 
 from tetmesh_check.errors import StageError
+from tetmesh_check.fields import read_sizing_field
 from tetmesh_check.quality import signed_tetrahedron_volumes
-from tetmesh_check.sizing import read_sizing_field
 from tetmesh_check.surface import read_surface
 
 
