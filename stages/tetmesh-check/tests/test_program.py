@@ -134,7 +134,7 @@ def test_pictures(tmp_path: Path, run: Run) -> None:
     if pictures["skipped"]:
         assert "apt-get install" in done.stderr
         pytest.skip(f"no renderer here: {pictures['skipped']}")
-    assert pictures["drawn"] == [f"ball.{name}.png" for name in ("surface", "closeup", "cut", "quality")]
+    assert pictures["drawn"] == [f"ball.{name}.png" for name in ("surface", "closeup", "cut")]
     for name in pictures["drawn"]:
         pixels = np.asarray(pv.read(tmp_path / "pictures" / name).point_data.active_scalars)
         assert pixels.std() > 10  # no blank sheet
@@ -153,21 +153,20 @@ def test_pictures(tmp_path: Path, run: Run) -> None:
     assert again.returncode == 0
 
 
-def test_no_renderer_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_renderer_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run) -> None:
     from tetmesh_check.report import pictures
 
     monkeypatch.setattr(pictures, "rendering_environment", lambda: None)
-    surface = ball()
-    surface.save(tmp_path / "b.vtp")
-    grid = pv.UnstructuredGrid({10: np.array([[0, 1, 2, 3]])}, np.eye(4, 3))
-    grid.cell_data["radius_ratio"] = [0.5]
-    grid.cell_data["min_dihedral"] = [50.0]
-    grid.save(tmp_path / "b.vtu")
-    with pictures.Drawing(pictures.PictureJob(tmp_path / "b.vtp", tmp_path / "b.vtu", tmp_path, "b")) as drawing:
-        drawn, skipped = drawing.finish()
-    assert drawn == ["b.quality.png"]
+    with pytest.raises(SystemExit, match="libosmesa6"):
+        pictures.main("b.vtp", "b.vtu", "cut=b.cut.png")
+    # a process that draws nothing
+    ball().save(tmp_path / "ball.vtp")
+    (tmp_path / "pictures").write_text("a file")
+    done = run("ball.vtp", "-o", "ball.volume.vtu", "--max-passes", 3, "--pictures", "pictures", "--report", "r.json")
+    assert done.returncode == 0
+    assert "pictures skipped (surface, closeup, cut): " in done.stderr
+    skipped = json.loads((tmp_path / "r.json").read_text())["results"]["pictures"]["skipped"]
     assert set(skipped) == {"surface", "closeup", "cut"}
-    assert "libosmesa6" in skipped["cut"]
 
 
 def worker_processes(folder: Path) -> list[str]:

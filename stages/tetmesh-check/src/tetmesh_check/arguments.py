@@ -14,7 +14,6 @@ from tetmesh_check.export.formats import export_paths
 from tetmesh_check.fem.forward import ForwardArguments
 from tetmesh_check.fem.solve import SolveSettings
 from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS
-from tetmesh_check.report.pictures import PictureJob
 
 
 class Method(StrEnum):
@@ -124,10 +123,12 @@ class Arguments:
                 "omit --labels-volume",
             )
 
-    @property
-    def picture_job(self) -> PictureJob | None:
-        """The pictures to draw, if any."""
-        return None if self.pictures is None else PictureJob(self.surface, self.output, self.pictures, self.name)
+    def picture_paths(self, many: bool = True) -> dict[str, Path]:
+        """Return the pictures by kind, in order; ``regions`` is of many materials only."""
+        if self.pictures is None:
+            return {}
+        kinds = ("surface", "closeup", "cut", *(["regions"] if many else []))
+        return {kind: self.pictures / f"{self.name}.{kind}.png" for kind in kinds}
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters for the history. Defaults that depend on inputs are set later."""

@@ -199,7 +199,6 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
 
 def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
     from tetmesh_check.pipeline import run
-    from tetmesh_check.report.pictures import PICTURES
 
     arguments = _arguments(parsed)
     context.parameters.update(arguments.parameters())
@@ -212,6 +211,6 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
                 "choose another name for the output",
             )
     refuse_existing(outputs, context.common.force)
-    if (job := arguments.picture_job) is not None and job.folder.is_dir():
-        refuse_existing([job.path(picture) for picture in PICTURES], context.common.force)
+    if arguments.pictures is not None and arguments.pictures.is_dir():
+        refuse_existing(arguments.picture_paths().values(), context.common.force)
     return run(arguments, context)

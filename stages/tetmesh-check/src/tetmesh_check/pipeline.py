@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from isoparticles import _native
@@ -225,7 +225,6 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         with context.step(f"export {kind}"):
             export(marked, arguments.output, arguments.name, kind, arguments.unit)
     context.results["exports"] = [path.name for path in exported]
-    job = arguments.picture_job
-    with drawing(None if job is None else replace(job, many=many), context):
+    with drawing(arguments, context, many):
         checks += solve_on(mesh, arguments.solve, context, _currents(source, surface.sides, filled, marked))
     return conclude(checks, filled.quality, context)

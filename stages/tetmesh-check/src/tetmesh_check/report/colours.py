@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
+from typing import Any
 
 import numpy as np
+import pyvista as pv
 from numpy.typing import ArrayLike, NDArray
+
+from tetmesh_check.field_data import text_of
+from tetmesh_check.materials import INSIDE, OUTSIDE
 
 PALETTE = [
     "#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00", "#cc79a7", "#8700f0", "#b4e196", "#695a2d",
@@ -42,6 +48,19 @@ def material_colours(count: int, sides: ArrayLike = ()) -> NDArray[np.uint8]:
         order = [(number - 1 + step) % size for step in range(size)]
         chosen[number] = min(order, key=lambda place: uses[place])
     return distinct(["#000000", *(PALETTE[place] for place in chosen.values())][:count])
+
+
+def materials_of(surface: pv.PolyData) -> tuple[list[dict[str, Any]], NDArray[np.uint8]]:
+    """Return the table of materials by number, the outside first, and their colours.
+
+    Parameters
+    ----------
+    surface
+        A surface of many materials as read.
+    """
+    table = json.loads(text_of(surface, "meta") or "{}").get("materials") or []
+    sides = np.column_stack([surface.cell_data[INSIDE], surface.cell_data[OUTSIDE]])
+    return table, material_colours(len(table), sides)
 
 
 def distinct(colours: list[str]) -> NDArray[np.uint8]:

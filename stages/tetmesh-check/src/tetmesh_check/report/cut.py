@@ -2,59 +2,47 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pyvista as pv
+from numpy.typing import NDArray
 
-from tetmesh_check.quality import Cells, Labels, Points, centres_of
-from tetmesh_check.topology import tetrahedron_boundary
-
-
-@dataclass(frozen=True)
-class Cut:
-    """The outside of the farther half."""
-
-    triangles: Cells
-    """Vertex indices, outward, shape ``(k, 3)``."""
-    owners: Labels
-    """Tetrahedron of each triangle, shape ``(k,)``."""
-    normal: Points
-    """From the half that is kept towards the eye, along an axis of the world; shape ``(3,)``."""
-    up: Points
-    """Upward direction of the picture, shape ``(3,)``."""
+from tetmesh_check.quality import Points
 
 
-def cut_through_the_middle(points: Points, tetrahedra: Cells) -> Cut:
+def cut_of(volume: pv.UnstructuredGrid) -> tuple[pv.PolyData, Points, Points]:
     """Cut across the shortest side of the object, at the median of the tetrahedra.
 
     Parameters
     ----------
-    points
-        Positions, mm, shape ``(n, 3)``.
-    tetrahedra
-        Vertex indices, shape ``(m, 4)``.
+    volume
+        A mesh as ``tetmesh-check`` writes it.
+
+    Returns
+    -------
+    tuple
+        The boundary of the farther half; the direction from it towards the eye, along an axis of
+        the world; and the upward direction of a picture.
     """
-    axis = int(np.argmin(np.ptp(points, axis=0)))
+    axis = int(np.argmin(np.ptp(volume.points, axis=0)))
     normal = np.zeros(3)
     normal[axis] = -1.0 if axis == 1 else 1.0
     up = np.array([0.0, 1.0, 0.0]) if axis == 2 else np.array([0.0, 0.0, 1.0])
-    depth = centres_of(points @ normal, tetrahedra)
-    kept = np.flatnonzero(depth < np.median(depth))
-    if len(kept) == 0:  # all in one plane
-        kept = np.arange(len(tetrahedra))
-    outside = tetrahedron_boundary(tetrahedra[kept])
-    return Cut(outside.triangles, kept[outside.owners], normal, up)
+    depth = volume.cell_centers().points @ normal
+    kept = depth < np.median(depth)
+    # none lie before the median if all lie in one plane
+    return boundary_of(volume, kept if kept.any() else ~kept), normal, up
 
 
-def cut_of(volume: pv.UnstructuredGrid) -> Cut:
-    """Cut a volume mesh as ``tetmesh-check`` writes it.
+def boundary_of(volume: pv.UnstructuredGrid, kept: NDArray[Any]) -> pv.PolyData:
+    """Return the boundary of some tetrahedra, outward, with their cell data.
 
     Parameters
     ----------
     volume
-        The mesh.
+        A mesh of tetrahedra.
+    kept
+        Whether each tetrahedron is one of them, shape ``(m,)``.
     """
-    points = np.asarray(volume.points, dtype=np.float64)
-    tetrahedra = np.asarray(volume.cells_dict[pv.CellType.TETRA], dtype=np.int64)
-    return cut_through_the_middle(points, tetrahedra)
+    return volume.extract_cells(kept).extract_surface(algorithm="dataset_surface")

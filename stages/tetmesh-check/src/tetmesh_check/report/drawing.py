@@ -1,44 +1,71 @@
-"""Pictures drawn beside other work, and what the report says of them."""
+"""Pictures that another process draws beside the work, and what the report says of them.
+
+VTK may end a process that draws where it finds no renderer (see :mod:`.rendering`).
+"""
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from tetmesh_check.arguments import Arguments
 from tetmesh_check.context import Context
-from tetmesh_check.report.pictures import Drawing, PictureJob
+
+_DRAWING_SECONDS = 300.0
+"""Time for the pictures after the other work."""
 
 
 @contextmanager
-def drawing(job: PictureJob | None, context: Context) -> Iterator[None]:
+def drawing(arguments: Arguments, context: Context, many: bool) -> Iterator[None]:
     """Have the pictures drawn beside the work of the block.
 
     Parameters
     ----------
-    job
-        The pictures to draw, if any.
+    arguments
+        What the user asked for; the surface and the volume mesh exist.
     context
         For times, warnings, and ``pictures`` in the results.
+    many
+        Whether the volume mesh is of many materials.
     """
-    if job is None:
+    targets = arguments.picture_paths(many)
+    if not targets:
         yield
         return
-    drawn: list[str] = []
-    try:
-        job.folder.mkdir(parents=True, exist_ok=True)
-        processes = Drawing(job)
-    except OSError as error:
-        skipped = {"all": str(error)}
-        yield
-    else:
-        with processes:
+    words = [arguments.surface, arguments.output, *(f"{kind}={path}" for kind, path in targets.items())]
+    with subprocess.Popen(
+        [sys.executable, "-m", "tetmesh_check.report.pictures", *map(str, words)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+    ) as process:
+        try:
             yield
             with context.step("pictures"):
-                try:
-                    drawn, skipped = processes.finish()
-                except OSError as error:
-                    skipped = {"all": str(error)}
-    context.results["pictures"] = {"drawn": drawn, "skipped": skipped}
-    for reason in sorted(set(skipped.values())):
-        names = ", ".join(name for name, why in skipped.items() if why == reason)
-        context.warn(f"pictures skipped ({names}): {reason}")
+                drawn, reason = _finish(process)
+        finally:
+            process.kill()
+    missing = [kind for kind in targets if kind not in drawn]
+    context.results["pictures"] = {
+        "drawn": [path.name for kind, path in targets.items() if kind in drawn],
+        "skipped": dict.fromkeys(missing, reason),
+    }
+    if missing:
+        context.warn(f"pictures skipped ({', '.join(missing)}): {reason}")
+
+
+def _finish(process: subprocess.Popen[str]) -> tuple[list[str], str]:
+    """Wait for the process; return the kinds that it drew, and why there are no others."""
+    try:
+        told, errors = process.communicate(timeout=_DRAWING_SECONDS)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.communicate()[0].split(), f"the drawing process was ended after {_DRAWING_SECONDS:g} s"
+    words = errors.strip().splitlines()
+    if process.returncode == 1 and words:  # of an exception
+        return told.split(), words[-1]
+    return told.split(), f"the drawing process ended with code {process.returncode}"

@@ -10,33 +10,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 
 _PROBE_SECONDS = 60.0
 _PROBE = """
-import vtkmodules.vtkRenderingOpenGL2
-from vtkmodules.vtkRenderingCore import vtkRenderWindow, vtkRenderer, vtkWindowToImageFilter
-window = vtkRenderWindow()
-window.SetOffScreenRendering(1)
-window.SetSize(16, 16)
-renderer = vtkRenderer()
-renderer.SetBackground(1.0, 1.0, 1.0)
-window.AddRenderer(renderer)
-window.Render()
-grab = vtkWindowToImageFilter()
-grab.SetInput(window)
-grab.Update()
-assert grab.GetOutput().GetScalarRange()[1] == 255.0
+import pyvista
+drawn = pyvista.Plotter(off_screen=True, window_size=[16, 16]).screenshot(return_img=True)
+assert drawn.max() == 255
 """
-
-
-def _candidates() -> Iterator[dict[str, str]]:
-    headless = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    yield headless
-    yield {**headless, "VTK_DEFAULT_OPENGL_WINDOW": "vtkOSOpenGLRenderWindow"}
-    yield {**headless, "VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow"}
-    if "DISPLAY" in os.environ:
-        yield dict(os.environ)
+_CHOICES = ({}, *({"VTK_DEFAULT_OPENGL_WINDOW": f"vtk{kind}RenderWindow"} for kind in ("OSOpenGL", "EGL")))
+"""Environment variables to try without a display; VTK chooses by itself first."""
 
 
 def rendering_environment() -> dict[str, str] | None:
@@ -47,19 +29,19 @@ def rendering_environment() -> dict[str, str] | None:
     dict or None
         The whole environment for a drawing process, or ``None`` when this machine cannot draw.
     """
-    for environment in _candidates():
+    headless = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    for environment in (*({**headless, **choice} for choice in _CHOICES), dict(os.environ)):
         try:
-            probe = subprocess.run(
+            subprocess.run(
                 [sys.executable, "-c", _PROBE],
                 env=environment,
                 capture_output=True,
                 timeout=_PROBE_SECONDS,
-                check=False,
+                check=True,
             )
-        except subprocess.TimeoutExpired:
+        except subprocess.SubprocessError:
             continue
-        if probe.returncode == 0:
-            return environment
+        return environment
     return None
 
 

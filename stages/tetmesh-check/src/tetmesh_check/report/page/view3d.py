@@ -10,14 +10,13 @@ import pyvista as pv
 from markupsafe import Markup
 
 from tetmesh_check.field_data import text_of
-from tetmesh_check.polydata import from_polydata
-from tetmesh_check.quality import Cells, Labels, Points, Values, triangle_quality
-from tetmesh_check.report.cut import cut_of
+from tetmesh_check.polydata import from_polydata, to_polydata
+from tetmesh_check.quality import OUTWARD_FACES, triangle_quality
+from tetmesh_check.report.cut import boundary_of, cut_of
 from tetmesh_check.report.page.key import Entry
 from tetmesh_check.report.page.payload import MAX_TRIANGLES, WORST, Colour, ViewMesh, pack
 from tetmesh_check.report.page.templates import render
 from tetmesh_check.surface import read_dataset
-from tetmesh_check.topology import tetrahedron_boundary
 
 _YAW, _PITCH = 0.63, 0.38
 """Initial direction of view, radians; the same as in the pictures."""
@@ -25,22 +24,13 @@ _MAX_WORST = 5000
 """Largest number of tetrahedra among the worst: more only hide each other."""
 _MAX_REGIONS = 12
 """Materials that can be looked at one by one, the largest first: the page grows with each."""
-
-
-def _edge_lengths(points: Points, triangles: Cells) -> Values:
-    """Mean length of the edges at each vertex, mm, shape ``(n,)``; 0 if unused."""
-    total, uses = np.zeros(len(points)), np.zeros(len(points))
-    for k in range(3):
-        a, b = triangles[:, k], triangles[:, (k + 1) % 3]
-        length = np.linalg.norm(points[a] - points[b], axis=1)
-        for end in (a, b):
-            total += np.bincount(end, length, len(points))
-            uses += np.bincount(end, minlength=len(points))
-    return np.divide(total, uses, out=np.zeros(len(points)), where=uses > 0)
-
-
-def _edge_length(points: Points, triangles: Cells) -> Colour:
-    return Colour("edge length", " mm", _edge_lengths(points, triangles), False)
+_MEASURES = (
+    ("radius_ratio", "radius ratio", "", "low"),
+    ("min_dihedral", "minimum dihedral angle", "\u00b0", "low"),
+    ("edge_length", "edge length", " mm", ""),
+    ("deviation", "deviation from F = 0", " mm", "high"),
+)
+"""Data of meshes, each with what the page calls it, its unit, and which end is bad."""
 
 
 def is_anatomical(dataset: pv.DataSet) -> bool:
@@ -54,81 +44,65 @@ def is_anatomical(dataset: pv.DataSet) -> bool:
     return (text_of(dataset, "space") or "").strip('"').lower() == "lps"
 
 
-def view_of_surface(surface: pv.PolyData) -> ViewMesh:
-    """Take a surface, its quality, edge lengths and deviation from F = 0.
+def _add_edge_lengths(mesh: pv.PolyData) -> pv.PolyData:
+    """Add the mean length of the edges at each vertex, mm."""
+    points, triangles = from_polydata(mesh)
+    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+    total = np.bincount(edges.ravel(), np.repeat(lengths, 2), len(points))
+    mesh.point_data["edge_length"] = total / np.maximum(np.bincount(edges.ravel(), minlength=len(points)), 1)
+    return mesh
 
-    Parameters
-    ----------
-    surface
-        The surface as read.
-    """
-    points, triangles = from_polydata(surface)
+
+def _with_quality(mesh: pv.PolyData) -> pv.PolyData:
+    made = mesh.copy(deep=False)
+    made.cell_data["radius_ratio"] = triangle_quality(*from_polydata(mesh)).radius_ratio
+    return made
+
+
+def _shown(name: str, mesh: pv.PolyData, *more: Colour, within: bool = False) -> ViewMesh:
+    """Make a mesh of the view, coloured by the measures among its data."""
     colours = [
-        Colour("radius ratio", "", triangle_quality(points, triangles).radius_ratio, True, "low"),
-        _edge_length(points, triangles),
+        Colour(called, unit, np.abs(mesh[data]), data in mesh.cell_data, bad)
+        for data, called, unit, bad in _MEASURES
+        if data in mesh.array_names and np.isfinite(mesh[data]).all()
     ]
-    if "deviation" in surface.cell_data:
-        deviation = np.abs(np.asarray(surface.cell_data["deviation"], dtype=np.float64))
-        if np.isfinite(deviation).all():
-            colours.append(Colour("deviation from F = 0", " mm", deviation, True, "high"))
-    return ViewMesh("surface", points, triangles, colours)
+    return ViewMesh(name, *from_polydata(mesh), [*colours, *more], within)
 
 
-def views_of_volume(grid: pv.UnstructuredGrid, key: list[Entry]) -> list[ViewMesh]:
-    """Take the half of the tetrahedra behind a cut, and the worst of all tetrahedra.
-
-    Parameters
-    ----------
-    grid
-        The volume mesh as read.
-    key
-        Names and colours of the materials.
-    """
-    points = np.asarray(grid.points, dtype=np.float64)
-    cells = np.asarray(grid.cells_dict[pv.CellType.TETRA], dtype=np.int64)
-    ratio = np.asarray(grid.cell_data["radius_ratio"], dtype=np.float64)
-    dihedral = np.asarray(grid.cell_data["min_dihedral"], dtype=np.float64)
-
-    def colours(owners: Cells) -> list[Colour]:
-        return [
-            Colour("radius ratio", "", ratio[owners], True, "low"),
-            Colour("minimum dihedral angle", "\u00b0", dihedral[owners], True, "low"),
-        ]
-
-    cut = cut_of(grid)
-    on_cut = [*colours(cut.owners), _edge_length(points, cut.triangles)]
-    if (text := text_of(grid, "materials")) is not None:
-        region = np.asarray(grid.cell_data["region"], dtype=np.int64)
-        names = [str(entry["name"]) for entry in json.loads(text)]
-        shades = {entry.name: entry.colour for entry in key}
-        shown = tuple((name, shades.get(name, (0, 0, 0))) for name in names)
-        on_cut.append(Colour("material", "", region[cut.owners].astype(np.float64), True, names=shown))
-        singly = _views_of_regions(points, cells, region, names)
-    else:
-        singly = []
-    count = min(max(1, round(len(cells) * WORST / 100.0)), _MAX_WORST)
+def _views_of_volume(grid: pv.UnstructuredGrid, key: list[Entry]) -> list[ViewMesh]:
+    """Return the half of the tetrahedra behind a cut, the worst ones, and each material."""
+    cut = _add_edge_lengths(cut_of(grid)[0])
+    ratio = grid.cell_data["radius_ratio"]
+    count = min(max(1, round(grid.n_cells * WORST / 100.0)), _MAX_WORST)
     worst = np.sort(np.argpartition(ratio, count - 1)[:count])
-    # the faces of a tetrahedron, outward
-    faces = cells[worst][:, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]].reshape(-1, 3)
-    return [
-        ViewMesh("cut", points, cut.triangles, on_cut),
-        ViewMesh("worst tetrahedra", points, faces, colours(np.repeat(worst, 4)), within=True),
-        *singly,
-    ]
+    faces = grid.cells_dict[pv.CellType.TETRA][worst][:, OUTWARD_FACES].reshape(-1, 3)
+    flat = to_polydata(grid.points, faces)
+    for data in ("radius_ratio", "min_dihedral"):
+        flat.cell_data[data] = np.repeat(grid.cell_data[data][worst], len(OUTWARD_FACES))
+    views = [_shown("worst tetrahedra", flat, within=True)]
+    if (text := text_of(grid, "materials")) is None:
+        return [_shown("cut", cut), *views]
+    names = [str(entry["name"]) for entry in json.loads(text)]
+    shades = {entry.name: entry.colour for entry in key}
+    named = tuple((name, shades.get(name, (0, 0, 0))) for name in names)
+    region = Colour("material", "", cut.cell_data["region"].astype(np.float64), True, names=named)
+    return [_shown("cut", cut, region), *views, *_views_of_regions(grid, names)]
 
 
-def _views_of_regions(points: Points, cells: Cells, region: Labels, names: list[str]) -> list[ViewMesh]:
+def _views_of_regions(grid: pv.UnstructuredGrid, names: list[str]) -> list[ViewMesh]:
     """Each material inside a ghost of the whole, the largest first."""
+    region = grid.cell_data["region"]
     numbers, counts = np.unique(region, return_counts=True)
     views: list[ViewMesh] = []
     left = MAX_TRIANGLES
     for material in numbers[np.argsort(-counts, kind="stable")][:_MAX_REGIONS].tolist():
-        triangles = tetrahedron_boundary(cells[region == material]).triangles
-        left -= len(triangles)
+        boundary = boundary_of(grid, region == material)
+        left -= boundary.n_cells
         if left < 0:
             break
-        shape = Colour("radius ratio", "", triangle_quality(points, triangles).radius_ratio, True, "low")
-        views.append(ViewMesh(f"only {names[material]}", points, triangles, [shape], within=True))
+        boundary.clear_cell_data()
+        views.append(_shown(f"only {names[material]}", _with_quality(boundary), within=True))
     return views
 
 
@@ -145,11 +119,11 @@ def view_meshes(surface: pv.PolyData | None, volume: Path | None, key: list[Entr
     key
         Names and colours of the materials.
     """
-    meshes = [] if surface is None else [view_of_surface(surface)]
+    meshes = [] if surface is None else [_shown("surface", _add_edge_lengths(_with_quality(surface)))]
     if volume is not None:
         grid = read_dataset(volume)
         if isinstance(grid, pv.UnstructuredGrid) and pv.CellType.TETRA in grid.cells_dict:
-            meshes += views_of_volume(grid, key)
+            meshes += _views_of_volume(grid, key)
     return [mesh for mesh in meshes if 0 < len(mesh.triangles) <= MAX_TRIANGLES]
 
 
