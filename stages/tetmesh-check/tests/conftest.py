@@ -186,9 +186,9 @@ def volume_with_ball(directions: np.ndarray | None = None, labels: bool = False)
     if labels:
         values = np.where(inside, 2, 0).astype(np.uint8)
         values[:, :, :2] = 1
-        return Scan(values, step, origin, True, True, {2: "a <ball>"})
+        return Scan(values, step, origin, True, {2: "a <ball>"}, labels=True)
     noise = np.random.default_rng(1).normal(0.0, 5.0, shape)
-    return Scan((np.where(inside, 200.0, 20.0) + noise).astype(np.int16), step, origin, True, False)
+    return Scan((np.where(inside, 200.0, 20.0) + noise).astype(np.int16), step, origin, True)
 
 
 @pytest.fixture(scope="session")

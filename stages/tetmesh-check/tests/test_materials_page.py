@@ -56,7 +56,7 @@ def labelled(case: Path) -> Path:
     radius = np.linalg.norm(np.indices((24, 24, 24)) - 11.5, axis=0)
     values = np.digitize(-radius, [-10.0, -7.0, -4.0]).astype(np.uint8)
     values[:, 0] = 9
-    scan = Scan(values, np.eye(3), np.full(3, -11.5), True, True, {9: "a table"})
+    scan = Scan(values, np.eye(3), np.full(3, -11.5), True, {9: "a table"}, labels=True)
     path = case / "labelled.html"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(program, "read_scan", lambda *_: scan)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +26,12 @@ class InputVolume:
     """World vectors from a voxel centre to the next along each grid axis, mm; one a column."""
     origin: Points
     """World position of the centre of voxel (0, 0, 0), mm."""
-    names: dict[int, str]
-    """Names of the labels of the first layer, where the file gives them."""
-    layers: int
-    """Number of layers; segments of different layers may overlap."""
     anatomical: bool
     """Whether the world is that of the body (left, posterior, superior)."""
+    names: dict[int, str] = field(default_factory=dict)
+    """Names of the labels of the first layer, where the file gives them."""
+    layers: int = 1
+    """Number of layers; segments of different layers may overlap."""
 
 
 def read_volume(path: Path, series: str | None = None) -> InputVolume:
@@ -59,10 +59,10 @@ def read_volume(path: Path, series: str | None = None) -> InputVolume:
     except Error as error:
         raise StageError(error.what, error.why, error.next) from error
     return InputVolume(
-        values=found["values"].T,
-        step=np.array(found["axes"]).T * found["spacing"],
-        origin=np.array(found["origin"]),
-        names=found["names"],
-        layers=found["layers"],
-        anatomical=found["is_lps"],
+        found["values"].T,
+        np.array(found["axes"]).T * found["spacing"],
+        np.array(found["origin"]),
+        found["is_lps"],
+        found["names"],
+        found["layers"],
     )

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pyvista as pv
 
-from tetmesh_check.field_data import text_of
-from tetmesh_check.materials import INSIDE, OUTSIDE
-from tetmesh_check.report.colours import PALETTE, distinct, material_colours
+from tetmesh_check.materials import INSIDE
+from tetmesh_check.report.colours import PALETTE, distinct, material_colours, materials_of
 from tetmesh_check.report.page.case import Case, dig
 from tetmesh_check.report.page.scan import Scan
 
@@ -33,14 +31,6 @@ class Entry:
     meshed: bool = True
 
 
-def _told(case: Case, surface: pv.PolyData | None) -> tuple[list[dict[str, Any]], Any]:
-    """Find the table of materials, the outside first, and pairs of materials that touch."""
-    if surface is None or not {INSIDE, OUTSIDE} <= set(surface.cell_data):
-        return dig(case.reports, "distfield", "parameters", "materials") or [], ()
-    sides = np.column_stack([surface.cell_data[INSIDE], surface.cell_data[OUTSIDE]])
-    return json.loads(text_of(surface, "meta") or "{}").get("materials") or [], sides
-
-
 def _labels(entries: Any) -> tuple[int, ...]:
     """Return the labels of the first layer in a list of labels of a report."""
     found = [entry if isinstance(entry, dict) else {"label": entry, "layer": 0} for entry in entries or []]
@@ -59,24 +49,24 @@ def key_of(case: Case, scan: Scan | None, surface: pv.PolyData | None) -> list[E
     surface
         The surface, if there is one.
     """
-    table, sides = _told(case, surface)
-    colours = material_colours(len(table), sides).tolist()
-    entries = [
-        Entry(str(row["name"]), tuple(colour), _labels(row.get("labels")))
-        for row, colour in list(zip(table, colours, strict=True))[1:]
-    ]
+    if surface is not None and INSIDE in surface.cell_data:
+        table, colours = materials_of(surface)
+    else:
+        table = dig(case.reports, "distfield", "parameters", "materials") or []
+        colours = material_colours(len(table))
+    rows = zip(table, colours.tolist(), strict=True)
+    entries = [Entry(str(row["name"]), tuple(colour), _labels(row.get("labels"))) for row, colour in rows][1:]
     if scan is None or not scan.labels:
         return entries
-    known = {label for entry in entries for label in entry.labels}
+    known = {0, *(label for entry in entries for label in entry.labels)}
     meshed = set(_labels(dig(case.reports, "distfield", "parameters", "labels")))
-    other = [int(label) for label in np.unique(scan.values).tolist() if label != 0 and label not in known]
+    other = [int(label) for label in np.unique(scan.values).tolist() if label not in known]
     bright = [not entries and (not meshed or label in meshed) for label in other]
     shades = [PALETTE[place % len(PALETTE)] for place in range(len(other))]
     shades = [shade if own else _muted(shade) for shade, own in zip(shades, bright, strict=True)]
     used = [f"#{bytes(entry.colour).hex()}" for entry in entries]
     for label, colour, own in zip(other, distinct([*used, *shades]).tolist()[len(used) :], bright, strict=True):
-        name = scan.names.get(label, f"label {label}")
-        entries.append(Entry(name, tuple(colour), (label,), own))
+        entries.append(Entry(scan.names.get(label, f"label {label}"), tuple(colour), (label,), own))
     return entries
 
 

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 from isoparticles import _native
+from numpy.typing import NDArray
 
 from tetmesh_check.quality import Cells, Points, Values
+from tetmesh_check.report.page.scan import world_letters
 
 STEPS = 8191
 """Steps over half of the longest side of the object: a ten-thousandth of it is well below a
@@ -19,8 +21,6 @@ pixel."""
 MAX_TRIANGLES = 1_000_000
 """Larger meshes are left out of the view: a page of ribs with 579,140 triangles and 287,010 on the
 cut holds 5.5 MB of them."""
-
-
 _WHOLE_VALUES = 300_000
 """Values of larger meshes are kept to 8 bits of their range instead of 16, which deflate to half as
 much."""
@@ -64,31 +64,22 @@ class ViewMesh:
     """Whether it lies inside the object, and is shown within a ghost of the first mesh."""
 
 
-def _bytes_of_differences(values: Any) -> bytes:
-    """Zigzag differences of whole numbers, as four planes of bytes."""
-    differences = np.diff(values.astype(np.int64), prepend=0)
-    zigzag = np.where(differences < 0, -2 * differences - 1, 2 * differences).astype("<u4")
-    return bytes(zigzag.view(np.uint8).reshape(-1, 4).T.tobytes())
+def _planes(numbers: NDArray[Any]) -> bytes:
+    """Return the first bytes of all numbers, then the second ones and so on."""
+    return numbers.view(np.uint8).reshape(len(numbers), -1).T.tobytes()
 
 
-def _in_order_of_use(triangles: Cells) -> tuple[Cells, Any]:
+def _differences(numbers: NDArray[Any]) -> bytes:
+    """Return zigzag differences of whole numbers, as four planes of bytes."""
+    steps = np.diff(numbers, prepend=0)
+    return _planes(np.where(steps < 0, -2 * steps - 1, 2 * steps).astype("<u4"))
+
+
+def _in_order_of_use(triangles: Cells) -> tuple[Cells, NDArray[np.int64]]:
     """Renumber vertices by first use; return new triangles and old numbers."""
     used, first, local = np.unique(triangles, return_index=True, return_inverse=True)
-    order = np.argsort(first, kind="stable")
-    rank = np.empty(len(used), dtype=np.int64)
-    rank[order] = np.arange(len(used))
-    return rank[local.reshape(-1, 3)], used[order]
-
-
-def world_letters(anatomical: bool) -> list[list[str]]:
-    """Name the directions of the axes of the world, the positive one first.
-
-    Parameters
-    ----------
-    anatomical
-        Whether the world is that of the body (LPS).
-    """
-    return [["L", "R"], ["P", "A"], ["S", "I"]] if anatomical else [[f"+{a}", f"\u2212{a}"] for a in "xyz"]
+    order = np.argsort(first)
+    return np.argsort(order)[local.reshape(-1, 3)], used[order]
 
 
 def pack(meshes: list[ViewMesh], yaw: float, pitch: float, anatomical: bool = True) -> tuple[dict[str, Any], str]:
@@ -108,31 +99,28 @@ def pack(meshes: list[ViewMesh], yaw: float, pitch: float, anatomical: bool = Tr
     tuple
         Description of the data for the script, and the data.
     """
-    low = np.min([mesh.points[np.unique(mesh.triangles)].min(axis=0) for mesh in meshes], axis=0)
-    high = np.max([mesh.points[np.unique(mesh.triangles)].max(axis=0) for mesh in meshes], axis=0)
+    orders = [_native.morton_order(mesh.points[mesh.triangles].mean(axis=1)) for mesh in meshes]
+    numbered = [_in_order_of_use(mesh.triangles[order]) for mesh, order in zip(meshes, orders, strict=True)]
+    points = np.concatenate([mesh.points[used] for mesh, (_, used) in zip(meshes, numbered, strict=True)])
+    low, high = points.min(axis=0), points.max(axis=0)
     centre, half = 0.5 * (low + high), 0.5 * float((high - low).max()) or 1.0
-    parts: list[bytes] = []
-    listed = []
+    data = bytearray()
 
     def add(part: bytes) -> int:
-        start = sum(map(len, parts))
-        parts.append(part)
-        return start
+        data.extend(part)
+        return len(data) - len(part)
 
-    reach = np.zeros(2)
-    for mesh in meshes:
-        order = _native.morton_order(mesh.points[mesh.triangles].mean(axis=1))
-        triangles, used = _in_order_of_use(mesh.triangles[order])
-        centred = (mesh.points[used] - centre) / half
-        reach = np.maximum(reach, _reach(centred, yaw, pitch))
+    listed = []
+    for mesh, order, (triangles, used) in zip(meshes, orders, numbered, strict=True):
+        places = np.round(STEPS * (mesh.points[used] - centre) / half)
         listed.append(
             {
                 "name": mesh.name,
                 "within": mesh.within,
                 "point_count": len(used),
                 "triangle_count": len(triangles),
-                "points": add(_bytes_of_differences(np.round(STEPS * centred).astype(np.int64).T.ravel())),
-                "triangles": add(_bytes_of_differences(triangles.ravel())),
+                "points": add(_differences(places.T.ravel())),
+                "triangles": add(_differences(triangles.ravel())),
                 "colours": [
                     _colour(colour, colour.values[order if colour.on_triangles else used], len(triangles), add)
                     for colour in mesh.colours
@@ -143,29 +131,28 @@ def pack(meshes: list[ViewMesh], yaw: float, pitch: float, anatomical: bool = Tr
         "meshes": listed,
         "step": 1.0 / STEPS,
         "half": half,
-        "centre": [float(v) for v in centre],
-        "reach": [float(v) for v in 1.08 * reach],
+        "centre": centre.tolist(),
+        "reach": (1.08 * _reach((points - centre) / half, yaw, pitch)).tolist(),
         "yaw": yaw,
         "pitch": pitch,
         "letters": world_letters(anatomical),
         "anatomical": anatomical,
     }
-    return about, base64.b64encode(zlib.compress(b"".join(parts), 9)).decode("ascii")
+    return about, base64.b64encode(zlib.compress(data, 9)).decode("ascii")
 
 
 def _colour(colour: Colour, values: Values, triangles: int, add: Callable[[bytes], int]) -> dict[str, Any]:
     """Describe a measure for the script, and add its values to the data."""
     least, largest = float(values.min()), float(values.max())
-    share = (values - least) / max(largest - least, 1e-300)
     steps = 65535 if triangles <= _WHOLE_VALUES else 255
-    whole = np.round(steps * share).astype("<u2") * np.uint16(65535 // steps)
+    whole = np.round(steps * (values - least) / max(largest - least, 1e-300)).astype("<u2")
     low, high = (float(v) for v in np.percentile(values, _RANGE))
     worst = {"low": WORST, "high": 100.0 - WORST}.get(colour.worst)
     return {
         "name": colour.name,
         "unit": colour.unit,
         "on_triangles": colour.on_triangles,
-        "start": add(whole.view(np.uint8).reshape(-1, 2).T.tobytes()),
+        "start": add(_planes(whole * np.uint16(65535 // steps))),
         "least": least,
         "largest": largest,
         "low": low,
@@ -177,7 +164,7 @@ def _colour(colour: Colour, values: Values, triangles: int, add: Callable[[bytes
     }
 
 
-def _reach(points: Points, yaw: float, pitch: float) -> Any:
+def _reach(points: Points, yaw: float, pitch: float) -> Points:
     """Largest distances from the middle of the picture, sideways and upwards."""
     across = points @ [np.cos(yaw), np.sin(yaw), 0.0]
     upwards = points @ [-np.sin(pitch) * np.sin(yaw), np.sin(pitch) * np.cos(yaw), np.cos(pitch)]

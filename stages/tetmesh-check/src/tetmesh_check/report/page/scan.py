@@ -2,41 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 from tetmesh_check.quality import Points, Values
-from tetmesh_check.volumes import read_volume
+from tetmesh_check.volumes import InputVolume, read_volume
 
 _PLANES = ("sagittal", "coronal", "axial")
 """The plane across each axis of the body's world."""
-_BODY = (("L", "R"), ("P", "A"), ("S", "I"))
-"""Letters towards the positive and the negative end of each axis of LPS, the world that meshes are
-written in."""
+
+
+def world_letters(anatomical: bool) -> list[list[str]]:
+    """Name the directions of the axes of the world, the positive one first.
+
+    Parameters
+    ----------
+    anatomical
+        Whether the world is that of the body (LPS).
+    """
+    return [["L", "R"], ["P", "A"], ["S", "I"]] if anatomical else [[f"+{a}", f"\u2212{a}"] for a in "xyz"]
 
 
 @dataclass(frozen=True)
-class Scan:
-    """A volume."""
+class Scan(InputVolume):
+    """A volume to be shown."""
 
-    values: NDArray[Any]
-    """One number a voxel, shape ``(nx, ny, nz)``."""
-    step: Points
-    """World vectors from a voxel centre to the next along each grid axis, mm; one a column."""
-    origin: Points
-    """World position of the centre of voxel (0, 0, 0), mm."""
-    anatomical: bool
-    """Whether the world is that of the body (LPS)."""
-    labels: bool
+    labels: bool = False
     """Whether the numbers are names of tissues rather than a measure."""
-    names: dict[int, str] = field(default_factory=dict)
-    """Names of labels, where the file has them."""
-    layers: int = 1
-    """Number of layers, of which the first is shown."""
 
     @property
     def spacing(self) -> Values:
@@ -44,18 +39,16 @@ class Scan:
         return np.asarray(np.linalg.norm(self.step, axis=0))
 
     @property
-    def world_axes(self) -> tuple[int, int, int]:
+    def world_axes(self) -> list[int]:
         """The axis of the world that each grid axis is nearest to, each once."""
-        from scipy.optimize import linear_sum_assignment
-
-        _, columns = linear_sum_assignment(-np.abs(self.step / self.spacing).T)
-        return int(columns[0]), int(columns[1]), int(columns[2])
+        axes: list[int] = linear_sum_assignment(-np.abs(self.step / self.spacing).T)[1].tolist()
+        return axes
 
     @property
     def tilt(self) -> float:
         """Largest angle between a grid axis and the nearest world axis, degrees."""
-        cosines = [abs(self.step[world, grid]) / self.spacing[grid] for grid, world in enumerate(self.world_axes)]
-        return float(np.degrees(np.arccos(np.clip(min(cosines), -1.0, 1.0))))
+        cosines = np.abs(self.step / self.spacing)[self.world_axes, range(3)]
+        return float(np.degrees(np.arccos(min(cosines.min(), 1.0))))
 
     def to_index(self, world: Points) -> Points:
         """Turn positions into fractional indices of voxels.
@@ -76,9 +69,8 @@ class Scan:
             0, 1 or 2.
         """
         world = self.world_axes[grid_axis]
-        forward = self.step[world, grid_axis] > 0
-        positive, negative = _BODY[world] if self.anatomical else (f"+{'xyz'[world]}", f"\u2212{'xyz'[world]}")
-        return (negative, positive) if forward else (positive, negative)
+        last, first = world_letters(self.anatomical)[world][:: 1 if self.step[world, grid_axis] > 0 else -1]
+        return first, last
 
     def plane(self, grid_axis: int) -> str:
         """Name the plane across a grid axis.
@@ -90,6 +82,33 @@ class Scan:
         """
         world = self.world_axes[grid_axis]
         return _PLANES[world] if self.anatomical else f"across {'xyz'[world]}"
+
+    def upright(self) -> Scan:
+        """Return the same volume with grid axes in the order and direction of those of the world."""
+        order = np.argsort(self.world_axes)
+        step = self.step[:, order]
+        backward = np.diag(step) < 0
+        values = np.flip(self.values.transpose(order), tuple(np.flatnonzero(backward)))
+        origin = self.origin + step @ (backward * (np.array(values.shape) - 1))
+        return replace(self, values=values, step=np.where(backward, -step, step), origin=origin)
+
+    def around(self, index: Points, margin: float) -> Scan:
+        """Return the part around some positions.
+
+        Parameters
+        ----------
+        index
+            The positions, fractional indices of voxels, shape ``(n, 3)``.
+        margin
+            Relative to their longest side.
+        """
+        low, high = index.min(axis=0), index.max(axis=0)
+        wide = margin * float(((high - low) * self.spacing).max()) / self.spacing
+        last = np.array(self.values.shape) - 1
+        first = np.clip(np.floor(low - wide), 0, last).astype(int)
+        end = np.clip(np.ceil(high + wide), first, last).astype(int) + 1
+        values = self.values[tuple(map(slice, first, end))]
+        return replace(self, values=values, origin=self.origin + self.step @ first)
 
 
 def read_scan(path: Path, labels: bool, series: str | None = None) -> Scan:
@@ -109,5 +128,4 @@ def read_scan(path: Path, labels: bool, series: str | None = None) -> Scan:
     StageError
         If it cannot be read.
     """
-    volume = read_volume(path, series)
-    return Scan(volume.values, volume.step, volume.origin, volume.anatomical, labels, volume.names, volume.layers)
+    return Scan(**vars(read_volume(path, series)), labels=labels)
