@@ -6,6 +6,7 @@
 //! threads that do not hold Python's global lock.
 
 mod arrays;
+mod context;
 mod data;
 mod errors;
 mod fields;
@@ -21,8 +22,14 @@ use pyo3::prelude::*;
 /// Native parts of the package isoparticles.
 #[pymodule]
 mod _native {
+    /// Version of the programs and of this module.
+    #[pymodule_export]
+    const VERSION: &str = env!("CARGO_PKG_VERSION");
+
     #[pymodule_export]
     use crate::arrays::set_threads;
+    #[pymodule_export]
+    use crate::context::{Context, Progress, Step, check_output, number_of_bytes};
     #[pymodule_export]
     use crate::data::{Data, load};
     #[pymodule_export]

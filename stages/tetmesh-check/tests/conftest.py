@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 import pyvista as pv
+from isoparticles._native import Context
 
+from tetmesh_check.cli import build_parser
 from tetmesh_check.report.page import program
 from tetmesh_check.report.page.scan import Scan
 
@@ -87,6 +89,12 @@ def fake_library(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, code:
     (folder / "fake" / f"{name}.py").write_text(code)
     monkeypatch.setenv("PYTHONPATH", str(folder / "fake"), prepend=os.pathsep)
     monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+
+
+def quiet_context(*options: str) -> Context:
+    """Return the context of a run with these options, which prints only warnings."""
+    words = ["s.vtp", "-o", "v.vtu", "-q", *options]
+    return Context(words, build_parser().parse_args(words))
 
 
 @pytest.fixture

@@ -123,7 +123,7 @@ def refused(made: Made, folder: Path, words: str, **arrays: np.ndarray) -> None:
     with pytest.raises(StageError, match=words) as caught:
         checked(made, folder, **arrays)
     assert caught.value.why
-    assert caught.value.next_step
+    assert caught.value.next
 
 
 def test_what_bounds_no_volumes_is_refused(tmp_path: Path) -> None:

@@ -180,7 +180,7 @@ FULL = OSError(errno.ENOSPC, "No space left on device")
 
 
 def test_a_full_folder_of_temporary_files_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     ball().save(tmp_path / "ball.vtp")
     (tmp_path / "full").mkdir()
@@ -192,7 +192,7 @@ def test_a_full_folder_of_temporary_files_is_named(
     words = [str(tmp_path / "ball.vtp"), "-o", str(tmp_path / "ball.vtu"), "--solve", "no", "-q"]
     monkeypatch.setattr("tetmesh_check.tets.worker.np.savez", no_room)
     assert cli.main(words) == 2
-    said = capsys.readouterr().err
+    said = capfd.readouterr().err
     assert f"{tmp_path / 'full'}: cannot hold temporary files: No space left on device" in said
     assert "TMPDIR" in said
     assert "ball.vtu" not in said

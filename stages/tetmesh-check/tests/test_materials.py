@@ -264,7 +264,7 @@ def test_limits_decide_on_the_exit_code(tmp_path: Path, run: Run) -> None:
     # tetrahedra below a limit must not trigger another attempt
     assert [attempt["algorithm"] for attempt in ran["attempts"]] == ["hxt"]
     assert ran["algorithm"] == "hxt"
-    assert "exists already" in run(*words).stderr
+    assert "already exists" in run(*words).stderr
 
 
 def test_what_takes_one_object_only_is_refused(tmp_path: Path, run: Run) -> None:

@@ -358,7 +358,7 @@ def test_the_facts_of_a_label_volume(case: Path, tmp_path: Path, monkeypatch: py
         assert said in words
 
 
-def test_bad_usage(case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_usage(case: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     status = str(case / "a&b.status.json")
     (tmp_path / "there.html").write_text("precious")
     (tmp_path / "other.json").write_text('{"tool": 1}')
@@ -368,7 +368,7 @@ def test_bad_usage(case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     for main in (program.main, index.main):
         for words, said in (
             ([status, "-o", str(tmp_path / "x.txt")], "does not end in .html"),
-            ([status, "-o", str(tmp_path / "there.html")], "exists already"),
+            ([status, "-o", str(tmp_path / "there.html")], "already exists"),
             ([str(tmp_path / "absent.json"), "-o", str(tmp_path / "x.html")], "cannot read"),
             ([str(tmp_path / "broken.json"), "-o", str(tmp_path / "x.html")], "cannot read"),
             ([str(tmp_path / "other.json"), "-o", str(tmp_path / "x.html")], "is not the status"),
@@ -377,7 +377,7 @@ def test_bad_usage(case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
             ([str(case / "a&b.report.json"), "-o", str(tmp_path / "x.html")], "is not the status"),
         ):
             assert main(words) == 2
-            error = capsys.readouterr().err
+            error = capfd.readouterr().err
             assert said in error
             assert "what to do" in error
     assert (tmp_path / "there.html").read_text() == "precious"
@@ -410,12 +410,12 @@ def test_index_and_its_numbers(case: Path, page: Path, tmp_path: Path) -> None:
 
 
 def test_a_foreign_file_does_not_refuse_the_index(
-    case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    case: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "foreign.status.json").write_text('{"a": 1}')
     statuses = [str(tmp_path / "foreign.status.json"), str(case / "a&b.status.json")]
     assert index.main([*statuses, "-o", str(tmp_path / "index.html")]) == 0
-    assert "left out of the index" in capsys.readouterr().err
+    assert "left out of the index" in capfd.readouterr().err
     assert "1 case, none failed" in (tmp_path / "index.html").read_text()
 
 
@@ -442,7 +442,7 @@ def test_reports_that_lack_keys_are_read(case: Path, tmp_path: Path) -> None:
 
 
 def test_what_nobody_foresaw_does_not_look_like_a_failed_check(
-    case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     def broken(*_: object) -> None:
         raise ZeroDivisionError("nobody foresaw")
@@ -457,7 +457,7 @@ def test_what_nobody_foresaw_does_not_look_like_a_failed_check(
         (cli.main, ["a.vtp", "-o", "b.vtu"]),
     ):
         assert main(words) == 2
-        error = capsys.readouterr().err
+        error = capfd.readouterr().err
         assert "error: ZeroDivisionError: nobody foresaw (test_page.py, line" in error
         assert "what to do" in error
     assert list(tmp_path.iterdir()) == []

@@ -495,4 +495,4 @@ def test_regions_and_exports_from_the_command_line(tmp_path: Path, run: Run) -> 
     (tmp_path / "ball.volume.vtu").unlink()
     refused = run(*words, "--export", "inp")
     assert refused.returncode == 2
-    assert "ball.volume.inp: exists already" in refused.stderr
+    assert "ball.volume.inp: already exists" in refused.stderr

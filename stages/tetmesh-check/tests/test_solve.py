@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Run, ball
+from conftest import Run, ball, quiet_context
 from scipy.sparse import diags
 from skfem import Basis, BilinearForm, ElementTetP1, ElementVector, MeshTet
 from skfem.helpers import ddot, div, dot, grad, sym_grad
 
-from tetmesh_check.context import CommonArguments, Context
 from tetmesh_check.fem import assembly, problems, solve, solver
 from tetmesh_check.fem.assembly import Assembler, held_at_one_side
 from tetmesh_check.fem.problems import WEIGHT, conduction, elasticity, poisson
@@ -260,7 +259,7 @@ def test_conduction_in_many_bodies(size: tuple[int, int, int], count: int) -> No
 )
 def test_bounds(settings: SolveSettings, reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(solve, "AUTO_MAX_TETRAHEDRA", 100)
-    context = Context(CommonArguments(), "", {})
+    context = quiet_context()
     checks = solve_on(mesh_of(*block((3, 3, 3))), settings, context)
     assert context.results["solve"]["done"] is False
     assert reason in context.results["solve"]["reason"]
@@ -307,7 +306,7 @@ def test_multigrid_hardly_minds_the_number_of_unknowns() -> None:
 
 
 def test_a_mesh_without_points_inside() -> None:
-    context = Context(CommonArguments(), "", {})
+    context = quiet_context()
     assert [check.passed for check in solve_on(mesh_of(*block((1, 1, 1))), SolveSettings(), context)] == [True]
     assert context.results["solve"]["poisson"]["unknowns"] == 0
 
@@ -329,7 +328,7 @@ def test_the_solution_of_jacobi_stands_in_for_that_of_multigrid(monkeypatch: pyt
     right = poisson(Assembler(points, cells), on_boundary(points, cells), FOREVER)[0]
     # a cycle that fails, as that of a matrix close to singular may
     monkeypatch.setattr(solver, "multigrid", lambda matrix, *_words: diags(np.full(matrix.shape[0], np.nan)))
-    context = Context(CommonArguments(), "", {})
+    context = quiet_context()
     checks = solve_on(mesh_of(points, cells), SolveSettings(), context)
     assert [check.passed for check in checks] == [True]
     found = context.results["solve"]["poisson"]
@@ -343,7 +342,7 @@ def test_a_mesh_that_does_not_converge_is_not_fit(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(solve, "MAX_ITERATIONS", 3)
     monkeypatch.setattr(solver, "MAX_MULTIGRID_ITERATIONS", 1)
     monkeypatch.setattr(solver, "COARSEST", 2)
-    checks = solve_on(mesh_of(*block((4, 4, 4))), SolveSettings(), Context(CommonArguments(), "", {}))
+    checks = solve_on(mesh_of(*block((4, 4, 4))), SolveSettings(), quiet_context())
     verdicts = {check.name: check for check in checks}
     assert not verdicts["solve_converged"].passed
     assert verdicts["solve_converged"].required
@@ -355,7 +354,7 @@ def test_what_cannot_be_solved_does_not_take_the_rest_with_it(monkeypatch: pytes
         raise MemoryError
 
     monkeypatch.setattr(solve, "elasticity", too_large)
-    context = Context(CommonArguments(), "", {})
+    context = quiet_context()
     checks = solve_on(mesh_of(*block((4, 4, 4))), SolveSettings(), context)
     assert [check.passed for check in checks] == [True]
     assert context.results["solve"]["reason"] == "elasticity: not enough memory"
@@ -374,7 +373,7 @@ def test_a_wrong_solution_is_not_the_best_there_is(monkeypatch: pytest.MonkeyPat
 def test_nothing_is_solved_on_inverted_tetrahedra() -> None:
     points, cells = block((3, 3, 3))
     cells[5] = cells[5][[0, 2, 1, 3]]
-    context = Context(CommonArguments(), "", {})
+    context = quiet_context()
     assert solve_on(mesh_of(points, cells), SolveSettings(), context) == []
     assert "inverted" in context.results["solve"]["reason"]
 

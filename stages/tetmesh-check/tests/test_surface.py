@@ -11,7 +11,7 @@ from conftest import Run, ball, merged, reversed_winding
 from isoparticles._native import self_intersections
 
 from tetmesh_check.components import measure_components
-from tetmesh_check.errors import ExitCode, StageError
+from tetmesh_check.errors import StageError
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.surface import check_surface, read_surface
 from tetmesh_check.topology import changed_triangles, measure_topology, tetrahedron_boundary
@@ -55,7 +55,6 @@ def test_bad_surface_is_refused(name: str, tmp_path: Path) -> None:
     surface.save(path)
     with pytest.raises(StageError) as caught:
         check_surface(path, read_surface(path))
-    assert caught.value.code == ExitCode.BAD_INPUT
     assert words in str(caught.value)
     assert "what to do" in str(caught.value)
 

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 import pyvista as pv
 import trimesh
-from conftest import ball, write_nrrd
+from conftest import ball, quiet_context, write_nrrd
 from test_regions import marked_block
 
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.vtk import write_volume
 from tetmesh_check.field_data import text_of
-from tetmesh_check.files import blake3_of_file
 from tetmesh_check.labels import read_label_volume
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.quality import tetrahedron_quality
@@ -58,17 +57,21 @@ def test_names_layers_and_errors(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(StageError, match="is a folder without DICOM files or masks") as refused:
         read_volume(tmp_path / "empty")
-    assert "contains the slices" in refused.value.next_step
+    assert "contains the slices" in refused.value.next
     ball().save(tmp_path / "ball.vtp")
     with pytest.raises(StageError, match="is a surface"):
         read_volume(tmp_path / "ball.vtp")
 
 
 def test_a_folder_has_a_hash(tmp_path: Path) -> None:
-    (tmp_path / "a").write_text("1")
-    first = blake3_of_file(tmp_path)
-    (tmp_path / "b").write_text("2")
-    assert blake3_of_file(tmp_path) != first
+    context = quiet_context()
+    for name in "ab":
+        (tmp_path / name).write_text(name)
+        context.add_input(tmp_path, None)
+    first, second = context.history()["inputs"]
+    assert first["path"] == tmp_path.name
+    assert len(first["blake3"]) == 64
+    assert first["blake3"] != second["blake3"]
 
 
 def test_the_volume_mesh_opens_in_meshio_and_pyvista(tmp_path: Path) -> None:

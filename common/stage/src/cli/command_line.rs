@@ -3,12 +3,17 @@
 use isoparticles_file::history::file_name;
 use std::path::{Path, PathBuf};
 
+/// Shared options with a value that do not affect the result.
+const SILENT: [&str; 4] = ["--threads", "--max-memory", "--report", "--progress"];
+
 /// Returns the command line for the history. Paths in `outputs` are replaced with `OUTPUT`, and
-/// other paths with their file names. Shared options that do not affect the result are omitted.
+/// other paths with their file names. Shared options that do not affect the result are omitted, and so
+/// are the options in `silent`, which have a value.
 pub(super) fn canonical_command_line(
     tool: &str,
     arguments: impl Iterator<Item = String>,
     outputs: &[PathBuf],
+    silent: &[&str],
 ) -> String {
     let mut words = vec![tool.to_owned()];
     let mut arguments = arguments;
@@ -25,7 +30,7 @@ pub(super) fn canonical_command_line(
             _ if name.len() > 2 && name.starts_with("-o") => {
                 words.extend(["-o".to_owned(), shorten(name[2..].trim_start_matches('='), outputs)]);
             }
-            "--threads" | "--max-memory" | "--report" | "--progress" => {
+            _ if SILENT.contains(&name) || silent.contains(&name) => {
                 if value.is_none() {
                     arguments.next();
                 }
@@ -62,13 +67,19 @@ mod tests {
     #[test]
     fn canonical_command_line_omits_folders_outputs_and_threads() {
         let line = |words: &[&str], output: &str| {
-            canonical_command_line("seed", words.iter().map(|word| (*word).to_owned()), &[PathBuf::from(output)])
+            canonical_command_line(
+                "seed",
+                words.iter().map(|word| (*word).to_owned()),
+                &[PathBuf::from(output)],
+                &["--export"],
+            )
         };
         let first = line(
             &["/a/in.vti", "-o", "/a/out.bin", "--seed", "3", "-vv", "--threads=4", "--max-memory", "8G", "--force"],
             "/a/out.bin",
         );
-        let second = line(&["b/in.vti", "-o", "other.bin", "--seed", "3", "--report", "r.json"], "other.bin");
+        let second =
+            line(&["b/in.vti", "-o", "other.bin", "--export=inp", "--seed", "3", "--report", "r.json"], "other.bin");
         assert_eq!(first, "seed in.vti -o OUTPUT --seed 3");
         assert_eq!(first, second);
         for attached in ["-oout.bin", "-o=out.bin"] {

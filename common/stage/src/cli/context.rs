@@ -4,6 +4,7 @@ use super::command_line::canonical_command_line;
 use super::report::{self, Report};
 use super::{CommonArgs, Listener, Outcome, Progress, ProgressMode, ProgressState, StageArgs, interrupt};
 use crate::error::{Error, Result};
+use crate::output::check_output;
 use indicatif::MultiProgress;
 use isoparticles_file::history::{History, Input};
 use isoparticles_file::monitor::Monitor;
@@ -25,7 +26,8 @@ pub struct Context {
     /// The shared options.
     pub common: CommonArgs,
     command_line: String,
-    outputs: Vec<PathBuf>,
+    /// Number of threads; `None` for that of the current thread pool.
+    threads: Option<usize>,
     started: Instant,
     bars: MultiProgress,
     listener: Option<Arc<Listener>>,
@@ -35,12 +37,15 @@ pub struct Context {
 /// Data collected during a run, for the history, the report and the closing table.
 #[derive(Default)]
 struct State {
+    outputs: Vec<PathBuf>,
     parameters: serde_json::Map<String, Value>,
     inputs: Vec<Input>,
     steps: Vec<(String, f64)>,
     warnings: Vec<String>,
     results: serde_json::Map<String, Value>,
     closing: Vec<(String, String)>,
+    /// Peak memory of the processes that the run started, in bytes.
+    peak_of_children: Option<u64>,
 }
 
 /// Guard that times a step. The step ends when the guard is dropped.
@@ -65,7 +70,7 @@ impl Context {
             tool,
             common,
             command_line,
-            outputs: Vec::new(),
+            threads: None,
             started: Instant::now(),
             bars: MultiProgress::new(),
             listener: None,
@@ -73,16 +78,33 @@ impl Context {
         }
     }
 
-    /// Sets the files that the run will write. None of them may be an input.
-    pub(super) fn with_outputs(mut self, outputs: Vec<PathBuf>) -> Self {
-        self.outputs = outputs;
-        self
+    /// Creates the context of a program that parses its command line itself, such as one in Python.
+    /// `words` are its arguments, `output` is its main output, and `silent` names options with a
+    /// value that the history omits.
+    ///
+    /// # Errors
+    /// If the report must not be written to its path.
+    pub fn for_program(
+        tool: &'static str,
+        words: Vec<String>,
+        output: PathBuf,
+        silent: &[&str],
+        common: CommonArgs,
+    ) -> Result<Self> {
+        let outputs = [output];
+        super::check_report(common.report.as_deref(), &outputs)?;
+        let command_line = canonical_command_line(tool, words.into_iter(), &outputs, silent);
+        let threads = match common.threads {
+            0 => std::thread::available_parallelism().map_or(1, usize::from),
+            threads => threads,
+        };
+        Ok(Self { threads: Some(threads), ..Self::new(tool, command_line, common, Value::Null) })
     }
 
     /// Creates the context of a stage that runs as a library. It prints nothing. `args` was parsed
     /// from `words`.
     pub fn for_listener(tool: &'static str, args: &impl StageArgs, words: &[String], listener: Arc<Listener>) -> Self {
-        let command_line = canonical_command_line(tool, words.iter().cloned(), &args.outputs());
+        let command_line = canonical_command_line(tool, words.iter().cloned(), &args.outputs(), &[]);
         let context = Self::new(tool, command_line, args.common().clone(), args.parameters());
         Self { listener: Some(listener), ..context }
     }
@@ -130,6 +152,16 @@ impl Context {
         Step { context: self, name, started: Instant::now() }
     }
 
+    /// Adds the time of a step that has ended. The times of steps with the same name are added up.
+    pub fn add_step(&self, name: &str, seconds: f64) {
+        self.verbose(format!("{name}: {seconds:.2} s"));
+        let mut state = self.state();
+        match state.steps.iter_mut().find(|(known, _)| known == name) {
+            Some((_, total)) => *total += seconds,
+            None => state.steps.push((name.to_owned(), seconds)),
+        }
+    }
+
     /// Shows the progress of a computation, with a percentage if `total` is known.
     pub fn progress(&self, total: Option<u64>, label: &str) -> Progress {
         if let Some(listener) = &self.listener {
@@ -169,7 +201,42 @@ impl Context {
     pub fn summary(&self, key: impl Into<String>, value: impl ToString) {
         let (key, value) = (key.into(), value.to_string());
         self.state().results.insert(key.clone(), Value::String(value.clone()));
+        self.add_row(key, value);
+    }
+
+    /// Adds a row to the closing table.
+    pub fn add_row(&self, key: String, value: String) {
         self.state().closing.push((key, value));
+    }
+
+    /// Sets the peak memory of the processes that the run has started, in bytes.
+    pub fn set_peak_of_children(&self, bytes: u64) {
+        self.state().peak_of_children = Some(bytes);
+    }
+
+    /// Returns the number of threads.
+    pub fn threads(&self) -> usize {
+        self.threads.unwrap_or_else(rayon::current_num_threads)
+    }
+
+    /// Checks files that the run will write, and keeps their paths: none of them may be an input.
+    ///
+    /// # Errors
+    /// If an output exists and `--force` is not set, if it cannot be written, or if a path is used
+    /// twice.
+    pub fn check_outputs(&self, outputs: &[PathBuf]) -> Result<()> {
+        for (position, path) in outputs.iter().enumerate() {
+            if outputs[..position].contains(path) {
+                return Err(Error::input(
+                    format!("{}: is used for two outputs", path.display()),
+                    "the second would replace the first",
+                    "use a different name for each output",
+                ));
+            }
+            check_output(path, self.common.force)?;
+        }
+        self.state().outputs.extend_from_slice(outputs);
+        Ok(())
     }
 
     /// Sets a parameter that is determined during the run. It appears in the history and the
@@ -189,7 +256,7 @@ impl Context {
     /// recorded in the given order.
     pub fn add_inputs<const N: usize>(&self, inputs: [(&Path, Option<History>); N]) -> Result<[String; N]> {
         for (path, _) in &inputs {
-            if self.outputs.iter().any(|output| super::same_file(output, path)) {
+            if self.state().outputs.iter().any(|output| super::same_file(output, path)) {
                 return Err(Error::input(
                     format!("{}: is both an input and an output", path.display()),
                     "the input would be replaced",
@@ -229,11 +296,23 @@ impl Context {
     /// Prints the closing table, writes the report and prints the error, if any. If the report
     /// cannot be written, the result of a successful run is replaced by an error.
     pub(super) fn close(&self, result: Result<Outcome>) -> Result<Outcome> {
+        self.close_with(result, |path, report| report::write(path, &report))
+    }
+
+    /// Works like the end of a stage program, with a function that writes the report to its path.
+    ///
+    /// # Errors
+    /// If `result` is an error, or if the report cannot be written.
+    pub fn close_with(
+        &self,
+        result: Result<Outcome>,
+        write: impl FnOnce(&Path, Value) -> Result<()>,
+    ) -> Result<Outcome> {
         if result.is_ok() {
             self.info(self.closing_table());
         }
         let written = match &self.common.report {
-            Some(path) => report::write(path, &self.report_of(&result)),
+            Some(path) => write(path, self.report_of(&result)),
             None => Ok(()),
         };
         if let Ok(Outcome::ChecksFailed(checks)) = &result {
@@ -262,8 +341,9 @@ impl Context {
         let state = self.state();
         let report = Report {
             history: &history,
-            threads: rayon::current_num_threads(),
+            threads: self.threads(),
             seconds: self.started.elapsed().as_secs_f64(),
+            peak_memory: state.peak_memory(),
             steps: &state.steps,
             warnings: &state.warnings,
             results: &state.results,
@@ -277,10 +357,10 @@ impl Context {
         let mut rows: Vec<(String, String)> =
             state.steps.iter().map(|(name, seconds)| (name.clone(), format!("{seconds:.2} s"))).collect();
         rows.push(("total".to_owned(), format!("{:.2} s", self.started.elapsed().as_secs_f64())));
-        if let Some(bytes) = isoparticles_file::memory::peak_memory() {
+        if let Some(bytes) = state.peak_memory() {
             rows.push(("peak memory".to_owned(), format!("{:.0} MiB", bytes as f64 / (1024.0 * 1024.0))));
         }
-        rows.push(("threads".to_owned(), rayon::current_num_threads().to_string()));
+        rows.push(("threads".to_owned(), self.threads().to_string()));
         rows.extend(state.closing.iter().cloned());
         let width = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
         let lines: Vec<String> = rows.iter().map(|(name, value)| format!("  {name:width$}  {value}")).collect();
@@ -302,15 +382,16 @@ impl Context {
     }
 }
 
+impl State {
+    /// Returns the peak memory of this process or of any that it has started, in bytes.
+    fn peak_memory(&self) -> Option<u64> {
+        isoparticles_file::memory::peak_memory().max(self.peak_of_children)
+    }
+}
+
 impl Drop for Step<'_> {
     fn drop(&mut self) {
-        let seconds = self.started.elapsed().as_secs_f64();
-        self.context.verbose(format!("{}: {seconds:.2} s", self.name));
-        let mut state = self.context.state();
-        match state.steps.iter_mut().find(|(name, _)| *name == self.name) {
-            Some((_, total)) => *total += seconds,
-            None => state.steps.push((self.name.clone(), seconds)),
-        }
+        self.context.add_step(&self.name, self.started.elapsed().as_secs_f64());
     }
 }
 

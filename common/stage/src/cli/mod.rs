@@ -164,14 +164,14 @@ pub fn run_stage<A: clap::Parser + StageArgs + Sync>(
         }
     };
     let outputs = args.outputs();
-    let command_line = command_line::canonical_command_line(tool, std::env::args().skip(1), &outputs);
+    let command_line = command_line::canonical_command_line(tool, std::env::args().skip(1), &outputs, &[]);
     let mut common = args.common().clone();
     let report = check_report(common.report.as_deref(), &outputs);
     if report.is_err() {
         // do not write the report of this error over a file that is not a report
         common.report = None;
     }
-    let context = Context::new(tool, command_line, common, args.parameters()).with_outputs(outputs);
+    let context = Context::new(tool, command_line, common, args.parameters());
     interrupt::install();
     let ready = report.and_then(|()| prepare(&args, &context));
     // Run on a thread of the pool. A thread outside the pool would be suspended and resumed once
@@ -216,16 +216,5 @@ fn prepare<A: StageArgs>(args: &A, context: &Context) -> Result<()> {
     if pool.build_global().is_err() {
         context.verbose("the thread pool already exists; --threads has no effect");
     }
-    let outputs = args.outputs();
-    for (position, path) in outputs.iter().enumerate() {
-        if outputs[..position].contains(path) {
-            return Err(Error::input(
-                format!("{}: is used for two outputs", path.display()),
-                "the second would replace the first",
-                "use a different name for each output",
-            ));
-        }
-        output::check_output(path, common.force)?;
-    }
-    Ok(())
+    context.check_outputs(&args.outputs())
 }

@@ -8,7 +8,7 @@ import math
 import operator
 from collections.abc import Iterable, Mapping
 from functools import cache
-from typing import Any, get_type_hints
+from typing import Any
 
 from isoparticles import _native
 
@@ -19,8 +19,8 @@ NOT_FOR_TETRAHEDRA = frozenset(
     )
 )
 """Options of ``tetmesh-check`` that concern further files, or the terminal."""
-PARSED = {float: "number", int: "whole"}
-"""Kinds of options by the type to which ``tetmesh-check`` parses them."""
+KINDS = {"number": "number", "whole": "whole", "number_of_bytes": "whole"}
+"""Kinds of options by their types in the table of ``tetmesh-check``."""
 EXTRA_KEYS = frozenset(("CASE", "NAME", "INPUT", "PHANTOM", "TET_ORDER", "TETMESH_OPTIONS", "OUT", "VERBOSITY", "HXT"))
 """Keys of a case that concern files, the terminal or tetrahedra."""
 
@@ -34,26 +34,27 @@ def options(stage: str) -> dict[str, dict[str, Any]]:
 
 def _tetmesh_options() -> list[dict[str, Any]]:
     """Return the options of ``tetmesh-check`` in the form of those of the other stages."""
-    from tetmesh_check.cli import build_parser
+    from tetmesh_check.cli import options
 
-    table = []
-    for action in build_parser()._actions:
-        name = action.option_strings[-1].lstrip("-") if action.option_strings else ""
-        if not name or name in NOT_FOR_TETRAHEDRA:
-            continue
-        words = list(action.choices or ())
-        parsed: Any = get_type_hints(action.type).get("return") if action.type is not None else str
-        kind = "flag" if action.nargs == 0 else "word" if words else PARSED.get(parsed, "text")
-        default = None if action.default in (None, [], False) else str(action.default)
-        text = (action.help or "").replace("%%", "%").partition(" (default")[0]
-        repeated = isinstance(action.default, list)
-        table.append(
-            {
-                "name": name, "kind": kind, "words": words, "repeated": repeated, "hyphen": False,
-                "default": default, "help": text,
-            }
-        )  # fmt: skip
-    return table
+    return [
+        {
+            "name": option["name"],
+            "kind": _kind_of(option),
+            "words": option.get("choices", []),
+            "repeated": option.get("action") == "append",
+            "hyphen": False,
+            "default": str(option["default"]) if option.get("default") and not option["is_switch"] else None,
+            "help": option["help"].partition(" (default")[0],
+        }
+        for option in options()
+        if option["name"] not in NOT_FOR_TETRAHEDRA
+    ]
+
+
+def _kind_of(option: dict[str, Any]) -> str:
+    if option["is_switch"]:
+        return "flag"
+    return "word" if "choices" in option else KINDS.get(option.get("type", ""), "text")
 
 
 @cache

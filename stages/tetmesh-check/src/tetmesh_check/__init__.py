@@ -6,16 +6,8 @@ other triangle formats) and, for grading, the size field *h* of the stage ``size
 """
 
 import os
-from importlib.metadata import PackageNotFoundError, version
 
 # Before NumPy is loaded: what is left to BLAS here are matrices of a few rows, over which its
 # threads wait for each other at length on a busy machine (the solve of a heart of 1,000 vertices
 # with other programs on all cores: 12.0 s by two threads, 1.5 s by one).
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-try:
-    __version__ = version("tetmesh-check")
-except PackageNotFoundError:  # run from a source tree that was never installed
-    __version__ = "0+unknown"
-
-__all__ = ["__version__"]

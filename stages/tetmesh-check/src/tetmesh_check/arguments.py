@@ -15,6 +15,8 @@ from tetmesh_check.fem.forward import ForwardArguments
 from tetmesh_check.fem.solve import SolveSettings
 from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS
 
+_PARAMETERS = ("tet_size_factor", "method", "envelope", "stop_energy", "max_passes")
+
 
 class Method(StrEnum):
     """The tetrahedralizer."""
@@ -84,8 +86,14 @@ class Arguments:
         """Return the files that are written in addition to the volume mesh, without pictures."""
         return [*([self.quadratic] if self.order == 2 else []), *self.export_paths()]
 
-    def refuse_order(self) -> None:
-        """Refuse quadratic tetrahedra without a field, or in a format that cannot store them."""
+    def refuse(self) -> None:
+        """Refuse another suffix of the mesh, and quadratic tetrahedra that cannot be made or stored."""
+        if self.output.suffix != ".vtu":
+            raise StageError(
+                f"{self.output}: does not end in .vtu",
+                "the volume mesh is written in the VTK format for unstructured grids",
+                "name the output NAME.volume.vtu",
+            )
         if self.order == 1:
             return
         if self.distfield is None:
@@ -132,17 +140,10 @@ class Arguments:
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters for the history. Defaults that depend on inputs are set later."""
+        limits = asdict(self.limits)
         return {
-            "tet_size_factor": self.tet_size_factor,
-            "method": self.method,
-            "envelope": self.envelope,
-            "stop_energy": self.stop_energy,
-            "max_passes": self.max_passes,
-            "min_dihedral": self.limits.min_dihedral,
-            "min_scaled_jacobian": self.limits.min_scaled_jacobian,
-            "max_volume_change": self.limits.max_volume_change,
-            "max_distance": self.limits.max_distance,
-            **({"accept_forced": True} if self.limits.accept_forced else {}),
+            **{name: getattr(self, name) for name in _PARAMETERS},
+            **{name: value for name, value in limits.items() if name != "accept_forced" or value},
             "solve": self.solve.mode,
             **({} if self.order == 1 else {"order": self.order}),
             **({} if self.forward.source is None else {"forward": asdict(self.forward)}),

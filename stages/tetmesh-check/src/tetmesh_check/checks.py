@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from isoparticles._native import Context
 from numpy.typing import NDArray
 
-from tetmesh_check.context import Context
 from tetmesh_check.numerals import plain
 from tetmesh_check.quality import Cells, Points, TetrahedronQuality, centres_of
 
@@ -377,11 +377,13 @@ def conclude(checks: list[Check], quality: TetrahedronQuality, context: Context)
         The required checks that failed, in words.
     """
     context.results["checks"] = [{**asdict(check), "verdict": check.verdict} for check in checks]
-    context.closing += [
-        ("tetrahedra", f"{len(quality.volume):,}"),
-        ("radius ratio", f"mean {quality.radius_ratio.mean():.3f}, minimum {quality.radius_ratio.min():.3f}"),
-        ("dihedral angle", f"{quality.min_dihedral.min():.1f} to {quality.max_dihedral.max():.1f} degrees"),
-    ]
+    context.closing.extend(
+        [
+            ("tetrahedra", f"{len(quality.volume):,}"),
+            ("radius ratio", f"mean {quality.radius_ratio.mean():.3f}, minimum {quality.radius_ratio.min():.3f}"),
+            ("dihedral angle", f"{quality.min_dihedral.min():.1f} to {quality.max_dihedral.max():.1f} degrees"),
+        ]
+    )
     for check in checks:
         if check.verdict == "warning":
             context.warn(check.words)

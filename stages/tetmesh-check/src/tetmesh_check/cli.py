@@ -4,71 +4,73 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
-import tempfile
 import tomllib
-from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from collections.abc import Sequence
+from dataclasses import fields
 from importlib.resources import files
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tetmesh_check import __version__, command_line
-from tetmesh_check.context import TOOL, CommonArguments, Context, Interruptible, canonical_command_line
-from tetmesh_check.errors import StageError, unexpected
-from tetmesh_check.files import check_report, refuse_existing, same_file
-from tetmesh_check.memory import number_of_bytes
-from tetmesh_check.parsing import Parser, formats, named_number, number, source_of_current, whole
+from isoparticles._native import Context
+
+from tetmesh_check.errors import StageError, close, file_error, guarded
+from tetmesh_check.parsing import Parser, reader
 
 if TYPE_CHECKING:
     from tetmesh_check.arguments import Arguments
 
-_READERS: dict[str, Callable[[str], Any]] = {
-    "path": Path,
-    "int": int,
-    "formats": formats,
-    "number_of_bytes": number_of_bytes,
-    "named_number": named_number,
-    "source_of_current": source_of_current,
-}
+TOOL = "tetmesh-check"
+COMMAND_LINE = "--command-line"
+"""Alone on the command line, it asks for the options as JSON, the twin of ``CommandLine`` in
+common/stage/src/cli/shell.rs."""
+CHECK_OPTIONS = "--check-options"
+"""First word of a command line that is only checked; what is known of the case follows as JSON: the
+twin of ``Known`` in common/stage/src/cli/check.rs."""
+_FOR_ARGPARSE = ("action", "choices", "default", "dest", "metavar", "required")
 
 
-def _reader(kind: str, range_: dict[str, float]) -> Callable[[str], Any]:
-    if kind == "whole":
-        return whole(int(range_["low"]))
-    if kind == "number":
-        low = range_.get("above", range_.get("low", 0.0))
-        return number(low, range_.get("high", math.inf), "low" in range_)
-    return _READERS[kind]
+def read_table() -> dict[str, Any]:
+    """Read ``options.toml``."""
+    return tomllib.loads(files("tetmesh_check").joinpath("options.toml").read_text(encoding="utf-8"))
 
 
 def build_parser(kind: type[Parser] = Parser) -> argparse.ArgumentParser:
     """Build the parser of the command line from ``options.toml``."""
-    table = tomllib.loads(files("tetmesh_check").joinpath("options.toml").read_text(encoding="utf-8"))
-    parser = kind(
-        prog=TOOL,
-        description=table["description"],
-        epilog=table["epilog"],
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        add_help=False,
-        allow_abbrev=False,
-    )
+    table = read_table()
+    parser = kind(TOOL, table["description"], table["epilog"], add_help=False)
     for group in table["group"]:
         added = parser.add_argument_group(group["title"], group.get("description"))
         exclusive = None
         for option in group["option"]:
-            place: argparse._ActionsContainer = added
-            if option.pop("exclusive", False):
-                exclusive = exclusive or added.add_mutually_exclusive_group()
-                place = exclusive
-            range_ = {key: option.pop(key) for key in ("low", "above", "high") if key in option}
+            known = {key: option[key] for key in _FOR_ARGPARSE if key in option}
             if "type" in option:
-                option["type"] = _reader(option["type"], range_)
-            if option.get("action") == "version":
-                option["version"] = f"{TOOL} {__version__}"
-            place.add_argument(*option.pop("names"), **option)
+                known["type"] = reader(option)
+            place: argparse._ActionsContainer = added
+            if option.get("exclusive"):
+                place = exclusive = exclusive or added.add_mutually_exclusive_group()
+            place.add_argument(*option["names"], help=option["help"].replace("%", "%%"), **known)
     return parser
+
+
+def options() -> list[dict[str, Any]]:
+    """Return the entries of ``options.toml`` with ``name``, without dashes, and ``is_switch``."""
+    return [
+        {**option, "name": option["names"][-1][2:], "is_switch": option.get("action") in ("store_true", "count")}
+        for group in read_table()["group"]
+        for option in group["option"]
+        if option["names"][-1].startswith("--") and option.get("action") not in ("help", "version")
+    ]
+
+
+def _described(option: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "long": option["name"],
+        "short": option["names"][0][1:] if len(option["names"]) > 1 else None,
+        "value": None if option["is_switch"] else option.get("metavar", option["name"].upper()),
+        "words": [str(word) for word in option.get("choices", ())],
+        "is_path": option.get("type") == "path",
+        "help": option["help"],
+    }
 
 
 def main(argv: Sequence[str] | None = None, make_context: type[Context] = Context) -> int:
@@ -87,52 +89,21 @@ def main(argv: Sequence[str] | None = None, make_context: type[Context] = Contex
         The exit code (see :class:`.ExitCode`).
     """
     words = list(sys.argv[1:] if argv is None else argv)
-    if words == [command_line.WORD]:
-        print(command_line.told(build_parser()))
+    if words == [COMMAND_LINE]:
+        print(json.dumps({"name": TOOL, "options": [_described(option) for option in options()]}))
         return 0
-    if words[:1] == [command_line.CHECK_OPTIONS]:
-        return _check_options(words[1], words[2:])
+    if words[:1] == [CHECK_OPTIONS]:
+        return guarded(TOOL, lambda: _check_options(words[1], words[2:]))
     parsed = build_parser().parse_args(words)
-    failed: list[str] = []
-    error: StageError | None = None
-    report: Path | None = parsed.report
-    if report is not None:
-        try:
-            named = (parsed.surface, parsed.sizefield, parsed.distfield, parsed.labels_volume, parsed.output)
-            check_report(report, [path for path in named if path is not None])
-        except StageError as problem:
-            # not even to tell of the error may a file be replaced that is no report
-            error, report = problem, None
-    common = replace(_part(CommonArguments, parsed), report=report)
-    context = make_context(common, canonical_command_line(words, [parsed.output]), {})
-    with Interruptible(TOOL) as stopped:
-        try:
-            if error is None:
-                failed = _run(parsed, context)
-        except StageError as problem:
-            error = problem
-        except OSError as problem:
-            # an error without a name may be of any file, also of one in TMPDIR
-            name = Path(problem.filename or "a file that the system does not name")
-            error = StageError.file(
-                name,
-                "use",
-                problem,
-                f"check permissions and free space in {parsed.output.parent} and {tempfile.gettempdir()} (TMPDIR)",
-            )
-        except MemoryError:
-            error = StageError(
-                "there is not enough memory",
-                "the meshes do not fit into memory",
-                "use a larger --tet-size-factor or a machine with more memory",
-            )
-        except Exception as problem:
-            error = unexpected(problem)
-        stopped.ignore()
-        return int(context.close(failed, error))
+    try:
+        context = make_context(words, parsed)
+    except StageError as error:
+        # there is no report: it would replace another file
+        return close([], error, False)
+    return guarded(TOOL, lambda: _run(parsed, context), context.close)
 
 
-def _check_options(known: str, words: list[str]) -> int:
+def _check_options(known: str, words: list[str]) -> None:
     """Refuse what a run would refuse; print what is known of the case for the next stage."""
     parsed = build_parser().parse_args(words)
     from tetmesh_check.arguments import Method
@@ -142,58 +113,38 @@ def _check_options(known: str, words: list[str]) -> int:
     workers = {Method.FTETWILD: tetwild.WORKER, Method.HXT: hxt.WORKER, Method.TETGEN: tetgen.WORKER}
 
     materials = json.loads(known)["materials"]
-    try:
-        arguments = _arguments(parsed)
-        if materials:
-            arguments.refuse_for_materials()
-        method = Method.HXT if materials else arguments.method
-        if method in workers:
-            workers[method].refuse_missing()
-        if arguments.labels_volume is not None and not arguments.labels_volume.exists():
-            raise StageError.file(
-                arguments.labels_volume, "read", FileNotFoundError("it is not there"), "check --labels-volume"
-            )
-        if materials is not None:
-            # the first is the outside
-            check_names(arguments.forward, materials[1:])
-    except StageError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return int(error.code)
+    arguments = _arguments(parsed)
+    if materials:
+        arguments.refuse_for_materials()
+    method = Method.HXT if materials else arguments.method
+    if method in workers:
+        workers[method].refuse_missing()
+    labels = arguments.labels_volume
+    if labels is not None and not labels.exists():
+        raise file_error(labels, "read", FileNotFoundError("it is not there"), "check --labels-volume")
+    if materials is not None:
+        # the first is the outside
+        check_names(arguments.forward, materials[1:])
     print(known)
-    return 0
-
-
-def _part(kind: Any, parsed: argparse.Namespace, **known: Any) -> Any:
-    """Make a dataclass of the options that have the names of its fields."""
-    given = {field.name: getattr(parsed, field.name) for field in fields(kind) if hasattr(parsed, field.name)}
-    return kind(**{**given, **known})
 
 
 def _arguments(parsed: argparse.Namespace) -> Arguments:
-    """Collect what the user asked for; refuse what does not go together."""
+    """Convert the parsed command line; refuse what does not go together."""
     # pyvista takes a second to load; --help and usage errors need not wait for it
     from tetmesh_check.arguments import Arguments, Method
     from tetmesh_check.checks import Limits
     from tetmesh_check.fem.forward import ForwardArguments
     from tetmesh_check.fem.solve import SolveMode, SolveSettings
 
-    forward = {} if parsed.source is None else dict(zip(("source", "density"), parsed.source, strict=True))
-    arguments: Arguments = _part(
-        Arguments,
-        parsed,
-        exports=parsed.export or (),
-        method=Method(parsed.method),
-        limits=_part(Limits, parsed),
-        solve=SolveSettings(SolveMode(parsed.solve), parsed.solve_seconds),
-        forward=ForwardArguments(dict(parsed.conductivity), **forward),
-    )
-    if arguments.output.suffix != ".vtu":
-        raise StageError(
-            f"{arguments.output}: does not end in .vtu",
-            "the volume mesh is written in the VTK format for unstructured grids",
-            "name the output NAME.volume.vtu",
-        )
-    arguments.refuse_order()
+    given = {
+        **vars(parsed),
+        "method": Method(parsed.method),
+        "limits": Limits(**{field.name: getattr(parsed, field.name) for field in fields(Limits)}),
+        "solve": SolveSettings(SolveMode(parsed.solve), parsed.solve_seconds),
+        "forward": ForwardArguments(dict(parsed.conductivity), *(parsed.source or ())),
+    }
+    arguments = Arguments(**{field.name: given[field.name] for field in fields(Arguments)})
+    arguments.refuse()
     return arguments
 
 
@@ -202,15 +153,7 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
 
     arguments = _arguments(parsed)
     context.parameters.update(arguments.parameters())
-    outputs = [arguments.output, *arguments.other_paths()]
-    for source in (arguments.surface, arguments.sizefield, arguments.distfield, arguments.labels_volume):
-        if source is not None and any(same_file(source, output) for output in outputs):
-            raise StageError(
-                f"{source}: is both an input and an output",
-                "the input would be replaced",
-                "choose another name for the output",
-            )
-    refuse_existing(outputs, context.common.force)
+    context.check_outputs([arguments.output, *arguments.other_paths()])
     if arguments.pictures is not None and arguments.pictures.is_dir():
-        refuse_existing(arguments.picture_paths().values(), context.common.force)
+        context.check_outputs(list(arguments.picture_paths().values()))
     return run(arguments, context)

@@ -1,10 +1,23 @@
-"""Errors in three parts, and the exit codes."""
+"""Errors in three parts, exit codes, and the end of a program after an error or a signal."""
 
 from __future__ import annotations
 
+import signal
+import sys
+import tempfile
 import traceback
+from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
+
+from isoparticles._errors import Error
+
+StageError = Error
+"""An error in three parts: ``what``, ``why`` and ``next``."""
+
+Close = Callable[[list[str], StageError | None, bool], int]
+"""Ends a program, given the failed checks, the error, and whether a signal has ended the run.
+Returns the exit code."""
 
 
 class ExitCode(IntEnum):
@@ -20,80 +33,103 @@ class ExitCode(IntEnum):
     """The user stopped the run; nothing half written is left."""
 
 
-class StageError(Exception):
-    """An error in three parts.
+def file_error(path: Path, doing: str, source: BaseException, what_next: str) -> StageError:
+    """Build the error for a file that cannot be read or written.
 
     Parameters
     ----------
-    what
-        The problem, with the file and the value.
-    why
-        Why the stage cannot go on.
-    next_step
+    path
+        The file.
+    doing
+        The failed action, as in "cannot *read*".
+    source
+        The exception of the operating system or of the reader.
+    what_next
         What the user can do next.
-    code
-        The exit code.
     """
-
-    def __init__(self, what: str, why: str, next_step: str, code: ExitCode = ExitCode.BAD_INPUT) -> None:
-        super().__init__(what)
-        self.what = what
-        self.why = why
-        self.next_step = next_step
-        self.code = code
-
-    def __str__(self) -> str:
-        return f"{self.what}\n  why it matters: {self.why}\n  what to do: {self.next_step}"
-
-    @classmethod
-    def file(cls, path: Path, doing: str, source: BaseException, next_step: str) -> StageError:
-        """Build the error for a file that cannot be read or written.
-
-        Parameters
-        ----------
-        path
-            The file.
-        doing
-            The failed action, as in "cannot *read*".
-        source
-            The exception of the operating system or of the reader.
-        next_step
-            What the user can do next.
-        """
-        reason = getattr(source, "strerror", None) or str(source) or type(source).__name__
-        return cls(f"{path}: cannot {doing}: {reason}", "the stage needs this file", next_step)
+    reason = getattr(source, "strerror", None) or str(source) or type(source).__name__
+    return StageError(f"{path}: cannot {doing}: {reason}", "the stage needs this file", what_next)
 
 
-def unexpected(error: Exception) -> StageError:
-    """Describe an unexpected exception; its exit code is not that of a failed check.
-
-    Parameters
-    ----------
-    error
-        The exception.
-    """
-    frames = traceback.extract_tb(error.__traceback__)
+def described(problem: Exception) -> StageError:
+    """Describe any exception in three parts."""
+    if isinstance(problem, StageError):
+        return problem
+    if isinstance(problem, OSError):
+        # an error without a name may be of any file, also of one in TMPDIR
+        name = Path(problem.filename or "a file that the system does not name")
+        folders = f"the folder of the output and in {tempfile.gettempdir()} (TMPDIR)"
+        return file_error(name, "use", problem, f"check permissions and free space in {folders}")
+    if isinstance(problem, MemoryError):
+        return StageError(
+            "there is not enough memory",
+            "the meshes do not fit into memory",
+            "use a larger --tet-size-factor or a machine with more memory",
+        )
+    frames = traceback.extract_tb(problem.__traceback__)
     where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
     return StageError(
-        f"{type(error).__name__}: {error}{where}",
+        f"{type(problem).__name__}: {problem}{where}",
         "this is a fault of the program, or a file of a kind that it does not know",
         "check the inputs; if they are as they should be, report this message",
     )
 
 
-class InterruptedRunError(StageError):
-    """The user, or the system, asked the run to stop (SIGINT, SIGTERM or SIGHUP).
+def close(failed: list[str], error: StageError | None, interrupted: bool) -> int:
+    """End a program that writes no report."""
+    for check in failed:
+        print(f"check failed: {check}", file=sys.stderr)
+    if error is None:
+        return ExitCode.CHECK_FAILED if failed else ExitCode.OK
+    print(f"error: {error}", file=sys.stderr)
+    return ExitCode.INTERRUPTED if interrupted else ExitCode.BAD_INPUT
+
+
+def guarded(tool: str, work: Callable[[], list[str] | None], close: Close = close) -> int:
+    """Run a program. SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt in it.
 
     Parameters
     ----------
-    during
-        The program or step.
-    """
+    tool
+        Name of the program.
+    work
+        Does the work, and returns the checks that failed, in words, if it checks anything.
+    close
+        Ends the program.
 
-    def __init__(self, during: str) -> None:
-        super().__init__(
-            f"{during}: interrupted",
+    Returns
+    -------
+    int
+        The exit code.
+    """
+    numbers = [number for number in signal.Signals if number.name in ("SIGINT", "SIGTERM", "SIGHUP")]
+
+    def ignore() -> None:
+        for number in numbers:
+            signal.signal(number, signal.SIG_IGN)
+
+    def stop(*_: object) -> None:
+        # a second signal must not stop the cleaning up
+        ignore()
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, stop) for number in numbers}
+    failed: list[str] = []
+    error = None
+    interrupted = False
+    try:
+        failed = work() or []
+    except KeyboardInterrupt:
+        interrupted = True
+        error = StageError(
+            f"{tool}: interrupted",
             "the run was stopped before all was done; nothing half written is left",
             "run the same command again",
-            ExitCode.INTERRUPTED,
         )
+    except Exception as problem:
+        error = described(problem)
+    ignore()
+    code = close(failed, error, interrupted)
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    return code

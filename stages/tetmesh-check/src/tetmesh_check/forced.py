@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 from isoparticles import _native
+from isoparticles._native import Context
 from numpy.typing import NDArray
 
 from tetmesh_check.checks import REMEDY, Limits, counted, shape_of
 from tetmesh_check.complex import Complex, place_of
 from tetmesh_check.conform import NOBODY, Conformity
-from tetmesh_check.context import Context
 from tetmesh_check.materials import NOTHING
 from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, Values, centres_of
 from tetmesh_check.surface import Surface

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from isoparticles._native import GridField
+from isoparticles._native import Context, GridField
 
 from tetmesh_check.checks import poor_tetrahedra, smallest_elsewhere
 from tetmesh_check.conform import outside_of
-from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways, summarize_distances
 from tetmesh_check.export.mesh import MarkedMesh, materials_mesh, object_mesh
 from tetmesh_check.fem.solve import VolumeMesh

@@ -7,9 +7,11 @@ import math
 import os
 import sys
 from collections.abc import Callable
-from typing import NoReturn
+from pathlib import Path
+from typing import Any, NoReturn
 
-from tetmesh_check import __version__
+from isoparticles._native import VERSION, number_of_bytes
+
 from tetmesh_check.errors import ExitCode, StageError
 
 FORMATS = ("inp", "msh", "msh2", "med", "xdmf", "vtp", "vtk", "feb", "carp", "simvascular")
@@ -19,23 +21,7 @@ LINEAR_FORMATS = ("vtp", "carp", "simvascular")
 
 
 class Parser(argparse.ArgumentParser):
-    """Usage errors in three parts, as everywhere."""
-
-    def error(self, message: str) -> NoReturn:
-        """Say what was not understood, and end the program."""
-        error = StageError(message, "the command line was not understood", f"see `{self.command()} --help`")
-        print(f"error: {error}", file=sys.stderr)
-        raise SystemExit(int(ExitCode.BAD_INPUT))
-
-    def command(self) -> str:
-        """Return the command of this program; in a clone, its path."""
-        if front := os.environ.get("ISOPARTICLES_FRONT"):
-            return f"{front} {self.prog}"
-        return self.prog if sys.argv[0].endswith(".py") else sys.argv[0]
-
-
-def program_parser(tool: str, description: str, epilog: str) -> Parser:
-    """Build the parser of a program beside ``tetmesh-check``, with ``--help`` and ``--version``.
+    """Parser of a program, with usage errors in three parts.
 
     Parameters
     ----------
@@ -43,68 +29,68 @@ def program_parser(tool: str, description: str, epilog: str) -> Parser:
         Name of the program.
     description, epilog
         Purpose, exit codes and an example, as lines.
+    add_help
+        Whether to add ``--help`` and ``--version``.
     """
-    parser = Parser(
-        prog=tool,
-        description=description,
-        epilog=epilog,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
-    parser.add_argument("--version", action="version", version=f"{tool} {__version__}", help="print the version")
-    return parser
+
+    def __init__(self, tool: str, description: str, epilog: str, add_help: bool = True) -> None:
+        super().__init__(
+            prog=tool,
+            description=description,
+            epilog=epilog,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+            add_help=add_help,
+        )
+        self.version = f"{tool} {VERSION}"
+        if add_help:
+            self.add_argument("--version", action="version", help="print the version")
+
+    def error(self, message: str) -> NoReturn:
+        """Say what was not understood, and end the program."""
+        # in a clone, programs are not on the PATH
+        command = self.prog if sys.argv[0].endswith(".py") else sys.argv[0]
+        if front := os.environ.get("ISOPARTICLES_FRONT"):
+            command = f"{front} {self.prog}"
+        error = StageError(message, "the command line was not understood", f"see `{command} --help`")
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(int(ExitCode.BAD_INPUT))
 
 
-def number(low: float, high: float, low_allowed: bool = True) -> Callable[[str], float]:
-    """Build a parser of numbers in a range.
+def reader(option: dict[str, Any]) -> Callable[[str], Any]:
+    """Return the function that parses the value of an option of ``options.toml``.
 
     Parameters
     ----------
-    low, high
-        The range.
-    low_allowed
-        Whether its lower end belongs to it.
+    option
+        Its entry: ``type``, and for a number its range.
     """
+    kind = option["type"]
+    if kind not in ("number", "whole"):
+        return _READERS[kind]
+    low, high = option["above" if "above" in option else "low"], option.get("high", math.inf)
+    opening = "(" if "above" in option else "["
+    closing = ")" if math.isinf(high) else "]"
 
-    def parse(text: str) -> float:
+    def number(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
             value = math.nan
-        if not (value > low or (low_allowed and value == low)) or not value <= high or math.isinf(value):
-            opening = "[" if low_allowed else "("
-            closing = ")" if math.isinf(high) else "]"
+        if not low <= value <= high or math.isinf(value) or value == option.get("above"):
             raise argparse.ArgumentTypeError(f"'{text}' is not a number in {opening}{low:g}, {high:g}{closing}")
         return value
 
-    return parse
-
-
-def whole(low: int) -> Callable[[str], int]:
-    """Build a parser of whole numbers.
-
-    Parameters
-    ----------
-    low
-        The smallest.
-    """
-
-    def parse(text: str) -> int:
-        if not text.isascii() or not text.isdigit() or int(text) < low:
+    def whole(text: str) -> int:
+        # the native code has 64 bits for them
+        if not text.isascii() or not text.isdigit() or not low <= int(text) < 2**64:
             raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from {low}")
         return int(text)
 
-    return parse
+    return whole if kind == "whole" else number
 
 
-def formats(text: str) -> tuple[str, ...]:
-    """Parse the list of formats of ``--export``.
-
-    Parameters
-    ----------
-    text
-        Their names, with commas.
-    """
+def _formats(text: str) -> tuple[str, ...]:
     words = tuple(dict.fromkeys(text.split(",")))
     for word in words:
         if word not in FORMATS:
@@ -112,28 +98,16 @@ def formats(text: str) -> tuple[str, ...]:
     return words
 
 
-def named_number(text: str) -> tuple[str, float]:
-    """Parse ``NAME=VALUE`` with a value above 0; the name may hold equals signs.
-
-    Parameters
-    ----------
-    text
-        Text from the command line.
-    """
+def _named_number(text: str) -> tuple[str, float]:
+    """Parse ``NAME=VALUE``; the name may hold equals signs."""
     name, equals, value = text.rpartition("=")
     if not name or not equals:
         raise argparse.ArgumentTypeError(f"'{text}' is not NAME=VALUE")
-    return name, number(0.0, math.inf, low_allowed=False)(value)
+    return name, reader({"type": "number", "above": 0.0})(value)
 
 
-def source_of_current(text: str) -> tuple[str, tuple[float, float, float]]:
-    """Parse ``NAME`` or ``NAME=X,Y,Z``, a vector that is not zero.
-
-    Parameters
-    ----------
-    text
-        Text from the command line.
-    """
+def _source_of_current(text: str) -> tuple[str, tuple[float, float, float]]:
+    """Parse ``NAME`` or ``NAME=X,Y,Z``, a vector that is not zero."""
     name, equals, value = text.rpartition("=")
     if not equals:
         return text, (1.0, 0.0, 0.0)
@@ -144,3 +118,13 @@ def source_of_current(text: str) -> tuple[str, tuple[float, float, float]]:
     if not name or not math.isfinite(x + y + z) or x == y == z == 0.0:
         raise argparse.ArgumentTypeError(f"'{text}' is not NAME or NAME=X,Y,Z with three numbers that are not all 0")
     return name, (x, y, z)
+
+
+_READERS: dict[str, Callable[[str], Any]] = {
+    "path": Path,
+    "int": int,
+    "formats": _formats,
+    "number_of_bytes": number_of_bytes,
+    "named_number": _named_number,
+    "source_of_current": _source_of_current,
+}

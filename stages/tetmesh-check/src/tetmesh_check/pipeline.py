@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from isoparticles import _native
-from isoparticles._native import GridField
+from isoparticles._native import Context, GridField
 
 from tetmesh_check.arguments import Arguments
 from tetmesh_check.checks import Check, complex_checks, conclude, object_checks, shape_checks, surface_volume_checks
 from tetmesh_check.complex import check_complex, describe_complex
-from tetmesh_check.context import Context
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export
 from tetmesh_check.export.mesh import MarkedMesh
@@ -19,7 +18,6 @@ from tetmesh_check.export.vtk import write_quadratic, write_volume
 from tetmesh_check.fem.forward import Forward, RegionMesh, Source, resolve_source
 from tetmesh_check.fem.solve import solve_on
 from tetmesh_check.fields import read_distance_field, read_sizing_field, uniform_sizing_field
-from tetmesh_check.files import refuse_existing
 from tetmesh_check.forced import find_forced
 from tetmesh_check.labels import LabelVolume, read_label_volume
 from tetmesh_check.materials import Sides
@@ -54,7 +52,7 @@ def _read(arguments: Arguments, context: Context) -> Inputs:
     """Read the files, and refuse a surface that needs more memory than there is."""
     surface = read_surface(arguments.surface)
     context.add_input(arguments.surface, surface.history)
-    check_memory(len(surface.points), arguments.surface, context.common.max_memory)
+    check_memory(len(surface.points), arguments.surface, context)
     sizing = field = labels = None
     if arguments.sizefield is not None:
         sizing, history = read_sizing_field(arguments.sizefield)
@@ -193,14 +191,14 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         If there is no volume mesh; then only the log is written. An interrupt after that leaves the
         complete mesh.
     """
-    _native.set_threads(context.common.threads)
+    _native.set_threads(context.threads)
     with context.step("read"):
         inputs = _read(arguments, context)
     surface = inputs.surface
     context.verbose(f"{arguments.surface}: {len(surface.points)} vertices, {len(surface.triangles)} triangles")
     many = surface.sides is not None
     exported = arguments.export_paths(many)
-    refuse_existing(exported, context.common.force)
+    context.check_outputs(exported)
     if many:
         arguments.refuse_for_materials()
     source = resolve_source(arguments.forward, surface.sides)

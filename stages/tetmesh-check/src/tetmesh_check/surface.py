@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vtkmodules.vtkCommonCore import vtkObject
 
 from tetmesh_check.components import Components, measure_components
-from tetmesh_check.errors import StageError
+from tetmesh_check.errors import StageError, file_error
 from tetmesh_check.field_data import text_of
 from tetmesh_check.materials import Sides, read_sides
 from tetmesh_check.polydata import from_polydata
@@ -70,9 +70,7 @@ def read_dataset(path: Path) -> pv.DataSet:
     except StageError:
         raise
     except Exception as error:
-        raise StageError.file(
-            path, "read", error, "check that the file is complete and matches its extension"
-        ) from error
+        raise file_error(path, "read", error, "check that the file is complete and matches its extension") from error
     finally:
         vtkObject.SetGlobalWarningDisplay(shown)
 

@@ -9,9 +9,9 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
+from isoparticles._native import Context
 
 from tetmesh_check.checks import Check, check
-from tetmesh_check.context import Context
 from tetmesh_check.fem.assembly import Assembler
 from tetmesh_check.fem.forward import MAX_IMBALANCE, Forward, forward
 from tetmesh_check.fem.problems import conduction, elasticity, poisson

@@ -10,8 +10,9 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from isoparticles._native import Context
+
 from tetmesh_check.arguments import Arguments
-from tetmesh_check.context import Context
 
 _DRAWING_SECONDS = 300.0
 """Time for the pictures after the other work."""

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from isoparticles._native import GridField
+from isoparticles._native import Context, GridField
 
 from tetmesh_check.arguments import Arguments, Method
 from tetmesh_check.checks import well_shaped
 from tetmesh_check.components import Components
-from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways
-from tetmesh_check.errors import InterruptedRunError, StageError
+from tetmesh_check.errors import StageError
 from tetmesh_check.materials import Sides
 from tetmesh_check.mend import mend
 from tetmesh_check.quality import Cells, Points, TetrahedronQuality, tetrahedron_quality
@@ -179,13 +178,13 @@ def _by_tetwild(task: Task, attempts: _Attempts, runner: Runner, context: Contex
         settings = {
             "stop_energy": energies[0],
             "num_opt_iter": arguments.max_passes,
-            "num_threads": context.common.thread_count,
+            "num_threads": context.threads,
         }
         try:
             with context.step("tetrahedralize"):
                 raw = fill_by_tetwild(surface, background, settings, envelopes[0], runner)
         except StageError as error:
-            if attempts.best is None or isinstance(error, InterruptedRunError):
+            if attempts.best is None:
                 raise
             context.warn(f"another attempt at better tetrahedra failed: {error.what}")
             break
@@ -228,10 +227,10 @@ def fill(task: Task, context: Context) -> Filled:
                 second = f"the tetrahedra of HXT miss a limit of shape ({smallest})"
                 context.info(f"{second}; fTetWild fills the surface as well, which may take minutes")
         except StageError as error:
-            if arguments.method is Method.HXT or isinstance(error, (InterruptedRunError, TimeLimitError)):
+            if arguments.method is Method.HXT or isinstance(error, TimeLimitError):
                 raise
             second = error.what
-            context.warn(f"{error.what}. fTetWild fills the surface instead, which may take hours; {error.next_step}")
+            context.warn(f"{error.what}. fTetWild fills the surface instead, which may take hours; {error.next}")
         if second:
             results["method"] = chosen = Method.FTETWILD
             results["reason"] = f"{reason}, but {second}"

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from isoparticles._native import GridField
+from isoparticles._native import Context, GridField
 
 from tetmesh_check.arguments import Arguments, Method
 from tetmesh_check.checks import SHAPE, OfShape, smallest_elsewhere
 from tetmesh_check.complex import Complex
 from tetmesh_check.conform import Conformity, conform
-from tetmesh_check.context import Context
-from tetmesh_check.errors import InterruptedRunError, StageError
+from tetmesh_check.errors import StageError
 from tetmesh_check.forced import ForcedSides
 from tetmesh_check.mend import mend
 from tetmesh_check.quality import TetrahedronQuality, tetrahedron_quality
@@ -123,8 +122,6 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
         try:
             with context.step("tetrahedralize"):
                 raw = fill_by_hxt(job | {"algorithm": algorithm}, runner)
-        except InterruptedRunError:
-            raise
         except StageError as error:
             attempts.append({"algorithm": algorithm, "error": error.what})
             failure = error

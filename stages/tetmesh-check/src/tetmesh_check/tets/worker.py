@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from isoparticles._native import Context
 
-from tetmesh_check.context import Context
 from tetmesh_check.errors import StageError
 from tetmesh_check.files import temporary_error, temporary_folder
 from tetmesh_check.quality import Cells, Points, orient_positive

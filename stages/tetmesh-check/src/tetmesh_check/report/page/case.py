@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from tetmesh_check.checks import FIT_BUT_FOR
-from tetmesh_check.errors import StageError
+from tetmesh_check.errors import StageError, file_error
 
 FORMAT, VERSION = "isoparticles-status", 1
 _ENDED = frozenset({"done", "failed", "error", "interrupted"})
@@ -161,7 +161,7 @@ def _read(path: Path, parse: Callable[[TextIO], Any], advice: str) -> Any:
         with path.open(encoding="utf-8", newline="") as stream:
             return parse(stream)
     except (OSError, ValueError, TypeError) as error:
-        raise StageError.file(path, "read", error, advice) from error
+        raise file_error(path, "read", error, advice) from error
 
 
 def _passes(stream: TextIO) -> list[dict[str, float]]:

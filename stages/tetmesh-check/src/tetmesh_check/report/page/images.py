@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tetmesh_check.errors import StageError
+from tetmesh_check.errors import file_error
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -92,7 +92,7 @@ def picture_data(path: Path, kind: str = "", width: int = _PICTURE_WIDTH) -> tup
         with Image.open(path) as opened:
             image = opened.convert("RGBA")
     except OSError as error:
-        raise StageError.file(path, "read", error, "draw the pictures again (tetmesh-check --pictures)") from error
+        raise file_error(path, "read", error, "draw the pictures again (tetmesh-check --pictures)") from error
     if kind == "closeup":
         image = filled(image)
     elif kind == "regions":

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from tetmesh_check.errors import InterruptedRunError, StageError
-from tetmesh_check.parsing import program_parser
+from tetmesh_check.errors import StageError
+from tetmesh_check.parsing import Parser
 from tetmesh_check.report.page.case import Case, dig, read_case
 from tetmesh_check.report.page.program import write_page
 from tetmesh_check.report.page.templates import render
@@ -94,8 +94,6 @@ def read_cases(statuses: Sequence[Path]) -> list[Case]:
     for status in statuses:
         try:
             cases.append(read_case(Path(os.path.realpath(status))))
-        except InterruptedRunError:
-            raise
         except StageError as error:
             print(f"warning: left out of the index: {error.what}", file=sys.stderr)
             last = error
@@ -112,7 +110,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     argv
         The command line without the program's name; that of the process by default.
     """
-    parser = program_parser(
+    parser = Parser(
         TOOL,
         description="Writes a page with a row for each case, failed ones included, and a link to the page of the case. It also writes the "
         "rows as a CSV file. It reads NAME.status.json of each case, which make writes, and the reports that are listed there.",

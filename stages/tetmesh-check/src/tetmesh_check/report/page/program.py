@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
+from isoparticles._native import check_output
 from jinja2 import UndefinedError
 from markupsafe import Markup
 
-from tetmesh_check.context import guarded
-from tetmesh_check.errors import ExitCode, InterruptedRunError, StageError
-from tetmesh_check.files import refuse_existing, write_text
-from tetmesh_check.parsing import program_parser
+from tetmesh_check.errors import StageError, guarded
+from tetmesh_check.files import write_text
+from tetmesh_check.parsing import Parser
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.report.page.case import Case, dig, read_case
 from tetmesh_check.report.page.key import key_of
@@ -58,8 +58,6 @@ def _scan_of(case: Case) -> Scan | StageError | None:
     labels = asked or (source == "labels" if source else {"LABELS", "MATERIALS"} & set(case.parameters))
     try:
         return read_scan(case.input, bool(labels), dig(case.reports, "distfield", "parameters", "series"))
-    except InterruptedRunError:
-        raise
     except StageError as error:
         return error
 
@@ -134,14 +132,14 @@ def write_page(
         The exit code.
     """
 
-    def work() -> int:
+    def work() -> None:
         output: Path = parsed.output
         if output.suffix != ".html":
             raise StageError(f"{output}: does not end in .html", "the page is an HTML file", f"name it {usual}")
-        refuse_existing([output.with_suffix(ending) for ending in endings], parsed.force)
+        for ending in endings:
+            check_output(output.with_suffix(ending), parsed.force)
         for ending, text in make(Path(os.path.realpath(output.parent))).items():
             write_text(output.with_suffix(ending), text)
-        return ExitCode.OK
 
     return guarded(tool, work)
 
@@ -154,7 +152,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     argv
         The command line without the program's name; that of the process by default.
     """
-    parser = program_parser(
+    parser = Parser(
         TOOL,
         description="Writes the page of a case, one HTML file that works offline. It shows verdict, checks with advice, slices of the "
         "volume with the mesh, a 3-D view, pictures, quality, solves, particles, stages, files and commands. It reads "

@@ -13,10 +13,10 @@ from typing import Any
 from urllib.parse import quote
 
 import numpy as np
+from isoparticles._native import VERSION
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from tetmesh_check import __version__
 from tetmesh_check.checks import percent
 from tetmesh_check.numerals import plain
 from tetmesh_check.report.colours import PALETTE
@@ -138,7 +138,7 @@ def environment() -> Environment:
     )
     functions = {function.__name__: function for function in _FUNCTIONS}
     made.filters |= functions
-    made.globals |= {**functions, "np": np, "palette": len(PALETTE), "version": __version__}
+    made.globals |= {**functions, "np": np, "palette": len(PALETTE), "version": VERSION}
     return made
 
 
