@@ -23,6 +23,7 @@ from tetmesh_check.polydata import from_polydata
 from tetmesh_check.report.colours import material_colours
 from tetmesh_check.report.page import program
 from tetmesh_check.report.page.advice import advice_for
+from tetmesh_check.report.page.payload import measures_of
 from tetmesh_check.report.page.scan import Scan
 from tetmesh_check.report.page.view3d import view_meshes
 from tetmesh_check.topology import measure_topology
@@ -97,19 +98,20 @@ def test_a_material_can_be_looked_at_by_itself(case: Path) -> None:
     points, triangles = from_polydata(surface)
     inside, outside = (np.asarray(surface.cell_data[f"material_{side}"]) for side in ("inside", "outside"))
     for number, name in enumerate(("body <skin>", "lung", "heart"), 1):
-        mesh = meshes[f"only {name}"]
+        mesh = meshes[f"only {name}"].mesh
+        faces = from_polydata(mesh)[1]
         own = np.concatenate([triangles[inside == number], triangles[outside == number][:, ::-1]])
         # the mesh is the closed surface of the material, oriented outward
-        assert measure_topology(mesh.points, mesh.triangles).is_closed_manifold
+        assert measure_topology(mesh.points, faces).is_closed_manifold
         distance, vertex = KDTree(points).query(mesh.points)
         assert distance.max() == 0.0
         np.testing.assert_array_equal(
-            np.unique(np.sort(vertex[mesh.triangles], axis=1), axis=0), np.unique(np.sort(own, axis=1), axis=0)
+            np.unique(np.sort(vertex[faces], axis=1), axis=0), np.unique(np.sort(own, axis=1), axis=0)
         )
-    on_cut = meshes["cut"].colours[-1]
-    assert on_cut.name == "material"
-    assert [name for name, _ in on_cut.names] == ["outside", "body <skin>", "lung", "heart"]
-    assert set(on_cut.values) == {1.0, 2.0, 3.0}
+    cut = meshes["cut"]
+    assert measures_of(cut.mesh)[-1].name == "material"
+    assert [name for name, _ in cut.names] == ["outside", "body <skin>", "lung", "heart"]
+    assert set(cut.mesh["material"]) == {1, 2, 3}
 
 
 @NEEDS_HXT

@@ -19,7 +19,7 @@ from conftest import ball, tetrahedra
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.quality import signed_tetrahedron_volumes, triangle_quality
 from tetmesh_check.report.cut import cut_of
-from tetmesh_check.report.page.payload import STEPS, Colour, ViewMesh, pack
+from tetmesh_check.report.page.payload import STEPS, ViewMesh, measures_of, pack
 from tetmesh_check.report.page.view3d import is_anatomical, view_meshes
 
 BROWSER = next(
@@ -29,13 +29,12 @@ NEEDS_BROWSER = pytest.mark.skipif(BROWSER is None, reason="no Chromium here (De
 
 
 def test_the_packed_meshes_are_the_meshes() -> None:
-    points, triangles = from_polydata(ball(7.0, 2).translate((100.0, 50.0, -3.0)))
+    surface = ball(7.0, 2).translate((100.0, 50.0, -3.0))
+    points, triangles = from_polydata(surface)
     quality = triangle_quality(points, triangles).radius_ratio
-    colours = [
-        Colour("radius ratio", "", quality, True, "low"),
-        Colour("edge length", " mm", np.linspace(1.0, 2.0, len(points)), False),
-    ]
-    about, data = pack([ViewMesh("surface", points, triangles, colours)], 0.5, 0.3)
+    surface.cell_data["radius_ratio"] = quality
+    surface.point_data["edge_length"] = np.linspace(1.0, 2.0, len(points))
+    about, data = pack([ViewMesh("surface", surface)], 0.5, 0.3)
     raw = zlib.decompress(base64.b64decode(data))
     mesh = about["meshes"][0]
 
@@ -68,7 +67,7 @@ def test_the_packed_meshes_are_the_meshes() -> None:
     assert ratio["threshold"] == pytest.approx(np.percentile(quality, 1))
     assert length["threshold"] is None
     assert about["letters"] == [["L", "R"], ["P", "A"], ["S", "I"]]
-    plain = pack([ViewMesh("surface", points, triangles, colours)], 0.5, 0.3, anatomical=False)[0]
+    plain = pack([ViewMesh("surface", surface)], 0.5, 0.3, anatomical=False)[0]
     assert plain["letters"][2] == ["+z", "\u2212z"]
 
 
@@ -77,21 +76,27 @@ def test_what_the_view_shows(case: Path) -> None:
     assert is_anatomical(surface)
     assert not is_anatomical(ball())
     shown, cut, worst = view_meshes(surface, case / "a&b.volume.vtu", [])
-    assert [colour.name for colour in shown.colours] == ["radius ratio", "edge length", "deviation from F = 0"]
-    np.testing.assert_allclose(shown.colours[2].values, np.abs(surface.cell_data["deviation"]))
     assert [mesh.name for mesh in (shown, cut, worst)] == ["surface", "cut", "worst tetrahedra"]
+    names = [[measure.name for measure in measures_of(view.mesh)] for view in (shown, cut, worst)]
+    assert names == [
+        ["radius ratio", "edge length", "deviation from F = 0"],
+        ["radius ratio", "minimum dihedral angle", "edge length"],
+        ["radius ratio", "minimum dihedral angle"],
+    ]
+    deviation = pack([shown], 0.5, 0.3)[0]["meshes"][0]["colours"][2]
+    assert deviation["largest"] == pytest.approx(np.abs(surface.cell_data["deviation"]).max())
+    assert deviation["least"] >= 0.0
     points, cells, grid = tetrahedra(case / "a&b.volume.vtu")
-    assert len(cut.points) < 0.6 * len(points)
-    assert [colour.name for colour in cut.colours] == ["radius ratio", "minimum dihedral angle", "edge length"]
-    assert cut.colours[2].values.min() > 0.5
+    assert cut.mesh.n_points < 0.6 * len(points)
+    assert cut.mesh["edge_length"].min() > 0.5
 
     ratio = np.asarray(grid.cell_data["radius_ratio"])
     count = max(1, round(0.01 * len(cells)))
-    assert len(worst.triangles) == 4 * count
+    assert worst.mesh.n_cells == 4 * count
     assert worst.within
-    assert worst.colours[0].values.max() == pytest.approx(np.sort(ratio)[count - 1])
+    assert worst.mesh["radius_ratio"].max() == pytest.approx(np.sort(ratio)[count - 1])
     # the faces are oriented outward, so the divergence theorem gives the volume of each tetrahedron
-    corners = points[worst.triangles].reshape(-1, 4, 3, 3)
+    corners = points[from_polydata(worst.mesh)[1]].reshape(-1, 4, 3, 3)
     corners = corners - corners.mean(axis=(1, 2), keepdims=True)
     volumes = np.einsum("abi,abi->a", corners[:, :, 0], np.cross(corners[:, :, 1], corners[:, :, 2])) / 6.0
     own = signed_tetrahedron_volumes(points, cells)[np.sort(np.argpartition(ratio, count - 1)[:count])]

@@ -6,13 +6,14 @@ import base64
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from isoparticles import _native
+import pyvista as pv
 from numpy.typing import NDArray
 
-from tetmesh_check.quality import Cells, Points, Values
+from tetmesh_check.polydata import from_polydata
+from tetmesh_check.quality import Points
 from tetmesh_check.report.page.scan import world_letters
 
 STEPS = 8191
@@ -31,21 +32,27 @@ WORST = 1.0
 """Percent of the triangles that 'worst' shows."""
 
 
-@dataclass(frozen=True)
-class Colour:
-    """A measure that a mesh can be coloured by."""
+class Measure(NamedTuple):
+    """A measure that meshes can be coloured by."""
 
+    data: str
+    """Name of the data of triangles or vertices."""
     name: str
     """As the page calls it."""
-    unit: str
-    """Empty, or with a space before it, as in ``" mm"``."""
-    values: Values
-    """One a triangle, shape ``(m,)``, or one a vertex, shape ``(n,)``."""
-    on_triangles: bool
+    unit: str = ""
+    """With a space before it, as in ``" mm"``."""
     worst: str = ""
     """``low`` or ``high``: which end is bad; empty where none is."""
-    names: tuple[tuple[str, tuple[int, int, int]], ...] = ()
-    """For values that are whole numbers from 0: the name and the colour of each."""
+
+
+MEASURES = (
+    Measure("radius_ratio", "radius ratio", worst="low"),
+    Measure("min_dihedral", "minimum dihedral angle", "\u00b0", "low"),
+    Measure("edge_length", "edge length", " mm"),
+    Measure("deviation", "deviation from F = 0", " mm", "high"),
+    Measure("material", "material"),
+)
+"""Of a mesh, the first states which end is bad if the chosen one does not."""
 
 
 @dataclass(frozen=True)
@@ -54,14 +61,12 @@ class ViewMesh:
 
     name: str
     """Name on the page."""
-    points: Points
-    """Positions, mm, shape ``(n, 3)``."""
-    triangles: Cells
-    """Vertex indices, shape ``(m, 3)``."""
-    colours: list[Colour]
-    """Colours to choose from. The first states which end is bad if the chosen one does not."""
+    mesh: pv.PolyData
+    """Triangles; their data, or those of vertices, are the measures."""
     within: bool = False
     """Whether it lies inside the object, and is shown within a ghost of the first mesh."""
+    names: tuple[tuple[str, tuple[int, int, int]], ...] = ()
+    """The name and the colour of each ``material``."""
 
 
 def _planes(numbers: NDArray[Any]) -> bytes:
@@ -75,11 +80,15 @@ def _differences(numbers: NDArray[Any]) -> bytes:
     return _planes(np.where(steps < 0, -2 * steps - 1, 2 * steps).astype("<u4"))
 
 
-def _in_order_of_use(triangles: Cells) -> tuple[Cells, NDArray[np.int64]]:
-    """Renumber vertices by first use; return new triangles and old numbers."""
-    used, first, local = np.unique(triangles, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    return np.argsort(order)[local.reshape(-1, 3)], used[order]
+def measures_of(mesh: pv.PolyData) -> list[Measure]:
+    """Find what a mesh can be coloured by.
+
+    Parameters
+    ----------
+    mesh
+        Triangles.
+    """
+    return [m for m in MEASURES if m.data in mesh.array_names and np.isfinite(mesh[m.data]).all()]
 
 
 def pack(meshes: list[ViewMesh], yaw: float, pitch: float, anatomical: bool = True) -> tuple[dict[str, Any], str]:
@@ -99,9 +108,9 @@ def pack(meshes: list[ViewMesh], yaw: float, pitch: float, anatomical: bool = Tr
     tuple
         Description of the data for the script, and the data.
     """
-    orders = [_native.morton_order(mesh.points[mesh.triangles].mean(axis=1)) for mesh in meshes]
-    numbered = [_in_order_of_use(mesh.triangles[order]) for mesh, order in zip(meshes, orders, strict=True)]
-    points = np.concatenate([mesh.points[used] for mesh, (_, used) in zip(meshes, numbered, strict=True)])
+    # numbers used vertices in the order of the triangles, so that differences are small
+    shown = [view.mesh.clean(point_merging=False) for view in meshes]
+    points = np.concatenate([mesh.points for mesh in shown])
     low, high = points.min(axis=0), points.max(axis=0)
     centre, half = 0.5 * (low + high), 0.5 * float((high - low).max()) or 1.0
     data = bytearray()
@@ -110,23 +119,18 @@ def pack(meshes: list[ViewMesh], yaw: float, pitch: float, anatomical: bool = Tr
         data.extend(part)
         return len(data) - len(part)
 
-    listed = []
-    for mesh, order, (triangles, used) in zip(meshes, orders, numbered, strict=True):
-        places = np.round(STEPS * (mesh.points[used] - centre) / half)
-        listed.append(
-            {
-                "name": mesh.name,
-                "within": mesh.within,
-                "point_count": len(used),
-                "triangle_count": len(triangles),
-                "points": add(_differences(places.T.ravel())),
-                "triangles": add(_differences(triangles.ravel())),
-                "colours": [
-                    _colour(colour, colour.values[order if colour.on_triangles else used], len(triangles), add)
-                    for colour in mesh.colours
-                ],
-            }
-        )
+    listed = [
+        {
+            "name": view.name,
+            "within": view.within,
+            "point_count": mesh.n_points,
+            "triangle_count": mesh.n_cells,
+            "points": add(_differences(np.round(STEPS * (mesh.points - centre) / half).T.ravel())),
+            "triangles": add(_differences(from_polydata(mesh)[1].ravel())),
+            "colours": [_colour(measure, mesh, view.names, add) for measure in measures_of(mesh)],
+        }
+        for view, mesh in zip(meshes, shown, strict=True)
+    ]
     about = {
         "meshes": listed,
         "step": 1.0 / STEPS,
@@ -141,25 +145,28 @@ def pack(meshes: list[ViewMesh], yaw: float, pitch: float, anatomical: bool = Tr
     return about, base64.b64encode(zlib.compress(data, 9)).decode("ascii")
 
 
-def _colour(colour: Colour, values: Values, triangles: int, add: Callable[[bytes], int]) -> dict[str, Any]:
+def _colour(
+    measure: Measure, mesh: pv.PolyData, names: tuple[tuple[str, Any], ...], add: Callable[[bytes], int]
+) -> dict[str, Any]:
     """Describe a measure for the script, and add its values to the data."""
+    values = np.abs(mesh[measure.data])
     least, largest = float(values.min()), float(values.max())
-    steps = 65535 if triangles <= _WHOLE_VALUES else 255
+    steps = 65535 if mesh.n_cells <= _WHOLE_VALUES else 255
     whole = np.round(steps * (values - least) / max(largest - least, 1e-300)).astype("<u2")
     low, high = (float(v) for v in np.percentile(values, _RANGE))
-    worst = {"low": WORST, "high": 100.0 - WORST}.get(colour.worst)
+    worst = {"low": WORST, "high": 100.0 - WORST}.get(measure.worst)
     return {
-        "name": colour.name,
-        "unit": colour.unit,
-        "on_triangles": colour.on_triangles,
+        "name": measure.name,
+        "unit": measure.unit,
+        "on_triangles": measure.data in mesh.cell_data,
         "start": add(_planes(whole * np.uint16(65535 // steps))),
         "least": least,
         "largest": largest,
         "low": low,
         "high": high if high > low else low + max(abs(low), 1.0) * 1e-6,
-        "worst": colour.worst,
-        "names": [name for name, _ in colour.names],
-        "palette": [part for _, shade in colour.names for part in shade],
+        "worst": measure.worst,
+        "names": [name for name, _ in names if measure.data == "material"],
+        "palette": [part for _, shade in names for part in shade],
         "threshold": None if worst is None else float(np.percentile(values, worst)),
     }
 

@@ -14,7 +14,7 @@ from tetmesh_check.polydata import from_polydata, to_polydata
 from tetmesh_check.quality import OUTWARD_FACES, triangle_quality
 from tetmesh_check.report.cut import boundary_of, cut_of
 from tetmesh_check.report.page.key import Entry
-from tetmesh_check.report.page.payload import MAX_TRIANGLES, WORST, Colour, ViewMesh, pack
+from tetmesh_check.report.page.payload import MAX_TRIANGLES, WORST, ViewMesh, pack
 from tetmesh_check.report.page.templates import render
 from tetmesh_check.surface import read_dataset
 
@@ -24,13 +24,6 @@ _MAX_WORST = 5000
 """Largest number of tetrahedra among the worst: more only hide each other."""
 _MAX_REGIONS = 12
 """Materials that can be looked at one by one, the largest first: the page grows with each."""
-_MEASURES = (
-    ("radius_ratio", "radius ratio", "", "low"),
-    ("min_dihedral", "minimum dihedral angle", "\u00b0", "low"),
-    ("edge_length", "edge length", " mm", ""),
-    ("deviation", "deviation from F = 0", " mm", "high"),
-)
-"""Data of meshes, each with what the page calls it, its unit, and which end is bad."""
 
 
 def is_anatomical(dataset: pv.DataSet) -> bool:
@@ -55,19 +48,10 @@ def _add_edge_lengths(mesh: pv.PolyData) -> pv.PolyData:
 
 
 def _with_quality(mesh: pv.PolyData) -> pv.PolyData:
+    """Return the mesh with the radius ratios of its triangles."""
     made = mesh.copy(deep=False)
     made.cell_data["radius_ratio"] = triangle_quality(*from_polydata(mesh)).radius_ratio
     return made
-
-
-def _shown(name: str, mesh: pv.PolyData, *more: Colour, within: bool = False) -> ViewMesh:
-    """Make a mesh of the view, coloured by the measures among its data."""
-    colours = [
-        Colour(called, unit, np.abs(mesh[data]), data in mesh.cell_data, bad)
-        for data, called, unit, bad in _MEASURES
-        if data in mesh.array_names and np.isfinite(mesh[data]).all()
-    ]
-    return ViewMesh(name, *from_polydata(mesh), [*colours, *more], within)
 
 
 def _views_of_volume(grid: pv.UnstructuredGrid, key: list[Entry]) -> list[ViewMesh]:
@@ -75,19 +59,18 @@ def _views_of_volume(grid: pv.UnstructuredGrid, key: list[Entry]) -> list[ViewMe
     cut = _add_edge_lengths(cut_of(grid)[0])
     ratio = grid.cell_data["radius_ratio"]
     count = min(max(1, round(grid.n_cells * WORST / 100.0)), _MAX_WORST)
-    worst = np.sort(np.argpartition(ratio, count - 1)[:count])
-    faces = grid.cells_dict[pv.CellType.TETRA][worst][:, OUTWARD_FACES].reshape(-1, 3)
-    flat = to_polydata(grid.points, faces)
+    lowest = np.sort(np.argpartition(ratio, count - 1)[:count])
+    faces = grid.cells_dict[pv.CellType.TETRA][lowest][:, OUTWARD_FACES].reshape(-1, 3)
+    worst = to_polydata(grid.points, faces)
     for data in ("radius_ratio", "min_dihedral"):
-        flat.cell_data[data] = np.repeat(grid.cell_data[data][worst], len(OUTWARD_FACES))
-    views = [_shown("worst tetrahedra", flat, within=True)]
-    if (text := text_of(grid, "materials")) is None:
-        return [_shown("cut", cut), *views]
-    names = [str(entry["name"]) for entry in json.loads(text)]
+        worst.cell_data[data] = np.repeat(grid.cell_data[data][lowest], len(OUTWARD_FACES))
+    names = [str(entry["name"]) for entry in json.loads(text_of(grid, "materials") or "[]")]
+    if names:
+        cut.cell_data["material"] = cut.cell_data["region"]
     shades = {entry.name: entry.colour for entry in key}
     named = tuple((name, shades.get(name, (0, 0, 0))) for name in names)
-    region = Colour("material", "", cut.cell_data["region"].astype(np.float64), True, names=named)
-    return [_shown("cut", cut, region), *views, *_views_of_regions(grid, names)]
+    views = [ViewMesh("cut", cut, names=named), ViewMesh("worst tetrahedra", worst, within=True)]
+    return [*views, *(_views_of_regions(grid, names) if names else [])]
 
 
 def _views_of_regions(grid: pv.UnstructuredGrid, names: list[str]) -> list[ViewMesh]:
@@ -102,7 +85,7 @@ def _views_of_regions(grid: pv.UnstructuredGrid, names: list[str]) -> list[ViewM
         if left < 0:
             break
         boundary.clear_cell_data()
-        views.append(_shown(f"only {names[material]}", _with_quality(boundary), within=True))
+        views.append(ViewMesh(f"only {names[material]}", _with_quality(boundary), within=True))
     return views
 
 
@@ -119,12 +102,12 @@ def view_meshes(surface: pv.PolyData | None, volume: Path | None, key: list[Entr
     key
         Names and colours of the materials.
     """
-    meshes = [] if surface is None else [_shown("surface", _add_edge_lengths(_with_quality(surface)))]
+    meshes = [] if surface is None else [ViewMesh("surface", _add_edge_lengths(_with_quality(surface)))]
     if volume is not None:
         grid = read_dataset(volume)
         if isinstance(grid, pv.UnstructuredGrid) and pv.CellType.TETRA in grid.cells_dict:
             meshes += _views_of_volume(grid, key)
-    return [mesh for mesh in meshes if 0 < len(mesh.triangles) <= MAX_TRIANGLES]
+    return [mesh for mesh in meshes if 0 < mesh.mesh.n_cells <= MAX_TRIANGLES]
 
 
 def view(meshes: list[ViewMesh], anatomical: bool, key: list[Entry]) -> str:
