@@ -35,6 +35,40 @@ pub fn sampled_distances(mesh: &TriangleMesh, other: &TriangleMesh) -> Option<Ve
     Some(nearest_triangles(other, &samples)?.into_iter().map(|(_, distance)| distance).collect())
 }
 
+/// Maximum difference of equal distances in [`nearest_flags`], relative to the longest edge of the
+/// triangle. Where a flat cap meets a curved wall, both may be the nearest to rounding.
+const TIE: f64 = 0.01;
+
+/// Returns the flag of each triangle of a mesh: that of the triangle of `other` nearest to its
+/// centroid. Where a triangle with the flag and one without are equally near, the one with the more
+/// similar normal counts.
+pub fn nearest_flags(mesh: &TriangleMesh, other: &TriangleMesh, flags: &[bool]) -> Vec<bool> {
+    let part = |flag: bool| {
+        let own = other.triangles.iter().zip(flags).filter(|(_, own)| **own == flag).map(|(corners, _)| *corners);
+        TriangleMesh { vertices: other.vertices.clone(), triangles: own.collect() }
+    };
+    let [with, without] = [true, false].map(part);
+    let centroid = |t: usize| mesh.corners(t).iter().sum::<DVec3>() / 3.0;
+    let centroids: Vec<DVec3> = (0..mesh.triangles.len()).map(centroid).collect();
+    let nearest = |part| nearest_triangles(part, &centroids);
+    let Some((nearest_with, nearest_without)) = nearest(&with).and_then(|first| Some((first, nearest(&without)?)))
+    else {
+        return vec![without.triangles.is_empty(); centroids.len()];
+    };
+    let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a).normalize_or_zero();
+    let is_flagged = |t: usize| {
+        let corners @ [a, b, c] = mesh.corners(t);
+        let ((flagged, distance), (plain, other_distance)) = (nearest_with[t], nearest_without[t]);
+        let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+        if (distance - other_distance).abs() > TIE * longest {
+            return distance < other_distance;
+        }
+        let own = normal(corners);
+        own.dot(normal(with.corners(flagged as usize))) > own.dot(normal(without.corners(plain as usize)))
+    };
+    (0..centroids.len()).map(is_flagged).collect()
+}
+
 /// Returns the squared distance from `p` to a triangle.
 fn squared_distance(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
     let normal = (b - a).cross(c - a);
@@ -82,6 +116,23 @@ mod tests {
             assert!(found.1 == distance(found.0) && found.1 - least < 1e-15, "{found:?} instead of {least}");
         }
         assert_eq!(nearest_triangles(&TriangleMesh::default(), &[DVec3::ZERO]), None);
+    }
+
+    #[test]
+    fn flags_come_from_the_nearest_triangle_with_the_same_normal() {
+        let triangle = |corners: [[f64; 3]; 3]| TriangleMesh {
+            vertices: corners.map(DVec3::from_array).to_vec(),
+            triangles: vec![[0, 1, 2]],
+        };
+        let [low, high] = [0.0, 4.0].map(|z| triangle([[0.0, 0.0, z], [1.0, 0.0, z], [0.0, 1.0, z]]));
+        let both = shapes::union(&[low.clone(), high.clone()]);
+        for flags in [[true, false], [false, true], [true, true], [false, false]] {
+            assert_eq!(nearest_flags(&both, &both, &flags), flags);
+        }
+        let mut back = low.clone();
+        back.triangles[0].swap(1, 2);
+        let both = shapes::union(&[low, back]);
+        assert_eq!(nearest_flags(&both, &both, &[false, true]), [false, true]);
     }
 
     #[test]

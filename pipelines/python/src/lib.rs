@@ -36,9 +36,9 @@ mod _native {
     use crate::fields::{GridField, jacobian_coefficients, labels_at, read_volume};
     #[pymodule_export]
     use crate::meshes::{
-        changed_triangles, check_complex, describe_complex, distances_between, morton_order, nearest,
-        self_intersections, statistics, surface_components, surface_topology, tetrahedron_boundary,
-        tetrahedron_quality, triangle_quality,
+        changed_triangles, check_complex, describe_complex, distances_both_ways, morton_order, nearest_flags,
+        self_intersections, summarize, surface_components, surface_topology, tetrahedron_boundary, tetrahedron_quality,
+        tetrahedron_volumes, triangle_quality,
     };
     #[pymodule_export]
     use crate::options::{case_keys, case_name, case_words, options};

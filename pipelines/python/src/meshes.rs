@@ -7,16 +7,17 @@ use crate::arrays::{Array, cells, compute, indices, mesh, points, values};
 use glam::DVec3;
 use isoparticles_mesh::complex::{Complex, MaterialSummary};
 use isoparticles_mesh::difference::differing_triangles;
-use isoparticles_mesh::nearest::{nearest_triangles, sampled_distances};
+use isoparticles_mesh::nearest::{self, sampled_distances};
 use isoparticles_mesh::nesting::nest;
 use isoparticles_mesh::quality::{angles, area, mean, percentile, radius_ratio, zero_area_triangles};
 use isoparticles_mesh::spatial::{Bounds, BoxTree};
 use isoparticles_mesh::tetrahedra::faces::boundary;
-use isoparticles_mesh::tetrahedra::quality::qualities;
+use isoparticles_mesh::tetrahedra::quality::{TetrahedronQuality, qualities};
 use isoparticles_mesh::topology::{Topology, analyse, duplicate_triangles};
 use isoparticles_mesh::{TriangleMesh, intersect};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -63,46 +64,57 @@ pub(crate) fn tetrahedron_quality(py: Python<'_>, points: Argument, tetrahedra: 
     })
 }
 
-/// Statistics of numbers. Numbers that are not finite are only counted.
-#[derive(IntoPyObject)]
-pub(crate) struct Statistics {
-    infinite: usize,
-    min: f64,
-    max: f64,
-    mean: f64,
-    median: f64,
-    percentiles: Vec<f64>,
-    /// Number of values in each bin. The last bin includes its upper edge.
-    histogram: Vec<usize>,
+/// Returns the signed volume of each tetrahedron.
+#[pyfunction]
+pub(crate) fn tetrahedron_volumes(py: Python<'_>, points: Argument, tetrahedra: Argument) -> PyResult<Array> {
+    let points = self::points(points)?;
+    let tetrahedra = cells::<4>(tetrahedra, points.len())?;
+    let volume = move |cell: &[u32; 4]| TetrahedronQuality::of(&cell.map(|v| points[v as usize])).volume;
+    compute(py, move || Array::column(&tetrahedra.par_iter().map(volume).collect::<Vec<_>>()))
 }
 
-/// Returns statistics of numbers: the given percentiles (0 to 100), and a histogram with the given
-/// ascending edges. All are 0 if no number is finite.
+/// The percentiles that a summary contains.
+const PERCENTILES: [u8; 9] = [1, 5, 10, 25, 50, 75, 90, 95, 99];
+
+/// Returns statistics of numbers, with a histogram if its ascending edges are given. Numbers that
+/// are not finite are only counted.
 #[pyfunction]
-pub(crate) fn statistics(
-    py: Python<'_>,
+#[pyo3(signature = (numbers, edges=None))]
+pub(crate) fn summarize<'py>(
+    py: Python<'py>,
     numbers: Argument,
-    percentiles: Vec<f64>,
-    edges: Vec<f64>,
-) -> PyResult<Statistics> {
+    edges: Option<Vec<f64>>,
+) -> PyResult<Bound<'py, PyDict>> {
     let numbers: Vec<f64> = values(numbers)?;
-    compute(py, move || {
-        let count = numbers.len();
+    let count = numbers.len();
+    let (finite, mean) = compute(py, move || {
         let mut finite: Vec<f64> = numbers.into_iter().filter(|value| value.is_finite()).collect();
         let mean = mean(&finite);
         finite.par_sort_unstable_by(f64::total_cmp);
+        (finite, mean)
+    })?;
+    let summary = PyDict::new(py);
+    summary.set_item("count", count)?;
+    summary.set_item("infinite", count - finite.len())?;
+    let [Some(min), Some(max)] = [finite.first(), finite.last()] else { return Ok(summary) };
+    for (name, value) in [("min", *min), ("max", *max), ("mean", mean), ("median", percentile(&finite, 50.0))] {
+        summary.set_item(name, value)?;
+    }
+    let percentiles = PyDict::new(py);
+    for percent in PERCENTILES {
+        percentiles.set_item(format!("p{percent}"), percentile(&finite, percent.into()))?;
+    }
+    summary.set_item("percentiles", percentiles)?;
+    if let Some(edges) = edges {
+        // the last bin includes its upper edge
         let below = |edge: f64, last: bool| finite.partition_point(|&value| value < edge || last && value == edge);
         let bins = (1..edges.len()).map(|k| below(edges[k], k + 1 == edges.len()) - below(edges[k - 1], false));
-        Statistics {
-            infinite: count - finite.len(),
-            min: finite.first().copied().unwrap_or(0.0),
-            max: finite.last().copied().unwrap_or(0.0),
-            mean,
-            median: percentile(&finite, 50.0),
-            percentiles: percentiles.into_iter().map(|percent| percentile(&finite, percent)).collect(),
-            histogram: bins.collect(),
-        }
-    })
+        let histogram = PyDict::new(py);
+        histogram.set_item("counts", bins.collect::<Vec<_>>())?;
+        histogram.set_item("edges", edges)?;
+        summary.set_item("histogram", histogram)?;
+    }
+    Ok(summary)
 }
 
 /// Counts that state whether a triangle mesh is a closed oriented surface.
@@ -195,37 +207,39 @@ pub(crate) fn changed_triangles(
     compute(py, move || differing_triangles(&first, &second))
 }
 
-/// Returns the distances from the vertices and centroids of a mesh to another mesh, or from every
-/// n-th of them if there are more than 200,000.
+/// Returns the distances from the vertices and centroids of a mesh to another mesh, and the reverse.
+/// If a mesh has more than 200,000 of them, only every n-th is used.
 #[pyfunction]
-pub(crate) fn distances_between(
+pub(crate) fn distances_both_ways(
     py: Python<'_>,
     points: Argument,
     triangles: Argument,
     other_points: Argument,
     other_triangles: Argument,
-) -> PyResult<Array> {
+) -> PyResult<(Array, Array)> {
     let (first, second) = (mesh(points, triangles)?, mesh(other_points, other_triangles)?);
-    let distances = compute(py, move || sampled_distances(&first, &second))?;
-    Ok(Array::column(&distances.ok_or_else(no_triangles)?))
+    let both = compute(py, move || sampled_distances(&first, &second).zip(sampled_distances(&second, &first)))?;
+    let (there, back) = both.ok_or_else(|| PyValueError::new_err("the mesh has no triangles"))?;
+    Ok((Array::column(&there), Array::column(&back)))
 }
 
-/// Returns the triangle nearest to each position, and the distance to it.
+/// Returns the flag of each triangle: that of the triangle of another mesh, with flags 0 and 1,
+/// nearest to its centroid.
 #[pyfunction]
-pub(crate) fn nearest(
+pub(crate) fn nearest_flags(
     py: Python<'_>,
     points: Argument,
     triangles: Argument,
-    positions: Argument,
-) -> PyResult<(Array, Array)> {
-    let (mesh, positions) = (mesh(points, triangles)?, self::points(positions)?);
-    let found = compute(py, move || nearest_triangles(&mesh, &positions))?.ok_or_else(no_triangles)?;
-    let (triangles, distances): (Vec<u32>, Vec<f64>) = found.into_iter().unzip();
-    Ok((Array::indices(&triangles), Array::column(&distances)))
-}
-
-fn no_triangles() -> PyErr {
-    PyValueError::new_err("the mesh has no triangles")
+    other_points: Argument,
+    other_triangles: Argument,
+    flags: Argument,
+) -> PyResult<Array> {
+    let (first, second) = (mesh(points, triangles)?, mesh(other_points, other_triangles)?);
+    let flags: Vec<bool> = values::<u8>(flags)?.into_iter().map(|flag| flag != 0).collect();
+    if flags.len() != second.triangles.len() {
+        return Err(PyValueError::new_err("each triangle of the other mesh must have a flag"));
+    }
+    compute(py, move || Array::column(&nearest::nearest_flags(&first, &second, &flags)))
 }
 
 /// Returns the order of points along the Morton curve, in which consecutive points are near each

@@ -31,9 +31,9 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 
-from tetmesh_check.components import measure_components
 from tetmesh_check.polydata import from_polydata, to_polydata
 from tetmesh_check.surface import read_dataset
+from tetmesh_check.topology import measure_components
 
 _DISTANCE = "signed_distance"
 _PROBLEMS = ("poisson", "conduction", "elasticity")

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import NEEDS_HXT, Run, ball, fake_library, merged, reversed_winding, tetrahedra, write_sizing
+from isoparticles._native import changed_triangles
 
 from tetmesh_check import cli
-from tetmesh_check.components import measure_components
 from tetmesh_check.quality import signed_tetrahedron_volumes, tetrahedron_quality
 from tetmesh_check.surface import history_of, read_surface
 from tetmesh_check.tets import fill
 from tetmesh_check.tets.hxt import write_structured_field
-from tetmesh_check.topology import changed_triangles, tetrahedron_boundary
+from tetmesh_check.topology import measure_components, tetrahedron_boundary
 
 MISSING = "raise ImportError('libGLU.so.1: cannot open shared object file')\n"
 
@@ -41,7 +41,7 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     )
     outside = tetrahedron_boundary(cells)
     assert not outside.bodies.any()
-    assert changed_triangles((surface.points, surface.triangles), (points, outside.triangles)) == (0, 0)
+    assert changed_triangles(surface.points, surface.triangles, points, outside.triangles) == [0, 0]
     # the surface vertices come first, in their original order
     np.testing.assert_array_equal(points[: len(surface.points)], surface.points)
     assert history_of(grid)["parameters"]["method"] == "hxt"

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 import pyvista as pv
 from conftest import Run, ball, merged, reversed_winding
-from isoparticles._native import self_intersections
+from isoparticles._native import changed_triangles, self_intersections, surface_topology
 
-from tetmesh_check.components import measure_components
 from tetmesh_check.errors import StageError
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.surface import check_surface, read_surface
-from tetmesh_check.topology import changed_triangles, measure_topology, tetrahedron_boundary
+from tetmesh_check.topology import measure_components, tetrahedron_boundary
 
 
 def without_one_triangle(surface: pv.PolyData) -> pv.PolyData:
@@ -103,7 +102,7 @@ def test_good_surfaces_pass(tmp_path: Path) -> None:
     ):
         surface.save(path)
         topology, _ = check_surface(path, read_surface(path))
-        assert (topology.components, topology.euler_characteristic) == (components, euler)
+        assert (topology["components"], topology["euler_characteristic"]) == (components, euler)
 
 
 def measure(surface: pv.PolyData) -> tuple[int, bool]:
@@ -115,23 +114,23 @@ def measure(surface: pv.PolyData) -> tuple[int, bool]:
 def test_vertices_written_once_a_triangle_are_joined(tmp_path: Path) -> None:
     ball().save(tmp_path / "soup.stl")
     surface = read_surface(tmp_path / "soup.stl")
-    assert check_surface(tmp_path / "soup.stl", surface)[0].vertices == 162
+    assert check_surface(tmp_path / "soup.stl", surface)[0]["vertices"] == 162
     soup = ball()
     corners = np.asarray(soup.points)[np.asarray(soup.faces).reshape(-1, 4)[:, 1:].ravel()]
     faces = np.arange(len(corners)).reshape(-1, 3)
     pv.PolyData(corners, np.hstack([np.full((len(faces), 1), 3), faces]).ravel()).save(tmp_path / "soup.vtp")
     surface = read_surface(tmp_path / "soup.vtp")
     assert surface.merged_points == 960 - 162
-    assert check_surface(tmp_path / "soup.vtp", surface)[0].vertices == 162
+    assert check_surface(tmp_path / "soup.vtp", surface)[0]["vertices"] == 162
 
 
 def test_pinched_vertex_is_counted() -> None:
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1]])
     one = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
     other = np.array([[0, 4, 5], [0, 6, 4], [4, 6, 5], [0, 5, 6]])
-    topology = measure_topology(points, np.concatenate([one, other]))
-    assert (topology.open_edges, topology.nonmanifold_edges, topology.nonmanifold_vertices) == (0, 0, 1)
-    assert topology.components == 1
+    topology = surface_topology(len(points), np.concatenate([one, other]))
+    assert [topology[key] for key in ("open_edges", "nonmanifold_edges", "nonmanifold_vertices")] == [0, 0, 1]
+    assert topology["components"] == 1
 
 
 def test_crossing_pairs_against_all_pairs() -> None:
@@ -183,7 +182,7 @@ def test_which_component_lies_in_which() -> None:
     components = measure_components(*from_polydata(surface))
     np.testing.assert_array_equal(components.depths, [0, 3, 0, 2, 1, 1])
     np.testing.assert_array_equal(components.parents, [-1, 3, -1, 4, 2, 0])
-    np.testing.assert_array_equal(components.bodies(), [0, 3, 2, 3, 2, 0])
+    np.testing.assert_array_equal(components.sheets()[0], [[body, -1] for body in (0, 2, 1, 2, 1, 0)])
     assert not len(components.inside_out())
     np.testing.assert_array_equal(np.sign(components.volumes), [1, -1, 1, 1, -1, -1])
     turned = measure_components(*from_polydata(reversed_winding(surface)))
@@ -203,7 +202,7 @@ def test_many_components_are_told_apart() -> None:
         [triangles, np.asarray(around.faces).reshape(-1, 4)[:, 1:] + len(places) * small.n_points]
     )
     components = measure_components(points, triangles)
-    np.testing.assert_array_equal(components.bodies(), np.full(1001, 1000))
+    np.testing.assert_array_equal(components.sheets()[0], [[0, -1]] * 1001)
     assert not len(components.inside_out())
 
 
@@ -213,13 +212,13 @@ def test_changed_triangles_are_counted() -> None:
     order = np.random.default_rng(1).permutation(len(points))
     place = np.argsort(order)
     same = (np.concatenate([points[order], [[0.0, 0, 0]]]), np.roll(place[triangles], 1, axis=1)[::-1])
-    assert changed_triangles((points, triangles), same) == (0, 0)
-    assert changed_triangles((points, triangles), (points, triangles[3:])) == (3, 0)
-    assert changed_triangles((points, triangles), (points, triangles[:, ::-1])) == (320, 320)
+    assert changed_triangles(points, triangles, *same) == [0, 0]
+    assert changed_triangles(points, triangles, points, triangles[3:]) == [3, 0]
+    assert changed_triangles(points, triangles, points, triangles[:, ::-1]) == [320, 320]
     moved = points.copy()
     moved[7, 1] = np.nextafter(moved[7, 1], 1e9)
     around = int((triangles == 7).sum())
-    assert changed_triangles((points, triangles), (moved, triangles)) == (around, around)
+    assert changed_triangles(points, triangles, moved, triangles) == [around, around]
 
 
 def test_boundary_and_bodies_of_tetrahedra() -> None:

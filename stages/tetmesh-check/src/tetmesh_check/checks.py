@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tetmesh_check.numerals import plain
 from tetmesh_check.quality import Cells, Points, TetrahedronQuality, centres_of
+from tetmesh_check.topology import NOT_MANIFOLD
 
 FIT_BUT_FOR = "fit but for "
 """Beginning of the warning that names accepted elements; the verdict and the page repeat it."""
@@ -65,8 +66,6 @@ _DOUBTS = {
     ),
 }
 """Words of the checks that are only worth a warning."""
-_NOT_MANIFOLD = ("open_edges", "nonmanifold_edges", "badly_oriented_edges", "nonmanifold_vertices")
-"""Counts of a topology that are 0 for a closed manifold."""
 _EXACT = ("bodies", "euler_characteristic")
 """Checks whose value must equal the limit. The absolute value of others must not exceed it."""
 
@@ -268,7 +267,7 @@ def object_checks(results: dict[str, Any], bodies: int, limits: Limits, max_dist
     """
     volume, surface = results["volume"], results["surface"]
     boundary, wanted = volume["boundary_topology"], surface["topology"]["euler_characteristic"]
-    euler, loose = boundary["euler_characteristic"], sum(boundary[key] for key in _NOT_MANIFOLD)
+    euler, loose = boundary["euler_characteristic"], sum(boundary[key] for key in NOT_MANIFOLD)
     before, after = surface["volume_mm3"], volume["volume_mm3"]
     change, between = _change(before, after), f", from {plain(before)} mm^3 to {plain(after)} mm^3"
     checks = [

@@ -13,9 +13,8 @@ from isoparticles import _native
 from tetmesh_check.errors import StageError
 from tetmesh_check.materials import NOTHING, Sides
 from tetmesh_check.quality import Cells, Points, TriangleQuality, summarize_all, triangle_quality
-from tetmesh_check.shells import Shells
 from tetmesh_check.surface import Surface
-from tetmesh_check.topology import members_of
+from tetmesh_check.topology import Shells, members_of
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from tetmesh_check.errors import StageError
 from tetmesh_check.field_data import text_of
 from tetmesh_check.quality import Cells, Labels
+from tetmesh_check.topology import pairs_of
 
 INSIDE, OUTSIDE = "material_inside", "material_outside"
 """Cell arrays of a surface of many materials."""
@@ -50,8 +51,7 @@ class Sides:
 
     def pairs(self) -> tuple[Cells, Labels]:
         """Return pairs ``(inside, outside)`` that touch, and the pair of each triangle."""
-        pairs, which = np.unique(np.stack([self.inside, self.outside], 1), axis=0, return_inverse=True)
-        return pairs, which.ravel().astype(np.int64)
+        return pairs_of(self.inside, self.outside)
 
     def pair_name(self, pair: tuple[int, int]) -> str:
         """Return the name of an interface: both names, the inside first.

@@ -5,22 +5,21 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from isoparticles._native import Context, GridField
+from isoparticles._native import Context, GridField, changed_triangles, distances_both_ways, surface_topology
 
 from tetmesh_check.checks import poor_tetrahedra, smallest_elsewhere
 from tetmesh_check.conform import outside_of
-from tetmesh_check.distance import distances_both_ways, summarize_distances
 from tetmesh_check.export.mesh import MarkedMesh, materials_mesh, object_mesh
 from tetmesh_check.fem.solve import VolumeMesh
 from tetmesh_check.forced import list_forced
 from tetmesh_check.labels import LabelVolume
 from tetmesh_check.materials import NOTHING
-from tetmesh_check.quality import Labels, centres_of, summarize, summarize_all, triangle_quality
+from tetmesh_check.quality import Labels, centres_of, summarize, summarize_all, summarize_distances, triangle_quality
 from tetmesh_check.regions import CAP, boundary_marks, meshed_labels, regions_of, share_outside
 from tetmesh_check.surface import Surface
 from tetmesh_check.tets.fill import Filled, Task
 from tetmesh_check.tets.materials_fill import ComplexTask, FilledComplex
-from tetmesh_check.topology import Boundary, changed_triangles, measure_topology, members_of, tetrahedron_boundary
+from tetmesh_check.topology import Boundary, members_of, tetrahedron_boundary
 from tetmesh_check.volume_table import volume_table
 
 MAX_SHARE_OUTSIDE = 0.05
@@ -29,13 +28,13 @@ MAX_SHARE_OUTSIDE = 0.05
 
 def _boundary(surface: Surface, filled: Filled, outside: Boundary) -> dict[str, Any]:
     """Compare the boundary of the tetrahedra with the triangles of the surface of one object."""
-    ours = filled.points, outside.triangles
-    missing, added = changed_triangles((surface.points, surface.triangles), ours)
+    missing, added = changed_triangles(surface.points, surface.triangles, filled.points, outside.triangles)
+    topology = surface_topology(len(filled.points), outside.triangles)
     used = len(np.unique(outside.triangles))
     return {
         "boundary_kept": missing == added == 0,
         "boundary_triangles": {"missing": missing, "added": added},
-        "boundary_topology": {**measure_topology(*ours).as_dict(), "unused_vertices": 0, "vertices": used},
+        "boundary_topology": {**topology, "unused_vertices": 0, "vertices": used},
     }
 
 
@@ -113,7 +112,7 @@ def measure(task: Task | ComplexTask, filled: Filled, sizing: GridField | None, 
         results["volumes"] = volume_table(surface.volumes, {one["name"]: one["volume_mm3"] for one in regions})
     if isinstance(task, Task):
         with context.step("measure distances"):
-            ways = distances_both_ways((points, outside.triangles), (surface.points, surface.triangles))
+            ways = distances_both_ways(points, outside.triangles, surface.points, surface.triangles)
             names = ("boundary_to_surface", "surface_to_boundary")
             results["distance_mm"] = {name: summarize_distances(way) for name, way in zip(names, ways, strict=True)}
     return VolumeMesh(points, tetrahedra, quality.volume, outside)

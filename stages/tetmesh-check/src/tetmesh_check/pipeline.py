@@ -87,7 +87,7 @@ def _object_task(arguments: Arguments, inputs: Inputs, context: Context) -> Task
         topology, components = check_surface(arguments.surface, surface)
         quality = triangle_quality(surface.points, surface.triangles)
         context.results["surface"] = {
-            "topology": topology.as_dict(),
+            "topology": topology,
             "merged_points": surface.merged_points,
             "area_mm2": float(quality.area.sum()),
             "volume_mm3": float(components.volumes.sum()),

@@ -8,8 +8,7 @@ inverted, so that it lies in [0, 1] as in Table 1 of Kim, Chen and Hansen 2012.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from isoparticles import _native
@@ -24,18 +23,11 @@ Labels = NDArray[np.int64]
 Values = NDArray[np.float64]
 """One number per cell, shape ``(m,)``."""
 
-PERCENTILES = (1, 5, 10, 25, 50, 75, 90, 95, 99)
-"""The percentiles that a summary lists."""
-
 OUTWARD_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
 """Faces of a positive tetrahedron in VTK order, counter-clockwise as seen from outside."""
-_BLOCK = 1 << 22
-"""Tetrahedra to measure together if only the volume is kept. All measures of a block take 64 bytes
-per tetrahedron, and their copies as much again: 0.5 GiB."""
 
 
-@dataclass(frozen=True)
-class TriangleQuality:
+class TriangleQuality(NamedTuple):
     """Shape of each triangle of a surface."""
 
     area: Values
@@ -50,8 +42,7 @@ class TriangleQuality:
     """Mean edge length, mm."""
 
 
-@dataclass(frozen=True)
-class TetrahedronQuality:
+class TetrahedronQuality(NamedTuple):
     """Shape of each tetrahedron of a volume mesh."""
 
     volume: Values
@@ -110,21 +101,8 @@ def tetrahedron_quality(points: Points, tetrahedra: Cells) -> TetrahedronQuality
     return TetrahedronQuality(*_native.tetrahedron_quality(points, tetrahedra))
 
 
-def signed_tetrahedron_volumes(points: Points, tetrahedra: Cells) -> Values:
-    """Signed volume of every tetrahedron, mm^3, positive in VTK's vertex order.
-
-    Parameters
-    ----------
-    points
-        Positions, mm, shape ``(n, 3)``.
-    tetrahedra
-        Vertex indices, shape ``(m, 4)``.
-    """
-    volumes = np.empty(len(tetrahedra))
-    for start in range(0, len(tetrahedra), _BLOCK):
-        block = slice(start, start + _BLOCK)
-        volumes[block] = tetrahedron_quality(points, tetrahedra[block]).volume
-    return volumes
+signed_tetrahedron_volumes = _native.tetrahedron_volumes
+"""Signed volume of every tetrahedron, mm^3, positive in VTK's vertex order."""
 
 
 def orient_positive(points: Points, tetrahedra: Cells) -> tuple[Cells, bool]:
@@ -167,32 +145,23 @@ def centres_of(points: Points, cells: Cells) -> Points:
     return total
 
 
-def summarize(values: Values, bins: NDArray[np.float64] | None = None) -> dict[str, Any]:
-    """Condense one measure into the numbers of the report.
+summarize = _native.summarize
+"""Condense one measure into the numbers of the report: ``count, min, max, mean, median``,
+``percentiles`` by name and, if the edges of bins are given, ``histogram`` with ``edges`` and
+``counts``. Infinite values (degenerate cells) are only counted, in ``infinite``."""
+
+
+def summarize_distances(distances: Values) -> dict[str, Any]:
+    """Return mean, 99th percentile, maximum (mm) and number of distances.
 
     Parameters
     ----------
-    values
-        One number per cell.
-    bins
-        Edges of the histogram; without them there is none.
-
-    Returns
-    -------
-    dict
-        ``count, min, max, mean, median``, ``percentiles`` by name, and ``histogram`` with ``edges``
-        and ``counts``. Infinite values (degenerate cells) are left out of the mean and counted in
-        ``infinite``.
+    distances
+        Distances, mm.
     """
-    found = _native.statistics(values, PERCENTILES, [] if bins is None else bins)
-    summary: dict[str, Any] = {"count": int(values.size), "infinite": found["infinite"]}
-    if found["infinite"] == values.size:
-        return summary
-    summary |= {name: found[name] for name in ("min", "max", "mean", "median")}
-    summary["percentiles"] = {f"p{p}": value for p, value in zip(PERCENTILES, found["percentiles"], strict=True)}
-    if bins is not None:
-        summary["histogram"] = {"edges": [float(x) for x in bins], "counts": found["histogram"]}
-    return summary
+    found = summarize(distances)
+    p99 = found["percentiles"]["p99"]
+    return {"mean": found["mean"], "p99": p99, "max": found["max"], "samples": found["count"]}
 
 
 _UNIT_BINS = np.linspace(0.0, 1.0, 51)
@@ -211,7 +180,7 @@ _BINS = {
 
 
 def summarize_all(quality: TriangleQuality | TetrahedronQuality, own: Any = slice(None)) -> dict[str, dict[str, Any]]:
-    """Condense every measure of a mesh (see :func:`summarize`).
+    """Condense every measure of a mesh (see :data:`summarize`).
 
     Parameters
     ----------
@@ -220,6 +189,4 @@ def summarize_all(quality: TriangleQuality | TetrahedronQuality, own: Any = slic
     own
         Indices of those to condense; all by default.
     """
-    return {
-        field.name: summarize(getattr(quality, field.name)[own], _BINS.get(field.name)) for field in fields(quality)
-    }
+    return {name: summarize(values[own], _BINS.get(name)) for name, values in quality._asdict().items()}

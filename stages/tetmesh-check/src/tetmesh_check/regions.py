@@ -15,17 +15,16 @@ from tetmesh_check.surface import Surface
 
 SURFACE, CAP = 1, 2
 """Marks of the boundary: the surface of the object, and its cut by the border of the volume."""
-_TIE = 0.01
-"""Distances that differ by less than this share of the longest edge of a triangle are equal."""
 _ADVICE = "give the label volume that the case was made from"
 
 
-def _histories(history: Any) -> Iterator[Any]:
-    """A history and those of all its inputs."""
+def _parameters(history: Any) -> Iterator[dict[str, Any]]:
+    """Parameters of the runs of ``distfield`` in a history and those of all its inputs."""
     if isinstance(history, dict):
-        yield history
+        if history.get("tool") == "distfield":
+            yield history.get("parameters", {})
         for entry in history.get("inputs", []):
-            yield from _histories(entry.get("history"))
+            yield from _parameters(entry.get("history"))
 
 
 def meshed_labels(history: Any) -> list[int] | None:
@@ -36,11 +35,8 @@ def meshed_labels(history: Any) -> list[int] | None:
     history
         The history of the surface.
     """
-    for entry in _histories(history):
-        labels = entry.get("parameters", {}).get("labels") if entry.get("tool") == "distfield" else None
-        if labels:
-            return [int(label) for label in labels]
-    return None
+    found = filter(None, (parameters.get("labels") for parameters in _parameters(history)))
+    return next((list(map(int, labels)) for labels in found), None)
 
 
 def has_scale(history: Any) -> bool:
@@ -51,16 +47,7 @@ def has_scale(history: Any) -> bool:
     history
         The history of the surface.
     """
-    scales = (
-        entry.get("parameters", {}).get("scale") for entry in _histories(history) if entry.get("tool") == "distfield"
-    )
-    return any(scales)
-
-
-def _voxels(positions: Points, volume: LabelVolume) -> Labels:
-    """Grid indices of the voxels of positions, shape ``(n, 3)``; may lie outside."""
-    index: Labels = np.round(np.linalg.solve(volume.step, (positions - volume.origin).T).T).astype(np.int64)
-    return index
+    return any(parameters.get("scale") for parameters in _parameters(history))
 
 
 def share_outside(positions: Points, volume: LabelVolume) -> float:
@@ -73,7 +60,7 @@ def share_outside(positions: Points, volume: LabelVolume) -> float:
     volume
         The labels.
     """
-    index = _voxels(positions, volume)
+    index = np.round(np.linalg.solve(volume.step, (positions - volume.origin).T).T).astype(np.int64)
     return float(((index < 0) | (index >= np.array(volume.values.shape))).any(axis=1).mean())
 
 
@@ -133,30 +120,7 @@ def boundary_marks(surface: Surface, points: Points, boundary: Cells) -> Labels:
         centre, and where a marked and another one are equally near, like the one whose normal is
         more like its own.
     """
-    marks = np.full(len(boundary), SURFACE, dtype=np.int64)
-    if surface.cap is None or not surface.cap.any():
-        return marks
-    if surface.cap.all():
-        return np.full(len(boundary), CAP, dtype=np.int64)
-    corners = points[boundary]
-    centres = corners.mean(axis=1)
-    parts = [surface.triangles[mark] for mark in (surface.cap, ~surface.cap)]
-    (nearest_cap, to_cap), (nearest_rest, to_rest) = (_native.nearest(surface.points, part, centres) for part in parts)
-    marks[to_cap < to_rest] = CAP
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    ties = np.flatnonzero(np.abs(to_cap - to_rest) <= _TIE * longest)
-    normals = _normals(points, boundary[ties])
-    like_cap, like_rest = (
-        np.einsum("ij,ij->i", normals, _normals(surface.points, part[nearest[ties]]))
-        for part, nearest in zip(parts, (nearest_cap, nearest_rest), strict=True)
-    )
-    marks[ties] = np.where(like_cap > like_rest, CAP, SURFACE)
-    return marks
-
-
-def _normals(points: Points, triangles: Cells) -> Points:
-    """Unit normals, shape ``(n, 3)``; zero for triangles without an area."""
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    normals: Points = np.cross(b - a, c - a)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
-    return normals
+    if surface.cap is None:
+        return np.full(len(boundary), SURFACE)
+    flags = surface.cap.astype(np.uint8)
+    return np.where(_native.nearest_flags(points, boundary, surface.points, surface.triangles, flags), CAP, SURFACE)

@@ -13,13 +13,12 @@ from isoparticles import _native
 from numpy.typing import NDArray
 from vtkmodules.vtkCommonCore import vtkObject
 
-from tetmesh_check.components import Components, measure_components
 from tetmesh_check.errors import StageError, file_error
 from tetmesh_check.field_data import text_of
 from tetmesh_check.materials import Sides, read_sides
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.quality import Cells, Points
-from tetmesh_check.topology import Topology, measure_topology
+from tetmesh_check.topology import NOT_MANIFOLD, Components, measure_components
 from tetmesh_check.volume_table import told_volumes
 
 _TOOLS = "use a surface from reconstruct, or repair this surface first"
@@ -146,7 +145,7 @@ def read_surface(path: Path) -> Surface:
     return Surface(points, triangles, history_of(dataset), merged, cap, sides, told_volumes(dataset))
 
 
-def check_surface(path: Path, surface: Surface) -> tuple[Topology, Components]:
+def check_surface(path: Path, surface: Surface) -> tuple[dict[str, int], Components]:
     """Refuse a surface that bounds no volume.
 
     Parameters
@@ -166,12 +165,12 @@ def check_surface(path: Path, surface: Surface) -> tuple[Topology, Components]:
     StageError
         If it is open, not manifold, inconsistently wound, inside out, or cuts through itself.
     """
-    topology = measure_topology(surface.points, surface.triangles)
-    if not topology.is_closed_manifold:
+    topology = _native.surface_topology(len(surface.points), surface.triangles)
+    if any(topology[key] for key in NOT_MANIFOLD):
         raise StageError(
-            f"{path}: is not a closed manifold: {topology.open_edges} open edges, {topology.nonmanifold_edges} edges "
-            f"with more than two triangles, {topology.badly_oriented_edges} edges whose triangles disagree on the "
-            f"outside, {topology.nonmanifold_vertices} vertices where parts of the surface only touch",
+            f"{path}: is not a closed manifold: {topology['open_edges']} open edges, {topology['nonmanifold_edges']} edges "
+            f"with more than two triangles, {topology['badly_oriented_edges']} edges whose triangles disagree on the "
+            f"outside, {topology['nonmanifold_vertices']} vertices where parts of the surface only touch",
             "inside and outside are not defined, so there is no volume to fill",
             _TOOLS,
         )
@@ -179,7 +178,7 @@ def check_surface(path: Path, surface: Surface) -> tuple[Topology, Components]:
     wrong = components.inside_out()
     if len(wrong):
         raise StageError(
-            f"{path}: {len(wrong)} of {topology.components} components are inside out "
+            f"{path}: {len(wrong)} of {topology['components']} components are inside out "
             f"(signed volume of the whole: {components.volumes.sum():.6g} mm^3)",
             "the triangles must be counter-clockwise as seen from outside, and those of a cavity as seen from inside "
             "the cavity",

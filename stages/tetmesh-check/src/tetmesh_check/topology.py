@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from isoparticles import _native
 
-from tetmesh_check.quality import Cells, Labels, Points
+from tetmesh_check.quality import Cells, Labels, Points, Values
+
+NOT_MANIFOLD = ("open_edges", "nonmanifold_edges", "badly_oriented_edges", "nonmanifold_vertices")
+"""Counts of a surface's topology that are 0 for a closed, oriented manifold."""
 
 
 def members_of(labels: Labels, count: int) -> list[Labels]:
@@ -24,47 +27,91 @@ def members_of(labels: Labels, count: int) -> list[Labels]:
     return np.split(order, np.searchsorted(labels[order], np.arange(1, count)))
 
 
+def pairs_of(inside: Labels, outside: Labels) -> tuple[Cells, Labels]:
+    """Return the different pairs of two labels, ascending, and the pair of each entry.
+
+    Parameters
+    ----------
+    inside, outside
+        The labels.
+    """
+    pairs, which = np.unique(np.stack([inside, outside], 1), axis=0, return_inverse=True)
+    return pairs, which.ravel().astype(np.int64)
+
+
 @dataclass(frozen=True)
-class Topology:
-    """Counts that state whether a triangle mesh is a closed oriented surface."""
+class Components:
+    """The components of a closed surface.
 
-    vertices: int
-    triangles: int
-    edges: int
-    unused_vertices: int
-    open_edges: int
-    """Edges with one triangle."""
-    nonmanifold_edges: int
-    """Edges with three or more triangles."""
-    badly_oriented_edges: int
-    """Edges whose two triangles disagree on which side is out."""
-    nonmanifold_vertices: int
-    """Vertices whose triangles form more than one fan."""
-    components: int
-    euler_characteristic: int
-    """Vertices in use minus edges plus triangles: 2 for each sphere, 0 for a torus."""
+    A component that lies in the open, or in a cavity, bounds a body from outside and must have a
+    positive volume; one that lies in a body bounds a cavity and must have a negative one.
+    """
 
-    @property
-    def is_closed_manifold(self) -> bool:
-        """Whether the mesh is a closed, oriented 2-manifold."""
-        return not (self.open_edges or self.nonmanifold_edges or self.badly_oriented_edges or self.nonmanifold_vertices)
+    labels: Labels
+    """Component of each triangle, numbered from 0."""
+    volumes: Values
+    """Signed volume of each component, mm^3."""
+    depths: Labels
+    """Number of other components that enclose each component."""
+    parents: Labels
+    """The innermost component that encloses each component, or -1."""
 
-    def as_dict(self) -> dict[str, int]:
-        """Write the counts for the report."""
-        return asdict(self)
+    def inside_out(self) -> Labels:
+        """Return the numbers of the components with the wrong orientation."""
+        outer = self.depths % 2 == 0
+        wrong: Labels = np.flatnonzero(np.where(outer, self.volumes <= 0, self.volumes >= 0))
+        return wrong
+
+    def sheets(self) -> tuple[Cells, Labels]:
+        """Return the body and the outside (-1) of each component, and each triangle's component."""
+        outer = np.where(self.depths % 2 == 0, np.arange(len(self.depths)), self.parents)
+        bodies = np.unique(outer, return_inverse=True)[1].ravel()
+        return np.stack([bodies, np.full_like(bodies, -1)], axis=1), self.labels
 
 
-def measure_topology(points: Points, triangles: Cells) -> Topology:
-    """Count edges, fans and components of a triangle mesh.
+def measure_components(points: Points, triangles: Cells) -> Components:
+    """Find the components of a closed surface and their nesting.
 
     Parameters
     ----------
     points
-        Positions, shape ``(n, 3)``; only their number matters.
+        Positions, mm, shape ``(n, 3)``.
     triangles
-        Vertex indices, shape ``(m, 3)``.
+        Vertex indices of a closed surface, shape ``(m, 3)``; components must not intersect each
+        other.
     """
-    return Topology(**_native.surface_topology(len(points), triangles))
+    return Components(**_native.surface_components(points, triangles))
+
+
+@dataclass(frozen=True)
+class Shells:
+    """The volumes of a surface of many materials: connected parts of one material each."""
+
+    materials: Labels
+    """Material of each volume, shape ``(v,)``, ascending."""
+    sizes: Values
+    """Size of each volume without its cavities, mm^3, shape ``(v,)``."""
+    of_inside: Labels
+    """Volume behind each triangle, shape ``(m,)``."""
+    of_outside: Labels
+    """Volume before it, shape ``(m,)``; where there is no material below 0, another number for each
+    shell of the outside."""
+    mixed: int
+    """Number of wedges between sides of different materials. At such an edge, the order of the
+    triangles contradicts their materials."""
+    narrowest: Values
+    """Smallest wedge of each material, degrees, shape ``(t,)``: no tetrahedron there has a wider
+    smallest dihedral angle."""
+    inside_out: int
+    """Number of cavities that lie in no volume of their material, because their triangles are
+    inside out."""
+
+    def sheets(self) -> tuple[Cells, Labels]:
+        """Return the pairs of volumes that touch, and the pair of each triangle.
+
+        No two volumes or hollows have the same sheets as their boundary.
+        """
+        return pairs_of(self.of_inside, self.of_outside)
 
 
 @dataclass(frozen=True)
@@ -88,20 +135,3 @@ def tetrahedron_boundary(tetrahedra: Cells) -> Boundary:
         Vertex indices in VTK order, shape ``(m, 4)``.
     """
     return Boundary(*_native.tetrahedron_boundary(int(tetrahedra.max(initial=-1)) + 1, tetrahedra))
-
-
-def changed_triangles(before: tuple[Points, Cells], after: tuple[Points, Cells]) -> tuple[int, int]:
-    """Compare two triangle meshes by the exact coordinates and the cyclic order of corners.
-
-    Parameters
-    ----------
-    before, after
-        Points and triangles of the two meshes; the vertices of one have different positions.
-
-    Returns
-    -------
-    tuple
-        Number of triangles of the first that the second lacks, and the reverse.
-    """
-    missing, added = _native.changed_triangles(*before, *after)
-    return missing, added

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from isoparticles._native import Context, GridField
+from isoparticles._native import Context, GridField, distances_both_ways
 
 from tetmesh_check.arguments import Arguments, Method
 from tetmesh_check.checks import well_shaped
-from tetmesh_check.components import Components
-from tetmesh_check.distance import distances_both_ways
 from tetmesh_check.errors import StageError
 from tetmesh_check.materials import Sides
 from tetmesh_check.mend import mend
@@ -21,7 +19,7 @@ from tetmesh_check.tets.hxt import fill_by_hxt, hxt_job
 from tetmesh_check.tets.tetgen import fill_by_tetgen, regular_volume
 from tetmesh_check.tets.tetwild import MAX_BACKGROUND_NODES, fill_by_tetwild
 from tetmesh_check.tets.worker import Raw, Runner, TimeLimitError
-from tetmesh_check.topology import tetrahedron_boundary
+from tetmesh_check.topology import Components, tetrahedron_boundary
 
 MAX_FTETWILD_VERTICES = 2_500
 """Maximum number of vertices of the surfaces that fTetWild fills by default. On two cores, fTetWild
@@ -102,8 +100,8 @@ class _Attempts:
         entry = {**raw.summary, "method": method, "orientation_turned": raw.turned, "min_scaled_jacobian": smallest}
         distance = 0.0
         if method is Method.FTETWILD:
-            boundary = (raw.points, tetrahedron_boundary(raw.tetrahedra).triangles)
-            ways = distances_both_ways(boundary, (surface.points, surface.triangles))
+            boundary = tetrahedron_boundary(raw.tetrahedra).triangles
+            ways = distances_both_ways(raw.points, boundary, surface.points, surface.triangles)
             distance = entry["max_distance"] = max(float(way.max()) for way in ways)
         self.entries.append(entry)
         verdict = _Verdict(

@@ -16,8 +16,8 @@ from tetmesh_check.quality import Points
 from tetmesh_check.tets.worker import Job, Raw, Runner, Worker, scale_of, serve
 
 if TYPE_CHECKING:
-    from tetmesh_check.components import Components
     from tetmesh_check.surface import Surface
+    from tetmesh_check.topology import Components
 
 _SHAPE = {"max_radius_edge_ratio": 1.414, "min_dihedral": 10.0}
 """Largest ratio of circumradius to shortest edge, and smallest dihedral angle (degrees), where the
