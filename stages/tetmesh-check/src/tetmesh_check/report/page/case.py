@@ -20,7 +20,8 @@ FORMAT, VERSION = "isoparticles-status", 1
 _ENDED = frozenset({"done", "failed", "error", "interrupted"})
 """States of a stage whose files are of the last run."""
 _KINDS = {
-    "passed": "pass", "warning": "warning", "failed": "fail", "error": "fail", "interrupted": "warning", "running": "neutral",
+    "passed": "pass", "warning": "warning", "failed": "fail", "error": "fail",
+    "interrupted": "warning", "running": "neutral",
 }  # fmt: skip
 _PICTURES = ("surface", "closeup", "cut", "regions")
 

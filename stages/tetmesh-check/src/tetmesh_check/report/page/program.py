@@ -27,24 +27,12 @@ from tetmesh_check.report.page.view3d import is_anatomical, view, view_meshes
 from tetmesh_check.surface import read_dataset
 
 TOOL = "tetmesh-check-page"
-_SECTIONS = {
-    "trouble": "what went wrong",
-    "checks": "checks",
-    "places": "places",
-    "volumes": "volumes",
-    "anatomy": "the mesh in the volume",
-    "space": "in three dimensions",
-    "pictures": "pictures",
-    "materials": "materials",
-    "quality": "quality",
-    "solve": "solve",
-    "particles": "particles",
-    "stages": "stages",
-    "files": "files",
-    "provenance": "how this was made",
-    "methods": "methods",
-}
-"""Templates of the sections, in order, and what a section is called if its data are missing."""
+_SECTIONS = (
+    "what went wrong", "checks", "places", "volumes", "the mesh in the volume",
+    "in three dimensions", "pictures", "materials", "quality", "solve", "particles", "stages",
+    "files", "how this was made", "methods",
+)  # fmt: skip
+"""The sections in order; their templates have ``_`` in place of blanks."""
 _OTHER_VERSION = (KeyError, IndexError, TypeError, ValueError, UndefinedError)
 """Errors that reports of another version cause."""
 
@@ -70,11 +58,12 @@ def _surface_of(case: Case) -> pv.PolyData | None:
     return None
 
 
-def _section(template: str, shown: dict[str, Any]) -> str:
+def _section(name: str, shown: dict[str, Any]) -> str:
+    """Write a section, or that its data are missing."""
     try:
-        return render(template, **shown)
+        return render(name.replace(" ", "_"), **shown)
     except _OTHER_VERSION as error:
-        return render("left_out", name=_SECTIONS[template], why=f"{type(error).__name__} {error}")
+        return render("left_out", name=name, why=f"{type(error).__name__} {error}")
 
 
 def page(case: Case, folder: Path) -> str:
@@ -104,7 +93,7 @@ def page(case: Case, folder: Path) -> str:
         "mesh": None if surface is None else from_polydata(surface),
         "view": lambda: view(view_meshes(surface, case.volume, key), anatomical, key),
     }
-    parts = [_section(template, shown) for template in _SECTIONS]
+    parts = [_section(name, shown) for name in _SECTIONS]
     return render("page", case=case, body=Markup("\n").join(part for part in parts if part))
 
 

@@ -121,8 +121,8 @@ def resource(name: str) -> Markup:
 
 
 _FUNCTIONS = (
-    number, plain, percent, dumps, duration, memory, amount, ticks, anchor, titles, link, resource, picture_data, dig, advice_for,
-    with_changes,
+    number, plain, percent, dumps, duration, memory, amount, ticks, anchor, titles, link, resource,
+    picture_data, dig, advice_for, with_changes,
 )  # fmt: skip
 
 
