@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from tetmesh_check.quality import Points, Values
 from tetmesh_check.volumes import InputVolume, read_volume
-
-_PLANES = ("sagittal", "coronal", "axial")
-"""The plane across each axis of the body's world."""
 
 
 def world_letters(anatomical: bool) -> list[list[str]]:
@@ -41,8 +38,8 @@ class Scan(InputVolume):
     @property
     def world_axes(self) -> list[int]:
         """The axis of the world that each grid axis is nearest to, each once."""
-        axes: list[int] = linear_sum_assignment(-np.abs(self.step / self.spacing).T)[1].tolist()
-        return axes
+        cosines = np.abs(self.step / self.spacing)
+        return list(max(permutations(range(3)), key=lambda axes: cosines[axes, range(3)].sum()))
 
     @property
     def tilt(self) -> float:
@@ -71,17 +68,6 @@ class Scan(InputVolume):
         world = self.world_axes[grid_axis]
         last, first = world_letters(self.anatomical)[world][:: 1 if self.step[world, grid_axis] > 0 else -1]
         return first, last
-
-    def plane(self, grid_axis: int) -> str:
-        """Name the plane across a grid axis.
-
-        Parameters
-        ----------
-        grid_axis
-            0, 1 or 2.
-        """
-        world = self.world_axes[grid_axis]
-        return _PLANES[world] if self.anatomical else f"across {'xyz'[world]}"
 
     def upright(self) -> Scan:
         """Return the same volume with grid axes in the order and direction of those of the world."""

@@ -24,6 +24,8 @@ SLICES = 40
 """Largest number of slices a plane."""
 PIXELS = 288
 """Longest side of a slice in the page: three planes of 40 slices of a CT then take about 1.5 MB."""
+_PLANES = ("sagittal", "coronal", "axial")
+"""The plane across each axis of the body's world."""
 _COLUMNS = 8
 """Slices side by side in a sheet."""
 _MARGIN = 0.25
@@ -165,7 +167,7 @@ def _stack(scan: Scan, shown: Scan, axis: int, shades: Shades, mesh: tuple[Point
         paths = [path_of(polygons) for polygons in outlines(surface, chosen)]
     positions = shown.origin + np.outer(chosen, shown.step[:, axis])
     return {
-        "name": scan.plane(across),
+        "name": _PLANES[axis] if scan.anatomical else f"across {'xyz'[axis]}",
         "letters": [*shown.letters(right), *shown.letters(down)[::downwards]],  # left, right, top, bottom
         "size": size,
         "columns": columns,
@@ -235,19 +237,11 @@ def facts(scan: Scan, name: str, key: list[Entry]) -> str:
     key
         Names and colours of the labels.
     """
-    about: dict[str, Any] = {
-        "spacing": scan.spacing.tolist(),
-        "extent": [float(n * h) for n, h in zip(scan.values.shape, scan.spacing, strict=True)],
-        "directions": [scan.letters(axis)[1] for axis in range(3)],
-    }
-    if scan.labels:
-        found, counts = (part.tolist() for part in np.unique(scan.values, return_counts=True))
-        entries = {label: entry for entry in key for label in entry.labels}
-        pairs = zip(found, counts, strict=True)
-        about["listed"] = [(label, entries[label], count) for label, count in pairs if label in entries]
-        about |= {"background": 0 in found, "voxel": float(abs(np.linalg.det(scan.step)))}
-    else:
+    if not scan.labels:
         finite = scan.values[np.isfinite(scan.values)]
         middle = np.percentile(finite[:: max(1, finite.size // 1_000_000)], [5, 50, 95]).tolist()
-        about |= {"low": float(finite.min()), "high": float(finite.max()), "middle": middle}
-    return render("facts", scan=scan, name=name, **about)
+        return render("facts", scan=scan, name=name, low=float(finite.min()), high=float(finite.max()), middle=middle)
+    entries = {label: entry for entry in key for label in entry.labels}
+    labels, counts = (part.tolist() for part in np.unique(scan.values, return_counts=True))
+    listed = [(label, entries[label], count) for label, count in zip(labels, counts, strict=True) if label in entries]
+    return render("facts", scan=scan, name=name, listed=listed, background=0 in labels)
