@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from isoparticles._native import Context, GridField, changed_triangles, distances_both_ways, surface_topology
+from isoparticles._native import Context, changed_triangles, distances_both_ways, surface_topology
 
 from tetmesh_check.checks import poor_tetrahedra, smallest_elsewhere
-from tetmesh_check.conform import outside_of
+from tetmesh_check.conform import Conformity, outside_of
 from tetmesh_check.export.mesh import MarkedMesh, materials_mesh, object_mesh
 from tetmesh_check.fem.solve import VolumeMesh
 from tetmesh_check.forced import list_forced
@@ -18,7 +18,7 @@ from tetmesh_check.quality import Labels, centres_of, summarize, summarize_all, 
 from tetmesh_check.regions import CAP, boundary_marks, meshed_labels, regions_of, share_outside
 from tetmesh_check.surface import Surface
 from tetmesh_check.tets.fill import Filled, Task
-from tetmesh_check.tets.materials_fill import ComplexTask, FilledComplex
+from tetmesh_check.tets.materials_fill import ComplexTask
 from tetmesh_check.topology import Boundary, members_of, tetrahedron_boundary
 from tetmesh_check.volume_table import volume_table
 
@@ -38,9 +38,9 @@ def _boundary(surface: Surface, filled: Filled, outside: Boundary) -> dict[str, 
     }
 
 
-def _interfaces(task: ComplexTask, filled: FilledComplex, context: Context) -> dict[str, Any]:
+def _interfaces(task: ComplexTask, filled: Filled, found: Conformity, context: Context) -> dict[str, Any]:
     """Measure the regions of many materials, and how they fit the triangles between them."""
-    checked, quality, found = task.checked, filled.quality, filled.conformity
+    checked, quality = task.checked, filled.quality
     regions = []
     members = members_of(found.regions, len(checked.sides.table))
     for material in context.results["complex"]["materials"]:
@@ -73,25 +73,21 @@ def _interfaces(task: ComplexTask, filled: FilledComplex, context: Context) -> d
     }
 
 
-def measure(task: Task | ComplexTask, filled: Filled, sizing: GridField | None, context: Context) -> VolumeMesh:
+def measure(task: Task | ComplexTask, filled: Filled, context: Context) -> VolumeMesh:
     """Measure the tetrahedra for the report, and their distance from the surface of one object.
 
     Parameters
     ----------
     task, filled
         The surface, and the tetrahedra that fill it.
-    sizing
-        The edge lengths that the user gave.
     context
         For the results.
     """
-    surface, results = task.surface, context.results
-    points, tetrahedra, quality = filled.points, filled.tetrahedra, filled.quality
+    surface, arguments, results = task.surface, task.arguments, context.results
+    points, tetrahedra, quality, found = filled.points, filled.tetrahedra, filled.quality, filled.conformity
     with context.step("measure quality"):
-        if isinstance(filled, FilledComplex) and filled.conformity.faults == 0:
-            outside = outside_of(filled.conformity, surface.triangles)
-        else:
-            outside = tetrahedron_boundary(tetrahedra)
+        exact = found if found is not None and found.faults == 0 else None
+        outside = tetrahedron_boundary(tetrahedra) if exact is None else outside_of(exact, surface.triangles)
         volume = results["volume"] = {
             "points": len(points),
             "tetrahedra": len(tetrahedra),
@@ -99,13 +95,13 @@ def measure(task: Task | ComplexTask, filled: Filled, sizing: GridField | None, 
             "volume_mm3": float(quality.volume.sum()),
             "quality": summarize_all(quality),
             "boundary_quality": summarize_all(triangle_quality(points, outside.triangles)),
-            "poor_tetrahedra": poor_tetrahedra(points, tetrahedra, quality, task.arguments.limits),
+            "poor_tetrahedra": poor_tetrahedra(points, tetrahedra, quality, arguments.limits),
         }
-        if sizing is not None:
-            wanted = task.arguments.tet_size_factor * sizing.trilinear(centres_of(points, tetrahedra))
+        if arguments.sizefield is not None:
+            wanted = arguments.tet_size_factor * task.field.trilinear(centres_of(points, tetrahedra))
             volume["edge_length_over_target"] = summarize(quality.edge_length / wanted, np.linspace(0.0, 3.0, 61))
-        if isinstance(task, ComplexTask) and isinstance(filled, FilledComplex):
-            volume |= _interfaces(task, filled, context)
+        if isinstance(task, ComplexTask) and found is not None:
+            volume |= _interfaces(task, filled, found, context)
         else:
             volume |= _boundary(surface, filled, outside)
         regions = volume.get("regions", [{"name": "object", **volume}])
@@ -141,22 +137,24 @@ def _labels(mesh: VolumeMesh, surface: Surface, labels: LabelVolume, context: Co
 
 
 def mark(
-    surface: Surface, filled: Filled, mesh: VolumeMesh, labels: LabelVolume | None, context: Context
+    surface: Surface, mesh: VolumeMesh, found: Conformity | None, labels: LabelVolume | None, context: Context
 ) -> MarkedMesh:
     """Find the regions of the tetrahedra and the parts of their boundary, and measure the parts.
 
     Parameters
     ----------
-    surface, filled, mesh
-        The surface, the tetrahedra that fill it, and their boundary.
+    surface, mesh
+        The surface, and the tetrahedra that fill it.
+    found
+        How they fit the interfaces between many materials.
     labels
         Labels of the tissues of one object.
     context
         For the results.
     """
     outside = mesh.boundary
-    if surface.sides is not None and isinstance(filled, FilledComplex):
-        marked = materials_mesh(mesh.points, mesh.tetrahedra, filled.conformity, surface.triangles, surface.sides)
+    if surface.sides is not None and found is not None:
+        marked = materials_mesh(mesh.points, mesh.tetrahedra, found, surface.triangles, surface.sides)
         parts = {"surface": marked.outermost}
     else:
         if labels is None:

@@ -29,7 +29,7 @@ from tetmesh_check.regions import check_labels, has_scale, meshed_labels
 from tetmesh_check.report.drawing import drawing
 from tetmesh_check.surface import Surface, check_surface, read_surface
 from tetmesh_check.tets.fill import Filled, Task, fill
-from tetmesh_check.tets.materials_fill import ComplexTask, FilledComplex, fill_complex
+from tetmesh_check.tets.materials_fill import ComplexTask, fill_complex
 
 ENVELOPE_FRACTION = 0.05
 """Default envelope, relative to the edge length that 95 % of the surface exceeds. It is small
@@ -155,13 +155,12 @@ def _judge(task: Task | ComplexTask, filled: Filled, context: Context) -> list[C
         context.closing.append(("materials", f"{materials}, {interfaces} interfaces"))
         own = complex_checks(results["volume"], limits)
     scaled = surface_volume_checks(results["volumes"], has_scale(task.surface.history))
-    forced = filled.forced if isinstance(filled, FilledComplex) else {}
-    return [*shape_checks(filled.quality, limits, forced), *own, *scaled]
+    return [*shape_checks(filled.quality, limits, filled.forced), *own, *scaled]
 
 
 def _currents(source: Source | None, sides: Sides | None, filled: Filled, marked: MarkedMesh) -> Forward | None:
     """Return the problem of currents if there is a source and all tetrahedra have materials."""
-    if source is None or sides is None or not isinstance(filled, FilledComplex) or filled.conformity.faults:
+    if source is None or sides is None or filled.conformity is None or filled.conformity.faults:
         return None
     names = [sides.pair_name(pair) for pair in sides.pairs()[0].tolist()]
     mesh = RegionMesh(
@@ -203,15 +202,14 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         arguments.refuse_for_materials()
     source = resolve_source(arguments.forward, surface.sides)
     task: Task | ComplexTask
-    filled: Filled
     if many:
         task = _materials_task(arguments, inputs, context)
         filled = fill_complex(task, context)
     else:
         task = _object_task(arguments, inputs, context)
         filled = fill(task, context)
-    mesh = measure(task, filled, inputs.sizing, context)
-    marked = mark(task.surface, filled, mesh, inputs.labels, context)
+    mesh = measure(task, filled, context)
+    marked = mark(task.surface, mesh, filled.conformity, inputs.labels, context)
     with context.step("write"):
         # before anything is solved, so that a later failure leaves the mesh
         write_volume(arguments.output, marked, filled.quality, context.history())

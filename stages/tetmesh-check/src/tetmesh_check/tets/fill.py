@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from dataclasses import field as made_by
 from typing import Any, NamedTuple
 
 import numpy as np
 from isoparticles._native import Context, GridField, distances_both_ways
 
 from tetmesh_check.arguments import Arguments, Method
-from tetmesh_check.checks import well_shaped
+from tetmesh_check.checks import OfShape, well_shaped
+from tetmesh_check.conform import Conformity
 from tetmesh_check.errors import StageError
 from tetmesh_check.materials import Sides
 from tetmesh_check.mend import mend
@@ -70,6 +72,10 @@ class Filled:
     """Vertex indices in VTK order, shape ``(m, 4)``."""
     quality: TetrahedronQuality
     """Their measures."""
+    conformity: Conformity | None = None
+    """How they fit the interfaces between many materials; ``None`` for one object."""
+    forced: OfShape = made_by(default_factory=dict)
+    """The tetrahedra that the surface of many materials forces below a limit of shape."""
 
 
 class _Verdict(NamedTuple):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,21 +48,12 @@ class ComplexTask(NamedTuple):
         return self.checked.surface
 
 
-@dataclass(frozen=True)
-class FilledComplex(Filled):
-    """The tetrahedra, and how they fit the interfaces. The surface's vertices come first."""
-
-    conformity: Conformity
-    forced: OfShape
-    """The tetrahedra that the surface forces below a limit."""
-
-
-def _measured(task: ComplexTask, raw: Raw, found: Conformity) -> FilledComplex:
+def _measured(task: ComplexTask, raw: Raw, found: Conformity) -> Filled:
     quality = tetrahedron_quality(raw.points, raw.tetrahedra)
-    return FilledComplex(raw.points, raw.tetrahedra, quality, found, _forced(task, found, quality))
+    return Filled(raw.points, raw.tetrahedra, quality, found, _forced(task, found, quality))
 
 
-def _mend(task: ComplexTask, filled: FilledComplex, results: dict[str, Any]) -> FilledComplex:
+def _mend(task: ComplexTask, filled: Filled, results: dict[str, Any]) -> Filled:
     """Mend the tetrahedra that miss the goal, where that is possible."""
     triangles, limits = task.surface.triangles, task.arguments.limits
     mended = mend(filled.points, filled.tetrahedra, triangles, task.checked.sides, limits)
@@ -95,7 +85,7 @@ def _forced(task: ComplexTask, found: Conformity, quality: TetrahedronQuality) -
     return kept
 
 
-def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
+def fill_complex(task: ComplexTask, context: Context) -> Filled:
     """Fill every volume of a complex; ``tetrahedralizer`` in the results describes the attempts.
 
     Raises
@@ -116,7 +106,7 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
     runner = Runner(arguments.log, arguments.max_seconds, context)
     with context.step("background sizing"):
         job = hxt_job(task.surface, checked.shells.sheets(), task.field, arguments.tet_size_factor)
-    best: tuple[tuple[int, float], FilledComplex] | None = None
+    best: tuple[tuple[int, float], Conformity, Filled] | None = None
     failure = None
     for algorithm in ALGORITHMS if arguments.method is Method.AUTO else ALGORITHMS[:1]:
         try:
@@ -143,7 +133,7 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
         )
         rank = -found.faults, smallest["scaled_jacobian"]
         if best is None or rank > best[0]:
-            best = rank, filled
+            best = rank, found, filled
             results["algorithm"] = algorithm
         if found.faults == 0:
             break
@@ -151,7 +141,7 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
     if best is None:
         assert failure is not None, "an attempt is made or fails"
         raise failure
-    found = best[1].conformity
+    _, found, filled = best
     if found.undecided:
         raise StageError(
             f"the material of {found.undecided} tetrahedra is unknown: the tetrahedralizer lost "
@@ -160,6 +150,6 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
             f"see its log, {arguments.log}, or try another --tet-size-factor",
         )
     if found.faults:
-        return best[1]
+        return filled
     with context.step("mend tetrahedra"):
-        return _mend(task, best[1], results)
+        return _mend(task, filled, results)
