@@ -9,13 +9,8 @@ import pyvista as pv
 
 from tetmesh_check.field_data import text_of
 
-COLUMNS = {
-    "voxels_mm3": "voxels",
-    "field_mm3": "F",
-    "mesh_mm3": "surface mesh",
-    "tetrahedra_mm3": "tetrahedra",
-}
-"""Keys of a row, in the order in which the volumes are made, and what they are called."""
+COLUMNS = ("voxels_mm3", "field_mm3", "mesh_mm3", "tetrahedra_mm3")
+"""Keys of a row, in the order in which the volumes are made."""
 
 
 def told_volumes(surface: pv.PolyData) -> list[dict[str, Any]]:

@@ -50,9 +50,14 @@ def _numbers(sets: list[NamedSet], size: int) -> Labels:
     return numbers
 
 
-def _kinds(mesh: MarkedMesh) -> tuple[str, str]:
-    """Return the names of the types of elements and triangles in meshio."""
-    return ("tetra10", "triangle6") if mesh.is_quadratic else ("tetra", "triangle")
+def _meshio(
+    mesh: MarkedMesh, elements: Cells, regions: list[NamedSet], parts: list[NamedSet], tags: list[str]
+) -> meshio.Mesh:
+    """Return elements and boundary with the numbers of their sets, by one or more names."""
+    kinds = ("tetra10", "triangle6") if mesh.is_quadratic else ("tetra", "triangle")
+    cells = list(zip(kinds, (elements, mesh.faces), strict=True))
+    numbers = [_numbers(regions, len(elements)), _numbers(parts, len(mesh.faces))]
+    return meshio.Mesh(mesh.points, cells, cell_data=dict.fromkeys(tags, numbers))
 
 
 def write_med(mesh: MarkedMesh, path: Path) -> None:
@@ -65,14 +70,13 @@ def write_med(mesh: MarkedMesh, path: Path) -> None:
     path
         The file.
     """
-    regions, parts = mesh.region_sets, mesh.part_sets
     # families of elements have numbers below 0, each with the names of its groups
     families = count(-1, -1)
-    regions, parts = ([own._replace(number=next(families)) for own in sets] for sets in (regions, parts))
-    tetrahedron, triangle = _kinds(mesh)
-    tags = [_numbers(regions, len(mesh.elements)), _numbers(parts, len(mesh.faces))]
+    regions, parts = (
+        [own._replace(number=next(families)) for own in sets] for sets in (mesh.region_sets, mesh.part_sets)
+    )
     elements = mesh.elements[:, _MED_NODES[: mesh.elements.shape[1]]]
-    made = meshio.Mesh(mesh.points, [(tetrahedron, elements), (triangle, mesh.faces)], cell_data={"cell_tags": tags})
+    made = _meshio(mesh, elements, regions, parts, ["cell_tags"])
     made.cell_tags = {own.number: [own.name] for own in (*regions, *parts)}
     # by the name of the format, because a file that is being written has another ending
     meshio.write(path, made, file_format="med")
@@ -89,19 +93,9 @@ def write_msh2(mesh: MarkedMesh, path: Path) -> None:
         The file.
     """
     regions, parts = _numbered(mesh)
-    tetrahedron, triangle = _kinds(mesh)
-    tags = [_numbers(regions, len(mesh.elements)), _numbers(parts, len(mesh.faces))]
-    tags = [numbers.astype(np.int32) for numbers in tags]
-    made = meshio.Mesh(
-        mesh.points,
-        [(tetrahedron, mesh.elements.astype(np.int32)), (triangle, mesh.faces.astype(np.int32))],
-        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
-        field_data={
-            own.name: np.array([own.number, dimension])
-            for dimension, sets in ((3, regions), (2, parts))
-            for own in sets
-        },
-    )
+    made = _meshio(mesh, mesh.elements, regions, parts, ["gmsh:physical", "gmsh:geometrical"])
+    for dimension, sets in ((3, regions), (2, parts)):
+        made.field_data.update({own.name: np.array([own.number, dimension]) for own in sets})
     meshio.write(path, made, file_format="gmsh22", binary=False)
 
 

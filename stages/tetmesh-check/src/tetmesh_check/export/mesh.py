@@ -61,10 +61,6 @@ class Region:
     labels: list[int]
     """Its labels in the volume; none where they are not known."""
 
-    def words(self) -> str:
-        """The row in words, ASCII."""
-        return f"region {self.region}: {self.name}, labels {' '.join(map(str, self.labels)) or 'unknown'}"
-
 
 class NamedSet(NamedTuple):
     """The elements of a region, or the triangles of a part of the boundary."""
