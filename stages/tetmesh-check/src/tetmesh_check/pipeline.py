@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from isoparticles import _native
 from isoparticles._native import Context, GridField
@@ -36,20 +34,10 @@ ENVELOPE_FRACTION = 0.05
 enough to keep thin walls apart."""
 
 
-@dataclass(frozen=True)
-class Inputs:
-    """The files of a run, as read."""
-
-    surface: Surface
-    sizing: GridField | None
-    """Target edge lengths h, mm."""
-    field: GridField | None
-    """F, for quadratic tetrahedra."""
-    labels: LabelVolume | None
-
-
-def _read(arguments: Arguments, context: Context) -> Inputs:
-    """Read the files, and refuse a surface that needs more memory than there is."""
+def _read(
+    arguments: Arguments, context: Context
+) -> tuple[Surface, GridField | None, GridField | None, LabelVolume | None]:
+    """Read surface, sizes, F and labels; refuse a surface that needs more memory than there is."""
     surface = read_surface(arguments.surface)
     context.add_input(arguments.surface, surface.history)
     check_memory(len(surface.points), arguments.surface, context)
@@ -63,12 +51,11 @@ def _read(arguments: Arguments, context: Context) -> Inputs:
     if arguments.labels_volume is not None:
         labels = read_label_volume(arguments.labels_volume)
         context.add_input(arguments.labels_volume, None)
-    return Inputs(surface, sizing, field, labels)
+    return surface, sizing, field, labels
 
 
-def _edge_lengths(inputs: Inputs, context: Context) -> tuple[GridField, Values]:
+def _edge_lengths(surface: Surface, sizing: GridField | None, context: Context) -> tuple[GridField, Values]:
     """Return the edge lengths everywhere, and those at the surface, mm."""
-    surface, sizing = inputs.surface, inputs.sizing
     if sizing is not None:
         at_surface = sizing.trilinear(surface.points)
         summary = summarize(at_surface, np.linspace(0.0, float(at_surface.max()), 51))
@@ -80,9 +67,10 @@ def _edge_lengths(inputs: Inputs, context: Context) -> tuple[GridField, Values]:
     return uniform_sizing_field(surface, median), lengths
 
 
-def _object_task(arguments: Arguments, inputs: Inputs, context: Context) -> Task:
+def _object_task(
+    arguments: Arguments, surface: Surface, sizing: GridField | None, labels: LabelVolume | None, context: Context
+) -> Task:
     """Refuse a surface that is not closed, or labels that do not belong to it; report the surface."""
-    surface, labels = inputs.surface, inputs.labels
     with context.step("check surface"):
         topology, components = check_surface(arguments.surface, surface)
         quality = triangle_quality(surface.points, surface.triangles)
@@ -96,7 +84,7 @@ def _object_task(arguments: Arguments, inputs: Inputs, context: Context) -> Task
         }
         if labels is not None:
             check_labels(surface.points, labels, meshed_labels(surface.history))
-    field, at_surface = _edge_lengths(inputs, context)
+    field, at_surface = _edge_lengths(surface, sizing, context)
     envelope = arguments.envelope
     if envelope is None:
         envelope = ENVELOPE_FRACTION * float(np.percentile(at_surface, 5))
@@ -111,11 +99,11 @@ def _object_task(arguments: Arguments, inputs: Inputs, context: Context) -> Task
     return Task(arguments, surface, components, field, envelope)
 
 
-def _materials_task(arguments: Arguments, inputs: Inputs, context: Context) -> ComplexTask:
+def _materials_task(arguments: Arguments, surface: Surface, sizing: GridField | None, context: Context) -> ComplexTask:
     """Refuse a surface that bounds no volumes; report it, and where it forces poor tetrahedra."""
-    field, _ = _edge_lengths(inputs, context)
+    field, _ = _edge_lengths(surface, sizing, context)
     with context.step("check surface"):
-        checked = check_complex(arguments.surface, inputs.surface)
+        checked = check_complex(arguments.surface, surface)
         counts = context.results["complex"] = describe_complex(checked)
     context.verbose(
         f"{len(checked.sides.present)} materials, {len(counts['interfaces'])} interfaces, "
@@ -192,8 +180,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     """
     _native.set_threads(context.threads)
     with context.step("read"):
-        inputs = _read(arguments, context)
-    surface = inputs.surface
+        surface, sizing, field, labels = _read(arguments, context)
     context.verbose(f"{arguments.surface}: {len(surface.points)} vertices, {len(surface.triangles)} triangles")
     many = surface.sides is not None
     exported = arguments.export_paths(many)
@@ -203,19 +190,19 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     source = resolve_source(arguments.forward, surface.sides)
     task: Task | ComplexTask
     if many:
-        task = _materials_task(arguments, inputs, context)
+        task = _materials_task(arguments, surface, sizing, context)
         filled = fill_complex(task, context)
     else:
-        task = _object_task(arguments, inputs, context)
+        task = _object_task(arguments, surface, sizing, labels, context)
         filled = fill(task, context)
     mesh = measure(task, filled, context)
-    marked = mark(task.surface, mesh, filled.conformity, inputs.labels, context)
+    marked = mark(task.surface, mesh, filled.conformity, labels, context)
     with context.step("write"):
         # before anything is solved, so that a later failure leaves the mesh
         write_volume(arguments.output, marked, filled.quality, context.history())
     checks = _judge(task, filled, context)
-    if inputs.field is not None:
-        marked, more = _curve(arguments, marked, inputs.field, context)
+    if field is not None:
+        marked, more = _curve(arguments, marked, field, context)
         checks += more
     for kind in arguments.exports:
         with context.step(f"export {kind}"):
