@@ -20,14 +20,15 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
-from scipy.sparse.linalg import eigsh
-from skfem.helpers import dot, grad
+from scipy.sparse import diags
+from scipy.sparse.linalg import cg, eigsh
+from skfem import MeshTet, condense
+from skfem.models.poisson import laplace
 
 from tetmesh_check.errors import StageError, guarded
-from tetmesh_check.fem.assembly import Assembler
+from tetmesh_check.fem.assembly import linear_elements
 from tetmesh_check.fem.problems import poisson
-from tetmesh_check.fem.solve import MAX_ITERATIONS
-from tetmesh_check.fem.solver import Solver, jacobi
+from tetmesh_check.fem.solver import TOLERANCE as RESIDUAL
 from tetmesh_check.quality import Cells, Points, signed_tetrahedron_volumes
 from tetmesh_check.surface import read_dataset
 from tetmesh_check.topology import tetrahedron_boundary
@@ -37,6 +38,8 @@ ORDER = 2.0
 """Order of the L2 error of linear elements."""
 TOLERANCE = 0.1
 """Accepted relative deviation of the last order."""
+MAX_ITERATIONS = 50_000
+"""Maximum iterations of conjugate gradients without multigrid."""
 _COLUMNS = (
     "mesh", "tetrahedra", "size, mm", "L2 error, %", "order", "H1 error, %", "order", "CG steps, multigrid", "Jacobi", "plain", "condition",
 )  # fmt: skip
@@ -64,12 +67,19 @@ def read_volume(path: Path) -> tuple[Points, Cells]:
     return np.asarray(grid.points, dtype=np.float64)[used], local.reshape(-1, 4).astype(np.int64)
 
 
+def iterations(matrix: Any, preconditioner: Any) -> int:
+    """Return the iterations of conjugate gradients for a right-hand side of ones."""
+    steps: list[None] = []
+    ones = np.ones(matrix.shape[0])
+    cg(matrix, ones, rtol=RESIDUAL, maxiter=MAX_ITERATIONS, M=preconditioner, callback=lambda _: steps.append(None))
+    return len(steps)
+
+
 def compared(matrix: Any, figures: dict[str, Any]) -> dict[str, Any]:
     """Return the iterations by preconditioner, and the condition number of the matrix."""
-    solver, ones = Solver(MAX_ITERATIONS, math.inf), np.ones(matrix.shape[0])
-    runs = [solver.run(matrix, ones, cycle, MAX_ITERATIONS)[1] for cycle in (jacobi(matrix), None)]
     smallest, largest = (eigsh(matrix, 1, return_eigenvectors=False, **at)[0] for at in ({"sigma": 0.0}, {}))
-    steps = [figures["multigrid"]["iterations"], *(run["iterations"] for run in runs)]
+    jacobi = diags(1.0 / matrix.diagonal())
+    steps = [figures["multigrid"]["iterations"], iterations(matrix, jacobi), iterations(matrix, None)]
     return {"steps": steps, "condition": float(largest / smallest)}
 
 
@@ -84,13 +94,12 @@ def measure(name: str, points: Points, tetrahedra: Cells) -> Row:
     volumes = signed_tetrahedron_volumes(points, tetrahedra)
     if not (volumes > 0).all():
         raise StageError(f"{name}: has inverted or flat tetrahedra", "there is no solution on it", "mesh it again")
-    boundary = np.zeros(len(points), dtype=bool)
-    boundary[tetrahedron_boundary(tetrahedra).triangles] = True
-    assembler = Assembler(points, tetrahedra)
-    figures, converged = poisson(assembler, boundary, Solver(MAX_ITERATIONS, math.inf))
-    if not converged:
+    mesh = MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(tetrahedra.T))
+    outside = tetrahedron_boundary(tetrahedra).triangles
+    figures = poisson(mesh, outside, math.inf)
+    if not figures["multigrid"]["converged"]:
         raise StageError(f"{name}: conjugate gradients did not converge", "there is no solution", "check its quality")
-    matrix = assembler.matrix(lambda u, v, _w: dot(grad(u), grad(v)))[~boundary][:, ~boundary]
+    matrix = condense(laplace.assemble(linear_elements(mesh)), D=np.unique(outside), expand=False)
     size = float((6.0 * math.sqrt(2.0) * volumes.mean()) ** (1.0 / 3.0))
     return Row(name, len(tetrahedra), size, {**figures, **compared(matrix, figures)})
 

@@ -39,7 +39,7 @@ _DISTANCE = "signed_distance"
 _PROBLEMS = ("poisson", "conduction", "elasticity")
 _COLUMNS = (
     "case", "surface", "made in, s", "vertices", "smallest radius ratio, triangles", "tetrahedra", "filled in, s", "smallest dihedral",
-    "radius ratio, smallest / mean", "checks", *(f"{name}: unknowns; multigrid / Jacobi / plain (condition)" for name in _PROBLEMS),
+    "radius ratio, smallest / mean", "checks", *(f"{name}: unknowns; CG steps" for name in _PROBLEMS),
     "error of the known solution, L2 / H1, %", "solved in, s",
 )  # fmt: skip
 KINDS = ("particles", "marching-cubes", "marching-cubes-resampled", "remesh_botsch")
@@ -160,9 +160,8 @@ def _solves(solve: dict[str, Any]) -> list[str]:
         if figures is None or "multigrid" not in figures:
             cells.append("not solved")
             continue
-        runs = [figures[name] for name in ("multigrid", "jacobi") if name in figures]
-        words = [f"{'' if run['converged'] else 'stuck at '}{run['iterations']:,}" for run in runs]
-        cells.append(f"{figures['unknowns']:,}; {', '.join(words)}")
+        run = figures["multigrid"]
+        cells.append(f"{figures['unknowns']:,}; {'' if run['converged'] else 'stuck at '}{run['iterations']:,}")
     poisson = solve.get("poisson") or {}
     errors = [poisson.get(f"relative_{norm}_error") for norm in ("l2", "h1")]
     cells.append(" / ".join("-" if error is None else f"{100.0 * error:.3g}" for error in errors))

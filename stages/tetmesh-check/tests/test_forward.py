@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from complexes import nested_balls
 from conftest import NEEDS_HXT, Run, tetrahedra, write_sizing
-from test_solve import FOREVER, block
+from test_solve import FOREVER, block, elements
 
-from tetmesh_check.fem.assembly import Assembler
-from tetmesh_check.fem.forward import Source, potential_of
+from tetmesh_check.fem.assembly import linear_elements
+from tetmesh_check.fem.forward import potential_of
 from tetmesh_check.quality import tetrahedron_quality
 
 RADII = (10.0, 6.0, 4.0)
@@ -71,9 +71,10 @@ def solved(folder: Path, run: Run, subdivisions: tuple[int, ...], h: float) -> t
     points, cells, grid = tetrahedra(folder / "c.vtu")
     results = json.loads((folder / "r.json").read_text())["results"]
     regions = np.asarray(grid.cell_data["region"]).astype(np.int64)
-    source = Source(3, np.array([2.0, 0.0, 0.0]), np.array([1.0, *CONDUCTIVITY]))
-    potential, _current, _figures, converged = potential_of(Assembler(points, cells), regions, source, FOREVER)
-    assert converged
+    sigma, impressed = np.array([1.0, *CONDUCTIVITY])[regions], np.outer(regions == 3, [2.0, 0.0, 0.0])
+    basis = linear_elements(elements(points, cells))
+    potential, _current, figures = potential_of(basis, sigma, impressed, FOREVER)
+    assert figures["multigrid"]["converged"]
     truth = exact(points, 2.0)
     weight = np.bincount(cells.ravel(), np.repeat(tetrahedron_quality(points, cells).volume, 4))
     error = np.sqrt(weight @ (potential - truth) ** 2 / (weight @ truth**2))
@@ -122,10 +123,11 @@ def test_nested_balls_of_different_conductivity(tmp_path: Path, run: Run) -> Non
 def test_a_bar_of_two_materials() -> None:
     """For a uniform source in one half of a bar, the solution of linear elements is exact."""
     points, cells = block((4, 2, 2))
-    regions = np.where(points[cells].mean(axis=1)[:, 0] < 2.0, 1, 2)
-    source = Source(1, np.array([3.0, 0.0, 0.0]), np.array([1.0, 0.5, 0.1]))
-    potential, current, figures, converged = potential_of(Assembler(points, cells), regions, source, FOREVER)
-    assert converged
+    first = points[cells].mean(axis=1)[:, 0] < 2.0
+    basis = linear_elements(elements(points, cells))
+    impressed = np.outer(first, [3.0, 0.0, 0.0])
+    potential, current, figures = potential_of(basis, np.where(first, 0.5, 0.1), impressed, FOREVER)
+    assert figures["multigrid"]["converged"]
     assert figures["parts"] == 1
     # No current leaves the bar. In the source, the conduction current cancels the impressed
     # current; elsewhere, both are zero.

@@ -11,7 +11,7 @@ from typing import Any
 from tetmesh_check.checks import Limits
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export_paths
-from tetmesh_check.fem.forward import ForwardArguments
+from tetmesh_check.fem.currents import ForwardArguments
 from tetmesh_check.fem.solve import SolveSettings
 from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS
 

@@ -107,7 +107,7 @@ def _check_options(known: str, words: list[str]) -> None:
     """Refuse what a run would refuse; print what is known of the case for the next stage."""
     parsed = build_parser().parse_args(words)
     from tetmesh_check.arguments import Method
-    from tetmesh_check.fem.forward import check_names
+    from tetmesh_check.fem.currents import check_names
     from tetmesh_check.tets import hxt, tetgen, tetwild
 
     workers = {Method.FTETWILD: tetwild.WORKER, Method.HXT: hxt.WORKER, Method.TETGEN: tetgen.WORKER}
@@ -133,8 +133,8 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
     # pyvista takes a second to load; --help and usage errors need not wait for it
     from tetmesh_check.arguments import Arguments, Method
     from tetmesh_check.checks import Limits
-    from tetmesh_check.fem.forward import ForwardArguments
-    from tetmesh_check.fem.solve import SolveMode, SolveSettings
+    from tetmesh_check.fem.currents import ForwardArguments
+    from tetmesh_check.fem.solve import SolveMode, SolveSettings, refuse_missing
 
     given = {
         **vars(parsed),
@@ -145,6 +145,7 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
     }
     arguments = Arguments(**{field.name: given[field.name] for field in fields(Arguments)})
     arguments.refuse()
+    refuse_missing(arguments.solve, arguments.forward)
     return arguments
 
 

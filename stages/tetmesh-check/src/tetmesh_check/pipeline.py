@@ -13,12 +13,11 @@ from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export
 from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.export.vtk import write_quadratic, write_volume
-from tetmesh_check.fem.forward import Forward, RegionMesh, Source, resolve_source
+from tetmesh_check.fem.currents import Forward, check_names
 from tetmesh_check.fem.solve import solve_on
 from tetmesh_check.fields import read_distance_field, read_sizing_field, uniform_sizing_field
 from tetmesh_check.forced import find_forced
 from tetmesh_check.labels import LabelVolume, read_label_volume
-from tetmesh_check.materials import Sides
 from tetmesh_check.measures import mark, measure
 from tetmesh_check.memory import check_memory
 from tetmesh_check.quadratic import make_quadratic
@@ -146,15 +145,12 @@ def _judge(task: Task | ComplexTask, filled: Filled, context: Context) -> list[C
     return [*shape_checks(filled.quality, limits, filled.forced), *own, *scaled]
 
 
-def _currents(source: Source | None, sides: Sides | None, filled: Filled, marked: MarkedMesh) -> Forward | None:
+def _currents(task: Task | ComplexTask, filled: Filled) -> Forward | None:
     """Return the problem of currents if there is a source and all tetrahedra have materials."""
-    if source is None or sides is None or filled.conformity is None or filled.conformity.faults:
+    arguments, found = task.arguments.forward, filled.conformity
+    if arguments.source is None or isinstance(task, Task) or found is None or found.faults:
         return None
-    names = [sides.pair_name(pair) for pair in sides.pairs()[0].tolist()]
-    mesh = RegionMesh(
-        marked.regions, sides.names, marked.boundary, marked.owners, marked.before, marked.marks - 1, names
-    )
-    return Forward(source, mesh)
+    return Forward(arguments, task.checked.sides, task.surface.triangles, found)
 
 
 def run(arguments: Arguments, context: Context) -> list[str]:
@@ -187,7 +183,8 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     context.check_outputs(exported)
     if many:
         arguments.refuse_for_materials()
-    source = resolve_source(arguments.forward, surface.sides)
+    sides = surface.sides
+    check_names(arguments.forward, [] if sides is None else [sides.names[number] for number in sides.present])
     task: Task | ComplexTask
     if many:
         task = _materials_task(arguments, surface, sizing, context)
@@ -209,5 +206,5 @@ def run(arguments: Arguments, context: Context) -> list[str]:
             export(marked, arguments.output, arguments.name, kind, arguments.unit)
     context.results["exports"] = [path.name for path in exported]
     with drawing(arguments, context, many):
-        checks += solve_on(mesh, arguments.solve, context, _currents(source, surface.sides, filled, marked))
+        checks += solve_on(mesh, arguments.solve, context, _currents(task, filled))
     return conclude(checks, filled.quality, context)

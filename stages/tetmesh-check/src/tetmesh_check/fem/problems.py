@@ -12,12 +12,19 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from skfem import BilinearForm, LinearForm, MeshTet, condense
 from skfem.helpers import dot, grad, mul
+from skfem.models.poisson import laplace, unit_load
 
-from tetmesh_check.fem.assembly import Assembler, held_at_one_side
-from tetmesh_check.fem.solver import Solver, rigid_motions
-from tetmesh_check.quality import Labels, Values
+from tetmesh_check.fem.assembly import elastic_stiffness, in_blocks, linear_elements
+from tetmesh_check.fem.solver import rigid_motions, solve, solve_floating
+from tetmesh_check.quality import Cells, Labels, Values
 
+DATA_ORDER = 3
+"""Order of quadrature of loads."""
+ERROR_ORDER = 4
+"""Order of quadrature of squared errors: that of linear elements is a square of quadratic
+polynomials, to first order."""
 YOUNG = 0.01
 """Young's modulus, N/mm^2 (10 kPa, soft tissue)."""
 POISSON_RATIO = 0.4
@@ -35,15 +42,11 @@ RESTING, RISE = -80.0, 100.0
 """Transmembrane potential ahead of the wave front, and its rise behind it, mV."""
 
 
-def _gradients(u: Any, v: Any, _w: Any) -> Any:
-    return dot(grad(u), grad(v))
-
-
 class _Wave:
     """A product of sines with one period along the longest side, and its derivatives."""
 
     def __init__(self, points: Values) -> None:
-        low, high = points.min(axis=0), points.max(axis=0)
+        low, high = points.min(axis=1), points.max(axis=1)
         self.wave_number = 2.0 * np.pi / float((high - low).max())
         self._low = low
 
@@ -62,66 +65,87 @@ class _Wave:
     def source(self, x: Any) -> Any:
         return 3.0 * self.wave_number**2 * self.value(x)
 
+    def errors(self, mesh: MeshTet, fields: list[Values]) -> Values:
+        """L2 norms of the errors of each field and of its gradient, shape ``(len(fields), 2)``.
 
-def poisson(assembler: Assembler, boundary: NDArray[np.bool_], solver: Solver) -> tuple[dict[str, Any], bool]:
+        A short pass, that goes on when time is over: what it judges was computed in time.
+        """
+        squares = np.zeros((len(fields), 2))
+        for points, basis in in_blocks(mesh, ERROR_ORDER):
+            x = np.asarray(basis.global_coordinates())
+            value, gradient = self.value(x), self.gradient(x)
+            for number, field in enumerate(fields):
+                found = basis.interpolate(field[points])
+                squares[number, 0] += np.sum(basis.dx * (found - value) ** 2)
+                squares[number, 1] += np.sum(basis.dx * (found.grad - gradient) ** 2)
+        return np.sqrt(squares)
+
+
+def poisson(mesh: MeshTet, outside: Cells, deadline: float) -> dict[str, Any]:
     """Solve Poisson's equation whose exact solution is known, with that solution on the boundary.
 
     Parameters
     ----------
-    assembler
+    mesh
         The tetrahedra.
-    boundary
-        Whether each point lies on the boundary, shape ``(n,)``.
-    solver
-        The solver.
+    outside
+        Triangles of their boundary, shape ``(k, 3)``.
+    deadline
+        Time limit by the monotonic clock, s.
 
     Returns
     -------
-    tuple
-        Figures, and whether the solver converged. ``best_approximation`` is the error of the
-        gradient over that of the interpolated exact solution: at most 1 on any mesh by Cea's lemma,
-        but for the quadrature of the load, so that it says whether the solution is right and
-        nothing about the mesh.
+    dict
+        Figures. ``best_approximation`` is the error of the gradient over that of the interpolated
+        exact solution: at most 1 on any mesh by Cea's lemma, but for the quadrature of the load, so
+        that it says whether the solution is right and nothing about the mesh.
     """
-    wave = _Wave(assembler.points)
-    exact = wave.value(assembler.points.T)
-    matrix = assembler.matrix(_gradients)
-    load = assembler.load(lambda v, w: wave.source(w.x) * v)
-    free = np.flatnonzero(~boundary)
-    solution = np.where(boundary, exact, 0.0)
-    right_side = (load - matrix @ solution)[free]
-    inner, figures, converged = solver.solve(matrix[free][:, free], right_side)
-    solution[free] = inner
-
-    def squares(name: str) -> tuple[Any, Any]:
-        """Integrands of the squared errors of a field and of its gradient."""
-
-        def value(w: Any) -> Any:
-            return (getattr(w, name) - wave.value(w.x)) ** 2
-
-        def gradient(w: Any) -> Any:
-            difference = grad(getattr(w, name)) - wave.gradient(w.x)
-            return dot(difference, difference)
-
-        return value, gradient
-
-    integrals = assembler.integrals(
-        [*squares("zero"), *squares("solution"), squares("exact")[1]],
-        zero=np.zeros(len(exact)),
-        solution=solution,
-        exact=exact,
+    wave = _Wave(mesh.p)
+    exact = wave.value(mesh.p)
+    form = LinearForm(lambda v, w: wave.source(w.x) * v)
+    load = np.zeros_like(exact)
+    for points, basis in in_blocks(mesh, DATA_ORDER):
+        load[points] += form.assemble(basis)
+    matrix = laplace.assemble(linear_elements(mesh))
+    matrix, load, _, free = condense(matrix, load, x=exact, D=np.unique(outside))
+    solution = exact.copy()
+    solution[free], figures = solve(matrix, load, deadline)
+    (value_norm, gradient_norm), (value_error, gradient_error), (_, interpolation_error) = wave.errors(
+        mesh, [np.zeros_like(exact), solution, exact]
     )
-    value_norm, gradient_norm, value_error, gradient_error, interpolation_error = np.sqrt(integrals)
-    figures.update(
-        wave_length_mm=2.0 * np.pi / wave.wave_number,
-        relative_l2_error=float(value_error / value_norm),
-        relative_h1_error=float(gradient_error / gradient_norm),
-        best_approximation=float(gradient_error / interpolation_error),
-    )
-    return figures, converged
+    return {
+        **figures,
+        "wave_length_mm": 2.0 * np.pi / wave.wave_number,
+        "relative_l2_error": float(value_error / value_norm),
+        "relative_h1_error": float(gradient_error / gradient_norm),
+        "best_approximation": float(gradient_error / interpolation_error),
+    }
 
 
-def elasticity(assembler: Assembler, volumes: Values, bodies: Labels, solver: Solver) -> tuple[dict[str, Any], bool]:
+def held_at_one_side(tetrahedra: Cells, heights: Values, bodies: Labels, share: float) -> NDArray[np.bool_]:
+    """Mark the tetrahedra at the lower end of each body; shape ``(m,)``.
+
+    Parameters
+    ----------
+    tetrahedra
+        Vertex indices, shape ``(m, 4)``.
+    heights
+        Of every point, mm, shape ``(n,)``.
+    bodies
+        Body of each tetrahedron, shape ``(m,)``, numbered from 0.
+    share
+        Tetrahedra with a vertex in this share of the height of their body are held.
+    """
+    lowest = heights[tetrahedra].min(axis=1)
+    low = np.full(int(bodies.max()) + 1, np.inf)
+    high = np.full(len(low), -np.inf)
+    np.minimum.at(low, bodies, lowest)
+    np.maximum.at(high, bodies, heights[tetrahedra].max(axis=1))
+    held: NDArray[np.bool_] = lowest <= (low + share * (high - low))[bodies]
+    return held
+
+
+def elasticity(mesh: MeshTet, bodies: Labels, deadline: float) -> dict[str, Any]:
     """Clamp the organ at one side and pull it by a share of its own weight.
 
     In the body an organ is carried by what surrounds it. Held at one side alone, soft tissue would
@@ -132,28 +156,27 @@ def elasticity(assembler: Assembler, volumes: Values, bodies: Labels, solver: So
 
     Parameters
     ----------
-    assembler
+    mesh
         The tetrahedra.
-    volumes
-        Of each tetrahedron, mm^3, shape ``(m,)``.
     bodies
         Body of each tetrahedron, shape ``(m,)``; every body is clamped, all at the same one of the
         six sides along the axes: the one where most of the matter is held.
-    solver
-        The solver.
+    deadline
+        Time limit by the monotonic clock, s.
     """
     shear = YOUNG / (2.0 * (1.0 + POISSON_RATIO))
     lame = YOUNG * POISSON_RATIO / ((1.0 + POISSON_RATIO) * (1.0 - 2.0 * POISSON_RATIO))
-    points, tetrahedra = assembler.points, assembler.tetrahedra
+    points, tetrahedra, basis = mesh.p.T, mesh.t.T, linear_elements(mesh)
     candidates = [held_at_one_side(tetrahedra, sign * points[:, axis], bodies, CLAMPED_SHARE) for axis, sign in _SIDES]
-    best = int(np.argmax([volumes[held].sum() for held in candidates]))
+    best = int(np.argmax([basis.dx[held].sum() for held in candidates]))
     axis, sign = _SIDES[best]
     fixed = np.zeros(len(points), dtype=bool)
     fixed[tetrahedra[candidates[best]]] = True
 
-    matrix = assembler.elastic_stiffness(shear, lame)
-    load = assembler.load(lambda v, _w: sign * WEIGHT * v[axis], vector=True, order=1)
-    free = np.flatnonzero(np.repeat(~fixed, 3))
+    matrix = elastic_stiffness(basis, shear, lame).tocsr()
+    load = np.zeros(points.shape)
+    load[:, axis] = sign * WEIGHT * unit_load.assemble(basis)
+    load = load.ravel()
     figures: dict[str, Any] = {
         "young_mpa": YOUNG,
         "poisson_ratio": POISSON_RATIO,
@@ -161,26 +184,26 @@ def elasticity(assembler: Assembler, volumes: Values, bodies: Labels, solver: So
         "pulled_towards": ("+" if sign > 0 else "-") + "xyz"[axis],
         "clamped_points": int(fixed.sum()),
     }
-    if len(free) == 0:
-        return {**figures, "unknowns": 0}, True
-    inner, solved, converged = solver.solve(matrix[free][:, free], load[free], rigid_motions(points[~fixed]))
-    displacement = np.zeros(matrix.shape[0])
-    displacement[free] = inner
-    size = float(np.linalg.norm(np.ptp(points[tetrahedra].reshape(-1, 3), axis=0)))
+    if fixed.all():
+        return {**figures, "unknowns": 0}
+    inner, pull, displacement, free = condense(matrix, load, I=np.flatnonzero(np.repeat(~fixed, 3)))
+    displacement[free], solved = solve(inner, pull, deadline, rigid_motions(points[~fixed]))
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
     farthest = float(np.linalg.norm(displacement.reshape(-1, 3), axis=1).max())
     share = min(1.0, LINEAR_SHARE * size / farthest) if farthest > 0.0 else 1.0
     displacement, load = share * displacement, share * load
-    reaction = (load - matrix @ displacement).reshape(-1, 3)[fixed].sum(axis=0)
-    figures.update(
-        solved,
-        strain_energy_mj=0.5 * float(displacement @ (matrix @ displacement)),
-        work_of_weight_mj=float(load @ displacement),
-        reaction_n=float(np.linalg.norm(reaction)),
-        load_share=share,
-        max_displacement_mm=share * farthest,
-        displacement_share=share * farthest / size,
-    )
-    return figures, converged
+    inside = matrix @ displacement
+    reaction = (load - inside).reshape(-1, 3)[fixed].sum(axis=0)
+    return {
+        **figures,
+        **solved,
+        "strain_energy_mj": 0.5 * float(displacement @ inside),
+        "work_of_weight_mj": float(load @ displacement),
+        "reaction_n": float(np.linalg.norm(reaction)),
+        "load_share": share,
+        "max_displacement_mm": share * farthest,
+        "displacement_share": share * farthest / size,
+    }
 
 
 def _fibres(x: Any, centre: Values, along: Values, radius: float) -> Any:
@@ -194,7 +217,7 @@ def _fibres(x: Any, centre: Values, along: Values, radius: float) -> Any:
     return np.moveaxis(fibre / np.maximum(np.linalg.norm(fibre, axis=-1, keepdims=True), 1e-12), -1, 0)
 
 
-def conduction(assembler: Assembler, solver: Solver) -> tuple[dict[str, Any], bool]:
+def conduction(mesh: MeshTet, deadline: float) -> dict[str, Any]:
     """Find the extracellular potential of a wave front in tissue with fibres.
 
     div((sigma_i + sigma_e) grad phi) = -div(sigma_i grad V) with no current through the boundary,
@@ -203,38 +226,33 @@ def conduction(assembler: Assembler, solver: Solver) -> tuple[dict[str, Any], bo
 
     Parameters
     ----------
-    assembler
+    mesh
         The tetrahedra.
-    solver
-        The solver.
+    deadline
+        Time limit by the monotonic clock, s.
     """
-    points = assembler.points
+    points, basis = mesh.p.T, linear_elements(mesh)
     centre = points.mean(axis=0)
     along = np.linalg.svd(points - centre, full_matrices=False)[2][0]
     position = (points - centre) @ along
     radius = float(np.sqrt((((points - centre) - position[:, None] * along) ** 2).sum(axis=1).max()))
     width = 0.05 * float(np.ptp(position))
 
-    def tensor(x: Any, which: tuple[float, float]) -> Any:
-        fibre = _fibres(x, centre, along, radius)
-        lengthwise, across = (1e-3 * value for value in which)  # S/mm
-        identity = np.eye(3).reshape(3, 3, *(1,) * (x.ndim - 1))
-        return across * identity + (lengthwise - across) * fibre[:, None] * fibre[None, :]
-
-    inner, outer = CONDUCTIVITY["intracellular"], CONDUCTIVITY["extracellular"]
-    both = (inner[0] + outer[0], inner[1] + outer[1])
-
-    def flow(u: Any, v: Any, w: Any) -> Any:
-        return dot(mul(w.coefficient, grad(u)), grad(v))
-
-    matrix = assembler.matrix(flow, coefficient=lambda x: tensor(x, both))
+    fibre = _fibres(np.asarray(basis.global_coordinates()), centre, along, radius)
+    lengthwise = fibre[:, None] * fibre[None, :]
+    across = np.eye(3)[:, :, None, None] - lengthwise
+    # S/mm
+    inner, outer = (1e-3 * (sigma[0] * lengthwise + sigma[1] * across) for sigma in CONDUCTIVITY.values())
     membrane = RESTING + 0.5 * RISE * (1.0 - np.tanh(position / width))
-    right_side = -(assembler.matrix(flow, coefficient=lambda x: tensor(x, inner)) @ membrane)
-    potential, part, figures, converged = solver.solve_floating(matrix, right_side)
+    flow = BilinearForm(lambda u, v, w: dot(mul(w.sigma, grad(u)), grad(v)))
+    driven = LinearForm(lambda v, w: -dot(mul(w.sigma, grad(w.membrane)), grad(v)))
+    matrix = flow.assemble(basis, sigma=inner + outer)
+    right_side = driven.assemble(basis, sigma=inner, membrane=membrane)
+    potential, part, figures = solve_floating(matrix, right_side, deadline)
     potential -= (np.bincount(part, potential) / np.bincount(part))[part]
-    figures.update(
-        conductivity_s_per_m={name: list(values) for name, values in CONDUCTIVITY.items()},
-        front_width_mm=width,
-        potential_range_mv=[float(potential.min()), float(potential.max())],
-    )
-    return figures, converged
+    return {
+        **figures,
+        "conductivity_s_per_m": {name: list(values) for name, values in CONDUCTIVITY.items()},
+        "front_width_mm": width,
+        "potential_range_mv": [float(potential.min()), float(potential.max())],
+    }

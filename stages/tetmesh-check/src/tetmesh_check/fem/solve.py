@@ -6,16 +6,15 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 from isoparticles._native import Context
 
 from tetmesh_check.checks import Check, check
-from tetmesh_check.fem.assembly import Assembler
-from tetmesh_check.fem.forward import MAX_IMBALANCE, Forward, forward
-from tetmesh_check.fem.problems import conduction, elasticity, poisson
-from tetmesh_check.fem.solver import OutOfTimeError, Solver
+from tetmesh_check.errors import StageError
+from tetmesh_check.fem.currents import Forward, ForwardArguments
 from tetmesh_check.quality import Cells, Points, Values
 from tetmesh_check.topology import Boundary
 
@@ -23,8 +22,12 @@ AUTO_MAX_TETRAHEDRA = 150_000
 """Largest mesh that is solved on by default: at most about half a minute and 1 GB."""
 MAX_SECONDS = 600.0
 """Default time limit for all problems together, s."""
-MAX_ITERATIONS = 50_000
-"""Maximum iterations of conjugate gradients with Jacobi's preconditioner."""
+MAX_IMBALANCE = 1e-6
+"""Largest share of the current through the surface of a material that may be lost or gained
+there."""
+_PACKAGES = {"skfem": "scikit-fem", "pyamg": "PyAMG"}
+"""The packages of the extra ``fem``, by their modules."""
+_INSTALL = "pip install 'isoparticles[fem]'"
 
 
 class SolveMode(StrEnum):
@@ -59,6 +62,29 @@ class VolumeMesh:
     """Its outside, and its bodies."""
 
 
+def _missing() -> str:
+    """Name the packages of the extra ``fem`` that are not installed, if any."""
+    return " and ".join(name for module, name in _PACKAGES.items() if find_spec(module) is None)
+
+
+def refuse_missing(settings: SolveSettings, forward: ForwardArguments) -> None:
+    """Refuse an explicit request for a solution without the packages that compute it.
+
+    Parameters
+    ----------
+    settings, forward
+        The options of the solves and of the problem of currents.
+    """
+    if settings.mode is SolveMode.NO or (settings.mode is SolveMode.AUTO and forward.source is None):
+        return
+    if missing := _missing():
+        raise StageError(
+            f"{missing}: not installed",
+            "--solve yes and --source solve problems on the tetrahedra with it",
+            f"{_INSTALL}, or leave out these options",
+        )
+
+
 def _why_not(mesh: VolumeMesh, settings: SolveSettings) -> str | None:
     """Why nothing is solved, or ``None``."""
     if settings.mode is SolveMode.NO:
@@ -73,49 +99,33 @@ def _why_not(mesh: VolumeMesh, settings: SolveSettings) -> str | None:
     return None
 
 
-def _checks(done: dict[str, dict[str, Any]], stuck: list[str]) -> list[Check]:
-    solved = [name for name, figures in done.items() if "multigrid" in figures]
-    if not solved:
-        return []
-    told = f"{len(solved) - len(stuck)} of {len(solved)} problems"
-    stood_in = [name for name in solved if done[name]["solved_with"] == "jacobi" and name not in stuck]
-    if stood_in:
-        told += f"; {', '.join(stood_in)} with Jacobi's preconditioner instead of multigrid"
+def _checks(done: dict[str, dict[str, Any]]) -> list[Check]:
+    runs = {name: figures["multigrid"]["converged"] for name, figures in done.items() if "multigrid" in figures}
+    stuck = [name for name, converged in runs.items() if not converged]
+    told = f"{len(runs) - len(stuck)} of {len(runs)} problems"
     if stuck:
         told += f"; not solved: {', '.join(stuck)}, because the matrix is close to singular"
-    return [check("solve_converged", len(stuck), told=told)]
+    checks = [check("solve_converged", len(stuck), told=told)] if runs else []
+    if "forward" in done:
+        checks.append(check("current_conserved", done["forward"]["imbalance"], MAX_IMBALANCE))
+    return checks
 
 
-def _conserved(done: dict[str, dict[str, Any]]) -> list[Check]:
-    if "forward" not in done:
-        return []
-    imbalance = done["forward"]["imbalance"]
-    return [check("current_conserved", imbalance, MAX_IMBALANCE)]
+def _problems(mesh: VolumeMesh, currents: Forward | None, deadline: float) -> dict[str, Callable[[], dict[str, Any]]]:
+    """Return the problems, in the order in which they are solved."""
+    from skfem import MeshTet
 
+    from tetmesh_check.fem import forward, problems
 
-def _solve_all(
-    problems: dict[str, Callable[[], tuple[dict[str, Any], bool]]], seconds: float, context: Context
-) -> tuple[dict[str, dict[str, Any]], list[str], dict[str, str]]:
-    """Solve in turn; return figures, unconverged problems, and unfinished ones."""
-    done: dict[str, dict[str, Any]] = {}
-    stuck: list[str] = []
-    unfinished: dict[str, str] = {}
-    for name, problem in problems.items():
-        started = time.monotonic()
-        try:
-            figures, converged = problem()
-        except OutOfTimeError:
-            unfinished[name] = f"not finished within {seconds:g} s (--solve-seconds)"
-            continue
-        except MemoryError:
-            unfinished[name] = "not enough memory"
-            continue
-        done[name] = {**figures, "seconds": time.monotonic() - started}
-        if not converged:
-            stuck.append(name)
-        elif figures.get("solved_with") == "jacobi":
-            context.warn(f"{name}: multigrid did not converge; the solution was computed with Jacobi's preconditioner")
-    return done, stuck, unfinished
+    elements = MeshTet(np.ascontiguousarray(mesh.points.T), np.ascontiguousarray(mesh.tetrahedra.T))
+    listed: dict[str, Callable[[], dict[str, Any]]] = {
+        "poisson": lambda: problems.poisson(elements, mesh.boundary.triangles, deadline),
+        "conduction": lambda: problems.conduction(elements, deadline),
+        "elasticity": lambda: problems.elasticity(elements, mesh.boundary.bodies, deadline),
+    }
+    if currents is not None:
+        listed["forward"] = lambda: forward.forward(elements, currents, deadline)
+    return listed
 
 
 def solve_on(
@@ -144,25 +154,28 @@ def solve_on(
     if results["reason"] is not None:
         context.verbose(f"no problem is solved: {results['reason']}")
         return []
-    solver = Solver(MAX_ITERATIONS, time.monotonic() + settings.max_seconds)
-    boundary = np.zeros(len(mesh.points), dtype=bool)
-    boundary[mesh.boundary.triangles] = True
-    assembler = Assembler(mesh.points, mesh.tetrahedra, solver.deadline)
-    problems: dict[str, Callable[[], tuple[dict[str, Any], bool]]] = {
-        "poisson": lambda: poisson(assembler, boundary, solver),
-        "conduction": lambda: conduction(assembler, solver),
-        "elasticity": lambda: elasticity(assembler, mesh.volumes, mesh.boundary.bodies, solver),
-    }
-    if currents is not None:
-        problems["forward"] = lambda: forward(assembler, currents, solver)
+    if missing := _missing():
+        results["reason"] = f"{missing}: not installed ({_INSTALL})"
+        context.info(f"no problem is solved: {results['reason']}")
+        return []
+    done: dict[str, dict[str, Any]] = {}
+    unfinished: dict[str, str] = {}
     with context.step("solve"):
-        done, stuck, unfinished = _solve_all(problems, settings.max_seconds, context)
+        for name, problem in _problems(mesh, currents, time.monotonic() + settings.max_seconds).items():
+            started = time.monotonic()
+            try:
+                done[name] = {**problem(), "seconds": time.monotonic() - started}
+            except TimeoutError:
+                unfinished[name] = f"not finished within {settings.max_seconds:g} s (--solve-seconds)"
+            except MemoryError:
+                unfinished[name] = "not enough memory"
     results.update(done=not unfinished, **done)
     if unfinished:
         reason = results["reason"] = "; ".join(f"{name}: {why}" for name, why in unfinished.items())
         told = "not every problem was solved" if done else "no problem was solved, and none was checked"
         context.warn(f"{told}: {reason}")
-    runs = {name: figures["multigrid"] for name, figures in done.items() if "multigrid" in figures}
-    iterations = [f"{name} {run['iterations']}" for name, run in runs.items()]
+    iterations = [
+        f"{name} {figures['multigrid']['iterations']}" for name, figures in done.items() if "multigrid" in figures
+    ]
     context.closing.append(("CG iterations, multigrid", ", ".join(iterations) or "none"))
-    return _checks(done, stuck) + _conserved(done)
+    return _checks(done)

@@ -7,7 +7,6 @@ little energy: constants for a potential, rigid motions for displacements.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,8 +20,8 @@ from tetmesh_check.quality import Labels, Points, Values
 TOLERANCE = 1e-10
 """Norm of the residual over that of the right-hand side. The residual of a few flat tetrahedra can
 dominate this norm, so it is smaller than the error of 1e-8 that the solution needs."""
-MAX_MULTIGRID_ITERATIONS = 500
-"""Maximum iterations of conjugate gradients with multigrid. A good mesh takes 10 to 50."""
+MAX_ITERATIONS = 500
+"""Maximum iterations of conjugate gradients. A good mesh takes 10 to 50."""
 STRENGTH = 0.03
 """Weaker entries, relative to the root of the product of both diagonal entries, do not join
 unknowns to an aggregate. Elasticity of a heart (568,806 unknowns): 37 iterations with 0, 24 with
@@ -31,10 +30,6 @@ COARSEST = 300
 """Unknowns below which a level is solved directly; PyAMG's own default is 10 for one field."""
 _SEED = 1
 """PyAMG estimates spectral radii from random vectors."""
-
-
-class OutOfTimeError(Exception):
-    """The time limit of the solves was reached."""
 
 
 def rigid_motions(points: Points) -> Values:
@@ -81,98 +76,77 @@ def multigrid(matrix: Any, near_null: Values | None = None) -> Any:
     return hierarchy.aspreconditioner(cycle="V")
 
 
-def jacobi(matrix: Any, _near_null: Values | None = None) -> Any:
-    """Return the inverse of the diagonal of a matrix."""
-    return diags(1.0 / matrix.diagonal())
+def _check_time(deadline: float) -> None:
+    if time.monotonic() > deadline:
+        raise TimeoutError
 
 
-@dataclass
-class Solver:
-    """Solves linear systems."""
+def solve(
+    matrix: Any, right_side: Values, deadline: float, near_null: Values | None = None, grounded: Any = None
+) -> tuple[Values, dict[str, Any]]:
+    """Solve a linear system.
 
-    max_iterations: int
-    """Maximum iterations with Jacobi's preconditioner."""
-    deadline: float
-    """Time limit by the monotonic clock, s."""
+    Parameters
+    ----------
+    matrix, right_side
+        The system.
+    deadline
+        Time limit by the monotonic clock, s.
+    near_null
+        See :func:`multigrid`.
+    grounded
+        Matrix to set up multigrid with instead, if that of the system is singular.
 
-    def _check_time(self) -> None:
-        if time.monotonic() > self.deadline:
-            raise OutOfTimeError
+    Returns
+    -------
+    tuple
+        Solution and figures. Those of the iteration, such as whether it converged, are listed as
+        ``multigrid``.
 
-    def run(self, matrix: Any, right_side: Values, precondition: Any, limit: int) -> tuple[Values, dict[str, Any]]:
-        """Run conjugate gradients; return the solution and the figures of the run."""
-        steps = 0
+    Raises
+    ------
+    TimeoutError
+        At the time limit; a set-up of multigrid in progress is finished first.
+    """
+    steps = 0
 
-        def count(_solution: Values) -> None:
-            nonlocal steps
-            steps += 1
-            self._check_time()
+    def count(_solution: Values) -> None:
+        nonlocal steps
+        steps += 1
+        _check_time(deadline)
 
-        with np.errstate(all="ignore"):
-            solution, code = cg(
-                matrix, right_side, rtol=TOLERANCE, maxiter=limit, M=precondition, callback=count
-            )  # fmt: skip
-            residual = float(np.linalg.norm(right_side - matrix @ solution))
-        norm = float(np.linalg.norm(right_side))
-        residual = residual / norm if norm else 0.0
-        finite = bool(np.isfinite(residual))
-        figures = {"iterations": steps, "converged": code == 0 and finite, "residual": residual if finite else None}
-        return solution, figures
+    _check_time(deadline)
+    started = time.monotonic()
+    # a mesh of one layer has no interior points
+    cycle = multigrid(matrix if grounded is None else grounded, near_null) if matrix.shape[0] else None
+    set_up = time.monotonic() - started
+    with np.errstate(all="ignore"):
+        solution, code = cg(matrix, right_side, rtol=TOLERANCE, maxiter=MAX_ITERATIONS, M=cycle, callback=count)
+        residual = float(np.linalg.norm(right_side - matrix @ solution))
+    norm = float(np.linalg.norm(right_side))
+    residual = residual / norm if norm else 0.0
+    finite = bool(np.isfinite(residual))
+    run = {
+        "iterations": steps,
+        "converged": code == 0 and finite,
+        "residual": residual if finite else None,
+        "setup_seconds": set_up,
+        "seconds": time.monotonic() - started,
+    }
+    return solution, {"unknowns": matrix.shape[0], "nonzeros": matrix.nnz, "tolerance": TOLERANCE, "multigrid": run}
 
-    def solve(
-        self, matrix: Any, right_side: Values, near_null: Values | None = None, grounded: Any = None
-    ) -> tuple[Values, dict[str, Any], bool]:
-        """Solve with multigrid or, if that does not converge, with Jacobi's preconditioner.
 
-        Parameters
-        ----------
-        matrix, right_side
-            The system.
-        near_null
-            See :func:`multigrid`.
-        grounded
-            Matrix to set up multigrid with instead, if that of the system is singular.
+def solve_floating(matrix: Any, right_side: Values, deadline: float) -> tuple[Values, Labels, dict[str, Any]]:
+    """Solve a system whose matrix is singular once for each connected part of the mesh.
 
-        Returns
-        -------
-        tuple
-            Solution, figures and whether the iteration converged. The figures name the
-            preconditioner as ``solved_with``, and list each run under its name.
-
-        Raises
-        ------
-        OutOfTimeError
-            At the time limit; a set-up of multigrid in progress is finished first.
-        """
-        figures: dict[str, Any] = {"unknowns": matrix.shape[0], "nonzeros": matrix.nnz, "tolerance": TOLERANCE}
-        solution, converged = np.zeros_like(right_side), False
-        tried = (("multigrid", multigrid, MAX_MULTIGRID_ITERATIONS), ("jacobi", jacobi, self.max_iterations))
-        for name, prepare, limit in tried:
-            started = time.monotonic()
-            self._check_time()
-            # a mesh of one layer has no interior points
-            cycle = prepare(matrix if grounded is None else grounded, near_null) if matrix.shape[0] else None
-            set_up = time.monotonic() - started
-            solution, run = self.run(matrix, right_side, cycle, limit)
-            times = {"setup_seconds": set_up, "seconds": time.monotonic() - started}
-            figures["solved_with"] = name
-            figures[name] = {**run, **times}
-            converged = run["converged"]
-            if converged:
-                break
-        return solution, figures, converged
-
-    def solve_floating(self, matrix: Any, right_side: Values) -> tuple[Values, Labels, dict[str, Any], bool]:
-        """Solve a system whose matrix is singular once for each connected part of the mesh.
-
-        Returns the solution, the part of each unknown, and figures and outcome as :meth:`solve`.
-        """
-        parts, part = connected_components(matrix, directed=False)
-        # On a coarse level, a small part is one unknown, whose entry would be rounding errors
-        # instead of zero. So multigrid grounds one point of each part.
-        first = np.unique(part, return_index=True)[1]
-        leak = np.zeros(len(right_side))
-        leak[first] = matrix.diagonal()[first]
-        solution, figures, converged = self.solve(matrix, right_side, grounded=(matrix + diags(leak)).tocsr())
-        figures["parts"] = int(parts)
-        return solution, part, figures, converged
+    Returns the solution, the part of each unknown, and figures as :func:`solve`.
+    """
+    parts, part = connected_components(matrix, directed=False)
+    # On a coarse level, a small part is one unknown, whose entry would be rounding errors instead
+    # of zero. So multigrid grounds one point of each part.
+    first = np.unique(part, return_index=True)[1]
+    leak = np.zeros(len(right_side))
+    leak[first] = matrix.diagonal()[first]
+    solution, figures = solve(matrix, right_side, deadline, grounded=(matrix + diags(leak)).tocsr())
+    figures["parts"] = int(parts)
+    return solution, part, figures

@@ -1,0 +1,73 @@
+"""The problem of a current that arises in one of many materials: options and description."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from tetmesh_check.conform import Conformity
+from tetmesh_check.errors import StageError
+from tetmesh_check.materials import Sides
+from tetmesh_check.quality import Cells
+
+
+@dataclass(frozen=True)
+class ForwardArguments:
+    """The options of the problem of currents, by the names of materials."""
+
+    conductivity: Mapping[str, float] = field(default_factory=dict)
+    """S/m."""
+    source: str | None = None
+    """The material in which the current flows; without one nothing is solved."""
+    density: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    """Impressed current, uA/mm^2."""
+
+
+@dataclass(frozen=True)
+class Forward:
+    """A problem of currents on conforming tetrahedra."""
+
+    arguments: ForwardArguments
+    sides: Sides
+    """The materials, and those on both sides of each triangle."""
+    triangles: Cells
+    """Triangles between two materials, shape ``(k, 3)``."""
+    found: Conformity
+    """The material of each tetrahedron, and the tetrahedra on both sides of each triangle."""
+
+
+def check_names(arguments: ForwardArguments, names: Sequence[str]) -> None:
+    """Refuse names that no material has, and a conductivity without a source.
+
+    Parameters
+    ----------
+    arguments
+        The options.
+    names
+        The names of the materials; empty for one object.
+
+    Raises
+    ------
+    StageError
+        If there is no material of such a name, one object only, or a conductivity without a source.
+    """
+    given = [*arguments.conductivity, *([] if arguments.source is None else [arguments.source])]
+    if given and not names:
+        raise StageError(
+            "--conductivity and --source name materials, and the surface is that of one object",
+            "currents through tissues of different conductivity need a mesh of all of them",
+            "give the surface of many materials, or leave them out",
+        )
+    for name in given:
+        if name not in names:
+            raise StageError(
+                f"'{name}' is none of the materials of the surface: {', '.join(names)}",
+                "--conductivity and --source take their names",
+                "check the name",
+            )
+    if given and arguments.source is None:
+        raise StageError(
+            "--conductivity was given without --source",
+            "without a current there is no potential to solve for",
+            "add --source NAME, the material in which the current arises, such as the heart",
+        )
