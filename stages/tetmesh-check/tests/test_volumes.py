@@ -78,7 +78,7 @@ def test_the_volume_mesh_opens_in_meshio_and_pyvista(tmp_path: Path) -> None:
     mesh = marked_block()
     history = {"tool": "tetmesh-check", "note": "größer"}
     path = tmp_path / "b.volume.vtu"
-    write_volume(path, mesh, tetrahedron_quality(mesh.points, mesh.tetrahedra), history)
+    write_volume(path, mesh, tetrahedron_quality(mesh.points, mesh.tetrahedra)._asdict(), history)
     grid = pv.read(path)
     assert history_of(grid) == history
     assert text_of(grid, "isoparticles_kind") == "volume"

@@ -12,7 +12,7 @@ from tetmesh_check.complex import check_complex, describe_complex
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export
 from tetmesh_check.export.mesh import MarkedMesh
-from tetmesh_check.export.vtk import write_quadratic, write_volume
+from tetmesh_check.export.vtk import write_volume
 from tetmesh_check.fem.currents import Forward, check_names
 from tetmesh_check.fem.solve import solve_on
 from tetmesh_check.fields import read_distance_field, read_sizing_field, uniform_sizing_field
@@ -120,7 +120,7 @@ def _curve(
     path = arguments.quadratic
     with context.step("quadratic"):
         curved = make_quadratic(marked, field)
-        write_quadratic(path, curved.mesh, curved.jacobian, context.history())
+        write_volume(path, curved.mesh, {"jacobian_bound": curved.jacobian}, context.history())
     found = context.results["quadratic"] = {"file": path.name, **curved.results}
     nodes, middles = (found["distance_mm"][key].get("max", 0.0) for key in ("mid_edge_nodes", "middles_of_edges"))
     told = (
@@ -196,7 +196,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     marked = mark(task.surface, mesh, filled.conformity, labels, context)
     with context.step("write"):
         # before anything is solved, so that a later failure leaves the mesh
-        write_volume(arguments.output, marked, filled.quality, context.history())
+        write_volume(arguments.output, marked, filled.quality._asdict(), context.history())
     checks = _judge(task, filled, context)
     if field is not None:
         marked, more = _curve(arguments, marked, field, context)

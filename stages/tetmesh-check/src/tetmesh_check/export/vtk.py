@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,11 @@ from tetmesh_check.field_data import add_text
 from tetmesh_check.files import write_atomically
 from tetmesh_check.materials import NOTHING
 from tetmesh_check.polydata import to_polydata
-from tetmesh_check.quality import Labels, TetrahedronQuality, Values
+from tetmesh_check.quality import Labels, Values
 
-KIND = "volume"
-"""Kind of the file, in the field data ``isoparticles_kind``."""
-QUADRATIC_KIND = "quadratic volume"
-"""The same of the mesh with a node amid each edge."""
-FORMAT = 2
+_MEASURES = ("radius_ratio", "scaled_jacobian", "min_dihedral", "jacobian_bound")
+"""The measures of the elements that the volume mesh has as cell data, angles in degrees."""
+_FORMAT = 2
 """Version of the file's layout, in the field data ``isoparticles_format``."""
 
 
@@ -37,7 +36,7 @@ def _surface(mesh: MarkedMesh, triangles: Labels | slice) -> tuple[pv.PolyData, 
     return to_polydata(mesh.points[used], local.reshape(-1, 3)), used
 
 
-def write_volume(path: Path, mesh: MarkedMesh, quality: TetrahedronQuality, history: dict[str, Any]) -> None:
+def write_volume(path: Path, mesh: MarkedMesh, measures: Mapping[str, Values], history: dict[str, Any]) -> None:
     """Write the volume mesh.
 
     Parameters
@@ -45,41 +44,21 @@ def write_volume(path: Path, mesh: MarkedMesh, quality: TetrahedronQuality, hist
     path
         A ``.vtu`` file.
     mesh
-        Its points are written in double precision, the regions of its tetrahedra and the marks of
-        its points as data; the table of many materials as a text, ``materials``.
-    quality
-        Its radius ratio, scaled Jacobian and smallest dihedral angle (degrees) go along as cell
-        data.
+        Its points are written in double precision, the regions of its elements and the marks of its
+        points as data; the table of many materials as a text, ``materials``.
+    measures
+        Measures of the elements by name: those of :class:`.TetrahedronQuality`, or
+        ``jacobian_bound``, the lower bound of each quadratic element's Jacobian over that of the
+        straight one.
     history
         Program, parameters and inputs of the file.
     """
-    measures = {name: getattr(quality, name) for name in ("radius_ratio", "scaled_jacobian", "min_dihedral")}
-    _write(path, mesh, KIND, measures, history)
-
-
-def write_quadratic(path: Path, mesh: MarkedMesh, jacobian: Values, history: dict[str, Any]) -> None:
-    """Write the mesh with a node amid each edge.
-
-    Parameters
-    ----------
-    path
-        A ``.vtu`` file.
-    mesh
-        Its elements have ten nodes.
-    jacobian
-        Lower bound of each element's Jacobian over that of the straight one.
-    history
-        Program, parameters and inputs of the file.
-    """
-    _write(path, mesh, QUADRATIC_KIND, {"jacobian_bound": jacobian}, history)
-
-
-def _write(path: Path, mesh: MarkedMesh, kind: str, measures: dict[str, Values], history: dict[str, Any]) -> None:
     grid = _grid(mesh)
-    grid.cell_data.update({**measures, "region": mesh.regions.astype(np.int32)})
+    grid.cell_data.update({name: measures[name] for name in _MEASURES if name in measures})
+    grid.cell_data["region"] = mesh.regions.astype(np.int32)
     grid.point_data["boundary"] = mesh.point_marks().astype(np.uint8)
-    add_text(grid, "isoparticles_kind", kind)
-    grid.add_field_data(np.array([FORMAT], dtype=np.uint32), "isoparticles_format")
+    add_text(grid, "isoparticles_kind", "quadratic volume" if mesh.is_quadratic else "volume")
+    grid.add_field_data(np.array([_FORMAT], dtype=np.uint32), "isoparticles_format")
     if mesh.materials is not None:
         add_text(grid, "materials", json.dumps(mesh.materials))
     add_text(grid, "history", json.dumps(history))
