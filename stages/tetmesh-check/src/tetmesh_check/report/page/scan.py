@@ -39,7 +39,7 @@ class Scan(InputVolume):
     def world_axes(self) -> list[int]:
         """The axis of the world that each grid axis is nearest to, each once."""
         cosines = np.abs(self.step / self.spacing)
-        return list(max(permutations(range(3)), key=lambda axes: cosines[axes, range(3)].sum()))
+        return list(max(permutations(range(3)), key=lambda axes: cosines[np.array(axes), range(3)].sum()))
 
     @property
     def tilt(self) -> float:
@@ -70,7 +70,7 @@ class Scan(InputVolume):
         return first, last
 
     def upright(self) -> Scan:
-        """Return the same volume with grid axes in the order and direction of those of the world."""
+        """Return the same volume with grid axes in the order and direction of the world's."""
         order = np.argsort(self.world_axes)
         step = self.step[:, order]
         backward = np.diag(step) < 0
