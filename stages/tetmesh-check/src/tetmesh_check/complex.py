@@ -91,7 +91,8 @@ def check_complex(path: Path, surface: Surface) -> Complex:
     if wrong:
         words = ", ".join(f"{sides.names[number]} {count}" for number, count in wrong.items())
         refuse(
-            f"the surfaces of {len(wrong)} materials are open or inconsistently oriented; number of such edges: {words}",
+            f"the surfaces of {len(wrong)} materials are open or inconsistently oriented; number of such edges: "
+            f"{words}",
             "such a material has no inside, so there is no volume to fill",
         )
     if found["shells"] is None:
