@@ -32,14 +32,10 @@ def _regions_csv(mesh: MarkedMesh, path: Path) -> None:
             writer.writerow([row.region, row.name, row.material, " ".join(map(str, row.labels))])
 
 
-def _rows(form: str, values: Points | Cells, first: int | None = None) -> str:
-    """Numbers as text, a row a line, each behind its own number where the first one is given."""
+def _rows(form: str, *columns: Points | Cells | Labels) -> str:
+    """Numbers as text, a row a line, without the last line break."""
     text = StringIO()
-    if first is not None:
-        numbers = np.arange(first, first + len(values))
-        np.savetxt(text, np.column_stack([numbers, values]), form)
-    else:
-        np.savetxt(text, values, form)
+    np.savetxt(text, np.column_stack(columns), form)
     return text.getvalue().removesuffix("\n")
 
 
@@ -70,8 +66,8 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    made.globals.update(rows=_rows, members=_members, element_faces=_element_faces, quoteattr=quoteattr)
-    made.globals.update(unique=np.unique, column_stack=np.column_stack)
+    made.globals.update(rows=_rows, members=_members, element_faces=_element_faces)
+    made.globals.update(arange=np.arange, unique=np.unique, quoteattr=quoteattr)
     return made
 
 
