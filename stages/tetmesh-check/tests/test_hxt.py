@@ -14,7 +14,6 @@ from tetmesh_check import cli
 from tetmesh_check.quality import signed_tetrahedron_volumes, tetrahedron_quality
 from tetmesh_check.surface import history_of, read_surface
 from tetmesh_check.tets import fill
-from tetmesh_check.tets.hxt import write_structured_field
 from tetmesh_check.topology import measure_components, tetrahedron_boundary
 
 MISSING = "raise ImportError('libGLU.so.1: cannot open shared object file')\n"
@@ -132,12 +131,3 @@ def test_ftetwild_steps_in_for_hxt(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert words in ran["reason"]
     assert any(words in warning and "fTetWild fills the surface instead" in warning for warning in report["warnings"])
     assert words.split(": ")[-1] in (tmp_path / "ball.tetrahedra.log").read_text()
-
-
-def test_structured_field_is_what_gmsh_reads(tmp_path: Path) -> None:
-    values = np.arange(24.0).reshape(2, 3, 4)
-    write_structured_field(tmp_path / "f.bin", values, np.array([1.0, 2.0, 3.0]), 0.5)
-    content = (tmp_path / "f.bin").read_bytes()
-    np.testing.assert_array_equal(np.frombuffer(content[:48]), [1.0, 2.0, 3.0, 0.5, 0.5, 0.5])
-    np.testing.assert_array_equal(np.frombuffer(content[48:60], dtype=np.int32), [2, 3, 4])
-    np.testing.assert_array_equal(np.frombuffer(content[60:]), values.ravel())

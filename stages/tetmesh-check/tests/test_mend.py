@@ -11,8 +11,9 @@ from test_solve import block
 from tetmesh_check.checks import Limits
 from tetmesh_check.conform import Conformity, conform
 from tetmesh_check.materials import Sides
-from tetmesh_check.mend import mend
 from tetmesh_check.quality import Cells, Points, tetrahedron_quality
+from tetmesh_check.tets.fill import mend
+from tetmesh_check.tets.worker import Raw
 
 
 def crooked() -> tuple[Points, Cells, Cells, Sides]:
@@ -35,7 +36,7 @@ def crooked() -> tuple[Points, Cells, Cells, Sides]:
 def test_the_rest_of_the_mesh_stays() -> None:
     points, cells, triangles, sides = crooked()
     below = tetrahedron_quality(points, cells).min_dihedral < 12.0
-    mended = mend(points, cells, triangles, sides, Limits())
+    mended = mend(Raw(points, cells, {}), triangles, sides, Limits())
     assert mended is not None
     raw, conformity = mended
     results = raw.summary["mended"]
@@ -50,4 +51,4 @@ def test_the_rest_of_the_mesh_stays() -> None:
     for field in fields(Conformity):
         np.testing.assert_array_equal(getattr(conformity, field.name), getattr(anew, field.name))
     # the new mesh needs no mending
-    assert mend(raw.points, raw.tetrahedra, triangles, sides, Limits()) is None
+    assert mend(raw, triangles, sides, Limits()) is None

@@ -17,8 +17,7 @@ from tetmesh_check.materials import NOTHING
 from tetmesh_check.quality import Labels, centres_of, summarize, summarize_all, summarize_distances, triangle_quality
 from tetmesh_check.regions import CAP, boundary_marks, meshed_labels, regions_of, share_outside
 from tetmesh_check.surface import Surface
-from tetmesh_check.tets.fill import Filled, Task
-from tetmesh_check.tets.materials_fill import ComplexTask
+from tetmesh_check.tets.fill import ComplexTask, Filled, Task
 from tetmesh_check.topology import Boundary, members_of, tetrahedron_boundary
 from tetmesh_check.volume_table import volume_table
 

@@ -25,8 +25,7 @@ from tetmesh_check.quality import Values, summarize, summarize_all, triangle_qua
 from tetmesh_check.regions import check_labels, has_scale, meshed_labels
 from tetmesh_check.report.drawing import drawing
 from tetmesh_check.surface import Surface, check_surface, read_surface
-from tetmesh_check.tets.fill import Filled, Task, fill
-from tetmesh_check.tets.materials_fill import ComplexTask, fill_complex
+from tetmesh_check.tets.fill import ComplexTask, Filled, Task, fill, fill_complex
 
 ENVELOPE_FRACTION = 0.05
 """Default envelope, relative to the edge length that 95 % of the surface exceeds. It is small

@@ -115,26 +115,6 @@ def fill_by_hxt(job: Job, runner: Runner) -> Raw:
     return raw
 
 
-def write_structured_field(path: Path, values: Any, origin: Any, spacing: float) -> None:
-    """Write edge lengths on a regular grid in the binary form of Gmsh's field ``Structured``.
-
-    Parameters
-    ----------
-    path
-        The file.
-    values
-        Edge lengths, mm, shape ``(nx, ny, nz)``.
-    origin
-        Position of the first node, mm.
-    spacing
-        From a node to the next, mm.
-    """
-    with path.open("wb") as stream:
-        np.array([*origin, spacing, spacing, spacing]).tofile(stream)
-        np.array(values.shape, dtype=np.int32).tofile(stream)
-        values.tofile(stream)
-
-
 def _set_options(gmsh: Any, job: Job) -> None:
     for name, value in {
         "General.Terminal": 1,
@@ -155,6 +135,20 @@ def _set_options(gmsh: Any, job: Job) -> None:
         "Mesh.Renumber": 0,
     }.items():
         gmsh.option.setNumber(name, value)
+
+
+def _set_edge_lengths(gmsh: Any, lengths: Any, origin: Any, spacing: float) -> None:
+    """Write edge lengths on a grid for Gmsh's field ``Structured``, in its binary form."""
+    file = Path("sizing.bin").absolute()
+    with file.open("wb") as stream:
+        np.array([*origin, spacing, spacing, spacing]).tofile(stream)
+        np.array(lengths.shape, dtype=np.int32).tofile(stream)
+        lengths.tofile(stream)
+    fields = gmsh.model.mesh.field
+    background = fields.add("Structured")
+    fields.setString(background, "FileName", str(file))
+    fields.setNumber(background, "TextFormat", 0)
+    fields.setAsBackgroundMesh(background)
 
 
 def _add_volumes(gmsh: Any, job: Job) -> list[int]:
@@ -190,14 +184,7 @@ def _fill(gmsh: Any, job: Job) -> tuple[Any, Any]:
     _set_options(gmsh, job)
     volumes = _add_volumes(gmsh, job)
 
-    file = Path("sizing.bin").absolute()
-    write_structured_field(file, job["lengths"], job["origin"], job["spacing"])
-    fields = gmsh.model.mesh.field
-    background = fields.add("Structured")
-    fields.setString(background, "FileName", str(file))
-    fields.setNumber(background, "TextFormat", 0)
-    fields.setAsBackgroundMesh(background)
-
+    _set_edge_lengths(gmsh, job["lengths"], job["origin"], job["spacing"])
     gmsh.model.mesh.generate(3)
 
     empty = sum(len(gmsh.model.mesh.getElementsByType(_TETRAHEDRON, tag)[0]) == 0 for tag in volumes)

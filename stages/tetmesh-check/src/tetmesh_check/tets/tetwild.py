@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tetmesh_check.quality import Cells, Points, Values
 from tetmesh_check.tets.worker import Job, Raw, Runner, Worker, scale_of, serve
 
 if TYPE_CHECKING:
+    from isoparticles._native import GridField
+
     from tetmesh_check.surface import Surface
 
 MAX_BACKGROUND_NODES = 200_000
@@ -39,61 +40,64 @@ WORKER = Worker(
 )
 
 
-def fill_by_tetwild(
-    surface: Surface,
-    background: tuple[Points, Cells, Values, int],
-    settings: dict[str, Any],
-    envelope: float,
-    runner: Runner,
-) -> Raw:
-    """Fill a surface with tetrahedra.
+def tetwild_job(surface: Surface, field: GridField, size_factor: float) -> Job:
+    """Describe a surface and the edge lengths in it by arguments of pytetwild.
 
     Parameters
     ----------
     surface
         A checked surface.
-    background
-        Mesh with the edge lengths over the object: points, tetrahedra, edge lengths (mm), and the
-        voxels from one node to the next.
-    settings
-        Arguments of pytetwild: ``stop_energy`` (optimization stops at this largest AMIPS energy; 3
-        is regular, larger is worse), ``num_opt_iter`` (largest number of passes), ``num_threads``.
-    envelope
-        Largest distance of the new boundary from the surface, mm.
-    runner
-        Runs fTetWild, and raises the errors.
+    field
+        Edge lengths over the object, mm.
+    size_factor
+        Factor of the edge lengths.
     """
     scale, diagonal = scale_of(surface.points), surface.bounding_box_diagonal
-    points, tetrahedra, lengths, stride = background
-    epsilon = envelope / diagonal
-    job = {
+    points, tetrahedra, lengths, stride = field.background(surface.points, surface.triangles, MAX_BACKGROUND_NODES)
+    lengths = size_factor * lengths
+    return {
         "scale": scale,
         "vertices": scale * surface.points,
         "faces": surface.triangles.astype(np.int32),
         "bg_vertices": scale * points,
         "bg_tets": tetrahedra.astype(np.int32),
         "bg_values": scale * lengths,
+        "stride": stride,
         # fTetWild first meshes the whole box at this length, then refines to the background. A
         # large length saves work on tetrahedra outside the object, which are removed.
         "edge_length_abs": scale * min(max(float(lengths.max()), _COARSE_FRACTION * diagonal), diagonal),
-        "epsilon": epsilon,
-        **settings,
     }
+
+
+def fill_by_tetwild(job: Job, runner: Runner) -> Raw:
+    """Fill a surface with tetrahedra.
+
+    Parameters
+    ----------
+    job
+        See :func:`tetwild_job`, with more arguments of pytetwild: ``epsilon`` (largest distance of
+        the new boundary from the surface over the diagonal of the bounding box), ``stop_energy``
+        (optimization stops at this largest AMIPS energy; 3 is regular, larger is worse),
+        ``num_opt_iter`` (largest number of passes) and ``num_threads``.
+    runner
+        Runs fTetWild, and raises the errors.
+    """
     raw = runner.run(WORKER, job)
-    last = WORKER.shown_in(runner.log.read_text(encoding="utf-8", errors="replace"))
+    last = WORKER.shown_in(runner.said())
     raw.summary.update(
         passes=int(last["pass"]) + 1 if "pass" in last else 0,
         last_max_energy=float(last["largest energy"]) if "largest energy" in last else None,
-        epsilon_relative=epsilon,
-        stop_energy=settings["stop_energy"],
-        background_nodes=len(points),
-        background_tetrahedra=len(tetrahedra),
-        background_stride_voxels=stride,
+        epsilon_relative=job["epsilon"],
+        stop_energy=job["stop_energy"],
+        background_nodes=len(job["bg_vertices"]),
+        background_tetrahedra=len(job["bg_tets"]),
+        background_stride_voxels=job["stride"],
     )
     return raw
 
 
 def _fill(pytetwild: Any, job: Job) -> tuple[Any, Any]:
+    del job["stride"]
     points, tetrahedra = pytetwild.tetrahedralize(
         **job, simplify=False, loglevel=_LOG_LEVEL, quiet=False, vtk_ordering=True
     )

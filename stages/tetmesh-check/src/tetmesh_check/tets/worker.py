@@ -11,13 +11,13 @@ import ctypes
 import importlib
 import importlib.util
 import math
-import os
 import re
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,8 +33,9 @@ Job = dict[str, Any]
 """Arrays, numbers and texts for the child process, with lengths in units of 1 / ``scale`` mm."""
 
 _JOB, _RESULT = "job.npz", "result.npz"
-_POLL_SECONDS = 0.05
-_TAIL_BYTES = 4096
+_POLL_SECONDS = 0.5
+_TAIL = 4096
+"""Characters at the end of the log in which progress is looked for."""
 _UNAVAILABLE = 3
 """Exit code of a child whose library cannot be imported."""
 _NO_ROOM = 4
@@ -70,14 +71,15 @@ class Worker:
     when_it_is_empty: str = ""
     """Advice if it returns no tetrahedra; by default as if it fails."""
 
+    def unavailable(self, reason: str) -> UnavailableError:
+        """Return the error for a library that is missing or incomplete."""
+        why = "it is the tetrahedralizer that is to fill the surface; nothing was written"
+        return UnavailableError(f"{self.name} is not available: {reason}", why, self.when_it_is_missing)
+
     def refuse_missing(self) -> None:
         """Raise an error if the library is not installed."""
         if importlib.util.find_spec(self.library) is None:
-            raise UnavailableError(
-                f"{self.name} is not available: there is no Python package {self.library}",
-                "it is the tetrahedralizer that is to fill the surface",
-                self.when_it_is_missing,
-            )
+            raise self.unavailable(f"there is no Python package {self.library}")
 
     def shown_in(self, text: str) -> dict[str, str]:
         """Return the last of each of the shown values in a part of the log."""
@@ -177,45 +179,37 @@ class Runner:
         progress = self._context.progress("tetrahedralize")
         current: dict[str, str] = {}
         try:
-            while process.poll() is None:
-                if time.monotonic() > self._deadline:
-                    raise TimeLimitError(
-                        f"the tetrahedralizer ({worker.name}) was ended after {self._max_seconds:g} s, its time limit "
-                        "(--max-seconds)",
-                        "without it there is no volume mesh; nothing was written",
-                        f"its log is {self.log}; raise --max-seconds, or ask for larger tetrahedra with --tet-size-factor",
-                    )
-                current |= worker.shown_in(self._tail())
+            while time.monotonic() < self._deadline:
+                with suppress(subprocess.TimeoutExpired):
+                    return process.wait(_POLL_SECONDS)
+                current |= worker.shown_in(self.said()[-_TAIL:])
                 progress.show(", ".join(f"{name} {value}" for name, value in current.items()) or "starting")
-                time.sleep(_POLL_SECONDS)
         finally:
             process.kill()
             process.wait()
             progress.close()
-        return process.returncode
+        raise TimeLimitError(
+            f"the tetrahedralizer ({worker.name}) was ended after {self._max_seconds:g} s, its time limit (--max-seconds)",
+            "without it there is no volume mesh; nothing was written",
+            f"its log is {self.log}; raise --max-seconds, or ask for larger tetrahedra with --tet-size-factor",
+        )
 
-    def _tail(self) -> str:
-        with self.log.open("rb") as stream:
-            stream.seek(max(0, stream.seek(0, os.SEEK_END) - _TAIL_BYTES))
-            return stream.read().decode("utf-8", errors="replace")
+    def said(self) -> str:
+        """Return the log."""
+        return self.log.read_text(encoding="utf-8", errors="replace")
 
     def _failure(self, worker: Worker, code: int) -> StageError:
         """Return the error for the exit code of a child without a result."""
-        said = [line for line in self._tail().splitlines() if line.strip()]
-        last_words = said[-1] if said else "it said nothing"
+        lines = [line for line in self.said().splitlines() if line.strip()] or ["it said nothing"]
         if code == _UNAVAILABLE:
-            return UnavailableError(
-                f"{worker.name} is not available: {last_words}",
-                "it is the tetrahedralizer that was to fill the surface; nothing was written",
-                worker.when_it_is_missing,
-            )
+            return worker.unavailable(lines[-1])
         if code == _NO_ROOM:
-            return temporary_error(last_words)
+            return temporary_error(lines[-1])
         if code < 0:
             name = signal.Signals(-code).name
             ended = f"crashed: {name}{' (often: out of memory)' if name == 'SIGKILL' else ''}"
         else:
-            ended = f"failed with exit code {code}: {last_words}"
+            ended = f"failed with exit code {code}: {lines[-1]}"
         return StageError(
             f"the tetrahedralizer ({worker.name}) {ended}",
             "without it there is no volume mesh; nothing was written",
