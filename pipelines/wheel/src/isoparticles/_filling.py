@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import json
 
-from tetmesh_check.cli import main
-
 from isoparticles._native import Context, Step
+from tetmesh_check.cli import main
 
 
 class _Told(Context):
