@@ -87,7 +87,7 @@ class Arguments:
         return [*([self.quadratic] if self.order == 2 else []), *self.export_paths()]
 
     def refuse(self) -> None:
-        """Refuse another suffix of the mesh, and quadratic tetrahedra that cannot be made or stored."""
+        """Refuse another suffix, and quadratic tetrahedra that cannot be made or stored."""
         if self.output.suffix != ".vtu":
             raise StageError(
                 f"{self.output}: does not end in .vtu",

@@ -1,4 +1,4 @@
-"""Measures and marks of the tetrahedra for the report: as a whole, by region and at the boundary."""
+"""Measures and marks of the tetrahedra for the report, by region and at the boundary."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def _edge_lengths(surface: Surface, sizing: GridField | None, context: Context) 
 def _object_task(
     arguments: Arguments, surface: Surface, sizing: GridField | None, labels: LabelVolume | None, context: Context
 ) -> Task:
-    """Refuse a surface that is not closed, or labels that do not belong to it; report the surface."""
+    """Refuse a surface that is not closed, or labels of another one; report the surface."""
     with context.step("check surface"):
         topology, components = check_surface(arguments.surface, surface)
         quality = triangle_quality(surface.points, surface.triangles)
