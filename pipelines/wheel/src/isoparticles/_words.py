@@ -34,7 +34,7 @@ def options(stage: str) -> dict[str, dict[str, Any]]:
 
 def _tetmesh_options() -> list[dict[str, Any]]:
     """Return the options of ``tetmesh-check`` in the form of those of the other stages."""
-    from tetmesh_check.cli import options
+    from tetmesh_check.parsing import options
 
     return [
         {

@@ -13,7 +13,7 @@ from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export_paths
 from tetmesh_check.fem.currents import ForwardArguments
 from tetmesh_check.fem.solve import SolveSettings
-from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS
+from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS, options
 
 _PARAMETERS = ("tet_size_factor", "method", "envelope", "stop_energy", "max_passes")
 
@@ -111,25 +111,15 @@ class Arguments:
             )
 
     def refuse_for_materials(self) -> None:
-        """Refuse what is for one object only."""
-        if self.method not in (Method.AUTO, Method.HXT):
-            raise StageError(
-                f"--method {self.method} supports one object only, and the surface has several materials",
-                "two materials must share the triangles between them, unchanged",
-                "omit --method, or use --method hxt",
-            )
-        if self.order != 1:
-            raise StageError(
-                f"--order {self.order} supports the surface of one object only, and this one has several materials",
-                "the midpoints of junction edges would have to lie on the zero sets of several fields",
-                "omit --order",
-            )
-        if self.labels_volume is not None:
-            raise StageError(
-                "--labels-volume supports the surface of one object only, and this one has several materials",
-                "the triangles already define the region of each tetrahedron",
-                "omit --labels-volume",
-            )
+        """Refuse the options that have ``one_object`` in ``options.toml``."""
+        for option in options():
+            rule, value = option.get("one_object"), getattr(self, option["name"].replace("-", "_"), None)
+            if rule and value not in (option.get("default"), *rule.get("allowed", ())):
+                raise StageError(
+                    f"--{option['name']} {value} supports one object only, and the surface has several materials",
+                    rule["why"],
+                    rule["next"],
+                )
 
     def picture_paths(self, many: bool = True) -> dict[str, Path]:
         """Return the pictures by kind, in order; ``regions`` is of many materials only."""

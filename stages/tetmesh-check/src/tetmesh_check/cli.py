@@ -5,16 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import tomllib
 from collections.abc import Sequence
 from dataclasses import fields
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from isoparticles._native import Context
 
 from tetmesh_check.errors import StageError, close, file_error, guarded
-from tetmesh_check.parsing import Parser, reader
+from tetmesh_check.parsing import Parser, options, read_table, reader
 
 if TYPE_CHECKING:
     from tetmesh_check.arguments import Arguments
@@ -27,11 +25,6 @@ CHECK_OPTIONS = "--check-options"
 """First word of a command line that is only checked; what is known of the case follows as JSON: the
 twin of ``Known`` in common/stage/src/cli/check.rs."""
 _FOR_ARGPARSE = ("action", "choices", "default", "dest", "metavar", "required")
-
-
-def read_table() -> dict[str, Any]:
-    """Read ``options.toml``."""
-    return tomllib.loads(files("tetmesh_check").joinpath("options.toml").read_text(encoding="utf-8"))
 
 
 def build_parser(kind: type[Parser] = Parser) -> argparse.ArgumentParser:
@@ -50,16 +43,6 @@ def build_parser(kind: type[Parser] = Parser) -> argparse.ArgumentParser:
                 place = exclusive = exclusive or added.add_mutually_exclusive_group()
             place.add_argument(*option["names"], help=option["help"].replace("%", "%%"), **known)
     return parser
-
-
-def options() -> list[dict[str, Any]]:
-    """Return the entries of ``options.toml`` with ``name``, without dashes, and ``is_switch``."""
-    return [
-        {**option, "name": option["names"][-1][2:], "is_switch": option.get("action") in ("store_true", "count")}
-        for group in read_table()["group"]
-        for option in group["option"]
-        if option["names"][-1].startswith("--") and option.get("action") not in ("help", "version")
-    ]
 
 
 def _described(option: dict[str, Any]) -> dict[str, Any]:

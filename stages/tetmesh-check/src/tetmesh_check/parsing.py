@@ -1,4 +1,4 @@
-"""Parsing of command lines: usage errors in three parts, and numbers within their ranges."""
+"""The table of options, usage errors in three parts, and values within their ranges."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import argparse
 import math
 import os
 import sys
+import tomllib
 from collections.abc import Callable
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -18,6 +20,21 @@ FORMATS = ("inp", "msh", "msh2", "med", "xdmf", "vtp", "vtk", "feb", "carp", "si
 """Formats of ``--export``."""
 LINEAR_FORMATS = ("vtp", "carp", "simvascular")
 """Formats without quadratic tetrahedra or triangles."""
+
+
+def read_table() -> dict[str, Any]:
+    """Read ``options.toml``."""
+    return tomllib.loads(files("tetmesh_check").joinpath("options.toml").read_text(encoding="utf-8"))
+
+
+def options() -> list[dict[str, Any]]:
+    """Return the entries of ``options.toml`` with ``name``, without dashes, and ``is_switch``."""
+    return [
+        {**option, "name": option["names"][-1][2:], "is_switch": option.get("action") in ("store_true", "count")}
+        for group in read_table()["group"]
+        for option in group["option"]
+        if option["names"][-1].startswith("--") and option.get("action") not in ("help", "version")
+    ]
 
 
 class Parser(argparse.ArgumentParser):

@@ -66,8 +66,6 @@ def read_dataset(path: Path) -> pv.DataSet:
     vtkObject.SetGlobalWarningDisplay(0)
     try:
         return pv.read(path)
-    except StageError:
-        raise
     except Exception as error:
         raise file_error(path, "read", error, "check that the file is complete and matches its extension") from error
     finally:
