@@ -12,8 +12,8 @@ from isoparticles import _native
 
 from tetmesh_check.errors import StageError
 from tetmesh_check.materials import NOTHING, Sides
-from tetmesh_check.quality import Cells, Points, TriangleQuality, summarize_all, triangle_quality
-from tetmesh_check.surface import Surface
+from tetmesh_check.quality import TriangleQuality, summarize_all, triangle_quality
+from tetmesh_check.surface import Surface, place_of
 from tetmesh_check.topology import Shells, members_of
 
 
@@ -27,20 +27,6 @@ class Complex:
     shells: Shells
     quality: TriangleQuality
     """Quality of the triangles."""
-
-
-def place_of(points: Points, corners: Cells) -> str:
-    """Write the mean position of vertices.
-
-    Parameters
-    ----------
-    points
-        Positions, mm, shape ``(n, 3)``.
-    corners
-        Indices of the vertices.
-    """
-    x, y, z = points[corners].reshape(-1, 3).mean(axis=0)
-    return f"({x:.6g}, {y:.6g}, {z:.6g}) mm"
 
 
 def _compact(surface: Surface) -> Surface:

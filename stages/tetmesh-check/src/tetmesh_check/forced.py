@@ -15,11 +15,11 @@ from isoparticles._native import Context
 from numpy.typing import NDArray
 
 from tetmesh_check.checks import REMEDY, Limits, counted, shape_of
-from tetmesh_check.complex import Complex, place_of
+from tetmesh_check.complex import Complex
 from tetmesh_check.conform import NOBODY, Conformity
 from tetmesh_check.materials import NOTHING
 from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, Values, centres_of
-from tetmesh_check.surface import Surface
+from tetmesh_check.surface import Surface, place_of
 
 INSIDE, OUTSIDE = 0, 1
 """Sides of a facet: behind it, and in front of it, where its normal points."""

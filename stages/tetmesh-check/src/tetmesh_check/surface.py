@@ -143,6 +143,20 @@ def read_surface(path: Path) -> Surface:
     return Surface(points, triangles, history_of(dataset), merged, cap, sides, told_volumes(dataset))
 
 
+def place_of(points: Points, corners: Cells) -> str:
+    """Write the mean position of vertices.
+
+    Parameters
+    ----------
+    points
+        Positions, mm, shape ``(n, 3)``.
+    corners
+        Indices of the vertices.
+    """
+    x, y, z = points[corners].reshape(-1, 3).mean(axis=0)
+    return f"({x:.6g}, {y:.6g}, {z:.6g}) mm"
+
+
 def check_surface(path: Path, surface: Surface) -> tuple[dict[str, int], Components]:
     """Refuse a surface that bounds no volume.
 
@@ -184,10 +198,9 @@ def check_surface(path: Path, surface: Surface) -> tuple[dict[str, int], Compone
         )
     crossing = _native.self_intersections(surface.points, surface.triangles)
     if len(crossing):
-        where = surface.points[surface.triangles[crossing[0, 0]]].mean(axis=0)
         raise StageError(
             f"{path}: intersects itself: {len(np.unique(crossing))} triangles in {len(crossing)} pairs, the first "
-            f"near ({where[0]:.6g}, {where[1]:.6g}, {where[2]:.6g}) mm",
+            f"near {place_of(surface.points, surface.triangles[crossing[0, 0]])}",
             "the volume inside such a surface is ambiguous",
             _TOOLS,
         )
