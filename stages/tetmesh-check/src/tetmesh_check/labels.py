@@ -4,28 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tetmesh_check.errors import StageError
-from tetmesh_check.quality import Points
-from tetmesh_check.volumes import read_volume
+from tetmesh_check.volumes import InputVolume, read_volume
 
 _ADVICE = "give the label volume that the case was made from"
 
 
 @dataclass(frozen=True)
-class LabelVolume:
-    """Whole numbers on a regular grid placed in the world."""
-
-    values: NDArray[Any]
-    """Labels, shape ``(nx, ny, nz)``; 0 is no tissue."""
-    step: Points
-    """World vectors from a voxel centre to the next along each grid axis, mm; one a column."""
-    origin: Points
-    """World position of the centre of voxel (0, 0, 0), mm."""
+class LabelVolume(InputVolume):
+    """Whole numbers, of which 0 is no tissue."""
 
     @property
     def voxel_volume(self) -> float:
@@ -71,4 +61,4 @@ def read_label_volume(path: Path) -> LabelVolume:
         )
     if not values.any():
         raise StageError(f"{path}: holds no label but 0", "there is no tissue in it", _ADVICE)
-    return LabelVolume(values, volume.step, volume.origin)
+    return LabelVolume(**{**vars(volume), "values": values})
