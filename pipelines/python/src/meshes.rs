@@ -207,8 +207,8 @@ pub(crate) fn changed_triangles(
     compute(py, move || differing_triangles(&first, &second))
 }
 
-/// Returns the distances from the vertices and centroids of a mesh to another mesh, and the reverse.
-/// If a mesh has more than 200,000 of them, only every n-th is used.
+/// Returns the distances from the vertices and centroids of a mesh to another mesh, and the
+/// reverse. If a mesh has more than 200,000 of them, only every n-th is used.
 #[pyfunction]
 pub(crate) fn distances_both_ways(
     py: Python<'_>,

@@ -304,6 +304,16 @@ def test_every_material_has_sets_of_its_own(tmp_path: Path, names: tuple[str, st
     assert len({str(part.get("name")).lower() for part in febio.iterfind("Mesh/*")}) == 5
 
 
+def test_tetrahedra_without_a_material_are_in_no_set(tmp_path: Path) -> None:
+    mesh = materials_of_block(("a", "b"), (1, 2))
+    undecided = np.where(np.arange(len(mesh.regions)) == 0, 0, mesh.regions)
+    for kind in FORMATS:
+        export(replace(mesh, regions=undecided), tmp_path / "b.volume.vtu", "b", kind)
+    assert [row["name"] for row in table_of(tmp_path / "b.volume.regions.csv")] == ["a", "b"]
+    abaqus = meshio.read(tmp_path / "b.volume.inp")
+    np.testing.assert_array_equal(abaqus.cell_sets["A"][0], np.flatnonzero(undecided == 1))
+
+
 def test_an_interface_called_like_a_material_has_a_name_of_its_own() -> None:
     names = ("a", "b", "b_to_a")
     made = nested_balls((3.0, 2.0, 1.0), (1, 1, 1), names)

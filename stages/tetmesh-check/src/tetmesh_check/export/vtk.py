@@ -91,7 +91,7 @@ def write_legacy(mesh: MarkedMesh, path: Path) -> None:
 
 
 def write_simvascular_volume(mesh: MarkedMesh, path: Path) -> None:
-    """Write SimVascular's mesh-complete.mesh.vtu: numbers from 1, and the region of each element."""
+    """Write SimVascular's mesh-complete.mesh.vtu: numbers from 1, and regions of elements."""
     grid = _grid(mesh)
     grid.point_data["GlobalNodeID"] = np.arange(1, len(mesh.points) + 1, dtype=np.int32)
     grid.cell_data["GlobalElementID"] = np.arange(1, len(mesh.elements) + 1, dtype=np.int32)
