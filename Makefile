@@ -282,7 +282,7 @@ sdist: $(WHEEL)/venv/.made completions
 	@$(WHEEL)/venv/bin/python -m hatchling build -t sdist -d $(WHEEL)
 ifneq ($(SDIST_TEST),)
 	@$(VENV)/bin/python -m venv $(WHEEL)/fresh
-	@env -u ISOPARTICLES_BIN -u CARGO_TARGET_DIR $(WHEEL)/fresh/bin/pip install --quiet "$$(ls $(WHEEL)/*.tar.gz)[hxt]" pytest pytest-timeout
+	@env -u ISOPARTICLES_BIN -u CARGO_TARGET_DIR $(WHEEL)/fresh/bin/pip install --quiet "$$(ls $(WHEEL)/*.tar.gz)[fem,hxt]" pytest pytest-timeout
 	@env -u WHEEL -u ISOPARTICLES_BIN $(WHEEL)/fresh/bin/pytest -q -c pipelines/wheel/pytest.ini pipelines/wheel/tests
 endif
 

@@ -54,7 +54,8 @@ def test_the_conda_recipe_has_the_same_versions() -> None:
     python = f"python{package['project']['requires-python']}"
     for part, wanted in (
         (host, package["build-system"]["requires"]),
-        (run.partition("\n\n")[0], stage["dependencies"]),
+        # conda has no extras
+        (run.partition("\n\n")[0], stage["dependencies"] + stage["optional-dependencies"]["fem"]),
     ):
         listed = {line.strip("- ").replace(" ", "").replace("-base", "") for line in part.splitlines()}
         assert listed - {"pip"} == {python, *wanted}

@@ -359,11 +359,11 @@ def test_without_the_extra_fem(
     words = ["s.vtp", "-o", str(tmp_path / "v.vtu")]
     context = Context(words, build_parser().parse_args(words))
     assert solve_on(mesh_of(*block((1, 1, 1))), SolveSettings(), context) == []
-    reason = f"{package}: not installed (pip install 'isoparticles[fem]')"
+    reason = f"{package}: not installed (python -m pip install scikit-fem pyamg)"
     assert capfd.readouterr().err == f"no problem is solved: {reason}\n"
     assert context.results["solve"] == {"done": False, "reason": reason}
     for more in (("--solve", "yes"), ("--source", "heart=1,0,0")):
         assert main([*words, *more]) == 2
         told = capfd.readouterr().err
         assert f"error: {package}: not installed" in told
-        assert "what to do: pip install 'isoparticles[fem]'" in told
+        assert "what to do: python -m pip install scikit-fem pyamg" in told

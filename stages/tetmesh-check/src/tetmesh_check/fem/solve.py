@@ -27,7 +27,7 @@ MAX_IMBALANCE = 1e-6
 there."""
 _PACKAGES = {"skfem": "scikit-fem", "pyamg": "PyAMG"}
 """The packages of the extra ``fem``, by their modules."""
-_INSTALL = "pip install 'isoparticles[fem]'"
+_INSTALL = "python -m pip install scikit-fem pyamg"
 
 
 class SolveMode(StrEnum):
