@@ -196,14 +196,14 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     with context.step("write"):
         # before anything is solved, so that a later failure leaves the mesh
         write_volume(arguments.output, marked, filled.quality._asdict(), context.history())
-    checks = _judge(task, filled, context)
-    if field is not None:
-        marked, more = _curve(arguments, marked, field, context)
-        checks += more
-    for kind in arguments.exports:
-        with context.step(f"export {kind}"):
-            export(marked, arguments.output, arguments.name, kind, arguments.unit)
-    context.results["exports"] = [path.name for path in exported]
     with drawing(arguments, context, many):
+        checks = _judge(task, filled, context)
+        if field is not None:
+            marked, more = _curve(arguments, marked, field, context)
+            checks += more
+        for kind in arguments.exports:
+            with context.step(f"export {kind}"):
+                export(marked, arguments.output, arguments.name, kind, arguments.unit)
+        context.results["exports"] = [path.name for path in exported]
         checks += solve_on(mesh, arguments.solve, context, _currents(task, filled))
     return conclude(checks, filled.quality, context)

@@ -13,10 +13,21 @@ import sys
 
 _PROBE_SECONDS = 60.0
 _PROBE = """
-import pyvista
-drawn = pyvista.Plotter(off_screen=True, window_size=[16, 16]).screenshot(return_img=True)
-assert drawn.max() == 255
+import vtkmodules.vtkRenderingOpenGL2
+from vtkmodules.vtkRenderingCore import vtkRenderWindow, vtkRenderer, vtkWindowToImageFilter
+window = vtkRenderWindow()
+window.SetOffScreenRendering(1)
+window.SetSize(16, 16)
+renderer = vtkRenderer()
+renderer.SetBackground(1.0, 1.0, 1.0)
+window.AddRenderer(renderer)
+window.Render()
+grab = vtkWindowToImageFilter()
+grab.SetInput(window)
+grab.Update()
+assert grab.GetOutput().GetScalarRange()[1] == 255.0
 """
+"""Without PyVista, whose plotter takes 0.9 s longer to import and draw."""
 _CHOICES = ({}, *({"VTK_DEFAULT_OPENGL_WINDOW": f"vtk{kind}RenderWindow"} for kind in ("OSOpenGL", "EGL")))
 """Environment variables to try without a display; VTK chooses by itself first."""
 
