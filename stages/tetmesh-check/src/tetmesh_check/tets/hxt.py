@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tetmesh_check.errors import StageError
 from tetmesh_check.quality import Cells, Labels
 from tetmesh_check.tets.worker import Job, Raw, Runner, Worker, scale_of, serve
 from tetmesh_check.topology import members_of
@@ -103,12 +102,6 @@ def fill_by_hxt(job: Job, runner: Runner) -> Raw:
         Runs Gmsh, and raises the errors.
     """
     raw = runner.run(_WORKERS[job["algorithm"]] if job["extends"] else WORKER, job)
-    if not np.array_equal(raw.points[: len(job["points"])], job["points"] / job["scale"]):
-        raise StageError(
-            "the tetrahedralizer did not keep the vertices of the surface",
-            "neighbouring materials share them",
-            "try another --tet-size-factor",
-        )
     raw.summary.update(
         optimize_threshold=OPTIMIZE_THRESHOLD, length_factor=LENGTH_FACTOR, sizing_nodes=job["lengths"].size
     )
@@ -154,21 +147,14 @@ def _set_edge_lengths(gmsh: Any, lengths: Any, origin: Any, spacing: float) -> N
 def _add_volumes(gmsh: Any, job: Job) -> list[int]:
     """Add a discrete surface for each sheet; return the tags of the volumes.
 
-    Sheets share the vertices on their rims: each is handed over once, by the first sheet that has
-    it. Gmsh identifies a volume by its sheets, and no two volumes have the same sheets.
+    Sheets share the vertices on their rims, so the first one gets all vertices. Gmsh identifies a
+    volume by its sheets, and no two volumes have the same sheets.
     """
     points, triangles, sheet, bounds = (job[name] for name in ("points", "triangles", "sheet", "bounds"))
     surfaces = [gmsh.model.addDiscreteEntity(2) for _ in bounds]
-    new = np.ones(len(points), dtype=bool)
-    members = [triangles[part] for part in members_of(sheet, len(bounds))]
-    for surface, own in zip(surfaces, members, strict=True):
-        used = np.unique(own)
-        used = used[new[used]]
-        new[used] = False
-        if len(used):
-            gmsh.model.mesh.addNodes(2, surface, used + 1, points[used].ravel())
-    for surface, own in zip(surfaces, members, strict=True):
-        gmsh.model.mesh.addElementsByType(surface, _TRIANGLE, [], (own + 1).ravel())
+    gmsh.model.mesh.addNodes(2, surfaces[0], np.arange(1, len(points) + 1), points.ravel())
+    for surface, members in zip(surfaces, members_of(sheet, len(bounds)), strict=True):
+        gmsh.model.mesh.addElementsByType(surface, _TRIANGLE, [], (triangles[members] + 1).ravel())
     volumes = []
     for volume in range(int(bounds.max()) + 1):
         around = np.flatnonzero((bounds == volume).any(axis=1))
