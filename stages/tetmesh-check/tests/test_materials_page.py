@@ -128,6 +128,8 @@ def test_a_cut_is_coloured_by_material(case: Path) -> None:
     for colour in material_colours(4)[1:].astype(float):
         near = (shown @ (colour / np.linalg.norm(colour)) > 0.995).sum()
         assert near > 0.01 * pixels.shape[0] * pixels.shape[1]
+    # their names are below
+    assert (pixels[-170:] == (0x7D, 0x85, 0x8E)).all(axis=2).sum() > 500
 
 
 @NEEDS_HXT
