@@ -138,22 +138,21 @@ def describe_complex(checked: Complex) -> dict[str, Any]:
         quality and turn.
     """
     surface, sides, quality = checked.surface, checked.sides, checked.quality
-    found = _native.describe_complex(surface.points, surface.triangles, sides.inside, sides.outside, len(sides.table))
+    found: dict[str, Any] = {
+        **_native.describe_complex(surface.points, surface.triangles, sides.inside, sides.outside, len(sides.table))
+    }
+    topologies, interfaces = found.pop("topologies"), found.pop("interfaces")
     pairs, which = sides.pairs()
-    of_pairs = zip(pairs.tolist(), members_of(which, len(pairs)), found["interfaces"], strict=True)
+    of_pairs = zip(pairs.tolist(), members_of(which, len(pairs)), interfaces, strict=True)
     return {
         "vertices": len(surface.points),
         "triangles": len(surface.triangles),
         "merged_points": surface.merged_points,
         "area_mm2": float(quality.area.sum()),
         "bounding_box_diagonal_mm": surface.bounding_box_diagonal,
-        "junction_edges": found["junction_edges"],
-        "junction_vertices": found["junction_vertices"],
-        "edges_by_triangles": found["edges_by_triangles"],
-        "vertices_by_materials": found["vertices_by_materials"],
+        **found,
         "quality": summarize_all(quality),
-        "rms_turn_degrees": found["rms_turn_degrees"],
-        "materials": _materials(checked, found["topologies"]),
+        "materials": _materials(checked, topologies),
         "interfaces": [
             {
                 "inside": inside,
