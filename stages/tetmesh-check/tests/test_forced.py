@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from complexes import Made, sphere
 from conftest import NEEDS_HXT, Run
+from isoparticles._native import forced_sides
 
 from tetmesh_check.checks import SHAPE, Check, Limits, OfShape, poor_tetrahedra, shape_checks, well_shaped
-from tetmesh_check.forced import INSIDE, OUTSIDE, forced_sides
+from tetmesh_check.forced import INSIDE, OUTSIDE
 from tetmesh_check.quality import tetrahedron_quality
 
 FLAT = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [1.0, np.sqrt(3.0), 0.0]])
@@ -29,11 +30,11 @@ def with_neighbour(degrees: float) -> tuple[np.ndarray, np.ndarray]:
 def test_facets_that_meet_at_an_angle_allow_no_larger_one() -> None:
     points, triangles = with_neighbour(8.0)
     for facets, side in ((triangles, OUTSIDE), (triangles[:, ::-1], INSIDE)):
-        found = forced_sides(points, facets, 12.0)
-        np.testing.assert_array_equal(found.facet, [0, 1])
-        np.testing.assert_array_equal(found.side, [side, side])
-        np.testing.assert_allclose(found.bound, 8.0, atol=1e-3)
-    assert len(forced_sides(points, triangles, 7.9).facet) == 0
+        facet, sides, bound = forced_sides(points, facets, 12.0)
+        np.testing.assert_array_equal(facet, [0, 1])
+        np.testing.assert_array_equal(sides, [side, side])
+        np.testing.assert_allclose(bound, 8.0, atol=1e-3)
+    assert len(forced_sides(points, triangles, 7.9)[0]) == 0
 
 
 def test_forced_tetrahedra_fail_unless_accepted() -> None:

@@ -18,7 +18,7 @@ from tetmesh_check.checks import REMEDY, Limits, counted, shape_of
 from tetmesh_check.complex import Complex
 from tetmesh_check.conform import NOBODY, Conformity
 from tetmesh_check.materials import NOTHING
-from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, Values, centres_of
+from tetmesh_check.quality import Labels, TetrahedronQuality, Values, centres_of
 from tetmesh_check.surface import Surface, place_of
 
 INSIDE, OUTSIDE = 0, 1
@@ -50,21 +50,6 @@ class ForcedSides:
         return self.where(order[there]), standing[there]
 
 
-def forced_sides(points: Points, triangles: Cells, angle: float) -> ForcedSides:
-    """Find the sides of facets on which every tetrahedron has a smaller dihedral angle.
-
-    Parameters
-    ----------
-    points
-        Positions, mm, shape ``(n, 3)``.
-    triangles
-        Vertex indices, shape ``(m, 3)``; each has an area, and no two cross.
-    angle
-        Dihedral angle, degrees, above 0 and below 90.
-    """
-    return ForcedSides(*_native.forced_sides(points, triangles, angle))
-
-
 def find_forced(checked: Complex, limits: Limits, context: Context) -> tuple[ForcedSides, ForcedSides]:
     """Find where the surface allows no tetrahedron within the limits of shape, and warn of it.
 
@@ -84,7 +69,7 @@ def find_forced(checked: Complex, limits: Limits, context: Context) -> tuple[For
         triangles; both sides of the triangles whose own angles are too small for both limits.
     """
     surface, sides, angle = checked.surface, checked.sides, limits.min_dihedral
-    found = forced_sides(surface.points, surface.triangles, angle)
+    found = ForcedSides(*_native.forced_sides(surface.points, surface.triangles, angle))
     material = np.where(found.side == INSIDE, sides.inside[found.facet], sides.outside[found.facet])
     by_surface, material = found.where(material != NOTHING), material[material != NOTHING]
     if len(material):
