@@ -6,11 +6,10 @@ import argparse
 from pathlib import Path
 
 import pytest
-from conftest import quiet_context
+from conftest import Run, ball, quiet_context
 from isoparticles._native import number_of_bytes
 
 from tetmesh_check.errors import StageError
-from tetmesh_check.memory import check_memory
 
 
 def test_numbers_of_bytes() -> None:
@@ -20,14 +19,13 @@ def test_numbers_of_bytes() -> None:
             number_of_bytes(wrong)
 
 
-def test_more_than_allowed_is_refused_with_the_figure() -> None:
-    context = quiet_context("--max-memory", "2G")
-    check_memory(100_000, Path("s.vtp"), context)
-    with pytest.raises(StageError) as refused:
-        check_memory(1_000_000, Path("s.vtp"), context)
-    assert "1,000,000 vertices: this needs about 5.3 GiB" in refused.value.what
-    assert "--max-memory) allows 2.0 GiB" in refused.value.why
-    assert "MAX_MEMORY=6G (--max-memory)" in refused.value.next
+def test_more_than_allowed_is_refused_with_the_figure(tmp_path: Path, run: Run) -> None:
+    ball().save(tmp_path / "s.vtp")
+    refused = run("s.vtp", "-o", "s.vtu", "--max-memory", "300M")
+    assert refused.returncode == 2
+    assert "s.vtp: tetrahedra for 162 vertices: this needs about 601 MiB of memory" in refused.stderr
+    assert "(--max-memory) allows 300 MiB" in refused.stderr
+    assert "MAX_MEMORY=1G (--max-memory)" in refused.stderr
     if Path("/proc/meminfo").exists():
-        with pytest.raises(StageError, match="vertices"):
-            check_memory(10**12, Path("s.vtp"), quiet_context())
+        with pytest.raises(StageError, match="this needs about"):
+            quiet_context().check_memory(1e18, "s.vtp", "")

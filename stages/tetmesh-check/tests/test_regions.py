@@ -26,7 +26,6 @@ from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export
 from tetmesh_check.export.mesh import MarkedMesh, Region, materials_mesh, object_mesh, plain_names
 from tetmesh_check.field_data import text_of
-from tetmesh_check.labels import read_label_volume
 from tetmesh_check.materials import Sides
 from tetmesh_check.parsing import FORMATS
 from tetmesh_check.quality import signed_tetrahedron_volumes
@@ -41,6 +40,7 @@ from tetmesh_check.regions import (
 )
 from tetmesh_check.surface import Surface, read_surface
 from tetmesh_check.topology import tetrahedron_boundary
+from tetmesh_check.volumes import read_label_volume
 
 
 def vector(numbers: np.ndarray | list[float]) -> str:

@@ -16,11 +16,10 @@ from test_regions import marked_block
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.vtk import write_volume
 from tetmesh_check.field_data import text_of
-from tetmesh_check.labels import read_label_volume
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.quality import tetrahedron_quality
 from tetmesh_check.surface import history_of
-from tetmesh_check.volumes import read_volume
+from tetmesh_check.volumes import read_label_volume, read_volume
 
 _COMMON = Path(__file__).parents[3] / "common"
 _FIXTURES = _COMMON / "volume" / "tests" / "data"

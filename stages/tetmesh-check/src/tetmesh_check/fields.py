@@ -16,7 +16,6 @@ from typing import Any, NoReturn
 import numpy as np
 import pyvista as pv
 from isoparticles._native import GridField
-from numpy.typing import NDArray
 
 from tetmesh_check.errors import StageError
 from tetmesh_check.quality import Points
@@ -47,13 +46,7 @@ def _read_field(path: Path, name: str, why: str, advice: str, above: float) -> t
         refuse(f"{bad} of {values.size} values are not {'positive and ' if above == 0 else ''}finite")
     shaped = values.astype(np.float32, copy=False).reshape(image.dimensions, order="F")
     axes = np.asarray(image.direction_matrix).T.tolist()
-    return image, GridField(shaped, tuple(image.spacing), tuple(_placement(image)[1]), axes)
-
-
-def _placement(image: pv.ImageData) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the world vectors between voxel centres, as columns, and the first centre, mm."""
-    step = np.asarray(image.direction_matrix, dtype=np.float64) * np.asarray(image.spacing)
-    return step, np.asarray(image.origin, dtype=np.float64) + step @ np.array(image.extent[::2], dtype=np.float64)
+    return image, GridField(shaped, tuple(image.spacing), image.GetPoint(0), axes)
 
 
 def read_distance_field(path: Path, points: Points) -> tuple[GridField, Any]:
@@ -79,8 +72,8 @@ def read_distance_field(path: Path, points: Points) -> tuple[GridField, Any]:
     why = "mid-edge nodes are brought onto the surface where that distance is 0"
     advice = "give the file that distfield wrote for this surface"
     image, field = _read_field(path, DISTANCE, why, advice, -np.inf)
-    step, origin = _placement(image)
-    index = np.linalg.solve(step, (points - origin).T).T
+    step = np.asarray(image.direction_matrix) * image.spacing
+    index = np.linalg.solve(step, (points - image.GetPoint(0)).T).T
     low, high = index.min(axis=0), index.max(axis=0)
     # a vertex may lie half a voxel beyond the outermost centres, where the border of the volume is
     if (low < -0.5).any() or (high > np.array(image.dimensions) - 0.5).any():

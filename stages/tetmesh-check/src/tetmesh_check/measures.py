@@ -12,7 +12,6 @@ from tetmesh_check.conform import Conformity, outside_of
 from tetmesh_check.export.mesh import MarkedMesh, materials_mesh, object_mesh
 from tetmesh_check.fem.solve import VolumeMesh
 from tetmesh_check.forced import list_forced
-from tetmesh_check.labels import LabelVolume
 from tetmesh_check.materials import NOTHING
 from tetmesh_check.quality import Labels, centres_of, summarize, summarize_all, summarize_distances, triangle_quality
 from tetmesh_check.regions import CAP, boundary_marks, meshed_labels, regions_of, share_outside
@@ -20,6 +19,7 @@ from tetmesh_check.surface import Surface
 from tetmesh_check.tets.fill import ComplexTask, Filled, Task
 from tetmesh_check.topology import Boundary, members_of, tetrahedron_boundary
 from tetmesh_check.volume_table import volume_table
+from tetmesh_check.volumes import InputVolume
 
 MAX_SHARE_OUTSIDE = 0.05
 """Share of the tetrahedra outside the label volume above which there is a warning."""
@@ -113,7 +113,7 @@ def measure(task: Task | ComplexTask, filled: Filled, context: Context) -> Volum
     return VolumeMesh(points, tetrahedra, quality.volume, outside)
 
 
-def _labels(mesh: VolumeMesh, surface: Surface, labels: LabelVolume, context: Context) -> Labels:
+def _labels(mesh: VolumeMesh, surface: Surface, labels: InputVolume, context: Context) -> Labels:
     """Find the label of each tetrahedron, and measure the regions."""
     with context.step("regions"):
         centres = centres_of(mesh.points, mesh.tetrahedra)
@@ -136,7 +136,7 @@ def _labels(mesh: VolumeMesh, surface: Surface, labels: LabelVolume, context: Co
 
 
 def mark(
-    surface: Surface, mesh: VolumeMesh, found: Conformity | None, labels: LabelVolume | None, context: Context
+    surface: Surface, mesh: VolumeMesh, found: Conformity | None, labels: InputVolume | None, context: Context
 ) -> MarkedMesh:
     """Find the regions of the tetrahedra and the parts of their boundary, and measure the parts.
 

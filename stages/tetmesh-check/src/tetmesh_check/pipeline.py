@@ -17,28 +17,37 @@ from tetmesh_check.fem.currents import Forward, check_names
 from tetmesh_check.fem.solve import solve_on
 from tetmesh_check.fields import read_distance_field, read_sizing_field, uniform_sizing_field
 from tetmesh_check.forced import find_forced
-from tetmesh_check.labels import LabelVolume, read_label_volume
 from tetmesh_check.measures import mark, measure
-from tetmesh_check.memory import check_memory
 from tetmesh_check.quadratic import make_quadratic
 from tetmesh_check.quality import Values, summarize, summarize_all, triangle_quality
 from tetmesh_check.regions import check_labels, has_scale, meshed_labels
 from tetmesh_check.report.drawing import drawing
 from tetmesh_check.surface import Surface, check_surface, read_surface
 from tetmesh_check.tets.fill import ComplexTask, Filled, Task, fill, fill_complex
+from tetmesh_check.volumes import InputVolume, read_label_volume
 
 ENVELOPE_FRACTION = 0.05
 """Default envelope, relative to the edge length that 95 % of the surface exceeds. It is small
 enough to keep thin walls apart."""
+BYTES_AT_LEAST = 600 * 2**20
+"""Memory of the packages without a mesh; see :data:`BYTES_PER_VERTEX`."""
+BYTES_PER_VERTEX = 5100
+"""Bytes for each vertex of the surface. Both are the line through 896 MiB for the 55,626 vertices
+of `heart` and 2,050 MiB for the 292,825 of `ribs`, with 15 to 20 tetrahedra a vertex
+(docs/developer/performance.md, real volumes, `make CASE=heart` and `make CASE=ribs`)."""
 
 
 def _read(
     arguments: Arguments, context: Context
-) -> tuple[Surface, GridField | None, GridField | None, LabelVolume | None]:
+) -> tuple[Surface, GridField | None, GridField | None, InputVolume | None]:
     """Read surface, sizes, F and labels; refuse a surface that needs more memory than there is."""
     surface = read_surface(arguments.surface)
     context.add_input(arguments.surface, surface.history)
-    check_memory(len(surface.points), arguments.surface, context)
+    context.check_memory(
+        BYTES_AT_LEAST + BYTES_PER_VERTEX * len(surface.points),
+        f"{arguments.surface}: tetrahedra for {len(surface.points):,} vertices",
+        "make a coarser surface (sizefield --min-size, --quality coarse)",
+    )
     sizing = field = labels = None
     if arguments.sizefield is not None:
         sizing, history = read_sizing_field(arguments.sizefield)
@@ -66,7 +75,7 @@ def _edge_lengths(surface: Surface, sizing: GridField | None, context: Context) 
 
 
 def _object_task(
-    arguments: Arguments, surface: Surface, sizing: GridField | None, labels: LabelVolume | None, context: Context
+    arguments: Arguments, surface: Surface, sizing: GridField | None, labels: InputVolume | None, context: Context
 ) -> Task:
     """Refuse a surface that is not closed, or labels of another one; report the surface."""
     with context.step("check surface"):

@@ -9,9 +9,9 @@ import numpy as np
 from isoparticles import _native
 
 from tetmesh_check.errors import StageError
-from tetmesh_check.labels import LabelVolume
 from tetmesh_check.quality import Cells, Labels, Points
 from tetmesh_check.surface import Surface
+from tetmesh_check.volumes import InputVolume
 
 SURFACE, CAP = 1, 2
 """Marks of the boundary: the surface of the object, and its cut by the border of the volume."""
@@ -50,7 +50,7 @@ def has_scale(history: Any) -> bool:
     return any(parameters.get("scale") for parameters in _parameters(history))
 
 
-def share_outside(positions: Points, volume: LabelVolume) -> float:
+def share_outside(positions: Points, volume: InputVolume) -> float:
     """Share of positions that lie in no voxel.
 
     Parameters
@@ -64,7 +64,7 @@ def share_outside(positions: Points, volume: LabelVolume) -> float:
     return float(((index < 0) | (index >= np.array(volume.values.shape))).any(axis=1).mean())
 
 
-def check_labels(positions: Points, volume: LabelVolume, wanted: list[int] | None) -> None:
+def check_labels(positions: Points, volume: InputVolume, wanted: list[int] | None) -> None:
     """Refuse a label volume that cannot be that of an object.
 
     Parameters
@@ -91,7 +91,7 @@ def check_labels(positions: Points, volume: LabelVolume, wanted: list[int] | Non
         raise StageError(f"labels {wanted} are not in the label volume", "they are what was meshed", _ADVICE)
 
 
-def regions_of(centres: Points, volume: LabelVolume, wanted: list[int] | None) -> Labels:
+def regions_of(centres: Points, volume: InputVolume, wanted: list[int] | None) -> Labels:
     """Label of the voxel of each position, or of the nearest wanted voxel.
 
     Parameters

@@ -1,14 +1,13 @@
-"""Volumes of all formats that the stages read."""
+"""Volumes of all formats that the stages read, and label volumes among them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from isoparticles import _native
-from isoparticles._errors import Error
 from numpy.typing import NDArray
 
 from tetmesh_check.errors import StageError
@@ -33,6 +32,11 @@ class InputVolume:
     layers: int = 1
     """Number of layers; segments of different layers may overlap."""
 
+    @property
+    def voxel_volume(self) -> float:
+        """Volume of a voxel, mm^3."""
+        return float(abs(np.linalg.det(self.step)))
+
 
 def read_volume(path: Path, series: str | None = None) -> InputVolume:
     """Read a volume.
@@ -54,10 +58,7 @@ def read_volume(path: Path, series: str | None = None) -> InputVolume:
     StageError
         If it cannot be read, or is no volume.
     """
-    try:
-        found = _native.read_volume(path, series)
-    except Error as error:
-        raise StageError(error.what, error.why, error.next) from error
+    found = _native.read_volume(path, series)
     return InputVolume(
         found["values"].T,
         np.array(found["axes"]).T * found["spacing"],
@@ -66,3 +67,41 @@ def read_volume(path: Path, series: str | None = None) -> InputVolume:
         found["names"],
         found["layers"],
     )
+
+
+def read_label_volume(path: Path) -> InputVolume:
+    """Read a label volume: whole numbers, of which 0 is no tissue.
+
+    Parameters
+    ----------
+    path
+        Any volume that :func:`read_volume` reads.
+
+    Raises
+    ------
+    StageError
+        If it is no volume of whole numbers, or has several layers.
+    """
+    advice = "give the label volume that the case was made from"
+    volume = read_volume(path)
+    values = volume.values
+    if volume.layers > 1:
+        raise StageError(
+            f"{path}: has {volume.layers} layers of segments, which may overlap",
+            "a tetrahedron belongs to one region",
+            "export the segments as one label map (3D Slicer: Segmentations, Export to labelmap)",
+        )
+    is_real = not np.issubdtype(values.dtype, np.integer)
+    bad = int((~np.isfinite(values) | (values != np.round(values))).sum()) if is_real else 0
+    if bad:
+        raise StageError(f"{path}: {bad} of {values.size} values are no whole numbers", "labels are", advice)
+    limits = np.iinfo(np.int32)
+    if values.size and not limits.min <= values.min() <= values.max() <= limits.max:
+        raise StageError(
+            f"{path}: holds labels from {values.min():.0f} to {values.max():.0f}",
+            "regions are written as whole numbers of 32 bits",
+            "give the labels smaller numbers",
+        )
+    if not values.any():
+        raise StageError(f"{path}: holds no label but 0", "there is no tissue in it", advice)
+    return replace(volume, values=values.astype(np.int64)) if is_real else volume
