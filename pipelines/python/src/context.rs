@@ -135,8 +135,8 @@ impl Context {
         self.context.check_memory(needed, &lossy(&what), next).map_err(|error| raised(py, error))
     }
 
-    /// Refuses outputs that exist, unless `--force` is set, or that cannot be written. The paths are
-    /// kept: none of them may be an input.
+    /// Refuses outputs that exist, unless `--force` is set, or that cannot be written. Keeps the
+    /// paths: none of them may be an input.
     fn check_outputs(&self, py: Python<'_>, outputs: Vec<PathBuf>) -> PyResult<()> {
         self.context.check_outputs(&outputs).map_err(|error| raised(py, error))
     }
@@ -262,8 +262,8 @@ pub(crate) fn check_output(py: Python<'_>, path: PathBuf, force: bool) -> PyResu
     output::check_output(&path, force).map_err(|error| raised(py, error))
 }
 
-/// Parses a number of bytes, such as `8G`; K, M, G and T denote powers of 1024. The error is that of
-/// a type of `argparse`.
+/// Parses a number of bytes, such as `8G`; K, M, G and T denote powers of 1024. The error is that
+/// of a type of `argparse`.
 #[pyfunction]
 pub(crate) fn number_of_bytes(py: Python<'_>, text: &str) -> PyResult<u64> {
     match values::bytes(text) {
