@@ -30,7 +30,7 @@ mod error;
 mod geometry;
 mod image;
 mod limit;
-mod masks;
+pub mod masks;
 mod meta_image;
 mod nifti;
 pub mod nrrd;

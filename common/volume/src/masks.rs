@@ -1,8 +1,8 @@
-//! Reads a folder of masks, with one file per object, as a label volume with named segments.
+//! Joins masks, with one volume per object, to a label volume with named segments.
 //!
-//! Each mask becomes a segment with the name of its file. Masks that overlap go to different
-//! layers, so every mask keeps all its voxels. Besides one byte per voxel and layer, only one mask
-//! at a time is in memory.
+//! Each mask becomes a segment. In a folder, it has the name of its file. Masks that overlap go to
+//! different layers, so every mask keeps all its voxels. Besides one byte per voxel and layer, only
+//! one mask of a folder at a time is in memory.
 //!
 //! The grid is that of the finest mask, extended to contain all masks. A voxel is inside a mask if
 //! the nearest voxel of the mask is. No average is taken, because a voxel of the grid rarely
@@ -49,14 +49,7 @@ pub(crate) fn mask_name(path: &Path) -> Option<String> {
 /// # Errors
 /// If a file is not a mask, if the masks are not in one space, or if they do not fit in memory.
 pub(crate) fn read_masks(folder: &Path, files: &[PathBuf], read: Reader) -> Result<Volume> {
-    if files.len() > MOST_MASKS {
-        return Err(bad(
-            folder,
-            format!("contains {} volume files", files.len()),
-            format!("the files of a folder are read as masks, at most {MOST_MASKS}"),
-            "move the files that you do not need to another folder",
-        ));
-    }
+    check_count(folder, files.len())?;
     let names: Vec<Option<String>> = files.iter().map(|file| mask_name(file)).collect();
     if let Some(Some(name)) = (1..names.len()).find(|&n| names[..n].contains(&names[n])).map(|n| &names[n]) {
         return Err(bad(
@@ -72,18 +65,35 @@ pub(crate) fn read_masks(folder: &Path, files: &[PathBuf], read: Reader) -> Resu
         // frees the layers before the masks are read again
         drop(masks);
         masks = Masks::read(files, read, Some(&grid))?;
-        let [nx, ny, nz] = grid.size;
-        masks.remarks.push(format!(
-            "the masks have different grids; they are resampled to {nx} x {ny} x {nz} voxels of the finest mask"
-        ));
     }
-    let Masks { layers, segments, empty, mut remarks, .. } = masks;
-    if !empty.is_empty() {
-        remarks.push(format!("{} of {} masks are empty: {}", empty.len(), files.len(), empty.join(", ")));
+    Ok(masks.join(grid))
+}
+
+/// Joins masks in memory, each with the name of its object. There is at least one.
+///
+/// # Errors
+/// If a volume is not a mask, if the masks are not in one space, or if they do not fit in memory.
+pub fn join_masks(named: Vec<(String, Volume)>) -> Result<Volume> {
+    check_count(Path::new("masks"), named.len())?;
+    let grids: Vec<Geometry> = named.iter().map(|(_, mask)| mask.geometry.clone()).collect();
+    let grid = common_grid(&grids);
+    let mut masks = Masks { grids, ..Masks::default() };
+    for (name, mask) in named {
+        masks.add(Path::new(&name), name.clone(), mask, &grid)?;
     }
-    let mut layers = layers.into_iter().map(Voxels::U8);
-    let first = layers.next().unwrap_or_else(|| Voxels::empty(ScalarType::U8));
-    Ok(Volume { more_layers: layers.collect(), segments, remarks, ..Volume::new(grid, first) })
+    Ok(masks.join(grid))
+}
+
+fn check_count(folder: &Path, count: usize) -> Result<()> {
+    if count <= MOST_MASKS {
+        return Ok(());
+    }
+    Err(bad(
+        folder,
+        format!("contains {count} volumes"),
+        format!("they are read as masks, at most {MOST_MASKS}"),
+        "remove those that you do not need",
+    ))
 }
 
 /// Reads a volume file.
@@ -110,16 +120,16 @@ impl Masks {
             let mask = read(path)?;
             masks.grids.push(mask.geometry.clone());
             let grid = grid.unwrap_or(&masks.grids[0]).clone();
-            masks.add(path, mask, &grid)?;
+            masks.add(path, mask_name(path).unwrap_or_default(), mask, &grid)?;
         }
         Ok(masks)
     }
 
-    fn add(&mut self, path: &Path, mask: Volume, grid: &Geometry) -> Result<()> {
+    fn add(&mut self, path: &Path, name: String, mask: Volume, grid: &Geometry) -> Result<()> {
         if mask.geometry.space != grid.space {
             return Err(bad(
                 path,
-                "is not in the same space as the other masks of the folder",
+                "is not in the same space as the other masks",
                 "some of them specify an anatomical space and others do not, so their positions cannot be compared",
                 "write all masks with the same program, in the frame of the scan",
             ));
@@ -138,12 +148,29 @@ impl Masks {
         if layer == self.layers.len() {
             self.layers.push(vec![0; grid.voxel_count()]);
         }
-        let (name, label) = (mask_name(path).unwrap_or_default(), self.segments.len() as u8 + 1);
+        let label = self.segments.len() as u8 + 1;
         if placed.paint(&mut self.layers[layer], label) == 0 {
             self.empty.push(name.clone());
         }
         self.segments.push(Segment { name, at: LayerLabel { layer, label: label.into() } });
         Ok(())
+    }
+
+    /// Returns the volume of the layers, which have the given grid.
+    fn join(self, grid: Geometry) -> Volume {
+        let Self { layers, segments, grids, empty, mut remarks } = self;
+        if grids.first().is_some_and(|first| *first != grid) {
+            let [nx, ny, nz] = grid.size;
+            remarks.push(format!(
+                "the masks have different grids; they are resampled to {nx} x {ny} x {nz} voxels of the finest mask"
+            ));
+        }
+        if !empty.is_empty() {
+            remarks.push(format!("{} of {} masks are empty: {}", empty.len(), segments.len(), empty.join(", ")));
+        }
+        let mut layers = layers.into_iter().map(Voxels::U8);
+        let first = layers.next().unwrap_or_else(|| Voxels::empty(ScalarType::U8));
+        Volume { more_layers: layers.collect(), segments, remarks, ..Volume::new(grid, first) }
     }
 }
 
@@ -158,8 +185,8 @@ fn level(path: &Path, mask: &Volume) -> Result<f32> {
     Err(bad(
         path,
         format!("is not a mask; it contains values from {low} to {high}"),
-        "the volume files of a folder are read as masks: 0 and one other value, or probabilities from 0 to 1",
-        "move it to another folder; for a label map or a scan, use the file instead of the folder",
+        "several volumes are read as masks: 0 and one other value, or probabilities from 0 to 1",
+        "leave it out (move the file to another folder); a label map or a scan is meshed alone",
     ))
 }
 

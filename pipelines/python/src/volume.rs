@@ -1,15 +1,19 @@
-//! Volumes from NumPy arrays.
+//! Volumes from NumPy arrays, and from masks.
 
+use crate::arrays::compute;
+use crate::errors::raised;
 use glam::{DMat3, DVec3};
 use isoparticles_stage::history::hash_written;
-use isoparticles_volume::{Endian, Geometry, Space, Voxels};
+use isoparticles_volume::masks::join_masks;
+use isoparticles_volume::{Endian, Geometry, Space, Voxels, read_volume};
 use pyo3::buffer::{Element, PyBuffer};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyIterator;
+use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
-/// A volume with one layer. A stage takes the voxels out, so each volume can be used once.
+/// A volume. A stage takes the voxels out, so each volume can be used once.
 #[pyclass(frozen, module = "isoparticles._native")]
 pub(crate) struct Volume(Mutex<Option<isoparticles_volume::Volume>>);
 
@@ -51,6 +55,37 @@ impl Volume {
         };
         Ok(Self(Mutex::new(Some(isoparticles_volume::Volume::new(geometry, voxels)))))
     }
+
+    /// Joins masks, each a volume or the path of one, to a label volume whose segments have the
+    /// given names.
+    #[staticmethod]
+    fn of_masks(py: Python<'_>, masks: Vec<(String, Mask<'_>)>) -> PyResult<Self> {
+        let taken = |(name, mask)| match mask {
+            Mask::Volume(volume) => volume.get().take().map(|volume| (name, Source::Volume(Box::new(volume)))),
+            Mask::Path(path) => Ok((name, Source::Path(path))),
+        };
+        let masks = masks.into_iter().map(taken).collect::<PyResult<Vec<_>>>()?;
+        let read = |(name, source)| match source {
+            Source::Volume(volume) => Ok((name, *volume)),
+            Source::Path(path) => read_volume(&path).map(|volume| (name, volume)),
+        };
+        let join = move || join_masks(masks.into_iter().map(read).collect::<Result<_, _>>()?);
+        let volume = compute(py, join)?.map_err(|error| raised(py, error.into()))?;
+        Ok(Self(Mutex::new(Some(volume))))
+    }
+}
+
+/// A mask as Python passes it.
+#[derive(FromPyObject)]
+enum Mask<'py> {
+    Volume(Bound<'py, Volume>),
+    Path(PathBuf),
+}
+
+/// A mask without a reference to Python.
+enum Source {
+    Volume(Box<isoparticles_volume::Volume>),
+    Path(PathBuf),
 }
 
 impl Volume {
@@ -73,11 +108,15 @@ fn values<T: Element + Default>(slabs: &Bound<'_, PyIterator>, count: usize) -> 
     Ok(values)
 }
 
-/// Returns the hash of a volume that has no file: of its type, its geometry and its values.
+/// Returns the hash of a volume that has no file: of its type, its geometry, its values and its
+/// segments.
 pub(crate) fn hash(volume: &isoparticles_volume::Volume) -> std::io::Result<String> {
     hash_written(|hasher| {
         let (geometry, voxels) = (&volume.geometry, &volume.voxels);
         write!(hasher, "{}\n{}\n", voxels.type_name(), serde_json::json!(geometry))?;
-        voxels.write_to(hasher, Endian::Little)
+        std::iter::once(voxels)
+            .chain(&volume.more_layers)
+            .try_for_each(|layer| layer.write_to(hasher, Endian::Little))?;
+        volume.segments.iter().try_for_each(|segment| writeln!(hasher, "{}", serde_json::json!(segment)))
     })
 }

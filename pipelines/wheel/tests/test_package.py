@@ -264,9 +264,35 @@ def test_images_of_other_packages(iso: ModuleType, monkeypatch: pytest.MonkeyPat
             iso.distance_field(image, spacing=(1, 1, 1), **options)
 
 
+def test_masks_by_name_are_the_folder_of_masks(iso: ModuleType, tmp_path: Path) -> None:
+    left = ball().astype(bool)
+    right = np.zeros_like(left)
+    right[left.shape[0] // 2 :] = left[left.shape[0] // 2 :]
+    for name, mask in (("left", left), ("right", right)):
+        image = pyvista.ImageData(dimensions=mask.shape, spacing=(1, 2, 1.5))
+        image.point_data["mask"] = mask.ravel(order="F").astype(np.uint8)
+        image.save(tmp_path / f"{name}.vti")
+    options = {"materials": ["right", "left"], "overlap": "listed"}
+    with pytest.warns(iso.MeshWarning, match="overlap"):
+        wanted = iso.distance_field(tmp_path, **options)
+    with pytest.warns(iso.MeshWarning, match="overlap"):
+        made = iso.distance_field({"left": left, "right": right}, spacing=(1, 2, 1.5), **options)
+    assert made.materials == wanted.materials == ["outside", "right", "left"]
+    assert np.array_equal(made.array, wanted.array)
+    assert made.report["results"]["overlaps"] == wanted.report["results"]["overlaps"]
+    with pytest.warns(iso.MeshWarning, match="overlap"):
+        mixed = iso.distance_field(
+            {"left": tmp_path / "left.vti", "right": pyvista.read(tmp_path / "right.vti")}, **options
+        )
+    assert np.array_equal(mixed.array, wanted.array)
+
+
 @pytest.mark.parametrize(
     ("image", "more", "kind", "told"),
     [
+        ({}, {}, ValueError, "no mask"),
+        ({1: ball()}, {}, TypeError, "must be a text"),
+        ({"a": np.arange(64).reshape(4, 4, 4)}, {}, Exception, "a: is not a mask"),
         (np.ma.masked_equal(ball(), 0), {}, TypeError, "filled"),
         (ball().astype(complex), {}, TypeError, "complex128"),
         (ball().astype(object), {}, TypeError, "object"),

@@ -44,8 +44,9 @@ def distance_field(
     Parameters
     ----------
     image
-        The path of a volume; an array with the axes x, y and z; or an image of SimpleITK, nibabel
-        or PyVista.
+        The path of a volume or of a folder of DICOM slices or masks; an array with the axes x, y
+        and z; an image of SimpleITK, nibabel or PyVista; or a mapping from names to masks, each one
+        of these.
     spacing
         The distances between voxel centres along x, y and z, in mm. Only for arrays. Default: 1.
     origin

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from isoparticles import _native
 
 Image = Any
-"""A path, a NumPy array, or an image of SimpleITK, nibabel or PyVista."""
+"""A path, a NumPy array, an image of SimpleITK, nibabel or PyVista, or a mapping from names to such
+masks."""
 
 TYPES = {"bool": "uint8", "float16": "float32"}
 """Types that are converted. The other types are read as they are."""
@@ -33,7 +34,7 @@ LAYERS = 64
 
 @dataclass(frozen=True)
 class Source:
-    """An image as a stage takes it: a file, or a volume in memory with the name ``array``."""
+    """An image as a stage takes it: a file, or a volume in memory named ``array`` or ``masks``."""
 
     word: str
     volume: _native.Volume | None = None
@@ -51,6 +52,8 @@ def source(
     ValueError
         If the array does not have three axes, or if the geometry is invalid.
     """
+    if isinstance(image, Mapping):
+        return _of_masks(image, spacing, origin, direction)
     package = type(image).__module__.partition(".")[0]
     given = [("spacing", spacing), ("origin", origin), ("direction", direction)]
     named = [name for name, value in given if value is not None]
@@ -72,6 +75,18 @@ def source(
         f"images of type {kind} are not supported: pass a path, a NumPy array (numpy.asarray(image) with spacing, "
         "origin and direction), or an image of SimpleITK, nibabel or PyVista"
     )
+
+
+def _of_masks(masks: Mapping[Any, Image], *geometry: ArrayLike | None) -> Source:
+    if not masks:
+        raise ValueError("there is no mask")
+    named = []
+    for name, mask in masks.items():
+        if not isinstance(name, str):
+            raise TypeError(f"the name of a mask must be a text, not {name!r}")
+        own = source(mask, *geometry)
+        named.append((name, own.word if own.volume is None else own.volume))
+    return Source("masks", _native.Volume.of_masks(named))
 
 
 def _of_simpleitk(image: Image) -> Source:

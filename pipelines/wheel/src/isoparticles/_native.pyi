@@ -26,6 +26,8 @@ class Volume:
         axes: list[list[float]],
         is_lps: bool,
     ) -> Volume: ...
+    @staticmethod
+    def of_masks(masks: list[tuple[str, Volume | str]]) -> Volume: ...
 
 @final
 class Data:
