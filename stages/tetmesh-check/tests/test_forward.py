@@ -71,7 +71,8 @@ def solved(folder: Path, run: Run, subdivisions: tuple[int, ...], h: float) -> t
     points, cells, grid = tetrahedra(folder / "c.vtu")
     results = json.loads((folder / "r.json").read_text())["results"]
     regions = np.asarray(grid.cell_data["region"]).astype(np.int64)
-    sigma, impressed = np.array([1.0, *CONDUCTIVITY])[regions], np.outer(regions == 3, [2.0, 0.0, 0.0])
+    sigma = np.array([1.0, *CONDUCTIVITY])[regions]
+    impressed = np.multiply.outer([2.0, 0.0, 0.0], regions[:, None] == 3)
     basis = linear_elements(elements(points, cells))
     potential, _current, figures = potential_of(basis, sigma, impressed, FOREVER)
     assert figures["multigrid"]["converged"]
@@ -125,7 +126,7 @@ def test_a_bar_of_two_materials() -> None:
     points, cells = block((4, 2, 2))
     first = points[cells].mean(axis=1)[:, 0] < 2.0
     basis = linear_elements(elements(points, cells))
-    impressed = np.outer(first, [3.0, 0.0, 0.0])
+    impressed = np.multiply.outer([3.0, 0.0, 0.0], first[:, None])
     potential, current, figures = potential_of(basis, np.where(first, 0.5, 0.1), impressed, FOREVER)
     assert figures["multigrid"]["converged"]
     assert figures["parts"] == 1

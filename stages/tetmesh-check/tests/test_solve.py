@@ -19,7 +19,7 @@ from tetmesh_check.cli import build_parser, main
 from tetmesh_check.fem import assembly, problems, solve, solver
 from tetmesh_check.fem.assembly import elastic_stiffness, in_blocks, linear_elements
 from tetmesh_check.fem.problems import WEIGHT, conduction, held_at_one_side
-from tetmesh_check.fem.solve import SolveMode, SolveSettings, VolumeMesh, solve_on
+from tetmesh_check.fem.solve import VolumeMesh, solve_on
 from tetmesh_check.fem.solver import TOLERANCE, rigid_motions
 from tetmesh_check.quality import signed_tetrahedron_volumes
 from tetmesh_check.topology import tetrahedron_boundary
@@ -241,22 +241,18 @@ def test_conduction_in_many_bodies(size: tuple[int, int, int], count: int) -> No
 
 
 @pytest.mark.parametrize(
-    ("settings", "reason"),
-    [
-        (SolveSettings(SolveMode.NO), "--solve no"),
-        (SolveSettings(SolveMode.AUTO), "more than the default limit of 100"),
-        (SolveSettings(SolveMode.YES, 1e-9), "not finished within"),
-    ],
+    ("mode", "reason"),
+    [("no", "--solve no"), ("auto", "more than the default limit of 100"), ("yes", "not finished within")],
 )
-def test_bounds(settings: SolveSettings, reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bounds(mode: str, reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(solve, "AUTO_MAX_TETRAHEDRA", 100)
     context = quiet_context()
-    checks = solve_on(mesh_of(*block((3, 3, 3))), settings, context)
+    checks = solve_on(mesh_of(*block((3, 3, 3))), mode, 1e-9, context)
     assert context.results["solve"]["done"] is False
     assert reason in context.results["solve"]["reason"]
     assert checks == []
-    assert bool(context.warnings) == (settings.mode is SolveMode.YES)
-    if settings.mode is SolveMode.YES:
+    assert bool(context.warnings) == (mode == "yes")
+    if mode == "yes":
         assert "no problem was solved, and none was checked" in context.warnings[0]
 
 
@@ -292,14 +288,14 @@ def test_multigrid_hardly_minds_the_number_of_unknowns() -> None:
 
 def test_a_mesh_without_points_inside() -> None:
     context = quiet_context()
-    assert [check.passed for check in solve_on(mesh_of(*block((1, 1, 1))), SolveSettings(), context)] == [True]
+    assert [check.passed for check in solve_on(mesh_of(*block((1, 1, 1))), "auto", 600.0, context)] == [True]
     assert context.results["solve"]["poisson"]["unknowns"] == 0
 
 
 def test_a_mesh_that_does_not_converge_is_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(solver, "MAX_ITERATIONS", 1)
     monkeypatch.setattr(solver, "COARSEST", 2)
-    checks = solve_on(mesh_of(*block((4, 4, 4))), SolveSettings(), quiet_context())
+    checks = solve_on(mesh_of(*block((4, 4, 4))), "auto", 600.0, quiet_context())
     verdicts = {check.name: check for check in checks}
     assert not verdicts["solve_converged"].passed
     assert verdicts["solve_converged"].required
@@ -313,7 +309,7 @@ def test_what_cannot_be_solved_does_not_take_the_rest_with_it(monkeypatch: pytes
 
     monkeypatch.setattr(problems, "elasticity", too_large)
     context = quiet_context()
-    checks = solve_on(mesh_of(*block((4, 4, 4))), SolveSettings(), context)
+    checks = solve_on(mesh_of(*block((4, 4, 4))), "auto", 600.0, context)
     assert [check.passed for check in checks] == [True]
     assert context.results["solve"]["reason"] == "elasticity: not enough memory"
     assert "elasticity: not enough memory" in context.warnings[0]
@@ -331,7 +327,7 @@ def test_nothing_is_solved_on_inverted_tetrahedra() -> None:
     points, cells = block((3, 3, 3))
     cells[5] = cells[5][[0, 2, 1, 3]]
     context = quiet_context()
-    assert solve_on(mesh_of(points, cells), SolveSettings(), context) == []
+    assert solve_on(mesh_of(points, cells), "auto", 600.0, context) == []
     assert "inverted" in context.results["solve"]["reason"]
 
 
@@ -358,7 +354,7 @@ def test_without_the_extra_fem(
     monkeypatch.setitem(sys.modules, module, None)
     words = ["s.vtp", "-o", str(tmp_path / "v.vtu")]
     context = Context(words, build_parser().parse_args(words))
-    assert solve_on(mesh_of(*block((1, 1, 1))), SolveSettings(), context) == []
+    assert solve_on(mesh_of(*block((1, 1, 1))), "auto", 600.0, context) == []
     reason = f"{package}: not installed (python -m pip install scikit-fem pyamg)"
     assert capfd.readouterr().err == f"no problem is solved: {reason}\n"
     assert context.results["solve"] == {"done": False, "reason": reason}

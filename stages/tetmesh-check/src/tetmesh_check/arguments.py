@@ -12,7 +12,6 @@ from tetmesh_check.checks import Limits
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export_paths
 from tetmesh_check.fem.currents import ForwardArguments
-from tetmesh_check.fem.solve import SolveSettings
 from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS, options
 
 _PARAMETERS = ("tet_size_factor", "method", "envelope", "stop_energy", "max_passes")
@@ -59,7 +58,9 @@ class Arguments:
     max_passes: int = 80
     max_seconds: float = 3600.0
     limits: Limits = made_by(default_factory=Limits)
-    solve: SolveSettings = made_by(default_factory=SolveSettings)
+    solve: str = "auto"
+    """Whether problems are solved on the tetrahedra: auto, yes or no."""
+    solve_seconds: float = 600.0
     forward: ForwardArguments = made_by(default_factory=ForwardArguments)
     """For many materials: conductivities and the source of a current."""
 
@@ -134,7 +135,7 @@ class Arguments:
         return {
             **{name: getattr(self, name) for name in _PARAMETERS},
             **{name: value for name, value in limits.items() if name != "accept_forced" or value},
-            "solve": self.solve.mode,
+            "solve": self.solve,
             **({} if self.order == 1 else {"order": self.order}),
             **({} if self.forward.source is None else {"forward": asdict(self.forward)}),
         }

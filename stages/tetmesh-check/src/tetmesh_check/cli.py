@@ -117,18 +117,17 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
     from tetmesh_check.arguments import Arguments, Method
     from tetmesh_check.checks import Limits
     from tetmesh_check.fem.currents import ForwardArguments
-    from tetmesh_check.fem.solve import SolveMode, SolveSettings, refuse_missing
+    from tetmesh_check.fem.solve import refuse_missing
 
     given = {
         **vars(parsed),
         "method": Method(parsed.method),
         "limits": Limits(**{field.name: getattr(parsed, field.name) for field in fields(Limits)}),
-        "solve": SolveSettings(SolveMode(parsed.solve), parsed.solve_seconds),
         "forward": ForwardArguments(dict(parsed.conductivity), *(parsed.source or ())),
     }
     arguments = Arguments(**{field.name: given[field.name] for field in fields(Arguments)})
     arguments.refuse()
-    refuse_missing(arguments.solve, arguments.forward)
+    refuse_missing(arguments.solve, arguments.forward.source)
     return arguments
 
 

@@ -214,5 +214,5 @@ def run(arguments: Arguments, context: Context) -> list[str]:
             with context.step(f"export {kind}"):
                 export(marked, arguments.output, arguments.name, kind, arguments.unit)
         context.results["exports"] = [path.name for path in exported]
-        checks += solve_on(mesh, arguments.solve, context, _currents(task, filled))
+        checks += solve_on(mesh, arguments.solve, arguments.solve_seconds, context, _currents(task, filled))
     return conclude(checks, filled.quality, context)

@@ -32,11 +32,6 @@ _CONDUCTION = BilinearForm(lambda u, v, w: w.sigma * dot(grad(u), grad(v)))
 _FLOW = LinearForm(lambda v, w: dot(w.current, grad(v)))
 
 
-def _at_centroids(vectors: Values) -> Values:
-    """Arrange vectors, shape ``(m, 3)``, as scikit-fem has them."""
-    return vectors.T[:, :, None]
-
-
 def potential_of(
     basis: Basis, sigma: Values, impressed: Values, deadline: float
 ) -> tuple[Values, Values, dict[str, Any]]:
@@ -49,7 +44,7 @@ def potential_of(
     sigma
         Conductivity of each tetrahedron, S/m, shape ``(m,)``.
     impressed
-        Density of the impressed current, uA/mm^2, shape ``(m, 3)``.
+        Density of the impressed current at the centroids, uA/mm^2, shape ``(3, m, 1)``.
     deadline
         Time limit by the monotonic clock, s.
 
@@ -57,25 +52,24 @@ def potential_of(
     -------
     tuple
         Potential at the points, mV, with mean zero over the volume of every part that hangs
-        together, shape ``(n,)``; current density in the tetrahedra, uA/mm^2, shape ``(m, 3)``;
-        and figures of the solver.
+        together, shape ``(n,)``; current density in the tetrahedra, uA/mm^2, shape
+        ``(3, m, 1)``; and figures of the solver.
     """
     # S/m times mV/mm is uA/mm^2
     matrix = _CONDUCTION.assemble(basis, sigma=sigma[:, None])
-    right_side = _FLOW.assemble(basis, current=_at_centroids(impressed))
+    right_side = _FLOW.assemble(basis, current=impressed)
     potential, part, figures = solve_floating(matrix, right_side, deadline)
     volumes, of_tetrahedron = basis.dx[:, 0], part[basis.mesh.t[0]]
     integrals = np.bincount(of_tetrahedron, volumes * potential[basis.mesh.t].mean(axis=0))
     potential -= (integrals / np.bincount(of_tetrahedron, volumes))[part]
-    slope = basis.interpolate(potential).grad[:, :, 0].T
-    return potential, impressed - sigma[:, None] * slope, figures
+    return potential, impressed - sigma[:, None] * basis.interpolate(potential).grad, figures
 
 
 def _crossing(basis: Basis, current: Values, problem: Forward) -> Any:
     """Currents from each material into the vertices of its surface, uA, one row a material."""
     sides, regions, triangles = problem.sides, problem.found.regions, problem.triangles
     shape = (len(sides.table), basis.N)
-    shares = _FLOW.elemental(basis, current=_at_centroids(current)).tolocal()
+    shares = _FLOW.elemental(basis, current=current).tolocal()
     corners = (np.repeat(regions, 4), basis.mesh.t.T.ravel())
     around = (np.repeat(np.concatenate([sides.inside, sides.outside]), 3), np.tile(triangles.ravel(), 2))
     touched = csr_array((np.ones(len(around[0])), around), shape=shape) > 0
@@ -109,9 +103,9 @@ def _regions(
 def _interfaces(basis: Basis, current: Values, problem: Forward) -> list[dict[str, Any]]:
     """Currents through each interface, from the densities on both of its sides."""
     sides, found = problem.sides, problem.found
-    a, b, c = (basis.mesh.p.T[problem.triangles[:, k]] for k in range(3))
-    areas = 0.5 * np.cross(b - a, c - a)
-    behind, before = (np.einsum("ij,ij->i", areas, current[owner]) for owner in (found.behind, found.before))
+    a, b, c = (basis.mesh.p[:, problem.triangles[:, k]] for k in range(3))
+    areas = 0.5 * np.cross(b - a, c - a, axis=0)
+    behind, before = ((areas * current[:, owner, 0]).sum(axis=0) for owner in (found.behind, found.before))
     inner = sides.outside != NOTHING
     before = np.where(inner, before, 0.0)
     through = np.where(inner, 0.5 * (behind + before), 0.0)
@@ -148,7 +142,7 @@ def forward(mesh: MeshTet, problem: Forward, deadline: float) -> dict[str, Any]:
     basis = linear_elements(mesh)
     conductivity = np.array([arguments.conductivity.get(name, DEFAULT_CONDUCTIVITY) for name in names])
     in_source = regions == names.index(str(arguments.source))
-    impressed = np.where(in_source[:, None], np.array(arguments.density), 0.0)
+    impressed = np.multiply.outer(arguments.density, in_source[:, None])
     potential, current, figures = potential_of(basis, conductivity[regions], impressed, deadline)
     listed = _regions(basis, conductivity, potential, current, problem)
     # a material in which nothing flows has nothing to lose: what passes the source is the scale of

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from skfem import BilinearForm, LinearForm, MeshTet, condense
 from skfem.helpers import dot, grad, mul
 from skfem.models.poisson import laplace, unit_load
@@ -51,8 +52,7 @@ class _Wave:
         self._low = low
 
     def _angles(self, x: Any) -> Any:
-        shape = (3,) + (1,) * (x.ndim - 1)
-        return self.wave_number * (x - self._low.reshape(shape)) + np.array([1.0, 2.0, 3.0]).reshape(shape)
+        return (self.wave_number * (x.T - self._low) + np.array([1.0, 2.0, 3.0])).T
 
     def value(self, x: Any) -> Any:
         return np.prod(np.sin(self._angles(x)), axis=0)
@@ -136,11 +136,9 @@ def held_at_one_side(tetrahedra: Cells, heights: Values, bodies: Labels, share: 
     share
         Tetrahedra with a vertex in this share of the height of their body are held.
     """
-    lowest = heights[tetrahedra].min(axis=1)
-    low = np.full(int(bodies.max()) + 1, np.inf)
-    high = np.full(len(low), -np.inf)
-    np.minimum.at(low, bodies, lowest)
-    np.maximum.at(high, bodies, heights[tetrahedra].max(axis=1))
+    lowest, every = heights[tetrahedra].min(axis=1), np.arange(bodies.max() + 1)
+    low = ndimage.minimum(lowest, bodies, every)
+    high = ndimage.maximum(heights[tetrahedra].max(axis=1), bodies, every)
     held: NDArray[np.bool_] = lowest <= (low + share * (high - low))[bodies]
     return held
 
@@ -167,16 +165,16 @@ def elasticity(mesh: MeshTet, bodies: Labels, deadline: float) -> dict[str, Any]
     shear = YOUNG / (2.0 * (1.0 + POISSON_RATIO))
     lame = YOUNG * POISSON_RATIO / ((1.0 + POISSON_RATIO) * (1.0 - 2.0 * POISSON_RATIO))
     points, tetrahedra, basis = mesh.p.T, mesh.t.T, linear_elements(mesh)
-    candidates = [held_at_one_side(tetrahedra, sign * points[:, axis], bodies, CLAMPED_SHARE) for axis, sign in _SIDES]
-    best = int(np.argmax([basis.dx[held].sum() for held in candidates]))
-    axis, sign = _SIDES[best]
+    sides = {
+        (axis, sign): held_at_one_side(tetrahedra, sign * points[:, axis], bodies, CLAMPED_SHARE)
+        for axis, sign in _SIDES
+    }
+    axis, sign = max(sides, key=lambda side: basis.dx[sides[side]].sum())
     fixed = np.zeros(len(points), dtype=bool)
-    fixed[tetrahedra[candidates[best]]] = True
+    fixed[tetrahedra[sides[axis, sign]]] = True
 
     matrix = elastic_stiffness(basis, shear, lame).tocsr()
-    load = np.zeros(points.shape)
-    load[:, axis] = sign * WEIGHT * unit_load.assemble(basis)
-    load = load.ravel()
+    load = np.outer(unit_load.assemble(basis), sign * WEIGHT * np.eye(3)[axis]).ravel()
     figures: dict[str, Any] = {
         "young_mpa": YOUNG,
         "poisson_ratio": POISSON_RATIO,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
 from importlib.util import find_spec
 from typing import Any
 
@@ -14,38 +13,18 @@ from isoparticles._native import Context
 
 from tetmesh_check.checks import Check, check
 from tetmesh_check.errors import StageError
-from tetmesh_check.fem.currents import Forward, ForwardArguments
+from tetmesh_check.fem.currents import Forward
 from tetmesh_check.quality import Cells, Points, Values
 from tetmesh_check.topology import Boundary
 
 AUTO_MAX_TETRAHEDRA = 150_000
 """Largest mesh that is solved on by default: at most about half a minute and 1 GB."""
-MAX_SECONDS = 600.0
-"""Default time limit for all problems together, s."""
 MAX_IMBALANCE = 1e-6
 """Largest share of the current through the surface of a material that may be lost or gained
 there."""
 _PACKAGES = {"skfem": "scikit-fem", "pyamg": "PyAMG"}
 """The packages of the extra ``fem``, by their modules."""
 _INSTALL = "python -m pip install scikit-fem pyamg"
-
-
-class SolveMode(StrEnum):
-    """Whether problems are solved on the mesh."""
-
-    AUTO = "auto"
-    """On meshes of up to :data:`AUTO_MAX_TETRAHEDRA` tetrahedra."""
-    YES = "yes"
-    NO = "no"
-
-
-@dataclass(frozen=True)
-class SolveSettings:
-    """The options of the solves."""
-
-    mode: SolveMode = SolveMode.AUTO
-    max_seconds: float = MAX_SECONDS
-    """Time limit of all problems together, s."""
 
 
 @dataclass(frozen=True)
@@ -67,17 +46,16 @@ def _missing() -> str:
     return " and ".join(name for module, name in _PACKAGES.items() if find_spec(module) is None)
 
 
-def refuse_missing(settings: SolveSettings, forward: ForwardArguments) -> None:
+def refuse_missing(mode: str, source: str | None) -> None:
     """Refuse an explicit request for a solution without the packages that compute it.
 
     Parameters
     ----------
-    settings, forward
-        The options of the solves and of the problem of currents.
+    mode, source
+        The values of ``--solve``, and of ``--source`` if given.
     """
-    if settings.mode is SolveMode.NO or (settings.mode is SolveMode.AUTO and forward.source is None):
-        return
-    if missing := _missing():
+    asked = mode == "yes" or (mode == "auto" and source is not None)
+    if asked and (missing := _missing()):
         raise StageError(
             f"{missing}: not installed",
             "--solve yes and --source solve problems on the tetrahedra with it",
@@ -85,30 +63,18 @@ def refuse_missing(settings: SolveSettings, forward: ForwardArguments) -> None:
         )
 
 
-def _why_not(mesh: VolumeMesh, settings: SolveSettings) -> str | None:
+def _why_not(mesh: VolumeMesh, mode: str) -> str | None:
     """Why nothing is solved, or ``None``."""
-    if settings.mode is SolveMode.NO:
+    if mode == "no":
         return "--solve no was given"
     if not (mesh.volumes > 0).all():
         return "some tetrahedra are inverted or flat"
-    if settings.mode is SolveMode.AUTO and len(mesh.tetrahedra) > AUTO_MAX_TETRAHEDRA:
+    if mode == "auto" and len(mesh.tetrahedra) > AUTO_MAX_TETRAHEDRA:
         return (
             f"{len(mesh.tetrahedra):,} tetrahedra are more than the default limit of {AUTO_MAX_TETRAHEDRA:,} "
             "(--solve yes ignores it)"
         )
     return None
-
-
-def _checks(done: dict[str, dict[str, Any]]) -> list[Check]:
-    runs = {name: figures["multigrid"]["converged"] for name, figures in done.items() if "multigrid" in figures}
-    stuck = [name for name, converged in runs.items() if not converged]
-    told = f"{len(runs) - len(stuck)} of {len(runs)} problems"
-    if stuck:
-        told += f"; not solved: {', '.join(stuck)}, because the matrix is close to singular"
-    checks = [check("solve_converged", len(stuck), told=told)] if runs else []
-    if "forward" in done:
-        checks.append(check("current_conserved", done["forward"]["imbalance"], MAX_IMBALANCE))
-    return checks
 
 
 def _problems(mesh: VolumeMesh, currents: Forward | None, deadline: float) -> dict[str, Callable[[], dict[str, Any]]]:
@@ -129,7 +95,7 @@ def _problems(mesh: VolumeMesh, currents: Forward | None, deadline: float) -> di
 
 
 def solve_on(
-    mesh: VolumeMesh, settings: SolveSettings, context: Context, currents: Forward | None = None
+    mesh: VolumeMesh, mode: str, max_seconds: float, context: Context, currents: Forward | None = None
 ) -> list[Check]:
     """Solve the problems of :mod:`.problems` on a mesh.
 
@@ -137,8 +103,11 @@ def solve_on(
     ----------
     mesh
         The tetrahedra.
-    settings
-        The options of the solves.
+    mode
+        Whether to solve: ``yes``, ``no``, or ``auto`` for meshes of up to
+        :data:`AUTO_MAX_TETRAHEDRA` tetrahedra.
+    max_seconds
+        Time limit of all problems together, s.
     context
         For messages, times, and ``solve`` in the results.
     currents
@@ -149,7 +118,7 @@ def solve_on(
     list of Check
         Empty if nothing was solved: no check has passed then.
     """
-    results: dict[str, Any] = {"done": False, "reason": _why_not(mesh, settings)}
+    results: dict[str, Any] = {"done": False, "reason": _why_not(mesh, mode)}
     context.results["solve"] = results
     if results["reason"] is not None:
         context.verbose(f"no problem is solved: {results['reason']}")
@@ -161,12 +130,12 @@ def solve_on(
     done: dict[str, dict[str, Any]] = {}
     unfinished: dict[str, str] = {}
     with context.step("solve"):
-        for name, problem in _problems(mesh, currents, time.monotonic() + settings.max_seconds).items():
+        for name, problem in _problems(mesh, currents, time.monotonic() + max_seconds).items():
             started = time.monotonic()
             try:
                 done[name] = {**problem(), "seconds": time.monotonic() - started}
             except TimeoutError:
-                unfinished[name] = f"not finished within {settings.max_seconds:g} s (--solve-seconds)"
+                unfinished[name] = f"not finished within {max_seconds:g} s (--solve-seconds)"
             except MemoryError:
                 unfinished[name] = "not enough memory"
     results.update(done=not unfinished, **done)
@@ -174,8 +143,14 @@ def solve_on(
         reason = results["reason"] = "; ".join(f"{name}: {why}" for name, why in unfinished.items())
         told = "not every problem was solved" if done else "no problem was solved, and none was checked"
         context.warn(f"{told}: {reason}")
-    iterations = [
-        f"{name} {figures['multigrid']['iterations']}" for name, figures in done.items() if "multigrid" in figures
-    ]
-    context.closing.append(("CG iterations, multigrid", ", ".join(iterations) or "none"))
-    return _checks(done)
+    runs = {name: figures["multigrid"] for name, figures in done.items() if "multigrid" in figures}
+    iterations = ", ".join(f"{name} {run['iterations']}" for name, run in runs.items())
+    context.closing.append(("CG iterations, multigrid", iterations or "none"))
+    stuck = [name for name, run in runs.items() if not run["converged"]]
+    told = f"{len(runs) - len(stuck)} of {len(runs)} problems"
+    if stuck:
+        told += f"; not solved: {', '.join(stuck)}, because the matrix is close to singular"
+    checks = [check("solve_converged", len(stuck), told=told)] if runs else []
+    if "forward" in done:
+        checks.append(check("current_conserved", done["forward"]["imbalance"], MAX_IMBALANCE))
+    return checks
