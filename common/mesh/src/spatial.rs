@@ -253,11 +253,6 @@ impl BoxTree {
         (nearest.0 != u32::MAX).then_some(nearest)
     }
 
-    /// Returns the indices of the boxes in the order of the Morton curve.
-    pub fn morton_order(&self) -> &[u32] {
-        &self.order
-    }
-
     /// Finds the pairs of intersecting boxes whose first box (in Morton order) is in group `eight`.
     fn find_pairs(&self, eight: usize, found: &mut Found) {
         dispatch!(Level::new(), simd => self.find_pairs_by(simd, eight, found));

@@ -10,7 +10,6 @@ use isoparticles_mesh::difference::differing_triangles;
 use isoparticles_mesh::nearest::{self, sampled_distances};
 use isoparticles_mesh::nesting::nest;
 use isoparticles_mesh::quality::{angles, area, mean, percentile, radius_ratio, zero_area_triangles};
-use isoparticles_mesh::spatial::{Bounds, BoxTree};
 use isoparticles_mesh::tetrahedra::faces::boundary;
 use isoparticles_mesh::tetrahedra::quality::{TetrahedronQuality, qualities};
 use isoparticles_mesh::topology::{Topology, analyse, duplicate_triangles};
@@ -240,15 +239,6 @@ pub(crate) fn nearest_flags(
         return Err(PyValueError::new_err("each triangle of the other mesh must have a flag"));
     }
     compute(py, move || Array::column(&nearest::nearest_flags(&first, &second, &flags)))
-}
-
-/// Returns the order of points along the Morton curve, in which consecutive points are near each
-/// other.
-#[pyfunction]
-pub(crate) fn morton_order(py: Python<'_>, points: Argument) -> PyResult<Array> {
-    let points = self::points(points)?;
-    let boxes = move || points.iter().map(|&point| Bounds { low: point, high: point }).collect::<Vec<_>>();
-    compute(py, move || Array::indices(BoxTree::new(&boxes()).morton_order()))
 }
 
 /// Returns the boundary of tetrahedra with this number of vertices: its triangles, the tetrahedron
