@@ -15,8 +15,8 @@ from conftest import NEEDS_HXT, Run, ball, fake_library, tetrahedra, write_sizin
 from test_solve import block
 
 from tetmesh_check.conform import NOBODY, conform, outside_of
+from tetmesh_check.datasets import text_of
 from tetmesh_check.export.mesh import plain_names
-from tetmesh_check.field_data import text_of
 from tetmesh_check.materials import Sides
 from tetmesh_check.quality import signed_tetrahedron_volumes, tetrahedron_quality
 from tetmesh_check.surface import read_surface

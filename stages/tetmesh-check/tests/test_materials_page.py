@@ -20,7 +20,7 @@ from PIL import Image
 from scipy.spatial import KDTree
 from test_view import CLOCK, NEEDS_BROWSER, browse
 
-from tetmesh_check.polydata import from_polydata
+from tetmesh_check.datasets import from_polydata
 from tetmesh_check.report.colours import material_colours
 from tetmesh_check.report.page import program
 from tetmesh_check.report.page.advice import advice_for

@@ -10,8 +10,8 @@ import pyvista as pv
 from conftest import Run, ball, merged, reversed_winding
 from isoparticles._native import changed_triangles, self_intersections, surface_topology
 
+from tetmesh_check.datasets import from_polydata
 from tetmesh_check.errors import StageError
-from tetmesh_check.polydata import from_polydata
 from tetmesh_check.surface import check_surface, read_surface
 from tetmesh_check.topology import measure_components, tetrahedron_boundary
 

@@ -16,7 +16,7 @@ import pytest
 import pyvista as pv
 from conftest import ball, tetrahedra
 
-from tetmesh_check.polydata import from_polydata
+from tetmesh_check.datasets import from_polydata
 from tetmesh_check.quality import signed_tetrahedron_volumes, triangle_quality
 from tetmesh_check.report.cut import cut_of
 from tetmesh_check.report.page.payload import STEPS, ViewMesh, measures_of, pack

@@ -13,10 +13,9 @@ import trimesh
 from conftest import ball, quiet_context, write_nrrd
 from test_regions import marked_block
 
+from tetmesh_check.datasets import from_polydata, text_of
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.vtk import write_volume
-from tetmesh_check.field_data import text_of
-from tetmesh_check.polydata import from_polydata
 from tetmesh_check.quality import tetrahedron_quality
 from tetmesh_check.surface import history_of
 from tetmesh_check.volumes import read_label_volume, read_volume

@@ -16,8 +16,8 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
 
+from tetmesh_check.datasets import text_of
 from tetmesh_check.errors import StageError
-from tetmesh_check.field_data import text_of
 from tetmesh_check.quality import Cells, Labels
 from tetmesh_check.topology import pairs_of
 

@@ -13,10 +13,9 @@ from isoparticles import _native
 from numpy.typing import NDArray
 from vtkmodules.vtkCommonCore import vtkObject
 
+from tetmesh_check.datasets import from_polydata, text_of
 from tetmesh_check.errors import StageError, file_error
-from tetmesh_check.field_data import text_of
 from tetmesh_check.materials import Sides, read_sides
-from tetmesh_check.polydata import from_polydata
 from tetmesh_check.quality import Cells, Points
 from tetmesh_check.topology import NOT_MANIFOLD, Components, measure_components
 from tetmesh_check.volume_table import told_volumes

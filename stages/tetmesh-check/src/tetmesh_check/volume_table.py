@@ -7,7 +7,7 @@ from typing import Any
 
 import pyvista as pv
 
-from tetmesh_check.field_data import text_of
+from tetmesh_check.datasets import text_of
 
 COLUMNS = ("voxels_mm3", "field_mm3", "mesh_mm3", "tetrahedra_mm3")
 """Keys of a row, in the order in which the volumes are made."""

@@ -12,11 +12,10 @@ import pyvista as pv
 from vtkmodules.vtkIOLegacy import vtkUnstructuredGridWriter
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
+from tetmesh_check.datasets import add_text, to_polydata
 from tetmesh_check.export.mesh import MarkedMesh
-from tetmesh_check.field_data import add_text
 from tetmesh_check.files import write_atomically
 from tetmesh_check.materials import NOTHING
-from tetmesh_check.polydata import to_polydata
 from tetmesh_check.quality import Labels, Values
 
 _MEASURES = ("radius_ratio", "scaled_jacobian", "min_dihedral", "jacobian_bound")

@@ -10,7 +10,7 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import ArrayLike, NDArray
 
-from tetmesh_check.field_data import text_of
+from tetmesh_check.datasets import text_of
 from tetmesh_check.materials import INSIDE, OUTSIDE
 
 PALETTE = [

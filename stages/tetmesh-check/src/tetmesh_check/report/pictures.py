@@ -16,9 +16,9 @@ import numpy as np
 import pyvista as pv
 from PIL import Image, ImageDraw, ImageFont
 
+from tetmesh_check.datasets import from_polydata
 from tetmesh_check.files import write_atomically
 from tetmesh_check.materials import INSIDE
-from tetmesh_check.polydata import from_polydata
 from tetmesh_check.quality import Points, triangle_quality
 from tetmesh_check.report.colours import materials_of
 from tetmesh_check.report.cut import cut_of

@@ -12,7 +12,7 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
 
-from tetmesh_check.polydata import from_polydata
+from tetmesh_check.datasets import from_polydata
 from tetmesh_check.quality import Points
 from tetmesh_check.report.page.scan import world_letters
 

@@ -14,10 +14,10 @@ from isoparticles._native import check_output
 from jinja2 import UndefinedError
 from markupsafe import Markup
 
+from tetmesh_check.datasets import from_polydata
 from tetmesh_check.errors import StageError, guarded
 from tetmesh_check.files import write_text
 from tetmesh_check.parsing import Parser
-from tetmesh_check.polydata import from_polydata
 from tetmesh_check.report.page.case import Case, dig, read_case
 from tetmesh_check.report.page.key import key_of
 from tetmesh_check.report.page.scan import Scan, read_scan

@@ -13,7 +13,7 @@ import pyvista as pv
 from numpy.typing import NDArray
 from PIL import Image
 
-from tetmesh_check.polydata import to_polydata
+from tetmesh_check.datasets import to_polydata
 from tetmesh_check.quality import Cells, Points
 from tetmesh_check.report.page.images import image_data
 from tetmesh_check.report.page.key import Entry

@@ -9,8 +9,7 @@ import numpy as np
 import pyvista as pv
 from markupsafe import Markup
 
-from tetmesh_check.field_data import text_of
-from tetmesh_check.polydata import from_polydata, to_polydata
+from tetmesh_check.datasets import from_polydata, text_of, to_polydata
 from tetmesh_check.quality import OUTWARD_FACES, triangle_quality
 from tetmesh_check.report.cut import boundary_of, cut_of
 from tetmesh_check.report.page.key import Entry
