@@ -69,7 +69,7 @@ def main(argv: Sequence[str] | None = None, make_context: type[Context] = Contex
     Returns
     -------
     int
-        The exit code (see :class:`.ExitCode`).
+        The exit code.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     if words == [COMMAND_LINE]:

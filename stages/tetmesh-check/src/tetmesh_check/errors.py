@@ -1,4 +1,4 @@
-"""Errors in three parts, exit codes, and the end of a program after an error or a signal."""
+"""Errors in three parts, and the end of a program after an error or a signal."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Callable
-from enum import IntEnum
 from pathlib import Path
 
 from isoparticles._errors import Error
@@ -18,19 +17,6 @@ StageError = Error
 Close = Callable[[list[str], StageError | None, bool], int]
 """Ends a program, given the failed checks, the error, and whether a signal has ended the run.
 Returns the exit code."""
-
-
-class ExitCode(IntEnum):
-    """Exit codes, the same for all stages."""
-
-    OK = 0
-    """The output is written and every check passed."""
-    CHECK_FAILED = 1
-    """The output is written, but a check failed; the report says which."""
-    BAD_INPUT = 2
-    """Bad usage or input; nothing was written."""
-    INTERRUPTED = 130
-    """The user stopped the run; nothing half written is left."""
 
 
 def file_error(path: Path, doing: str, source: BaseException, what_next: str) -> StageError:
@@ -75,14 +61,24 @@ def described(problem: Exception) -> StageError:
     )
 
 
-def close(failed: list[str], error: StageError | None, interrupted: bool) -> int:
-    """End a program that writes no report."""
-    for check in failed:
-        print(f"check failed: {check}", file=sys.stderr)
+def close(_failed: list[str], error: StageError | None, interrupted: bool) -> int:
+    """End a program that writes no report and has no checks."""
     if error is None:
-        return ExitCode.CHECK_FAILED if failed else ExitCode.OK
+        return 0
     print(f"error: {error}", file=sys.stderr)
-    return ExitCode.INTERRUPTED if interrupted else ExitCode.BAD_INPUT
+    return 130 if interrupted else 2
+
+
+def _handle_signals(handler: Callable[..., object] | signal.Handlers) -> None:
+    for number in signal.Signals:
+        if number.name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            signal.signal(number, handler)
+
+
+def _stop(*_: object) -> None:
+    # a second signal must not stop the cleaning up
+    _handle_signals(signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 def guarded(tool: str, work: Callable[[], list[str] | None], close: Close = close) -> int:
@@ -95,30 +91,17 @@ def guarded(tool: str, work: Callable[[], list[str] | None], close: Close = clos
     work
         Does the work, and returns the checks that failed, in words, if it checks anything.
     close
-        Ends the program.
+        Ends the program. Signals are ignored from here on.
 
     Returns
     -------
     int
         The exit code.
     """
-    numbers = [number for number in signal.Signals if number.name in ("SIGINT", "SIGTERM", "SIGHUP")]
-
-    def ignore() -> None:
-        for number in numbers:
-            signal.signal(number, signal.SIG_IGN)
-
-    def stop(*_: object) -> None:
-        # a second signal must not stop the cleaning up
-        ignore()
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, stop) for number in numbers}
-    failed: list[str] = []
-    error = None
-    interrupted = False
+    _handle_signals(_stop)
+    failed, error, interrupted = None, None, False
     try:
-        failed = work() or []
+        failed = work()
     except KeyboardInterrupt:
         interrupted = True
         error = StageError(
@@ -128,8 +111,5 @@ def guarded(tool: str, work: Callable[[], list[str] | None], close: Close = clos
         )
     except Exception as problem:
         error = described(problem)
-    ignore()
-    code = close(failed, error, interrupted)
-    for number, handler in before.items():
-        signal.signal(number, handler)
-    return code
+    _handle_signals(signal.SIG_IGN)
+    return close(failed or [], error, interrupted)

@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 
 from isoparticles._native import VERSION, number_of_bytes
 
-from tetmesh_check.errors import ExitCode, StageError
+from tetmesh_check.errors import StageError, close
 
 FORMATS = ("inp", "msh", "msh2", "med", "xdmf", "vtp", "vtk", "feb", "carp", "simvascular")
 """Formats of ``--export``."""
@@ -70,8 +70,7 @@ class Parser(argparse.ArgumentParser):
         if front := os.environ.get("ISOPARTICLES_FRONT"):
             command = f"{front} {self.prog}"
         error = StageError(message, "the command line was not understood", f"see `{command} --help`")
-        print(f"error: {error}", file=sys.stderr)
-        raise SystemExit(int(ExitCode.BAD_INPUT))
+        raise SystemExit(close([], error, False))
 
 
 def reader(option: dict[str, Any]) -> Callable[[str], Any]:
