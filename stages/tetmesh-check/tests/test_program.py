@@ -114,14 +114,16 @@ def test_inputs_are_never_replaced(tmp_path: Path, run: Run) -> None:
     ball().save(tmp_path / "ball.vtp")
     before = (tmp_path / "ball.vtp").read_bytes()
     (tmp_path / "same.vtu").symlink_to("ball.vtp")
-    for words in (
-        ["-o", "same.vtu", "--force"],
-        ["-o", "v.vtu", "--report", "ball.vtp"],
-        ["-o", "v.vtu", "--report", "v.vtu"],
+    for words, told in (
+        (["-o", "same.vtu", "--force"], "error: ball.vtp: is both an input and an output\n"),
+        (["-o", "v.vtu", "--report", "ball.vtp"], "error: ball.vtp: cannot be used for the report\n"),
+        (["-o", "v.vtu", "--report", "v.vtu"], "error: v.vtu: cannot be used for the report\n"),
     ):
         done = run("ball.vtp", *words)
         assert done.returncode == 2, done.stderr
-        assert "would be replaced" in done.stderr or "would replace an output" in done.stderr
+        assert done.stderr.startswith(told)
+        why = "the input would be replaced" if "--force" in words else "the report would replace an output, or a file"
+        assert f"why it matters: {why}" in done.stderr
         assert (tmp_path / "ball.vtp").read_bytes() == before
         assert not (tmp_path / "v.vtu").exists()
 
