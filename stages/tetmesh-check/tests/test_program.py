@@ -156,9 +156,9 @@ def test_pictures(tmp_path: Path, run: Run) -> None:
 
 
 def test_no_renderer_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run) -> None:
-    from tetmesh_check.report import pictures
+    from tetmesh_check.report import pictures, rendering
 
-    monkeypatch.setattr(pictures, "rendering_environment", lambda: None)
+    monkeypatch.setattr(rendering, "_PROBE", "raise SystemExit(1)")
     with pytest.raises(SystemExit, match="libosmesa6"):
         pictures.main("b.vtp", "b.vtu", "cut=b.cut.png")
     # a process that draws nothing

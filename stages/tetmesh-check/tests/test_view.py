@@ -18,9 +18,9 @@ from conftest import ball, tetrahedra
 
 from tetmesh_check.datasets import from_polydata
 from tetmesh_check.quality import signed_tetrahedron_volumes, triangle_quality
-from tetmesh_check.report.cut import cut_of
 from tetmesh_check.report.page.payload import STEPS, ViewMesh, measures_of, pack
 from tetmesh_check.report.page.view3d import is_anatomical, view_meshes
+from tetmesh_check.report.pictures import cut_of
 
 BROWSER = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None

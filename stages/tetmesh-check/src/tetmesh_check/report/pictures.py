@@ -6,7 +6,6 @@ drew to the standard output, one a line.
 
 from __future__ import annotations
 
-import os
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from tetmesh_check.datasets import from_polydata
@@ -21,12 +21,13 @@ from tetmesh_check.files import write_atomically
 from tetmesh_check.materials import INSIDE
 from tetmesh_check.quality import Points, triangle_quality
 from tetmesh_check.report.colours import materials_of
-from tetmesh_check.report.cut import cut_of
-from tetmesh_check.report.rendering import rendering_environment
+from tetmesh_check.report.rendering import use_renderer
 
 _WIDTH, _HEIGHT = 1600, 1200
 _STRIP = 170
 """Height below a mesh for the colour bar or the names of materials, pixels."""
+MESH_SHARE = 1 - _STRIP / _HEIGHT
+"""Share of the height of a picture above the strip."""
 _INK = "#7d858e"
 """Colour of words: legible on white and on black, because what is round the mesh is transparent."""
 _LETTERING = 40
@@ -56,6 +57,43 @@ class Scene:
     """Middle of the picture; that of the mesh by default."""
     height: float = np.inf
     """Of the part that is shown, mm; the whole mesh if that is smaller."""
+
+
+def cut_of(volume: pv.UnstructuredGrid) -> tuple[pv.PolyData, Points, Points]:
+    """Cut across the shortest side of the object, at the median of the tetrahedra.
+
+    Parameters
+    ----------
+    volume
+        A mesh as ``tetmesh-check`` writes it.
+
+    Returns
+    -------
+    tuple
+        The boundary of the farther half; the direction from it towards the eye, along an axis of
+        the world; and the upward direction of a picture.
+    """
+    axis = int(np.argmin(np.ptp(volume.points, axis=0)))
+    normal = np.zeros(3)
+    normal[axis] = -1.0 if axis == 1 else 1.0
+    up = np.array([0.0, 1.0, 0.0]) if axis == 2 else np.array([0.0, 0.0, 1.0])
+    depth = volume.cell_centers().points @ normal
+    kept = depth < np.median(depth)
+    # none lie before the median if all lie in one plane
+    return boundary_of(volume, kept if kept.any() else ~kept), normal, up
+
+
+def boundary_of(volume: pv.UnstructuredGrid, kept: NDArray[Any]) -> pv.PolyData:
+    """Return the boundary of some tetrahedra, outward, with their cell data.
+
+    Parameters
+    ----------
+    volume
+        A mesh of tetrahedra.
+    kept
+        Whether each tetrahedron is one of them, shape ``(m,)``.
+    """
+    return volume.extract_cells(kept).extract_surface(algorithm="dataset_surface")
 
 
 def _surface(surface: pv.PolyData, _volume: pv.UnstructuredGrid) -> Scene:
@@ -202,14 +240,7 @@ def main(surface_path: str, volume_path: str, *targets: str) -> None:
     targets
         Kinds of pictures and their files, ``KIND=FILE``.
     """
-    environment = rendering_environment()
-    if environment is None:
-        raise SystemExit(
-            "no off-screen renderer on this machine (Debian, Ubuntu: apt-get install libosmesa6, "
-            "or libegl1 libgl1-mesa-dri)"
-        )
-    os.environ.clear()
-    os.environ.update(environment)
+    use_renderer()
     surface, volume = pv.read(surface_path), pv.read(volume_path)
     failed = []
     for target in targets:

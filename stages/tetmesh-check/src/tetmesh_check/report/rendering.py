@@ -32,29 +32,29 @@ _CHOICES = ({}, *({"VTK_DEFAULT_OPENGL_WINDOW": f"vtk{kind}RenderWindow"} for ki
 """Environment variables to try without a display; VTK chooses by itself first."""
 
 
-def rendering_environment() -> dict[str, str] | None:
-    """Find environment variables with which VTK can draw off screen.
+def use_renderer() -> None:
+    """Set the environment variables of this process so that VTK can draw off screen.
 
-    Returns
-    -------
-    dict or None
-        The whole environment for a drawing process, or ``None`` when this machine cannot draw.
+    Raises
+    ------
+    SystemExit
+        If this machine cannot draw.
     """
     headless = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     for environment in (*({**headless, **choice} for choice in _CHOICES), dict(os.environ)):
+        words = [sys.executable, "-c", _PROBE]
         try:
-            subprocess.run(
-                [sys.executable, "-c", _PROBE],
-                env=environment,
-                capture_output=True,
-                timeout=_PROBE_SECONDS,
-                check=True,
-            )
+            subprocess.run(words, env=environment, capture_output=True, timeout=_PROBE_SECONDS, check=True)
         except subprocess.SubprocessError:
             continue
-        return environment
-    return None
+        os.environ.clear()
+        os.environ.update(environment)
+        return
+    raise SystemExit(
+        "no off-screen renderer on this machine (Debian, Ubuntu: apt-get install libosmesa6, "
+        "or libegl1 libgl1-mesa-dri)"
+    )
 
 
 if __name__ == "__main__":
-    raise SystemExit(0 if rendering_environment() is not None else 1)
+    use_renderer()

@@ -5,18 +5,13 @@ from __future__ import annotations
 import base64
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL import Image
 
 from tetmesh_check.errors import file_error
+from tetmesh_check.report.pictures import MESH_SHARE
 
-if TYPE_CHECKING:
-    from PIL.Image import Image
-
-MESH_SHARE = 1030 / 1200
-"""Share of the height of a picture above its colour bar, as in
-:mod:`tetmesh_check.report.pictures`."""
 _PICTURE_WIDTH = 1400
 _ZOOMS = (1.0, 0.85, 0.7, 0.6, 0.5)
 """Sizes of the part that :func:`filled` tries, over that of the picture."""
@@ -24,7 +19,7 @@ _FULL = 0.9
 """Share of a part that the mesh must cover for :func:`filled` to stop there."""
 
 
-def image_data(image: Image, lossless: bool = False) -> str:
+def image_data(image: Image.Image, lossless: bool = False) -> str:
     """Turn an image into a data address (WebP).
 
     Parameters
@@ -39,7 +34,7 @@ def image_data(image: Image, lossless: bool = False) -> str:
     return f"data:image/webp;base64,{base64.b64encode(stream.getvalue()).decode('ascii')}"
 
 
-def filled(image: Image) -> Image:
+def filled(image: Image.Image) -> Image.Image:
     """Enlarge the part of a picture that the mesh covers best, above the colour bar, which stays.
 
     Parameters
@@ -47,8 +42,6 @@ def filled(image: Image) -> Image:
     image
         A picture in RGBA; the background is transparent.
     """
-    from PIL import Image as Images
-
     width, height = image.width, round(MESH_SHARE * image.height)
     cover = np.zeros((height + 1, width + 1))
     cover[1:, 1:] = (np.asarray(image)[:height, :, 3] > 0).cumsum(axis=0).cumsum(axis=1)
@@ -67,7 +60,7 @@ def filled(image: Image) -> Image:
             best, box = float(shares.flat[k]), (x, y, x + wide, y + high)
         if best >= _FULL:
             break
-    part = image.crop(box).resize((width, height), Images.Resampling.LANCZOS)
+    part = image.crop(box).resize((width, height), Image.Resampling.LANCZOS)
     whole = image.copy()
     whole.paste(part, (0, 0))
     return whole
@@ -86,11 +79,9 @@ def picture_data(path: Path, kind: str = "", width: int = _PICTURE_WIDTH) -> tup
     width
         Wider ones are made smaller.
     """
-    from PIL import Image
-
     try:
         with Image.open(path) as opened:
-            image = opened.convert("RGBA")
+            image: Image.Image = opened.convert("RGBA")
     except OSError as error:
         raise file_error(path, "read", error, "draw the pictures again (tetmesh-check --pictures)") from error
     if kind == "closeup":

@@ -11,10 +11,10 @@ from markupsafe import Markup
 
 from tetmesh_check.datasets import from_polydata, text_of, to_polydata
 from tetmesh_check.quality import OUTWARD_FACES, triangle_quality
-from tetmesh_check.report.cut import boundary_of, cut_of
 from tetmesh_check.report.page.key import Entry
 from tetmesh_check.report.page.payload import MAX_TRIANGLES, WORST, ViewMesh, pack
 from tetmesh_check.report.page.templates import render
+from tetmesh_check.report.pictures import boundary_of, cut_of
 from tetmesh_check.surface import read_dataset
 
 _YAW, _PITCH = 0.63, 0.38
