@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
-
-_PLAIN = (1e-3, 1e7)
-"""Range of magnitudes that are written without an exponent."""
+_NO_EXPONENT_BELOW = 1e7
+"""Longer numbers take more room than their exponent, unless spaces separate the thousands."""
 
 
 def plain(value: float, digits: int = 3, spaced: bool = False) -> str:
@@ -20,13 +18,7 @@ def plain(value: float, digits: int = 3, spaced: bool = False) -> str:
     spaced
         Whether narrow spaces separate the thousands.
     """
-    if not math.isfinite(value) or value == 0:
-        return f"{value:g}"
     rounded = float(f"{value:.{digits - 1}e}")
-    if abs(rounded) < _PLAIN[0] or (abs(rounded) >= _PLAIN[1] and not spaced):
-        return f"{value:.{digits}g}"
-    if abs(rounded) >= 1000:
+    if abs(rounded) >= 1000 and (spaced or abs(rounded) < _NO_EXPONENT_BELOW):
         return f"{value:,.0f}".replace(",", "\u202f" if spaced else "")
-    decimals = max(0, digits - 1 - math.floor(math.log10(abs(rounded))))
-    text = f"{rounded:.{decimals}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text
+    return f"{rounded:.{max(digits, 3)}g}"
