@@ -25,7 +25,7 @@ from tetmesh_check.conform import conform
 from tetmesh_check.datasets import text_of
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export
-from tetmesh_check.export.mesh import MarkedMesh, Region, materials_mesh, object_mesh, plain_names
+from tetmesh_check.export.mesh import MarkedMesh, materials_mesh, object_mesh, plain_names
 from tetmesh_check.materials import Sides
 from tetmesh_check.parsing import FORMATS
 from tetmesh_check.quality import signed_tetrahedron_volumes
@@ -254,7 +254,7 @@ def materials_of_block(names: tuple[str, str], labels: tuple[int, int]) -> Marke
     entries = [{"name": name, "labels": [{"layer": 0, "label": k}]} for name, k in zip(names, labels, strict=True)]
     table = [{"name": "outside", "labels": []}, *entries]
     plain = plain_names([entry["name"] for entry in table])
-    regions = [Region(k, plain[k], names[k - 1], [labels[k - 1]]) for k in (1, 2)]
+    regions = [{"region": k, "name": plain[k], "material": names[k - 1], "labels": [labels[k - 1]]} for k in (1, 2)]
     return replace(marked_block(1, 2), table=regions, parts={1: "inner", 2: "outer"}, materials=table)
 
 
@@ -445,7 +445,7 @@ def test_gmsh_opens_its_file(tmp_path: Path) -> None:
     # every node of region 37 also belongs to another region
     regions = block.regions.copy()
     regions[(block.tetrahedra == block.boundary[0, 0]).any(axis=1).argmax()] = 37
-    table = [*block.table, Region(37, "region_37", "region_37", [37])]
+    table = [*block.table, {"region": 37, "name": "region_37", "material": "region_37", "labels": [37]}]
     export(replace(block, regions=regions, table=table), tmp_path / "b.vtu", "b", "msh")
     code = (
         "import gmsh; gmsh.initialize(interruptible=False); gmsh.option.setNumber('General.Terminal', 0); "

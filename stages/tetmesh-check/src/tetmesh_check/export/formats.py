@@ -26,10 +26,9 @@ Writer = Callable[[MarkedMesh, Path], None]
 def _regions_csv(mesh: MarkedMesh, path: Path) -> None:
     """The table of regions, a row a region; several labels are separated by spaces."""
     with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["region", "name", "material", "labels"])
-        for row in mesh.table:
-            writer.writerow([row.region, row.name, row.material, " ".join(map(str, row.labels))])
+        writer = csv.DictWriter(file, ("region", "name", "material", "labels"), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({**row, "labels": " ".join(map(str, row["labels"]))} for row in mesh.table)
 
 
 def _rows(form: str, *columns: Points | Cells | Labels) -> str:

@@ -9,14 +9,12 @@ from __future__ import annotations
 from itertools import count
 from pathlib import Path
 from struct import pack
-from typing import TYPE_CHECKING
 
 import meshio
 import numpy as np
 
-if TYPE_CHECKING:
-    from tetmesh_check.export.mesh import MarkedMesh, NamedSet
-    from tetmesh_check.quality import Cells, Labels
+from tetmesh_check.export.mesh import MarkedMesh, NamedSet
+from tetmesh_check.quality import Cells, Labels
 
 _KIND = {3: 2, 6: 9, 4: 4, 10: 11}
 """Gmsh's number of a triangle or tetrahedron, by its nodes."""

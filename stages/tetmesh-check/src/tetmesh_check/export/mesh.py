@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,20 +48,6 @@ def plain_names(names: list[str], taken: Iterable[str] = ()) -> list[str]:
     return plain
 
 
-@dataclass(frozen=True)
-class Region:
-    """A row of the table of regions."""
-
-    region: int
-    """Number of its tetrahedra."""
-    name: str
-    """Name in sets and groups."""
-    material: str
-    """Name in the volume."""
-    labels: list[int]
-    """Its labels in the volume; none where they are not known."""
-
-
 class NamedSet(NamedTuple):
     """The elements of a region, or the triangles of a part of the boundary."""
 
@@ -99,8 +85,9 @@ class MarkedMesh:
     marks: Labels
     """:data:`.SURFACE` or :data:`.CAP`, shape ``(k,)``. Of many materials the number of the pair,
     from 1 on."""
-    table: list[Region]
-    """The regions, ascending by number."""
+    table: list[dict[str, Any]]
+    """A row for each region, ascending by number: ``region`` (the number), ``name`` (in sets and
+    groups), ``material`` (its name in the volume), and ``labels`` (in the volume, if known)."""
     parts: dict[int, str]
     """Names of the parts of the boundary, or of the interfaces, by mark."""
     materials: list[dict[str, Any]] | None = None
@@ -124,7 +111,7 @@ class MarkedMesh:
     @property
     def region_sets(self) -> list[NamedSet]:
         """The elements of each region."""
-        return _sets(self.regions, {row.region: row.name for row in self.table})
+        return _sets(self.regions, {row["region"]: row["name"] for row in self.table})
 
     @property
     def part_sets(self) -> list[NamedSet]:
@@ -139,7 +126,7 @@ class MarkedMesh:
 
     def region_text(self) -> str:
         """The table of regions as JSON."""
-        return json.dumps([asdict(row) for row in self.table])
+        return json.dumps(self.table)
 
     def point_marks(self) -> Labels:
         """Mark of each point, shape ``(n,)``: 0 inside, else that of its triangles.
@@ -180,7 +167,7 @@ def object_mesh(
     numbers = np.unique(regions).tolist()
     names = [f"region_{number}".replace("-", "minus_") for number in numbers]
     table = [
-        Region(number, name, name, [number] if labels is None else labels)
+        {"region": number, "name": name, "material": name, "labels": [number] if labels is None else labels}
         for number, name in zip(numbers, names, strict=True)
     ]
     before = np.full(len(marks), NOBODY)
@@ -204,9 +191,12 @@ def materials_mesh(points: Points, tetrahedra: Cells, found: Conformity, triangl
     """
     names = plain_names(sides.names)
     table = [
-        Region(
-            number, names[number], sides.names[number], [one["label"] for one in sides.table[number].get("labels", [])]
-        )
+        {
+            "region": number,
+            "name": names[number],
+            "material": sides.names[number],
+            "labels": [one["label"] for one in sides.table[number].get("labels", [])],
+        }
         for number in sides.present
     ]
     pairs, which = sides.pairs()
