@@ -83,9 +83,11 @@ class Arguments:
         """Return the files of other formats, which many materials write under other names."""
         return export_paths(self.output, self.name, self.exports, many)
 
-    def other_paths(self) -> list[Path]:
-        """Return the files that are written in addition to the volume mesh, without pictures."""
-        return [*([self.quadratic] if self.order == 2 else []), *self.export_paths()]
+    def output_paths(self) -> list[Path]:
+        """Return the files to be written; the pictures where their folder exists."""
+        quadratic = [self.quadratic] if self.order == 2 else []
+        pictures = [path for path in self.picture_paths().values() if path.parent.is_dir()]
+        return [self.output, *quadratic, *self.export_paths(), *pictures]
 
     def refuse(self) -> None:
         """Refuse another suffix, and quadratic tetrahedra that cannot be made or stored."""

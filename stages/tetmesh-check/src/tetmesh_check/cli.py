@@ -30,7 +30,7 @@ _FOR_ARGPARSE = ("action", "choices", "default", "dest", "metavar", "required")
 def build_parser(kind: type[Parser] = Parser) -> argparse.ArgumentParser:
     """Build the parser of the command line from ``options.toml``."""
     table = read_table()
-    parser = kind(TOOL, table["description"], table["epilog"], add_help=False)
+    parser = kind(TOOL, description=table["description"], epilog=table["epilog"], add_help=False)
     for group in table["group"]:
         added = parser.add_argument_group(group["title"], group.get("description"))
         exclusive = None
@@ -136,7 +136,5 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
 
     arguments = _arguments(parsed)
     context.parameters.update(arguments.parameters())
-    context.check_outputs([arguments.output, *arguments.other_paths()])
-    if arguments.pictures is not None and arguments.pictures.is_dir():
-        context.check_outputs(list(arguments.picture_paths().values()))
+    context.check_outputs(arguments.output_paths())
     return run(arguments, context)

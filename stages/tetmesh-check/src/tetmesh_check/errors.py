@@ -52,10 +52,9 @@ def described(problem: Exception) -> StageError:
             "the meshes do not fit into memory",
             "use a larger --tet-size-factor or a machine with more memory",
         )
-    frames = traceback.extract_tb(problem.__traceback__)
-    where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    frame = traceback.extract_tb(problem.__traceback__)[-1]
     return StageError(
-        f"{type(problem).__name__}: {problem}{where}",
+        f"{type(problem).__name__}: {problem} ({Path(frame.filename).name}, line {frame.lineno})",
         "this is a fault of the program, or a file of a kind that it does not know",
         "check the inputs; if they are as they should be, report this message",
     )

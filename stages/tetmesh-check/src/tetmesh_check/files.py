@@ -11,21 +11,6 @@ from pathlib import Path
 from tetmesh_check.errors import StageError, file_error
 
 
-def temporary_error(reason: str) -> StageError:
-    """Build the error for the folder of temporary files.
-
-    Parameters
-    ----------
-    reason
-        Message of the operating system.
-    """
-    return StageError(
-        f"{tempfile.gettempdir()}: cannot hold temporary files: {reason}",
-        "meshes and volumes pass through this folder from one program to the other",
-        "free space there, or set TMPDIR to another folder",
-    )
-
-
 @contextmanager
 def temporary_folder(prefix: str) -> Iterator[Path]:
     """Make a folder for temporary files and remove it at the end; errors in it name the place.
@@ -46,7 +31,11 @@ def temporary_folder(prefix: str) -> Iterator[Path]:
     except OSError as error:
         if error.filename and not Path(error.filename).is_relative_to(tempfile.gettempdir()):
             raise
-        raise temporary_error(error.strerror or str(error)) from error
+        raise StageError(
+            f"{tempfile.gettempdir()}: cannot hold temporary files: {error.strerror or error}",
+            "meshes and volumes pass through this folder from one program to the other",
+            "free space there, or set TMPDIR to another folder",
+        ) from error
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:

@@ -44,23 +44,14 @@ class Parser(argparse.ArgumentParser):
     ----------
     tool
         Name of the program.
-    description, epilog
-        Purpose, exit codes and an example, as lines.
-    add_help
-        Whether to add ``--help`` and ``--version``.
+    more
+        As of argparse. ``--version`` is added together with ``--help``.
     """
 
-    def __init__(self, tool: str, description: str, epilog: str, add_help: bool = True) -> None:
-        super().__init__(
-            prog=tool,
-            description=description,
-            epilog=epilog,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            allow_abbrev=False,
-            add_help=add_help,
-        )
+    def __init__(self, tool: str, **more: Any) -> None:
+        super().__init__(tool, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, **more)
         self.version = f"{tool} {VERSION}"
-        if add_help:
+        if self.add_help:
             self.add_argument("--version", action="version", help="print the version")
 
     def error(self, message: str) -> NoReturn:

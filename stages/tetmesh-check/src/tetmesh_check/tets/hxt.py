@@ -8,7 +8,6 @@ GPL-2.0-or-later and an optional package: it is imported in the child process on
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -50,8 +49,8 @@ WORKER = Worker(
     when_it_is_missing="install it with stages/tetmesh-check/setup-env.sh (make env), which also says which system "
     "libraries it lacks, or use --method ftetwild",
     shown={
-        "vertices": re.compile(r"mesh\.nvert: (\d+)"),
-        "tetrahedra to improve": re.compile(r"Improving +(\d+) tet"),
+        "vertices": r"mesh\.nvert: (\d+)",
+        "tetrahedra to improve": r"Improving +(\d+) tet",
     },
 )
 _OF_MATERIALS = replace(WORKER, when_it_fails="try a larger or smaller --tet-size-factor, or mesh fewer materials")

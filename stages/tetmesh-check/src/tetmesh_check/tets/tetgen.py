@@ -98,7 +98,7 @@ def fill_by_tetgen(surface: Surface, components: Components, max_volume: float, 
     return raw
 
 
-def _fill(tetgen: Any, job: Job) -> tuple[Any, Any]:
+def _fill(tetgen: Any, job: Job) -> Any:
     filling = tetgen.TetGen(job["points"], job["triangles"])
     for point in job["cavities"]:
         filling.add_hole(point.tolist())
@@ -106,8 +106,7 @@ def _fill(tetgen: Any, job: Job) -> tuple[Any, Any]:
     shape = f"q{job['max_radius_edge_ratio']:g}/{job['min_dihedral']:g}"
     switches = f"pY{shape}a{job['max_volume']:.15f}O{_OPTIMIZATION}"
     print(f"switches {switches}")
-    points, tetrahedra = filling.tetrahedralize(switches=switches)[:2]
-    return points, tetrahedra
+    return filling.tetrahedralize(switches=switches)[:2]
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,9 +31,9 @@ WORKER = Worker(
     when_it_fails="try a larger --tet-size-factor or a larger --envelope, or a machine with more memory",
     when_it_is_missing="the environment is not whole: make it again with stages/tetmesh-check/setup-env.sh",
     shown={
-        "pass": re.compile(r"/+ pass (\d+) /+"),
-        "tetrahedra": re.compile(r"#t = (\d+)"),
-        "largest energy": re.compile(r"max_energy = ([0-9.eE+-]+)"),
+        "pass": r"/+ pass (\d+) /+",
+        "tetrahedra": r"#t = (\d+)",
+        "largest energy": r"max_energy = ([0-9.eE+-]+)",
     },
     when_it_is_empty="the envelope may be larger than the object: try a smaller --envelope",
 )
@@ -96,12 +95,9 @@ def fill_by_tetwild(job: Job, runner: Runner) -> Raw:
     return raw
 
 
-def _fill(pytetwild: Any, job: Job) -> tuple[Any, Any]:
+def _fill(pytetwild: Any, job: Job) -> Any:
     del job["stride"]
-    points, tetrahedra = pytetwild.tetrahedralize(
-        **job, simplify=False, loglevel=_LOG_LEVEL, quiet=False, vtk_ordering=True
-    )
-    return points, tetrahedra
+    return pytetwild.tetrahedralize(**job, simplify=False, loglevel=_LOG_LEVEL, quiet=False, vtk_ordering=True)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ import numpy as np
 from isoparticles._native import Context
 
 from tetmesh_check.errors import StageError
-from tetmesh_check.files import temporary_error, temporary_folder
+from tetmesh_check.files import temporary_folder
 from tetmesh_check.quality import Cells, Points, orient_positive
 
 Job = dict[str, Any]
@@ -66,8 +66,8 @@ class Worker:
     """Advice if it fails."""
     when_it_is_missing: str
     """Advice if its library is missing."""
-    shown: dict[str, re.Pattern[str]]
-    """Values in its log that are shown as progress: patterns with the value as group."""
+    shown: dict[str, str]
+    """Values in its log that are shown as progress: regular expressions with the value as group."""
     when_it_is_empty: str = ""
     """Advice if it returns no tetrahedra; by default as if it fails."""
 
@@ -83,7 +83,7 @@ class Worker:
 
     def shown_in(self, text: str) -> dict[str, str]:
         """Return the last of each of the shown values in a part of the log."""
-        found = {name: pattern.findall(text) for name, pattern in self.shown.items()}
+        found = {name: re.findall(pattern, text) for name, pattern in self.shown.items()}
         return {name: values[-1] for name, values in found.items() if values}
 
 
@@ -165,29 +165,30 @@ class Runner:
 
     def _run_process(self, worker: Worker, folder: Path) -> int:
         """Run the module of a worker and show how far it is; return its exit code."""
-        with self.log.open("ab") as stream:
-            # Some write debugging files to the current folder, which is a temporary one.
-            # In a session of its own, it receives Ctrl-C through this process only.
-            process = subprocess.Popen(
+        progress = self._context.progress("tetrahedralize")
+        current: dict[str, str] = {}
+        # Some write debugging files to the current folder, which is a temporary one.
+        # In a session of its own, it receives Ctrl-C through this process only.
+        with (
+            closing(progress),
+            self.log.open("ab") as stream,
+            subprocess.Popen(
                 [sys.executable, "-u", "-m", worker.module, folder],
                 cwd=folder,
                 stdin=subprocess.DEVNULL,
                 stdout=stream,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-            )
-        progress = self._context.progress("tetrahedralize")
-        current: dict[str, str] = {}
-        try:
-            while time.monotonic() < self._deadline:
-                with suppress(subprocess.TimeoutExpired):
-                    return process.wait(_POLL_SECONDS)
-                current |= worker.shown_in(self.said()[-_TAIL:])
-                progress.show(", ".join(f"{name} {value}" for name, value in current.items()) or "starting")
-        finally:
-            process.kill()
-            process.wait()
-            progress.close()
+            ) as process,
+        ):
+            try:
+                while time.monotonic() < self._deadline:
+                    with suppress(subprocess.TimeoutExpired):
+                        return process.wait(_POLL_SECONDS)
+                    current |= worker.shown_in(self.said()[-_TAIL:])
+                    progress.show(", ".join(f"{name} {value}" for name, value in current.items()) or "starting")
+            finally:
+                process.kill()
         raise TimeLimitError(
             f"the tetrahedralizer ({worker.name}) was ended after {self._max_seconds:g} s, its time limit (--max-seconds)",
             "without it there is no volume mesh; nothing was written",
@@ -198,13 +199,13 @@ class Runner:
         """Return the log."""
         return self.log.read_text(encoding="utf-8", errors="replace")
 
-    def _failure(self, worker: Worker, code: int) -> StageError:
+    def _failure(self, worker: Worker, code: int) -> StageError | OSError:
         """Return the error for the exit code of a child without a result."""
         lines = [line for line in self.said().splitlines() if line.strip()] or ["it said nothing"]
         if code == _UNAVAILABLE:
             return worker.unavailable(lines[-1])
         if code == _NO_ROOM:
-            return temporary_error(lines[-1])
+            return OSError(lines[-1])
         if code < 0:
             name = signal.Signals(-code).name
             ended = f"crashed: {name}{' (often: out of memory)' if name == 'SIGKILL' else ''}"
@@ -217,7 +218,7 @@ class Runner:
         )
 
 
-def serve(library: str, fill: Callable[[Any, Job], tuple[Any, Any]]) -> None:
+def serve(library: str, fill: Callable[[Any, Job], Any]) -> None:
     """Run a child process: read the job, fill the surface, and write the result.
 
     Parameters
