@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import pyvista as pv
 from conftest import ball, merged, volume_with_ball
 from PIL import Image
 
@@ -55,6 +56,13 @@ def test_several_and_open_outlines() -> None:
     assert (chain[0] != chain[-1]).any()
 
 
+def test_the_middle_one_of_equal_outlines_is_shown_first() -> None:
+    scan = Scan(np.zeros((20, 20, 20)), np.eye(3), np.zeros(3), True)
+    block = pv.Box((4.2, 15.2, 2.2, 12.2, 1.2, 18.2), quads=False).triangulate()
+    for stack in stacks(scan, shades_of(scan, []), from_polydata(block)):
+        assert stack["first"] == len(stack["slices"]) // 2
+
+
 def test_paths() -> None:
     square = np.array([[0.0, 0.0], [0.1, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 0.0]])
     assert path_of([square]) == "M0 0l20 0 0 20 -20 -20z"
@@ -87,10 +95,12 @@ def test_the_outline_lies_where_the_ball_is(name: str) -> None:
     scan = volume_with_ball(GRIDS[name], labels=True)
     bright, dull = (230, 159, 0), (60, 50, 40)
     shades = shades_of(scan, [Entry("ball", bright, (2,)), Entry("floor", dull, (1,), False)])
-    for stack in stacks(scan, shades, from_polydata(ball(10.0, 4))):
+    centre = scan.to_index(np.zeros((1, 3)))[0, [scan.world_axes.index(axis) for axis in (2, 1, 0)]]
+    for stack, middle_slice in zip(stacks(scan, shades, from_polydata(ball(10.0, 4))), centre, strict=True):
         with Image.open(io.BytesIO(base64.b64decode(stack["image"].partition(",")[2]))) as opened:
             sheet = np.asarray(opened.convert("RGB"))
         n, (width, height) = stack["first"], stack["size"]
+        assert abs(stack["slices"][n] - middle_slice) <= 0.5, "the longest outline is shown first"
         x, y = (n % stack["columns"]) * width, (n // stack["columns"]) * height
         inside = (sheet[y : y + height, x : x + width] == bright).all(axis=2)
         numbers = [int(k) for k in re.findall(r"-?\d+", stack["paths"][n])]

@@ -36,6 +36,8 @@ _NEAR = 0.35
 """Points of an outline in one cell of a grid of this width are thinned out, pixels."""
 _TENTHS = 10
 """Outlines are kept to a tenth of a pixel."""
+_EQUAL = 0.99
+"""Outlines count as equal if their lengths differ by less than 1 %, which the eye does not see."""
 _BACKGROUND = (0, 0, 0)
 
 
@@ -130,11 +132,11 @@ def path_of(polygons: list[Points]) -> str:
     return "".join(words)
 
 
-def _first(paths: list[str]) -> int:
-    """Choose the first slice to show: the longest outline in the middle half of a stack."""
-    middle = range(len(paths) // 4, len(paths) - len(paths) // 4)
-    longest = max(middle, key=lambda n: len(paths[n]))
-    return longest if paths[longest] else len(paths) // 2
+def _first(found: list[list[Points]]) -> int:
+    """Choose the first slice to show: the longest outline. Of equal ones, take the middle one."""
+    lengths = np.array([sum(np.linalg.norm(np.diff(p, axis=0), axis=1).sum() for p in each) for each in found])
+    equal = np.flatnonzero(lengths >= _EQUAL * lengths.max())
+    return int(equal[np.abs(equal - len(found) // 2).argmin()])
 
 
 def _stack(scan: Scan, shown: Scan, axis: int, shades: Shades, mesh: tuple[Points, Cells] | None) -> dict[str, Any]:
@@ -158,13 +160,13 @@ def _stack(scan: Scan, shown: Scan, axis: int, shades: Shades, mesh: tuple[Point
     for n, k in enumerate(chosen):
         cut = np.take(shown.values, k, axis=axis)[:, ::downwards]
         sheet.paste(shades.image(cut).resize(size, filtering), (n % columns * width, n // columns * height))
-    paths = [""] * len(chosen)
+    found: list[list[Points]] = [[] for _ in chosen]
     if mesh is not None:
         pixels = (mesh[0][:, [right, down]] + 0.5) / grid * size
         if downwards < 0:
             pixels[:, 1] = height - pixels[:, 1]
         surface = to_polydata(np.column_stack([pixels, mesh[0][:, axis]]), mesh[1])
-        paths = [path_of(polygons) for polygons in outlines(surface, chosen)]
+        found = outlines(surface, chosen)
     positions = shown.origin + np.outer(chosen, shown.step[:, axis])
     return {
         "name": _PLANES[axis] if scan.anatomical else f"across {'xyz'[axis]}",
@@ -174,9 +176,9 @@ def _stack(scan: Scan, shown: Scan, axis: int, shades: Shades, mesh: tuple[Point
         "sheet": sheet.size,
         "image": image_data(sheet, lossless=scan.labels),
         "slices": np.round(scan.to_index(positions)[:, across]).astype(int).tolist(),
-        "paths": paths,
+        "paths": [path_of(polygons) for polygons in found],
         "towards": shown.letters(axis),
-        "first": _first(paths),
+        "first": _first(found),
     }
 
 
@@ -202,8 +204,8 @@ def slices(scan: Scan, mesh: tuple[Points, Cells] | None, key: list[Entry]) -> s
     }
     text = json.dumps(about, separators=(",", ":"))
     data = base64.b64encode(zlib.compress(text.encode("utf-8"), 9)).decode("ascii")
-    shown = {"scan": scan, "shades": shades, "planes": planes, "key": key, "outlined": mesh is not None}
-    return render("slices", data=data, scale=f"{1 / _TENTHS:g}", **shown)
+    scale, outlined = f"{1 / _TENTHS:g}", mesh is not None
+    return render("slices", scan=scan, shades=shades, planes=planes, key=key, outlined=outlined, scale=scale, data=data)
 
 
 def stacks(scan: Scan, shades: Shades, mesh: tuple[Points, Cells] | None) -> list[dict[str, Any]]:
