@@ -67,7 +67,7 @@ def program(
     sphere.save(folder / "ball.vtp")
     asked: list[Job] = []
 
-    def run(runner: Runner, worker: Worker, job: Job) -> Raw:
+    def run(runner: Runner, worker: Worker, job: Job, **_: object) -> Raw:
         runner.log.touch()
         if worker is not tetwild.WORKER:
             return attempt(hxt)

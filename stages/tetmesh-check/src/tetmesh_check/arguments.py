@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from dataclasses import field as made_by
-from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from tetmesh_check.checks import Limits
 from tetmesh_check.errors import StageError
@@ -17,16 +16,10 @@ from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS, options
 _PARAMETERS = ("tet_size_factor", "method", "envelope", "stop_energy", "max_passes")
 
 
-class Method(StrEnum):
-    """The tetrahedralizer."""
-
-    AUTO = "auto"
-    """fTetWild up to :data:`.MAX_FTETWILD_VERTICES`, HXT above. fTetWild also if HXT is missing or
-    fails, or if its tetrahedra miss a limit of shape after mending."""
-    FTETWILD = "ftetwild"
-    HXT = "hxt"
-    TETGEN = "tetgen"
-    """Only on request."""
+Method = Literal["auto", "ftetwild", "hxt", "tetgen"]
+"""The tetrahedralizer. ``auto`` is fTetWild up to :data:`.MAX_FTETWILD_VERTICES`, HXT above. It is
+fTetWild also if HXT is missing or fails, or if its tetrahedra miss a limit of shape after mending.
+"""
 
 
 @dataclass(frozen=True)
@@ -48,7 +41,7 @@ class Arguments:
     """Unit of the coordinates in these formats."""
     tet_size_factor: float = 1.0
     """Tetrahedron edge length over h."""
-    method: Method = Method.AUTO
+    method: Method = "auto"
     """The tetrahedralizer."""
     envelope: float | None = None
     """Largest distance of the boundary from the surface, mm."""

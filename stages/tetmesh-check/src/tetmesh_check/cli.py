@@ -89,17 +89,16 @@ def main(argv: Sequence[str] | None = None, make_context: type[Context] = Contex
 def _check_options(known: str, words: list[str]) -> None:
     """Refuse what a run would refuse; print what is known of the case for the next stage."""
     parsed = build_parser().parse_args(words)
-    from tetmesh_check.arguments import Method
     from tetmesh_check.fem.currents import check_names
     from tetmesh_check.tets import hxt, tetgen, tetwild
 
-    workers = {Method.FTETWILD: tetwild.WORKER, Method.HXT: hxt.WORKER, Method.TETGEN: tetgen.WORKER}
+    workers = {"ftetwild": tetwild.WORKER, "hxt": hxt.WORKER, "tetgen": tetgen.WORKER}
 
     materials = json.loads(known)["materials"]
     arguments = _arguments(parsed)
     if materials:
         arguments.refuse_for_materials()
-    method = Method.HXT if materials else arguments.method
+    method = "hxt" if materials else arguments.method
     if method in workers:
         workers[method].refuse_missing()
     labels = arguments.labels_volume
@@ -114,14 +113,13 @@ def _check_options(known: str, words: list[str]) -> None:
 def _arguments(parsed: argparse.Namespace) -> Arguments:
     """Convert the parsed command line; refuse what does not go together."""
     # pyvista takes a second to load; --help and usage errors need not wait for it
-    from tetmesh_check.arguments import Arguments, Method
+    from tetmesh_check.arguments import Arguments
     from tetmesh_check.checks import Limits
     from tetmesh_check.fem.currents import ForwardArguments
     from tetmesh_check.fem.solve import refuse_missing
 
     given = {
         **vars(parsed),
-        "method": Method(parsed.method),
         "limits": Limits(**{field.name: getattr(parsed, field.name) for field in fields(Limits)}),
         "forward": ForwardArguments(dict(parsed.conductivity), *(parsed.source or ())),
     }

@@ -70,28 +70,26 @@ def reader(option: dict[str, Any]) -> Callable[[str], Any]:
     Parameters
     ----------
     option
-        Its entry: ``type``, and for a number its range.
+        Its entry: ``type``, and for numbers ``range`` or ``low``.
     """
     kind = option["type"]
     if kind not in ("number", "whole"):
         return _READERS[kind]
-    low, high = option["above" if "above" in option else "low"], option.get("high", math.inf)
-    opening = "(" if "above" in option else "["
-    closing = ")" if math.isinf(high) else "]"
 
     def number(text: str) -> float:
+        low, high = (float(end) for end in option["range"][1:-1].split(","))
         try:
             value = float(text)
         except ValueError:
             value = math.nan
-        if not low <= value <= high or math.isinf(value) or value == option.get("above"):
-            raise argparse.ArgumentTypeError(f"'{text}' is not a number in {opening}{low:g}, {high:g}{closing}")
+        if not low <= value <= high or math.isinf(value) or (value == low and option["range"][0] == "("):
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number in {option['range']}")
         return value
 
     def whole(text: str) -> int:
         # the native code has 64 bits for them
-        if not text.isascii() or not text.isdigit() or not low <= int(text) < 2**64:
-            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from {low}")
+        if not text.isascii() or not text.isdigit() or not option["low"] <= int(text) < 2**64:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from {option['low']}")
         return int(text)
 
     return whole if kind == "whole" else number
@@ -110,7 +108,7 @@ def _named_number(text: str) -> tuple[str, float]:
     name, equals, value = text.rpartition("=")
     if not name or not equals:
         raise argparse.ArgumentTypeError(f"'{text}' is not NAME=VALUE")
-    return name, reader({"type": "number", "above": 0.0})(value)
+    return name, reader({"type": "number", "range": "(0, inf)"})(value)
 
 
 def _source_of_current(text: str) -> tuple[str, tuple[float, float, float]]:

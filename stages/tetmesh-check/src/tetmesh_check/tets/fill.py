@@ -146,7 +146,7 @@ def _judge(task: Task, raw: Raw, method: Method, attempts: _Attempts, context: C
     smallest = float(quality.scaled_jacobian.min())
     entry = {**raw.summary, "method": method, "orientation_turned": raw.turned, "min_scaled_jacobian": smallest}
     distance = 0.0
-    if method is Method.FTETWILD:
+    if method == "ftetwild":
         boundary = tetrahedron_boundary(raw.tetrahedra).triangles
         ways = distances_both_ways(raw.points, boundary, surface.points, surface.triangles)
         distance = entry["max_distance"] = max(float(way.max()) for way in ways)
@@ -198,11 +198,12 @@ def mend(raw: Raw, triangles: Cells, sides: Sides, limits: Limits) -> tuple[Raw,
 
 def _choose(arguments: Arguments, vertices: int) -> tuple[Method, str]:
     """Resolve ``auto`` for one object; return the method and the reason."""
-    if arguments.method is not Method.AUTO:
+    if arguments.method != "auto":
         return arguments.method, f"--method {arguments.method} was given"
     if arguments.order == 2:
-        return Method.HXT, "--order 2 needs the vertices of the surface, which lie on F = 0"
-    method, side = (Method.FTETWILD, "within") if vertices <= MAX_FTETWILD_VERTICES else (Method.HXT, "more than")
+        return "hxt", "--order 2 needs the vertices of the surface, which lie on F = 0"
+    method: Method = "ftetwild" if vertices <= MAX_FTETWILD_VERTICES else "hxt"
+    side = "within" if method == "ftetwild" else "more than"
     return method, f"the surface has {vertices} vertices, {side} the limit of {MAX_FTETWILD_VERTICES} for fTetWild"
 
 
@@ -213,13 +214,13 @@ def _by_hxt(task: Task, attempts: _Attempts, context: Context) -> _Verdict:
         job = hxt_job(surface, task.components.sheets(), task.field, arguments.tet_size_factor)
     with context.step("tetrahedralize"):
         raw = fill_by_hxt(job, attempts.runner)
-    verdict = _judge(task, raw, Method.HXT, attempts, context)
+    verdict = _judge(task, raw, "hxt", attempts, context)
     if not verdict.well:
         inside = np.ones(len(surface.triangles), dtype=np.int64)
         with context.step("mend tetrahedra"):
             mended = mend(raw, surface.triangles, Sides(inside, np.zeros_like(inside), []), arguments.limits)
         if mended is not None:
-            verdict = max(verdict, _judge(task, mended[0], Method.HXT, attempts, context))
+            verdict = max(verdict, _judge(task, mended[0], "hxt", attempts, context))
     return verdict
 
 
@@ -232,7 +233,7 @@ def _by_tetgen(task: Task, attempts: _Attempts, context: Context) -> None:
     )
     with context.step("tetrahedralize"):
         raw = fill_by_tetgen(task.surface, task.components, regular_volume(largest), attempts.runner)
-    _judge(task, raw, Method.TETGEN, attempts, context)
+    _judge(task, raw, "tetgen", attempts, context)
 
 
 def _by_tetwild(task: Task, attempts: _Attempts, context: Context) -> None:
@@ -258,7 +259,7 @@ def _by_tetwild(task: Task, attempts: _Attempts, context: Context) -> None:
                 raise
             context.warn(f"another attempt at better tetrahedra failed: {error.what}")
             break
-        verdict = _judge(task, raw, Method.FTETWILD, attempts, context)
+        verdict = _judge(task, raw, "ftetwild", attempts, context)
         if verdict.near and verdict.well:
             break
         (energies if verdict.near else envelopes).pop(0)
@@ -283,31 +284,31 @@ def fill(task: Task, context: Context) -> Filled:
     chosen, reason = _choose(arguments, vertices)
     attempts = _Attempts(task, chosen, reason, context)
     results = attempts.results
-    if chosen is Method.HXT:
+    if chosen == "hxt":
         second = ""
         try:
             verdict = _by_hxt(task, attempts, context)
-            may_move = arguments.method is Method.AUTO and arguments.order == 1
+            may_move = arguments.method == "auto" and arguments.order == 1
             if may_move and vertices <= MAX_SECOND_TRY_VERTICES and not verdict.well:
                 smallest = f"minimum scaled Jacobian {verdict.scaled_jacobian:.3g}"
                 second = f"the tetrahedra of HXT miss a limit of shape ({smallest})"
                 context.info(f"{second}; fTetWild fills the surface as well, which may take minutes")
         except StageError as error:
-            if arguments.method is Method.HXT or isinstance(error, TimeLimitError):
+            if arguments.method == "hxt" or isinstance(error, TimeLimitError):
                 raise
             second = error.what
             context.warn(f"{error.what}. fTetWild fills the surface instead, which may take hours; {error.next}")
         if second:
-            results["method"] = chosen = Method.FTETWILD
+            results["method"] = chosen = "ftetwild"
             results["reason"] = f"{reason}, but {second}"
-    if chosen is Method.TETGEN:
+    if chosen == "tetgen":
         _by_tetgen(task, attempts, context)
-    if chosen is Method.FTETWILD:
+    if chosen == "ftetwild":
         _by_tetwild(task, attempts, context)
     assert attempts.best is not None, "an attempt is added or an error raised"
     _, filled, entry = attempts.best
     results["method"] = context.parameters["method"] = entry["method"]
-    if chosen is not entry["method"]:
+    if chosen != entry["method"]:
         results["reason"] += ", and the result of fTetWild is not better"
     return filled
 
@@ -355,11 +356,11 @@ def fill_complex(task: ComplexTask, context: Context) -> Filled:
     """
     arguments, surface, sides = task.arguments, task.surface, task.checked.sides
     reason = "the surface has several materials, and Gmsh keeps the triangles between them"
-    attempts = _Attempts(task, Method.HXT, reason, context)
-    context.parameters["method"] = Method.HXT
+    attempts = _Attempts(task, "hxt", reason, context)
+    context.parameters["method"] = "hxt"
     with context.step("background sizing"):
         job = hxt_job(surface, task.checked.shells.sheets(), task.field, arguments.tet_size_factor)
-    algorithms = ALGORITHMS if arguments.method is Method.AUTO else ALGORITHMS[:1]
+    algorithms = ALGORITHMS if arguments.method == "auto" else ALGORITHMS[:1]
     for algorithm in algorithms:
         try:
             with context.step("tetrahedralize"):

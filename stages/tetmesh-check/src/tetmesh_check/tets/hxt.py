@@ -100,11 +100,10 @@ def fill_by_hxt(job: Job, runner: Runner) -> Raw:
     runner
         Runs Gmsh, and raises the errors.
     """
-    raw = runner.run(_WORKERS[job["algorithm"]] if job["extends"] else WORKER, job)
-    raw.summary.update(
-        optimize_threshold=OPTIMIZE_THRESHOLD, length_factor=LENGTH_FACTOR, sizing_nodes=job["lengths"].size
+    worker, nodes = _WORKERS[job["algorithm"]] if job["extends"] else WORKER, job["lengths"].size
+    return runner.run(
+        worker, job, optimize_threshold=OPTIMIZE_THRESHOLD, length_factor=LENGTH_FACTOR, sizing_nodes=nodes
     )
-    return raw
 
 
 def _set_options(gmsh: Any, job: Job) -> None:

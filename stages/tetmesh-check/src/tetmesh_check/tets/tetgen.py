@@ -93,9 +93,7 @@ def fill_by_tetgen(surface: Surface, components: Components, max_volume: float, 
         "max_volume": scale**3 * max_volume,
         **_SHAPE,
     }
-    raw = runner.run(WORKER, job)
-    raw.summary.update(max_volume=max_volume, **_SHAPE)
-    return raw
+    return runner.run(WORKER, job, max_volume=max_volume, **_SHAPE)
 
 
 def _fill(tetgen: Any, job: Job) -> Any:

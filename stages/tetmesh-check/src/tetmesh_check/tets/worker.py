@@ -135,8 +135,8 @@ class Runner:
         self._context = context
         log.unlink(missing_ok=True)
 
-    def run(self, worker: Worker, job: Job) -> Raw:
-        """Fill a surface with tetrahedra in a child process.
+    def run(self, worker: Worker, job: Job, **settings: object) -> Raw:
+        """Fill a surface with tetrahedra in a child process; the summary has the settings as well.
 
         Raises
         ------
@@ -161,7 +161,7 @@ class Runner:
                 f"its log is {self.log}; {worker.when_it_is_empty or worker.when_it_fails}",
             )
         tetrahedra, turned = orient_positive(points, tetrahedra)
-        return Raw(points, tetrahedra, {"version": version, "seconds": seconds}, turned)
+        return Raw(points, tetrahedra, {"version": version, "seconds": seconds, **settings}, turned)
 
     def _run_process(self, worker: Worker, folder: Path) -> int:
         """Run the module of a worker and show how far it is; return its exit code."""
