@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tetmesh_check.report.page.advice import advice_for
+from tetmesh_check.report.page.templates import advice_for
 
 UNKNOWN = advice_for("an unknown message")
 SEVERAL = {"MATERIALS": "all", "SIZE": "2"}

@@ -23,10 +23,9 @@ from test_view import CLOCK, NEEDS_BROWSER, browse
 from tetmesh_check.datasets import from_polydata
 from tetmesh_check.report.colours import material_colours
 from tetmesh_check.report.page import program
-from tetmesh_check.report.page.advice import advice_for
-from tetmesh_check.report.page.payload import measures_of
 from tetmesh_check.report.page.scan import Scan
-from tetmesh_check.report.page.view3d import view_meshes
+from tetmesh_check.report.page.templates import advice_for
+from tetmesh_check.report.page.view3d import measures_of, view_meshes
 from tetmesh_check.topology import NOT_MANIFOLD
 
 
@@ -94,7 +93,7 @@ def test_the_page_tells_of_regions_and_interfaces(case: Path) -> None:
 @NEEDS_HXT
 def test_a_material_can_be_looked_at_by_itself(case: Path) -> None:
     surface = pv.read(case / "c.surface.vtp")
-    meshes = {mesh.name: mesh for mesh in view_meshes(surface, case / "c.volume.vtu", [])}
+    meshes = {mesh.name: mesh for mesh in view_meshes(surface, pv.read(case / "c.volume.vtu"), [])}
     assert list(meshes) == ["surface", "cut", "worst tetrahedra", "only body <skin>", "only lung", "only heart"]
     points, triangles = from_polydata(surface)
     inside, outside = (np.asarray(surface.cell_data[f"material_{side}"]) for side in ("inside", "outside"))

@@ -19,10 +19,8 @@ from tetmesh_check import cli
 from tetmesh_check.errors import StageError
 from tetmesh_check.quality import summarize
 from tetmesh_check.report.page import index, program
-from tetmesh_check.report.page.advice import advice_for
 from tetmesh_check.report.page.case import read_case
-from tetmesh_check.report.page.images import filled
-from tetmesh_check.report.page.templates import environment, number, render, ticks
+from tetmesh_check.report.page.templates import advice_for, environment, filled, number, render, ticks
 
 ERROR = {"what": "v.nrrd: is <empty>", "why": "there is nothing to mesh", "next": "give another volume"}
 NOTHING = {

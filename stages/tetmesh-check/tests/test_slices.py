@@ -14,7 +14,7 @@ from conftest import ball, merged, volume_with_ball
 from PIL import Image
 
 from tetmesh_check.datasets import from_polydata, to_polydata
-from tetmesh_check.report.page.key import Entry
+from tetmesh_check.report.colours import Entry
 from tetmesh_check.report.page.scan import Scan
 from tetmesh_check.report.page.slices import Shades, outlines, path_of, shades_of, slices, stacks
 

@@ -18,8 +18,7 @@ from conftest import ball, tetrahedra
 
 from tetmesh_check.datasets import from_polydata
 from tetmesh_check.quality import signed_tetrahedron_volumes, triangle_quality
-from tetmesh_check.report.page.payload import STEPS, ViewMesh, measures_of, pack
-from tetmesh_check.report.page.view3d import is_anatomical, view_meshes
+from tetmesh_check.report.page.view3d import STEPS, ViewMesh, is_anatomical, measures_of, pack, view_meshes
 from tetmesh_check.report.pictures import cut_of
 
 BROWSER = next(
@@ -34,7 +33,7 @@ def test_the_packed_meshes_are_the_meshes() -> None:
     quality = triangle_quality(points, triangles).radius_ratio
     surface.cell_data["radius_ratio"] = quality
     surface.point_data["edge_length"] = np.linspace(1.0, 2.0, len(points))
-    about, data = pack([ViewMesh("surface", surface)], 0.5, 0.3)
+    about, data = pack([ViewMesh("surface", surface)])
     raw = zlib.decompress(base64.b64decode(data))
     mesh = about["meshes"][0]
 
@@ -67,7 +66,7 @@ def test_the_packed_meshes_are_the_meshes() -> None:
     assert ratio["threshold"] == pytest.approx(np.percentile(quality, 1))
     assert length["threshold"] is None
     assert about["letters"] == [["L", "R"], ["P", "A"], ["S", "I"]]
-    plain = pack([ViewMesh("surface", surface)], 0.5, 0.3, anatomical=False)[0]
+    plain = pack([ViewMesh("surface", surface)], anatomical=False)[0]
     assert plain["letters"][2] == ["+z", "\u2212z"]
 
 
@@ -75,7 +74,7 @@ def test_what_the_view_shows(case: Path) -> None:
     surface = pv.read(case / "a&b.surface.vtp")
     assert is_anatomical(surface)
     assert not is_anatomical(ball())
-    shown, cut, worst = view_meshes(surface, case / "a&b.volume.vtu", [])
+    shown, cut, worst = view_meshes(surface, pv.read(case / "a&b.volume.vtu"), [])
     assert [mesh.name for mesh in (shown, cut, worst)] == ["surface", "cut", "worst tetrahedra"]
     names = [[measure.name for measure in measures_of(view.mesh)] for view in (shown, cut, worst)]
     assert names == [
@@ -83,7 +82,7 @@ def test_what_the_view_shows(case: Path) -> None:
         ["radius ratio", "minimum dihedral angle", "edge length"],
         ["radius ratio", "minimum dihedral angle"],
     ]
-    deviation = pack([shown], 0.5, 0.3)[0]["meshes"][0]["colours"][2]
+    deviation = pack([shown])[0]["meshes"][0]["colours"][2]
     assert deviation["largest"] == pytest.approx(np.abs(surface.cell_data["deviation"]).max())
     assert deviation["least"] >= 0.0
     points, cells, grid = tetrahedra(case / "a&b.volume.vtu")

@@ -21,7 +21,7 @@ from tetmesh_check.measures import mark, measure
 from tetmesh_check.quadratic import make_quadratic
 from tetmesh_check.quality import Values, summarize, summarize_all, triangle_quality
 from tetmesh_check.regions import check_labels, has_scale, meshed_labels
-from tetmesh_check.report.drawing import drawing
+from tetmesh_check.report.rendering import drawing
 from tetmesh_check.surface import Surface, check_surface, read_surface
 from tetmesh_check.tets.fill import ComplexTask, Filled, Task, fill, fill_complex
 from tetmesh_check.volumes import InputVolume, read_label_volume

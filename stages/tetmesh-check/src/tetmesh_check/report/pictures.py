@@ -7,7 +7,7 @@ drew to the standard output, one a line.
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,28 +35,11 @@ _LETTERING = 40
 _SPREAD = 1.0
 """Percentile at the lower end of the colours: the few worst do not decide what all others look
 like."""
+_TOWARDS_EYE, _UP = np.array([0.55, -0.75, 0.37]), np.array([0.0, 0.0, 1.0])
 _CLOSEUP_EDGES = 22.0
 """Height of the close-up in local edge lengths."""
 _LEGEND, _LETTERS = 8, 18
 """Materials that the legend names at most, in rows of three, and letters of a name."""
-
-
-@dataclass
-class Scene:
-    """What a picture shows. There is no perspective, so that sizes can be compared."""
-
-    mesh: pv.PolyData
-    """Triangles with cell data ``colour`` (RGB), or ``radius_ratio`` if there is a title."""
-    towards_eye: Points = field(default_factory=lambda: np.array([0.55, -0.75, 0.37]))
-    up: Points = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
-    title: str = ""
-    """Title of the colour bar."""
-    names: list[tuple[str, Any]] = field(default_factory=list)
-    """Names and colours of the materials below the mesh."""
-    focus: Points | None = None
-    """Middle of the picture; that of the mesh by default."""
-    height: float = np.inf
-    """Of the part that is shown, mm; the whole mesh if that is smaller."""
 
 
 def cut_of(volume: pv.UnstructuredGrid) -> tuple[pv.PolyData, Points, Points]:
@@ -96,63 +79,73 @@ def boundary_of(volume: pv.UnstructuredGrid, kept: NDArray[Any]) -> pv.PolyData:
     return volume.extract_cells(kept).extract_surface(algorithm="dataset_surface")
 
 
-def _surface(surface: pv.PolyData, _volume: pv.UnstructuredGrid) -> Scene:
+def _surface(surface: pv.PolyData, _volume: pv.UnstructuredGrid) -> Image.Image:
     if INSIDE in surface.cell_data:
         surface.cell_data["colour"] = materials_of(surface)[1][surface.cell_data[INSIDE]]
-    return Scene(surface)
+    return draw(surface)
 
 
-def _closeup(surface: pv.PolyData, _volume: pv.UnstructuredGrid) -> Scene:
+def _closeup(surface: pv.PolyData, _volume: pv.UnstructuredGrid) -> Image.Image:
     """Look at the triangle nearest to the eye, which nothing hides."""
-    scene = Scene(surface, title="radius ratio of the surface triangles")
     quality = triangle_quality(*from_polydata(surface))
     surface.cell_data["radius_ratio"] = quality.radius_ratio
     centres = surface.cell_centers().points
-    scene.focus = centres[np.argmax(centres @ scene.towards_eye)]
-    around = np.argsort(np.linalg.norm(centres - scene.focus, axis=1))[:200]
-    scene.height = _CLOSEUP_EDGES * float(np.median(quality.edge_length[around]))
-    return scene
+    focus = centres[np.argmax(centres @ _TOWARDS_EYE)]
+    around = np.argsort(np.linalg.norm(centres - focus, axis=1))[:200]
+    height = _CLOSEUP_EDGES * float(np.median(quality.edge_length[around]))
+    return draw(surface, title="radius ratio of the surface triangles", part=(focus, height))
 
 
-def _cut(_surface: pv.PolyData, volume: pv.UnstructuredGrid) -> Scene:
-    """Look slightly from the side, so that the depth of the cut shows."""
+def _cut(_surface: pv.PolyData, volume: pv.UnstructuredGrid) -> Image.Image:
     mesh, normal, up = cut_of(volume)
-    aside = normal + 0.28 * np.cross(up, normal) + 0.22 * up
-    return Scene(mesh, aside, up, "radius ratio of the tetrahedra")
+    return draw(mesh, _aside(normal, up), up, "radius ratio of the tetrahedra")
 
 
-def _regions(surface: pv.PolyData, volume: pv.UnstructuredGrid) -> Scene:
-    scene = _cut(surface, volume)
+def _regions(surface: pv.PolyData, volume: pv.UnstructuredGrid) -> Image.Image:
+    mesh, normal, up = cut_of(volume)
     table, colours = materials_of(surface)
-    region = scene.mesh.cell_data["region"]
-    scene.mesh.cell_data["colour"] = colours[region]
+    region = mesh.cell_data["region"]
+    mesh.cell_data["colour"] = colours[region]
     # the largest on the cut first
     numbers, areas = np.unique(region, return_counts=True)
-    scene.names = [(str(table[k]["name"]), colours[k]) for k in numbers[np.argsort(-areas, kind="stable")]]
-    scene.title = ""
-    return scene
+    names = [(str(table[k]["name"]), colours[k]) for k in numbers[np.argsort(-areas, kind="stable")]]
+    return draw(mesh, _aside(normal, up), up, names=names)
 
 
-_SCENES = {"surface": _surface, "closeup": _closeup, "cut": _cut, "regions": _regions}
+def _aside(normal: Points, up: Points) -> Points:
+    """Look at a cut slightly from the side, so that its depth shows."""
+    return normal + 0.28 * np.cross(up, normal) + 0.22 * up
 
 
-def _height_of(scene: Scene, aspect: float) -> float:
-    """Return the height that shows the whole mesh with a small margin, mm."""
-    right = np.cross(scene.up, scene.towards_eye)
-    above = np.cross(scene.towards_eye, right)
-    width, height = (np.ptp(scene.mesh.points @ axis) / np.linalg.norm(axis) for axis in (right, above))
-    return float(1.12 * max(height, width / aspect))
+_PICTURES = {"surface": _surface, "closeup": _closeup, "cut": _cut, "regions": _regions}
 
 
-def draw(scene: Scene) -> Image.Image:
-    """Draw a scene, with the bar of its colours or the names of its materials below it.
+def draw(
+    mesh: pv.PolyData,
+    towards_eye: Points = _TOWARDS_EYE,
+    up: Points = _UP,
+    title: str = "",
+    names: Sequence[tuple[str, Any]] = (),
+    part: tuple[Points, float] | None = None,
+) -> Image.Image:
+    """Draw a mesh, with the bar of its colours or the names of its materials below it.
+
+    There is no perspective, so that sizes can be compared.
 
     Parameters
     ----------
-    scene
-        The content.
+    mesh
+        Triangles with cell data ``colour`` (RGB), or ``radius_ratio`` if there is a title.
+    towards_eye, up
+        Directions.
+    title
+        Title of the colour bar.
+    names
+        Names and colours of the materials below the mesh.
+    part
+        Middle and height, mm, of the part that is shown; the whole mesh by default.
     """
-    rows = [_HEIGHT - _STRIP, _STRIP] if scene.title or scene.names else [_HEIGHT]
+    rows = [_HEIGHT - _STRIP, _STRIP] if title or names else [_HEIGHT]
     plotter = pv.Plotter(
         off_screen=True,
         shape=(len(rows), 1),
@@ -162,12 +155,17 @@ def draw(scene: Scene) -> Image.Image:
         lighting="three lights",
     )
     plotter.enable_anti_aliasing("msaa", multi_samples=8)
-    height = min(scene.height, _height_of(scene, _WIDTH / rows[0]))
+    # all of the mesh fits with a small margin
+    axes = np.cross(up, towards_eye), np.cross(towards_eye, np.cross(up, towards_eye))
+    wide, high = (np.ptp(mesh.points @ axis) / np.linalg.norm(axis) for axis in axes)
+    height = float(1.12 * max(high, wide / (_WIDTH / rows[0])))
+    if part is not None:
+        height = min(height, part[1])
     # the edge length of an equilateral triangle of mean area, pixels
-    edge = (4 / 3**0.5 * scene.mesh.area / scene.mesh.n_cells) ** 0.5 / height * rows[0]
+    edge = (4 / 3**0.5 * mesh.area / mesh.n_cells) ** 0.5 / height * rows[0]
     shown = plotter.add_mesh(
-        scene.mesh,
-        **_colouring(scene),
+        mesh,
+        **_colouring(mesh, title),
         show_edges=True,
         edge_color="#2b2b2b",
         line_width=float(np.clip(edge / 16.0, 0.25, 2.0)),
@@ -176,17 +174,17 @@ def draw(scene: Scene) -> Image.Image:
         diffuse=0.7,
         show_scalar_bar=False,
     )
-    plotter.view_vector(scene.towards_eye, scene.up)
+    plotter.view_vector(towards_eye, up)
     plotter.enable_parallel_projection()
-    if scene.focus is not None:
-        plotter.camera.position += scene.focus - np.array(plotter.camera.focal_point)
-        plotter.camera.focal_point = scene.focus
+    if part is not None:
+        plotter.camera.position += part[0] - np.array(plotter.camera.focal_point)
+        plotter.camera.focal_point = part[0]
     plotter.camera.parallel_scale = 0.5 * height
     plotter.reset_camera_clipping_range()
-    if scene.title:
+    if title:
         plotter.subplot(1, 0)
         plotter.add_scalar_bar(
-            scene.title,
+            title,
             mapper=shown.mapper,
             n_labels=3,
             fmt="%.3g",
@@ -201,22 +199,22 @@ def draw(scene: Scene) -> Image.Image:
         )
     image = Image.fromarray(plotter.screenshot(transparent_background=True, return_img=True))
     plotter.close()
-    if scene.names:
-        _write_names(image, scene.names)
+    if names:
+        _write_names(image, names)
     return image
 
 
-def _colouring(scene: Scene) -> dict[str, Any]:
+def _colouring(mesh: pv.PolyData, title: str) -> dict[str, Any]:
     """Return the arguments of ``add_mesh`` that colour the mesh."""
-    if scene.title:
-        low = min(float(np.percentile(scene.mesh["radius_ratio"], _SPREAD)), 0.99)
+    if title:
+        low = min(float(np.percentile(mesh["radius_ratio"], _SPREAD)), 0.99)
         return {"scalars": "radius_ratio", "clim": (low, 1.0), "cmap": "viridis", "below_color": "#440154"}
-    if "colour" in scene.mesh.cell_data:
+    if "colour" in mesh.cell_data:
         return {"scalars": "colour", "rgb": True}
     return {"color": "#f0dfcb"}
 
 
-def _write_names(image: Image.Image, names: list[tuple[str, Any]]) -> None:
+def _write_names(image: Image.Image, names: Sequence[tuple[str, Any]]) -> None:
     """Write the first names after squares of their colours into the strip."""
     pen, font = ImageDraw.Draw(image), ImageFont.load_default(_LETTERING)
     shown = [(name[:_LETTERS], tuple(colour)) for name, colour in names[:_LEGEND]]
@@ -247,7 +245,7 @@ def main(surface_path: str, volume_path: str, *targets: str) -> None:
         kind, _, path = target.partition("=")
         try:
             Path(path).parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(Path(path), draw(_SCENES[kind](surface.copy(), volume)).save)
+            write_atomically(Path(path), _PICTURES[kind](surface.copy(), volume).save)
             print(kind, flush=True)
         except Exception as error:
             failed.append(f"{kind}: {type(error).__name__}: {error}")

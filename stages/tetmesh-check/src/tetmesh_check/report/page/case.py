@@ -129,16 +129,6 @@ class Case:
         return next((file["path"] for file in own), None)
 
     @property
-    def surface(self) -> Path | None:
-        """The triangles."""
-        return self.file("reconstruct", ".surface.vtp")
-
-    @property
-    def volume(self) -> Path | None:
-        """The tetrahedra."""
-        return self.file("tetmesh-check", ".volume.vtu")
-
-    @property
     def input(self) -> Path | None:
         """The volume that was meshed: the user's, or the phantom that was made for the case."""
         own = (Path(entry["path"]) for entry in self.inputs if entry["role"] == "volume")

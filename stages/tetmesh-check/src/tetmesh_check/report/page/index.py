@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -89,16 +88,15 @@ def read_cases(statuses: Sequence[Path]) -> list[Case]:
     StageError
         If none of them is one.
     """
-    cases = []
-    last: StageError | None = None
+    cases, errors = [], []
     for status in statuses:
         try:
-            cases.append(read_case(Path(os.path.realpath(status))))
+            cases.append(read_case(status.resolve()))
         except StageError as error:
             print(f"warning: left out of the index: {error.what}", file=sys.stderr)
-            last = error
-    if last is not None and not cases:
-        raise last
+            errors.append(error)
+    if not cases:
+        raise errors[-1]
     return cases
 
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from argparse import Namespace
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyvista as pv
 from isoparticles._native import check_output
 from jinja2 import UndefinedError
 from markupsafe import Markup
@@ -18,12 +16,12 @@ from tetmesh_check.datasets import from_polydata
 from tetmesh_check.errors import StageError, guarded
 from tetmesh_check.files import write_text
 from tetmesh_check.parsing import Parser
+from tetmesh_check.report.colours import key_of
 from tetmesh_check.report.page.case import Case, dig, read_case
-from tetmesh_check.report.page.key import key_of
 from tetmesh_check.report.page.scan import Scan, read_scan
 from tetmesh_check.report.page.slices import facts, slices
 from tetmesh_check.report.page.templates import render
-from tetmesh_check.report.page.view3d import is_anatomical, view, view_meshes
+from tetmesh_check.report.page.view3d import WORST, is_anatomical, pack, view_meshes
 from tetmesh_check.surface import read_dataset
 
 TOOL = "tetmesh-check-page"
@@ -37,25 +35,24 @@ _OTHER_VERSION = (KeyError, IndexError, TypeError, ValueError, UndefinedError)
 """Errors that reports of another version cause."""
 
 
-def _scan_of(case: Case) -> Scan | StageError | None:
+def _scan_of(case: Case) -> tuple[Scan | None, StageError | None]:
     """Read the input volume; return the error where it cannot be read."""
     if case.input is None:
-        return None
+        return None, None
     source = dig(case.reports, "distfield", "results", "meta", "source")
     asked = dig(case.reports, "distfield", "parameters", "materials")
     labels = asked or (source == "labels" if source else {"LABELS", "MATERIALS"} & set(case.parameters))
     try:
-        return read_scan(case.input, bool(labels), dig(case.reports, "distfield", "parameters", "series"))
+        return read_scan(case.input, bool(labels), dig(case.reports, "distfield", "parameters", "series")), None
     except StageError as error:
-        return error
+        return None, error
 
 
-def _surface_of(case: Case) -> pv.PolyData | None:
-    """Read the surface; ``None`` also for one that cannot be shown."""
-    surface = read_dataset(case.surface) if case.surface else None
-    if isinstance(surface, pv.PolyData) and surface.n_cells and np.isfinite(surface.points).all():
-        return surface
-    return None
+def _mesh_of(case: Case, stage: str, ending: str) -> Any:
+    """Read a mesh; ``None`` also for one that cannot be shown."""
+    path = case.file(stage, ending)
+    mesh = read_dataset(path) if path else None
+    return mesh if mesh and mesh.n_cells and np.isfinite(mesh.points).all() else None
 
 
 def _section(name: str, shown: dict[str, Any]) -> str:
@@ -76,9 +73,8 @@ def page(case: Case, folder: Path) -> str:
     folder
         Path of the page; links are relative to it.
     """
-    surface = _surface_of(case)
-    found = _scan_of(case)
-    scan = found if isinstance(found, Scan) else None
+    surface = _mesh_of(case, "reconstruct", ".surface.vtp")
+    scan, unreadable = _scan_of(case)
     key = key_of(case, scan, surface)
     anatomical = bool(scan and scan.anatomical) if surface is None else is_anatomical(surface)
     shown = {
@@ -87,11 +83,15 @@ def page(case: Case, folder: Path) -> str:
         "key": key,
         "anatomical": anatomical,
         "scan": scan,
-        "unreadable": found if isinstance(found, StageError) else None,
+        "unreadable": unreadable,
         "facts": facts,
         "slices": slices,
         "mesh": None if surface is None else from_polydata(surface),
-        "view": lambda: view(view_meshes(surface, case.volume, key), anatomical, key),
+        "surface": surface,
+        "volume": _mesh_of(case, "tetmesh-check", ".volume.vtu"),
+        "view_meshes": view_meshes,
+        "pack": pack,
+        "worst": WORST,
     }
     parts = [_section(name, shown) for name in _SECTIONS]
     return render("page", case=case, body=Markup("\n").join(part for part in parts if part))
@@ -127,7 +127,7 @@ def write_page(
             raise StageError(f"{output}: does not end in .html", "the page is an HTML file", f"name it {usual}")
         for ending in endings:
             check_output(output.with_suffix(ending), parsed.force)
-        for ending, text in make(Path(os.path.realpath(output.parent))).items():
+        for ending, text in make(output.parent.resolve()).items():
             write_text(output.with_suffix(ending), text)
 
     return guarded(tool, work)
@@ -155,6 +155,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parsed = parser.parse_args(argv)
 
     def make(folder: Path) -> dict[str, str]:
-        return {".html": page(read_case(Path(os.path.realpath(parsed.status))), folder)}
+        return {".html": page(read_case(parsed.status.resolve()), folder)}
 
     return write_page(TOOL, parsed, "NAME.report.html", (".html",), make)

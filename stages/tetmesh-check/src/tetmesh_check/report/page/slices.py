@@ -15,10 +15,9 @@ from PIL import Image
 
 from tetmesh_check.datasets import to_polydata
 from tetmesh_check.quality import Cells, Points
-from tetmesh_check.report.page.images import image_data
-from tetmesh_check.report.page.key import Entry
+from tetmesh_check.report.colours import Entry
 from tetmesh_check.report.page.scan import Scan
-from tetmesh_check.report.page.templates import render
+from tetmesh_check.report.page.templates import image_data, render
 
 SLICES = 40
 """Largest number of slices a plane."""

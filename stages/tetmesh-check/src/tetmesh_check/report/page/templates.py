@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import base64
+import io
+import json
 import math
 import os
 import re
+from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
-from json import dumps
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 from urllib.parse import quote
 
@@ -16,15 +20,21 @@ import numpy as np
 from isoparticles._native import VERSION
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
+from PIL import Image
 
 from tetmesh_check.checks import percent
+from tetmesh_check.errors import file_error
 from tetmesh_check.numerals import plain
 from tetmesh_check.report.colours import PALETTE
-from tetmesh_check.report.page.advice import advice_for
 from tetmesh_check.report.page.case import dig
-from tetmesh_check.report.page.images import picture_data
+from tetmesh_check.report.pictures import MESH_SHARE
 from tetmesh_check.volume_table import with_changes
 
+_PICTURE_WIDTH = 1400
+_ZOOMS = (1.0, 0.85, 0.7, 0.6, 0.5)
+"""Sizes of the part that :func:`filled` tries, over that of the picture."""
+_FULL = 0.9
+"""Share of a part that the mesh must cover for :func:`filled` to stop there."""
 _UNITS = (("GB", 1e9), ("MB", 1e6), ("kB", 1e3))
 
 
@@ -116,12 +126,114 @@ def link(path: Path, folder: Path) -> str:
 
 
 def resource(name: str) -> Markup:
-    """Return the text of a file of CSS or JavaScript beside this one."""
+    """Return the text of a file of CSS or JavaScript beside this one, or of JSON."""
     return Markup(files("tetmesh_check.report.page").joinpath(name).read_text(encoding="utf-8"))
 
 
+def _applies(entry: dict[str, str], parameters: Mapping[str, str]) -> bool:
+    name, equals, value = entry.get("set", "").partition("=")
+    return not name or (parameters.get(name) == value if equals else name in parameters)
+
+
+def advice_for(words: str, parameters: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Say what to do about a check; empty if the message itself says it.
+
+    The texts are in ``advice.json``, which ``pipelines/case/src/advice.rs`` reads as well: page and
+    terminal give the same advice. ``advice`` lists words of messages; the first entry that applies
+    is used. ``terms`` replaces words in braces by the variable that applies to the case. An entry
+    with ``set`` applies only if this variable is set, or has this value (``BORDER=open``).
+
+    Parameters
+    ----------
+    words
+        The message of the check.
+    parameters
+        The variables that are set for the case.
+    """
+    lowered = words.lower()
+    table: dict[str, list[dict[str, str]]] = json.loads(str(resource("advice.json")))
+    entry = next(entry for entry in table["advice"] if entry["words"] in lowered and _applies(entry, parameters))
+    advice = entry["do"]
+    for term in table["terms"]:
+        if _applies(term, parameters):
+            advice = advice.replace(term["words"], term["do"])
+    return advice
+
+
+def image_data(image: Image.Image, lossless: bool = False) -> str:
+    """Turn an image into a data address (WebP).
+
+    Parameters
+    ----------
+    image
+        The image.
+    lossless
+        Whether every pixel is kept, as labels need.
+    """
+    stream = io.BytesIO()
+    image.save(stream, "WEBP", quality=82, method=4, lossless=lossless)
+    return f"data:image/webp;base64,{base64.b64encode(stream.getvalue()).decode('ascii')}"
+
+
+def filled(image: Image.Image) -> Image.Image:
+    """Enlarge the part of a picture that the mesh covers best, above the colour bar, which stays.
+
+    Parameters
+    ----------
+    image
+        A picture in RGBA, which is changed; the background is transparent.
+    """
+    width, height = image.width, round(MESH_SHARE * image.height)
+    cover = np.zeros((height + 1, width + 1))
+    cover[1:, 1:] = (np.asarray(image)[:height, :, 3] > 0).cumsum(axis=0).cumsum(axis=1)
+    best, box = -1.0, (0, 0, width, height)
+    for zoom in _ZOOMS:
+        wide, high = round(zoom * width), round(zoom * height)
+        lefts, tops = (np.unique(np.linspace(0, room, 25).astype(int)) for room in (width - wide, height - high))
+        top, left = np.meshgrid(tops, lefts, indexing="ij")
+        sums = cover[top + high, left + wide] - cover[top, left + wide] - cover[top + high, left] + cover[top, left]
+        # of equal parts the one nearest to the middle, at which the picture looks
+        aside = np.hypot(left + 0.5 * wide - 0.5 * width, top + 0.5 * high - 0.5 * height) / width
+        shares = sums / (wide * high) - 0.01 * aside
+        k = int(shares.argmax())
+        if shares.flat[k] > best:
+            x, y = int(left.flat[k]), int(top.flat[k])
+            best, box = float(shares.flat[k]), (x, y, x + wide, y + high)
+        if best >= _FULL:
+            break
+    image.paste(image.crop(box).resize((width, height), Image.Resampling.LANCZOS))
+    return image
+
+
+def picture_data(path: Path, kind: str = "", width: int = _PICTURE_WIDTH) -> tuple[str, int, int]:
+    """Turn a picture into a data address for the page; with its width and height, pixels.
+
+    Parameters
+    ----------
+    path
+        A picture; what is transparent in it stays so.
+    kind
+        A ``closeup`` is enlarged where the mesh is. ``regions`` lose the names below the mesh,
+        which the page writes as text.
+    width
+        Wider ones are made smaller.
+    """
+    try:
+        with Image.open(path) as opened:
+            image: Image.Image = opened.convert("RGBA")
+    except OSError as error:
+        raise file_error(path, "read", error, "draw the pictures again (tetmesh-check --pictures)") from error
+    if kind == "closeup":
+        image = filled(image)
+    elif kind == "regions":
+        image = image.crop((0, 0, image.width, round(MESH_SHARE * image.height)))
+    if image.width > width:
+        image = image.resize((width, round(image.height * width / image.width)), Image.Resampling.LANCZOS)
+    return image_data(image), image.width, image.height
+
+
 _FUNCTIONS = (
-    number, plain, percent, dumps, duration, memory, amount, ticks, anchor, titles, link, resource,
+    number, plain, percent, json.dumps, duration, memory, amount, ticks, anchor, titles, link, resource,
     picture_data, dig, advice_for, with_changes,
 )  # fmt: skip
 

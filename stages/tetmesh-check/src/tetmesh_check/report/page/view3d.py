@@ -1,28 +1,91 @@
-"""The 3-D view: which meshes it shows, coloured by what, and the controls around it."""
+"""The 3-D view: which meshes it shows, and their data as text.
+
+The text holds whole numbers, as differences, deflated, in base64.
+"""
 
 from __future__ import annotations
 
+import base64
 import json
-from pathlib import Path
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyvista as pv
-from markupsafe import Markup
+from numpy.typing import NDArray
 
 from tetmesh_check.datasets import from_polydata, text_of, to_polydata
 from tetmesh_check.quality import OUTWARD_FACES, triangle_quality
-from tetmesh_check.report.page.key import Entry
-from tetmesh_check.report.page.payload import MAX_TRIANGLES, WORST, ViewMesh, pack
-from tetmesh_check.report.page.templates import render
+from tetmesh_check.report.colours import Entry
+from tetmesh_check.report.page.scan import world_letters
 from tetmesh_check.report.pictures import boundary_of, cut_of
-from tetmesh_check.surface import read_dataset
 
+STEPS = 8191
+"""Steps over half of the longest side of the object: a ten-thousandth of it is well below a
+pixel."""
+MAX_TRIANGLES = 1_000_000
+"""Larger meshes are left out of the view: a page of ribs with 579,140 triangles and 287,010 on the
+cut holds 5.5 MB of them."""
+_WHOLE_VALUES = 300_000
+"""Values of larger meshes are kept to 8 bits of their range instead of 16, which deflate to half as
+much."""
+_RANGE = (1.0, 99.0)
+"""Percentiles at the ends of the colour bar: the few best and worst do not decide what all others
+look like."""
+WORST = 1.0
+"""Percent of the triangles that 'worst' shows."""
 _YAW, _PITCH = 0.63, 0.38
 """Initial direction of view, radians; the same as in the pictures."""
+_SIDEWAYS_AND_UP = np.array(
+    [
+        [np.cos(_YAW), np.sin(_YAW), 0.0],
+        [-np.sin(_PITCH) * np.sin(_YAW), np.sin(_PITCH) * np.cos(_YAW), np.cos(_PITCH)],
+    ]
+)
+"""Axes of the picture in that view."""
 _MAX_WORST = 5000
 """Largest number of tetrahedra among the worst: more only hide each other."""
 _MAX_REGIONS = 12
 """Materials that can be looked at one by one, the largest first: the page grows with each."""
+
+
+class Measure(NamedTuple):
+    """A measure that meshes can be coloured by."""
+
+    data: str
+    """Name of the data of triangles or vertices."""
+    name: str
+    """As the page calls it."""
+    unit: str = ""
+    """With a space before it, as in ``" mm"``."""
+    worst: str = ""
+    """``low`` or ``high``: which end is bad; empty where none is."""
+
+
+MEASURES = (
+    Measure("radius_ratio", "radius ratio", worst="low"),
+    Measure("min_dihedral", "minimum dihedral angle", "\u00b0", "low"),
+    Measure("edge_length", "edge length", " mm"),
+    Measure("deviation", "deviation from F = 0", " mm", "high"),
+    Measure("material", "material"),
+)
+"""Of a mesh, the first states which end is bad if the chosen one does not."""
+
+
+@dataclass(frozen=True)
+class ViewMesh:
+    """One of the meshes to look at."""
+
+    name: str
+    """Name on the page."""
+    mesh: pv.PolyData
+    """Triangles; their data, or those of vertices, are the measures."""
+    within: bool = False
+    """Whether it lies inside the object, and is shown within a ghost of the first mesh."""
+    names: tuple[tuple[str, tuple[int, int, int]], ...] = ()
+    """The name and the colour of each ``material``."""
 
 
 def is_anatomical(dataset: pv.DataSet) -> bool:
@@ -46,11 +109,10 @@ def _add_edge_lengths(mesh: pv.PolyData) -> pv.PolyData:
     return mesh
 
 
-def _with_quality(mesh: pv.PolyData) -> pv.PolyData:
-    """Return the mesh with the radius ratios of its triangles."""
-    made = mesh.copy(deep=False)
-    made.cell_data["radius_ratio"] = triangle_quality(*from_polydata(mesh)).radius_ratio
-    return made
+def _add_quality(mesh: pv.PolyData) -> pv.PolyData:
+    """Add the radius ratios of the triangles."""
+    mesh.cell_data["radius_ratio"] = triangle_quality(*from_polydata(mesh)).radius_ratio
+    return mesh
 
 
 def _views_of_volume(grid: pv.UnstructuredGrid, key: list[Entry]) -> list[ViewMesh]:
@@ -84,11 +146,11 @@ def _views_of_regions(grid: pv.UnstructuredGrid, names: list[str]) -> list[ViewM
         if left < 0:
             break
         boundary.clear_cell_data()
-        views.append(ViewMesh(f"only {names[material]}", _with_quality(boundary), within=True))
+        views.append(ViewMesh(f"only {names[material]}", _add_quality(boundary), within=True))
     return views
 
 
-def view_meshes(surface: pv.PolyData | None, volume: Path | None, key: list[Entry]) -> list[ViewMesh]:
+def view_meshes(surface: pv.PolyData | None, volume: pv.UnstructuredGrid | None, key: list[Entry]) -> list[ViewMesh]:
     """Gather what the 3-D view shows.
 
     Parameters
@@ -96,33 +158,112 @@ def view_meshes(surface: pv.PolyData | None, volume: Path | None, key: list[Entr
     surface
         The surface as read.
     volume
-        The file of the tetrahedra. Meshes of more than :data:`.MAX_TRIANGLES` triangles are left
+        The tetrahedra as read. Meshes of more than :data:`.MAX_TRIANGLES` triangles are left
         out.
     key
         Names and colours of the materials.
     """
-    meshes = [] if surface is None else [ViewMesh("surface", _add_edge_lengths(_with_quality(surface)))]
+    meshes = [] if surface is None else [ViewMesh("surface", _add_edge_lengths(_add_quality(surface.copy(deep=False))))]
     if volume is not None:
-        grid = read_dataset(volume)
-        if isinstance(grid, pv.UnstructuredGrid) and pv.CellType.TETRA in grid.cells_dict:
-            meshes += _views_of_volume(grid, key)
+        meshes += _views_of_volume(volume, key)
     return [mesh for mesh in meshes if 0 < mesh.mesh.n_cells <= MAX_TRIANGLES]
 
 
-def view(meshes: list[ViewMesh], anatomical: bool, key: list[Entry]) -> str:
-    """Write the 3-D view.
+def _planes(numbers: NDArray[Any]) -> bytes:
+    """Return the first bytes of all numbers, then the second ones and so on."""
+    return numbers.view(np.uint8).reshape(len(numbers), -1).T.tobytes()
+
+
+def _differences(numbers: NDArray[Any]) -> bytes:
+    """Return zigzag differences of whole numbers, as four planes of bytes."""
+    steps = np.diff(numbers, prepend=0)
+    return _planes(np.where(steps < 0, -2 * steps - 1, 2 * steps).astype("<u4"))
+
+
+def measures_of(mesh: pv.PolyData) -> list[Measure]:
+    """Find what a mesh can be coloured by.
+
+    Parameters
+    ----------
+    mesh
+        Triangles.
+    """
+    return [m for m in MEASURES if m.data in mesh.array_names and np.isfinite(mesh[m.data]).all()]
+
+
+def pack(meshes: list[ViewMesh], anatomical: bool = True) -> tuple[dict[str, Any], str]:
+    """Pack meshes for the page.
 
     Parameters
     ----------
     meshes
-        The content; empty if there is none.
+        The meshes; the first is shown first.
     anatomical
-        Whether the world is that of the body.
-    key
-        Names and colours of the materials.
+        Whether the world is that of the body (LPS).
+
+    Returns
+    -------
+    tuple
+        Description of the data for the script, and the data.
     """
-    if not meshes:
-        return ""
-    about, data = pack(meshes, _YAW, _PITCH, anatomical)
-    text = Markup(json.dumps(about).replace("<", "\\u003c"))
-    return render("view", meshes=meshes, about=about, text=text, data=data, key=key, worst=WORST)
+    # numbers used vertices in the order of the triangles, so that differences are small
+    shown = [view.mesh.clean(point_merging=False) for view in meshes]
+    points = np.concatenate([mesh.points for mesh in shown])
+    low, high = points.min(axis=0), points.max(axis=0)
+    centre, half = 0.5 * (low + high), 0.5 * float((high - low).max()) or 1.0
+    data = bytearray()
+
+    def add(part: bytes) -> int:
+        data.extend(part)
+        return len(data) - len(part)
+
+    listed = [
+        {
+            "name": view.name,
+            "within": view.within,
+            "point_count": mesh.n_points,
+            "triangle_count": mesh.n_cells,
+            "points": add(_differences(np.round(STEPS * (mesh.points - centre) / half).T.ravel())),
+            "triangles": add(_differences(from_polydata(mesh)[1].ravel())),
+            "colours": [_colour(measure, mesh, view.names, add) for measure in measures_of(mesh)],
+        }
+        for view, mesh in zip(meshes, shown, strict=True)
+    ]
+    about = {
+        "meshes": listed,
+        "step": 1.0 / STEPS,
+        "half": half,
+        "centre": centre.tolist(),
+        "reach": (1.08 * np.abs((points - centre) / half @ _SIDEWAYS_AND_UP.T).max(axis=0)).tolist(),
+        "yaw": _YAW,
+        "pitch": _PITCH,
+        "letters": world_letters(anatomical),
+        "anatomical": anatomical,
+    }
+    return about, base64.b64encode(zlib.compress(data, 9)).decode("ascii")
+
+
+def _colour(
+    measure: Measure, mesh: pv.PolyData, names: tuple[tuple[str, Any], ...], add: Callable[[bytes], int]
+) -> dict[str, Any]:
+    """Describe a measure for the script, and add its values to the data."""
+    values = np.abs(mesh[measure.data])
+    least, largest = float(values.min()), float(values.max())
+    steps = 65535 if mesh.n_cells <= _WHOLE_VALUES else 255
+    whole = np.round(steps * (values - least) / max(largest - least, 1e-300)).astype("<u2")
+    low, high = (float(v) for v in np.percentile(values, _RANGE))
+    worst = {"low": WORST, "high": 100.0 - WORST}.get(measure.worst)
+    return {
+        "name": measure.name,
+        "unit": measure.unit,
+        "on_triangles": measure.data in mesh.cell_data,
+        "start": add(_planes(whole * np.uint16(65535 // steps))),
+        "least": least,
+        "largest": largest,
+        "low": low,
+        "high": high if high > low else low + max(abs(low), 1.0) * 1e-6,
+        "worst": measure.worst,
+        "names": [name for name, _ in names if measure.data == "material"],
+        "palette": [part for _, shade in names for part in shade],
+        "threshold": None if worst is None else float(np.percentile(values, worst)),
+    }
