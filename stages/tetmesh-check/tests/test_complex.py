@@ -9,15 +9,17 @@ import pytest
 import pyvista as pv
 from complexes import Made, cells_of_a_block, nested_balls, sectors_of_a_ball
 
-from tetmesh_check.complex import Complex, check_complex, describe_complex
+from tetmesh_check.complex import check_complex, describe_complex
 from tetmesh_check.errors import StageError
-from tetmesh_check.surface import read_surface
+from tetmesh_check.surface import Surface, read_surface
+from tetmesh_check.topology import Shells
 
 
-def checked(made: Made, folder: Path, **arrays: np.ndarray) -> Complex:
+def checked(made: Made, folder: Path, **arrays: np.ndarray) -> tuple[Surface, Shells]:
     """Write, read and check a complex."""
     path = made.save(folder / "c.surface.vtp", **arrays)
-    return check_complex(path, read_surface(path))
+    surface = read_surface(path)
+    return surface, check_complex(path, surface)
 
 
 def by_name(entries: list[dict]) -> dict[str, dict]:
@@ -25,15 +27,15 @@ def by_name(entries: list[dict]) -> dict[str, dict]:
 
 
 def test_nested_balls(tmp_path: Path) -> None:
-    complex_ = checked(nested_balls((10.0, 5.0), (3, 2), ("body", "heart")), tmp_path)
-    found = describe_complex(complex_)
+    surface, shells = checked(nested_balls((10.0, 5.0), (3, 2), ("body", "heart")), tmp_path)
+    found = describe_complex(surface, shells)
     assert found["junction_edges"] == found["junction_vertices"] == 0
     body, heart = (by_name(found["materials"])[name] for name in ("body", "heart"))
     assert heart["volume_mm3"] == pytest.approx(4.0 / 3.0 * np.pi * 125.0, rel=0.04)
     assert body["volume_mm3"] + heart["volume_mm3"] == pytest.approx(4.0 / 3.0 * np.pi * 1000.0, rel=0.02)
     # the body is one part with a cavity, so its surface has two components
     assert (body["components"], body["topology"]["components"], body["topology"]["euler_characteristic"]) == (1, 2, 4)
-    assert complex_.shells.sheets()[0].tolist() == [[0, -1], [1, 0]]
+    assert shells.sheets()[0].tolist() == [[0, -1], [1, 0]]
     names = [entry["name"] for entry in found["interfaces"]]
     assert names == ["body/outside", "heart/body"]
     # the angle between the normals of adjacent triangles has an RMS of about edge length / (sqrt(3)
@@ -44,8 +46,8 @@ def test_nested_balls(tmp_path: Path) -> None:
 
 
 def test_sectors_of_a_ball(tmp_path: Path) -> None:
-    complex_ = checked(sectors_of_a_ball(10.0, 3), tmp_path)
-    found = describe_complex(complex_)
+    surface, shells = checked(sectors_of_a_ball(10.0, 3), tmp_path)
+    found = describe_complex(surface, shells)
     # after three subdivisions, each half of the axis and each half of the three meridians has 2^3
     # segments
     assert found["junction_edges"] == 8 * (2 + 6)
@@ -68,7 +70,7 @@ def test_sectors_of_a_ball(tmp_path: Path) -> None:
 def test_volumes_and_areas_converge_with_the_square_of_the_edges(tmp_path: Path) -> None:
     errors = []
     for times in (2, 3, 4):
-        found = describe_complex(checked(sectors_of_a_ball(10.0, times), tmp_path))
+        found = describe_complex(*checked(sectors_of_a_ball(10.0, times), tmp_path))
         volume = by_name(found["materials"])["one"]["volume_mm3"]
         errors.append(abs(volume - 4.0 / 9.0 * np.pi * 1000.0))
     assert 3.7 < errors[0] / errors[1] < 4.3
@@ -79,7 +81,7 @@ def test_four_regions_of_a_cube_meet_in_a_point(tmp_path: Path) -> None:
     def material(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         return np.where(z > 2, 4, np.where(x < 2, 1, np.where(y < 2, 2, 3)))
 
-    found = describe_complex(checked(cells_of_a_block((4, 4, 4), material, ("a", "b", "c", "d")), tmp_path))
+    found = describe_complex(*checked(cells_of_a_block((4, 4, 4), material, ("a", "b", "c", "d")), tmp_path))
     volumes = [by_name(found["materials"])[name]["volume_mm3"] for name in "abcd"]
     np.testing.assert_allclose(volumes, [16.0, 8.0, 8.0, 32.0])
     assert len(found["interfaces"]) == 4 + 6
@@ -97,10 +99,10 @@ def test_parts_that_touch_along_an_edge_are_kept_asunder(tmp_path: Path) -> None
         inner = (abs(x - 2) < 1) & (abs(y - 2) < 1) & (abs(z - 2) < 1)
         return np.where(inner & ((x < 2) == (y < 2)), 2, 1)
 
-    complex_ = checked(cells_of_a_block((4, 4, 4), material, ("body", "columns")), tmp_path)
-    assert complex_.shells.materials.tolist() == [1, 2, 2]
-    np.testing.assert_allclose(complex_.shells.sizes, [60.0, 2.0, 2.0])
-    found = describe_complex(complex_)
+    surface, shells = checked(cells_of_a_block((4, 4, 4), material, ("body", "columns")), tmp_path)
+    assert shells.materials.tolist() == [1, 2, 2]
+    np.testing.assert_allclose(shells.sizes, [60.0, 2.0, 2.0])
+    found = describe_complex(surface, shells)
     assert found["edges_by_triangles"][4] == 2
     columns = by_name(found["materials"])["columns"]
     assert (columns["components"], columns["topology"]["nonmanifold_edges"]) == (2, 2)
@@ -113,10 +115,10 @@ def test_materials_within_cavities_of_each_other(tmp_path: Path) -> None:
         far = np.maximum(np.maximum(abs(x - 4.5), abs(y - 4.5)), abs(z - 4.5))
         return np.select([far < 1, far < 2, far < 4], [0, 1, 2], 1)
 
-    complex_ = checked(cells_of_a_block((9, 9, 9), material, ("bone", "marrow")), tmp_path)
-    assert complex_.shells.materials.tolist() == [1, 1, 2]
-    np.testing.assert_allclose(np.sort(complex_.shells.sizes), [26.0, 316.0, 386.0])
-    assert complex_.shells.sizes[2] == pytest.approx(316.0)
+    _, shells = checked(cells_of_a_block((9, 9, 9), material, ("bone", "marrow")), tmp_path)
+    assert shells.materials.tolist() == [1, 1, 2]
+    np.testing.assert_allclose(np.sort(shells.sizes), [26.0, 316.0, 386.0])
+    assert shells.sizes[2] == pytest.approx(316.0)
 
 
 def refused(made: Made, folder: Path, words: str, **arrays: np.ndarray) -> None:

@@ -2,41 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from isoparticles import _native
 
-from tetmesh_check.errors import StageError
-from tetmesh_check.materials import NOTHING, Sides
-from tetmesh_check.quality import TriangleQuality, summarize_all, triangle_quality
-from tetmesh_check.surface import Surface, place_of
+from tetmesh_check.errors import refuse_file
+from tetmesh_check.materials import NOTHING
+from tetmesh_check.quality import summarize_all, triangle_quality
+from tetmesh_check.surface import TOOLS, Surface, place_of
 from tetmesh_check.topology import Shells, members_of
 
 
-@dataclass(frozen=True)
-class Complex:
-    """A checked surface of many materials."""
-
-    surface: Surface
-    """Every vertex is in use."""
-    sides: Sides
-    shells: Shells
-    quality: TriangleQuality
-    """Quality of the triangles."""
-
-
-def _compact(surface: Surface) -> Surface:
-    used, local = np.unique(surface.triangles, return_inverse=True)
-    if len(used) == len(surface.points):
-        return surface
-    return replace(surface, points=surface.points[used], triangles=local.reshape(-1, 3).astype(np.int64))
-
-
-def check_complex(path: Path, surface: Surface) -> Complex:
+def check_complex(path: Path, surface: Surface) -> Shells:
     """Refuse a surface of many materials that bounds no volumes.
 
     Parameters
@@ -46,6 +26,11 @@ def check_complex(path: Path, surface: Surface) -> Complex:
     surface
         The surface as read, with its ``sides``.
 
+    Returns
+    -------
+    Shells
+        Its volumes.
+
     Raises
     ------
     StageError
@@ -53,17 +38,10 @@ def check_complex(path: Path, surface: Surface) -> Complex:
         the wrong side, or cuts through itself.
     """
     assert surface.sides is not None, "the caller looked"
-    sides = surface.sides
-    surface = _compact(surface)
-    points, triangles = surface.points, surface.triangles
+    refuse = partial(refuse_file, path, remedy=TOOLS)
+    sides, points, triangles = surface.sides, surface.points, surface.triangles
     found = _native.check_complex(points, triangles, sides.inside, sides.outside, len(sides.table))
     flat, twice, wrong, crossing = found["flat"], found["duplicates"], found["open_edges"], found["crossing"]
-
-    def refuse(what: str, why: str, remedy: str = "") -> NoReturn:
-        raise StageError(
-            f"{path}: {what}", why, f"{remedy}use a surface from reconstruct, or repair this surface first"
-        )
-
     if len(flat):
         refuse(
             f"{len(flat)} triangles have no area, the first near {place_of(points, triangles[flat[0]])}",
@@ -93,38 +71,18 @@ def check_complex(path: Path, surface: Surface) -> Complex:
             f"is inside out: {shells.mixed} wedges between neighbouring triangles lie in two materials, "
             f"{shells.inside_out} closed surfaces enclose nothing",
             "each triangle must be counter-clockwise as seen from the material of the lower number",
-            "reverse the winding of these triangles; ",
+            remedy=f"reverse the winding of these triangles; {TOOLS}",
         )
-    return Complex(surface, sides, shells, triangle_quality(points, triangles))
+    return shells
 
 
-def _materials(checked: Complex, topologies: Mapping[int, Mapping[str, object]]) -> list[dict[str, Any]]:
-    """Each material's own closed surface."""
-    sides, shells, area = checked.sides, checked.shells, checked.quality.area
-    count = len(sides.table)
-    areas = np.bincount(sides.inside, area, count) + np.bincount(sides.outside, area, count)
-    volumes = np.bincount(shells.materials, shells.sizes, count)
-    return [
-        {
-            "number": number,
-            "name": sides.names[number],
-            "volume_mm3": None if number == NOTHING else float(volumes[number]),
-            "components": None if number == NOTHING else int((shells.materials == number).sum()),
-            "area_mm2": float(areas[number]),
-            "smallest_wedge_degrees": None if number == NOTHING else float(shells.narrowest[number]),
-            "topology": topology,
-        }
-        for number, topology in topologies.items()
-    ]
-
-
-def describe_complex(checked: Complex) -> dict[str, Any]:
-    """Count and measure a complex for the report.
+def describe_complex(surface: Surface, shells: Shells) -> dict[str, Any]:
+    """Count and measure a surface of many materials for the report.
 
     Parameters
     ----------
-    checked
-        The complex.
+    surface, shells
+        The surface, and its volumes.
 
     Returns
     -------
@@ -137,11 +95,16 @@ def describe_complex(checked: Complex) -> dict[str, Any]:
         topology of its own closed surface; ``interfaces``, each pair with area, connected pieces,
         quality and turn.
     """
-    surface, sides, quality = checked.surface, checked.sides, checked.quality
+    assert surface.sides is not None, "the caller looked"
+    sides, quality = surface.sides, triangle_quality(surface.points, surface.triangles)
+    count = len(sides.table)
     found: dict[str, Any] = {
-        **_native.describe_complex(surface.points, surface.triangles, sides.inside, sides.outside, len(sides.table))
+        **_native.describe_complex(surface.points, surface.triangles, sides.inside, sides.outside, count)
     }
     topologies, interfaces = found.pop("topologies"), found.pop("interfaces")
+    areas = np.bincount(sides.inside, quality.area, count) + np.bincount(sides.outside, quality.area, count)
+    volumes = np.bincount(shells.materials, shells.sizes, count)
+    parts = np.bincount(shells.materials, minlength=count)
     pairs, which = sides.pairs()
     of_pairs = zip(pairs.tolist(), members_of(which, len(pairs)), interfaces, strict=True)
     return {
@@ -152,7 +115,18 @@ def describe_complex(checked: Complex) -> dict[str, Any]:
         "bounding_box_diagonal_mm": surface.bounding_box_diagonal,
         **found,
         "quality": summarize_all(quality),
-        "materials": _materials(checked, topologies),
+        "materials": [
+            {
+                "number": number,
+                "name": sides.names[number],
+                "volume_mm3": None if number == NOTHING else float(volumes[number]),
+                "components": None if number == NOTHING else int(parts[number]),
+                "area_mm2": float(areas[number]),
+                "smallest_wedge_degrees": None if number == NOTHING else float(shells.narrowest[number]),
+                "topology": topology,
+            }
+            for number, topology in topologies.items()
+        ],
         "interfaces": [
             {
                 "inside": inside,

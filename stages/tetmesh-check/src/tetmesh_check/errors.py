@@ -8,6 +8,7 @@ import tempfile
 import traceback
 from collections.abc import Callable
 from pathlib import Path
+from typing import NoReturn
 
 from isoparticles._errors import Error
 
@@ -35,6 +36,11 @@ def file_error(path: Path, doing: str, source: BaseException, what_next: str) ->
     """
     reason = getattr(source, "strerror", None) or str(source) or type(source).__name__
     return StageError(f"{path}: cannot {doing}: {reason}", "the stage needs this file", what_next)
+
+
+def refuse_file(path: Path, what: str, why: str, remedy: str) -> NoReturn:
+    """Refuse the content of a file, in the three parts of a message."""
+    raise StageError(f"{path}: {what}", why, remedy)
 
 
 def described(problem: Exception) -> StageError:

@@ -15,7 +15,6 @@ from isoparticles._native import Context
 from numpy.typing import NDArray
 
 from tetmesh_check.checks import REMEDY, Limits, counted, shape_of
-from tetmesh_check.complex import Complex
 from tetmesh_check.conform import NOBODY, Conformity
 from tetmesh_check.materials import NOTHING
 from tetmesh_check.quality import Labels, TetrahedronQuality, Values, centres_of
@@ -50,13 +49,13 @@ class ForcedSides:
         return self.where(order[there]), standing[there]
 
 
-def find_forced(checked: Complex, limits: Limits, context: Context) -> tuple[ForcedSides, ForcedSides]:
+def find_forced(surface: Surface, limits: Limits, context: Context) -> tuple[ForcedSides, ForcedSides]:
     """Find where the surface allows no tetrahedron within the limits of shape, and warn of it.
 
     Parameters
     ----------
-    checked
-        The surface.
+    surface
+        The checked surface.
     limits
         The limits of shape.
     context
@@ -68,7 +67,8 @@ def find_forced(checked: Complex, limits: Limits, context: Context) -> tuple[For
         Sides on which no tetrahedron reaches the limit of the dihedral angle, because of other
         triangles; both sides of the triangles whose own angles are too small for both limits.
     """
-    surface, sides, angle = checked.surface, checked.sides, limits.min_dihedral
+    assert surface.sides is not None, "only many materials force tetrahedra"
+    sides, angle = surface.sides, limits.min_dihedral
     found = ForcedSides(*_native.forced_sides(surface.points, surface.triangles, angle))
     material = np.where(found.side == INSIDE, sides.inside[found.facet], sides.outside[found.facet])
     by_surface, material = found.where(material != NOTHING), material[material != NOTHING]
@@ -103,7 +103,7 @@ def _sharpest(found: ForcedSides, surface: Surface) -> tuple[str, str, str]:
 
 
 def list_forced(
-    sides: ForcedSides, possible: str, checked: Complex, found: Conformity, quality: TetrahedronQuality
+    sides: ForcedSides, possible: str, surface: Surface, found: Conformity, quality: TetrahedronQuality
 ) -> list[dict[str, Any]]:
     """List the tetrahedra on forced sides of triangles for the report, the sharpest first.
 
@@ -113,14 +113,14 @@ def list_forced(
         The sides.
     possible
         Key of the bound in the report.
-    checked
+    surface
         The surface.
     found, quality
         Conformity and quality of the tetrahedra.
     """
     occupied, tetrahedra = sides.occupied(found)
-    centres = centres_of(checked.surface.points, checked.surface.triangles[occupied.facet])
-    names = checked.sides.names
+    centres = centres_of(surface.points, surface.triangles[occupied.facet])
+    names = surface.sides.names if surface.sides is not None else []
     return [
         {"place_mm": place, "material": names[found.regions[cell]], possible: bound, **shape_of(quality, cell)}
         for place, bound, cell in zip(centres.tolist(), occupied.bound.tolist(), tetrahedra.tolist(), strict=True)

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
 
 from tetmesh_check.datasets import text_of
-from tetmesh_check.errors import StageError
+from tetmesh_check.errors import refuse_file
 from tetmesh_check.quality import Cells, Labels
 from tetmesh_check.topology import pairs_of
 
@@ -90,10 +91,7 @@ def read_sides(path: Path, surface: pv.PolyData) -> Sides | None:
         If the arrays or the table of materials (field data ``meta``, ``materials``) are incomplete
         or do not fit together.
     """
-
-    def refuse(what: str, why: str) -> NoReturn:
-        raise StageError(f"{path}: {what}", why, "give the surface that reconstruct wrote for many materials")
-
+    refuse = partial(refuse_file, path, remedy="give the surface that reconstruct wrote for many materials")
     there = [name for name in (INSIDE, OUTSIDE) if name in surface.cell_data]
     if not there:
         return None

@@ -16,7 +16,7 @@ from tetmesh_check.materials import NOTHING
 from tetmesh_check.quality import Labels, centres_of, summarize, summarize_all, summarize_distances, triangle_quality
 from tetmesh_check.regions import CAP, boundary_marks, meshed_labels, regions_of, share_outside
 from tetmesh_check.surface import Surface
-from tetmesh_check.tets.fill import ComplexTask, Filled, Task
+from tetmesh_check.tets.fill import Filled, Task
 from tetmesh_check.topology import Boundary, members_of, tetrahedron_boundary
 from tetmesh_check.volume_table import volume_table
 from tetmesh_check.volumes import InputVolume
@@ -37,11 +37,12 @@ def _boundary(surface: Surface, filled: Filled, outside: Boundary) -> dict[str, 
     }
 
 
-def _interfaces(task: ComplexTask, filled: Filled, found: Conformity, context: Context) -> dict[str, Any]:
+def _interfaces(task: Task, filled: Filled, found: Conformity, context: Context) -> dict[str, Any]:
     """Measure the regions of many materials, and how they fit the triangles between them."""
-    checked, quality = task.checked, filled.quality
-    regions = []
-    members = members_of(found.regions, len(checked.sides.table))
+    assert task.surface.sides is not None, "there are many materials"
+    assert task.forced is not None, "of many materials it is known"
+    quality, regions = filled.quality, []
+    members = members_of(found.regions, len(task.surface.sides.table))
     for material in context.results["complex"]["materials"]:
         number = material["number"]
         if number == NOTHING:
@@ -65,14 +66,14 @@ def _interfaces(task: ComplexTask, filled: Filled, found: Conformity, context: C
         "interface_triangles": {"missing": found.missing, "added": found.added},
         "crowded_faces": found.crowded,
         "undecided_tetrahedra": found.undecided,
-        "forced_by_surface": list_forced(task.sides, "possible_degrees", checked, found, quality),
-        "forced_by_triangle": list_forced(task.needles, "possible_scaled_jacobian", checked, found, quality),
+        "forced_by_surface": list_forced(task.forced[0], "possible_degrees", task.surface, found, quality),
+        "forced_by_triangle": list_forced(task.forced[1], "possible_scaled_jacobian", task.surface, found, quality),
         "smallest_elsewhere": smallest_elsewhere(quality, filled.forced),
         "regions": regions,
     }
 
 
-def measure(task: Task | ComplexTask, filled: Filled, context: Context) -> VolumeMesh:
+def measure(task: Task, filled: Filled, context: Context) -> VolumeMesh:
     """Measure the tetrahedra for the report, and their distance from the surface of one object.
 
     Parameters
@@ -85,7 +86,7 @@ def measure(task: Task | ComplexTask, filled: Filled, context: Context) -> Volum
     surface, arguments, results = task.surface, task.arguments, context.results
     points, tetrahedra, quality, found = filled.points, filled.tetrahedra, filled.quality, filled.conformity
     with context.step("measure quality"):
-        exact = found if found is not None and found.faults == 0 else None
+        exact = None if found is None or found.faults else found
         outside = tetrahedron_boundary(tetrahedra) if exact is None else outside_of(exact, surface.triangles)
         volume = results["volume"] = {
             "points": len(points),
@@ -99,13 +100,13 @@ def measure(task: Task | ComplexTask, filled: Filled, context: Context) -> Volum
         if arguments.sizefield is not None:
             wanted = arguments.tet_size_factor * task.field.trilinear(centres_of(points, tetrahedra))
             volume["edge_length_over_target"] = summarize(quality.edge_length / wanted, np.linspace(0.0, 3.0, 61))
-        if isinstance(task, ComplexTask) and found is not None:
-            volume |= _interfaces(task, filled, found, context)
-        else:
+        if found is None:
             volume |= _boundary(surface, filled, outside)
+        else:
+            volume |= _interfaces(task, filled, found, context)
         regions = volume.get("regions", [{"name": "object", **volume}])
         results["volumes"] = volume_table(surface.volumes, {one["name"]: one["volume_mm3"] for one in regions})
-    if isinstance(task, Task):
+    if found is None:
         with context.step("measure distances"):
             ways = distances_both_ways(points, outside.triangles, surface.points, surface.triangles)
             names = ("boundary_to_surface", "surface_to_boundary")

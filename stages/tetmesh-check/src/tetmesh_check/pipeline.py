@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from isoparticles import _native
 from isoparticles._native import Context, GridField
@@ -23,7 +25,8 @@ from tetmesh_check.quality import Values, summarize, summarize_all, triangle_qua
 from tetmesh_check.regions import check_labels, has_scale, meshed_labels
 from tetmesh_check.report.rendering import drawing
 from tetmesh_check.surface import Surface, check_surface, read_surface
-from tetmesh_check.tets.fill import ComplexTask, Filled, Task, fill, fill_complex
+from tetmesh_check.tets.fill import Filled, Task, fill
+from tetmesh_check.topology import Components, Shells
 from tetmesh_check.volumes import InputVolume, read_label_volume
 
 ENVELOPE_FRACTION = 0.05
@@ -74,27 +77,36 @@ def _edge_lengths(surface: Surface, sizing: GridField | None, context: Context) 
     return uniform_sizing_field(surface, median), lengths
 
 
-def _object_task(
-    arguments: Arguments, surface: Surface, sizing: GridField | None, labels: InputVolume | None, context: Context
-) -> Task:
-    """Refuse a surface that is not closed, or labels of another one; report the surface."""
-    with context.step("check surface"):
-        topology, components = check_surface(arguments.surface, surface)
-        quality = triangle_quality(surface.points, surface.triangles)
-        context.results["surface"] = {
-            "topology": topology,
-            "merged_points": surface.merged_points,
-            "area_mm2": float(quality.area.sum()),
-            "volume_mm3": float(components.volumes.sum()),
-            "bounding_box_diagonal_mm": surface.bounding_box_diagonal,
-            "quality": summarize_all(quality),
-        }
-        if labels is not None:
-            check_labels(surface.points, labels, meshed_labels(surface.history))
-    field, at_surface = _edge_lengths(surface, sizing, context)
+def _check(path: Path, surface: Surface, labels: InputVolume | None, context: Context) -> Components | Shells:
+    """Refuse a surface that bounds no volumes, or labels of another one; report the surface."""
+    if surface.sides is not None:
+        shells = check_complex(path, surface)
+        counts = context.results["complex"] = describe_complex(surface, shells)
+        context.verbose(
+            f"{len(surface.sides.present)} materials, {len(counts['interfaces'])} interfaces, "
+            f"{counts['junction_edges']} junction edges, {len(shells.materials)} volumes"
+        )
+        return shells
+    topology, components = check_surface(path, surface)
+    quality = triangle_quality(surface.points, surface.triangles)
+    context.results["surface"] = {
+        "topology": topology,
+        "merged_points": surface.merged_points,
+        "area_mm2": float(quality.area.sum()),
+        "volume_mm3": float(components.volumes.sum()),
+        "bounding_box_diagonal_mm": surface.bounding_box_diagonal,
+        "quality": summarize_all(quality),
+    }
+    if labels is not None:
+        check_labels(surface.points, labels, meshed_labels(surface.history))
+    return components
+
+
+def _envelope(arguments: Arguments, surface: Surface, lengths: Values) -> float:
+    """Return the envelope of fTetWild, mm, given the edge lengths at the surface."""
     envelope = arguments.envelope
     if envelope is None:
-        envelope = ENVELOPE_FRACTION * float(np.percentile(at_surface, 5))
+        envelope = ENVELOPE_FRACTION * float(np.percentile(lengths, 5))
     if envelope >= 0.1 * surface.bounding_box_diagonal:
         raise StageError(
             f"--envelope {envelope:g} mm is more than a tenth of the object "
@@ -102,23 +114,23 @@ def _object_task(
             "the tetrahedra could differ from the object by that much",
             "choose a smaller envelope, or omit --envelope",
         )
-    context.parameters.update(envelope=envelope, max_distance=arguments.limits.distance(envelope))
-    return Task(arguments, surface, components, field, envelope)
+    return envelope
 
 
-def _materials_task(arguments: Arguments, surface: Surface, sizing: GridField | None, context: Context) -> ComplexTask:
-    """Refuse a surface that bounds no volumes; report it, and where it forces poor tetrahedra."""
-    field, _ = _edge_lengths(surface, sizing, context)
+def _task(
+    arguments: Arguments, surface: Surface, sizing: GridField | None, labels: InputVolume | None, context: Context
+) -> Task:
+    """Check the surface; find the edge lengths, and where many materials force poor tetrahedra."""
     with context.step("check surface"):
-        checked = check_complex(arguments.surface, surface)
-        counts = context.results["complex"] = describe_complex(checked)
-    context.verbose(
-        f"{len(checked.sides.present)} materials, {len(counts['interfaces'])} interfaces, "
-        f"{counts['junction_edges']} junction edges, {len(checked.shells.materials)} volumes"
-    )
+        parts = _check(arguments.surface, surface, labels, context)
+    field, at_surface = _edge_lengths(surface, sizing, context)
+    if surface.sides is None:
+        envelope = _envelope(arguments, surface, at_surface)
+        context.parameters.update(envelope=envelope, max_distance=arguments.limits.distance(envelope))
+        return Task(arguments, surface, parts, field, envelope)
     with context.step("find forced tetrahedra"):
-        sides, needles = find_forced(checked, arguments.limits, context)
-    return ComplexTask(arguments, checked, sides, needles, field)
+        forced = find_forced(surface, arguments.limits, context)
+    return Task(arguments, surface, parts, field, forced=forced)
 
 
 def _curve(
@@ -139,26 +151,26 @@ def _curve(
     return curved.mesh, curved.checks()
 
 
-def _judge(task: Task | ComplexTask, filled: Filled, context: Context) -> list[Check]:
+def _judge(task: Task, filled: Filled, context: Context) -> list[Check]:
     """Judge the tetrahedra, and the volumes and parts of the regions against the surface."""
     results, limits = context.results, task.arguments.limits
-    if isinstance(task, Task):
-        bodies = int((task.components.volumes > 0).sum())
+    if task.surface.sides is None:
+        bodies = int(task.parts.sheets()[0].max()) + 1
         own = object_checks(results, bodies, limits, context.parameters["max_distance"])
     else:
-        materials, interfaces = len(task.checked.sides.present), len(results["complex"]["interfaces"])
+        materials, interfaces = len(task.surface.sides.present), len(results["complex"]["interfaces"])
         context.closing.append(("materials", f"{materials}, {interfaces} interfaces"))
         own = complex_checks(results["volume"], limits)
     scaled = surface_volume_checks(results["volumes"], has_scale(task.surface.history))
     return [*shape_checks(filled.quality, limits, filled.forced), *own, *scaled]
 
 
-def _currents(task: Task | ComplexTask, filled: Filled) -> Forward | None:
+def _currents(task: Task, filled: Filled) -> Forward | None:
     """Return the problem of currents if there is a source and all tetrahedra have materials."""
-    arguments, found = task.arguments.forward, filled.conformity
-    if arguments.source is None or isinstance(task, Task) or found is None or found.faults:
+    arguments, sides, found = task.arguments.forward, task.surface.sides, filled.conformity
+    if arguments.source is None or sides is None or found is None or found.faults:
         return None
-    return Forward(arguments, task.checked.sides, task.surface.triangles, found)
+    return Forward(arguments, sides, task.surface.triangles, found)
 
 
 def run(arguments: Arguments, context: Context) -> list[str]:
@@ -186,20 +198,15 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     with context.step("read"):
         surface, sizing, field, labels = _read(arguments, context)
     context.verbose(f"{arguments.surface}: {len(surface.points)} vertices, {len(surface.triangles)} triangles")
-    many = surface.sides is not None
+    sides = surface.sides
+    many = sides is not None
     exported = arguments.export_paths(many)
     context.check_outputs(exported)
     if many:
         arguments.refuse_for_materials()
-    sides = surface.sides
     check_names(arguments.forward, [] if sides is None else [sides.names[number] for number in sides.present])
-    task: Task | ComplexTask
-    if many:
-        task = _materials_task(arguments, surface, sizing, context)
-        filled = fill_complex(task, context)
-    else:
-        task = _object_task(arguments, surface, sizing, labels, context)
-        filled = fill(task, context)
+    task = _task(arguments, surface, sizing, labels, context)
+    filled = fill(task, context)
     mesh = measure(task, filled, context)
     marked = mark(task.surface, mesh, filled.conformity, labels, context)
     with context.step("write"):

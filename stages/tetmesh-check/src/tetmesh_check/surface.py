@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,14 @@ from numpy.typing import NDArray
 from vtkmodules.vtkCommonCore import vtkObject
 
 from tetmesh_check.datasets import from_polydata, text_of
-from tetmesh_check.errors import StageError, file_error
+from tetmesh_check.errors import file_error, refuse_file
 from tetmesh_check.materials import Sides, read_sides
 from tetmesh_check.quality import Cells, Points
 from tetmesh_check.topology import NOT_MANIFOLD, Components, measure_components
 from tetmesh_check.volume_table import told_volumes
 
-_TOOLS = "use a surface from reconstruct, or repair this surface first"
+TOOLS = "use a surface from reconstruct, or repair this surface first"
+"""Remedy for a surface that bounds no volumes."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +60,7 @@ def read_dataset(path: Path) -> pv.DataSet:
         The file.
     """
     if not path.is_file():
-        raise StageError(
-            f"{path}: no such file", "the stage needs this file", "check the name, or run the previous stage"
-        )
+        refuse_file(path, "no such file", "the stage needs this file", "check the name, or run the previous stage")
     shown = vtkObject.GetGlobalWarningDisplay()
     vtkObject.SetGlobalWarningDisplay(0)
     try:
@@ -100,30 +100,30 @@ def read_surface(path: Path) -> Surface:
         If it is no surface, empty, has other polygons than triangles, or coordinates that are not
         finite.
     """
-    dataset = read_dataset(path)
+    dataset, refuse = read_dataset(path), partial(refuse_file, path)
     if not isinstance(dataset, pv.PolyData):
-        raise StageError(
-            f"{path}: holds a {type(dataset).__name__}, not a surface",
+        refuse(
+            f"holds a {type(dataset).__name__}, not a surface",
             "the tetrahedra fill a triangle surface",
             "use the surface that reconstruct wrote",
         )
     if dataset.n_faces == 0:
-        raise StageError(
-            f"{path}: is empty ({dataset.n_points} points, no triangles)",
+        refuse(
+            f"is empty ({dataset.n_points} points, no triangles)",
             "there is nothing to fill",
             "check the file; if it is damaged or incomplete, run the previous stage again",
         )
     if not dataset.is_all_triangles:
-        raise StageError(
-            f"{path}: has faces that are not triangles",
+        refuse(
+            "has faces that are not triangles",
             "only triangle surfaces can be checked and filled",
             "triangulate it first",
         )
     points, triangles = from_polydata(dataset)
     bad = ~np.isfinite(points).all(axis=1)
     if bad.any():
-        raise StageError(
-            f"{path}: {int(bad.sum())} of {len(points)} vertices have coordinates that are not finite, "
+        refuse(
+            f"{int(bad.sum())} of {len(points)} vertices have coordinates that are not finite, "
             f"the first is number {int(np.flatnonzero(bad)[0])}",
             "these vertices have no position",
             "check the volume for NaN voxels, and run the previous stages again",
@@ -139,6 +139,10 @@ def read_surface(path: Path) -> Surface:
         triangles = triangles[distinct]
         cap = None if cap is None else cap[distinct]
         sides = None if sides is None else sides.of(distinct)
+    if sides is not None:
+        # the tetrahedra keep every vertex, and those of many materials must all be in use
+        used, local = np.unique(triangles, return_inverse=True)
+        points, triangles = points[used], local.reshape(-1, 3).astype(np.int64)
     return Surface(points, triangles, history_of(dataset), merged, cap, sides, told_volumes(dataset))
 
 
@@ -176,31 +180,30 @@ def check_surface(path: Path, surface: Surface) -> tuple[dict[str, int], Compone
     StageError
         If it is open, not manifold, inconsistently wound, inside out, or cuts through itself.
     """
+    refuse = partial(refuse_file, path, remedy=TOOLS)
     topology = _native.surface_topology(len(surface.points), surface.triangles)
     if any(topology[key] for key in NOT_MANIFOLD):
-        raise StageError(
-            f"{path}: is not a closed manifold: {topology['open_edges']} open edges, {topology['nonmanifold_edges']} edges "
+        refuse(
+            f"is not a closed manifold: {topology['open_edges']} open edges, {topology['nonmanifold_edges']} edges "
             f"with more than two triangles, {topology['badly_oriented_edges']} edges whose triangles disagree on the "
             f"outside, {topology['nonmanifold_vertices']} vertices where parts of the surface only touch",
             "inside and outside are not defined, so there is no volume to fill",
-            _TOOLS,
         )
     components = measure_components(surface.points, surface.triangles)
     wrong = components.inside_out()
     if len(wrong):
-        raise StageError(
-            f"{path}: {len(wrong)} of {topology['components']} components are inside out "
+        refuse(
+            f"{len(wrong)} of {topology['components']} components are inside out "
             f"(signed volume of the whole: {components.volumes.sum():.6g} mm^3)",
             "the triangles must be counter-clockwise as seen from outside, and those of a cavity as seen from inside "
             "the cavity",
-            "reverse the winding of these components; " + _TOOLS,
+            remedy=f"reverse the winding of these components; {TOOLS}",
         )
     crossing = _native.self_intersections(surface.points, surface.triangles)
     if len(crossing):
-        raise StageError(
-            f"{path}: intersects itself: {len(np.unique(crossing))} triangles in {len(crossing)} pairs, the first "
+        refuse(
+            f"intersects itself: {len(np.unique(crossing))} triangles in {len(crossing)} pairs, the first "
             f"near {place_of(surface.points, surface.triangles[crossing[0, 0]])}",
             "the volume inside such a surface is ambiguous",
-            _TOOLS,
         )
     return topology, components
