@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import pyvista as pv
 from complexes import Made, cells_of_a_block, nested_balls, sectors_of_a_ball
 
-from tetmesh_check.complex import check_complex, describe_complex
 from tetmesh_check.errors import StageError
-from tetmesh_check.surface import Surface, read_surface
+from tetmesh_check.surface import check_surface, read_surface
 from tetmesh_check.topology import Shells
 
 
-def checked(made: Made, folder: Path, **arrays: np.ndarray) -> tuple[Surface, Shells]:
-    """Write, read and check a complex."""
+def checked(made: Made, folder: Path, **arrays: np.ndarray) -> tuple[dict[str, Any], Shells]:
+    """Write, read and check a complex; return its measures and its volumes."""
     path = made.save(folder / "c.surface.vtp", **arrays)
-    surface = read_surface(path)
-    return surface, check_complex(path, surface)
+    measures, shells = check_surface(path, read_surface(path))
+    assert isinstance(shells, Shells)
+    return measures, shells
 
 
 def by_name(entries: list[dict]) -> dict[str, dict]:
@@ -27,8 +28,7 @@ def by_name(entries: list[dict]) -> dict[str, dict]:
 
 
 def test_nested_balls(tmp_path: Path) -> None:
-    surface, shells = checked(nested_balls((10.0, 5.0), (3, 2), ("body", "heart")), tmp_path)
-    found = describe_complex(surface, shells)
+    found, shells = checked(nested_balls((10.0, 5.0), (3, 2), ("body", "heart")), tmp_path)
     assert found["junction_edges"] == found["junction_vertices"] == 0
     body, heart = (by_name(found["materials"])[name] for name in ("body", "heart"))
     assert heart["volume_mm3"] == pytest.approx(4.0 / 3.0 * np.pi * 125.0, rel=0.04)
@@ -46,8 +46,7 @@ def test_nested_balls(tmp_path: Path) -> None:
 
 
 def test_sectors_of_a_ball(tmp_path: Path) -> None:
-    surface, shells = checked(sectors_of_a_ball(10.0, 3), tmp_path)
-    found = describe_complex(surface, shells)
+    found, _ = checked(sectors_of_a_ball(10.0, 3), tmp_path)
     # after three subdivisions, each half of the axis and each half of the three meridians has 2^3
     # segments
     assert found["junction_edges"] == 8 * (2 + 6)
@@ -70,7 +69,7 @@ def test_sectors_of_a_ball(tmp_path: Path) -> None:
 def test_volumes_and_areas_converge_with_the_square_of_the_edges(tmp_path: Path) -> None:
     errors = []
     for times in (2, 3, 4):
-        found = describe_complex(*checked(sectors_of_a_ball(10.0, times), tmp_path))
+        found, _ = checked(sectors_of_a_ball(10.0, times), tmp_path)
         volume = by_name(found["materials"])["one"]["volume_mm3"]
         errors.append(abs(volume - 4.0 / 9.0 * np.pi * 1000.0))
     assert 3.7 < errors[0] / errors[1] < 4.3
@@ -81,7 +80,7 @@ def test_four_regions_of_a_cube_meet_in_a_point(tmp_path: Path) -> None:
     def material(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         return np.where(z > 2, 4, np.where(x < 2, 1, np.where(y < 2, 2, 3)))
 
-    found = describe_complex(*checked(cells_of_a_block((4, 4, 4), material, ("a", "b", "c", "d")), tmp_path))
+    found, _ = checked(cells_of_a_block((4, 4, 4), material, ("a", "b", "c", "d")), tmp_path)
     volumes = [by_name(found["materials"])[name]["volume_mm3"] for name in "abcd"]
     np.testing.assert_allclose(volumes, [16.0, 8.0, 8.0, 32.0])
     assert len(found["interfaces"]) == 4 + 6
@@ -99,10 +98,9 @@ def test_parts_that_touch_along_an_edge_are_kept_asunder(tmp_path: Path) -> None
         inner = (abs(x - 2) < 1) & (abs(y - 2) < 1) & (abs(z - 2) < 1)
         return np.where(inner & ((x < 2) == (y < 2)), 2, 1)
 
-    surface, shells = checked(cells_of_a_block((4, 4, 4), material, ("body", "columns")), tmp_path)
+    found, shells = checked(cells_of_a_block((4, 4, 4), material, ("body", "columns")), tmp_path)
     assert shells.materials.tolist() == [1, 2, 2]
     np.testing.assert_allclose(shells.sizes, [60.0, 2.0, 2.0])
-    found = describe_complex(surface, shells)
     assert found["edges_by_triangles"][4] == 2
     columns = by_name(found["materials"])["columns"]
     assert (columns["components"], columns["topology"]["nonmanifold_edges"]) == (2, 2)

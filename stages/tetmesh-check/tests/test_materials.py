@@ -14,10 +14,9 @@ from complexes import Made, cells_of_a_block, nested_balls, sectors_of_a_ball
 from conftest import NEEDS_HXT, Run, ball, fake_library, tetrahedra, write_sizing
 from test_solve import block
 
-from tetmesh_check.conform import NOBODY, conform, outside_of
 from tetmesh_check.datasets import text_of
 from tetmesh_check.export.mesh import plain_names
-from tetmesh_check.materials import Sides
+from tetmesh_check.materials import NOBODY, Sides, conform
 from tetmesh_check.quality import signed_tetrahedron_volumes, tetrahedron_quality
 from tetmesh_check.surface import read_surface
 from tetmesh_check.topology import tetrahedron_boundary
@@ -52,7 +51,7 @@ def test_regions_are_found_by_the_triangles_alone() -> None:
         assert shared.all()
 
 
-def test_the_outside_is_known_from_the_triangles() -> None:
+def test_bodies_are_connected_through_faces() -> None:
     points, cells, triangles, sides = halves()
     # add a separate tetrahedron of material 1, with triangles that face inward
     apart = np.arange(4) + len(points)
@@ -61,17 +60,8 @@ def test_the_outside_is_known_from_the_triangles() -> None:
     cells, triangles = np.concatenate([cells, [apart]]), np.concatenate([triangles, faces])
     found = conform(cells.max() + 1, cells, triangles, three)
     assert found.faults == 0
-    wanted, outside = tetrahedron_boundary(cells), outside_of(found, triangles)
-    np.testing.assert_array_equal(outside.bodies, wanted.bodies)
-    assert outside.bodies.max() == 1
-
-    def faces_with_owners(triangles: np.ndarray, owners: np.ndarray) -> set[tuple[int, ...]]:
-        first = np.argmin(triangles, axis=1)
-        turned = triangles[np.arange(len(triangles))[:, None], (first[:, None] + np.arange(3)) % 3]
-        return {(*face, owner) for face, owner in zip(turned.tolist(), owners.tolist(), strict=True)}
-
-    assert faces_with_owners(outside.triangles, outside.owners) == faces_with_owners(wanted.triangles, wanted.owners)
-    assert len(outside.triangles) == 4 + 48
+    np.testing.assert_array_equal(found.bodies, tetrahedron_boundary(cells).bodies)
+    assert found.bodies.max() == 1
 
 
 def test_what_does_not_fit_is_counted() -> None:

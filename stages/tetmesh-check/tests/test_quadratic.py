@@ -150,11 +150,11 @@ def thin_element(height: float) -> MarkedMesh:
 def test_nodes_that_would_fold_an_element_are_drawn_back(field: GridField) -> None:
     tall, thin = (make_quadratic(thin_element(height), field) for height in (4.0, 0.3))
     assert tall.results["not_on_surface"] == 0
-    assert [check.passed for check in tall.checks()] == [True, True]
+    assert [check.passed for check in tall.checks] == [True, True]
     assert tall.results["distance_mm"]["mid_edge_nodes"]["max"] < 1e-5
     assert tall.results["distance_mm"]["middles_of_edges"]["min"] > 0.1
     assert thin.results["drawn_back"] == thin.results["not_on_surface"] == 3
-    assert [check.passed for check in thin.checks()] == [True, False]
+    assert [check.passed for check in thin.checks] == [True, False]
     assert 0.1 <= thin.jacobian.min() < 1.0
     mesh = thin.mesh
     assert jacobian_coefficients(mesh.points[mesh.elements]).min() > 0.0
@@ -168,7 +168,7 @@ def test_nodes_that_would_fold_an_element_are_drawn_back(field: GridField) -> No
 def test_an_inverted_tetrahedron_fails_the_check(field: GridField) -> None:
     mesh = thin_element(4.0)
     curved = make_quadratic(replace(mesh, elements=mesh.tetrahedra[:, [1, 0, 2, 3]]), field)
-    assert [check.passed for check in curved.checks() if check.required] == [False]
+    assert [check.passed for check in curved.checks if check.required] == [False]
 
 
 def fill_ball(folder: Path, run: Run, subdivisions: int, *more: str) -> Path:

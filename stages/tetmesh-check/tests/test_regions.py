@@ -21,12 +21,11 @@ from conftest import NEEDS_HXT, Run, ball, write_nrrd
 from test_solve import block
 from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
 
-from tetmesh_check.conform import conform
 from tetmesh_check.datasets import text_of
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export
 from tetmesh_check.export.mesh import MarkedMesh, materials_mesh, object_mesh, plain_names
-from tetmesh_check.materials import Sides
+from tetmesh_check.materials import Sides, conform
 from tetmesh_check.parsing import FORMATS
 from tetmesh_check.quality import signed_tetrahedron_volumes
 from tetmesh_check.regions import (

@@ -101,7 +101,7 @@ def test_good_surfaces_pass(tmp_path: Path) -> None:
         (merged(ball(), ball(2).translate((15, 0, 0))), 2, 4),
     ):
         surface.save(path)
-        topology, _ = check_surface(path, read_surface(path))
+        topology = check_surface(path, read_surface(path))[0]["topology"]
         assert (topology["components"], topology["euler_characteristic"]) == (components, euler)
 
 
@@ -114,14 +114,14 @@ def measure(surface: pv.PolyData) -> tuple[int, bool]:
 def test_vertices_written_once_a_triangle_are_joined(tmp_path: Path) -> None:
     ball().save(tmp_path / "soup.stl")
     surface = read_surface(tmp_path / "soup.stl")
-    assert check_surface(tmp_path / "soup.stl", surface)[0]["vertices"] == 162
+    assert check_surface(tmp_path / "soup.stl", surface)[0]["topology"]["vertices"] == 162
     soup = ball()
     corners = np.asarray(soup.points)[np.asarray(soup.faces).reshape(-1, 4)[:, 1:].ravel()]
     faces = np.arange(len(corners)).reshape(-1, 3)
     pv.PolyData(corners, np.hstack([np.full((len(faces), 1), 3), faces]).ravel()).save(tmp_path / "soup.vtp")
     surface = read_surface(tmp_path / "soup.vtp")
     assert surface.merged_points == 960 - 162
-    assert check_surface(tmp_path / "soup.vtp", surface)[0]["vertices"] == 162
+    assert check_surface(tmp_path / "soup.vtp", surface)[0]["topology"]["vertices"] == 162
 
 
 def test_pinched_vertex_is_counted() -> None:

@@ -13,8 +13,7 @@ from conftest import NEEDS_HXT, Run, ball, write_status
 
 from tetmesh_check.checks import surface_volume_checks
 from tetmesh_check.report.page import program
-from tetmesh_check.surface import read_surface
-from tetmesh_check.volume_table import volume_table, with_changes
+from tetmesh_check.surface import read_surface, volume_table, with_changes
 
 
 def tell(path: Path, rows: list[dict[str, object]]) -> None:

@@ -310,16 +310,12 @@ def complex_checks(volume: dict[str, Any], limits: Limits) -> list[Check]:
     ]
     missing, added = volume["interface_triangles"].values()
     crowded, undecided = volume["crowded_faces"], volume["undecided_tetrahedra"]
+    lost, gained = counted(missing, "triangle"), counted(added, "other face")
+    faces = counted(crowded, "face belongs", "faces belong")
+    tetrahedra = counted(undecided, "tetrahedron has", "tetrahedra have")
     return [
-        check(
-            "interfaces_kept", missing + added, missing=counted(missing, "triangle"), added=counted(added, "other face")
-        ),
-        check(
-            "conforming",
-            crowded + undecided,
-            crowded=counted(crowded, "face belongs", "faces belong"),
-            undecided=counted(undecided, "tetrahedron has", "tetrahedra have"),
-        ),
+        check("interfaces_kept", missing + added, missing=lost, added=gained),
+        check("conforming", crowded + undecided, crowded=faces, undecided=tetrahedra),
         check("region_parts", len(parts), total=len(regions), apart="".join(parts[:3])),
         check("volume_change", changes[worst], limits.max_volume_change, told=told, between=""),
     ]
@@ -341,9 +337,9 @@ def surface_volume_checks(rows: Sequence[dict[str, Any]], scaled: bool) -> list[
         One check, which is only worth a warning; none if no volumes are known.
     """
     known = [row for row in rows if "mesh_mm3" in row["change_percent"]]
+    changes = {row["name"]: row["change_percent"]["mesh_mm3"] for row in known}
     if not known:
         return []
-    changes = {row["name"]: row["change_percent"]["mesh_mm3"] for row in known}
     names = sorted(changes, key=lambda name: -abs(changes[name]))
     limit = SURFACE_CHANGES[scaled]
     above = [name for name in names if abs(changes[name]) > limit]

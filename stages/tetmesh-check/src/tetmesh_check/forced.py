@@ -6,8 +6,7 @@ There, facets meet at a small angle or lie close in front of each other. The Rus
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from isoparticles import _native
@@ -15,8 +14,7 @@ from isoparticles._native import Context
 from numpy.typing import NDArray
 
 from tetmesh_check.checks import REMEDY, Limits, counted, shape_of
-from tetmesh_check.conform import NOBODY, Conformity
-from tetmesh_check.materials import NOTHING
+from tetmesh_check.materials import NOBODY, NOTHING, Conformity
 from tetmesh_check.quality import Labels, TetrahedronQuality, Values, centres_of
 from tetmesh_check.surface import Surface, place_of
 
@@ -24,8 +22,7 @@ INSIDE, OUTSIDE = 0, 1
 """Sides of a facet: behind it, and in front of it, where its normal points."""
 
 
-@dataclass(frozen=True)
-class ForcedSides:
+class ForcedSides(NamedTuple):
     """The sides of facets on which no tetrahedron reaches a limit of shape."""
 
     facet: Labels
@@ -91,8 +88,7 @@ def find_forced(surface: Surface, limits: Limits, context: Context) -> tuple[For
             f"worst place allows a scaled Jacobian of {bound}, at {place} (all places: forced_by_triangle in the "
             f"report); {REMEDY}"
         )
-    both = by_triangle.where(np.repeat(np.arange(len(thin)), 2))
-    return by_surface, replace(both, side=np.tile([INSIDE, OUTSIDE], len(thin)))
+    return by_surface, ForcedSides(thin.repeat(2), np.tile([INSIDE, OUTSIDE], len(thin)), possible[thin].repeat(2))
 
 
 def _sharpest(found: ForcedSides, surface: Surface) -> tuple[str, str, str]:

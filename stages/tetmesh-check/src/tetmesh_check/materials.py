@@ -1,8 +1,12 @@
-"""The materials on both sides of each triangle, and their names.
+"""The materials on both sides of each triangle, their names, and the material of each tetrahedron.
 
 Such a surface is a complex: triangles, each between two materials, that meet along junction edges
 and share their vertices. Material 0 is the outside. The triangle is counter-clockwise seen from the
 material of the lower number; the higher one is called its inside.
+
+The tetrahedralizer's own volumes are not used. The Rust code finds the materials of tetrahedra from
+connectivity alone: tetrahedra are connected through faces that are not triangles of an interface,
+and each triangle states the materials on its two sides.
 """
 
 from __future__ import annotations
@@ -11,11 +15,11 @@ import json
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyvista as pv
-from numpy.typing import NDArray
+from isoparticles import _native
 
 from tetmesh_check.datasets import text_of
 from tetmesh_check.errors import refuse_file
@@ -26,6 +30,8 @@ INSIDE, OUTSIDE = "material_inside", "material_outside"
 """Cell arrays of a surface of many materials."""
 NOTHING = 0
 """Number of the material outside of all others."""
+NOBODY = -1
+"""Stands for a tetrahedron that does not exist."""
 
 
 @dataclass(frozen=True)
@@ -64,16 +70,6 @@ class Sides:
         """
         return f"{self.names[pair[0]]}/{self.names[pair[1]]}"
 
-    def of(self, kept: NDArray[np.bool_]) -> Sides:
-        """Return the sides of some of the triangles.
-
-        Parameters
-        ----------
-        kept
-            Which, shape ``(m,)``.
-        """
-        return Sides(self.inside[kept], self.outside[kept], self.table)
-
 
 def read_sides(path: Path, surface: pv.PolyData) -> Sides | None:
     """Find the materials of a surface; ``None`` where it is that of one object.
@@ -92,13 +88,12 @@ def read_sides(path: Path, surface: pv.PolyData) -> Sides | None:
         or do not fit together.
     """
     refuse = partial(refuse_file, path, remedy="give the surface that reconstruct wrote for many materials")
-    there = [name for name in (INSIDE, OUTSIDE) if name in surface.cell_data]
-    if not there:
+    arrays = {name: np.asarray(surface.cell_data[name]) for name in (INSIDE, OUTSIDE) if name in surface.cell_data}
+    if not arrays:
         return None
-    if len(there) == 1:
+    if len(arrays) == 1:
         between = "a triangle lies between two materials"
-        refuse(f"has the cell array '{there[0]}' alone of '{INSIDE}' and '{OUTSIDE}'", between)
-    arrays = {name: np.asarray(surface.cell_data[name]) for name in there}
+        refuse(f"has the cell array '{next(iter(arrays))}' alone of '{INSIDE}' and '{OUTSIDE}'", between)
     for name, values in arrays.items():
         if values.ndim != 1 or not np.issubdtype(values.dtype, np.integer) or (values < 0).any():
             whole = f"the cell array '{name}' is not one whole number from 0 a triangle"
@@ -125,3 +120,48 @@ def read_sides(path: Path, surface: pv.PolyData) -> Sides | None:
             "which side of a triangle is which would be unclear",
         )
     return Sides(inside, outside, table)
+
+
+class Conformity(NamedTuple):
+    """Conformity of tetrahedra and interfaces."""
+
+    regions: Labels
+    """Material of each tetrahedron, shape ``(m,)``; 0 if the triangles state none or several."""
+    parts: Labels
+    """Part of each tetrahedron: connected through faces that are no triangles, shape ``(m,)``."""
+    bodies: Labels
+    """Body of each tetrahedron: connected through faces, shape ``(m,)``."""
+    behind: Labels
+    """Tetrahedron behind each triangle of the interfaces, or :data:`NOBODY`, shape ``(k,)``."""
+    before: Labels
+    """Tetrahedron in front of each triangle, or :data:`NOBODY`, shape ``(k,)``."""
+    missing: int
+    """Triangles that are not a face of a tetrahedron of the right material on each side."""
+    added: int
+    """Faces of only one tetrahedron that are not triangles of the interfaces."""
+    crowded: int
+    """Faces of more than two tetrahedra."""
+    undecided: int
+    """Tetrahedra without a material."""
+
+    @property
+    def faults(self) -> int:
+        """Number of all faults; 0 for a conforming mesh of the regions."""
+        return self.missing + self.added + self.crowded + self.undecided
+
+
+def conform(vertices: int, tetrahedra: Cells, triangles: Cells, sides: Sides) -> Conformity:
+    """Find the material of each tetrahedron, and count what does not fit.
+
+    Parameters
+    ----------
+    vertices
+        Number of vertices.
+    tetrahedra
+        Vertex indices in VTK order, positive, shape ``(m, 4)``.
+    triangles
+        Triangles of the interfaces with the same vertices, none twice, shape ``(k, 3)``.
+    sides
+        Their materials.
+    """
+    return Conformity(**_native.conform(vertices, tetrahedra, triangles, sides.inside, sides.outside))

@@ -8,17 +8,15 @@ import numpy as np
 from isoparticles._native import Context, changed_triangles, distances_both_ways, surface_topology
 
 from tetmesh_check.checks import poor_tetrahedra, smallest_elsewhere
-from tetmesh_check.conform import Conformity, outside_of
 from tetmesh_check.export.mesh import MarkedMesh, materials_mesh, object_mesh
 from tetmesh_check.fem.solve import VolumeMesh
 from tetmesh_check.forced import list_forced
-from tetmesh_check.materials import NOTHING
+from tetmesh_check.materials import NOTHING, Conformity
 from tetmesh_check.quality import Labels, centres_of, summarize, summarize_all, summarize_distances, triangle_quality
 from tetmesh_check.regions import CAP, boundary_marks, meshed_labels, regions_of, share_outside
-from tetmesh_check.surface import Surface
+from tetmesh_check.surface import Surface, volume_table
 from tetmesh_check.tets.fill import Filled, Task
-from tetmesh_check.topology import Boundary, members_of, tetrahedron_boundary
-from tetmesh_check.volume_table import volume_table
+from tetmesh_check.topology import Boundary, tetrahedron_boundary
 from tetmesh_check.volumes import InputVolume
 
 MAX_SHARE_OUTSIDE = 0.05
@@ -39,15 +37,13 @@ def _boundary(surface: Surface, filled: Filled, outside: Boundary) -> dict[str, 
 
 def _interfaces(task: Task, filled: Filled, found: Conformity, context: Context) -> dict[str, Any]:
     """Measure the regions of many materials, and how they fit the triangles between them."""
-    assert task.surface.sides is not None, "there are many materials"
-    assert task.forced is not None, "of many materials it is known"
+    assert task.forced is not None, "there are many materials"
     quality, regions = filled.quality, []
-    members = members_of(found.regions, len(task.surface.sides.table))
     for material in context.results["complex"]["materials"]:
         number = material["number"]
         if number == NOTHING:
             continue
-        own = members[number]
+        own = np.flatnonzero(found.regions == number)
         entry: dict[str, Any] = {
             "number": number,
             "name": material["name"],
@@ -86,8 +82,7 @@ def measure(task: Task, filled: Filled, context: Context) -> VolumeMesh:
     surface, arguments, results = task.surface, task.arguments, context.results
     points, tetrahedra, quality, found = filled.points, filled.tetrahedra, filled.quality, filled.conformity
     with context.step("measure quality"):
-        exact = None if found is None or found.faults else found
-        outside = tetrahedron_boundary(tetrahedra) if exact is None else outside_of(exact, surface.triangles)
+        outside = tetrahedron_boundary(tetrahedra)
         volume = results["volume"] = {
             "points": len(points),
             "tetrahedra": len(tetrahedra),

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from isoparticles import _native
 from isoparticles._native import Context, GridField
 
 from tetmesh_check.arguments import Arguments
 from tetmesh_check.checks import Check, complex_checks, conclude, object_checks, shape_checks, surface_volume_checks
-from tetmesh_check.complex import check_complex, describe_complex
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export
 from tetmesh_check.export.mesh import MarkedMesh
@@ -21,12 +18,11 @@ from tetmesh_check.fields import read_distance_field, read_sizing_field, uniform
 from tetmesh_check.forced import find_forced
 from tetmesh_check.measures import mark, measure
 from tetmesh_check.quadratic import make_quadratic
-from tetmesh_check.quality import Values, summarize, summarize_all, triangle_quality
+from tetmesh_check.quality import Values, summarize, triangle_quality
 from tetmesh_check.regions import check_labels, has_scale, meshed_labels
 from tetmesh_check.report.rendering import drawing
 from tetmesh_check.surface import Surface, check_surface, read_surface
 from tetmesh_check.tets.fill import Filled, Task, fill
-from tetmesh_check.topology import Components, Shells
 from tetmesh_check.volumes import InputVolume, read_label_volume
 
 ENVELOPE_FRACTION = 0.05
@@ -77,31 +73,6 @@ def _edge_lengths(surface: Surface, sizing: GridField | None, context: Context) 
     return uniform_sizing_field(surface, median), lengths
 
 
-def _check(path: Path, surface: Surface, labels: InputVolume | None, context: Context) -> Components | Shells:
-    """Refuse a surface that bounds no volumes, or labels of another one; report the surface."""
-    if surface.sides is not None:
-        shells = check_complex(path, surface)
-        counts = context.results["complex"] = describe_complex(surface, shells)
-        context.verbose(
-            f"{len(surface.sides.present)} materials, {len(counts['interfaces'])} interfaces, "
-            f"{counts['junction_edges']} junction edges, {len(shells.materials)} volumes"
-        )
-        return shells
-    topology, components = check_surface(path, surface)
-    quality = triangle_quality(surface.points, surface.triangles)
-    context.results["surface"] = {
-        "topology": topology,
-        "merged_points": surface.merged_points,
-        "area_mm2": float(quality.area.sum()),
-        "volume_mm3": float(components.volumes.sum()),
-        "bounding_box_diagonal_mm": surface.bounding_box_diagonal,
-        "quality": summarize_all(quality),
-    }
-    if labels is not None:
-        check_labels(surface.points, labels, meshed_labels(surface.history))
-    return components
-
-
 def _envelope(arguments: Arguments, surface: Surface, lengths: Values) -> float:
     """Return the envelope of fTetWild, mm, given the edge lengths at the surface."""
     envelope = arguments.envelope
@@ -122,7 +93,10 @@ def _task(
 ) -> Task:
     """Check the surface; find the edge lengths, and where many materials force poor tetrahedra."""
     with context.step("check surface"):
-        parts = _check(arguments.surface, surface, labels, context)
+        found, parts = check_surface(arguments.surface, surface)
+        context.results["surface" if surface.sides is None else "complex"] = found
+        if labels is not None:
+            check_labels(surface.points, labels, meshed_labels(surface.history))
     field, at_surface = _edge_lengths(surface, sizing, context)
     if surface.sides is None:
         envelope = _envelope(arguments, surface, at_surface)
@@ -148,7 +122,7 @@ def _curve(
         f"{nodes:.2g} mm from F = 0 (edge midpoints: {middles:.2g} mm)"
     )
     context.closing.append(("quadratic", told))
-    return curved.mesh, curved.checks()
+    return curved.mesh, curved.checks
 
 
 def _judge(task: Task, filled: Filled, context: Context) -> list[Check]:

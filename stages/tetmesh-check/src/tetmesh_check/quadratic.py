@@ -6,8 +6,8 @@ Jacobian of every element.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from isoparticles._native import GridField
@@ -18,8 +18,7 @@ from tetmesh_check.quality import Values, summarize
 from tetmesh_check.regions import SURFACE
 
 
-@dataclass(frozen=True)
-class Quadratic:
+class Quadratic(NamedTuple):
     """A quadratic mesh, and measures of its nodes."""
 
     mesh: MarkedMesh
@@ -28,14 +27,8 @@ class Quadratic:
     shape ``(m,)``; 1 where it is straight."""
     results: dict[str, Any]
     """Results for the report."""
-
-    def checks(self) -> list[Check]:
-        """Judge the elements."""
-        found = self.results
-        return [
-            check("quadratic_jacobian", found["folded"]),
-            check("nodes_on_surface", found["not_on_surface"], **found),
-        ]
+    checks: list[Check]
+    """Verdicts on the elements and nodes."""
 
 
 def make_quadratic(mesh: MarkedMesh, field: GridField) -> Quadratic:
@@ -50,7 +43,7 @@ def make_quadratic(mesh: MarkedMesh, field: GridField) -> Quadratic:
     """
     found = field.quadratic(mesh.points, mesh.tetrahedra, mesh.boundary, (mesh.marks == SURFACE).astype(np.uint8))
     count = len(mesh.points)
-    results = {
+    results: dict[str, Any] = {
         "nodes": count + len(found["nodes"]),
         "surface_nodes": found["surface_nodes"],
         "not_on_surface": found["drawn_back"] + found["too_far"],
@@ -72,4 +65,6 @@ def make_quadratic(mesh: MarkedMesh, field: GridField) -> Quadratic:
         elements=np.column_stack([mesh.tetrahedra, found["of_cells"] + count]),
         faces=np.column_stack([mesh.boundary, found["of_triangles"] + count]),
     )
-    return Quadratic(curved, found["jacobian"], results)
+    folded = check("quadratic_jacobian", results["folded"])
+    nodes = check("nodes_on_surface", results["not_on_surface"], **results)
+    return Quadratic(curved, found["jacobian"], results, [folded, nodes])

@@ -1,4 +1,4 @@
-"""Reads the input surface; refuses open, inward or crossing triangles."""
+"""Reads the input surface, of one object or of many materials; checks and measures it."""
 
 from __future__ import annotations
 
@@ -16,13 +16,15 @@ from vtkmodules.vtkCommonCore import vtkObject
 
 from tetmesh_check.datasets import from_polydata, text_of
 from tetmesh_check.errors import file_error, refuse_file
-from tetmesh_check.materials import Sides, read_sides
-from tetmesh_check.quality import Cells, Points
-from tetmesh_check.topology import NOT_MANIFOLD, Components, measure_components
-from tetmesh_check.volume_table import told_volumes
+from tetmesh_check.materials import NOTHING, Sides, read_sides
+from tetmesh_check.quality import Cells, Points, TriangleQuality, summarize_all, triangle_quality
+from tetmesh_check.topology import NOT_MANIFOLD, Components, Shells, measure_components, members_of
 
-TOOLS = "use a surface from reconstruct, or repair this surface first"
+_TOOLS = "use a surface from reconstruct, or repair this surface first"
 """Remedy for a surface that bounds no volumes."""
+
+COLUMNS = ("voxels_mm3", "field_mm3", "mesh_mm3", "tetrahedra_mm3")
+"""Keys of a row, in the order in which the volumes are made."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Surface:
     sides: Sides | None = None
     """The materials on both sides of each triangle; ``None`` for the surface of one object."""
     volumes: list[dict[str, Any]] = field(default_factory=list)
-    """Volumes by material in the metadata of the surface, mm^3 (:mod:`.volume_table`)."""
+    """Volumes by material in the metadata of the surface, mm^3 (:func:`told_volumes`)."""
 
     @property
     def bounding_box_diagonal(self) -> float:
@@ -84,6 +86,49 @@ def history_of(dataset: pv.DataSet) -> Any:
         return None if text is None else json.loads(text)
     except ValueError:
         return None
+
+
+def told_volumes(surface: pv.PolyData) -> list[dict[str, Any]]:
+    """Read the rows that ``reconstruct`` leaves in the note of a surface, if any.
+
+    Parameters
+    ----------
+    surface
+        The file as read.
+    """
+    try:
+        rows = json.loads(text_of(surface, "meta") or "{}")["volumes"]
+        return [{"name": str(row["name"]), **{key: row.get(key) for key in COLUMNS}} for row in rows]
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return []
+
+
+def with_changes(row: dict[str, Any]) -> dict[str, Any]:
+    """Add ``change_percent``: each volume against the first that is known.
+
+    Parameters
+    ----------
+    row
+        The volumes of an object or a material, mm^3; ``None`` where one is not known.
+    """
+    known = {key: float(row[key]) for key in COLUMNS if row.get(key) is not None}
+    first, *others = known
+    changes = {key: 100.0 * (known[key] / known[first] - 1.0) for key in others} if known[first] > 0.0 else {}
+    return {**row, "change_percent": changes}
+
+
+def volume_table(told: list[dict[str, Any]], tetrahedra: dict[str, float]) -> list[dict[str, Any]]:
+    """Complete the rows of a surface with the volumes of its tetrahedra.
+
+    Parameters
+    ----------
+    told
+        Those of :func:`told_volumes`.
+    tetrahedra
+        Volume by material, mm^3; the one value of an object whatever its name.
+    """
+    alone = next(iter(tetrahedra.values())) if len(told) == len(tetrahedra) == 1 else None
+    return [with_changes({**row, "tetrahedra_mm3": tetrahedra.get(row["name"], alone)}) for row in told]
 
 
 def read_surface(path: Path) -> Surface:
@@ -138,7 +183,7 @@ def read_surface(path: Path) -> Surface:
         distinct = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
         triangles = triangles[distinct]
         cap = None if cap is None else cap[distinct]
-        sides = None if sides is None else sides.of(distinct)
+        sides = sides and Sides(sides.inside[distinct], sides.outside[distinct], sides.table)
     if sides is not None:
         # the tetrahedra keep every vertex, and those of many materials must all be in use
         used, local = np.unique(triangles, return_inverse=True)
@@ -160,27 +205,15 @@ def place_of(points: Points, corners: Cells) -> str:
     return f"({x:.6g}, {y:.6g}, {z:.6g}) mm"
 
 
-def check_surface(path: Path, surface: Surface) -> tuple[dict[str, int], Components]:
-    """Refuse a surface that bounds no volume.
+def _crossing(surface: Surface, pairs: Cells) -> str:
+    """Write how many triangles cross each other, and where the first is."""
+    place = place_of(surface.points, surface.triangles[pairs[0, 0]])
+    return f"intersects itself: {len(np.unique(pairs))} triangles in {len(pairs)} pairs, the first near {place}"
 
-    Parameters
-    ----------
-    path
-        Its file, for the messages.
-    surface
-        The surface as read.
 
-    Returns
-    -------
-    tuple
-        Its counts, and its components.
-
-    Raises
-    ------
-    StageError
-        If it is open, not manifold, inconsistently wound, inside out, or cuts through itself.
-    """
-    refuse = partial(refuse_file, path, remedy=TOOLS)
+def _check_object(path: Path, surface: Surface) -> tuple[dict[str, Any], Components]:
+    """Refuse a surface of one object that bounds no volume; count it, and find its components."""
+    refuse = partial(refuse_file, path, remedy=_TOOLS)
     topology = _native.surface_topology(len(surface.points), surface.triangles)
     if any(topology[key] for key in NOT_MANIFOLD):
         refuse(
@@ -197,13 +230,135 @@ def check_surface(path: Path, surface: Surface) -> tuple[dict[str, int], Compone
             f"(signed volume of the whole: {components.volumes.sum():.6g} mm^3)",
             "the triangles must be counter-clockwise as seen from outside, and those of a cavity as seen from inside "
             "the cavity",
-            remedy=f"reverse the winding of these components; {TOOLS}",
+            remedy=f"reverse the winding of these components; {_TOOLS}",
         )
     crossing = _native.self_intersections(surface.points, surface.triangles)
     if len(crossing):
+        refuse(_crossing(surface, crossing), "the volume inside such a surface is ambiguous")
+    return {"topology": topology, "volume_mm3": float(components.volumes.sum())}, components
+
+
+def _check_materials(path: Path, surface: Surface, sides: Sides) -> Shells:
+    """Refuse a surface of many materials that bounds no volumes; return these."""
+    refuse = partial(refuse_file, path, remedy=_TOOLS)
+    points, triangles = surface.points, surface.triangles
+    found = _native.check_complex(points, triangles, sides.inside, sides.outside, len(sides.table))
+    flat, twice, wrong, crossing = found["flat"], found["duplicates"], found["open_edges"], found["crossing"]
+    if len(flat):
         refuse(
-            f"intersects itself: {len(np.unique(crossing))} triangles in {len(crossing)} pairs, the first "
-            f"near {place_of(surface.points, surface.triangles[crossing[0, 0]])}",
-            "the volume inside such a surface is ambiguous",
+            f"{len(flat)} triangles have no area, the first near {place_of(points, triangles[flat[0]])}",
+            "no tetrahedron with a positive volume can have such a face",
         )
-    return topology, components
+    if len(twice):
+        refuse(
+            f"{len(twice)} triangles occur more than once, the first near {place_of(points, triangles[twice[0]])}",
+            "the space between two equal triangles is empty",
+        )
+    if wrong:
+        words = ", ".join(f"{sides.names[number]} {count}" for number, count in wrong.items())
+        refuse(
+            f"the surfaces of {len(wrong)} materials are open or inconsistently oriented; number of such edges: "
+            f"{words}",
+            "such a material has no inside, so there is no volume to fill",
+        )
+    if found["shells"] is None:
+        refuse(_crossing(surface, crossing), "points there would belong to two materials")
+    shells = Shells(**found["shells"])
+    if shells.mixed or shells.inside_out or (shells.of_inside < 0).any():
+        refuse(
+            f"is inside out: {shells.mixed} wedges between neighbouring triangles lie in two materials, "
+            f"{shells.inside_out} closed surfaces enclose nothing",
+            "each triangle must be counter-clockwise as seen from the material of the lower number",
+            remedy=f"reverse the winding of these triangles; {_TOOLS}",
+        )
+    return shells
+
+
+def _describe_materials(surface: Surface, sides: Sides, shells: Shells, quality: TriangleQuality) -> dict[str, Any]:
+    """Count and measure a surface of many materials for the report."""
+    count = len(sides.table)
+    found: dict[str, Any] = {
+        **_native.describe_complex(surface.points, surface.triangles, sides.inside, sides.outside, count)
+    }
+    topologies, interfaces = found.pop("topologies"), found.pop("interfaces")
+    areas = np.bincount(sides.inside, quality.area, count) + np.bincount(sides.outside, quality.area, count)
+    volumes = np.bincount(shells.materials, shells.sizes, count)
+    parts = np.bincount(shells.materials, minlength=count)
+    pairs, which = sides.pairs()
+    of_pairs = zip(pairs.tolist(), members_of(which, len(pairs)), interfaces, strict=True)
+    return {
+        "vertices": len(surface.points),
+        "triangles": len(surface.triangles),
+        **found,
+        "materials": [
+            {
+                "number": number,
+                "name": sides.names[number],
+                "volume_mm3": None if number == NOTHING else float(volumes[number]),
+                "components": None if number == NOTHING else int(parts[number]),
+                "area_mm2": float(areas[number]),
+                "smallest_wedge_degrees": None if number == NOTHING else float(shells.narrowest[number]),
+                "topology": topology,
+            }
+            for number, topology in topologies.items()
+        ],
+        "interfaces": [
+            {
+                "inside": inside,
+                "outside": outside,
+                "name": sides.pair_name((inside, outside)),
+                "triangles": len(own),
+                "area_mm2": float(quality.area[own].sum()),
+                "pieces": pieces,
+                "rms_turn_degrees": turn,
+                "quality": summarize_all(quality, own),
+            }
+            for (inside, outside), own, (pieces, turn) in of_pairs
+        ],
+    }
+
+
+def check_surface(path: Path, surface: Surface) -> tuple[dict[str, Any], Components | Shells]:
+    """Refuse a surface that bounds no volumes, and measure it for the report.
+
+    Parameters
+    ----------
+    path
+        Its file, for the messages.
+    surface
+        The surface as read.
+
+    Returns
+    -------
+    tuple
+        The measures, and the components of one object or the volumes of many materials. Measures of
+        both are ``merged_points, area_mm2, bounding_box_diagonal_mm`` and ``quality``; of one
+        object ``topology`` and ``volume_mm3``; of many materials ``vertices, triangles``,
+        ``junction_edges`` (edges with other than two triangles), ``junction_vertices`` (where
+        junction edges end, or more than two of them meet), ``edges_by_triangles``,
+        ``vertices_by_materials``, ``rms_turn_degrees`` between the normals of neighbouring
+        triangles of one sheet, ``materials``, each with volume, parts, the smallest angle between
+        two of its facets and the topology of its own closed surface, and ``interfaces``, each pair
+        with area, connected pieces, quality and turn.
+
+    Raises
+    ------
+    StageError
+        If the surface of an object is open, not manifold, inconsistently wound, or inside out; if
+        one of many materials has triangles without area or twice, is not closed for each material,
+        or has triangles on the wrong side; if it cuts through itself.
+    """
+    parts: Components | Shells
+    quality = triangle_quality(surface.points, surface.triangles)
+    if surface.sides is None:
+        found, parts = _check_object(path, surface)
+    else:
+        parts = _check_materials(path, surface, surface.sides)
+        found = _describe_materials(surface, surface.sides, parts, quality)
+    shape = {
+        "merged_points": surface.merged_points,
+        "area_mm2": float(quality.area.sum()),
+        "bounding_box_diagonal_mm": surface.bounding_box_diagonal,
+        "quality": summarize_all(quality),
+    }
+    return shape | found, parts

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from isoparticles import _native
@@ -39,8 +39,7 @@ def pairs_of(inside: Labels, outside: Labels) -> tuple[Cells, Labels]:
     return pairs, which.ravel().astype(np.int64)
 
 
-@dataclass(frozen=True)
-class Components:
+class Components(NamedTuple):
     """The components of a closed surface.
 
     A component that lies in the open, or in a cavity, bounds a body from outside and must have a
@@ -83,8 +82,7 @@ def measure_components(points: Points, triangles: Cells) -> Components:
     return Components(**_native.surface_components(points, triangles))
 
 
-@dataclass(frozen=True)
-class Shells:
+class Shells(NamedTuple):
     """The volumes of a surface of many materials: connected parts of one material each."""
 
     materials: Labels
@@ -114,8 +112,7 @@ class Shells:
         return pairs_of(self.of_inside, self.of_outside)
 
 
-@dataclass(frozen=True)
-class Boundary:
+class Boundary(NamedTuple):
     """The outside of a volume mesh."""
 
     triangles: Cells

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tetmesh_check.conform import NOBODY, Conformity
-from tetmesh_check.materials import Sides
+from tetmesh_check.materials import NOBODY, Conformity, Sides
 from tetmesh_check.quality import Cells, Labels, Points
 from tetmesh_check.regions import CAP, SURFACE
 from tetmesh_check.topology import Boundary

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from tetmesh_check.conform import Conformity
 from tetmesh_check.errors import StageError
-from tetmesh_check.materials import Sides
+from tetmesh_check.materials import Conformity, Sides
 from tetmesh_check.quality import Cells
 
 

@@ -10,10 +10,9 @@ from isoparticles._native import Context, GridField, distances_both_ways
 
 from tetmesh_check.arguments import Arguments, Method
 from tetmesh_check.checks import SHAPE, Limits, OfShape, smallest_elsewhere, well_shaped
-from tetmesh_check.conform import Conformity, conform
 from tetmesh_check.errors import StageError
 from tetmesh_check.forced import ForcedSides
-from tetmesh_check.materials import Sides
+from tetmesh_check.materials import Conformity, Sides, conform
 from tetmesh_check.quality import Cells, Points, TetrahedronQuality, tetrahedron_quality
 from tetmesh_check.surface import Surface
 from tetmesh_check.tets.hxt import fill_by_hxt, hxt_job
@@ -350,8 +349,8 @@ def fill(task: Task, context: Context) -> Filled:
                 raise
             second = error.what
             context.warn(
-                f"{error.what}. fTetWild fills the surface instead; it takes 13 s for 4,700 vertices and more than "
-                f"20 minutes for 50,000. {error.next[0].upper()}{error.next[1:]}"
+                f"{error.what}. fTetWild fills the surface instead, which takes 13 s for 4,700 vertices and more than "
+                f"20 minutes for 50,000; {error.next}"
             )
         if second:
             results["method"] = chosen = "ftetwild"

@@ -28,7 +28,7 @@ from tetmesh_check.numerals import plain
 from tetmesh_check.report.colours import PALETTE
 from tetmesh_check.report.page.case import dig
 from tetmesh_check.report.pictures import MESH_SHARE
-from tetmesh_check.volume_table import with_changes
+from tetmesh_check.surface import with_changes
 
 _PICTURE_WIDTH = 1400
 _ZOOMS = (1.0, 0.85, 0.7, 0.6, 0.5)
