@@ -281,11 +281,9 @@ def object_checks(results: dict[str, Any], bodies: int, limits: Limits, max_dist
         checks.append(check(f"{start}_distance", distance, max_distance, told=told))
     touching = "; parts of the boundary touch there, which most solvers accept" if loose else ""
     opened = "" if euler == wanted else "; the tetrahedralizer opened or closed handles or gaps"
-    return [
-        *checks,
-        check("boundary_manifold", loose, but=touching),
-        check("euler_characteristic", euler, wanted, but=opened),
-    ]
+    checks.append(check("boundary_manifold", loose, but=touching))
+    checks.append(check("euler_characteristic", euler, wanted, but=opened))
+    return checks
 
 
 def complex_checks(volume: dict[str, Any], limits: Limits) -> list[Check]:
@@ -372,13 +370,12 @@ def conclude(checks: list[Check], quality: TetrahedronQuality, context: Context)
         The required checks that failed, in words.
     """
     context.results["checks"] = [{**asdict(check), "verdict": check.verdict} for check in checks]
-    context.closing.extend(
-        [
-            ("tetrahedra", f"{len(quality.volume):,}"),
-            ("radius ratio", f"mean {quality.radius_ratio.mean():.3f}, minimum {quality.radius_ratio.min():.3f}"),
-            ("dihedral angle", f"{quality.min_dihedral.min():.1f} to {quality.max_dihedral.max():.1f} degrees"),
-        ]
-    )
+    shapes = [
+        ("tetrahedra", f"{len(quality.volume):,}"),
+        ("radius ratio", f"mean {quality.radius_ratio.mean():.3f}, minimum {quality.radius_ratio.min():.3f}"),
+        ("dihedral angle", f"{quality.min_dihedral.min():.1f} to {quality.max_dihedral.max():.1f} degrees"),
+    ]
+    context.closing.extend(shapes)
     for check in checks:
         if check.verdict == "warning":
             context.warn(check.words)

@@ -53,8 +53,7 @@ class Sides:
     @property
     def present(self) -> list[int]:
         """Numbers of the materials that have a triangle, but the outside, ascending."""
-        found: list[int] = np.unique(self.inside).tolist()
-        return sorted(set(found) | (set(np.unique(self.outside).tolist()) - {NOTHING}))
+        return sorted({*np.unique(self.inside).tolist(), *np.unique(self.outside).tolist()} - {NOTHING})
 
     def pairs(self) -> tuple[Cells, Labels]:
         """Return pairs ``(inside, outside)`` that touch, and the pair of each triangle."""

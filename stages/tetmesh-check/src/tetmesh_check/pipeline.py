@@ -73,25 +73,10 @@ def _edge_lengths(surface: Surface, sizing: GridField | None, context: Context) 
     return uniform_sizing_field(surface, median), lengths
 
 
-def _envelope(arguments: Arguments, surface: Surface, lengths: Values) -> float:
-    """Return the envelope of fTetWild, mm, given the edge lengths at the surface."""
-    envelope = arguments.envelope
-    if envelope is None:
-        envelope = ENVELOPE_FRACTION * float(np.percentile(lengths, 5))
-    if envelope >= 0.1 * surface.bounding_box_diagonal:
-        raise StageError(
-            f"--envelope {envelope:g} mm is more than a tenth of the object "
-            f"({surface.bounding_box_diagonal:.4g} mm across)",
-            "the tetrahedra could differ from the object by that much",
-            "choose a smaller envelope, or omit --envelope",
-        )
-    return envelope
-
-
 def _task(
     arguments: Arguments, surface: Surface, sizing: GridField | None, labels: InputVolume | None, context: Context
 ) -> Task:
-    """Check the surface; find the edge lengths, and where many materials force poor tetrahedra."""
+    """Check the surface; find edge lengths, and an envelope or where it forces poor tetrahedra."""
     with context.step("check surface"):
         found, parts = check_surface(arguments.surface, surface)
         context.results["surface" if surface.sides is None else "complex"] = found
@@ -99,7 +84,16 @@ def _task(
             check_labels(surface.points, labels, meshed_labels(surface.history))
     field, at_surface = _edge_lengths(surface, sizing, context)
     if surface.sides is None:
-        envelope = _envelope(arguments, surface, at_surface)
+        envelope = arguments.envelope
+        if envelope is None:
+            envelope = ENVELOPE_FRACTION * float(np.percentile(at_surface, 5))
+        if envelope >= 0.1 * surface.bounding_box_diagonal:
+            raise StageError(
+                f"--envelope {envelope:g} mm is more than a tenth of the object "
+                f"({surface.bounding_box_diagonal:.4g} mm across)",
+                "the tetrahedra could differ from the object by that much",
+                "choose a smaller envelope, or omit --envelope",
+            )
         context.parameters.update(envelope=envelope, max_distance=arguments.limits.distance(envelope))
         return Task(arguments, surface, parts, field, envelope)
     with context.step("find forced tetrahedra"):

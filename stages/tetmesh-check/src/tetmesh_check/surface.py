@@ -277,9 +277,8 @@ def _check_materials(path: Path, surface: Surface, sides: Sides) -> Shells:
 def _describe_materials(surface: Surface, sides: Sides, shells: Shells, quality: TriangleQuality) -> dict[str, Any]:
     """Count and measure a surface of many materials for the report."""
     count = len(sides.table)
-    found: dict[str, Any] = {
-        **_native.describe_complex(surface.points, surface.triangles, sides.inside, sides.outside, count)
-    }
+    described = _native.describe_complex(surface.points, surface.triangles, sides.inside, sides.outside, count)
+    found: dict[str, Any] = {**described}
     topologies, interfaces = found.pop("topologies"), found.pop("interfaces")
     areas = np.bincount(sides.inside, quality.area, count) + np.bincount(sides.outside, quality.area, count)
     volumes = np.bincount(shells.materials, shells.sizes, count)

@@ -54,6 +54,9 @@ _FAIR = 0.5
 """Required scaled Jacobian on a triangle with a small angle, relative to the largest possible
 value. Mending aims at nine tenths of the possible value."""
 
+_CHANGES = ("below_before", "below_after", "tetrahedra_replaced", "tetrahedra_put", "vertices_taken", "vertices_put")
+"""Keys of the counts of mending in the report."""
+
 
 class Task(NamedTuple):
     """A surface to fill."""
@@ -128,33 +131,30 @@ class _Attempts:
         self.task, self.context = task, context
         self.entries: list[dict[str, Any]] = []
         self.best: tuple[_Verdict, Filled, dict[str, Any]] | None = None
-        self.results: dict[str, Any] = {"method": method, "reason": reason, "log": arguments.log.name}
-        context.results["tetrahedralizer"] = self.results
-        self.results["attempts"] = self.entries
+        told: dict[str, Any] = {"method": method, "reason": reason, "log": arguments.log.name, "attempts": self.entries}
+        self.results = context.results["tetrahedralizer"] = told
         context.verbose(f"tetrahedralizer {method}: {reason}; log: {arguments.log}")
         self.runner = Runner(arguments.log, arguments.max_seconds, context)
 
     def judge(self, raw: Raw, method: Method, algorithm: str = "") -> _Verdict:
         """Note the tetrahedra of an attempt, and judge them."""
         surface, limits, found, distance = self.task.surface, self.task.arguments.limits, None, 0.0
-        entry = dict(raw.summary)
-        if surface.sides is None:
-            entry |= {"method": method, "orientation_turned": raw.turned}
-        else:
+        if surface.sides is not None:
             with self.context.step("find regions"):
                 found = conform(len(raw.points), raw.tetrahedra, surface.triangles, surface.sides)
-            entry |= {"algorithm": algorithm, "faults": found.faults}
+        filled = _measured(self.task, raw, found)
+        smallest = smallest_elsewhere(filled.quality, filled.forced)
+        entry = raw.summary | {"min_scaled_jacobian": smallest["scaled_jacobian"]}
+        if found is None:
+            entry |= {"method": method, "orientation_turned": raw.turned}
+        else:
+            entry |= {"algorithm": algorithm, "faults": found.faults, "min_dihedral": smallest["min_dihedral"]}
         if method == "ftetwild":
             boundary = tetrahedron_boundary(raw.tetrahedra).triangles
             ways = distances_both_ways(raw.points, boundary, surface.points, surface.triangles)
             distance = entry["max_distance"] = max(float(way.max()) for way in ways)
-        filled = _measured(self.task, raw, found)
-        smallest = smallest_elsewhere(filled.quality, filled.forced)
-        if found is not None:
-            entry["min_dihedral"] = smallest["min_dihedral"]
-        jacobian = entry["min_scaled_jacobian"] = smallest["scaled_jacobian"]
-        near = distance <= limits.distance(self.task.envelope)
-        verdict = _Verdict(-found.faults if found else 0, near, well_shaped(filled.quality, limits), jacobian)
+        near, well = distance <= limits.distance(self.task.envelope), well_shaped(filled.quality, limits)
+        verdict = _Verdict(-found.faults if found else 0, near, well, smallest["scaled_jacobian"])
         self.entries.append(entry)
         # the later of equal attempts counts: it may be partly mended
         if self.best is None or verdict >= self.best[0]:
@@ -192,15 +192,11 @@ def mend(raw: Raw | Filled, triangles: Cells, sides: Sides, limits: Limits) -> t
     found = _native.mend(raw.points, raw.tetrahedra, interfaces, limits.min_dihedral, limits.min_scaled_jacobian)
     if found is None:
         return None
+    counts = [*found["below"], *found["changed_tetrahedra"], *found["changed_vertices"]]
     mended = {
         "goal_degrees": found["goal_degrees"],
-        "below_before": found["below"][0],
-        "below_after": found["below"][1],
         "moves": found["moves"],
-        "tetrahedra_replaced": found["changed_tetrahedra"][0],
-        "tetrahedra_put": found["changed_tetrahedra"][1],
-        "vertices_put": found["changed_vertices"][1],
-        "vertices_taken": found["changed_vertices"][0],
+        **dict(zip(_CHANGES, counts, strict=True)),
     }
     return Raw(found["points"], found["tetrahedra"], {"mended": mended}), Conformity(**found["fit"])
 
