@@ -237,7 +237,7 @@ def _by_gmsh(task: Task, attempts: _Attempts, context: Context) -> None:
 
 
 def _mend(task: Task, attempts: _Attempts, context: Context) -> None:
-    """Mend the tetrahedra of Gmsh that miss a limit of shape or the goal, where that is possible."""
+    """Mend the tetrahedra of Gmsh that miss a limit of shape or the goal, where possible."""
     assert attempts.best is not None, "Gmsh filled the surface"
     verdict, filled, entry = attempts.best
     surface, fit = task.surface, filled.conformity
