@@ -159,8 +159,8 @@ def draw(
     axes = np.cross(up, towards_eye), np.cross(towards_eye, np.cross(up, towards_eye))
     wide, high = (np.ptp(mesh.points @ axis) / np.linalg.norm(axis) for axis in axes)
     height = float(1.12 * max(high, wide / (_WIDTH / rows[0])))
-    if part is not None:
-        height = min(height, part[1])
+    focus, shown_height = part or (mesh.center, height)
+    height = min(height, shown_height)
     # the edge length of an equilateral triangle of mean area, pixels
     edge = (4 / 3**0.5 * mesh.area / mesh.n_cells) ** 0.5 / height * rows[0]
     shown = plotter.add_mesh(
@@ -176,9 +176,8 @@ def draw(
     )
     plotter.view_vector(towards_eye, up)
     plotter.enable_parallel_projection()
-    if part is not None:
-        plotter.camera.position += part[0] - np.array(plotter.camera.focal_point)
-        plotter.camera.focal_point = part[0]
+    plotter.camera.position += focus - np.array(plotter.camera.focal_point)
+    plotter.camera.focal_point = focus
     plotter.camera.parallel_scale = 0.5 * height
     plotter.reset_camera_clipping_range()
     if title:

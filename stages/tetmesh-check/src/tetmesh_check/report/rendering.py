@@ -14,6 +14,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from subprocess import DEVNULL, PIPE, Popen
 
 from isoparticles._native import Context
 
@@ -84,14 +85,8 @@ def drawing(arguments: Arguments, context: Context, many: bool) -> Iterator[None
         yield
         return
     words = [arguments.surface, arguments.output, *(f"{kind}={path}" for kind, path in targets.items())]
-    with subprocess.Popen(
-        [sys.executable, "-m", "tetmesh_check.report.pictures", *map(str, words)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        errors="replace",
-    ) as process:
+    command = [sys.executable, "-m", "tetmesh_check.report.pictures", *map(str, words)]
+    with Popen(command, stdin=DEVNULL, stdout=PIPE, stderr=PIPE, text=True, errors="replace") as process:
         try:
             yield
             with context.step("pictures"):
@@ -107,7 +102,7 @@ def drawing(arguments: Arguments, context: Context, many: bool) -> Iterator[None
         context.warn(f"pictures skipped ({', '.join(missing)}): {reason}")
 
 
-def _finish(process: subprocess.Popen[str]) -> tuple[list[str], str]:
+def _finish(process: Popen[str]) -> tuple[list[str], str]:
     """Wait for the process; return the kinds that it drew, and why there are no others."""
     try:
         told, errors = process.communicate(timeout=_DRAWING_SECONDS)

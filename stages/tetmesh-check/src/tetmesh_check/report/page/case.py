@@ -45,7 +45,6 @@ def dig(data: Any, *keys: str) -> Any:
 class Case:
     """One case; see "Status of a case" in ``docs/developer/formats.md``."""
 
-    folder: Path
     name: str
     goal: str
     verdict: str
@@ -205,7 +204,6 @@ def read_case(status: Path) -> Case:
         stages = [_stage(entry, folder) for entry in data["stages"]]
         return Case(
             **{key: data[key] for key in ("name", "goal", "verdict", "headline", "inputs", "parameters")},
-            folder=folder,
             page=folder / data["page"] if data["page"] else None,
             stages=stages,
             files=[file for stage in stages for file in _files(stage, folder)],

@@ -52,7 +52,7 @@ def _mesh_of(case: Case, stage: str, ending: str) -> Any:
     """Read a mesh; ``None`` also for one that cannot be shown."""
     path = case.file(stage, ending)
     mesh = read_dataset(path) if path else None
-    return mesh if mesh and mesh.n_cells and np.isfinite(mesh.points).all() else None
+    return mesh if mesh is not None and mesh.n_cells and np.isfinite(mesh.points).all() else None
 
 
 def _section(name: str, shown: dict[str, Any]) -> str:

@@ -35,7 +35,6 @@ _ZOOMS = (1.0, 0.85, 0.7, 0.6, 0.5)
 """Sizes of the part that :func:`filled` tries, over that of the picture."""
 _FULL = 0.9
 """Share of a part that the mesh must cover for :func:`filled` to stop there."""
-_UNITS = (("GB", 1e9), ("MB", 1e6), ("kB", 1e3))
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -87,7 +86,7 @@ def amount(size: float) -> str:
     size
         In bytes.
     """
-    for unit, scale in _UNITS:
+    for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if size >= scale:
             return f"{size / scale:.3g} {unit}"
     return f"{size:.0f} bytes"
@@ -227,8 +226,7 @@ def picture_data(path: Path, kind: str = "", width: int = _PICTURE_WIDTH) -> tup
         image = filled(image)
     elif kind == "regions":
         image = image.crop((0, 0, image.width, round(MESH_SHARE * image.height)))
-    if image.width > width:
-        image = image.resize((width, round(image.height * width / image.width)), Image.Resampling.LANCZOS)
+    image.thumbnail((width, image.height), Image.Resampling.LANCZOS, reducing_gap=None)
     return image_data(image), image.width, image.height
 
 

@@ -139,11 +139,9 @@ def _views_of_regions(grid: pv.UnstructuredGrid, names: list[str]) -> list[ViewM
     region = grid.cell_data["region"]
     numbers, counts = np.unique(region, return_counts=True)
     views: list[ViewMesh] = []
-    left = MAX_TRIANGLES
     for material in numbers[np.argsort(-counts, kind="stable")][:_MAX_REGIONS].tolist():
         boundary = boundary_of(grid, region == material)
-        left -= boundary.n_cells
-        if left < 0:
+        if boundary.n_cells + sum(view.mesh.n_cells for view in views) > MAX_TRIANGLES:
             break
         boundary.clear_cell_data()
         views.append(ViewMesh(f"only {names[material]}", _add_quality(boundary), within=True))
