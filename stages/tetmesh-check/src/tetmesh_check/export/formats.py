@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from io import StringIO
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -56,22 +56,18 @@ def _element_faces(mesh: MarkedMesh, triangles: Labels) -> Cells:
     return np.column_stack([owners + 1, _ABAQUS_FACE[away.argmax(axis=1)]])
 
 
-@cache
-def _environment() -> Environment:
-    made = Environment(
-        loader=PackageLoader("tetmesh_check.export"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    made.globals.update(rows=_rows, members=_members, element_faces=_element_faces)
-    made.globals.update(arange=np.arange, unique=np.unique, quoteattr=quoteattr)
-    return made
+_TEMPLATES = Environment(
+    loader=PackageLoader("tetmesh_check.export"),
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    keep_trailing_newline=True,
+)
+_TEMPLATES.globals.update(rows=_rows, members=_members, element_faces=_element_faces, np=np, quoteattr=quoteattr)
 
 
 def _text(mesh: MarkedMesh, path: Path, template: str, **values: object) -> None:
-    path.write_text(_environment().get_template(template).render(mesh=mesh, **values), encoding="utf-8")
+    path.write_text(_TEMPLATES.get_template(template).render(mesh=mesh, **values), encoding="utf-8")
 
 
 def _texts(*templates: str) -> dict[str, Writer]:
@@ -90,8 +86,7 @@ def _arrays(mesh: MarkedMesh, stem: str) -> dict[str, Points | Cells | Labels]:
 
 def _numbers(mesh: MarkedMesh, path: Path, stem: str) -> None:
     with h5py.File(path, "w") as file:
-        for name, values in _arrays(mesh, stem).items():
-            file[name] = values
+        file.update(_arrays(mesh, stem))
 
 
 def _description(mesh: MarkedMesh, path: Path, stem: str, name: str) -> None:
