@@ -30,10 +30,10 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
+from isoparticles._native import surface_components
 
-from tetmesh_check.polydata import from_polydata, to_polydata
+from tetmesh_check.datasets import from_polydata, to_polydata
 from tetmesh_check.surface import read_dataset
-from tetmesh_check.topology import measure_components
 
 _DISTANCE = "signed_distance"
 _PROBLEMS = ("poisson", "conduction", "elasticity")
@@ -74,7 +74,7 @@ def marching_cubes(distfield: Path, target: Path, step: float = 1.0) -> int:
     points, triangles = from_polydata(plain.contour([0.0], scalars=_DISTANCE, method="flying_edges"))
     axes = np.asarray(image.direction_matrix, dtype=np.float64) * np.asarray(image.spacing)
     points = (points + np.array(image.extent[::2])) @ axes.T + np.asarray(image.origin)
-    if measure_components(points, triangles).volumes.sum() < 0:
+    if surface_components(points, triangles)["volumes"].sum() < 0:
         triangles = triangles[:, ::-1]
     to_polydata(points, triangles).save(target)
     return len(points)

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import NEEDS_HXT, Run, ball, fake_library, merged, reversed_winding, tetrahedra, write_sizing
-from isoparticles._native import changed_triangles
+from isoparticles._native import changed_triangles, surface_components
 
 from tetmesh_check import cli
 from tetmesh_check.quality import signed_tetrahedron_volumes, tetrahedron_quality
 from tetmesh_check.surface import history_of, read_surface
 from tetmesh_check.tets import fill
-from tetmesh_check.topology import measure_components, tetrahedron_boundary
+from tetmesh_check.topology import tetrahedron_boundary
 
 MISSING = "raise ImportError('libGLU.so.1: cannot open shared object file')\n"
 
@@ -36,7 +36,7 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     assert quality.volume.min() > 0
     assert quality.min_dihedral.min() > 10
     assert quality.volume.sum() == pytest.approx(
-        measure_components(surface.points, surface.triangles).volumes.sum(), rel=1e-12
+        surface_components(surface.points, surface.triangles)["volumes"].sum(), rel=1e-12
     )
     outside = tetrahedron_boundary(cells)
     assert not outside.bodies.any()

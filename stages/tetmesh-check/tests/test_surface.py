@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import pyvista as pv
 from conftest import Run, ball, merged, reversed_winding
-from isoparticles._native import changed_triangles, self_intersections, surface_topology
+from isoparticles._native import changed_triangles, self_intersections, surface_components, surface_topology
 
 from tetmesh_check.datasets import from_polydata
 from tetmesh_check.errors import StageError
 from tetmesh_check.surface import check_surface, read_surface
-from tetmesh_check.topology import measure_components, tetrahedron_boundary
+from tetmesh_check.topology import Components, tetrahedron_boundary
 
 
 def without_one_triangle(surface: pv.PolyData) -> pv.PolyData:
@@ -108,7 +108,7 @@ def test_good_surfaces_pass(tmp_path: Path) -> None:
 def measure(surface: pv.PolyData) -> tuple[int, bool]:
     triangles = np.asarray(surface.faces).reshape(-1, 4)[:, 1:].astype(np.int64)
     points = np.asarray(surface.points, dtype=np.float64)
-    return len(triangles), not len(measure_components(points, triangles).inside_out())
+    return len(triangles), not len(Components(**surface_components(points, triangles)).inside_out())
 
 
 def test_vertices_written_once_a_triangle_are_joined(tmp_path: Path) -> None:
@@ -179,13 +179,13 @@ def nested() -> pv.PolyData:
 
 def test_which_component_lies_in_which() -> None:
     surface = nested()
-    components = measure_components(*from_polydata(surface))
+    components = Components(**surface_components(*from_polydata(surface)))
     np.testing.assert_array_equal(components.depths, [0, 3, 0, 2, 1, 1])
     np.testing.assert_array_equal(components.parents, [-1, 3, -1, 4, 2, 0])
     np.testing.assert_array_equal(components.sheets()[0], [[body, -1] for body in (0, 2, 1, 2, 1, 0)])
     assert not len(components.inside_out())
     np.testing.assert_array_equal(np.sign(components.volumes), [1, -1, 1, 1, -1, -1])
-    turned = measure_components(*from_polydata(reversed_winding(surface)))
+    turned = Components(**surface_components(*from_polydata(reversed_winding(surface))))
     np.testing.assert_array_equal(turned.inside_out(), range(6))
     np.testing.assert_array_equal(turned.parents, components.parents)
 
@@ -201,7 +201,7 @@ def test_many_components_are_told_apart() -> None:
     triangles = np.concatenate(
         [triangles, np.asarray(around.faces).reshape(-1, 4)[:, 1:] + len(places) * small.n_points]
     )
-    components = measure_components(points, triangles)
+    components = Components(**surface_components(points, triangles))
     np.testing.assert_array_equal(components.sheets()[0], [[0, -1]] * 1001)
     assert not len(components.inside_out())
 

@@ -18,7 +18,7 @@ from tetmesh_check.datasets import from_polydata, text_of
 from tetmesh_check.errors import file_error, refuse_file
 from tetmesh_check.materials import NOTHING, Sides, read_sides
 from tetmesh_check.quality import Cells, Points, TriangleQuality, summarize_all, triangle_quality
-from tetmesh_check.topology import NOT_MANIFOLD, Components, Shells, measure_components, members_of
+from tetmesh_check.topology import NOT_MANIFOLD, Components, Shells, members_of
 
 _TOOLS = "use a surface from reconstruct, or repair this surface first"
 """Remedy for a surface that bounds no volumes."""
@@ -222,7 +222,7 @@ def _check_object(path: Path, surface: Surface) -> tuple[dict[str, Any], Compone
             f"outside, {topology['nonmanifold_vertices']} vertices where parts of the surface only touch",
             "inside and outside are not defined, so there is no volume to fill",
         )
-    components = measure_components(surface.points, surface.triangles)
+    components = Components(**_native.surface_components(surface.points, surface.triangles))
     wrong = components.inside_out()
     if len(wrong):
         refuse(

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from isoparticles import _native
 
-from tetmesh_check.quality import Cells, Labels, Points, Values
+from tetmesh_check.quality import Cells, Labels, Values
 
 NOT_MANIFOLD = ("open_edges", "nonmanifold_edges", "badly_oriented_edges", "nonmanifold_vertices")
 """Counts of a surface's topology that are 0 for a closed, oriented manifold."""
@@ -66,20 +66,6 @@ class Components(NamedTuple):
         outer = np.where(self.depths % 2 == 0, np.arange(len(self.depths)), self.parents)
         bodies = np.unique(outer, return_inverse=True)[1].ravel()
         return np.stack([bodies, np.full_like(bodies, -1)], axis=1), self.labels
-
-
-def measure_components(points: Points, triangles: Cells) -> Components:
-    """Find the components of a closed surface and their nesting.
-
-    Parameters
-    ----------
-    points
-        Positions, mm, shape ``(n, 3)``.
-    triangles
-        Vertex indices of a closed surface, shape ``(m, 3)``; components must not intersect each
-        other.
-    """
-    return Components(**_native.surface_components(points, triangles))
 
 
 class Shells(NamedTuple):

@@ -129,9 +129,8 @@ class _Attempts:
     def __init__(self, task: Task, method: Method, reason: str, context: Context) -> None:
         arguments = task.arguments
         self.task, self.context = task, context
-        self.entries: list[dict[str, Any]] = []
         self.best: tuple[_Verdict, Filled, dict[str, Any]] | None = None
-        told: dict[str, Any] = {"method": method, "reason": reason, "log": arguments.log.name, "attempts": self.entries}
+        told: dict[str, Any] = {"method": method, "reason": reason, "log": arguments.log.name, "attempts": []}
         self.results = context.results["tetrahedralizer"] = told
         context.verbose(f"tetrahedralizer {method}: {reason}; log: {arguments.log}")
         self.runner = Runner(arguments.log, arguments.max_seconds, context)
@@ -155,7 +154,7 @@ class _Attempts:
             distance = entry["max_distance"] = max(float(way.max()) for way in ways)
         near, well = distance <= limits.distance(self.task.envelope), well_shaped(filled.quality, limits)
         verdict = _Verdict(-found.faults if found else 0, near, well, smallest["scaled_jacobian"])
-        self.entries.append(entry)
+        self.results["attempts"].append(entry)
         # the later of equal attempts counts: it may be partly mended
         if self.best is None or verdict >= self.best[0]:
             self.best = verdict, filled, entry
@@ -230,14 +229,14 @@ def _by_gmsh(task: Task, attempts: _Attempts, context: Context) -> None:
             final = algorithm == algorithms[-1] or isinstance(error, (TimeLimitError, UnavailableError))
             if final and attempts.best is None:
                 raise
-            attempts.entries.append({"algorithm": algorithm, "error": error.what})
+            attempts.results["attempts"].append({"algorithm": algorithm, "error": error.what})
             continue
         if attempts.judge(raw, "hxt", algorithm).fitting == 0:
             break
 
 
-def _mend(task: Task, attempts: _Attempts, context: Context) -> None:
-    """Mend the tetrahedra of Gmsh that miss a limit of shape or the goal, where possible."""
+def _mend(task: Task, attempts: _Attempts, context: Context) -> _Verdict:
+    """Mend the tetrahedra of Gmsh that miss a limit of shape or the goal; return the verdict."""
     assert attempts.best is not None, "Gmsh filled the surface"
     verdict, filled, entry = attempts.best
     surface, fit = task.surface, filled.conformity
@@ -249,21 +248,21 @@ def _mend(task: Task, attempts: _Attempts, context: Context) -> None:
             f"see its log, {task.arguments.log}, or try another --tet-size-factor",
         )
     if verdict.fitting or (fit is None and verdict.well):
-        return
+        return verdict
     inside = np.ones(len(surface.triangles), dtype=np.int64)
     with context.step("mend tetrahedra"):
         sides = surface.sides or Sides(inside, np.zeros_like(inside), [])
         mended = mend(filled, surface.triangles, sides, task.arguments.limits)
     if mended is None:
-        return
+        return verdict
     if fit is None:
-        attempts.judge(mended[0], "hxt")
-        return
+        return max(verdict, attempts.judge(mended[0], "hxt"))
     after = _measured(task, *mended)
     smallest = [smallest_elsewhere(one.quality, one.forced)["min_dihedral"] for one in (filled, after)]
     told = {"min_dihedral_before": smallest[0], "min_dihedral_after": smallest[1]}
     attempts.results["mended"] = mended[0].summary["mended"] | told
     attempts.best = verdict, after, entry
+    return verdict
 
 
 def _by_tetgen(task: Task, attempts: _Attempts, context: Context) -> None:
@@ -332,9 +331,7 @@ def fill(task: Task, context: Context) -> Filled:
         second = ""
         try:
             _by_gmsh(task, attempts, context)
-            _mend(task, attempts, context)
-            assert attempts.best is not None, "Gmsh filled the surface"
-            verdict = attempts.best[0]
+            verdict = _mend(task, attempts, context)
             small = arguments.order == 1 and len(surface.points) <= MAX_SECOND_TRY_VERTICES
             if may_move and small and not verdict.well:
                 smallest = f"minimum scaled Jacobian {verdict.scaled_jacobian:.3g}"
