@@ -26,7 +26,6 @@ PALETTE = [
 Distances are those of CIELAB for normal vision, protanopia, deuteranopia and tritanopia (Machado et
 al. 2009), of which the smallest counts: 16.0 among the first seven, 13.9 among all.
 ``tests/test_colours.py`` measures them."""
-Colour = tuple[int, int, int]
 _MUTED = 3
 """Labels that were not meshed keep this fraction of their colour's difference from dark grey:
 1/3."""
@@ -97,7 +96,7 @@ class Entry:
     """A material, or a label that was not meshed as part of one."""
 
     name: str
-    colour: Colour
+    colour: tuple[int, int, int]
     labels: tuple[int, ...] = ()
     """Labels of the first layer."""
     meshed: bool = True

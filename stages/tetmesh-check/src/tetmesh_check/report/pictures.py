@@ -146,15 +146,7 @@ def draw(
         Middle and height, mm, of the part that is shown; the whole mesh by default.
     """
     rows = [_HEIGHT - _STRIP, _STRIP] if title or names else [_HEIGHT]
-    plotter = pv.Plotter(
-        off_screen=True,
-        shape=(len(rows), 1),
-        row_weights=rows,
-        border=False,
-        window_size=[_WIDTH, _HEIGHT],
-        lighting="three lights",
-    )
-    plotter.enable_anti_aliasing("msaa", multi_samples=8)
+    plotter = _plotter(rows)
     # all of the mesh fits with a small margin
     axes = np.cross(up, towards_eye), np.cross(towards_eye, np.cross(up, towards_eye))
     wide, high = (np.ptp(mesh.points @ axis) / np.linalg.norm(axis) for axis in axes)
@@ -181,26 +173,45 @@ def draw(
     plotter.camera.parallel_scale = 0.5 * height
     plotter.reset_camera_clipping_range()
     if title:
-        plotter.subplot(1, 0)
-        plotter.add_scalar_bar(
-            title,
-            mapper=shown.mapper,
-            n_labels=3,
-            fmt="%.3g",
-            color=_INK,
-            bold=True,
-            title_font_size=_LETTERING,
-            label_font_size=_LETTERING,
-            position_x=0.12,
-            position_y=0.05,
-            width=0.76,
-            height=0.9,
-        )
+        _add_bar(plotter, title, shown.mapper)
     image = Image.fromarray(plotter.screenshot(transparent_background=True, return_img=True))
     plotter.close()
     if names:
         _write_names(image, names)
     return image
+
+
+def _plotter(rows: list[int]) -> pv.Plotter:
+    """Return an empty picture; ``rows`` are the heights of its parts, pixels."""
+    plotter = pv.Plotter(
+        off_screen=True,
+        shape=(len(rows), 1),
+        row_weights=rows,
+        border=False,
+        window_size=[_WIDTH, _HEIGHT],
+        lighting="three lights",
+    )
+    plotter.enable_anti_aliasing("msaa", multi_samples=8)
+    return plotter
+
+
+def _add_bar(plotter: pv.Plotter, title: str, mapper: Any) -> None:
+    """Draw the bar of the colours into the strip."""
+    plotter.subplot(1, 0)
+    plotter.add_scalar_bar(
+        title,
+        mapper=mapper,
+        n_labels=3,
+        fmt="%.3g",
+        color=_INK,
+        bold=True,
+        title_font_size=_LETTERING,
+        label_font_size=_LETTERING,
+        position_x=0.12,
+        position_y=0.05,
+        width=0.76,
+        height=0.9,
+    )
 
 
 def _colouring(mesh: pv.PolyData, title: str) -> dict[str, Any]:

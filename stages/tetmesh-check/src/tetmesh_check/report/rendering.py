@@ -110,9 +110,8 @@ def _finish(process: Popen[str]) -> tuple[list[str], str]:
         process.kill()
         return process.communicate()[0].split(), f"the drawing process was ended after {_DRAWING_SECONDS:g} s"
     words = errors.strip().splitlines()
-    if process.returncode == 1 and words:  # of an exception
-        return told.split(), words[-1]
-    return told.split(), f"the drawing process ended with code {process.returncode}"
+    raised = process.returncode == 1 and words
+    return told.split(), words[-1] if raised else f"the drawing process ended with code {process.returncode}"
 
 
 if __name__ == "__main__":

@@ -68,14 +68,12 @@ class Case:
     @property
     def results(self) -> dict[str, Any]:
         """The results of ``tetmesh-check``; empty where there are none."""
-        results: dict[str, Any] = dig(self.reports, "tetmesh-check", "results") or {}
-        return results
+        return dig(self.reports, "tetmesh-check", "results") or {}
 
     @property
     def checks(self) -> list[dict[str, Any]]:
         """The checks of ``tetmesh-check``; empty where it did not come so far."""
-        checks: list[dict[str, Any]] = self.results.get("checks", [])
-        return checks
+        return self.results.get("checks") or []
 
     @property
     def seconds(self) -> float:
@@ -161,9 +159,8 @@ def _passes(stream: TextIO) -> list[dict[str, float]]:
 def _stage(entry: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Add the report to the entry of a stage."""
     name = entry["report"]
-    report = None
-    if name and entry["state"] in _ENDED and (folder / name).is_file():
-        report = _read(folder / name, json.load, "give the report that the stage wrote (--report)")
+    there = name and entry["state"] in _ENDED and (folder / name).is_file()
+    report = _read(folder / name, json.load, "give the report that the stage wrote (--report)") if there else None
     return {**entry, "report": report, "report_file": name}
 
 

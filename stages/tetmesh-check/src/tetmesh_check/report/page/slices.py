@@ -37,7 +37,6 @@ _TENTHS = 10
 """Outlines are kept to a tenth of a pixel."""
 _EQUAL = 0.99
 """Outlines count as equal if their lengths differ by less than 1 %, which the eye does not see."""
-_BACKGROUND = (0, 0, 0)
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,8 @@ def shades_of(scan: Scan, key: list[Entry]) -> Shades:
         Names and colours of its labels.
     """
     if scan.labels:
-        colours = {0: _BACKGROUND} | {label: entry.colour for entry in key for label in entry.labels}
+        # the background is black
+        colours = {0: (0, 0, 0)} | {label: entry.colour for entry in key for label in entry.labels}
         values = np.array(sorted(colours))
         return Shades(values, np.array([colours[label] for label in values.tolist()], dtype=np.uint8))
     stride = max(1, round((scan.values.size / 4e6) ** (1 / 3)))
@@ -102,13 +102,8 @@ def outlines(surface: pv.PolyData, places: NDArray[np.int64]) -> list[list[Point
     """
     found: list[list[Points]] = [[] for _ in places]
     lines = surface.contour(places, scalars=surface.points[:, 2]).strip(join=True, max_length=surface.n_cells)
-    if lines.n_cells == 0:
-        return found
-    cells = lines.GetLines()
-    starts = pv.convert_array(cells.GetOffsetsArray())[1:-1]
-    for chain in np.split(pv.convert_array(cells.GetConnectivityArray()), starts):
-        polygon = np.asarray(lines.points[chain])
-        found[np.searchsorted(places, polygon[0, 2] - 0.5)].append(polygon[:, :2])
+    for line in lines.cell:
+        found[np.searchsorted(places, line.points[0, 2] - 0.5)].append(line.points[:, :2])
     return found
 
 

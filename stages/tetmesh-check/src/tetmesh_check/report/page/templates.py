@@ -218,8 +218,7 @@ def picture_data(path: Path, kind: str = "", width: int = _PICTURE_WIDTH) -> tup
         Wider ones are made smaller.
     """
     try:
-        with Image.open(path) as opened:
-            image: Image.Image = opened.convert("RGBA")
+        image = Image.open(path).convert("RGBA")
     except OSError as error:
         raise file_error(path, "read", error, "draw the pictures again (tetmesh-check --pictures)") from error
     if kind == "closeup":

@@ -38,12 +38,8 @@ WORST = 1.0
 """Percent of the triangles that 'worst' shows."""
 _YAW, _PITCH = 0.63, 0.38
 """Initial direction of view, radians; the same as in the pictures."""
-_SIDEWAYS_AND_UP = np.array(
-    [
-        [np.cos(_YAW), np.sin(_YAW), 0.0],
-        [-np.sin(_PITCH) * np.sin(_YAW), np.sin(_PITCH) * np.cos(_YAW), np.cos(_PITCH)],
-    ]
-)
+_SIDEWAYS = (np.cos(_YAW), np.sin(_YAW), 0.0)
+_UPWARDS = (-np.sin(_PITCH) * np.sin(_YAW), np.sin(_PITCH) * np.cos(_YAW), np.cos(_PITCH))
 """Axes of the picture in that view."""
 _MAX_WORST = 5000
 """Largest number of tetrahedra among the worst: more only hide each other."""
@@ -232,7 +228,7 @@ def pack(meshes: list[ViewMesh], anatomical: bool = True) -> tuple[dict[str, Any
         "step": 1.0 / STEPS,
         "half": half,
         "centre": centre.tolist(),
-        "reach": (1.08 * np.abs((points - centre) / half @ _SIDEWAYS_AND_UP.T).max(axis=0)).tolist(),
+        "reach": (1.08 * np.abs((points - centre) / half @ np.transpose([_SIDEWAYS, _UPWARDS])).max(axis=0)).tolist(),
         "yaw": _YAW,
         "pitch": _PITCH,
         "letters": world_letters(anatomical),
