@@ -160,11 +160,21 @@ def test_mesh_uses_the_settings_of_a_case(iso: ModuleType, tmp_path: Path) -> No
         == "distfield array -o OUTPUT --scale-for-size 2 --material left=1 --material right=2"
     )
     assert result.result.history["inputs"][0]["path"] == "two.particles.bin"
-    assert set(result.report) == {"distfield", "sizefield", "seed", "particles", "reconstruct"}
-    assert result.report["seed"]["parameters"]["seed"] == 3
-    assert result.report["seed"]["threads"] == 1
+    report = result.report
+    assert set(report.stages) == {"distfield", "sizefield", "seed", "particles", "reconstruct"}
+    assert report.stages["seed"]["parameters"]["seed"] == 3
+    assert report.stages["seed"]["threads"] == 1
     assert result.surface is result.surface
-    assert result.failed_checks == []
+    assert result.failed_checks == report.failed_checks == []
+    assert not any(report.faults.values())
+    assert report.quality.triangles == result.surface.n_cells
+    assert 0.3 < report.quality.radius_ratio_min < report.quality.radius_ratio_mean <= 1
+    assert [volume.name for volume in report.volumes] == ["left", "right"]
+    for label, volume in enumerate(report.volumes, 1):
+        assert volume.voxels_mm3 == (halves() == label).sum()
+        # flat triangles with edges of 2 mm cut off 5 % of a ball of 6.5 mm radius
+        assert volume.mesh_mm3 == pytest.approx(volume.field_mm3, rel=0.06)
+    assert report.voxels_changed == report.stages["distfield"]["results"]["voxels_changed"] > 0
     result.save(tmp_path / "new")
     names = {file.name for file in (tmp_path / "new").iterdir()}
     assert names == {

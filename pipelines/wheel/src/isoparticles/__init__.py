@@ -37,6 +37,7 @@ _HOMES = {
     **dict.fromkeys(("Error", "MeshWarning"), "_errors"),
     **dict.fromkeys(("Tetrahedra", "fill"), "_fill"),
     "Mesh": "_mesh",
+    **dict.fromkeys(("Quality", "Report", "Volume"), "_report"),
     **dict.fromkeys(("DistanceField", "Particles", "SizeField", "Surface"), "_results"),
 }
 """Modules of the public names. They are imported on first use, so the command starts fast."""
@@ -47,9 +48,12 @@ __all__ = [
     "Mesh",
     "MeshWarning",
     "Particles",
+    "Quality",
+    "Report",
     "SizeField",
     "Surface",
     "Tetrahedra",
+    "Volume",
     "distance_field",
     "fill",
     "load",

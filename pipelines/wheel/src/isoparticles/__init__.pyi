@@ -2,6 +2,7 @@ from isoparticles._api import distance_field, load, mesh, reconstruct, seed, set
 from isoparticles._errors import Error, MeshWarning
 from isoparticles._fill import Tetrahedra, fill
 from isoparticles._mesh import Mesh
+from isoparticles._report import Quality, Report, Volume
 from isoparticles._results import DistanceField, Particles, SizeField, Surface
 
 __all__ = [
@@ -10,9 +11,12 @@ __all__ = [
     "Mesh",
     "MeshWarning",
     "Particles",
+    "Quality",
+    "Report",
     "SizeField",
     "Surface",
     "Tetrahedra",
+    "Volume",
     "distance_field",
     "fill",
     "load",

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from isoparticles._fill import Tetrahedra, fill
+from isoparticles._report import Report, read_report
 from isoparticles._results import ENDINGS, DistanceField, Particles, SizeField, Surface, refuse_existing
 
 if TYPE_CHECKING:
@@ -72,10 +73,10 @@ class Mesh:
         """The tetrahedra as PyVista data; see :attr:`filled`."""
         return self.filled.to_pyvista()
 
-    @property
-    def report(self) -> dict[str, Any]:
-        """The reports of the stages."""
-        return {stage: result.report for stage, result in self.stages.items()}
+    @cached_property
+    def report(self) -> Report:
+        """The checks, the quality of the triangles, the volumes and the reports of the stages."""
+        return read_report({stage: result.report or {} for stage, result in self.stages.items()})
 
     @property
     def failed_checks(self) -> list[str]:
